@@ -1,0 +1,53 @@
+"""The `neuroflight` command: parses, makes one call into a room, prints, returns an exit code.
+
+Each module named in `COMMANDS` owns one subcommand: `add_arguments(parser)` and `run(args) -> int`,
+and imports its room inside `run`, so that `--help` stays quick and no room knows another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from toolchain.errors import NeuroflightError
+
+COMMANDS = {
+    "build": "build a firmware image or the host program around a policy",
+    "compile": "turn policy.onnx into policy.c and policy.h",
+    "freeze": "turn a training checkpoint into policy.onnx",
+    "train": "synthesize a policy in the twin of an aircraft",
+    "evaluate": "measure a policy or the PID on unseen commands",
+    "fly": "fly a firmware against the twin and print tracking figures",
+    "msp": "ask a running firmware over MSP",
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(prog="neuroflight", description=__doc__.splitlines()[0])
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary)
+        module = importlib.import_module(f"toolchain.cli.{name}")
+        module.add_arguments(sub)
+        sub.set_defaults(run=module.run)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
+    args = parser().parse_args(argv)
+    try:
+        return int(args.run(args))
+    except NeuroflightError as error:
+        print(f"neuroflight: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("neuroflight: interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

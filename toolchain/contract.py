@@ -1,0 +1,211 @@
+"""One truth for each fact that C and Python share.
+
+Everything here is a constant or a small frozen table. `toolchain.header` renders it as
+`nf_contract.h` for the firmware; Python rooms import it directly. Depends on nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+# --- Axes and motors -------------------------------------------------------------------------
+# Body frame: x forward, y left, z up, right-handed. Rates [rad/s]: roll right +, pitch nose-down +,
+# yaw left +. Motors: 1 rear right, 2 front right, 3 rear left, 4 front left; index = number - 1.
+AXES = ("roll", "pitch", "yaw")
+MOTOR_COUNT_MAX = 8
+
+# --- Time ------------------------------------------------------------------------------------
+GYRO_EDGE_RATE_HZ = 8000  # MPU6500 data-ready with DLPF_CFG 0, whatever its divider says
+GYRO_RATES_HZ = (1000, 2000, 4000, 8000)  # every 8th, 4th, 2nd or each edge is read
+GYRO_RATE_DEFAULT_HZ = 4000
+CONTROL_RATES_HZ = (1000, 2000, 4000)
+
+# --- Gyro ------------------------------------------------------------------------------------
+GYRO_FULL_SCALE_DEG_S = 2000  # +-2000 deg/s over int16
+GYRO_COUNTS = 32768  # counts at full scale: 16.384 LSB per deg/s
+
+# --- Pilot's sticks --------------------------------------------------------------------------
+CHANNEL_COUNT = 16
+CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_ARM = range(5)
+CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
+ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
+THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
+RATE_FULL_STICK_DEG_S = 1000  # linear rates; no deadband, expo or interpolation yet
+
+# SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
+SBUS_FRAME_BYTES = 25
+SBUS_HEADER, SBUS_FOOTER = 0x0F, 0x00
+SBUS_FLAG_FRAME_LOST, SBUS_FLAG_FAILSAFE = 0x04, 0x08
+
+# --- Arming and failsafe, in milliseconds of gyro samples ------------------------------------
+BOOT_GRACE_MS = 1000  # no arming before this
+CALIBRATION_MS = 1000  # length of the still gyro average
+CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
+CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
+RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
+RECEIVER_LOST_MS = 400  # silence after which the motors stop
+
+# --- Motor outputs ---------------------------------------------------------------------------
+DSHOT_STOP = 0
+DSHOT_MIN, DSHOT_MAX = 48, 2047  # 1..47 are commands, never sent by the control path
+DSHOT_SPAN = DSHOT_MAX - DSHOT_MIN  # value = 48 + (uint16)(1999 u + 0.5)
+IDLE_DEFAULT = 0.0  # u' = idle + (1 - idle) u; the twin knows the same number
+
+# --- Simulator link (Betaflight's wire format, little-endian, loopback) ----------------------
+SIM_STATE_PORT, SIM_RECEIVER_PORT = 9003, 9004
+SIM_MOTOR_PORT, SIM_SERVO_PORT = 9002, 9001
+SIM_POWER_PORT = 9005
+SIM_STATE_FORMAT = "<18d"  # time s, rates rad/s FRD, specific force, attitude wxyz, velocity, position, Pa
+SIM_RECEIVER_FORMAT = "<d16H"  # time s, 16 channels in microseconds
+SIM_MOTOR_FORMAT = "<4f"  # fractions, motor 1..4
+SIM_SERVO_FORMAT = "<H2x16f"  # count, pulse widths in microseconds
+SIM_POWER_FORMAT = "<Id3f"  # magic, time s, volts, amps, control-time override in microseconds
+SIM_POWER_MAGIC = 0x3150464E  # "NFP1"
+# What the controller used at a control step, sent on request (--trace-port) before the motor packet:
+# magic, control step, setpoint rad/s, gyro rad/s, throttle, motor count, flags, DShot values.
+SIM_TRACE_FORMAT = "<II3f3ffBB2x8H"
+SIM_TRACE_MAGIC = 0x3154464E  # "NFT1"
+SIM_TRACE_FLAG_ARMED = 0x01
+MSP_TCP_PORT = 5761
+
+
+# --- Observation blocks ----------------------------------------------------------------------
+class Width(IntEnum):
+    """How wide a block is: a fixed count, or one value a motor."""
+
+    SCALAR = 1
+    AXES = 3
+    MOTORS = 0
+
+
+@dataclass(frozen=True)
+class ObservationBlock:
+    """A named piece of the policy's input, computed by the firmware at each control step."""
+
+    name: str
+    code: int
+    width: Width
+    unit: str
+    meaning: str
+
+    def count(self, motors: int) -> int:
+        """Number of float32 values of this block on an aircraft with `motors` motors."""
+        return motors if self.width is Width.MOTORS else int(self.width)
+
+
+OBSERVATION_BLOCKS = (
+    ObservationBlock("rate", 1, Width.AXES, "rad/s", "gyro, body axes"),
+    ObservationBlock("rate_error", 2, Width.AXES, "rad/s", "setpoint - gyro"),
+    ObservationBlock("rate_error_delta", 3, Width.AXES, "rad/s", "rate_error - that of the step before"),
+    ObservationBlock("rate_error_integral", 4, Width.AXES, "rad", "sum of rate_error dt, clamped"),
+    ObservationBlock("previous_action", 5, Width.MOTORS, "1", "the policy's last output"),
+    ObservationBlock("throttle", 6, Width.SCALAR, "1", "the pilot's thrust, 0..1"),
+)
+RATE_ERROR_INTEGRAL_LIMIT_RAD = 0.6
+OBSERVATION_COUNT_MAX = 64
+POLICY_WEIGHT_COUNT_MAX = 12288  # 48 KiB of DTCM
+
+
+def observation_blocks(text: str) -> tuple[ObservationBlock, ...]:
+    """Blocks named in the comma-separated `text`, in order. Raises ValueError naming the unknown one."""
+    known = {block.name: block for block in OBSERVATION_BLOCKS}
+    blocks = []
+    for name in text.split(","):
+        if name not in known:
+            raise ValueError(f"unknown observation block {name!r}, known are {', '.join(known)}")
+        blocks.append(known[name])
+    return tuple(blocks)
+
+
+def observation_count(blocks: tuple[ObservationBlock, ...], motors: int) -> int:
+    """Width of the policy's input."""
+    return sum(block.count(motors) for block in blocks)
+
+
+# --- Policy model (metadata_props of policy.onnx) --------------------------------------------
+POLICY_FORMAT_VERSION = "1"
+POLICY_INPUT, POLICY_OUTPUT = "observation", "action"
+META_VERSION = "neuroflight.version"
+META_OBSERVATION = "neuroflight.observation"
+META_CONTROL_RATE = "neuroflight.control_rate_hz"
+META_FILTERS = "neuroflight.filters"
+META_AIRCRAFT = "neuroflight.aircraft"
+META_AIRCRAFT_SHA256 = "neuroflight.aircraft_sha256"
+META_TRAINING = "neuroflight.training"
+POLICY_FILE_BYTES_MAX = 4 << 20
+SELFTEST_COUNT = 16
+
+# --- Checkpoint (torch.save of plain containers and tensors, loaded with weights_only) --------
+CHECKPOINT_FORMAT = "neuroflight.checkpoint"
+CHECKPOINT_VERSION = 1
+CHECKPOINT_FILE_BYTES_MAX = 64 << 20
+
+
+# --- MSP -------------------------------------------------------------------------------------
+class Msp(IntEnum):
+    """Commands of the MultiWii Serial Protocol that this firmware answers; numbers are the ecosystem's."""
+
+    API_VERSION = 1
+    FC_VARIANT = 2
+    FC_VERSION = 3
+    BOARD_INFO = 4
+    BUILD_INFO = 5
+    NAME = 10
+    STATUS = 101
+    RAW_IMU = 102
+    MOTOR = 104
+    RC = 105
+    ATTITUDE = 108
+    ANALOG = 110
+    STATUS_EX = 150
+    UID = 160
+    POLICY_INFO = 0x4E01  # v2, ours: what the compiled-in policy is
+
+
+MSP_PROTOCOL_VERSION = 0
+MSP_API_MAJOR, MSP_API_MINOR = 1, 46
+MSP_VARIANT = "NRFL"
+MSP_PAYLOAD_MAX = 512
+VERSION = (0, 1, 0)
+CRC8_DVB_S2_POLY = 0xD5
+
+
+# --- Reasons that forbid arming (bit field, shown by MSP STATUS_EX) ---------------------------
+class ArmingReason(IntEnum):
+    """Bit number of each reason that keeps the motors stopped."""
+
+    BOOT_GRACE = 0
+    GYRO_NOT_CALIBRATED = 1
+    RECEIVER_LOST = 2
+    THROTTLE_HIGH = 3
+    SWITCH_NOT_CYCLED = 4
+    POLICY_BAD = 5
+
+
+# --- MATEKF722: memory and flash map ----------------------------------------------------------
+@dataclass(frozen=True)
+class Region:
+    """A span of the address space: [address, address + size)."""
+
+    name: str
+    address: int
+    size: int
+
+
+FLASH_BASE = 0x08000000
+FLASH_BYTES = 512 * 1024
+FLASH_SECTORS = (
+    *(Region(f"sector {i}", FLASH_BASE + i * 0x4000, 0x4000) for i in range(4)),
+    Region("sector 4", FLASH_BASE + 0x10000, 0x10000),
+    *(Region(f"sector {i}", FLASH_BASE + (i - 4) * 0x20000, 0x20000) for i in range(5, 8)),
+)
+FLASH_BOOT = FLASH_SECTORS[0]
+FLASH_SETTINGS = (FLASH_SECTORS[1], FLASH_SECTORS[2])
+FLASH_FAULT_RECORD = FLASH_SECTORS[3]
+FLASH_POLICY_SLOTS = (FLASH_SECTORS[4], Region("policy slot B", FLASH_SECTORS[7].address, 0x10000))
+FLASH_BANK_A, FLASH_BANK_B = FLASH_SECTORS[5], FLASH_SECTORS[6]
+ITCM = Region("ITCM", 0x00000000, 16 * 1024)
+DTCM = Region("DTCM", 0x20000000, 64 * 1024)
+SRAM1 = Region("SRAM1", 0x20010000, 176 * 1024)
+SRAM2 = Region("SRAM2", 0x2003C000, 16 * 1024)
