@@ -33,3 +33,7 @@ class ScenarioError(NeuroflightError):
 
 class TrainingError(NeuroflightError):
     """A training configuration that cannot be run."""
+
+
+class TraceError(NeuroflightError):
+    """A recorded flight that is damaged or not one."""
