@@ -1,0 +1,102 @@
+"""Strict reading of a TOML table: every key is asked for once, by type and range, or refused by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from toolchain.errors import NeuroflightError
+
+Value = TypeVar("Value")
+
+
+class Table:
+    """One table of a parsed file. `finish()` refuses the keys that nobody asked for."""
+
+    def __init__(self, values: Mapping[str, Any], where: str, error: type[NeuroflightError], path: str = ""):
+        self._values = values
+        self._where = where
+        self._error = error
+        self._path = path
+        self._read: set[str] = set()
+
+    def has(self, key: str) -> bool:
+        """Whether the file gives `key`."""
+        return key in self._values
+
+    def error(self, key: str, message: str) -> NeuroflightError:
+        """The exception that says what is wrong with `key`, for the caller to raise."""
+        return self._error(f"{self._where}: {self._path}{key}: {message}")
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        """A finite number in [low, high]."""
+        return self._number(key, self._get(key, default), low, high)
+
+    def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
+        """A whole number in [low, high]."""
+        value = self._get(key, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self.error(key, f"got {value!r}, expected a whole number from {low} to {high}")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A string of 1 to 200 characters (the default may be empty)."""
+        value = self._get(key, default)
+        if value == default and key not in self._values:
+            return str(value)
+        if not isinstance(value, str) or not 1 <= len(value) <= 200:
+            raise self.error(key, f"got {value!r}, expected a text of 1 to 200 characters")
+        return value
+
+    def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
+        """One of the words of `values`; returns what it stands for."""
+        value = self._get(key, default)
+        if not isinstance(value, str) or value not in values:
+            raise self.error(key, f"got {value!r}, expected one of: {', '.join(values)}")
+        return values[value]
+
+    def vector(self, key: str, low: float, high: float) -> tuple[float, float, float]:
+        """Three finite numbers, each in [low, high]."""
+        value = self._get(key, None)
+        if not isinstance(value, list) or len(value) != 3:
+            raise self.error(key, f"got {value!r}, expected a list of three numbers")
+        x, y, z = (self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
+        return (x, y, z)
+
+    def table(self, key: str) -> Table:
+        """The table called `key`."""
+        value = self._get(key, None)
+        if not isinstance(value, dict):
+            raise self.error(key, f"got {value!r}, expected a table [{self._path}{key}]")
+        return Table(value, self._where, self._error, f"{self._path}{key}.")
+
+    def tables(self, key: str, low: int, high: int) -> list[Table]:
+        """The list of tables [[key]], `low` to `high` of them."""
+        value = self._get(key, None)
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self.error(key, f"expected tables [[{self._path}{key}]]")
+        if not low <= len(value) <= high:
+            raise self.error(key, f"got {len(value)} of them, expected {low} to {high}")
+        return [
+            Table(item, self._where, self._error, f"{self._path}{key}[{i}].") for i, item in enumerate(value)
+        ]
+
+    def finish(self) -> None:
+        """Refuse what is in the file but was never read: most often a slip of the pen."""
+        unknown = sorted(set(self._values) - self._read)
+        if unknown:
+            raise self.error(unknown[0], f"unknown key; known here: {', '.join(sorted(self._read))}")
+
+    def _get(self, key: str, default: object) -> Any:  # noqa: ANN401 - any TOML value
+        self._read.add(key)
+        if key not in self._values and default is None:
+            raise self.error(key, "missing")
+        return self._values.get(key, default)
+
+    def _number(self, key: str, value: object, low: float, high: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.error(key, f"got {value!r}, expected a finite number")
+        if not low <= value <= high:
+            raise self.error(key, f"got {value!r}, expected {low:g} to {high:g}")
+        return float(value)
