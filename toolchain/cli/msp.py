@@ -1,0 +1,80 @@
+"""`neuroflight msp`: ask a running firmware over MSP. Reads only; nothing is changed on the board."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flash.client import Info
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the port and what can be asked."""
+    parser.add_argument(
+        "--port",
+        required=True,
+        metavar="PORT",
+        help="tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0",
+    )
+    questions = parser.add_subparsers(dest="question", required=True, metavar="QUESTION")
+    summary = "who the firmware is, which policy it flies and what forbids arming"
+    info = questions.add_parser("info", help=summary, description=summary)
+    info.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask and print. Returns 0; raises LinkError when the firmware cannot be asked."""
+    from flash.client import Client, read_info
+    from flash.transport import open_transport
+
+    with Client(open_transport(args.port)) as client:
+        info = read_info(client)
+    if args.json:
+        print(json.dumps(asdict(info), indent=2))
+    else:
+        _print_table(info)
+    return 0
+
+
+def _print_table(info: Info) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None)
+    for label, value in _rows(info):
+        table.add_row(Text(label, style="bold"), Text(value, overflow="fold"))
+    Console().print(table)
+
+
+def _rows(info: Info) -> list[tuple[str, str]]:
+    """Label and text of each line of the table."""
+    board, build, policy = info.board, info.build, info.policy
+    rows = [
+        ("firmware", f"{info.variant} {info.version}, MSP API {info.api.major}.{info.api.minor}"),
+        ("board", " ".join(filter(None, (board.identifier, board.manufacturer, board.name or board.target)))),
+        ("build", f"{build.date} {build.time}, revision {build.revision}"),
+        ("name", info.name or "none given"),
+        ("UID", info.uid),
+    ]
+    if policy is not None:
+        rows += [
+            ("policy", f"{policy.name}, sha256 {policy.sha256}"),
+            (
+                "network",
+                f"{policy.observation_count} observations to {policy.action_count} actions, "
+                f"{policy.weight_count} weights, architecture {policy.architecture_hash:08x}",
+            ),
+            ("self-test", "passed" if policy.self_test_passed else "FAILED"),
+            ("rates", f"control {policy.control_rate_hz} Hz, gyro {policy.gyro_rate_hz} Hz"),
+        ]
+    else:
+        rows.append(("policy", "none: not a Neuroflight firmware"))
+    rows += [
+        ("armed", "yes" if info.armed else "no"),
+        ("arming held by", ", ".join(info.arming_reasons) or "nothing"),
+    ]
+    return rows
