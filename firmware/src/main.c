@@ -1,0 +1,60 @@
+/* Ties the core to the hardware boundary. Common to every target. */
+#include "firmware.h"
+#include "hal/hal.h"
+#include "msp.h"
+
+/* The only mutable state of the program outside the chip directory. */
+static struct hal_info info;
+static struct firmware firmware;
+static struct msp msp;
+
+static void on_sample(void *context, const int16_t counts[3])
+{
+	struct firmware *fw = context;
+	const bool control_step = firmware_control_due(fw);
+	uint16_t dshot[POLICY_ACTION_COUNT];
+
+	if (control_step) {
+		uint8_t bytes[HAL_RECEIVER_BYTES];
+		firmware_receive(fw, bytes, hal_receiver_read(bytes, sizeof bytes));
+	}
+	firmware_sample(fw, counts, dshot);
+	hal_motors_write(dshot, POLICY_ACTION_COUNT);
+	if (control_step)
+		hal_trace_write(firmware_trace(fw));
+}
+
+static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
+{
+	struct firmware_status status;
+
+	firmware_status(context, &status);
+	return msp_serve(&msp, &status, bytes, count, reply, capacity);
+}
+
+static void on_msp_reset(void *context)
+{
+	(void)context;
+	msp_reset(&msp);
+}
+
+int main(int argc, char **argv)
+{
+	static const struct hal_handlers handlers = {
+		.context = &firmware,
+		.sample = on_sample,
+		.msp = on_msp,
+		.msp_reset = on_msp_reset,
+	};
+
+	const int start = hal_init(argc, argv, &info);
+	if (start != HAL_RUN)
+		return start;
+
+	msp_init(&msp, &info.identity);
+	/* A policy that fails its self-test still answers MSP and says why it will not arm. */
+	const enum nf_err err = firmware_init(&firmware, &info.config);
+	if (err != NF_OK && err != NF_ERR_POLICY)
+		return hal_refuse(err);
+	return hal_run(&handlers);
+}

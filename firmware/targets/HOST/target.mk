@@ -1,0 +1,21 @@
+# The program that flies against a simulator, and its core as a shared library for tests and ports.
+# x86 needs its FMA instruction named; AArch64 always has one.
+CROSS :=
+CPUFLAGS := -fPIC $(if $(filter x86_64,$(shell uname -m)),-mfma)
+
+# link, tcp and the loop belong to the program only; convert and reference to both.
+HOST_PROGRAM_SOURCES := $(addprefix hal/host/,hal.c options.c link.c msp_tcp.c)
+HOST_SHARED_SOURCES := $(addprefix hal/host/,convert.c)
+HOST_LIBRARY_SOURCES := hal/host/reference.c
+HAL_SOURCES := $(HOST_PROGRAM_SOURCES) $(HOST_SHARED_SOURCES) $(HOST_LIBRARY_SOURCES)
+OUTPUTS := $(BUILD)/neuroflight $(BUILD)/libneuroflight.so
+
+host_objects = $(1:%.c=$(OBJ)/%.o)
+
+# Recipes are expanded late, when CORE_OBJECTS and friends are known; so are these prerequisites.
+.SECONDEXPANSION:
+$(BUILD)/neuroflight: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(call host_objects,$(HOST_PROGRAM_SOURCES) $(HOST_SHARED_SOURCES))
+	$(CC) $(CPUFLAGS) -o $@ $^
+
+$(BUILD)/libneuroflight.so: $$(CORE_OBJECTS) $$(call host_objects,$(HOST_SHARED_SOURCES) $(HOST_LIBRARY_SOURCES))
+	$(CC) $(CPUFLAGS) -shared -Wl,-z,defs -o $@ $^
