@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 def draw_bias(noise: GyroNoise, count: int, rng: np.random.Generator) -> Array:
     """Constant offset of each aircraft's gyro for one episode [rad/s], (count, 3)."""
-    return rng.normal(0.0, 1.0, (count, 3)) * noise.bias
+    return rng.normal(0.0, noise.bias, (count, 3))
 
 
 def measured_rate(rate: Array, bias: Array, noise: GyroNoise, rng: np.random.Generator) -> Array:
     """What an ideal converter would read [rad/s], (N, 3): the true rate with bias and white noise."""
-    return rate + bias + rng.standard_normal(rate.shape) * np.array(noise.noise)
+    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * np.array(noise.noise))
 
 
 def counts(rate: Array) -> NDArray[np.int16]:

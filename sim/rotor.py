@@ -22,7 +22,7 @@ def target_speed(command: Array, propulsion: Propulsion) -> Array:
     Source: Koch 2019, chapter 5: H(u), a quadratic fitted on the dynamometer.
     """
     a, b, c = propulsion.speed_curve
-    return (a * command + b) * command + c
+    return np.asarray((a * command + b) * command + c)
 
 
 def next_speed(speed: Array, target: Array, dt: float, propulsion: Propulsion) -> Array:

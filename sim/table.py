@@ -14,7 +14,9 @@ Value = TypeVar("Value")
 class Table:
     """One table of a parsed file. `finish()` refuses the keys that nobody asked for."""
 
-    def __init__(self, values: Mapping[str, Any], where: str, error: type[NeuroflightError], path: str = ""):
+    def __init__(
+        self, values: Mapping[str, Any], where: str, error: type[NeuroflightError], path: str = ""
+    ) -> None:
         self._values = values
         self._where = where
         self._error = error

@@ -126,6 +126,8 @@ class World:
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
+        # Copies share the origin; without this the broad phase pairs all of them, quadratically.
+        pybullet.setCollisionFilterGroupMask(body, self._link, 0, 0, client)
         return body
 
     def _read(self) -> None:
@@ -156,8 +158,9 @@ def _load_rig(aircraft: Aircraft, client: int) -> int:
     inertia = aircraft.mass_properties.inertia
     x, y, z = (f"{value:.17g}" for value in arm)
     terms = " ".join(f'{term}="{inertia[i, j]:.17g}"' for term, (i, j) in _TERMS.items())
+    nothing = " ".join(f'{term}="0"' for term in _TERMS)
     urdf = f"""<robot name="rig">
-  <link name="base"><inertial><mass value="0"/><inertia {" ".join(f'{t}="0"' for t in _TERMS)}/></inertial></link>
+  <link name="base"><inertial><mass value="0"/><inertia {nothing}/></inertial></link>
   <link name="aircraft"><inertial>
     <origin xyz="{x} {y} {z}"/><mass value="{aircraft.mass_properties.mass:.17g}"/><inertia {terms}/>
   </inertial></link>
