@@ -22,7 +22,8 @@ def target_speed(command: Array, propulsion: Propulsion) -> Array:
     Source: Koch 2019, chapter 5: H(u), a quadratic fitted on the dynamometer.
     """
     a, b, c = propulsion.speed_curve
-    return np.asarray((a * command + b) * command + c)
+    speed: Array = (a * command + b) * command + c
+    return speed
 
 
 def next_speed(speed: Array, target: Array, dt: float, propulsion: Propulsion) -> Array:

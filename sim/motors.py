@@ -1,0 +1,34 @@
+"""From a controller's outputs to what the ESCs do: throttle mix, idle, DShot values. Pure and vectorised.
+
+float32 in the firmware's order of operations; DESIGN law 4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import DSHOT_MIN, DSHOT_SPAN
+
+Array = NDArray[np.float32]
+
+
+def throttle_mix(y: Array, throttle: Array) -> Array:
+    """Motor fractions u (N, M) of outputs y (N, M) with the pilot's thrust T (N,) on top, attitude first.
+
+    u_i = T (1 - max y) + y_i, all in 0..1.
+    """
+    lift = throttle * (np.float32(1.0) - y.max(axis=1))
+    return y + lift[:, None]
+
+
+def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
+    """DShot throttle values (N, M), 48..2047, of fractions u in 0..1 above the idle floor (0..1)."""
+    floor = np.float32(idle)
+    raised = floor + (np.float32(1.0) - floor) * u
+    return np.uint16(DSHOT_MIN) + (np.float32(DSHOT_SPAN) * raised + np.float32(0.5)).astype(np.uint16)
+
+
+def decoded(values: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """What an ESC makes of DShot values: 0 stops, else (value - 48) / 1999; fractions 0..1."""
+    return np.where(values < DSHOT_MIN, 0.0, (values.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
