@@ -19,7 +19,8 @@ def throttle_mix(y: Array, throttle: Array) -> Array:
     u_i = T (1 - max y) + y_i, all in 0..1.
     """
     lift = throttle * (np.float32(1.0) - y.max(axis=1))
-    return y + lift[:, None]
+    u: Array = y + lift[:, None]
+    return u
 
 
 def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
@@ -27,8 +28,3 @@ def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
     floor = np.float32(idle)
     raised = floor + (np.float32(1.0) - floor) * u
     return np.uint16(DSHOT_MIN) + (np.float32(DSHOT_SPAN) * raised + np.float32(0.5)).astype(np.uint16)
-
-
-def decoded(values: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """What an ESC makes of DShot values: 0 stops, else (value - 48) / 1999; fractions 0..1."""
-    return np.where(values < DSHOT_MIN, 0.0, (values.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)

@@ -37,7 +37,8 @@ def next_speed(speed: Array, target: Array, dt: float, propulsion: Propulsion) -
     up = propulsion.response_torque_up / inertia * dt
     down = propulsion.response_torque_down / inertia * dt
     change = np.minimum(np.maximum(settle * (target - speed), -down), up)
-    return np.maximum(speed + change, 0.0)
+    after: Array = np.maximum(speed + change, 0.0)
+    return after
 
 
 @dataclass(frozen=True)
