@@ -123,8 +123,8 @@ def read_info(client: Client) -> Info:
         )
     variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
     ours = variant == MSP_VARIANT
-    status = messages.status_ex(client.request(Msp.STATUS_EX))
-    flags = status.arming_flags
+    extended = messages.status_ex(client.request(Msp.STATUS_EX))
+    status, flags = extended.status, extended.arming_flags
     return Info(
         variant=variant,
         version=messages.fc_version(client.request(Msp.FC_VERSION)),

@@ -62,9 +62,10 @@ class Status:
 
 
 @dataclass(frozen=True)
-class StatusEx(Status):
+class StatusEx:
     """STATUS and what forbids arming."""
 
+    status: Status
     arming_flag_count: int  # how many of the bits below have a meaning
     arming_flags: int  # bit field, see `arming_reasons`
 
@@ -196,11 +197,11 @@ def status(payload: bytes) -> Status:
 def status_ex(payload: bytes) -> StatusEx:
     """Decode STATUS_EX."""
     reader = _Reader(Msp.STATUS_EX, payload)
-    common = reader.fields("HHHIBH")
+    status = Status(*reader.fields("HHHIBH"))
     _profiles, _rate_profile, further_mode_bytes = reader.fields("BBB")
     reader.bytes(further_mode_bytes & 0x0F)  # flight modes 32 and up
     count, flags = reader.fields("BI")
-    return StatusEx(*common, count, flags)
+    return StatusEx(status, count, flags)
 
 
 def arming_reasons(flags: int) -> tuple[str, ...]:

@@ -1,0 +1,123 @@
+"""Peers for the tests of flash: a scripted line without a clock, a TCP server and an independent client."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+from yamspy import MSPy
+
+Answer = Callable[[bytes], bytes]
+
+
+class ScriptedLine:
+    """A Transport whose reads hand out a script, None meaning silence; its clock moves only on silence."""
+
+    name = "test line"
+
+    def __init__(self, script: list[bytes | None]) -> None:
+        self.script = script
+        self.written: list[bytes] = []
+        self.now = 0.0
+        self.closed = False
+
+    def read(self, timeout: float) -> bytes:
+        assert timeout > 0
+        data = self.script.pop(0) if self.script else None
+        self.now += timeout if data is None else 0.001
+        return data or b""
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+    def clock(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def scripted_line() -> type[ScriptedLine]:
+    """The class ScriptedLine."""
+    return ScriptedLine
+
+
+class TcpServer:
+    """Answers each piece that a client sends, one client after another, until closed."""
+
+    def __init__(self, answer: Answer) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._answer = answer
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> str:
+        return f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            with connection:
+                while data := connection.recv(4096):
+                    reply = self._answer(data)
+                    if reply == b"HANG UP":
+                        break
+                    connection.sendall(reply)
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(timeout=5)
+
+
+@pytest.fixture
+def tcp_server() -> Iterator[Callable[[Answer], str]]:
+    """Start servers: give it a function from request bytes to reply bytes, get the port's name."""
+    servers: list[TcpServer] = []
+
+    def start(answer: Answer) -> str:
+        servers.append(TcpServer(answer))
+        return servers[-1].port
+
+    yield start
+    for server in servers:
+        server.close()
+
+
+@pytest.fixture
+def free_tcp_port() -> int:
+    """A port on which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+class ByteLine:
+    """The serial port that yamspy believes it has: reads from given bytes, keeps what is written."""
+
+    def __init__(self, incoming: bytes = b"") -> None:
+        self.incoming = incoming
+        self.written = b""
+
+    def read(self, size: int = 1) -> bytes:
+        data, self.incoming = self.incoming[:size], self.incoming[size:]
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.written += bytes(data)
+        return len(data)
+
+
+@pytest.fixture
+def yamspy_peer() -> MSPy:
+    """yamspy, an independent MSP client, whose line is a ByteLine."""
+    peer = MSPy(device="", logfilename=None, loglevel="WARNING")
+    peer.conn = ByteLine()
+    peer.INAV = False  # what it finds out when it connects by itself
+    return peer

@@ -1,0 +1,171 @@
+"""The client over a scripted line with its own clock, and over a real socket."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from flash.client import Client, read_info
+from flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
+from flash.transport import open_transport
+from toolchain.contract import Msp
+from toolchain.errors import LinkError
+
+Lines = Callable[[list[bytes | None]], Any]
+
+ASKED = request(Msp.FC_VARIANT)
+ANSWER = encode(reply(ASKED, b"NRFL"))
+SILENCE = None
+
+
+def ask(line: Any, **limits: Any) -> bytes:  # noqa: ANN401 - the scripted line of conftest.py
+    return Client(line, clock=line.clock).request(Msp.FC_VARIANT, **limits)
+
+
+def failure(line: Any, **limits: Any) -> str:  # noqa: ANN401
+    """The one line that asking ends in."""
+    with pytest.raises(LinkError) as caught:
+        ask(line, **limits)
+    text = str(caught.value)
+    assert "\n" not in text and text.startswith("test line: ") and "expected a reply" in text
+    return text
+
+
+# --- A reply comes ---------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "script",
+    [
+        [ANSWER],
+        [ANSWER[i : i + 1] for i in range(len(ANSWER))],
+        [b"boot: gyro ok\r\n\xff$M", ANSWER],
+        [encode(ASKED), ANSWER],
+        [encode(reply(request(Msp.API_VERSION), b"\0\1\56")) + ANSWER],
+        [ANSWER + b"$M>\x04"],
+    ],
+    ids=["whole", "byte-by-byte", "after-garbage", "after-echo", "after-a-late-reply", "trailing"],
+)
+def test_payload_is_returned_when_the_reply_comes(script: list[bytes | None], scripted_line: Lines) -> None:
+    line = scripted_line(script)
+    assert ask(line) == b"NRFL"
+    assert line.written == [encode(ASKED)]
+
+
+def test_second_try_succeeds_when_the_first_meets_silence(scripted_line: Lines) -> None:
+    line = scripted_line([SILENCE, ANSWER])
+    assert ask(line, timeout=0.5) == b"NRFL"
+    assert len(line.written) == 2
+    assert 0.5 <= line.now < 0.6
+
+
+def test_second_try_succeeds_when_the_first_reply_is_damaged(scripted_line: Lines) -> None:
+    damaged = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
+    assert ask(scripted_line([damaged, SILENCE, ANSWER])) == b"NRFL"
+
+
+def test_reply_is_found_without_a_retry_when_it_hides_behind_a_false_header(scripted_line: Lines) -> None:
+    line = scripted_line([b"$M>\x80\x05" + ANSWER, SILENCE])
+    assert ask(line, retries=0) == b"NRFL"
+
+
+def test_request_is_v2_when_the_command_needs_it(scripted_line: Lines) -> None:
+    line = scripted_line([encode(Message(Version.V2, Direction.REPLY, Msp.POLICY_INFO, b"x"))])
+    assert Client(line, clock=line.clock).request(Msp.POLICY_INFO, b"payload") == b"x"
+    assert line.written[0].startswith(b"$X<\x00\x01\x4e\x07\x00payload")
+
+
+# --- No reply comes --------------------------------------------------------------------------
+def test_error_says_refused_and_asks_once_when_the_firmware_refuses(scripted_line: Lines) -> None:
+    line = scripted_line([encode(error(ASKED))])
+    assert "the firmware refuses MSP FC_VARIANT (2)" in failure(line)
+    assert len(line.written) == 1
+
+
+def test_error_says_silence_when_nothing_comes(scripted_line: Lines) -> None:
+    line = scripted_line([])
+    text = failure(line, timeout=0.25, retries=3)
+    assert "got silence" in text and "MSP FC_VARIANT within 0.25 s, asked 4 time(s)" in text
+    assert line.written == [encode(ASKED)] * 4
+    assert line.now == pytest.approx(1.0)
+
+
+def test_error_counts_corrupt_frames_when_every_reply_is_damaged(scripted_line: Lines) -> None:
+    damaged = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
+    text = failure(scripted_line([damaged, SILENCE] * 3))
+    assert "got 3 corrupt frame(s), the last with wrong checksum" in text and "baud rate" in text
+
+
+def test_error_says_cut_short_when_replies_never_end(scripted_line: Lines) -> None:
+    assert "the last with frame cut short" in failure(scripted_line([ANSWER[:-2], SILENCE] * 3))
+
+
+def test_error_says_no_msp_when_the_line_talks_something_else(scripted_line: Lines) -> None:
+    text = failure(scripted_line([b"login: ", SILENCE] * 3))
+    assert "got 21 bytes that are no MSP" in text and "MSP port" in text
+
+
+def test_client_gives_up_in_time_when_the_line_never_stops_talking(scripted_line: Lines) -> None:
+    line = scripted_line([b"noise"] * 10_000)
+    assert "bytes that are no MSP" in failure(line, timeout=0.1, retries=1)
+    assert line.now < 0.21
+
+
+def test_line_is_closed_when_the_client_leaves_its_block(scripted_line: Lines) -> None:
+    line = scripted_line([])
+    with pytest.raises(LinkError), Client(line, clock=line.clock) as client:
+        client.request(Msp.NAME)
+    assert line.closed
+
+
+# --- Over a real socket ----------------------------------------------------------------------
+def firmware(replies: dict[int, bytes]) -> Callable[[bytes], bytes]:
+    """A firmware's answering side that knows `replies` and refuses the rest."""
+    decoder = Decoder()
+
+    def answer(data: bytes) -> bytes:
+        asked = [event for event in decoder.feed(data) if isinstance(event, Message)]
+        return b"".join(
+            encode(reply(one, replies[one.command]) if one.command in replies else error(one))
+            for one in asked
+        )
+
+    return answer
+
+
+STATUS_EX = bytes.fromhex("f401 0000 2100 01000000 00 0a00 03 00 00 1d 05000080 00 2900")
+BETAFLIGHT: dict[int, bytes] = {
+    Msp.API_VERSION: b"\x00\x01\x2e",
+    Msp.FC_VARIANT: b"BTFL",
+    Msp.FC_VERSION: b"\x04\x05\x01",
+    Msp.BOARD_INFO: b"S7X2\x00\x00\x02\x37\x09MATEKF722\x00\x04MTKS",
+    Msp.BUILD_INFO: b"Jan  1 2025" + b"12:00:00" + b"0123abc",
+    Msp.NAME: b"",
+    Msp.STATUS_EX: STATUS_EX,
+    Msp.UID: bytes(12),
+}
+
+
+def test_info_has_no_policy_and_bare_bits_when_the_firmware_is_of_another_make(
+    tcp_server: Callable[..., str],
+) -> None:
+    with Client(open_transport(tcp_server(firmware(BETAFLIGHT)))) as client:
+        info = read_info(client)
+    assert (info.variant, info.version, info.policy) == ("BTFL", "4.5.1", None)
+    assert info.armed and info.control_period_us == 500
+    assert info.arming_reasons == ("BIT_0", "BIT_2", "BIT_31")
+
+
+def test_info_is_refused_when_the_api_is_of_another_major_version(tcp_server: Callable[..., str]) -> None:
+    port = tcp_server(firmware(BETAFLIGHT | {Msp.API_VERSION: b"\x00\x02\x00"}))
+    with (
+        Client(open_transport(port)) as client,
+        pytest.raises(LinkError, match=r"speaks MSP 0\.2\.0, expected 0\.1\.x"),
+    ):
+        read_info(client)
+
+
+def test_silence_times_out_when_a_tcp_server_never_answers(tcp_server: Callable[..., str]) -> None:
+    with Client(open_transport(tcp_server(lambda data: b""))) as client:
+        with pytest.raises(LinkError, match=r"got silence, expected a reply to MSP NAME within 0\.02 s"):
+            client.request(Msp.NAME, timeout=0.02, retries=1)
