@@ -166,6 +166,9 @@ def test_info_is_refused_when_the_api_is_of_another_major_version(tcp_server: Ca
 
 
 def test_silence_times_out_when_a_tcp_server_never_answers(tcp_server: Callable[..., str]) -> None:
-    with Client(open_transport(tcp_server(lambda data: b""))) as client:
-        with pytest.raises(LinkError, match=r"got silence, expected a reply to MSP NAME within 0\.02 s"):
-            client.request(Msp.NAME, timeout=0.02, retries=1)
+    port = tcp_server(lambda data: b"")
+    with (
+        Client(open_transport(port)) as client,
+        pytest.raises(LinkError, match=r"got silence, expected a reply to MSP NAME within 0\.02 s"),
+    ):
+        client.request(Msp.NAME, timeout=0.02, retries=1)
