@@ -1,0 +1,31 @@
+"""The pipeline from a policy to its C: optimize, lower, evaluate the self-test vectors, emit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolchain.emit import Emission, emit
+from toolchain.layers import Layers
+from toolchain.network import PolicyModel
+from toolchain.passes import Saving, optimize
+from toolchain.plan import Plan, lower
+from toolchain.selftest import selftest_vectors
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPolicy:
+    """A policy with each stage of its compilation."""
+
+    policy: PolicyModel
+    layers: Layers  # after optimization: what `toolchain.evaluate` evaluates
+    savings: tuple[Saving, ...]
+    plan: Plan
+    emission: Emission
+
+
+def compile_policy(policy: PolicyModel) -> CompiledPolicy:
+    """The C of `policy`. Deterministic. Raises PolicyError where folding leaves float32's range."""
+    layers, savings = optimize(policy.layers)
+    plan = lower(policy, layers)
+    observation, action = selftest_vectors(layers, policy.observation_count)
+    return CompiledPolicy(policy, layers, savings, plan, emit(policy, plan, observation, action))

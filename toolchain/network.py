@@ -1,0 +1,161 @@
+"""The policy as the toolchain knows it: what it observes, at which rate, and the network inside.
+
+`read_policy` is the one door: whatever passes it is complete, finite, float32, of fixed shape and bounded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from toolchain import contract
+from toolchain.contract import ObservationBlock
+from toolchain.errors import PolicyError
+from toolchain.layers import Clip, Layer, Layers, Linear, shape_text
+
+AIRCRAFT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into C: no quotes, no escapes
+SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyModel:
+    """A policy: a pure function of named observation blocks, to be called at its control rate."""
+
+    blocks: tuple[ObservationBlock, ...]
+    control_rate_hz: int
+    filters: tuple[object, ...]  # the gyro filter chain that the policy was trained behind
+    aircraft: str
+    aircraft_sha256: str
+    training: Mapping[str, object]  # what is known about its training, for people
+    source_sha256: str  # of the ONNX file
+    observation_count: int
+    action_count: int
+    layers: Layers  # ends with a Clip within [0, 1]
+
+    @property
+    def network(self) -> str:
+        """Widths and activations, as `6-64-64-4 tanh`."""
+        return shape_text(self.observation_count, self.layers)
+
+    @property
+    def observation(self) -> str:
+        """The names of the observation blocks, comma-separated, as in the metadata."""
+        return ",".join(block.name for block in self.blocks)
+
+
+def read_policy(path: Path) -> PolicyModel:
+    """The policy in the ONNX file `path`. Raises PolicyError, one line, on anything it cannot prove."""
+    try:
+        if (size := path.stat().st_size) > contract.POLICY_FILE_BYTES_MAX:
+            raise PolicyError(
+                f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise PolicyError(f"cannot read the policy {path}: {error.strerror}") from error
+    try:
+        return parse_policy(data)
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from error
+
+
+def parse_policy(data: bytes) -> PolicyModel:
+    """The policy in the bytes of an ONNX file. Raises PolicyError, one line, without the file's name."""
+    import onnx  # a third of a second that commands without a policy need not wait for
+    from google.protobuf.message import DecodeError
+
+    from toolchain.onnx_graph import read_layers, refuse_unsupported
+
+    try:
+        model = onnx.load_model_from_string(data)
+    except DecodeError as error:
+        raise PolicyError("not an ONNX file, or a truncated one; export it again") from error
+    refuse_unsupported(model)
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, ValueError) as error:
+        first = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise PolicyError(f"not a valid ONNX model, or a truncated one: {first}") from error
+    width, layers = read_layers(model)
+    _check_bounds(layers)
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    return _describe(metadata, hashlib.sha256(data).hexdigest(), width, tuple(layers))
+
+
+def _check_bounds(layers: Sequence[Layer]) -> None:
+    match layers[-1] if layers else None:
+        case Clip(low=float(low), high=float(high)) if 0 <= low <= high <= 1:
+            return
+        case last:
+            raise PolicyError(
+                f"the policy ends with {last}, expected Clip within [0, 1]; clip the motor fractions"
+            )
+
+
+def _describe(metadata: Mapping[str, str], sha256: str, width: int, layers: Layers) -> PolicyModel:
+    """Join the metadata of the file to its network. Raises PolicyError naming the key that does not fit."""
+    version = _value(metadata, contract.META_VERSION)
+    if version != contract.POLICY_FORMAT_VERSION:
+        raise _wrong(contract.META_VERSION, version, f'"{contract.POLICY_FORMAT_VERSION}"')
+    names = _value(metadata, contract.META_OBSERVATION)
+    try:
+        blocks = contract.observation_blocks(names)
+    except ValueError as error:
+        raise _wrong(contract.META_OBSERVATION, names, f"known blocks: {error}") from error
+    rate = _value(metadata, contract.META_CONTROL_RATE)
+    if not re.fullmatch("[1-9][0-9]{0,5}", rate):
+        raise _wrong(contract.META_CONTROL_RATE, rate, "a whole number of hertz")
+    aircraft = _value(metadata, contract.META_AIRCRAFT)
+    if not AIRCRAFT_NAME.fullmatch(aircraft):
+        raise _wrong(contract.META_AIRCRAFT, aircraft, "at most 32 letters, digits, dots and dashes")
+    aircraft_sha256 = _value(metadata, contract.META_AIRCRAFT_SHA256)
+    if not SHA256.fullmatch(aircraft_sha256):
+        raise _wrong(contract.META_AIRCRAFT_SHA256, aircraft_sha256, "64 hexadecimal digits")
+    linears = [layer for layer in layers if isinstance(layer, Linear)]
+    actions = linears[-1].outputs if linears else width
+    if (expected := contract.observation_count(blocks, actions)) != width:
+        raise PolicyError(
+            f"the policy takes {width} values, but its blocks {names} make {expected} with {actions} motors"
+        )
+    return PolicyModel(
+        blocks=blocks,
+        control_rate_hz=int(rate),
+        filters=tuple(_json(metadata, contract.META_FILTERS, list)),
+        aircraft=aircraft,
+        aircraft_sha256=aircraft_sha256,
+        training=_json(metadata, contract.META_TRAINING, dict),
+        source_sha256=sha256,
+        observation_count=width,
+        action_count=actions,
+        layers=layers,
+    )
+
+
+def _value(metadata: Mapping[str, str], key: str) -> str:
+    if key not in metadata:
+        raise PolicyError(f"the metadata lack {key}; write the policy with `neuroflight freeze`")
+    return metadata[key]
+
+
+Container = TypeVar("Container", list[object], dict[str, object])
+
+
+def _json(metadata: Mapping[str, str], key: str, kind: type[Container]) -> Container:
+    text = _value(metadata, key)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, kind):
+        raise _wrong(key, text, "a JSON list" if kind is list else "a JSON object")
+    return value
+
+
+def _wrong(key: str, value: str, expected: str) -> PolicyError:
+    shown = value if len(value) <= 60 else value[:57] + "..."
+    return PolicyError(f"{key} is {shown!r}, expected {expected}; write the policy with `neuroflight freeze`")
