@@ -1,0 +1,53 @@
+"""Rate controllers in Python: the protocol, and a policy.onnx as one."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.observation import Observer
+from toolchain.evaluate import evaluate
+from toolchain.network import PolicyModel
+
+
+class Controller(Protocol):
+    """N rate controllers of aircraft with M motors, stepped together at the control rate."""
+
+    def reset(self) -> None:
+        """Forget the past, as when a flight is armed."""
+        ...
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Outputs y (N, M), fractions 0..1 before the throttle mix.
+
+        setpoint, gyro: (N, 3) [rad/s], body axes; throttle: (N,), 0..1.
+        """
+        ...
+
+
+class PolicyController:
+    """N copies of a policy, evaluated with the very roundings of the compiled C."""
+
+    def __init__(self, policy: PolicyModel, count: int = 1) -> None:
+        """The controller is to be stepped at `policy.control_rate_hz`."""
+        self._layers = policy.layers
+        self._everyone = np.arange(count)
+        self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
+        self._action = np.zeros((count, policy.action_count), np.float32)
+
+    def reset(self) -> None:
+        """Forget the past: deltas and the previous action of the next step are zero."""
+        self._observer.reset(self._everyone)
+        self._action[:] = 0.0
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """See Controller."""
+        observation = self._observer.observe(slice(None), setpoint, gyro, self._action, throttle)
+        self._action = evaluate(self._layers, observation)
+        return self._action

@@ -1,0 +1,301 @@
+"""The host program behind the port: build/HOST/neuroflight over its real sockets, in strict lockstep.
+
+The wire is Betaflight's simulator format (facts in toolchain/contract.py): body axes forward, right, down;
+attitude as a quaternion w x y z from the body (x forward, y left, z up) to the world (north, west, up);
+velocity and position east, north, up.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import select
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flash import messages
+from flash.client import Client
+from flash.transport import TcpPort, TcpTransport
+from sim.port import Reply, Sample, control_divider, motor_fractions
+from toolchain.contract import (
+    GYRO_RATE_DEFAULT_HZ,
+    SIM_MOTOR_FORMAT,
+    SIM_RECEIVER_FORMAT,
+    SIM_SERVO_FORMAT,
+    SIM_STATE_FORMAT,
+    SIM_TRACE_FLAG_ARMED,
+    SIM_TRACE_FORMAT,
+    SIM_TRACE_MAGIC,
+    Msp,
+)
+from toolchain.errors import LinkError
+
+LOOPBACK = "127.0.0.1"
+START_S = 10.0  # from start to `ready`
+REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
+END_S = 2.0  # from the polite signal to the rude one
+START_TRIES = 3  # a port found free may be taken before the program binds it
+PACKET_BYTES_MAX = 2048
+SEA_LEVEL_PA, SCALE_HEIGHT_M = 101325.0, 8434.5  # isothermal atmosphere at 15 degC
+MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
+
+_STATE = struct.Struct(SIM_STATE_FORMAT)
+_RECEIVER = struct.Struct(SIM_RECEIVER_FORMAT)
+_MOTOR = struct.Struct(SIM_MOTOR_FORMAT)
+_SERVO = struct.Struct(SIM_SERVO_FORMAT)
+_TRACE = struct.Struct(SIM_TRACE_FORMAT)
+
+
+class HostPort:
+    """FirmwarePort around a host program of its own, which ends with the port."""
+
+    def __init__(self, program: Path, gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ) -> None:
+        """Start the program on free loopback ports. Raises LinkError when it is missing or does not start."""
+        if not program.is_file():
+            raise LinkError(f"{program}: not built yet; build it with `make host`")
+        with contextlib.ExitStack() as undo:
+            self._motor, self._servo, self._trace = (undo.enter_context(_udp()) for _ in range(3))
+            self._child = undo.enter_context(_Child(program, gyro_rate_hz, *self._listening()))
+            self._state, self._receiver = (undo.enter_context(_udp()) for _ in range(2))
+            self._state.connect((LOOPBACK, self._child.state_port))
+            self._receiver.connect((LOOPBACK, self._child.receiver_port))
+            with self._msp() as msp:
+                policy = messages.policy_info(msp.request(Msp.POLICY_INFO))
+            self.motor_count = policy.action_count
+            self.gyro_rate_hz = gyro_rate_hz
+            self.control_rate_hz = policy.control_rate_hz
+            self._divider = control_divider(gyro_rate_hz, policy.control_rate_hz)
+            self._close = undo.pop_all()
+        self._samples = 0
+        self._reply: Reply | None = None
+        self._fractions = np.zeros(self.motor_count)
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort."""
+        if channels_us is not None:
+            self._send(self._receiver, _RECEIVER.pack(sample.time_s, *channels_us))
+        self._send(self._state, _STATE.pack(*_state_fields(sample)))
+        motors = self._read_motors()
+        if self._samples % self._divider == 0:
+            self._reply = self._read_trace(self._samples // self._divider)
+            self._fractions = motor_fractions(self._reply.dshot)
+        self._samples += 1
+        if np.abs(motors - self._fractions).max() > MOTOR_PACKET_TOLERANCE:
+            raise LinkError(
+                f"{self._child.name}: its motor packet says {motors.tolist()}, "
+                f"its trace {self._fractions.tolist()}: the program is broken"
+            )
+        assert self._reply is not None  # the first sample is a control step
+        return self._reply
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """See FirmwarePort; asked over MSP."""
+        with self._msp() as msp:
+            return messages.arming_reasons(messages.status_ex(msp.request(Msp.STATUS_EX)).arming_flags)
+
+    def close(self) -> None:
+        """See FirmwarePort."""
+        self._close.close()
+
+    def _listening(self) -> tuple[int, int, int]:
+        motor, servo, trace = (s.getsockname()[1] for s in (self._motor, self._servo, self._trace))
+        return motor, servo, trace
+
+    def _msp(self) -> Client:
+        return Client(TcpTransport(TcpPort(LOOPBACK, self._child.msp_port)))
+
+    def _send(self, to: socket.socket, packet: bytes) -> None:
+        try:
+            to.send(packet)
+        except OSError as error:
+            raise self._child.lost(str(error)) from error
+
+    def _receive(self, source: socket.socket, what: str) -> bytes:
+        try:
+            return source.recv(PACKET_BYTES_MAX)
+        except TimeoutError as error:
+            raise self._child.lost(f"no {what} within {REPLY_S:g} s of a state packet") from error
+        except OSError as error:
+            raise self._child.lost(str(error)) from error
+
+    def _read_motors(self) -> NDArray[np.float64]:
+        """Motor fractions (M,) of the one packet that answers a state packet."""
+        quad = self.motor_count == _MOTOR.size // 4
+        packet = self._receive(self._motor if quad else self._servo, "motor packet")
+        layout = _MOTOR if quad else _SERVO
+        if len(packet) != layout.size:
+            raise self._child.lost(f"a motor packet of {len(packet)} bytes, expected {layout.size}")
+        if quad:
+            return np.array(_MOTOR.unpack(packet))
+        count, *widths = _SERVO.unpack(packet)
+        if count != self.motor_count:
+            raise self._child.lost(f"a motor packet of {count} motors, expected {self.motor_count}")
+        return (np.array(widths[:count]) - 1000.0) / 1000.0
+
+    def _read_trace(self, step: int) -> Reply:
+        """The trace packet of control step number `step`."""
+        packet = self._receive(self._trace, "trace packet")
+        if len(packet) != _TRACE.size:
+            raise self._child.lost(f"a trace packet of {len(packet)} bytes, expected {_TRACE.size}")
+        magic, number, *rates, throttle, motors, flags = (fields := _TRACE.unpack(packet))[:11]
+        if (magic, number, motors) != (SIM_TRACE_MAGIC, step, self.motor_count):
+            raise self._child.lost(
+                f"a trace packet 0x{magic:08X} of step {number} with {motors} motors, "
+                f"expected 0x{SIM_TRACE_MAGIC:08X}, {step}, {self.motor_count}"
+            )
+        return Reply(
+            dshot=np.array(fields[11 : 11 + motors], np.uint16),
+            step=number,
+            setpoint=np.array(rates[:3], np.float32),
+            gyro=np.array(rates[3:], np.float32),
+            throttle=throttle,
+            armed=bool(flags & SIM_TRACE_FLAG_ARMED),
+        )
+
+
+class _Child:
+    """The running program: started on entering, ended on leaving."""
+
+    def __init__(self, program: Path, gyro_rate_hz: int, motor: int, servo: int, trace: int) -> None:
+        self.name = program.name
+        self._program = program
+        self._arguments = {
+            "gyro-hz": gyro_rate_hz,
+            "motor-port": motor,
+            "servo-port": servo,
+            "trace-port": trace,
+        }
+        self._process: subprocess.Popen[bytes] | None = None
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving
+        self.state_port = self.receiver_port = self.msp_port = 0
+
+    def __enter__(self) -> _Child:
+        try:
+            for tries_left in reversed(range(START_TRIES)):
+                if self._start():
+                    return self
+                if not tries_left:
+                    raise self.lost("it did not start")
+        except BaseException:
+            self.__exit__()
+            raise
+        raise AssertionError("unreachable")
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+        self._errors.close()
+
+    def lost(self, what: str) -> LinkError:
+        """The link failed: what happened, how the program ended if it did, and its last words."""
+        code = None
+        if self._process is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self._process.wait(0.1)
+        self._errors.seek(0)
+        words = " ".join(self._errors.read(PACKET_BYTES_MAX).decode(errors="replace").split())
+        ended = "" if code is None else f"; it ended with {code}"
+        return LinkError(f"host program {self.name}: {what}{ended}{': ' if words else ''}{words}")
+
+    def _start(self) -> bool:
+        """Start it once; whether it said `ready` in time."""
+        self._end()
+        self.state_port, self.receiver_port, power, self.msp_port = _free_ports(4)
+        ports = {
+            "state-port": self.state_port,
+            "receiver-port": self.receiver_port,
+            "power-port": power,
+            "msp-port": self.msp_port,
+        }
+        options = [f"--{name}={value}" for name, value in (self._arguments | ports).items()]
+        try:
+            self._process = subprocess.Popen(
+                [self._program.resolve(), *options, "--with-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+            )
+        except OSError as error:
+            raise LinkError(
+                f"{self._program}: cannot be started ({error.strerror}); build it with `make host`"
+            ) from error
+        assert self._process.stdout is not None
+        deadline = time.monotonic() + START_S
+        while (left := deadline - time.monotonic()) > 0:
+            if select.select([self._process.stdout], [], [], left)[0]:
+                return self._process.stdout.readline().startswith(b"ready")
+        return False
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def _udp() -> socket.socket:
+    """A socket on a loopback port of the system's choice."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind((LOOPBACK, 0))
+    sock.settimeout(REPLY_S)
+    return sock
+
+
+def _free_ports(count: int) -> list[int]:
+    """Loopback ports that were free for UDP and TCP a moment ago."""
+    with contextlib.ExitStack() as held:
+        ports: list[int] = []
+        while len(ports) < count:
+            tcp = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            udp = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            tcp.bind((LOOPBACK, 0))
+            with contextlib.suppress(OSError):
+                udp.bind(tcp.getsockname())
+                ports.append(int(tcp.getsockname()[1]))
+        return ports
+
+
+def _state_fields(sample: Sample) -> list[float]:
+    """The 18 numbers of a state packet."""
+    x, y, z = sample.gyro.tolist()
+    fx, fy, fz = sample.specific_force.tolist()
+    vn, vw, vu = sample.velocity.tolist()
+    north, west, up = sample.position.tolist()
+    pressure = SEA_LEVEL_PA * math.exp(-up / SCALE_HEIGHT_M)
+    rates, force = (x, -y, -z), (fx, -fy, -fz)
+    return [
+        *(sample.time_s, *rates, *force, *_quaternion(sample.rotation)),
+        *(-vw, vn, vu, -west, north, up, pressure),
+    ]
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Unit quaternion w x y z of a rotation matrix, by its largest component (Shepperd 1978)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    w2, x2, y2, z2 = 1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i
+    largest = max(w2, x2, y2, z2)
+    if largest == w2:
+        q = (w2, h - f, c - g, d - b)
+    elif largest == x2:
+        q = (h - f, x2, b + d, c + g)
+    elif largest == y2:
+        q = (c - g, b + d, y2, f + h)
+    else:
+        q = (d - b, c + g, f + h, z2)
+    scale = 0.5 / math.sqrt(largest)
+    return (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)

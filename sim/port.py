@@ -1,0 +1,88 @@
+"""The one interface behind which a firmware stands, and what an ESC makes of its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP
+from toolchain.errors import LinkError
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What the twin says at one gyro sample: body x forward, y left, z up; world x north, y west, z up."""
+
+    time_s: float  # since the port's first sample
+    gyro: NDArray[np.float64]  # (3,) [rad/s], measured, unrounded
+    rotation: NDArray[np.float64]  # (3, 3) attitude, body to world
+    velocity: NDArray[np.float64]  # (3,) [m/s], world
+    position: NDArray[np.float64]  # (3,) [m], world
+    specific_force: NDArray[np.float64]  # (3,) [m/s^2], body
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What the firmware answers to one gyro sample; all but `dshot` tell of its last control step."""
+
+    dshot: NDArray[np.uint16]  # (M,) values of 11 bits, motor order
+    step: int  # number of the control step, rising by one
+    setpoint: NDArray[np.float32]  # (3,) [rad/s], from the sticks
+    gyro: NDArray[np.float32]  # (3,) [rad/s], as the controller used it
+    throttle: float  # pilot's thrust, 0..1
+    armed: bool
+
+
+class FirmwarePort(Protocol):
+    """A firmware in lockstep: one reply a gyro sample, the first sample is a control step.
+
+    A port is flown once, from its boot; a new flight takes a new port. All failures of the other side
+    are LinkErrors.
+    """
+
+    motor_count: int
+    gyro_rate_hz: int
+    control_rate_hz: int
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """Send one gyro sample, before it a receiver frame unless `channels_us` is None; await the reply.
+
+        channels_us: CHANNEL_COUNT pulse widths [us], only ever given at a control step.
+        """
+        ...
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """Names of what keeps the motors stopped; empty if nothing does or the port cannot tell."""
+        ...
+
+    def close(self) -> None:
+        """End the firmware. May be called twice."""
+        ...
+
+
+def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """Motor fractions 0..1 that an ESC decodes: 0 for 0, else (v - 48) / 1999.
+
+    dshot: 11-bit values, any shape. Raises LinkError on one that is no throttle.
+    """
+    command = (dshot > DSHOT_STOP) & (dshot < DSHOT_MIN)
+    if command.any() or (dshot > DSHOT_MAX).any():
+        raise LinkError(
+            f"DShot value {dshot[command | (dshot > DSHOT_MAX)][0]} is no throttle, expected {DSHOT_STOP} "
+            f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
+        )
+    return np.where(dshot == DSHOT_STOP, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
+
+
+def control_divider(gyro_rate_hz: int, control_rate_hz: int) -> int:
+    """Gyro samples in a control step. Raises LinkError unless it is a whole number."""
+    if control_rate_hz <= 0 or gyro_rate_hz % control_rate_hz:
+        raise LinkError(
+            f"control rate {control_rate_hz} Hz does not divide the gyro rate {gyro_rate_hz} Hz: "
+            f"choose a gyro rate that is a multiple of it"
+        )
+    return gyro_rate_hz // control_rate_hz

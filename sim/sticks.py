@@ -1,0 +1,79 @@
+"""Sticks: the receiver channels of a pilot's command, and what the firmware makes of them.
+
+Full stick is 1000 deg/s, so one microsecond is 2 deg/s: a command becomes what the nearest whole
+microsecond says, for every controller alike. Channel high is roll right, pitch forward, yaw right;
+the body's yaw is positive to the left, hence the sign.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from toolchain.contract import (
+    ARM_ON_US,
+    CHANNEL_ARM,
+    CHANNEL_COUNT,
+    CHANNEL_MAX_US,
+    CHANNEL_MID_US,
+    CHANNEL_MIN_US,
+    CHANNEL_PITCH,
+    CHANNEL_ROLL,
+    CHANNEL_THROTTLE,
+    CHANNEL_YAW,
+    RATE_FULL_STICK_DEG_S,
+)
+from toolchain.errors import ScenarioError
+
+# Float32 constants and their order of use are the firmware's (rates.c).
+_FULL_STICK = np.float32(math.radians(RATE_FULL_STICK_DEG_S))  # [rad/s]
+_STICK_PER_US = np.float32(1 / (CHANNEL_MAX_US - CHANNEL_MID_US))
+_THROTTLE_PER_US = np.float32(1 / (CHANNEL_MAX_US - CHANNEL_MIN_US))
+_RATE_CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
+_SIGNS = np.array([1, 1, -1], np.float32)
+_US_PER_DEG_S = (CHANNEL_MAX_US - CHANNEL_MID_US) / RATE_FULL_STICK_DEG_S
+
+
+def setpoint(channels_us: ArrayLike) -> NDArray[np.float32]:
+    """Rates [rad/s] that the sticks ask for, body frame, shape (..., 3), as the firmware computes them.
+
+    channels_us: whole pulse widths [us], shape (..., CHANNEL_COUNT).
+    """
+    channels = np.asarray(channels_us, np.int32)[..., _RATE_CHANNELS]
+    stick = (channels - CHANNEL_MID_US).astype(np.float32) * _STICK_PER_US
+    rates: NDArray[np.float32] = np.clip(stick, np.float32(-1), np.float32(1)) * (_FULL_STICK * _SIGNS)
+    return rates
+
+
+def throttle(channels_us: ArrayLike) -> NDArray[np.float32]:
+    """Pilot's thrust 0..1, shape (...), from channels of shape (..., CHANNEL_COUNT)."""
+    channel = np.asarray(channels_us, np.int32)[..., CHANNEL_THROTTLE]
+    fraction = (channel - CHANNEL_MIN_US).astype(np.float32) * _THROTTLE_PER_US
+    clipped: NDArray[np.float32] = np.clip(fraction, np.float32(0), np.float32(1))
+    return clipped
+
+
+def channels(setpoint_deg_s: ArrayLike, thrust: ArrayLike, armed: bool) -> NDArray[np.uint16]:
+    """Nearest channels [us] to a command, shape (..., CHANNEL_COUNT).
+
+    setpoint_deg_s: roll, pitch, yaw [deg/s] in the body frame, shape (..., 3); thrust: 0..1, shape (...).
+    Raises ScenarioError beyond full stick.
+    """
+    rates, power = np.asarray(setpoint_deg_s, np.float64), np.asarray(thrust, np.float64)
+    if not (np.abs(rates) <= RATE_FULL_STICK_DEG_S).all():
+        raise ScenarioError(
+            f"setpoint_deg_s: got {rates[~(np.abs(rates) <= RATE_FULL_STICK_DEG_S)].flat[0]:g}, "
+            f"full stick is {RATE_FULL_STICK_DEG_S} deg/s; ask for less"
+        )
+    if not ((power >= 0) & (power <= 1)).all():
+        raise ScenarioError(f"throttle: got {power}, expected 0 to 1")
+    us = np.full((*rates.shape[:-1], CHANNEL_COUNT), CHANNEL_MIN_US, np.uint16)
+    us[..., _RATE_CHANNELS] = np.rint(CHANNEL_MID_US + rates * _SIGNS * _US_PER_DEG_S)
+    us[..., CHANNEL_THROTTLE] = np.rint(CHANNEL_MIN_US + power * (CHANNEL_MAX_US - CHANNEL_MIN_US))
+    us[..., CHANNEL_ARM] = ARM_CHANNEL_US if armed else CHANNEL_MIN_US
+    return us
+
+
+ARM_CHANNEL_US = (ARM_ON_US + CHANNEL_MAX_US) // 2  # a switch well past its threshold
