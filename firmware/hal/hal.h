@@ -18,6 +18,7 @@
 struct hal_info {
 	struct firmware_config config;  /* gyro rate, alignment, idle */
 	struct msp_identity identity;   /* its strings live as long as the program */
+	uint32_t cycles_hz;             /* what hal_cycles counts in a second */
 };
 
 struct hal_handlers {
@@ -54,5 +55,8 @@ void hal_motors_write(const uint16_t dshot[], size_t count);
 
 /* The control step just done, from `sample`, after hal_motors_write. A chip without a trace does nothing. */
 void hal_trace_write(const struct control_trace *trace);
+
+/* A free-running counter, wrapping at 2^32. Only measures; no decision of the core depends on it. */
+uint32_t hal_cycles(void);
 
 #endif

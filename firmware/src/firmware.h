@@ -37,7 +37,10 @@ struct firmware {
 	struct mixer mixer;
 	uint32_t control_divider;       /* gyro samples a control step */
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */
+	uint32_t control_steps;         /* since boot */
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
+	uint32_t silent;                /* gyro samples since the last receiver byte, at most gap_after */
+	uint32_t gap_after;             /* gyro samples of silence that end an SBUS frame */
 	float action[POLICY_ACTION_COUNT]; /* the policy's last output */
 	bool policy_good;               /* cleared for good by a failed self-test or a refused output */
 	struct firmware_status status;  /* written at control steps only */

@@ -7,9 +7,11 @@
 static struct hal_info info;
 static struct firmware firmware;
 static struct msp msp;
+static volatile uint32_t longest_cycles; /* of all samples so far */
 
 static void on_sample(void *context, const int16_t counts[3])
 {
+	const uint32_t start = hal_cycles();
 	struct firmware *fw = context;
 	const bool control_step = firmware_control_due(fw);
 	uint16_t dshot[POLICY_ACTION_COUNT];
@@ -22,6 +24,10 @@ static void on_sample(void *context, const int16_t counts[3])
 	hal_motors_write(dshot, POLICY_ACTION_COUNT);
 	if (control_step)
 		hal_trace_write(firmware_trace(fw));
+
+	const uint32_t cycles = hal_cycles() - start;
+	if (cycles > longest_cycles)
+		longest_cycles = cycles;
 }
 
 static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
@@ -29,6 +35,7 @@ static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t 
 	struct firmware_status status;
 
 	firmware_status(context, &status);
+	status.load_percent = (uint16_t)(100u * longest_cycles / (info.cycles_hz / info.config.gyro_rate_hz));
 	return msp_serve(&msp, &status, bytes, count, reply, capacity);
 }
 

@@ -24,6 +24,7 @@ struct firmware_status {
 	uint32_t arming_reasons;               /* bit field of enum nf_arming_reason, 0 when armed */
 	uint16_t channels_us[NF_CHANNEL_COUNT];/* as flown: failsafe values while the receiver is lost */
 	uint16_t gyro_rate_hz;
+	uint16_t load_percent;                 /* longest gyro sample so far against the gyro period; main.c's */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */
 };

@@ -3,9 +3,9 @@
 CROSS :=
 CPUFLAGS := -fPIC $(if $(filter x86_64,$(shell uname -m)),-mfma)
 
-# link, tcp and the loop belong to the program only; convert and reference to both.
+# The program speaks over sockets, the library to its caller; both turn rates into counts the same way.
 HOST_PROGRAM_SOURCES := $(addprefix hal/host/,hal.c options.c link.c msp_tcp.c)
-HOST_SHARED_SOURCES := $(addprefix hal/host/,convert.c)
+HOST_SHARED_SOURCES := $(addprefix hal/host/,board.c convert.c receiver_line.c)
 HOST_LIBRARY_SOURCES := hal/host/reference.c
 HAL_SOURCES := $(HOST_PROGRAM_SOURCES) $(HOST_SHARED_SOURCES) $(HOST_LIBRARY_SOURCES)
 OUTPUTS := $(BUILD)/neuroflight $(BUILD)/libneuroflight.so

@@ -1,0 +1,23 @@
+/* What the simulator says, turned into what the sensors of a board would say. Pure. */
+#ifndef NF_HOST_CONVERT_H
+#define NF_HOST_CONVERT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "gyro.h"
+#include "nf_contract.h"
+
+/* Body rates [rad/s], axes forward, right, down, to the counts of a chip so aligned, +-2000 deg/s over int16,
+ * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN: a chip cannot
+ * say that. */
+bool convert_rates(const double rates_frd[3], enum board_alignment alignment, int16_t counts[3]);
+
+/* One SBUS frame. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
+ * between comes out of the frame as it went in. */
+void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t frame[NF_SBUS_FRAME_BYTES]);
+
+/* What an ESC makes of a DShot value: 0 for 0, else (value - 48) / 1999. */
+float convert_dshot(uint16_t value);
+
+#endif

@@ -1,0 +1,190 @@
+#define _GNU_SOURCE
+#include "hal/host/link.h"
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "hal/host/convert.h"
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and written as they lie");
+
+#define MOTOR_PACKET_MOTORS 4
+#define SERVO_PACKET_MOTORS 16
+#define PACKET_MAX 256 /* longer than any good packet, so that a longer one shows */
+
+/* The packets of contract.py. */
+struct state_packet {
+	double time_s, rates_frd[3], ignored[14];
+};
+struct receiver_packet {
+	double time_s;
+	uint16_t channels_us[NF_CHANNEL_COUNT];
+};
+struct servo_packet {
+	uint16_t count, pad;
+	float widths_us[SERVO_PACKET_MOTORS];
+};
+struct trace_packet {
+	uint32_t magic, step;
+	float setpoint[3], gyro[3], throttle;
+	uint8_t motor_count, flags, pad[2];
+	uint16_t dshot[NF_MOTOR_COUNT_MAX];
+};
+_Static_assert(sizeof(struct state_packet) == NF_SIM_STATE_BYTES, "state");
+_Static_assert(sizeof(struct receiver_packet) == NF_SIM_RECEIVER_BYTES, "receiver");
+_Static_assert(sizeof(float[MOTOR_PACKET_MOTORS]) == NF_SIM_MOTOR_BYTES, "motor");
+_Static_assert(sizeof(struct servo_packet) == NF_SIM_SERVO_BYTES, "servo");
+_Static_assert(sizeof(struct trace_packet) == NF_SIM_TRACE_BYTES, "trace");
+
+static struct sockaddr_in loopback(unsigned port)
+{
+	return (struct sockaddr_in){
+		.sin_family = AF_INET,
+		.sin_port = htons((uint16_t)port),
+		.sin_addr.s_addr = htonl(INADDR_LOOPBACK),
+	};
+}
+
+static int bind_udp(const char *name, unsigned port)
+{
+	const struct sockaddr_in address = loopback(port);
+	const int bound = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+
+	if (bound >= 0 && bind(bound, (const struct sockaddr *)&address, sizeof address) == 0)
+		return bound;
+	fprintf(stderr, "neuroflight: %s port %u on 127.0.0.1: %s; stop what holds it or choose another with --%s-port\n",
+		name, port, strerror(errno), name);
+	if (bound >= 0)
+		close(bound);
+	return -1;
+}
+
+bool link_open(struct link *link, const struct options *options)
+{
+	*link = (struct link){
+		.state = -1,
+		.receiver = -1,
+		.power = -1,
+		.motor_port = options->motor_port,
+		.servo_port = options->servo_port,
+		.trace_port = options->trace_port,
+	};
+	if ((link->state = bind_udp("state", options->state_port)) >= 0 &&
+	    (link->receiver = bind_udp("receiver", options->receiver_port)) >= 0 &&
+	    (link->power = bind_udp("power", options->power_port)) >= 0)
+		return true;
+	link_close(link);
+	return false;
+}
+
+void link_close(struct link *link)
+{
+	const int sockets[] = { link->state, link->receiver, link->power };
+
+	for (size_t i = 0; i < sizeof sockets / sizeof sockets[0]; i++)
+		if (sockets[i] >= 0)
+			close(sockets[i]);
+}
+
+unsigned link_port(int bound)
+{
+	struct sockaddr_in address = { 0 };
+	socklen_t size = sizeof address;
+
+	getsockname(bound, (struct sockaddr *)&address, &size);
+	return ntohs(address.sin_port);
+}
+
+/* Takes one waiting packet. Returns its size, 0 if none waits. An empty packet counts as one byte: neither
+ * is a size that anybody expects. */
+static size_t take(int bound, uint8_t packet[PACKET_MAX])
+{
+	const ssize_t size = recv(bound, packet, PACKET_MAX, MSG_DONTWAIT | MSG_TRUNC);
+
+	return size < 0 ? 0 : size == 0 ? 1 : (size_t)size;
+}
+
+bool link_take_state(struct link *link, double rates_frd[3])
+{
+	uint8_t bytes[PACKET_MAX];
+	struct state_packet packet;
+	const size_t size = take(link->state, bytes);
+
+	if (size != sizeof packet) {
+		link->ignored += size > 0;
+		return false;
+	}
+	memcpy(&packet, bytes, sizeof packet);
+	memcpy(rates_frd, packet.rates_frd, sizeof packet.rates_frd);
+	return true;
+}
+
+bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	uint8_t bytes[PACKET_MAX];
+	struct receiver_packet packet;
+
+	for (size_t size; (size = take(link->receiver, bytes)) > 0;) {
+		if (size == sizeof packet) {
+			memcpy(&packet, bytes, sizeof packet);
+			memcpy(channels_us, packet.channels_us, sizeof packet.channels_us);
+			return true;
+		}
+		link->ignored++;
+	}
+	return false;
+}
+
+void link_drain_power(struct link *link)
+{
+	uint8_t bytes[PACKET_MAX];
+
+	for (size_t size; (size = take(link->power, bytes)) > 0;)
+		link->ignored += size != NF_SIM_POWER_BYTES;
+}
+
+/* A simulator that has gone is no error of the firmware's: it simply hears nothing. */
+static void send_to(const struct link *link, unsigned port, const void *packet, size_t size)
+{
+	const struct sockaddr_in address = loopback(port);
+
+	(void)!sendto(link->state, packet, size, 0, (const struct sockaddr *)&address, sizeof address);
+}
+
+void link_send_motors(const struct link *link, const uint16_t dshot[], size_t count)
+{
+	if (count <= MOTOR_PACKET_MOTORS) {
+		float fractions[MOTOR_PACKET_MOTORS] = { 0 };
+		for (size_t i = 0; i < count; i++)
+			fractions[i] = convert_dshot(dshot[i]);
+		send_to(link, link->motor_port, fractions, sizeof fractions);
+		return;
+	}
+	struct servo_packet packet = { .count = (uint16_t)count };
+	for (size_t i = 0; i < count; i++)
+		packet.widths_us[i] = 1000.0f + 1000.0f * convert_dshot(dshot[i]);
+	send_to(link, link->servo_port, &packet, sizeof packet);
+}
+
+void link_send_trace(const struct link *link, const struct control_trace *trace)
+{
+	struct trace_packet packet = {
+		.magic = NF_SIM_TRACE_MAGIC,
+		.step = trace->step,
+		.throttle = trace->throttle,
+		.motor_count = trace->motor_count,
+		.flags = trace->armed ? NF_SIM_TRACE_FLAG_ARMED : 0,
+	};
+
+	if (link->trace_port == 0)
+		return;
+	memcpy(packet.setpoint, trace->setpoint, sizeof packet.setpoint);
+	memcpy(packet.gyro, trace->gyro, sizeof packet.gyro);
+	memcpy(packet.dshot, trace->dshot, sizeof packet.dshot);
+	send_to(link, link->trace_port, &packet, sizeof packet);
+}

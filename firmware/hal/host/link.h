@@ -1,0 +1,43 @@
+/* The simulator's wire: UDP packets on loopback, Betaflight's format, little-endian. */
+#ifndef NF_HOST_LINK_H
+#define NF_HOST_LINK_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "hal/host/options.h"
+#include "nf_contract.h"
+#include "status.h"
+
+struct link {
+	int state, receiver, power;     /* sockets */
+	unsigned motor_port, servo_port, trace_port;
+	unsigned long ignored;          /* packets of a wrong size */
+};
+
+/* Binds the three ports. On failure one line on stderr and false. */
+bool link_open(struct link *link, const struct options *options);
+
+void link_close(struct link *link);
+
+/* The port that a socket is bound to. */
+unsigned link_port(int bound);
+
+/* Takes one waiting state packet: body rates [rad/s], axes forward, right, down. False if none was waiting
+ * or it was malformed. */
+bool link_take_state(struct link *link, double rates_frd[3]);
+
+/* Takes one waiting receiver packet. False if no good one waits. */
+bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* Empties the power port. */
+void link_drain_power(struct link *link);
+
+/* The one reply to a state packet: on the motor port, or for more than four motors on the servo port. */
+void link_send_motors(const struct link *link, const uint16_t dshot[], size_t count);
+
+/* The control step, if somebody asked for traces. */
+void link_send_trace(const struct link *link, const struct control_trace *trace);
+
+#endif

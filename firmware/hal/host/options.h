@@ -1,0 +1,19 @@
+/* The host program's arguments. */
+#ifndef NF_HOST_OPTIONS_H
+#define NF_HOST_OPTIONS_H
+
+#include <stdbool.h>
+
+struct options {
+	unsigned state_port, receiver_port, power_port; /* bound here; 0: any free one */
+	unsigned motor_port, servo_port;                /* sent to */
+	unsigned trace_port;                            /* sent to; 0: no trace */
+	unsigned msp_port;                              /* listened on; 0: any free one */
+	unsigned gyro_hz;
+	bool with_parent;                               /* end when the parent process does */
+};
+
+/* Returns HAL_RUN, or the exit code: 0 after --help, 1 after one line on stderr. */
+int options_parse(struct options *options, int argc, char **argv);
+
+#endif

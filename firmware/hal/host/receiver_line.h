@@ -1,0 +1,23 @@
+/* The receiver's wire: frames put on at one end, bytes taken off at the other. */
+#ifndef NF_HOST_RECEIVER_LINE_H
+#define NF_HOST_RECEIVER_LINE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+#define RECEIVER_LINE_FRAMES 8
+
+struct receiver_line {
+	uint8_t bytes[RECEIVER_LINE_FRAMES * NF_SBUS_FRAME_BYTES];
+	size_t count;
+};
+
+/* Puts one frame of channels [us] on the line. On a full line the oldest frame makes room. */
+void receiver_line_put(struct receiver_line *line, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* Takes up to `capacity` bytes off, oldest first; returns how many. */
+size_t receiver_line_take(struct receiver_line *line, uint8_t *bytes, size_t capacity);
+
+#endif

@@ -1,0 +1,39 @@
+/* The firmware as a library, for callers in another language: no socket, no clock, no global state. */
+#ifndef NF_HOST_REFERENCE_H
+#define NF_HOST_REFERENCE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+/* The last control step. */
+struct reference_trace {
+	uint32_t step;       /* control steps since init, the first is 0 */
+	float setpoint[3];   /* rad/s, body axes */
+	float gyro[3];       /* rad/s, body axes, as the policy used it */
+	float throttle;      /* 0..1 */
+	uint8_t armed;
+	uint8_t motors;      /* used entries of dshot */
+	uint16_t pad;        /* 0 */
+	uint16_t dshot[NF_MOTOR_COUNT_MAX];
+};
+
+/* Bytes of one instance. The caller allocates them, aligned to 8, and does not move them after init. */
+size_t reference_size(void);
+
+/* Boots. Returns 0 or a negative enum nf_err. */
+int reference_init(void *self, unsigned gyro_hz);
+
+/* One receiver packet: taken up at the next control step. */
+void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* One gyro sample: body rates [rad/s], axes forward, right, down. Writes one DShot value a motor. */
+void reference_sample(void *self, const double rates_frd[3], uint16_t dshot[]);
+
+void reference_trace(const void *self, struct reference_trace *out);
+
+/* MSP bytes in, reply bytes out; returns how many. */
+size_t reference_msp(void *self, const uint8_t *in, size_t n, uint8_t *out, size_t cap);
+
+#endif

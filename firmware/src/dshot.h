@@ -1,0 +1,14 @@
+/* DShot: motor fractions to 11-bit values, values to 16-bit frames. */
+#ifndef NF_DSHOT_H
+#define NF_DSHOT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* 48..2047 for fractions 0..1, clamped; the stop value for NaN. Never a command (1..47). */
+uint16_t dshot_value(float fraction);
+
+/* Value (11 bits), telemetry request, checksum: sent most significant bit first. */
+uint16_t dshot_frame(uint16_t value, bool telemetry);
+
+#endif

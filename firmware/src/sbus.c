@@ -1,0 +1,58 @@
+#include "sbus.h"
+
+#define CHANNEL_BITS 11u
+#define FLAGS (NF_SBUS_FRAME_BYTES - 2)
+#define FOOTER (NF_SBUS_FRAME_BYTES - 1)
+_Static_assert(1 + NF_CHANNEL_COUNT * CHANNEL_BITS / 8 == FLAGS, "header, channels, flags, footer");
+
+void sbus_reset(struct sbus *sbus)
+{
+	sbus->count = 0;
+}
+
+/* Channels are packed least significant bit first, from the byte behind the header on. */
+static void decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *frame)
+{
+	const uint8_t *next = bytes + 1;
+	uint32_t bits = 0;
+	unsigned held = 0;
+
+	for (int i = 0; i < NF_CHANNEL_COUNT; i++) {
+		for (; held < CHANNEL_BITS; held += 8)
+			bits |= (uint32_t)*next++ << held;
+		const uint32_t value = bits & ((1u << CHANNEL_BITS) - 1);
+		frame->channels_us[i] = (uint16_t)(880u + (5u * value + 4u) / 8u);
+		bits >>= CHANNEL_BITS;
+		held -= CHANNEL_BITS;
+	}
+	frame->frame_lost = bytes[FLAGS] & NF_SBUS_FLAG_FRAME_LOST;
+	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
+}
+
+/* Drops the first byte, and with it all up to the next that can begin a frame. */
+static void resume_at_next_header(struct sbus *sbus)
+{
+	uint8_t from = 1;
+
+	while (from < sbus->count && sbus->bytes[from] != NF_SBUS_HEADER)
+		from++;
+	for (uint8_t i = from; i < sbus->count; i++)
+		sbus->bytes[i - from] = sbus->bytes[i];
+	sbus->count = (uint8_t)(sbus->count - from);
+}
+
+bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame)
+{
+	if (sbus->count == 0 && byte != NF_SBUS_HEADER)
+		return false;
+	sbus->bytes[sbus->count++] = byte;
+	if (sbus->count < NF_SBUS_FRAME_BYTES)
+		return false;
+	if (sbus->bytes[FOOTER] != NF_SBUS_FOOTER) {
+		resume_at_next_header(sbus);
+		return false;
+	}
+	decode(sbus->bytes, frame);
+	sbus_reset(sbus);
+	return true;
+}

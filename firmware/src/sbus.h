@@ -1,0 +1,28 @@
+/* SBUS: bytes in, frames out. Survives any bytes. */
+#ifndef NF_SBUS_H
+#define NF_SBUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+struct sbus {
+	uint8_t bytes[NF_SBUS_FRAME_BYTES]; /* begins with a header, or is empty */
+	uint8_t count;                      /* below NF_SBUS_FRAME_BYTES between calls */
+};
+
+struct sbus_frame {
+	uint16_t channels_us[NF_CHANNEL_COUNT]; /* 880..2159 us */
+	bool frame_lost;                        /* the receiver missed this one and repeats the last */
+	bool failsafe;                          /* the receiver has lost its transmitter */
+};
+
+/* Empty. Also called when the line has been silent for longer than a gap inside a frame can be. */
+void sbus_reset(struct sbus *sbus);
+
+/* Takes one byte. Returns whether it completed a frame, which is then in `frame`; otherwise `frame` is
+ * left alone. SBUS has no checksum: a frame is 25 bytes between the right first and last one. */
+bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame);
+
+#endif
