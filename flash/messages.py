@@ -37,11 +37,17 @@ class BoardInfo:
 
 @dataclass(frozen=True)
 class BuildInfo:
-    """When and from which revision the firmware was built."""
+    """When and from which revision the firmware was built. This project's builds are reproducible and
+    know neither: their date is the start of 1970 and their revision zeros."""
 
     date: str  # Mmm dd yyyy
     time: str  # hh:mm:ss
     revision: str  # first 7 digits of the commit
+
+    @property
+    def dated(self) -> bool:
+        """Whether the firmware knows its build."""
+        return self.revision.strip("0") != ""
 
 
 @dataclass(frozen=True)
@@ -72,11 +78,11 @@ class StatusEx:
 
 @dataclass(frozen=True)
 class RawImu:
-    """Sensor counts, each (x, y, z); zeros for a sensor that is not there."""
+    """Sensors as whole numbers, each (x, y, z); zeros for a sensor that is not there."""
 
-    acceleration: tuple[int, int, int]
-    gyro: tuple[int, int, int]
-    magnetometer: tuple[int, int, int]
+    acceleration: tuple[int, int, int]  # counts, the scale depends on the board
+    gyro: tuple[int, int, int]  # deg/s
+    magnetometer: tuple[int, int, int]  # counts
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,7 @@ class PolicyInfo:
     weight_count: int
     control_rate_hz: int
     gyro_rate_hz: int
-    self_test_passed: bool
+    good: bool  # its self-test passed and no output was refused since; False keeps the motors stopped
 
 
 class _Reader:
@@ -252,7 +258,7 @@ def policy_info(payload: bytes) -> PolicyInfo:
     """Decode POLICY_INFO."""
     reader = _Reader(Msp.POLICY_INFO, payload)
     architecture_hash, observations, actions, weights = reader.fields("IHHI")
-    control_rate_hz, gyro_rate_hz, self_test = reader.fields("HHB")
+    control_rate_hz, gyro_rate_hz, good = reader.fields("HHB")
     return PolicyInfo(
         name=reader.counted_text(),
         sha256=reader.bytes(32).hex(),
@@ -262,7 +268,7 @@ def policy_info(payload: bytes) -> PolicyInfo:
         weight_count=weights,
         control_rate_hz=control_rate_hz,
         gyro_rate_hz=gyro_rate_hz,
-        self_test_passed=bool(self_test),
+        good=bool(good),
     )
 
 

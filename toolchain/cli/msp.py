@@ -56,7 +56,7 @@ def _rows(info: Info) -> list[tuple[str, str]]:
     rows = [
         ("firmware", f"{info.variant} {info.version}, MSP API {info.api.major}.{info.api.minor}"),
         ("board", " ".join(filter(None, (board.identifier, board.manufacturer, board.name or board.target)))),
-        ("build", f"{build.date} {build.time}, revision {build.revision}"),
+        ("build", f"{build.date} {build.time}, {build.revision}" if build.dated else "undated, reproducible"),
         ("name", info.name or "none given"),
         ("UID", info.uid),
     ]
@@ -68,7 +68,7 @@ def _rows(info: Info) -> list[tuple[str, str]]:
                 f"{policy.observation_count} observations to {policy.action_count} actions, "
                 f"{policy.weight_count} weights, architecture {policy.architecture_hash:08x}",
             ),
-            ("self-test", "passed" if policy.self_test_passed else "FAILED"),
+            ("policy check", "passed" if policy.good else "FAILED: the motors stay stopped"),
             ("rates", f"control {policy.control_rate_hz} Hz, gyro {policy.gyro_rate_hz} Hz"),
         ]
     else:
