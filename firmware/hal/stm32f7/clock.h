@@ -1,0 +1,23 @@
+/* Clock tree: HSE 8 MHz -> PLL 216 MHz, AHB 216, APB1 54, APB2 108; timers of APB2 run at 216 MHz. */
+#ifndef STM32F7_CLOCK_H
+#define STM32F7_CLOCK_H
+
+#include <stdbool.h>
+
+#define CLOCK_RESET_HZ 16000000u /* HSI, until clock_start succeeds */
+#define CLOCK_CORE_HZ 216000000u
+#define CLOCK_APB1_HZ 54000000u
+#define CLOCK_APB2_HZ 108000000u
+#define CLOCK_TIM8_HZ 216000000u /* twice APB2, because APB2 is divided (RM0431 5.2) */
+
+/* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the
+ * NMI). Needs time_cycles_start. False: some step never got ready, and the core runs from HSI. */
+bool clock_start(void);
+
+/* Clocks of the peripherals in use. */
+void clock_peripherals(void);
+
+/* Does the core run from the PLL? Valid at any time, also from a fault. */
+bool clock_is_full_speed(void);
+
+#endif

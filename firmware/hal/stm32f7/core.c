@@ -1,0 +1,73 @@
+#include "core.h"
+
+#include "registers.h"
+
+/* Regions that nobody may touch, not even by speculation (MPU_RASR 0: no access, ARMv7-M B3.5.9). */
+static const struct forbidden {
+	uint32_t address;
+	uint32_t log2_size;
+} forbidden[] = {
+	{0x00000000u, 8},  /* null pointers: the first 256 bytes of ITCM, which the linker leaves empty */
+	/* No external memory on this board; a speculative read there may stall the bus for good. */
+	{0x60000000u, 29},
+	{0x80000000u, 29},
+};
+
+static void protect_memory(void)
+{
+	MPU_CTRL = 0;
+	for (uint32_t i = 0; i < sizeof forbidden / sizeof forbidden[0]; ++i) {
+		MPU_RNR = i;
+		MPU_RBAR = forbidden[i].address;
+		MPU_RASR = MPU_RASR_XN | FIELD(MPU_RASR_SIZE, forbidden[i].log2_size - 1u) | MPU_RASR_ENABLE;
+	}
+	MPU_CTRL = MPU_CTRL_PRIVDEFENA | MPU_CTRL_ENABLE;
+	barrier_instructions();
+}
+
+static void enable_instruction_cache(void)
+{
+	barrier_instructions();
+	SCB_ICIALLU = 0;
+	barrier_instructions();
+	SCB_CCR |= SCB_CCR_IC;
+	barrier_instructions();
+}
+
+/* The cache's contents are undefined after power-up: every line is invalidated before it may answer.
+ * DCISW: way from bit 31 down, set from bit 5 up (32-byte lines; Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
+static void enable_data_cache(void)
+{
+	SCB_CSSELR = 0; /* level 1, data */
+	barrier();
+	const uint32_t size = SCB_CCSIDR;
+	const uint32_t last_way = VALUE(SCB_CCSIDR_ASSOCIATIVITY, size);
+	const uint32_t last_set = VALUE(SCB_CCSIDR_NUMSETS, size);
+	const uint32_t way_shift = last_way == 0u ? 0u : (uint32_t)__builtin_clz(last_way);
+
+	for (uint32_t set = 0; set <= last_set; ++set)
+		for (uint32_t way = 0; way <= last_way; ++way)
+			SCB_DCISW = way << way_shift | set << 5;
+	barrier();
+	SCB_CCR |= SCB_CCR_DC;
+	barrier_instructions();
+}
+
+void core_start(void)
+{
+	SCB_SHCSR |= SCB_SHCSR_MEMFAULTENA | SCB_SHCSR_BUSFAULTENA | SCB_SHCSR_USGFAULTENA;
+	SCB_CCR |= SCB_CCR_UNALIGN_TRP | SCB_CCR_DIV_0_TRP;
+	protect_memory();
+	enable_instruction_cache();
+	enable_data_cache();
+}
+
+void interrupt_enable(uint32_t irq, enum priority priority)
+{
+	const uint32_t field = BITS(8u * (irq % 4u), 8);
+
+	/* The chip implements the upper 4 bits of each priority byte. */
+	NVIC_IPR(irq / 4u) = (NVIC_IPR(irq / 4u) & ~field) | FIELD(field, (uint32_t)priority << 4);
+	NVIC_ISER(irq / 32u) = 1u << (irq % 32u);
+	barrier_instructions();
+}

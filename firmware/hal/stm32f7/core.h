@@ -1,0 +1,53 @@
+/* The Cortex-M7 around the program: barriers, interrupts, memory protection, caches. */
+#ifndef STM32F7_CORE_H
+#define STM32F7_CORE_H
+
+#include <stdint.h>
+
+/* The whole budget of interrupt priorities (4 bits, 0 is the most urgent). Nothing else interrupts:
+ * both UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled.
+ *
+ *   priority             who                        how often      how long
+ *   PRIORITY_FAULT       all faults, clock failure  never          for ever, motors stopped
+ *   PRIORITY_GYRO_EDGE   EXTI3, data-ready          8 kHz          < 2 us: starts a read every n-th edge
+ *   PRIORITY_SAMPLE      DMA2 stream 2, read done   gyro rate      the control path, < 1 gyro period
+ *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds
+ *   (thread)             MSP, LED, sleep            the rest
+ */
+enum priority {
+	PRIORITY_FAULT = 0,
+	PRIORITY_GYRO_EDGE = 1,
+	PRIORITY_SAMPLE = 2,
+	PRIORITY_TICK = 15,
+};
+
+/* Normal memory (DMA buffers) and device registers are not ordered against each other without it. */
+static inline void barrier(void)
+{
+	__asm volatile("dsb" ::: "memory");
+}
+
+/* Also throws away instructions fetched under the old settings. */
+static inline void barrier_instructions(void)
+{
+	__asm volatile("dsb\n\tisb" ::: "memory");
+}
+
+static inline void interrupts_disable(void)
+{
+	__asm volatile("cpsid i" ::: "memory");
+}
+
+static inline void interrupts_enable(void)
+{
+	__asm volatile("cpsie i\n\tisb" ::: "memory");
+}
+
+/* Faults by name instead of one hard fault; traps on division by zero and unaligned access; null page and
+ * the empty external memory closed; both caches on. Interrupts off or not yet enabled. */
+void core_start(void);
+
+/* Sets the priority, then enables interrupt `irq` (IRQ_...). */
+void interrupt_enable(uint32_t irq, enum priority priority);
+
+#endif

@@ -1,0 +1,105 @@
+/* One DMA stream: set up once, started for each transfer. Direct mode, one memory buffer (in DTCM).
+ * With constant arguments every function folds into a few register accesses. */
+#ifndef STM32F7_DMA_H
+#define STM32F7_DMA_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "core.h"
+#include "registers.h"
+#include "time.h"
+
+/* Every buffer that DMA touches: DTCM is not cached, so no cache maintenance is ever due. The linker
+ * script holds all of .bss in DTCM. */
+#define DMA_BUFFER __attribute__((section(".bss.dma_buffers"), aligned(4)))
+
+struct dma_stream {
+	uint32_t controller; /* DMA1 or DMA2 */
+	uint32_t stream;     /* 0..7 */
+	uint32_t channel;    /* the request that drives it (RM0431 8.3.3, request mapping) */
+};
+
+/* Who uses what (RM0431 8.3.3). */
+#define DMA_MOTORS ((struct dma_stream){DMA2, 1, 7})      /* TIM8_UP */
+#define DMA_GYRO_RX ((struct dma_stream){DMA2, 2, 3})     /* SPI1_RX */
+#define DMA_GYRO_TX ((struct dma_stream){DMA2, 3, 3})     /* SPI1_TX */
+#define DMA_MSP_RX ((struct dma_stream){DMA2, 5, 4})      /* USART1_RX */
+#define DMA_MSP_TX ((struct dma_stream){DMA2, 7, 4})      /* USART1_TX */
+#define DMA_RECEIVER_RX ((struct dma_stream){DMA1, 5, 4}) /* USART2_RX */
+
+/* Values of DMA_SCR fields. */
+enum dma_direction { DMA_FROM_PERIPHERAL = 0, DMA_TO_PERIPHERAL = 1 };
+enum dma_width { DMA_BYTE = 0, DMA_WORD = 2 };
+enum dma_urgency { DMA_LOW = 0, DMA_MEDIUM = 1, DMA_HIGH = 2, DMA_VERY_HIGH = 3 };
+
+#define DMA_DISABLE_LIMIT 2160u /* cycles, 10 us: a stream ends after the transfer on the bus */
+
+/* The flags of streams 0..3 lie at bits 0, 6, 16 and 22 of LISR, those of 4..7 likewise in HISR (RM0431 8.5.1). */
+static inline uint32_t dma_flag_shift(struct dma_stream s)
+{
+	return (s.stream % 4u) / 2u * 16u + s.stream % 2u * 6u;
+}
+_Static_assert(DMA_LISR_TCIF1 == DMA_LISR_TCIF0 << 6, "flags of stream 1");
+_Static_assert(DMA_LISR_TCIF2 == DMA_LISR_TCIF0 << 16, "flags of stream 2");
+_Static_assert(DMA_LISR_TCIF3 == DMA_LISR_TCIF0 << 22, "flags of stream 3");
+
+/* All moved since dma_start. */
+static inline bool dma_complete(struct dma_stream s)
+{
+	const uint32_t flags = s.stream < 4u ? DMA_LISR(s.controller) : DMA_HISR(s.controller);
+
+	return (flags >> dma_flag_shift(s) & DMA_LISR_TCIF0) != 0u;
+}
+
+static inline void dma_clear(struct dma_stream s)
+{
+	const uint32_t all = DMA_LIFCR_CFEIF0 | DMA_LIFCR_CDMEIF0 | DMA_LIFCR_CTEIF0 | DMA_LIFCR_CHTIF0 |
+			     DMA_LIFCR_CTCIF0;
+
+	if (s.stream < 4u)
+		DMA_LIFCR(s.controller) = all << dma_flag_shift(s);
+	else
+		DMA_HIFCR(s.controller) = all << dma_flag_shift(s);
+}
+
+/* Is a transfer under way? The hardware ends it by itself when all is moved or an error stops it. */
+static inline bool dma_busy(struct dma_stream s)
+{
+	return (DMA_SCR(s.controller, s.stream) & DMA_SCR_EN) != 0u;
+}
+
+/* Ends a transfer early. False: the stream would not end, and must not be started. */
+static inline bool dma_stop(struct dma_stream s)
+{
+	DMA_SCR(s.controller, s.stream) &= ~DMA_SCR_EN;
+	return time_wait(&DMA_SCR(s.controller, s.stream), DMA_SCR_EN, 0, DMA_DISABLE_LIMIT);
+}
+
+/* `options`: further DMA_SCR bits (circular, interrupts). The stream must not be busy. */
+static inline void dma_setup(struct dma_stream s, const volatile uint32_t *peripheral, enum dma_direction direction,
+			     enum dma_width width, enum dma_urgency urgency, uint32_t options)
+{
+	DMA_SCR(s.controller, s.stream) = FIELD(DMA_SCR_CHSEL, s.channel) | FIELD(DMA_SCR_PL, urgency) |
+					  FIELD(DMA_SCR_MSIZE, width) | FIELD(DMA_SCR_PSIZE, width) | DMA_SCR_MINC |
+					  FIELD(DMA_SCR_DIR, direction) | options;
+	DMA_SPAR(s.controller, s.stream) = (uint32_t)peripheral;
+}
+
+/* `count` items from or to `buffer`. The stream must not be busy. */
+static inline void dma_start(struct dma_stream s, const volatile void *buffer, uint32_t count)
+{
+	dma_clear(s);
+	DMA_SM0AR(s.controller, s.stream) = (uint32_t)buffer;
+	DMA_SNDTR(s.controller, s.stream) = count;
+	barrier();
+	DMA_SCR(s.controller, s.stream) |= DMA_SCR_EN;
+}
+
+/* Items still to move. */
+static inline uint32_t dma_remaining(struct dma_stream s)
+{
+	return DMA_SNDTR(s.controller, s.stream) & DMA_SNDTR_NDT;
+}
+
+#endif

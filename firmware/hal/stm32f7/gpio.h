@@ -1,0 +1,34 @@
+/* Pins: set up once, written any time. The port's clock must run (clock_peripherals). */
+#ifndef STM32F7_GPIO_H
+#define STM32F7_GPIO_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "registers.h"
+
+struct pin {
+	uint32_t port;   /* GPIOA.. */
+	uint32_t number; /* 0..15 */
+};
+
+/* Values of the GPIO registers' two-bit fields (RM0431 chapter 6). */
+enum gpio_mode { GPIO_INPUT = 0, GPIO_OUTPUT = 1, GPIO_ALTERNATE = 2 };
+enum gpio_pull { GPIO_FLOATING = 0, GPIO_PULL_UP = 1, GPIO_PULL_DOWN = 2 };
+enum gpio_speed { GPIO_SLOW = 0, GPIO_MEDIUM = 1, GPIO_FAST = 2 };
+
+/* Drives the pin high or low; only matters in GPIO_OUTPUT. One store, safe from any context. */
+static inline void gpio_write(struct pin pin, bool high)
+{
+	GPIO_BSRR(pin.port) = 1u << (pin.number + (high ? 0u : 16u));
+}
+
+/* The mode alone; the last step of a set-up, so that a pin never shows a half-made one. */
+void gpio_mode(struct pin pin, enum gpio_mode mode);
+void gpio_input(struct pin pin, enum gpio_pull pull);
+/* Push-pull, starting at `high`. */
+void gpio_output(struct pin pin, bool high);
+/* Push-pull (where the peripheral drives), alternate function 0..15. */
+void gpio_alternate(struct pin pin, uint32_t function, enum gpio_pull pull, enum gpio_speed speed);
+
+#endif

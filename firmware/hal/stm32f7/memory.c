@@ -1,0 +1,61 @@
+/* The four functions that a compiler may call from any C code (GCC manual, "Standards": freestanding). */
+#include <stddef.h>
+#include <stdint.h>
+
+void *memcpy(void *restrict to, const void *restrict from, size_t count);
+void *memmove(void *to, const void *from, size_t count);
+void *memset(void *to, int value, size_t count);
+int memcmp(const void *left, const void *right, size_t count);
+
+static int both_aligned(const void *a, const void *b)
+{
+	return (((uintptr_t)a | (uintptr_t)b) & 3u) == 0u;
+}
+
+void *memcpy(void *restrict to, const void *restrict from, size_t count)
+{
+	uint8_t *out = to;
+	const uint8_t *in = from;
+
+	if (both_aligned(out, in)) {
+		for (; count >= 4u; count -= 4u, out += 4, in += 4)
+			*(uint32_t __attribute__((may_alias)) *)out = *(const uint32_t __attribute__((may_alias)) *)in;
+	}
+	while (count-- != 0u)
+		*out++ = *in++;
+	return to;
+}
+
+void *memmove(void *to, const void *from, size_t count)
+{
+	uint8_t *out = to;
+	const uint8_t *in = from;
+
+	if ((uintptr_t)out < (uintptr_t)in) {
+		while (count-- != 0u)
+			*out++ = *in++;
+	} else {
+		while (count-- != 0u)
+			out[count] = in[count];
+	}
+	return to;
+}
+
+void *memset(void *to, int value, size_t count)
+{
+	uint8_t *out = to;
+
+	while (count-- != 0u)
+		*out++ = (uint8_t)value;
+	return to;
+}
+
+int memcmp(const void *left, const void *right, size_t count)
+{
+	const uint8_t *a = left, *b = right;
+
+	for (; count != 0u; --count, ++a, ++b)
+		if (*a != *b)
+			return *a < *b ? -1 : 1;
+	return 0;
+}

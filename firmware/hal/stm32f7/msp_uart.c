@@ -1,0 +1,51 @@
+#include "msp_uart.h"
+
+#include "clock.h"
+#include "targets/MATEKF722/board.h"
+#include "uart.h"
+
+#define AF_USART1 7u
+#define BAUD 115200u
+#define REPLY_BYTES 1024u
+#define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
+
+static DMA_BUFFER uint8_t received[UART_RING_BYTES];
+static DMA_BUFFER uint8_t reply[REPLY_BYTES];
+
+/* The background's alone. */
+static struct uart_ring ring = {.stream = DMA_MSP_RX, .bytes = received};
+static uint32_t last_byte_ms;
+
+void msp_uart_start(void)
+{
+	gpio_alternate(BOARD_MSP_TX, AF_USART1, GPIO_PULL_UP, GPIO_SLOW);
+	gpio_alternate(BOARD_MSP_RX, AF_USART1, GPIO_PULL_UP, GPIO_SLOW);
+	uart_ring_start(&ring, USART1);
+	dma_setup(DMA_MSP_TX, &USART_TDR(USART1), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
+	uart_configure(USART1, CLOCK_APB2_HZ, BAUD, USART_CR1_RE | USART_CR1_TE, 0,
+		       USART_CR3_DMAR | USART_CR3_DMAT);
+}
+
+bool msp_uart_busy(void)
+{
+	return dma_busy(DMA_MSP_TX);
+}
+
+void msp_uart_serve(const struct hal_handlers *handlers)
+{
+	uint8_t bytes[64];
+
+	if (msp_uart_busy())
+		return;
+	const size_t count = uart_ring_read(&ring, bytes, sizeof bytes);
+	const uint32_t now = time_ms();
+
+	if (count == 0u)
+		return;
+	if (now - last_byte_ms > SILENCE_MS)
+		handlers->msp_reset(handlers->context);
+	last_byte_ms = now;
+	const size_t answered = handlers->msp(handlers->context, bytes, count, reply, sizeof reply);
+	if (answered != 0u)
+		dma_start(DMA_MSP_TX, reply, (uint32_t)answered);
+}

@@ -1,0 +1,278 @@
+/* Registers of the STM32F722 and its Cortex-M7 that this firmware touches, and no others.
+ *
+ * Written by hand from the manuals; tests/firmware/test_registers.py holds every address and field
+ * against firmware/targets/MATEKF722/registers.csv, which a script extracts from the vendor's
+ * description, so that an error in one shows against the other.
+ *
+ * Names: PERIPHERAL_REGISTER is the register (function-like where there are several instances),
+ * PERIPHERAL_REGISTER_FIELD the mask of a field in place. FIELD(mask, value) puts a value there.
+ * Manuals: RM0431 (STM32F72x/F73x reference manual), ARMv7-M (architecture reference manual, DDI 0403E),
+ * Cortex-M7 TRM (DDI 0489). A chapter of RM0431 is named by its title, its register by its name. */
+#ifndef STM32F7_REGISTERS_H
+#define STM32F7_REGISTERS_H
+
+#include <stdint.h>
+
+#define REGISTER(address) (*(volatile uint32_t *)(address))
+#define BIT(position) (1u << (position))
+#define BITS(position, width) (((1u << (width)) - 1u) << (position))
+/* `value` moved to where `mask` begins; keeps to the mask, so a value that is too wide is cut. */
+#define FIELD(mask, value) (((uint32_t)(value) * ((mask) & -(mask))) & (mask))
+/* The value that `bits` holds in `mask`. */
+#define VALUE(mask, bits) (((bits) & (mask)) / ((mask) & -(mask)))
+
+/* --- Embedded flash interface (RM0431 chapter 3) ------------------------------------------- */
+#define FLASH_ACR REGISTER(0x40023C00u)
+#define FLASH_ACR_LATENCY BITS(0, 4)
+#define FLASH_ACR_PRFTEN BIT(8)
+#define FLASH_ACR_ARTEN BIT(9)
+
+/* --- Power controller (RM0431 chapter 4) --------------------------------------------------- */
+#define PWR_CR1 REGISTER(0x40007000u)
+#define PWR_CR1_VOS BITS(14, 2)
+#define PWR_CR1_ODEN BIT(16)
+#define PWR_CR1_ODSWEN BIT(17)
+#define PWR_CSR1 REGISTER(0x40007004u)
+#define PWR_CSR1_ODRDY BIT(16)
+#define PWR_CSR1_ODSWRDY BIT(17)
+
+/* --- Reset and clock control (RM0431 chapter 5) -------------------------------------------- */
+#define RCC_CR REGISTER(0x40023800u)
+#define RCC_CR_HSION BIT(0)
+#define RCC_CR_HSIRDY BIT(1)
+#define RCC_CR_HSEON BIT(16)
+#define RCC_CR_HSERDY BIT(17)
+#define RCC_CR_CSSON BIT(19)
+#define RCC_CR_PLLON BIT(24)
+#define RCC_CR_PLLRDY BIT(25)
+#define RCC_PLLCFGR REGISTER(0x40023804u)
+#define RCC_PLLCFGR_PLLM BITS(0, 6)
+#define RCC_PLLCFGR_PLLN BITS(6, 9)
+#define RCC_PLLCFGR_PLLP BITS(16, 2)
+#define RCC_PLLCFGR_PLLSRC BIT(22)
+#define RCC_PLLCFGR_PLLQ BITS(24, 4)
+#define RCC_CFGR REGISTER(0x40023808u)
+#define RCC_CFGR_SW BITS(0, 2)
+#define RCC_CFGR_SWS BITS(2, 2)
+#define RCC_CFGR_HPRE BITS(4, 4)
+#define RCC_CFGR_PPRE1 BITS(10, 3)
+#define RCC_CFGR_PPRE2 BITS(13, 3)
+#define RCC_AHB1ENR REGISTER(0x40023830u)
+#define RCC_AHB1ENR_GPIOAEN BIT(0)
+#define RCC_AHB1ENR_GPIOBEN BIT(1)
+#define RCC_AHB1ENR_GPIOCEN BIT(2)
+#define RCC_AHB1ENR_DMA1EN BIT(21)
+#define RCC_AHB1ENR_DMA2EN BIT(22)
+#define RCC_APB1ENR REGISTER(0x40023840u)
+#define RCC_APB1ENR_USART2EN BIT(17)
+#define RCC_APB1ENR_PWREN BIT(28)
+#define RCC_APB2ENR REGISTER(0x40023844u)
+#define RCC_APB2ENR_TIM8EN BIT(1)
+#define RCC_APB2ENR_USART1EN BIT(4)
+#define RCC_APB2ENR_SPI1EN BIT(12)
+#define RCC_APB2ENR_SYSCFGEN BIT(14)
+
+/* --- General-purpose I/Os (RM0431 chapter 6); two, one or four bits a pin ------------------- */
+#define GPIOA 0x40020000u
+#define GPIOB 0x40020400u
+#define GPIOC 0x40020800u
+#define GPIO_MODER(port) REGISTER((port) + 0x00u)
+#define GPIO_OTYPER(port) REGISTER((port) + 0x04u)
+#define GPIO_OSPEEDR(port) REGISTER((port) + 0x08u)
+#define GPIO_PUPDR(port) REGISTER((port) + 0x0Cu)
+#define GPIO_BSRR(port) REGISTER((port) + 0x18u)
+#define GPIO_AFRL(port) REGISTER((port) + 0x20u)
+#define GPIO_AFRH(port) REGISTER((port) + 0x24u)
+
+/* --- System configuration controller (RM0431 chapter 7) ------------------------------------ */
+#define SYSCFG_EXTICR1 REGISTER(0x40013808u)
+#define SYSCFG_EXTICR1_EXTI3 BITS(12, 4)
+
+/* --- Direct memory access controller (RM0431 chapter 8): stream s of a controller ----------- */
+#define DMA1 0x40026000u
+#define DMA2 0x40026400u
+#define DMA_LISR(dma) REGISTER((dma) + 0x00u)
+#define DMA_LISR_TEIF0 BIT(3)
+#define DMA_LISR_TCIF0 BIT(5)
+#define DMA_LISR_TCIF1 BIT(11)
+#define DMA_LISR_TCIF2 BIT(21)
+#define DMA_LISR_TCIF3 BIT(27)
+#define DMA_HISR(dma) REGISTER((dma) + 0x04u)
+#define DMA_LIFCR(dma) REGISTER((dma) + 0x08u)
+#define DMA_LIFCR_CFEIF0 BIT(0)
+#define DMA_LIFCR_CDMEIF0 BIT(2)
+#define DMA_LIFCR_CTEIF0 BIT(3)
+#define DMA_LIFCR_CHTIF0 BIT(4)
+#define DMA_LIFCR_CTCIF0 BIT(5)
+#define DMA_HIFCR(dma) REGISTER((dma) + 0x0Cu)
+#define DMA_SCR(dma, s) REGISTER((dma) + 0x10u + 0x18u * (s))
+#define DMA_SCR_EN BIT(0)
+#define DMA_SCR_TEIE BIT(2)
+#define DMA_SCR_TCIE BIT(4)
+#define DMA_SCR_DIR BITS(6, 2)
+#define DMA_SCR_CIRC BIT(8)
+#define DMA_SCR_MINC BIT(10)
+#define DMA_SCR_PSIZE BITS(11, 2)
+#define DMA_SCR_MSIZE BITS(13, 2)
+#define DMA_SCR_PL BITS(16, 2)
+#define DMA_SCR_CHSEL BITS(25, 4)
+#define DMA_SNDTR(dma, s) REGISTER((dma) + 0x14u + 0x18u * (s))
+#define DMA_SNDTR_NDT BITS(0, 16)
+#define DMA_SPAR(dma, s) REGISTER((dma) + 0x18u + 0x18u * (s))
+#define DMA_SM0AR(dma, s) REGISTER((dma) + 0x1Cu + 0x18u * (s))
+
+/* --- Extended interrupts and events controller (RM0431 chapter EXTI) ----------------------- */
+#define EXTI_IMR REGISTER(0x40013C00u)
+#define EXTI_IMR_IM3 BIT(3)
+#define EXTI_RTSR REGISTER(0x40013C08u)
+#define EXTI_RTSR_TR3 BIT(3)
+#define EXTI_PR REGISTER(0x40013C14u)
+#define EXTI_PR_PR3 BIT(3)
+
+/* --- Advanced-control timers (RM0431 chapter TIM1/TIM8) ------------------------------------ */
+#define TIM8 0x40010400u
+#define TIM_CR1(timer) REGISTER((timer) + 0x00u)
+#define TIM_CR1_CEN BIT(0)
+#define TIM_CR1_ARPE BIT(7)
+#define TIM_DIER(timer) REGISTER((timer) + 0x0Cu)
+#define TIM_DIER_UDE BIT(8)
+#define TIM_EGR(timer) REGISTER((timer) + 0x14u)
+#define TIM_EGR_UG BIT(0)
+#define TIM_CCMR1(timer) REGISTER((timer) + 0x18u)
+#define TIM_CCMR1_OC1PE BIT(3)
+#define TIM_CCMR1_OC1M BITS(4, 3)
+#define TIM_CCMR1_OC2PE BIT(11)
+#define TIM_CCMR1_OC2M BITS(12, 3)
+#define TIM_CCMR2(timer) REGISTER((timer) + 0x1Cu)
+#define TIM_CCMR2_OC3PE BIT(3)
+#define TIM_CCMR2_OC3M BITS(4, 3)
+#define TIM_CCMR2_OC4PE BIT(11)
+#define TIM_CCMR2_OC4M BITS(12, 3)
+#define TIM_CCER(timer) REGISTER((timer) + 0x20u)
+#define TIM_CCER_CC1E BIT(0)
+#define TIM_CCER_CC2E BIT(4)
+#define TIM_CCER_CC3E BIT(8)
+#define TIM_CCER_CC4E BIT(12)
+#define TIM_CNT(timer) REGISTER((timer) + 0x24u)
+#define TIM_PSC(timer) REGISTER((timer) + 0x28u)
+#define TIM_ARR(timer) REGISTER((timer) + 0x2Cu)
+#define TIM_CCR(timer, channel) REGISTER((timer) + 0x30u + 4u * (channel)) /* channel 1..4 */
+#define TIM_BDTR(timer) REGISTER((timer) + 0x44u)
+#define TIM_BDTR_MOE BIT(15)
+#define TIM_DCR(timer) REGISTER((timer) + 0x48u)
+#define TIM_DCR_DBA BITS(0, 5)
+#define TIM_DCR_DBL BITS(8, 5)
+#define TIM_DMAR(timer) REGISTER((timer) + 0x4Cu)
+
+/* --- Serial peripheral interface (RM0431 chapter SPI/I2S) ---------------------------------- */
+#define SPI1 0x40013000u
+#define SPI_CR1(spi) REGISTER((spi) + 0x00u)
+#define SPI_CR1_CPHA BIT(0)
+#define SPI_CR1_CPOL BIT(1)
+#define SPI_CR1_MSTR BIT(2)
+#define SPI_CR1_BR BITS(3, 3)
+#define SPI_CR1_SPE BIT(6)
+#define SPI_CR1_SSI BIT(8)
+#define SPI_CR1_SSM BIT(9)
+#define SPI_CR2(spi) REGISTER((spi) + 0x04u)
+#define SPI_CR2_RXDMAEN BIT(0)
+#define SPI_CR2_TXDMAEN BIT(1)
+#define SPI_CR2_DS BITS(8, 4)
+#define SPI_CR2_FRXTH BIT(12)
+#define SPI_SR(spi) REGISTER((spi) + 0x08u)
+#define SPI_SR_RXNE BIT(0)
+#define SPI_SR_TXE BIT(1)
+#define SPI_SR_BSY BIT(7)
+#define SPI_SR_FRLVL BITS(9, 2)
+#define SPI_SR_FTLVL BITS(11, 2)
+#define SPI_DR(spi) REGISTER((spi) + 0x0Cu)
+
+/* --- Universal asynchronous receiver transmitter (RM0431 chapter USART) -------------------- */
+#define USART1 0x40011000u
+#define USART2 0x40004400u
+#define USART_CR1(uart) REGISTER((uart) + 0x00u)
+#define USART_CR1_UE BIT(0)
+#define USART_CR1_RE BIT(2)
+#define USART_CR1_TE BIT(3)
+#define USART_CR1_PCE BIT(10)
+#define USART_CR1_M0 BIT(12)
+#define USART_CR2(uart) REGISTER((uart) + 0x04u)
+#define USART_CR2_STOP BITS(12, 2)
+#define USART_CR2_RXINV BIT(16)
+#define USART_CR3(uart) REGISTER((uart) + 0x08u)
+#define USART_CR3_DMAR BIT(6)
+#define USART_CR3_DMAT BIT(7)
+#define USART_CR3_OVRDIS BIT(12)
+#define USART_BRR(uart) REGISTER((uart) + 0x0Cu)
+#define USART_ISR(uart) REGISTER((uart) + 0x1Cu)
+#define USART_ISR_PE BIT(0)
+#define USART_ISR_FE BIT(1)
+#define USART_ISR_IDLE BIT(4)
+#define USART_ICR(uart) REGISTER((uart) + 0x20u)
+#define USART_ICR_PECF BIT(0)
+#define USART_ICR_FECF BIT(1)
+#define USART_ICR_IDLECF BIT(4)
+#define USART_RDR(uart) REGISTER((uart) + 0x24u)
+#define USART_TDR(uart) REGISTER((uart) + 0x28u)
+
+/* --- System timer and interrupt controller (ARMv7-M B3.3, B3.4) ---------------------------- */
+#define SYST_CSR REGISTER(0xE000E010u)
+#define SYST_CSR_ENABLE BIT(0)
+#define SYST_CSR_TICKINT BIT(1)
+#define SYST_CSR_CLKSOURCE BIT(2)
+#define SYST_RVR REGISTER(0xE000E014u)
+#define SYST_CVR REGISTER(0xE000E018u)
+#define NVIC_ISER(word) REGISTER(0xE000E100u + 4u * (word)) /* 32 interrupts a word */
+#define NVIC_IPR(word) REGISTER(0xE000E400u + 4u * (word))  /* 4 interrupts a word */
+
+/* --- System control block (ARMv7-M B3.2), caches (B3.2, Cortex-M7 TRM 4.4) ----------------- */
+#define SCB_VTOR REGISTER(0xE000ED08u)
+#define SCB_CCR REGISTER(0xE000ED14u)
+#define SCB_CCR_UNALIGN_TRP BIT(3)
+#define SCB_CCR_DIV_0_TRP BIT(4)
+#define SCB_CCR_DC BIT(16)
+#define SCB_CCR_IC BIT(17)
+#define SCB_SHPR3 REGISTER(0xE000ED20u)
+#define SCB_SHPR3_PRI_15 BITS(24, 8)
+#define SCB_SHCSR REGISTER(0xE000ED24u)
+#define SCB_SHCSR_MEMFAULTENA BIT(16)
+#define SCB_SHCSR_BUSFAULTENA BIT(17)
+#define SCB_SHCSR_USGFAULTENA BIT(18)
+#define SCB_CCSIDR REGISTER(0xE000ED80u)
+#define SCB_CCSIDR_ASSOCIATIVITY BITS(3, 10)
+#define SCB_CCSIDR_NUMSETS BITS(13, 15)
+#define SCB_CSSELR REGISTER(0xE000ED84u)
+#define SCB_CPACR REGISTER(0xE000ED88u)
+#define SCB_CPACR_CP10 BITS(20, 2)
+#define SCB_CPACR_CP11 BITS(22, 2)
+#define SCB_ICIALLU REGISTER(0xE000EF50u)
+#define SCB_DCISW REGISTER(0xE000EF60u)
+
+/* --- Memory protection unit (ARMv7-M B3.5) ------------------------------------------------- */
+#define MPU_CTRL REGISTER(0xE000ED94u)
+#define MPU_CTRL_ENABLE BIT(0)
+#define MPU_CTRL_PRIVDEFENA BIT(2)
+#define MPU_RNR REGISTER(0xE000ED98u)
+#define MPU_RBAR REGISTER(0xE000ED9Cu)
+#define MPU_RASR REGISTER(0xE000EDA0u)
+#define MPU_RASR_ENABLE BIT(0)
+#define MPU_RASR_SIZE BITS(1, 5)
+#define MPU_RASR_XN BIT(28)
+
+/* --- Debug: the cycle counter (ARMv7-M C1.6, C1.8) ----------------------------------------- */
+#define DCB_DEMCR REGISTER(0xE000EDFCu)
+#define DCB_DEMCR_TRCENA BIT(24)
+#define DWT_CTRL REGISTER(0xE0001000u)
+#define DWT_CTRL_CYCCNTENA BIT(0)
+#define DWT_CYCCNT REGISTER(0xE0001004u)
+#define DWT_LAR REGISTER(0xE0001FB0u)
+
+/* --- Device electronic signature (RM0431 chapter of that name): 96 bits in three words ------ */
+#define SIGNATURE_UID(word) REGISTER(0x1FF07A10u + 4u * (word))
+
+/* --- Interrupt numbers in use (RM0431 chapter NVIC, vector table) -------------------------- */
+#define IRQ_EXTI3 9u
+#define IRQ_DMA2_STREAM2 58u
+#define IRQ_COUNT 104u /* the table's last number is SDMMC2, 103 */
+
+#endif

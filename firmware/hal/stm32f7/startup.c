@@ -1,0 +1,40 @@
+/* From the bank's reset vector to main: FPU, code and data in place, then the program. */
+#include <stdint.h>
+
+#include "core.h"
+#include "handlers.h"
+#include "registers.h"
+#include "stop.h"
+
+/* Linker script: where each part lies in flash (load) and where it runs; all word-aligned. */
+extern const uint32_t vectors[];
+extern const uint32_t itcm_load[], data_load[];
+extern uint32_t itcm_start[], itcm_end[], data_start[], data_end[], bss_start[], bss_end[];
+
+int main(int argc, char **argv);
+
+static void copy(uint32_t *to, const uint32_t *end, const uint32_t *from)
+{
+	while (to != end)
+		*to++ = *from++;
+}
+
+/* Runs on the stack that the boot part loaded. No floating-point instruction may come before CPACR is set;
+ * built with general registers only (target.mk). */
+void reset_handler(void)
+{
+	interrupts_disable();
+	SCB_VTOR = (uint32_t)vectors;
+	SCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */
+	barrier_instructions();
+
+	copy(itcm_start, itcm_end, itcm_load);
+	copy(data_start, data_end, data_load);
+	for (uint32_t *word = bss_start; word != bss_end; ++word)
+		*word = 0;
+	barrier_instructions();
+
+	interrupts_enable();
+	(void)main(0, 0);
+	stop(LED_REFUSED); /* hal_run never returns and hal_init always asks for it */
+}

@@ -1,0 +1,58 @@
+#include "stop.h"
+
+#include "clock.h"
+#include "core.h"
+#include "handlers.h"
+#include "motors.h"
+#include "registers.h"
+#include "targets/MATEKF722/board.h"
+
+#define FLASH_MS 150u /* lit, then as long dark */
+#define PAUSE_MS 900u
+
+_Noreturn void fault_stop(void);
+
+bool led_lit(enum led_code code, uint32_t ms)
+{
+	const uint32_t flashes = (uint32_t)code * 2u * FLASH_MS;
+	const uint32_t now = ms % (flashes + PAUSE_MS);
+
+	return now < flashes && now / FLASH_MS % 2u == 0u;
+}
+
+/* About a millisecond, by counting: the cycle counter may be what failed. */
+static void burn_millisecond(void)
+{
+	const uint32_t hz = clock_is_full_speed() ? CLOCK_CORE_HZ : CLOCK_RESET_HZ;
+
+	for (uint32_t n = hz / 1000u / 4u; n != 0u; --n)
+		__asm volatile("nop");
+}
+
+_Noreturn void stop(enum led_code code)
+{
+	interrupts_disable();
+	motors_force_low();
+	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOBEN;
+	(void)RCC_AHB1ENR;
+	gpio_output(BOARD_LED0, true);
+	for (uint32_t ms = 0;; ++ms) {
+		gpio_write(BOARD_LED0, !led_lit(code, ms));
+		burn_millisecond();
+	}
+}
+
+_Noreturn void fault_stop(void)
+{
+	stop(LED_FAULT);
+}
+
+/* The stack may be what overflowed, so it begins anew; nothing ever returns to the old one. */
+__attribute__((naked)) void fault_handler(void)
+{
+	__asm volatile("cpsid i\n\t"
+		       "ldr r0, =stack_top\n\t"
+		       "msr msp, r0\n\t"
+		       "b fault_stop\n\t"
+		       ".ltorg");
+}

@@ -1,0 +1,45 @@
+#include "time.h"
+
+#include "clock.h"
+#include "core.h"
+#include "handlers.h"
+
+static volatile uint32_t milliseconds_passed; /* written by tick_handler alone */
+
+bool time_cycles_start(void)
+{
+	DCB_DEMCR |= DCB_DEMCR_TRCENA;
+	DWT_LAR = 0xC5ACCE55u; /* the Cortex-M7 keeps the counter locked until told so (DDI 0403E C1.8, CoreSight) */
+	DWT_CYCCNT = 0;
+	DWT_CTRL |= DWT_CTRL_CYCCNTENA;
+	barrier_instructions();
+	const uint32_t before = time_cycles();
+	barrier_instructions();
+	return time_cycles() != before;
+}
+
+void time_delay_ms(uint32_t milliseconds)
+{
+	const uint32_t start = time_cycles();
+
+	while (time_cycles() - start < milliseconds * (CLOCK_CORE_HZ / 1000u))
+		;
+}
+
+void time_tick_start(void)
+{
+	SCB_SHPR3 = (SCB_SHPR3 & ~SCB_SHPR3_PRI_15) | FIELD(SCB_SHPR3_PRI_15, PRIORITY_TICK << 4);
+	SYST_RVR = CLOCK_CORE_HZ / 1000u - 1u;
+	SYST_CVR = 0;
+	SYST_CSR = SYST_CSR_CLKSOURCE | SYST_CSR_TICKINT | SYST_CSR_ENABLE;
+}
+
+uint32_t time_ms(void)
+{
+	return milliseconds_passed;
+}
+
+void tick_handler(void)
+{
+	++milliseconds_passed;
+}

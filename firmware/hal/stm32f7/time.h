@@ -1,0 +1,41 @@
+/* Time that is measured, never obeyed: the control path counts gyro samples instead.
+ * Cycles bound waits; milliseconds serve the background. */
+#ifndef STM32F7_TIME_H
+#define STM32F7_TIME_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "registers.h"
+
+/* Starts the cycle counter. False: it does not count, and no wait would be bounded. */
+bool time_cycles_start(void);
+
+/* Core cycles, wraps at 2^32 (19.9 s at 216 MHz). */
+static inline uint32_t time_cycles(void)
+{
+	return DWT_CYCCNT;
+}
+
+/* Waits until (*reg & mask) == value, at most `cycles`. Returns whether it came true. */
+static inline bool time_wait(const volatile uint32_t *reg, uint32_t mask, uint32_t value, uint32_t cycles)
+{
+	const uint32_t start = time_cycles();
+
+	do {
+		if ((*reg & mask) == value)
+			return true;
+	} while (time_cycles() - start < cycles);
+	return (*reg & mask) == value;
+}
+
+/* Waits at 216 MHz; for set-up only. At most 19 s. */
+void time_delay_ms(uint32_t milliseconds);
+
+/* Starts the millisecond interrupt; the core runs at 216 MHz from here on. */
+void time_tick_start(void);
+
+/* Milliseconds since time_tick_start, wraps at 2^32. */
+uint32_t time_ms(void);
+
+#endif

@@ -1,0 +1,29 @@
+/* UARTs that receive into a ring by circular DMA and send a buffer by DMA: no interrupt of their own. */
+#ifndef STM32F7_UART_H
+#define STM32F7_UART_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "dma.h"
+
+#define UART_RING_BYTES 256u /* 22 ms of MSP, 28 ms of SBUS */
+
+struct uart_ring {
+	struct dma_stream stream;
+	uint32_t tail;                  /* next byte to hand over, 0..UART_RING_BYTES - 1 */
+	volatile uint8_t *bytes;        /* UART_RING_BYTES of them, a DMA_BUFFER; DMA writes here */
+};
+
+/* Line settings before `USART_CR1_UE`: the UART must be off. `cr1` and `cr2`: parity, word length, stop bits,
+ * inversion, directions. */
+void uart_configure(uint32_t uart, uint32_t clock_hz, uint32_t baud, uint32_t cr1, uint32_t cr2, uint32_t cr3);
+
+/* Starts filling the ring from `uart`. */
+void uart_ring_start(const struct uart_ring *ring, uint32_t uart);
+
+/* Takes received bytes, oldest first, at most `capacity`. Older bytes are lost if nobody asked in time. */
+size_t uart_ring_read(struct uart_ring *ring, uint8_t *bytes, size_t capacity);
+
+#endif

@@ -1,0 +1,29 @@
+/* MATEKF722: which pin does what. Timers, UARTs and DMA streams behind the pins are the drivers' own. */
+#ifndef MATEKF722_BOARD_H
+#define MATEKF722_BOARD_H
+
+#include "hal/stm32f7/gpio.h"
+
+#define BOARD_ID "S7X2" /* what configurators know F72x boards by */
+#define BOARD_TARGET "MATEKF722"
+#define BOARD_MAKER "MTKS"
+
+#define BOARD_HSE_HZ 8000000u
+#define BOARD_GYRO_ALIGNMENT ALIGN_CW180 /* of the MPU6500 */
+
+#define BOARD_LED0 ((struct pin){GPIOB, 9}) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
+
+#define BOARD_GYRO_CS ((struct pin){GPIOC, 2})
+#define BOARD_GYRO_READY ((struct pin){GPIOC, 3}) /* EXTI line 3 */
+#define BOARD_GYRO_SCK ((struct pin){GPIOA, 5})   /* SPI1, AF5 */
+#define BOARD_GYRO_MISO ((struct pin){GPIOA, 6})
+#define BOARD_GYRO_MOSI ((struct pin){GPIOA, 7})
+
+#define BOARD_MOTOR_COUNT 4 /* PC6..PC9: TIM8 CH1..CH4, AF3 */
+#define BOARD_MOTOR(index) ((struct pin){GPIOC, 6u + (index)})
+
+#define BOARD_MSP_TX ((struct pin){GPIOA, 9}) /* USART1, AF7 */
+#define BOARD_MSP_RX ((struct pin){GPIOA, 10})
+#define BOARD_RECEIVER_RX ((struct pin){GPIOA, 3}) /* USART2, AF7 */
+
+#endif
