@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import select
 import socket
 import struct
 import subprocess
 import tempfile
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -43,7 +43,8 @@ LOOPBACK = "127.0.0.1"
 START_S = 10.0  # from start to `ready`
 REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
 END_S = 2.0  # from the polite signal to the rude one
-START_TRIES = 3  # a port found free may be taken before the program binds it
+LAST_WORDS_S = 0.1  # for a dying program to be gone
+LISTENING = ("state-port", "receiver-port", "power-port", "msp-port")
 PACKET_BYTES_MAX = 2048
 SEA_LEVEL_PA, SCALE_HEIGHT_M = 101325.0, 8434.5  # isothermal atmosphere at 15 degC
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
@@ -64,10 +65,16 @@ class HostPort:
             raise LinkError(f"{program}: not built yet; build it with `make host`")
         with contextlib.ExitStack() as undo:
             self._motor, self._servo, self._trace = (undo.enter_context(_udp()) for _ in range(3))
-            self._child = undo.enter_context(_Child(program, gyro_rate_hz, *self._listening()))
+            options = {
+                "gyro-hz": gyro_rate_hz,
+                "motor-port": _port(self._motor),
+                "servo-port": _port(self._servo),
+                "trace-port": _port(self._trace),
+            }
+            self._child = undo.enter_context(_Child(program, options))
             self._state, self._receiver = (undo.enter_context(_udp()) for _ in range(2))
-            self._state.connect((LOOPBACK, self._child.state_port))
-            self._receiver.connect((LOOPBACK, self._child.receiver_port))
+            self._state.connect((LOOPBACK, self._child.ports["state"]))
+            self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
             with self._msp() as msp:
                 policy = messages.policy_info(msp.request(Msp.POLICY_INFO))
             self.motor_count = policy.action_count
@@ -106,12 +113,8 @@ class HostPort:
         """See FirmwarePort."""
         self._close.close()
 
-    def _listening(self) -> tuple[int, int, int]:
-        motor, servo, trace = (s.getsockname()[1] for s in (self._motor, self._servo, self._trace))
-        return motor, servo, trace
-
     def _msp(self) -> Client:
-        return Client(TcpTransport(TcpPort(LOOPBACK, self._child.msp_port)))
+        return Client(TcpTransport(TcpPort(LOOPBACK, self._child.ports["msp"])))
 
     def _send(self, to: socket.socket, packet: bytes) -> None:
         try:
@@ -165,57 +168,49 @@ class HostPort:
 class _Child:
     """The running program: started on entering, ended on leaving."""
 
-    def __init__(self, program: Path, gyro_rate_hz: int, motor: int, servo: int, trace: int) -> None:
+    def __init__(self, program: Path, options: Mapping[str, int]) -> None:
+        """options: names without dashes to values; ports that are not named are the system's choice."""
         self.name = program.name
+        self.ports: Mapping[str, int] = {}  # those it listens on, by name, once it runs
         self._program = program
-        self._arguments = {
-            "gyro-hz": gyro_rate_hz,
-            "motor-port": motor,
-            "servo-port": servo,
-            "trace-port": trace,
-        }
+        self._options = {**dict.fromkeys(LISTENING, 0), **options}
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving
-        self.state_port = self.receiver_port = self.msp_port = 0
 
     def __enter__(self) -> _Child:
         try:
-            for tries_left in reversed(range(START_TRIES)):
-                if self._start():
-                    return self
-                if not tries_left:
-                    raise self.lost("it did not start")
+            self._start()
         except BaseException:
             self.__exit__()
             raise
-        raise AssertionError("unreachable")
+        return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
+        process, self._process = self._process, None
+        if process is not None:
+            process.terminate()
+            try:
+                process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
         self._errors.close()
 
     def lost(self, what: str) -> LinkError:
         """The link failed: what happened, how the program ended if it did, and its last words."""
-        code = None
+        ended = ""
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                code = self._process.wait(0.1)
+                ended = f"; it ended with {self._process.wait(LAST_WORDS_S)}"
         self._errors.seek(0)
         words = " ".join(self._errors.read(PACKET_BYTES_MAX).decode(errors="replace").split())
-        ended = "" if code is None else f"; it ended with {code}"
         return LinkError(f"host program {self.name}: {what}{ended}{': ' if words else ''}{words}")
 
-    def _start(self) -> bool:
-        """Start it once; whether it said `ready` in time."""
-        self._end()
-        self.state_port, self.receiver_port, power, self.msp_port = _free_ports(4)
-        ports = {
-            "state-port": self.state_port,
-            "receiver-port": self.receiver_port,
-            "power-port": power,
-            "msp-port": self.msp_port,
-        }
-        options = [f"--{name}={value}" for name, value in (self._arguments | ports).items()]
+    def _start(self) -> None:
+        """Start it and wait for `ready state=N receiver=N power=N msp=N`."""
+        options = [f"--{name}={value}" for name, value in self._options.items()]
         try:
             self._process = subprocess.Popen(
                 [self._program.resolve(), *options, "--with-parent"],
@@ -227,25 +222,15 @@ class _Child:
             raise LinkError(
                 f"{self._program}: cannot be started ({error.strerror}); build it with `make host`"
             ) from error
-        assert self._process.stdout is not None
-        deadline = time.monotonic() + START_S
-        while (left := deadline - time.monotonic()) > 0:
-            if select.select([self._process.stdout], [], [], left)[0]:
-                return self._process.stdout.readline().startswith(b"ready")
-        return False
-
-    def _end(self) -> None:
-        process, self._process = self._process, None
-        if process is None:
-            return
-        process.terminate()
-        try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
+        stdout = self._process.stdout
+        assert stdout is not None
+        if not select.select([stdout], [], [], START_S)[0]:
+            raise self.lost(f"not ready within {START_S:g} s")
+        line = stdout.readline().decode(errors="replace")
+        said = dict(re.findall(r"(\w+)=(\d+)", line))
+        if not line.startswith("ready ") or not {"state", "receiver", "msp"} <= set(said):
+            raise self.lost(f"it said {line.strip()!r}, expected its `ready` line")
+        self.ports = {name: int(port) for name, port in said.items()}
 
 
 def _udp() -> socket.socket:
@@ -256,18 +241,8 @@ def _udp() -> socket.socket:
     return sock
 
 
-def _free_ports(count: int) -> list[int]:
-    """Loopback ports that were free for UDP and TCP a moment ago."""
-    with contextlib.ExitStack() as held:
-        ports: list[int] = []
-        while len(ports) < count:
-            tcp = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
-            udp = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            tcp.bind((LOOPBACK, 0))
-            with contextlib.suppress(OSError):
-                udp.bind(tcp.getsockname())
-                ports.append(int(tcp.getsockname()[1]))
-        return ports
+def _port(sock: socket.socket) -> int:
+    return int(sock.getsockname()[1])
 
 
 def _state_fields(sample: Sample) -> list[float]:

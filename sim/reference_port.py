@@ -39,14 +39,14 @@ class Reference:
     name = "reference library"
 
     def __init__(self, library: Path, gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ) -> None:
-        """Load and boot. Raises LinkError when the library is missing, is none, or refuses the gyro rate."""
+        """Load and boot. Raises LinkError when the library is missing, is none, or refuses to start."""
         self._library = _load(library)
         self._memory = (ctypes.c_uint64 * (self._library.reference_size() // 8 + 1))()
         error = self._library.reference_init(self._memory, gyro_rate_hz)
         if error:
             raise LinkError(
-                f"{library.name}: the firmware refuses to start (error {error}) at a gyro rate of "
-                f"{gyro_rate_hz} Hz: choose a multiple of its policy's control rate"
+                f"{library}: the firmware refuses a gyro rate of {gyro_rate_hz} Hz (error {error}): "
+                f"choose a multiple of its policy's control rate, or build it anew with `make host`"
             )
         self._channels = (ctypes.c_uint16 * CHANNEL_COUNT)()
         self._rates = (ctypes.c_double * 3)()
