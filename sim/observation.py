@@ -5,12 +5,38 @@ Blocks and their meaning are `toolchain.contract.OBSERVATION_BLOCKS`; values are
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import RATE_ERROR_INTEGRAL_LIMIT_RAD, ObservationBlock, observation_count
+from toolchain.contract import (
+    GYRO_FULL_SCALE_DEG_S,
+    RATE_ERROR_INTEGRAL_LIMIT_RAD,
+    RATE_FULL_STICK_DEG_S,
+    ObservationBlock,
+    observation_count,
+)
 
 Array = NDArray[np.float32]
+
+_RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)
+_ERROR_MAX = math.radians(RATE_FULL_STICK_DEG_S) + _RATE_MAX
+_LIMITS = {
+    "rate": (-_RATE_MAX, _RATE_MAX),
+    "rate_error": (-_ERROR_MAX, _ERROR_MAX),
+    "rate_error_delta": (-2 * _ERROR_MAX, 2 * _ERROR_MAX),
+    "rate_error_integral": (-RATE_ERROR_INTEGRAL_LIMIT_RAD, RATE_ERROR_INTEGRAL_LIMIT_RAD),
+    "previous_action": (0.0, 1.0),
+    "throttle": (0.0, 1.0),
+}
+
+
+def limits(blocks: tuple[ObservationBlock, ...], motors: int) -> tuple[Array, Array]:
+    """Least and greatest value of each observation, (n,) each, raw units: gyro and sticks at their ends."""
+    pairs = [_LIMITS[block.name] for block in blocks for _ in range(block.count(motors))]
+    low, high = np.array(pairs, np.float32).T
+    return low, high
 
 
 class Observer:
