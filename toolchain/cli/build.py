@@ -1,0 +1,43 @@
+"""`neuroflight build --target MATEKF722 --policy POLICY.onnx`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED_POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.add_argument("--target", default="MATEKF722", help="MATEKF722 (default) or HOST")
+    parser.add_argument(
+        "--policy",
+        type=Path,
+        default=SHIPPED_POLICY,
+        metavar="POLICY.onnx",
+        help="default: the shipped policy of the NF1",
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build and print the report; what the compiler said is shown only when it failed."""
+    from rich.console import Console
+
+    from toolchain.build import MakeError, build
+    from toolchain.report import print_report
+
+    try:
+        report = build(args.target, args.policy, ROOT)
+    except MakeError as error:
+        print(error.output, file=sys.stderr)
+        raise
+    if args.json:
+        print(json.dumps(report.document(), indent=2))
+    else:
+        print_report(report, Console())
+    return 0

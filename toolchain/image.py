@@ -1,0 +1,133 @@
+"""Facts of a linked image, read from its ELF: what lies where, for which processor, under which names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
+
+from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, Region
+from toolchain.errors import BuildError
+
+FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
+RAM = (ITCM, DTCM, SRAM1, SRAM2)
+
+VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section that occupies memory while the program runs."""
+
+    name: str
+    address: int
+    size: int  # bytes
+    stored: bool  # has bytes in the file (false: zeroed or left alone at start)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Bytes of the file that must be in memory before the program starts, at their load address."""
+
+    address: int
+    size: int
+
+
+@dataclass(frozen=True)
+class MemoryUse:
+    """How much of a memory region an image takes."""
+
+    region: str
+    used: int  # bytes
+    size: int  # bytes
+
+
+@dataclass(frozen=True)
+class Image:
+    """What an ELF file says."""
+
+    machine: str  # "ARM", "x64", ...
+    entry: int
+    sections: tuple[Section, ...]
+    segments: tuple[Segment, ...]
+    attributes: dict[str, object]  # of .ARM.attributes, without "TAG_"; empty elsewhere
+    symbols: dict[str, int]  # name to value, defined ones
+
+    @property
+    def is_hard_float(self) -> bool:
+        """Whether floats are passed in VFP registers."""
+        return self.attributes.get("ABI_VFP_ARGS") == VFP_REGISTERS
+
+
+def read_image(path: Path) -> Image:
+    """The facts of the ELF file `path`. Raises BuildError when it is none."""
+    try:
+        with path.open("rb") as file:
+            elf = ELFFile(file)
+            return Image(
+                machine=elf.get_machine_arch(),
+                entry=elf["e_entry"],
+                sections=tuple(
+                    Section(s.name, s["sh_addr"], s["sh_size"], s["sh_type"] != "SHT_NOBITS")
+                    for s in elf.iter_sections()
+                    if s["sh_flags"] & SH_FLAGS.SHF_ALLOC and s["sh_size"]
+                ),
+                segments=tuple(
+                    Segment(s["p_paddr"], s["p_filesz"])
+                    for s in elf.iter_segments("PT_LOAD")
+                    if s["p_filesz"]
+                ),
+                attributes=_attributes(elf),
+                symbols=_symbols(elf),
+            )
+    except (OSError, ELFError) as error:
+        raise BuildError(f"cannot read the image {path}: {error or 'not an ELF file'}") from error
+
+
+def memory_use(image: Image) -> tuple[MemoryUse, ...]:
+    """Use of the board's flash and of each RAM. Raises BuildError for a byte outside all of them."""
+    flash = _place(((s.address, s.size, "segment") for s in image.segments), (FLASH,))
+    ram = [s for s in image.sections if not _inside(s.address, s.size, FLASH)]
+    return flash + _place(((s.address, s.size, s.name) for s in ram), RAM)
+
+
+def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> tuple[MemoryUse, ...]:
+    used = {region.name: 0 for region in regions}
+    for address, size, name in spans:
+        home = next((region.name for region in regions if _inside(address, size, region)), None)
+        if home is None:
+            places = ", ".join(region.name for region in regions)
+            raise BuildError(f"{name} of {size} bytes at 0x{address:08X} lies outside {places}")
+        used[home] += size
+    return tuple(MemoryUse(region.name, used[region.name], region.size) for region in regions)
+
+
+def _inside(address: int, size: int, region: Region) -> bool:
+    return region.address <= address and address + size <= region.address + region.size
+
+
+def _attributes(elf: ELFFile) -> dict[str, object]:
+    section = elf.get_section_by_name(".ARM.attributes")
+    if not isinstance(section, ARMAttributesSection):
+        return {}
+    return {
+        attribute.tag.removeprefix("TAG_"): attribute.value
+        for subsection in section.iter_subsections()
+        for part in subsection.iter_subsubsections()
+        for attribute in part.iter_attributes()
+    }
+
+
+def _symbols(elf: ELFFile) -> dict[str, int]:
+    return {
+        symbol.name: symbol["st_value"]
+        for section in elf.iter_sections()
+        if isinstance(section, SymbolTableSection)
+        for symbol in section.iter_symbols()
+        if symbol.name and symbol["st_shndx"] != "SHN_UNDEF"
+    }

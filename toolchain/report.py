@@ -1,0 +1,93 @@
+"""What a build tells its user: a document for programs (report.json) and a short table for people."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from toolchain.image import MemoryUse, Section
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+NO_CYCLES = "not computed yet: this version has no timing model of the Cortex-M7"
+TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One of the three stages of the line: what it did, and how long it took [s] if it ran now."""
+
+    name: str
+    did: str
+    seconds: float | None
+
+
+@dataclass(frozen=True)
+class PolicyFacts:
+    """Which policy an image holds."""
+
+    file: str
+    sha256: str
+    network: str
+    observation: str
+    control_rate_hz: int
+    weights: int
+    architecture_hash: str
+    aircraft: str
+    aircraft_sha256: str
+    training: dict[str, object]
+
+
+@dataclass(frozen=True)
+class OutputFile:
+    """A file that the build made, relative to the project."""
+
+    path: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """All that is known of a finished build."""
+
+    target: str
+    stages: tuple[Stage, ...]
+    policy: PolicyFacts
+    sections: tuple[Section, ...]
+    memory: tuple[MemoryUse, ...]  # empty on the host
+    files: tuple[OutputFile, ...]
+    predicted_cycles: int | None = None
+    predicted_cycles_reason: str = NO_CYCLES
+
+    def document(self) -> dict[str, object]:
+        """The content of report.json."""
+        return asdict(self)
+
+
+def print_report(report: BuildReport, console: Console) -> None:
+    """The table: stages, policy, memory, files."""
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for index, stage in enumerate(report.stages):
+        took = "" if stage.seconds is None else f" ({stage.seconds:.1f} s)"
+        table.add_row("" if index else report.target, stage.name, stage.did + took)
+    policy = report.policy
+    training = ", ".join(f"{key} {policy.training[key]}" for key in TRAINING_SHOWN if key in policy.training)
+    table.add_row("policy", "network", f"{policy.network}, {policy.weights} weights, {policy.observation}")
+    table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training or 'not told'}")
+    table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
+    for index, use in enumerate(report.memory):
+        share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
+        table.add_row("" if index else "memory", use.region, share)
+    if report.memory:
+        sections = " · ".join(f"{section.name} {section.size:,}" for section in report.sections)
+        table.add_row("", "sections", sections)
+    for index, file in enumerate(report.files):
+        table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
+    console.print(table)
