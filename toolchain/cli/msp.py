@@ -44,7 +44,7 @@ def _print_table(info: Info) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(show_header=False, box=None)
+    table = Table.grid(padding=(0, 2))
     for label, value in _rows(info):
         table.add_row(Text(label, style="bold"), Text(value, overflow="fold"))
     Console().print(table)
@@ -62,7 +62,8 @@ def _rows(info: Info) -> list[tuple[str, str]]:
     ]
     if policy is not None:
         rows += [
-            ("policy", f"{policy.name}, sha256 {policy.sha256}"),
+            ("policy", policy.name),
+            ("policy sha256", policy.sha256),
             (
                 "network",
                 f"{policy.observation_count} observations to {policy.action_count} actions, "

@@ -1,0 +1,228 @@
+"""`neuroflight msp info` and an independent client against the running host program."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import serial
+from yamspy import MSPy
+
+from flash.client import Client, Info, read_info
+from flash.msp import Decoder, Direction, Message, Version, encode
+from flash.transport import open_transport
+from toolchain.cli.main import main
+from toolchain.contract import (
+    BOOT_GRACE_MS,
+    CALIBRATION_MS,
+    GYRO_RATES_HZ,
+    MSP_VARIANT,
+    SIM_RECEIVER_FORMAT,
+    SIM_STATE_FORMAT,
+    VERSION,
+    ArmingReason,
+    Msp,
+)
+
+GYRO_RATE_HZ = 1000  # the least the program knows: a second of boot is a thousand packets
+STICKS_DOWN = (1500, 1500, 1000, 1500, 1000, *[1000] * 11)  # roll, pitch, throttle, yaw, arm switch
+SWITCH_ON = (*STICKS_DOWN[:4], 2000, *STICKS_DOWN[5:])
+THROTTLE_UP = (*STICKS_DOWN[:2], 1800, *STICKS_DOWN[3:])
+
+
+class Host:
+    """A running host program, fed with a still gyro in lockstep."""
+
+    def __init__(self, program: Path, undo: ExitStack) -> None:
+        self.motors = undo.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        self.motors.bind(("127.0.0.1", 0))
+        self.motors.settimeout(5.0)
+        options = {
+            **dict.fromkeys(("state-port", "receiver-port", "power-port", "msp-port"), 0),  # any free one
+            "motor-port": self.motors.getsockname()[1],
+            "gyro-hz": GYRO_RATE_HZ,
+        }
+        arguments = [part for name, value in options.items() for part in (f"--{name}", str(value))]
+        process = undo.enter_context(
+            subprocess.Popen([program, *arguments, "--with-parent"], stdout=subprocess.PIPE, text=True)
+        )
+        undo.callback(process.terminate)
+        assert process.stdout is not None
+        ready, *ports = process.stdout.readline().split()
+        assert ready == "ready"
+        bound = {name: int(number) for name, number in (port.split("=") for port in ports)}
+        self.state, self.receiver, self.msp = bound["state"], bound["receiver"], bound["msp"]
+
+    @property
+    def port(self) -> str:
+        return f"tcp:127.0.0.1:{self.msp}"
+
+    def fly(self, samples: int, channels_us: tuple[int, ...]) -> None:
+        """Let so many gyro samples pass at rest with these channels."""
+        state = struct.pack(SIM_STATE_FORMAT, *[0.0] * 18)
+        sticks = struct.pack(SIM_RECEIVER_FORMAT, 0.0, *channels_us)
+        for _ in range(samples):
+            self.motors.sendto(sticks, ("127.0.0.1", self.receiver))
+            self.motors.sendto(state, ("127.0.0.1", self.state))
+            self.motors.recv(64)
+
+    def info(self) -> Info:
+        with Client(open_transport(self.port)) as client:
+            return read_info(client)
+
+
+@pytest.fixture
+def host(host_program: Path) -> Iterator[Host]:
+    with ExitStack() as undo:
+        yield Host(host_program, undo)
+
+
+BOOT_SAMPLES = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 100) * GYRO_RATE_HZ // 1000
+
+
+def test_json_tells_firmware_policy_and_reasons_when_the_host_program_is_asked(
+    host: Host, capsys: pytest.CaptureFixture[str]
+) -> None:
+    host.fly(1, STICKS_DOWN)
+    assert main(["msp", "--port", host.port, "info", "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["variant"] == MSP_VARIANT
+    assert info["version"] == ".".join(map(str, VERSION))
+    assert info["api"] == {"protocol": 0, "major": 1, "minor": 46}
+    assert info["board"]["target"] == "HOST"
+    assert len(info["uid"]) == 24
+    assert info["armed"] is False
+    assert info["arming_reasons"] == ["BOOT_GRACE", "GYRO_NOT_CALIBRATED"]
+    policy = info["policy"]
+    assert policy["good"] is True
+    assert policy["gyro_rate_hz"] == GYRO_RATE_HZ
+    assert policy["control_rate_hz"] in GYRO_RATES_HZ
+    assert info["control_period_us"] * policy["control_rate_hz"] == 1_000_000
+    assert policy["action_count"] == 4
+    assert policy["weight_count"] > policy["observation_count"] > 0
+    assert int(policy["sha256"], 16) > 0
+
+
+def test_table_has_the_same_facts_when_json_is_not_asked_for(
+    host: Host, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info = host.info()
+    assert info.policy is not None
+    assert main(["msp", "--port", host.port, "info"]) == 0
+    table = "".join(capsys.readouterr().out.split())
+    for fact in (info.version, info.uid, info.policy.sha256, info.policy.name, *info.arming_reasons):
+        assert fact in table
+    assert f"control{info.policy.control_rate_hz}Hz,gyro{GYRO_RATE_HZ}Hz" in table
+
+
+def test_every_reason_but_throttle_and_policy_stands_when_no_sample_has_come(host: Host) -> None:
+    info = host.info()
+    assert not info.armed
+    assert info.arming_reasons == ("BOOT_GRACE", "GYRO_NOT_CALIBRATED", "RECEIVER_LOST", "SWITCH_NOT_CYCLED")
+    assert info.policy is not None and info.policy.good
+
+
+def test_reasons_go_one_by_one_and_armed_comes_when_the_aircraft_boots(host: Host) -> None:
+    host.fly(BOOT_SAMPLES, THROTTLE_UP)
+    assert (host.info().arming_reasons, host.info().armed) == (("THROTTLE_HIGH",), False)
+    host.fly(10, STICKS_DOWN)
+    assert (host.info().arming_reasons, host.info().armed) == ((), False)
+    host.fly(10, SWITCH_ON)
+    assert (host.info().arming_reasons, host.info().armed) == ((), True)
+    host.fly(10, STICKS_DOWN)
+    assert host.info().armed is False
+
+
+def test_switch_must_be_cycled_when_it_was_on_at_boot(host: Host) -> None:
+    host.fly(BOOT_SAMPLES, SWITCH_ON)
+    assert host.info().arming_reasons == (ArmingReason.SWITCH_NOT_CYCLED.name,)
+    host.fly(10, STICKS_DOWN)
+    host.fly(10, SWITCH_ON)
+    assert host.info().armed
+
+
+@pytest.fixture
+def connect_yamspy(yamspy_peer: MSPy) -> Iterator[Callable[[Host], MSPy]]:
+    """Give it a host: yamspy connects over TCP and asks what it always asks first."""
+
+    def connect(host: Host) -> MSPy:
+        yamspy_peer.conn = serial.serial_for_url(f"socket://127.0.0.1:{host.msp}", timeout=5)
+        yamspy_peer.basic_info()
+        return yamspy_peer
+
+    yield connect
+    yamspy_peer.conn.close()
+
+
+def test_yamspy_and_we_read_the_same_when_both_ask_the_host_program(
+    host: Host, connect_yamspy: Callable[[Host], MSPy]
+) -> None:
+    host.fly(20, THROTTLE_UP)
+    info = host.info()
+    heard = connect_yamspy(host)
+    assert heard.CONFIG["flightControllerIdentifier"] == info.variant == MSP_VARIANT
+    assert heard.CONFIG["flightControllerVersion"] == info.version
+    assert heard.CONFIG["apiVersion"] == f"{info.api.major}.{info.api.minor}.0"
+    assert heard.CONFIG["boardIdentifier"] == info.board.identifier
+    assert heard.CONFIG["targetName"] == info.board.target
+    assert heard.CONFIG["buildInfo"] == f"{info.build.date} {info.build.time}"
+    assert heard.CONFIG["name"] == info.name
+    assert "".join(f"{word:08x}" for word in heard.CONFIG["uid"]) == info.uid
+    assert heard.CONFIG["cycleTime"] == info.control_period_us
+    reasons = {reason.name for reason in ArmingReason if heard.CONFIG["armingDisableFlags"] >> reason & 1}
+    assert reasons == set(info.arming_reasons)
+    assert "THROTTLE_HIGH" in reasons
+    assert heard.CONFIG["armingDisableCount"] == len(ArmingReason)
+
+
+def test_yamspy_reads_sticks_and_motors_when_it_asks_the_host_program(
+    host: Host, connect_yamspy: Callable[[Host], MSPy]
+) -> None:
+    host.fly(20, (1100, 1200, 1300, 1400, 1000, 1600, *[1000] * 10))
+    heard = connect_yamspy(host)
+    for command in ("MSP_RC", "MSP_MOTOR", "MSP_ATTITUDE", "MSP_ANALOG", "MSP_RAW_IMU"):
+        heard.send_RAW_msg(MSPy.MSPCodes[command])
+        assert heard.process_recv_data(heard.receive_msg()) >= 0
+    # On this wire yaw comes before throttle.
+    assert heard.RC["channels"][:6] == [1100, 1200, 1400, 1300, 1000, 1600]
+    assert len(heard.RC["channels"]) == 16
+    assert heard.MOTOR_DATA == [1000, 1000, 1000, 1000, 0, 0, 0, 0]
+    assert heard.SENSOR_DATA["gyroscope"] == [0, 0, 0]
+
+
+def test_both_versions_get_the_same_answer_when_the_contract_names_the_command(host: Host) -> None:
+    host.fly(1, STICKS_DOWN)
+    line = open_transport(host.port)
+    client, decoder = Client(line), Decoder()
+    for command in Msp:
+        line.write(encode(Message(Version.V2, Direction.REQUEST, command)))
+        heard = decoder.feed(line.read(5.0))
+        assert heard == [Message(Version.V2, Direction.REPLY, command, client.request(command, retries=0))]
+    client.close()
+
+
+def test_a_command_that_would_write_is_refused_when_sent(host: Host) -> None:
+    host.fly(1, STICKS_DOWN)
+    line, decoder = open_transport(host.port), Decoder()
+    for command in (11, 68, 200, 202, 214, 250):  # set name, reboot, set raw RC, set PID, set motor, save
+        for version in Version:
+            line.write(encode(Message(version, Direction.REQUEST, command, bytes(8))))
+            assert decoder.feed(line.read(5.0)) == [Message(version, Direction.ERROR, command)]
+    line.close()
+
+
+@pytest.mark.parametrize("as_json", [[], ["--json"]], ids=["table", "json"])
+def test_one_line_and_status_1_when_nobody_listens(
+    free_tcp_port: int, as_json: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["msp", "--port", f"tcp:127.0.0.1:{free_tcp_port}", "info", *as_json]) == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert output.err.startswith(f"neuroflight: tcp:127.0.0.1:{free_tcp_port}: nobody listens there")
