@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from sim.metrics import Figures
@@ -20,6 +22,7 @@ from toolchain.contract import AXES
 from toolchain.files import write_bytes, write_text
 
 WINDOW_S = 13.5  # the most a plot shows: three pulses of 4.5 s
+SMOOTH_S = 0.020  # of the motors' moving average
 DPI = 130
 # Okabe and Ito's palette: told apart in every kind of colour vision.
 INK, GRID = "#22272e", "#d8dde3"
@@ -74,23 +77,36 @@ def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
 
 
 def draw(flights: Sequence[Flight], title: str) -> Figure:
-    """Rates of each axis, their error, and the motors of the first flight; at most WINDOW_S of it."""
-    figure = Figure(figsize=(11, 11), layout="constrained")
-    figure.suptitle(title, x=0.012, ha="left", fontsize=15, fontweight="bold", color=INK)
+    """Rates of each axis, then error and motors of the first flight; at most WINDOW_S of it."""
+    figure = Figure(figsize=(11, 11.5), layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
     panels: list[Axes] = list(
-        figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": (3, 3, 3, 2.2, 2.6)})
+        figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": (3, 3, 3, 2.4, 2.6)})
     )
     shown = flights[0].trace.t < WINDOW_S
     for axis, panel in enumerate(panels[:3]):
         _draw_axis(panel, flights, axis, shown)
     _draw_error(panels[3], flights[0], shown)
     _draw_motors(panels[4], flights[0], shown)
-    for panel in panels:
-        _dress(panel)
-    panels[0].legend(loc="upper right", ncols=len(flights) + 1, frameon=False, fontsize=9)
+    names = (*AXES, f"error, {flights[0].name}", f"motors, {flights[0].name}")
+    for panel, name in zip(panels, names, strict=True):
+        _dress(panel, name)
+    for panel in (panels[0], *panels[3:]):
+        handles, labels = panel.get_legend_handles_labels()
+        panel.legend(
+            handles,
+            labels,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 0.99),
+            ncols=len(labels),
+            frameon=False,
+            fontsize=9,
+            borderaxespad=0.2,
+            handlelength=1.6,
+        )
     panels[-1].set_xlabel("time since arming, s", color=INK)
     t = flights[0].trace.t[shown]
-    panels[-1].set_xlim(float(t[0]), float(t[-1]) if len(t) > 1 else 1.0)
+    panels[-1].set_xlim(0.0, float(t[-1] + t[1]) if len(t) > 1 else 1.0)
     figure.align_ylabels(panels)
     return figure
 
@@ -116,39 +132,53 @@ def save_report(path: Path, flights: Sequence[Flight], title: str, note: str) ->
 
 
 def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray[np.bool_]) -> None:
-    # The first flight is the one the reader came for: drawn last, on top, and thickest.
-    for number, flight in reversed(list(enumerate(flights))):
-        rate = np.rad2deg(flight.trace.rate[shown, axis])
-        colour, width = FLIGHT_COLOURS[number % len(FLIGHT_COLOURS)], 1.0 if number else 1.6
-        panel.plot(flight.trace.t[shown], rate, color=colour, lw=width, label=flight.name)
+    t = flights[0].trace.t[shown]
     setpoint = np.rad2deg(flights[0].trace.setpoint[shown, axis])
-    panel.plot(flights[0].trace.t[shown], setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint")
-    panel.set_ylabel(f"{AXES[axis]}, deg/s", color=INK)
-    # Overshoot stays in view, an excursion of a lost aircraft need not.
-    span = max(20.0, float(np.abs(setpoint).max()) * 1.45)
-    flown = max(float(np.abs(np.rad2deg(f.trace.rate[shown, axis])).max()) * 1.15 for f in flights)
-    panel.set_ylim(-max(span, min(flown, 2 * span)), max(span, min(flown, 2 * span)))
+    panel.plot(t, setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint", zorder=4)
+    rates = [np.rad2deg(flight.trace.rate[shown, axis]) for flight in flights]
+    for number, (flight, rate) in enumerate(zip(flights, rates, strict=True)):
+        # The first flight is the one the reader came for: thickest, and on top of the others.
+        colour, width = FLIGHT_COLOURS[number % len(FLIGHT_COLOURS)], 1.1 if number else 1.7
+        panel.plot(t, rate, color=colour, lw=width, label=flight.name, zorder=3 - number / len(flights))
+    panel.set_ylabel("deg/s", color=INK)
+    low, high = (float(edge([edge(values) for values in (setpoint, *rates)])) for edge in (np.min, np.max))
+    # Overshoot stays in view; an aircraft that tumbles leaves it.
+    reach = max(15.0, 2.5 * float(np.abs(setpoint).max()))
+    low, high = max(low, -reach), min(high, reach)
+    margin = 0.08 * max(high - low, 10.0)
+    panel.set_ylim(low - margin, high + margin)
 
 
 def _draw_error(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
     error = np.rad2deg(flight.trace.setpoint[shown] - flight.trace.rate[shown])
     for axis, colour in enumerate(AXIS_COLOURS):
-        panel.plot(flight.trace.t[shown], error[:, axis], color=colour, lw=0.9, label=AXES[axis])
-    panel.set_ylabel("error, deg/s", color=INK)
-    panel.set_yscale("symlog", linthresh=10)
-    panel.legend(loc="upper right", ncols=3, frameon=False, fontsize=9, title=flight.name, title_fontsize=9)
+        panel.plot(flight.trace.t[shown], error[:, axis], color=colour, lw=1.0, label=AXES[axis])
+    panel.set_ylabel("deg/s", color=INK)
+    panel.set_yscale("symlog", linthresh=10, linscale=1.5)
+    decades = [sign * 10**power for power in range(1, 5) for sign in (-1, 1)]
+    largest = max(20.0, 1.3 * float(np.abs(error).max()))
+    panel.set_yticks(sorted({0, -5, 5, *(tick for tick in decades if abs(tick) <= largest)}))
+    panel.set_ylim(-largest, largest)
+    panel.yaxis.set_major_formatter(ScalarFormatter())
+    panel.minorticks_off()
 
 
 def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
-    for motor in range(flight.trace.motors.shape[1]):
-        values = 100 * flight.trace.motors[shown, motor]
-        panel.plot(flight.trace.t[shown], values, color=MOTOR_COLOURS[motor], lw=0.7, label=str(motor + 1))
-    panel.set_ylabel("motors, %", color=INK)
-    panel.set_ylim(0, 105)
-    panel.legend(loc="upper right", ncols=8, frameon=False, fontsize=9, title=flight.name, title_fontsize=9)
+    """Each motor as it was, faint, and its moving average over SMOOTH_S."""
+    trace = flight.trace
+    width = max(1, round(SMOOTH_S * trace.control_rate_hz))
+    for motor in range(trace.motors.shape[1]):
+        values, colour = 100 * trace.motors[shown, motor], MOTOR_COLOURS[motor]
+        padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+        smooth = np.convolve(padded, np.full(width, 1 / width), mode="valid")
+        panel.plot(trace.t[shown], values, color=colour, lw=0.4, alpha=0.25)
+        panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=str(motor + 1), zorder=3)
+    panel.set_ylabel("%", color=INK)
+    panel.set_ylim(0, 104)
 
 
-def _dress(panel: Axes) -> None:
+def _dress(panel: Axes, name: str) -> None:
+    panel.set_title(name, loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
     panel.grid(color=GRID, lw=0.6)
     panel.set_axisbelow(True)
     panel.tick_params(colors=INK, labelsize=9)
@@ -164,7 +194,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def _axes(values: NDArray[np.float64], digits: int) -> str:
-    return " / ".join(f"{value:,.{digits}f}" for value in values)
+    return " / ".join(f"{value:.2e}" if value >= 1e7 else f"{value:,.{digits}f}" for value in values)
 
 
 def _html_row(cells: Sequence[str], tag: str) -> str:
