@@ -1,0 +1,62 @@
+# Neuroflight's front door. Every target works first on a fresh machine; each is one call into a room.
+TARGET   ?= MATEKF722
+POLICY   ?= training/policies/nf1/policy.onnx
+AIRCRAFT ?= nf1
+STEPS    ?= 10000000
+SEED     ?= 1
+OUT      ?= runs/$(AIRCRAFT)-$(SEED)
+SCENARIO ?= pulses
+ARGS     ?=
+
+VENV := .venv
+RUN  := $(VENV)/bin/neuroflight
+ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi
+
+.PHONY: help setup arm firmware host train fly test prove bench lint clean
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+setup: $(VENV)/.ready ## the Python environment
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@echo "setting up $(VENV) (once; about a minute)"
+	@python3 -m venv $(VENV)
+	@$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+arm: # the ARM compiler, from the system's packages where that is allowed
+	@command -v arm-none-eabi-gcc >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing $(ARM_PACKAGES)"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(ARM_PACKAGES) >/dev/null; \
+	  else \
+	    echo "arm-none-eabi-gcc is missing; run: sudo apt-get install $(ARM_PACKAGES)" >&2; exit 1; \
+	  fi; }
+
+firmware: setup arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
+	@$(RUN) build --target $(TARGET) --policy $(POLICY)
+
+host: setup ## the same firmware as a program of this machine
+	@$(RUN) build --target HOST --policy $(POLICY)
+
+train: setup ## a policy from the twin: AIRCRAFT=nf1 [STEPS=] [SEED=] [OUT=]
+	@$(RUN) train --aircraft $(AIRCRAFT) --steps $(STEPS) --seed $(SEED) --out $(OUT) $(ARGS)
+
+fly: host ## the host build against the twin: [SCENARIO=pulses] [SEED=] [ARGS="--trace FILE.npz"]
+	@$(RUN) fly --on host --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --seed $(SEED) $(ARGS)
+
+test: firmware host ## the tests
+	@$(VENV)/bin/python -m pytest $(ARGS)
+
+prove: firmware host ## the long version of what the tests sample
+	@$(VENV)/bin/python -m pytest -m "prove or not prove" $(ARGS)
+
+bench: setup ## speed, as figures and ratios of one run
+	@$(VENV)/bin/python -m tests.bench $(ARGS)
+
+lint: setup ## style and types; C warnings are errors in every build
+	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+
+clean: ## what builds leave behind; the environment and training runs stay
+	rm -rf build firmware/generated
