@@ -36,6 +36,7 @@ class Kernel:
     name: str
     width: int
     results: tuple[str, ...]  # the C expression of each output, of its sum s0, s1, ...
+    limits: tuple[int, ...]  # which of the limits the expressions name
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class Call:
 
 def emit(policy: PolicyModel, plan: Plan, observation: Float32, action: Float32) -> Emission:
     """The C of `plan` with the self-test vectors `observation` (T, inputs) and `action` (T, outputs)."""
-    calls = tuple(_calls(plan.steps))
+    limits = _limits(plan.steps)
+    calls = tuple(_calls(plan.steps, limits))
     kernels = _distinct(kernel for call in calls for kernel in call.kernels)
     results = [*(call.result for call in calls), *(text for kernel in kernels for text in kernel.results)]
     values = {
@@ -62,11 +64,13 @@ def emit(policy: PolicyModel, plan: Plan, observation: Float32, action: Float32)
         "selftest_count": len(observation),
         "calls": calls,
         "kernels": kernels,
+        "limits": [literal(limit) for limit in limits],
+        "own_limits": sorted({i for c in calls if c.step.kind != "linear" for i in _used(c.step, limits)}),
         "functions": {name for name in FUNCTIONS if any(name in text for text in results)},
         "scratch": {
             name: max((c.step.outputs for c in calls if c.target == name), default=0) for name in ("a", "b")
         },
-        "tanh": {name: literal(getattr(tanh, name)) for name in ("LIMIT", "N1", "N2", "D1", "D2", "D3")},
+        "tanh": {name: literal(getattr(tanh, name)) for name in ("N1", "N2", "D1", "D2", "D3")},
         "weights": list(_lines(plan.table)),
         "selftest_observation": [list(_lines(row)) for row in observation],
         "selftest_action": [list(_lines(row)) for row in action],
@@ -81,7 +85,26 @@ def literal(value: float | np.float32) -> str:
     return f"{mantissa}p{exponent}f"
 
 
-def _calls(steps: Sequence[Step]) -> Iterator[Call]:
+def _limits(steps: Sequence[Step]) -> tuple[float, ...]:
+    """Every value that an activation compares with, once each, in order of first use."""
+    return tuple(dict.fromkeys(v for step in steps for a in step.activations for v in _compared(a)))
+
+
+def _compared(activation: Activation) -> tuple[float, ...]:
+    match activation:
+        case Tanh():
+            return (tanh.LIMIT,)
+        case Relu():
+            return (0.0,)
+        case Clip(low, high):
+            return tuple(bound for bound in (low, high) if bound is not None)
+
+
+def _used(step: Step, limits: Sequence[float]) -> tuple[int, ...]:
+    return tuple(sorted({limits.index(value) for a in step.activations for value in _compared(a)}))
+
+
+def _calls(steps: Sequence[Step], limits: Sequence[float]) -> Iterator[Call]:
     source, names = "observation", _Names()
     for index, step in enumerate(steps):
         last = index == len(steps) - 1
@@ -90,32 +113,34 @@ def _calls(steps: Sequence[Step]) -> Iterator[Call]:
         for group in step.blocks:
             stride = (step.inputs + 1) * group.width
             stride += stride % 2
-            results = tuple(_expression(step.activations, f"s{i}", last) for i in range(group.width))
-            kernels.append(Kernel(names.of(group.width, step.activations, last), group.width, results))
+            results = tuple(_expression(step.activations, limits, f"s{i}", last) for i in range(group.width))
+            name = names.of(group.width, step.activations, last)
+            kernels.append(Kernel(name, group.width, results, _used(step, limits)))
             starts.append(start)
             strides.append(stride)
             start += stride * group.count
         value = f"{source}[i]"
         if step.kind == "affine":
             value = f"__builtin_fmaf({value}, w[{step.offset} + i], w[{step.offset + step.inputs} + i])"
-        result = _expression(step.activations, value, last)
+        result = _expression(step.activations, limits, value, last)
         yield Call(step, source, target, tuple(kernels), tuple(strides), tuple(starts), result)
         source = target
 
 
-def _expression(activations: Sequence[Activation], value: str, last: bool) -> str:
+def _expression(activations: Sequence[Activation], limits: Sequence[float], value: str, last: bool) -> str:
     """C that applies `activations` to `value`; the last one of the network is the door that stops NaN."""
     for index, activation in enumerate(activations):
+        names = [f"limit{limits.index(limit)}" for limit in _compared(activation)]
         match activation:
             case Tanh():
-                value = f"policy_tanh({value})"
+                value = f"policy_tanh({value}, {names[0]})"
             case Relu():
-                value = f"policy_at_least({value}, {literal(0)})"
-            case Clip(low=float(low), high=float(high)) if last and index == len(activations) - 1:
-                value = f"policy_bound({value}, {literal(low)}, {literal(high)})"
+                value = f"policy_at_least({value}, {names[0]})"
+            case Clip() if last and index == len(activations) - 1:
+                value = f"policy_bound({value}, {names[0]}, {names[1]})"
             case Clip(low, high):
-                value = value if low is None else f"policy_at_least({value}, {literal(low)})"
-                value = value if high is None else f"policy_at_most({value}, {literal(high)})"
+                value = value if low is None else f"policy_at_least({value}, {names[0]})"
+                value = value if high is None else f"policy_at_most({value}, {names[-1]})"
     return value
 
 
