@@ -1,0 +1,211 @@
+"""The lockstep itself, with a port that only writes down what it gets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from sim import sticks
+from sim.aircraft import load_aircraft
+from sim.loop import fly
+from sim.port import Reply, Sample
+from sim.scenario import Scenario, Segment
+from sim.trace import Trace
+from sim.twin import Twin
+from toolchain.contract import ARM_ON_US, CHANNEL_ARM, CHANNEL_THROTTLE, THROTTLE_LOW_US
+from toolchain.errors import LinkError
+
+HOLD = Scenario("hold", (Segment(0.02), Segment(0.03, (100.0, -50.0, 20.0), 0.4), Segment(0.05)))
+
+
+class Recorder:
+    """Arms with the switch after a second; answers a DShot value that tells control step and motor."""
+
+    def __init__(self, gyro_rate_hz: int = 4000, motors: int = 4, arms: bool = True) -> None:
+        self.motor_count, self.gyro_rate_hz, self.control_rate_hz = motors, gyro_rate_hz, 1000
+        self.samples: list[Sample] = []
+        self.frames: list[tuple[int, list[int]]] = []  # (sample number, channels)
+        self.replies: list[Reply] = []
+        self._arms = arms
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        number = len(self.samples)
+        self.samples.append(sample)
+        if channels_us is not None:
+            self.frames.append((number, list(channels_us)))
+        channels = self.frames[-1][1]
+        step = number // (self.gyro_rate_hz // 1000)
+        armed = self._arms and step >= 1000 and channels[CHANNEL_ARM] >= ARM_ON_US
+        dshot = np.array([48 + 10 * (step % 100) + motor for motor in range(self.motor_count)]) * armed
+        reply = Reply(
+            dshot.astype(np.uint16),
+            step,
+            sticks.setpoint(channels),
+            sample.gyro.astype(np.float32),
+            float(sticks.throttle(channels)),
+            armed,
+        )
+        self.replies.append(reply)
+        return reply
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        return ("POLICY_BAD", "THROTTLE_HIGH")
+
+    def close(self) -> None:
+        pass
+
+
+class Watched(Twin):
+    """A twin that writes down the commands it gets."""
+
+    def __init__(self, rate_hz: int = 4000, count: int = 1) -> None:
+        super().__init__(load_aircraft("nf1"), count, rate_hz=rate_hz, rng=np.random.default_rng(1))
+        self.given: list[list[float]] = []
+        self.rates = [self.rate[0].copy()]
+
+    def step(self, motors: np.ndarray) -> None:
+        self.given.append(motors[0].tolist())
+        super().step(motors)
+        self.rates.append(self.rate[0].copy())
+
+
+def flown(port: Recorder, scenario: Scenario = HOLD) -> tuple[Watched, Trace, int]:
+    """The twin, the trace, and the number of the first armed sample."""
+    twin = Watched(port.gyro_rate_hz)
+    trace = fly(twin, port, scenario)
+    twin.close()
+    return twin, trace, next(k for k, reply in enumerate(port.replies) if reply.armed)
+
+
+def test_every_sample_is_answered_and_flown_once_when_in_lockstep() -> None:
+    port = Recorder()
+    twin, trace, start = flown(port)
+    assert len(port.samples) == len(twin.given) == start + 4 * 100
+    assert [sample.time_s for sample in port.samples[:3]] == [0.0, 0.00025, 0.0005]
+    for reply, given in zip(port.replies, twin.given, strict=True):
+        expected = [(int(value) - 48) / 1999 if value else 0.0 for value in reply.dshot]
+        assert given == expected
+    assert trace.t.tolist() == [k / 1000 for k in range(100)]
+
+
+def test_rows_begin_at_the_first_armed_control_step_when_traced() -> None:
+    port = Recorder()
+    twin, trace, start = flown(port)
+    assert start % 4 == 0
+    controls = port.replies[start::4]
+    assert trace.dshot.tolist() == [reply.dshot.tolist() for reply in controls]
+    assert trace.setpoint.tolist() == [reply.setpoint.tolist() for reply in controls]
+    assert trace.rate.tolist() == [rate.tolist() for rate in twin.rates[start:-1:4]]
+    assert trace.gyro.tolist() == [reply.gyro.tolist() for reply in controls]
+    assert trace.motors.tolist() == twin.given[start::4]
+
+
+def test_setpoints_follow_the_scenario_to_the_step_when_flown() -> None:
+    _, trace, _ = flown(Recorder())
+    expected = np.zeros((100, 3))
+    expected[20:50] = (100, -50, 20)
+    assert np.rad2deg(trace.setpoint) == pytest.approx(expected, abs=1e-3)
+    assert trace.throttle == pytest.approx(np.where(expected[:, 0] > 0, 0.4, 0.0))
+
+
+def test_the_first_row_has_the_scenarios_rates_and_a_low_throttle_when_it_begins_in_motion() -> None:
+    _, trace, _ = flown(Recorder(), Scenario("moving", (Segment(0.01, (200.0, 0.0, 0.0), 0.5),)))
+    assert np.rad2deg(trace.setpoint[:, 0]) == pytest.approx(np.full(10, 200.0))
+    assert trace.throttle[0] == 0
+    # The throttle rises with the next frame that SBUS can carry, 4 ms later.
+    assert trace.throttle[1:] == pytest.approx([0] * 3 + [0.5] * 6)
+
+
+def test_frames_come_at_control_steps_as_a_receiver_sends_them_when_flown() -> None:
+    port = Recorder()
+    _, _, start = flown(port)
+    assert port.frames[0][0] == 0
+    times = np.array([number for number, _ in port.frames])
+    assert (times % 4 == 0).all()
+    gaps = np.diff(times) // 4
+    assert gaps.min() >= 4
+    assert gaps.max() == 10
+    changed = [number for number, frame in port.frames if number >= start and frame[0] == 1550]
+    assert changed[0] == start + 4 * 20
+
+
+def test_boot_keeps_switch_and_throttle_low_when_not_yet_armed() -> None:
+    port = Recorder()
+    twin, _, start = flown(port)
+    boot = [frame for number, frame in port.frames if number < start]
+    assert all(frame[CHANNEL_ARM] < ARM_ON_US for frame in boot)
+    assert all(frame[CHANNEL_THROTTLE] <= THROTTLE_LOW_US for frame in boot)
+    assert not np.any(twin.given[:start])
+    assert 1000 <= start // 4 <= 1200
+
+
+def test_no_frames_come_when_the_transmitter_is_silent() -> None:
+    port = Recorder()
+    _, _, start = flown(port, Scenario("lost", (Segment(0.05), Segment(0.2, receiver=False), Segment(0.05))))
+    heard = [(number - start) // 4 for number, _ in port.frames if number > start]
+    assert not [step for step in heard if 50 <= step < 250]
+    assert 250 in heard
+
+
+def test_motors_are_crossed_when_an_order_is_given() -> None:
+    port, twin = Recorder(1000), Watched(1000)
+    fly(twin, port, HOLD, motor_order=(0, 2, 1, 3))
+    twin.close()
+    last = port.replies[-1].dshot.tolist()
+    assert twin.given[-1] == [(last[i] - 48) / 1999 for i in (0, 2, 1, 3)]
+
+
+def test_progress_rises_to_the_end_when_asked_for() -> None:
+    seen: list[float] = []
+    twin = Watched(1000)
+    fly(twin, Recorder(1000), Scenario("long", (Segment(1.0),)), progress=seen.append)
+    twin.close()
+    assert seen == sorted(seen)
+    assert len(seen) == 9
+    assert 0.0 < seen[0] < seen[-1] < 1.0
+
+
+def test_the_flight_repeats_when_the_seed_repeats() -> None:
+    assert flown(Recorder())[1].same(flown(Recorder())[1])
+
+
+def test_it_gives_up_with_the_reasons_when_the_firmware_does_not_arm() -> None:
+    twin = Watched(1000)
+    with pytest.raises(LinkError, match=r"did not arm within 10 s.*POLICY_BAD, THROTTLE_HIGH"):
+        fly(twin, Recorder(1000, arms=False), HOLD)
+    twin.close()
+
+
+def test_it_refuses_when_the_firmware_is_armed_from_an_earlier_flight() -> None:
+    port, twin = Recorder(1000), Watched(1000)
+    fly(twin, port, HOLD)
+    port.exchange = lambda sample, channels: port.replies[-1]  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match="armed with the switch off"):
+        fly(twin, port, HOLD)
+    twin.close()
+
+
+@pytest.mark.parametrize(
+    ("port", "message"),
+    [
+        (Recorder(4000, motors=6), "drives 6 motors, aircraft nf1 has 4"),
+        (Recorder(2000), "gyro runs at 2000 Hz"),
+    ],
+)
+def test_it_refuses_when_firmware_and_twin_do_not_fit(port: Recorder, message: str) -> None:
+    twin = Watched(4000)
+    with pytest.raises(LinkError, match=message):
+        fly(twin, port, HOLD)
+    twin.close()
+
+
+def test_it_refuses_when_the_order_or_the_count_is_our_mistake() -> None:
+    twin, pair = Watched(4000), Watched(4000, count=2)
+    with pytest.raises(ValueError, match="no permutation"):
+        fly(twin, Recorder(), HOLD, motor_order=(0, 1, 1, 3))
+    with pytest.raises(ValueError, match="flies one aircraft"):
+        fly(pair, Recorder(), HOLD)
+    twin.close()
+    pair.close()

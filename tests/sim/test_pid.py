@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sim.aircraft import load_aircraft
+from sim.metrics import effort, tracking
+from sim.pid import DERIVATIVE_CUTOFF_HZ, Pid, aircraft_pid, desaturated, mixer
+from sim.twin import Twin
+from toolchain.errors import AircraftError
+
+RATE_HZ = 1000
+ONE_AXIS = np.array([[1.0], [0.0], [-1.0]])  # motors that show only what roll asks
+
+
+def step_once(pid: Pid, setpoint: list[float], gyro: list[float]) -> np.ndarray:
+    return pid.step(
+        np.deg2rad([setpoint]).astype(np.float32),
+        np.deg2rad([gyro]).astype(np.float32),
+        np.zeros(1, np.float32),
+    )[0]
+
+
+def roll_only(p: float, i: float, d: float) -> Pid:
+    return Pid(
+        np.hstack([ONE_AXIS, np.zeros((3, 2))]), np.array([[p, i, d], [0, 0, 0], [0, 0, 0]]), 1, RATE_HZ
+    )
+
+
+def test_each_column_turns_its_own_axis_when_thrust_acts_on_the_geometry() -> None:
+    aircraft = load_aircraft("nf1")
+    thrust = mixer(aircraft)  # a newton of change a unit of share
+    positions = aircraft.rotor_positions
+    moments = np.stack(
+        [
+            positions[:, 1] @ thrust,
+            -positions[:, 0] @ thrust,
+            -aircraft.spins @ thrust * aircraft.propulsion.torque_ratio,
+        ]
+    )
+    assert (np.diag(moments) > 0).all()
+    assert np.abs(moments - np.diag(np.diag(moments))).max() < 1e-3 * np.diag(moments).min()
+    assert thrust.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-2)
+
+
+def test_output_is_proportional_when_only_p_is_given() -> None:
+    y = step_once(roll_only(2.0, 0.0, 0.0), [100, 50, 50], [25, 0, 0])
+    assert y == pytest.approx([0.3, 0.15, 0.0], abs=1e-6)  # lifted: differences of 0.15, none below zero
+
+
+def test_output_integrates_when_the_error_stays() -> None:
+    pid = roll_only(0.0, 40.0, 0.0)
+    for _ in range(100):
+        y = step_once(pid, [50, 0, 0], [0, 0, 0])
+    assert y[0] - y[1] == pytest.approx(40 * 50 * 0.1 / 1000, rel=1e-5)
+
+
+def test_integral_stays_bounded_when_the_error_never_ends() -> None:
+    pid = roll_only(0.0, 1000.0, 0.0)
+    for _ in range(5000):
+        step_once(pid, [1000, 0, 0], [0, 0, 0])
+    for _ in range(4):  # full integral is 1: four steps of -1000 deg/s take 4 x 1 of it away
+        y = step_once(pid, [-1000, 0, 0], [0, 0, 0])
+    assert y[2] > y[0]
+
+
+def test_derivative_brakes_when_the_gyro_rises_and_ignores_the_sticks() -> None:
+    pid = roll_only(0.0, 0.0, 0.1)
+    step_once(pid, [0, 0, 0], [0, 0, 0])
+    assert step_once(pid, [500, 0, 0], [0, 0, 0]).tolist() == [0, 0, 0]
+    gyro = 0.0
+    for _ in range(200):  # 1000 deg/s^2 for long against the low-pass
+        gyro += 1.0
+        y = step_once(pid, [0, 0, 0], [gyro, 0, 0])
+    assert y[2] - y[1] == pytest.approx(0.1 * 1000 / 1000, rel=1e-4)
+    assert 200 * 2 * np.pi * DERIVATIVE_CUTOFF_HZ / RATE_HZ > 10  # long indeed
+
+
+def test_first_step_knows_no_slope_when_reset() -> None:
+    pid = roll_only(0.0, 30.0, 0.1)
+    step_once(pid, [90, 0, 0], [50, 0, 0])
+    step_once(pid, [90, 0, 0], [70, 0, 0])
+    pid.reset()
+    assert step_once(pid, [0, 0, 0], [0, 0, 0]).tolist() == [0, 0, 0]
+
+
+def test_demand_keeps_its_shape_when_it_spans_more_than_the_range() -> None:
+    demand = np.array(
+        [[-1.0, 0.0, 1.0, 3.0], [0.1, 0.2, 0.3, 0.4], [0.5, 0.9, 1.2, 0.5], [-0.5, 0.1, 0.2, 0.3]]
+    )
+    expected = [[0, 0.25, 0.5, 1], [0.1, 0.2, 0.3, 0.4], [0.5, 0.9, 1.0, 0.5], [0, 0.6, 0.7, 0.8]]
+    assert desaturated(demand) == pytest.approx(np.array(expected))
+
+
+def test_aircraft_fly_alone_when_batched() -> None:
+    aircraft = load_aircraft("nf1")
+    rng = np.random.default_rng(4)
+    setpoint, gyro = rng.normal(0, 2, (2, 50, 3, 3)).astype(np.float32)
+    together, alone = aircraft_pid(aircraft, 3), aircraft_pid(aircraft, 1)
+    for k in range(50):
+        y = together.step(setpoint[k], gyro[k], np.zeros(3, np.float32))
+        single = alone.step(setpoint[k, 1:2], gyro[k, 1:2], np.zeros(1, np.float32))
+        assert y[1].tolist() == single[0].tolist()
+
+
+def test_an_aircraft_without_gains_is_refused_when_a_pid_is_asked_for() -> None:
+    with pytest.raises(AircraftError, match="no \\[pid\\] table"):
+        aircraft_pid(dataclasses.replace(load_aircraft("nf1"), pid_gains=None))
+
+
+def test_published_gains_give_the_published_figures_when_flown_without_noise_and_delay() -> None:
+    # Koch 2019, ch. 5, PID row: IAE 4773, 4941, 3829, mean MSE 369, mean output 0.03.
+    aircraft = load_aircraft("nf1")
+    propulsion = dataclasses.replace(aircraft.propulsion, delay=0.0)
+    count = 100
+    command = np.deg2rad(np.random.default_rng(1).normal(0, 100, (count, 3))).astype(np.float32)
+    twin = Twin(
+        dataclasses.replace(aircraft, propulsion=propulsion), count, noise=False, rng=np.random.default_rng(0)
+    )
+    pid = aircraft_pid(aircraft, count)
+    setpoints, rates, outputs = np.zeros((3, 4500, count, 4))
+    for k in range(4500):
+        setpoint = command * np.float32(500 <= k < 2500)
+        setpoints[k, :, :3], rates[k, :, :3] = setpoint, twin.rate
+        outputs[k] = y = pid.step(setpoint, twin.gyro.astype(np.float32), np.zeros(count, np.float32))
+        twin.step(y)
+    twin.close()
+    result = tracking(*(array[..., :3].swapaxes(0, 1) for array in (setpoints, rates)), 1 / RATE_HZ).mean()
+    assert result.mae.mean() == pytest.approx(4.5, abs=1.0)
+    assert result.mse.mean() == pytest.approx(369, rel=0.35)
+    assert effort(outputs, 1 / RATE_HZ).output == pytest.approx(0.03, abs=0.01)
