@@ -3,6 +3,7 @@
 #define CHANNEL_BITS 11u
 #define FLAGS (NF_SBUS_FRAME_BYTES - 2)
 #define FOOTER (NF_SBUS_FRAME_BYTES - 1)
+#define FLAGS_UNUSED 0xF0u /* always 0 in a true frame */
 _Static_assert(1 + NF_CHANNEL_COUNT * CHANNEL_BITS / 8 == FLAGS, "header, channels, flags, footer");
 
 void sbus_reset(struct sbus *sbus)
@@ -29,6 +30,12 @@ static void decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *
 	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
 }
 
+/* The format has no checksum. The unused flags tell most frames that begin a byte early or late. */
+static bool framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
+{
+	return bytes[FOOTER] == NF_SBUS_FOOTER && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
+}
+
 /* Drops the first byte, and with it all up to the next that can begin a frame. */
 static void resume_at_next_header(struct sbus *sbus)
 {
@@ -48,7 +55,7 @@ bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame)
 	sbus->bytes[sbus->count++] = byte;
 	if (sbus->count < NF_SBUS_FRAME_BYTES)
 		return false;
-	if (sbus->bytes[FOOTER] != NF_SBUS_FOOTER) {
+	if (!framed(sbus->bytes)) {
 		resume_at_next_header(sbus);
 		return false;
 	}

@@ -22,7 +22,7 @@ struct sbus_frame {
 void sbus_reset(struct sbus *sbus);
 
 /* Takes one byte. Returns whether it completed a frame, which is then in `frame`; otherwise `frame` is
- * left alone. SBUS has no checksum: a frame is 25 bytes between the right first and last one. */
+ * left alone. SBUS has no checksum: a frame is 25 bytes with the right first, flag and last one. */
 bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame);
 
 #endif

@@ -1,0 +1,193 @@
+"""The firmware's C, called from Python: structs and signatures come from the real headers.
+
+`puppet` is the core around a policy that the tests pull by strings (puppet/policy.c), `Bench` flies it
+sample by sample, `sbus` is an encoder of their own.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cffi import FFI
+
+from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
+from toolchain.header import render_contract
+
+ROOT = Path(__file__).resolve().parents[2]
+FIRMWARE = ROOT / "firmware"
+PUPPET = Path(__file__).parent / "puppet"
+HEADERS = ("firmware.h", "rates.h", "dshot.h", "msp.h", "hal/host/convert.h", "hal/host/reference.h")
+SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types
+
+SUCCESS, ERR_GYRO_RATE, ERR_ALIGNMENT, ERR_IDLE, ERR_OBSERVATION, ERR_POLICY = range(0, -6, -1)
+
+
+@dataclass(frozen=True)
+class Core:
+    """A loaded library: `lib` has the functions and variables, `ffi` makes structs and arrays."""
+
+    ffi: FFI
+    lib: Any
+
+    def new(self, ctype: str, *initial: object) -> Any:  # noqa: ANN401 - a cffi object
+        """A C object of its own."""
+        return self.ffi.new(ctype, *initial)
+
+
+def declarations(generated: Path, scratch: Path) -> str:
+    """Everything that the headers of the core declare, for cffi."""
+    empty = scratch / "system"
+    empty.mkdir(parents=True, exist_ok=True)
+    for name in SYSTEM_HEADERS:
+        (empty / name).write_text("#define bool _Bool\n" if name == "stdbool.h" else "")
+    includes = "".join(f'#include "{name}"\n' for name in HEADERS)
+    search = [f"-I{path}" for path in (empty, FIRMWARE, FIRMWARE / "src", generated)]
+    command = ["gcc", "-E", "-P", "-nostdinc", "-D_Static_assert(...)=", *search, "-"]
+    return subprocess.run(command, input=includes, capture_output=True, text=True, check=True).stdout
+
+
+def load(library: Path, generated: Path, scratch: Path) -> Core:
+    """`library` with the declarations that belong to it."""
+    ffi = FFI()
+    ffi.cdef(declarations(generated, scratch))
+    return Core(ffi, ffi.dlopen(str(library)))
+
+
+def make_puppet(scratch: Path, motors: int) -> Path:
+    """Builds the host target around the puppet policy; returns the build directory."""
+    generated, build = scratch / "generated", scratch / "build"
+    generated.mkdir(parents=True)
+    (generated / "nf_contract.h").write_text(render_contract())
+    shutil.copy(PUPPET / "policy.c", generated)
+    (generated / "policy.h").write_text((PUPPET / "policy.h").read_text().replace("@MOTORS@", str(motors)))
+    make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", f"GENERATED={generated}", f"BUILD={build}"]
+    done = subprocess.run(make, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return build
+
+
+@pytest.fixture(scope="session")
+def puppet_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build directory of the host target around the puppet policy with four motors."""
+    return make_puppet(tmp_path_factory.mktemp("puppet"), motors=4)
+
+
+@pytest.fixture(scope="session")
+def hexacopter_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with six motors."""
+    return make_puppet(tmp_path_factory.mktemp("hexacopter"), motors=6)
+
+
+@pytest.fixture(scope="session")
+def puppet(puppet_build: Path) -> Core:
+    """The core around the puppet policy with four motors."""
+    scratch = puppet_build.parent
+    return load(puppet_build / "libneuroflight.so", scratch / "generated", scratch)
+
+
+def encode_sbus(
+    values: Sequence[int], *, frame_lost: bool = False, failsafe: bool = False, footer: int = 0
+) -> bytes:
+    """An SBUS frame of 16 values of 11 bits: one long little-endian number between header and flags."""
+    number = sum(value << 11 * index for index, value in enumerate(values))
+    flags = (4 if frame_lost else 0) | (8 if failsafe else 0)
+    return bytes([0x0F, *number.to_bytes(22, "little"), flags, footer])
+
+
+VALUE_OF_US = {880 + (5 * value + 4) // 8: value for value in range(2048)}
+
+
+@pytest.fixture(scope="session")
+def sbus() -> Callable[..., bytes]:
+    """The function encode_sbus."""
+    return encode_sbus
+
+
+def sticks(*, arm: int = 1000, throttle: int = 1000, **channel_us: int) -> list[int]:
+    """16 channels [us] in the wire's order, centred but for those given (c0=..., c1=...)."""
+    channels = [1500] * CHANNEL_COUNT
+    channels[CHANNEL_THROTTLE] = throttle
+    channels[CHANNEL_ARM] = arm
+    for name, us in channel_us.items():
+        channels[int(name[1:])] = us
+    return channels
+
+
+class Bench:
+    """A firmware of its own, flown sample by sample."""
+
+    def __init__(
+        self, core: Core, gyro_hz: int = 1000, *, idle: float = 0.0, alignment: int = 0, expect: int = SUCCESS
+    ) -> None:
+        self.core, self.gyro_hz = core, gyro_hz
+        self.fw = core.new("struct firmware *")
+        config = core.new("struct firmware_config *", (gyro_hz, idle, alignment))
+        self.error = core.lib.firmware_init(self.fw, config)
+        assert self.error == expect
+        self._dshot = core.new("uint16_t[8]")
+        self.counts = (0, 0, 0)
+
+    def send(self, frame: bytes) -> None:
+        """Receiver bytes for the control step that is due."""
+        self.core.lib.firmware_receive(self.fw, frame, len(frame))
+
+    def stick(self, *, frame_lost: bool = False, failsafe: bool = False, **channels_us: int) -> None:
+        """A receiver frame with these sticks."""
+        values = [VALUE_OF_US[us] for us in sticks(**channels_us)]
+        self.send(encode_sbus(values, frame_lost=frame_lost, failsafe=failsafe))
+
+    def sample(self) -> list[int]:
+        """One gyro sample; returns the DShot values."""
+        self.core.lib.firmware_sample(self.fw, self.counts, self._dshot)
+        return list(self._dshot)[: self.trace.motor_count]
+
+    def run(self, ms: float, *, every_ms: int | None = 10, **channels_us: int) -> list[int]:
+        """Fly with frames of these sticks each `every_ms` (None: silence); returns the last DShot values."""
+        frame = encode_sbus([VALUE_OF_US[us] for us in sticks(**channels_us)])
+        values: list[int] = []
+        for _ in range(round(ms * self.gyro_hz / 1000)):
+            if self.core.lib.firmware_control_due(self.fw):
+                heard = every_ms is not None and self.fw.control_steps % every_ms == 0
+                self.send(frame if heard else b"")
+            values = self.sample()
+        return values
+
+    def arm(self) -> None:
+        """Boot, calibrate, switch off, switch on."""
+        self.run(1001)
+        assert not self.armed
+        self.stick(arm=2000)
+        self.sample()
+        assert self.armed
+
+    @property
+    def trace(self) -> Any:  # noqa: ANN401 - a cffi struct
+        return self.core.lib.firmware_trace(self.fw)
+
+    @property
+    def armed(self) -> bool:
+        return bool(self.trace.armed)
+
+    @property
+    def status(self) -> Any:  # noqa: ANN401 - a cffi struct
+        status = self.core.new("struct firmware_status *")
+        self.core.lib.firmware_status(self.fw, status)
+        return status
+
+    @property
+    def reasons(self) -> int:
+        """Bit field of what forbids arming."""
+        return int(self.status.arming_reasons)
+
+
+@pytest.fixture
+def bench(puppet: Core) -> Callable[..., Bench]:
+    """Makes benches; the puppet's strings hang loose (action 0) until the test pulls them."""
+    puppet.lib.puppet_action = [0.0] * 4
+    return lambda *args, **kwargs: Bench(puppet, *args, **kwargs)

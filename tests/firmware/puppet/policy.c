@@ -1,0 +1,30 @@
+/* A policy that the tests pull by strings: it answers what they put into puppet_action and keeps what it saw. */
+#include "policy.h"
+
+float puppet_action[POLICY_ACTION_COUNT];
+float puppet_observation[POLICY_OBSERVATION_COUNT];
+unsigned puppet_inits;
+unsigned puppet_steps;
+
+/* Every block of the contract, in its order. */
+const unsigned char policy_observation_blocks[POLICY_OBSERVATION_BLOCK_COUNT] = { 1, 2, 3, 4, 5, 6 };
+const float policy_weights[POLICY_WEIGHT_COUNT] = { 1.0f, -2.0f };
+const float policy_selftest_observation[POLICY_SELFTEST_COUNT][POLICY_OBSERVATION_COUNT];
+const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];
+
+void policy_init(struct policy *p, const float *weights)
+{
+	p->weights = weights;
+	puppet_inits++;
+}
+
+void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_COUNT],
+		 float action[POLICY_ACTION_COUNT])
+{
+	(void)p;
+	for (int i = 0; i < POLICY_OBSERVATION_COUNT; i++)
+		puppet_observation[i] = observation[i];
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		action[i] = puppet_action[i];
+	puppet_steps++;
+}

@@ -1,0 +1,68 @@
+"""dshot.c: fractions to values, values to frames."""
+
+from __future__ import annotations
+
+import math
+from functools import reduce
+from operator import xor
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("value", "telemetry", "frame"),
+    [
+        (1046, False, 0b1000001011000110),  # the example of the format's public description
+        (0, False, 0x0000),
+        (48, False, 0x0606),
+        (2047, False, 0xFFEE),
+        (2047, True, 0xFFFF),
+    ],
+)
+def test_frame_is_the_known_one_when_the_value_is(
+    puppet: Any,  # noqa: ANN401
+    value: int,
+    telemetry: bool,
+    frame: int,
+) -> None:
+    assert puppet.lib.dshot_frame(value, telemetry) == frame
+
+
+def test_every_frame_checks_when_its_nibbles_are_xored(puppet: Any) -> None:  # noqa: ANN401
+    for value in range(2048):
+        for telemetry in (False, True):
+            frame = puppet.lib.dshot_frame(value, telemetry)
+            assert reduce(xor, ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))) == 0
+            assert frame >> 5 == value
+            assert bool(frame >> 4 & 1) is telemetry
+
+
+def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> None:  # noqa: ANN401
+    rng = np.random.default_rng(5)
+    for fraction in rng.random(5000).astype(np.float32).tolist():
+        exact = 48 + 1999 * fraction
+        value = puppet.lib.dshot_value(fraction)
+        assert abs(value - exact) <= 0.5 + 1e-4
+    assert [puppet.lib.dshot_value(step / 1999) for step in range(2000)] == list(range(48, 2048))
+
+
+@pytest.mark.parametrize(
+    ("fraction", "value"),
+    [
+        (-0.0, 48),
+        (-1e9, 48),
+        (-math.inf, 48),
+        (1.0, 2047),
+        (1.0000001, 2047),
+        (math.inf, 2047),
+        (math.nan, 0),
+    ],
+)
+def test_value_stays_a_throttle_or_stops_when_the_fraction_is_none(
+    puppet: Any,  # noqa: ANN401
+    fraction: float,
+    value: int,
+) -> None:
+    assert puppet.lib.dshot_value(fraction) == value

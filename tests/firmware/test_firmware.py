@@ -1,0 +1,164 @@
+"""firmware.c: the joined core, flown sample by sample around a puppet policy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolchain.contract import CHANNEL_ROLL, CHANNEL_YAW
+
+Make = Callable[..., Any]
+
+
+@pytest.mark.parametrize("gyro_hz", [1000, 2000, 4000, 8000])
+def test_control_steps_come_at_the_policys_rate_when_the_gyro_is_faster(bench: Make, gyro_hz: int) -> None:
+    b = bench(gyro_hz)
+    due = []
+    for _ in range(4 * gyro_hz // 1000):
+        due.append(b.core.lib.firmware_control_due(b.fw))
+        b.sample()
+    assert due == ([True] + [False] * (gyro_hz // 1000 - 1)) * 4
+    assert b.trace.step == 3
+
+
+@pytest.mark.parametrize("gyro_hz", [0, 1, 500, 1500, 3000, 16000])
+def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, puppet: Any, gyro_hz: int) -> None:  # noqa: ANN401
+    bench(gyro_hz, expect=puppet.lib.NF_ERR_GYRO_RATE)
+
+
+def test_init_refuses_when_idle_or_alignment_is_wrong(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    bench(1000, idle=1.0, expect=puppet.lib.NF_ERR_IDLE)
+    bench(1000, idle=math.nan, expect=puppet.lib.NF_ERR_IDLE)
+    bench(1000, alignment=4, expect=puppet.lib.NF_ERR_ALIGNMENT)
+
+
+def test_weights_are_the_firmwares_own_copy_when_the_policy_runs(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench()
+    assert b.fw.policy.weights == puppet.ffi.addressof(b.fw, "weights")[0]
+    assert list(b.fw.weights) == list(puppet.lib.policy_weights)
+
+
+def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(4000, idle=0.05)
+    b.arm()
+    puppet.lib.puppet_action = [0.0, 0.25, 0.5, 0.125]
+    values = b.run(20, arm=2000, throttle=1400)
+    u = 0.05 + 0.95 * (0.4 * (1 - 0.5) + np.array([0.0, 0.25, 0.5, 0.125]))
+    np.testing.assert_allclose(values, 48 + 1999 * u, atol=0.51)
+    assert list(b.trace.dshot)[:4] == values
+
+
+def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(4000)
+    b.arm()
+    while not b.core.lib.firmware_control_due(b.fw):
+        b.sample()
+    puppet.lib.puppet_action = [0.5] * 4
+    held = b.sample()
+    puppet.lib.puppet_action = [0.9] * 4
+    assert [b.sample() for _ in range(3)] == [held] * 3
+    assert b.sample() != held
+
+
+def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(1000)
+    b.arm()
+    puppet.lib.puppet_action = [0.1, 0.2, 0.3, 0.4]
+    b.sample()  # remembered as the previous action below
+    b.counts = (1000, -2000, 3000)
+    b.stick(arm=2000, throttle=1250, c0=1600, c1=1450, c3=1510)
+    b.sample()
+    rate = np.radians(np.array(b.counts) * 2000 / 32768)
+    error = np.radians([200, -100, -20]) - rate
+    seen = np.array(list(puppet.lib.puppet_observation))
+    np.testing.assert_allclose(seen[0:3], rate, rtol=1e-6)
+    np.testing.assert_allclose(seen[3:6], error, rtol=1e-6)
+    np.testing.assert_allclose(seen[6:9], error, rtol=1e-6)  # the error was 0 before
+    np.testing.assert_allclose(seen[9:12], error / 1000, rtol=1e-6)
+    np.testing.assert_allclose(seen[12:16], [0.1, 0.2, 0.3, 0.4], rtol=1e-6)
+    assert seen[16] == pytest.approx(0.25)
+    np.testing.assert_allclose(list(b.trace.gyro), rate, rtol=1e-6)
+    np.testing.assert_allclose(list(b.trace.setpoint), np.radians([200, -100, -20]), rtol=1e-6)
+
+
+def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(1000)
+    b.arm()
+    puppet.lib.puppet_action = [0.3] * 4
+    b.counts = (5000, 5000, 5000)
+    b.run(100, arm=2000, c0=1900)
+    assert any(list(puppet.lib.puppet_observation)[9:12])
+    b.run(50)
+    inits = puppet.lib.puppet_inits
+    b.stick(arm=2000, c0=1700)
+    b.sample()
+    assert b.armed
+    assert puppet.lib.puppet_inits == inits + 1
+    seen = np.array(list(puppet.lib.puppet_observation))
+    assert seen[6:9].tolist() == [0, 0, 0]
+    np.testing.assert_allclose(seen[9:12], seen[3:6] / 1000, rtol=1e-6)
+    assert seen[12:16].tolist() == [0, 0, 0, 0]
+
+
+def test_the_policy_does_not_run_when_disarmed(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(1000)
+    steps = puppet.lib.puppet_steps
+    puppet.lib.puppet_action = [0.5] * 4
+    assert b.run(1500, throttle=1000) == [0, 0, 0, 0]
+    assert puppet.lib.puppet_steps == steps
+
+
+def test_status_is_that_of_the_last_control_step_when_asked(bench: Make) -> None:
+    b = bench(2000)
+    b.run(30, c0=1234, throttle=1500)
+    status = b.status
+    assert status.trace.step == b.trace.step == 29
+    assert status.channels_us[CHANNEL_ROLL] == 1234
+    assert status.channels_us[CHANNEL_YAW] == 1500
+    assert (status.receiver_good, status.policy_good) == (True, True)
+    assert status.gyro_rate_hz == 2000
+    b.run(500, every_ms=None)
+    assert not b.status.receiver_good
+
+
+def test_receiver_frames_are_whole_when_their_bytes_come_over_several_steps(
+    bench: Make, sbus: Callable[..., bytes]
+) -> None:
+    b = bench(1000)
+    frame = sbus([992] * 4 + [172] * 12)
+    for first in range(0, 25, 8):  # 8 bytes a millisecond at 100 kbaud
+        assert not b.status.receiver_good
+        b.send(frame[first : first + 8])
+        b.sample()
+    assert b.status.receiver_good
+
+
+def test_half_a_frame_is_forgotten_when_the_line_falls_silent(
+    bench: Make, sbus: Callable[..., bytes]
+) -> None:
+    b = bench(1000)
+    frame = sbus([992] * 16)
+    b.send(frame[:10])
+    b.sample()
+    for _ in range(3):
+        b.send(b"")
+        b.sample()
+    b.send(frame[10:])
+    b.sample()
+    assert not b.status.receiver_good
+    b.run(3, every_ms=None)
+    b.send(frame)
+    b.sample()
+    assert b.status.receiver_good
+
+
+def test_any_receiver_bytes_are_survived_when_they_are_random(bench: Make) -> None:
+    b = bench(1000)
+    rng = np.random.default_rng(9)
+    for _ in range(3000):
+        b.send(rng.integers(0, 256, rng.integers(0, 60), np.uint8).tobytes())
+        assert b.sample() == [0, 0, 0, 0]

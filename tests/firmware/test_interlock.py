@@ -1,0 +1,298 @@
+"""The joined core under pilots, receivers and policies that misbehave: when the motors may turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, ArmingReason
+
+Make = Callable[..., Any]
+STOPPED = [0, 0, 0, 0]
+
+
+def reasons(*names: ArmingReason) -> int:
+    return sum(1 << name for name in names)
+
+
+# --- What forbids arming ----------------------------------------------------------------------
+def test_every_reason_is_named_when_it_holds(bench: Make) -> None:
+    b = bench(4000)
+    b.sample()
+    assert b.reasons == reasons(
+        ArmingReason.BOOT_GRACE,
+        ArmingReason.GYRO_NOT_CALIBRATED,
+        ArmingReason.RECEIVER_LOST,
+        ArmingReason.SWITCH_NOT_CYCLED,
+    )
+    b.run(500)
+    assert b.reasons == reasons(ArmingReason.BOOT_GRACE, ArmingReason.GYRO_NOT_CALIBRATED)
+    b.run(510)
+    assert b.reasons == 0
+    b.run(20, throttle=1051)
+    assert b.reasons == reasons(ArmingReason.THROTTLE_HIGH)
+    b.run(20, throttle=1050)
+    assert b.reasons == 0
+    b.run(500, every_ms=None)
+    assert b.reasons == reasons(ArmingReason.RECEIVER_LOST, ArmingReason.SWITCH_NOT_CYCLED)
+
+
+def test_it_arms_when_the_switch_moves_on_and_nothing_forbids_it(bench: Make) -> None:
+    b = bench(4000)
+    b.arm()
+    assert b.reasons == 0
+    assert b.run(50, arm=2000) == [48] * 4
+
+
+@pytest.mark.parametrize(("us", "armed"), [(1699, False), (1700, True)])
+def test_the_switch_is_on_when_its_channel_reaches_the_threshold(bench: Make, us: int, armed: bool) -> None:
+    b = bench()
+    b.run(1100)
+    b.run(20, arm=us)
+    assert b.armed is armed
+
+
+def test_it_never_arms_when_the_switch_was_on_at_boot(bench: Make) -> None:
+    b = bench()
+    assert b.run(5000, arm=2000) == STOPPED
+    assert b.reasons == reasons(ArmingReason.SWITCH_NOT_CYCLED)
+    b.run(20)
+    b.run(20, arm=2000)
+    assert b.armed
+
+
+def test_it_stays_disarmed_when_the_switch_came_during_boot_grace(bench: Make) -> None:
+    b = bench()
+    b.run(500)
+    b.run(3000, arm=2000)
+    assert not b.armed
+    assert b.reasons == reasons(ArmingReason.SWITCH_NOT_CYCLED)
+
+
+def test_it_stays_disarmed_when_throttle_falls_only_after_the_switch(bench: Make) -> None:
+    b = bench()
+    b.run(1100)
+    b.run(100, arm=2000, throttle=1500)
+    assert b.run(1000, arm=2000, throttle=1000) == STOPPED
+    assert not b.armed
+
+
+def test_it_stays_disarmed_when_the_gyro_never_came_to_rest(bench: Make) -> None:
+    b = bench()
+    for index in range(3000):
+        b.counts = (300 * (index % 2), 0, 0)
+        b.run(1)
+    assert b.reasons == reasons(ArmingReason.GYRO_NOT_CALIBRATED)
+    b.stick(arm=2000)
+    b.sample()
+    assert not b.armed
+    b.counts = (0, 0, 0)
+    b.run(3000, arm=2000)
+    assert not b.armed, "a switch that came too early must be cycled"
+
+
+# --- Disarming --------------------------------------------------------------------------------
+def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(1000)
+    b.arm()
+    puppet.lib.puppet_action = [0.5] * 4
+    assert min(b.run(100, arm=2000, throttle=1500)) > 48
+    b.stick(arm=1000, throttle=1500)
+    assert b.sample() == STOPPED
+
+
+def test_an_off_is_not_overlooked_when_an_on_follows_in_the_same_step(bench: Make) -> None:
+    b = bench(1000)
+    b.arm()
+    b.run(50, arm=2000, throttle=1500)
+    b.stick(arm=1000, throttle=1500)
+    b.stick(arm=2000, throttle=1500)
+    assert b.sample() == STOPPED
+    assert b.run(200, arm=2000, throttle=1000) == STOPPED
+
+
+def test_a_failsafe_is_not_overlooked_when_a_good_frame_follows_in_the_same_step(bench: Make) -> None:
+    b = bench(1000)
+    b.arm()
+    b.stick(arm=2000, failsafe=True)
+    b.stick(arm=2000)
+    assert b.sample() == STOPPED
+    assert b.run(500, arm=2000) == STOPPED
+
+
+def test_it_arms_again_when_the_switch_is_cycled_after_disarming(bench: Make) -> None:
+    b = bench(1000)
+    b.arm()
+    for _ in range(3):
+        b.run(30)
+        assert not b.armed
+        b.run(30, arm=2000)
+        assert b.armed
+
+
+# --- Receiver ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("gyro_hz", [1000, 4000])
+def test_sticks_are_centred_and_then_motors_stop_when_the_receiver_falls_silent(
+    bench: Make,
+    puppet: Any,  # noqa: ANN401
+    gyro_hz: int,
+) -> None:
+    b = bench(gyro_hz)
+    b.arm()
+    puppet.lib.puppet_action = [0.1] * 4
+    b.stick(arm=2000, throttle=1500, c0=1900, c1=1200, c3=1700)
+    b.sample()
+    for step in range(1, RECEIVER_LOST_MS + 50):
+        b.run(1, every_ms=None)
+        # `run` may begin between two control steps: the trace is of the last one.
+        silent_ms = step - (gyro_hz > 1000)
+        held = silent_ms >= RECEIVER_HOLD_MS
+        lost = silent_ms >= RECEIVER_LOST_MS
+        assert any(b.trace.setpoint) != held, step
+        assert b.armed != lost, step
+        assert b.trace.throttle == pytest.approx(0 if lost else 0.5), step
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_motors_stop_and_stay_stopped_when_the_receiver_is_lost_at_a_random_moment(
+    bench: Make, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    b = bench(1000)
+    b.arm()
+    b.run(int(rng.integers(1, 500)), arm=2000, throttle=int(rng.integers(1000, 2001)))
+    assert b.armed
+    if rng.random() < 0.5:
+        b.run(RECEIVER_LOST_MS + 1, every_ms=None)
+    else:
+        b.stick(arm=2000, failsafe=True)
+        b.sample()
+    assert not b.armed
+    assert b.reasons & reasons(ArmingReason.RECEIVER_LOST)
+    assert b.run(int(rng.integers(1, 500)), arm=2000) == STOPPED
+    assert b.reasons == reasons(ArmingReason.SWITCH_NOT_CYCLED)
+    b.run(20)
+    b.run(20, arm=2000)
+    assert b.armed
+
+
+def test_readiness_is_lost_when_the_receiver_comes_back_with_the_switch_on(bench: Make) -> None:
+    b = bench(1000)
+    b.run(1100)
+    b.run(RECEIVER_LOST_MS + 1, every_ms=None)
+    assert b.run(300, arm=2000) == STOPPED
+
+
+def test_repeated_frames_do_not_keep_it_flying_when_the_receiver_says_frame_lost(bench: Make) -> None:
+    b = bench(1000)
+    b.arm()
+    for _ in range(RECEIVER_LOST_MS + 1):
+        b.stick(arm=2000, frame_lost=True)
+        b.sample()
+    assert not b.armed
+
+
+def test_short_gaps_do_no_harm_when_frames_return_before_the_hold_time(bench: Make) -> None:
+    b = bench(1000)
+    b.arm()
+    for _ in range(10):
+        b.run(RECEIVER_HOLD_MS - 1, every_ms=None)
+        b.run(1, every_ms=1, arm=2000, c0=1600)
+        assert b.armed
+        assert b.trace.setpoint[0] == pytest.approx(math.radians(200))
+
+
+# --- Policy -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, -1e-6, 1.0000001])
+@pytest.mark.parametrize("motor", range(4))
+def test_motors_stop_for_good_when_the_policy_answers_nonsense(
+    bench: Make,
+    puppet: Any,  # noqa: ANN401
+    bad: float,
+    motor: int,
+) -> None:
+    b = bench(1000)
+    b.arm()
+    action = [0.5] * 4
+    action[motor] = bad
+    puppet.lib.puppet_action = action
+    b.stick(arm=2000)
+    assert b.sample() == STOPPED
+    puppet.lib.puppet_action = [0.5] * 4
+    assert b.run(100, arm=2000) == STOPPED
+    b.run(50)
+    assert b.run(50, arm=2000) == STOPPED
+    assert b.reasons & reasons(ArmingReason.POLICY_BAD)
+    assert not b.status.policy_good
+
+
+def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+    b = bench(1000)
+    b.arm()
+    puppet.lib.puppet_action = [0.0, 1.0, -0.0, 1.0]
+    assert b.run(20, arm=2000) == [48, 2047, 48, 2047]
+
+
+@pytest.mark.parametrize("wrong", [1e-45, -0.0, math.nan])
+def test_it_never_arms_when_one_bit_of_the_self_test_is_wrong(
+    bench: Make,
+    puppet: Any,  # noqa: ANN401
+    wrong: float,
+) -> None:
+    make = bench  # the fixture has slackened the strings: pull one before the firmware boots
+    puppet.lib.puppet_action = [0.0, 0.0, wrong, 0.0]
+    b = make(1000, expect=puppet.lib.NF_ERR_POLICY)
+    puppet.lib.puppet_action = [0.0] * 4
+    b.run(1100)
+    assert b.reasons == reasons(ArmingReason.POLICY_BAD)
+    assert b.run(50, arm=2000) == STOPPED
+
+
+# --- Everything at once -----------------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(3))
+def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_random(
+    bench: Make,
+    puppet: Any,  # noqa: ANN401
+    seed: int,
+) -> None:
+    """An observer who only sees the frames knows when arming is possible at all."""
+    rng = np.random.default_rng(seed)
+    b = bench(1000)
+    puppet.lib.puppet_action = [0.5] * 4
+    b.run(1001)
+    off_seen, was_armed, armed_steps, silent = True, False, 0, 0
+    throttle, switch = 1000, 1000
+    for step in range(12000):
+        if rng.random() < 0.02:
+            switch = int(rng.choice([1000, 1699, 1700, 2000]))
+        if rng.random() < 0.02:
+            throttle = int(rng.choice([1000, 1050, 1051, 1600]))
+        silent_now = step % 1500 > 1000 and seed > 0
+        failsafe = not silent_now and rng.random() < 0.002
+        if silent_now:
+            b.send(b"")
+            silent += 1
+        else:
+            b.stick(arm=switch, throttle=throttle, failsafe=failsafe)
+            silent = 0
+        running = b.sample() != STOPPED
+        lost = failsafe or silent >= RECEIVER_LOST_MS
+        if not silent_now and not failsafe and switch < 1700:
+            off_seen = True
+            assert not running
+        if lost:
+            off_seen = False
+            assert not running
+        if running and not was_armed:
+            assert off_seen and throttle <= 1050
+            off_seen = False
+        elif running:
+            armed_steps += 1
+        elif switch >= 1700:
+            off_seen = False
+        was_armed = running
+    assert armed_steps > 500, "the test must have flown to mean anything"
