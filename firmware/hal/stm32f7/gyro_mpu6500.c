@@ -51,8 +51,8 @@ static const struct setting {
 #define COUNTS_OFFSET 1u /* behind the address byte */
 #define TRANSFER_BYTES 7u
 
-static DMA_BUFFER uint8_t request[TRANSFER_BYTES];
-static DMA_BUFFER uint8_t response[TRANSFER_BYTES];
+static DMA_BUFFER uint8_t gyro_request[TRANSFER_BYTES];
+static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
 
 /* Between gyro_run, the edge handler and the sample handler. */
 static struct {
@@ -130,7 +130,7 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;
 	gyro.until_read = 1;
 	gyro.reading = false;
-	request[0] = GYRO_XOUT_H | READ;
+	gyro_request[0] = GYRO_XOUT_H | READ;
 
 	spi_configure(SPI_13M5); /* data: 20 MHz at most */
 	spi_dma_setup();
@@ -159,7 +159,7 @@ static void start_transfer(void)
 {
 	gyro.reading = true;
 	gpio_write(BOARD_GYRO_CS, false);
-	if (!spi_start(request, response, TRANSFER_BYTES))
+	if (!spi_start(gyro_request, gyro_response, TRANSFER_BYTES))
 		end_transfer();
 }
 
@@ -193,7 +193,7 @@ void gyro_sample_handler(void)
 	const bool complete = dma_complete(DMA_GYRO_RX);
 	end_transfer();
 	for (uint32_t axis = 0; axis < 3u; ++axis)
-		counts[axis] = big_endian(response + COUNTS_OFFSET + 2u * axis);
+		counts[axis] = big_endian(gyro_response + COUNTS_OFFSET + 2u * axis);
 	interrupts_enable();
 	if (complete)
 		gyro.handlers->sample(gyro.handlers->context, counts);

@@ -23,7 +23,7 @@ enum { CCR1_INDEX = 13, BURST_OF_4 = 3 }; /* TIM_DCR: CCR1 is the 13th word, 4 t
 _Static_assert(BOARD_MOTOR_COUNT == BURST_OF_4 + 1, "one burst feeds all motors");
 
 /* Compare values of each bit, motors side by side as the burst wants them. The trailing slots stay 0. */
-static DMA_BUFFER uint32_t slots[SLOTS][BOARD_MOTOR_COUNT];
+static DMA_BUFFER uint32_t motor_slots[SLOTS][BOARD_MOTOR_COUNT];
 
 void motors_start(void)
 {
@@ -59,13 +59,13 @@ void motors_write(const uint16_t dshot[], size_t count)
 		const uint32_t frame = dshot_frame(dshot[motor], false);
 
 		for (uint32_t bit = 0; bit < FRAME_BITS; ++bit)
-			slots[bit][motor] = (frame >> (FRAME_BITS - 1u - bit) & 1u) != 0u ? ONE_TICKS : ZERO_TICKS;
+			motor_slots[bit][motor] = (frame >> (FRAME_BITS - 1u - bit) & 1u) != 0u ? ONE_TICKS : ZERO_TICKS;
 	}
 	/* No request may straddle an update, or two motors would get a bit later than the others: requests are
 	 * off while the stream starts, and the counter begins a bit (the lines are low, so nothing shows). */
 	TIM_DIER(TIM8) &= ~TIM_DIER_UDE;
 	TIM_CNT(TIM8) = 0;
-	dma_start(DMA_MOTORS, slots, SLOTS * BOARD_MOTOR_COUNT);
+	dma_start(DMA_MOTORS, motor_slots, SLOTS * BOARD_MOTOR_COUNT);
 	TIM_DIER(TIM8) |= TIM_DIER_UDE;
 }
 

@@ -9,11 +9,11 @@
 #define REPLY_BYTES 1024u
 #define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
 
-static DMA_BUFFER uint8_t received[UART_RING_BYTES];
-static DMA_BUFFER uint8_t reply[REPLY_BYTES];
+static DMA_BUFFER uint8_t msp_ring_bytes[UART_RING_BYTES];
+static DMA_BUFFER uint8_t msp_reply_bytes[REPLY_BYTES];
 
 /* The background's alone. */
-static struct uart_ring ring = {.stream = DMA_MSP_RX, .bytes = received};
+static struct uart_ring ring = {.stream = DMA_MSP_RX, .bytes = msp_ring_bytes};
 static uint32_t last_byte_ms;
 
 void msp_uart_start(void)
@@ -45,7 +45,7 @@ void msp_uart_serve(const struct hal_handlers *handlers)
 	if (now - last_byte_ms > SILENCE_MS)
 		handlers->msp_reset(handlers->context);
 	last_byte_ms = now;
-	const size_t answered = handlers->msp(handlers->context, bytes, count, reply, sizeof reply);
+	const size_t answered = handlers->msp(handlers->context, bytes, count, msp_reply_bytes, sizeof msp_reply_bytes);
 	if (answered != 0u)
-		dma_start(DMA_MSP_TX, reply, (uint32_t)answered);
+		dma_start(DMA_MSP_TX, msp_reply_bytes, (uint32_t)answered);
 }

@@ -8,10 +8,10 @@
 #define BAUD 100000u
 #define STOP_BITS_2 2u /* USART_CR2 STOP */
 
-static DMA_BUFFER uint8_t received[UART_RING_BYTES];
+static DMA_BUFFER uint8_t sbus_ring_bytes[UART_RING_BYTES];
 
 /* Touched by the sample handler alone. */
-static struct uart_ring ring = {.stream = DMA_RECEIVER_RX, .bytes = received};
+static struct uart_ring ring = {.stream = DMA_RECEIVER_RX, .bytes = sbus_ring_bytes};
 static bool frame_broken; /* drop bytes until the line rests: a frame is sent without a pause in it */
 
 void receiver_sbus_start(void)

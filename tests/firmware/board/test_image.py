@@ -1,0 +1,172 @@
+"""The linked image: right processor, right places, nothing that the board cannot have."""
+
+from __future__ import annotations
+
+import re
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import ARMAttributesSection
+
+from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BOOT, ITCM, Region
+from toolchain.registers import RegisterTable
+
+KIB = 1024
+NULL_PAGE = 256  # bytes at the start of ITCM that the MPU closes
+SYSTEM_VECTORS = 16
+TICK_VECTOR = 15
+HOT = (
+    *("gyro_edge_handler", "gyro_sample_handler", "spi_start", "spi_finish", "on_sample", "tick_handler"),
+    *("hal_receiver_read", "uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step"),
+    *("observation_step", "policy_step", "mixer_step", "dshot_value", "dshot_frame", "hal_motors_write"),
+    *("motors_write", "memcpy"),
+)
+DMA_BUFFERS = (
+    *("motor_slots", "gyro_request", "gyro_response", "sbus_ring_bytes", "msp_ring_bytes", "msp_reply_bytes"),
+)
+# libgcc's names for arithmetic on double, ARM's (RTABI 4.1) and the generic ones.
+DOUBLE_HELPER = re.compile(r"__aeabi_(c?d.*|\w+2d|l2d)|__\w+df\w*")
+
+
+def within(address: int, size: int, region: Region) -> bool:
+    return region.address <= address and address + size <= region.address + region.size
+
+
+def allocated(elf: ELFFile, flag: int = SH_FLAGS.SHF_ALLOC) -> dict[str, Region]:
+    """Sections that occupy memory and have `flag`."""
+    return {
+        s.name: Region(s.name, s["sh_addr"], s["sh_size"])
+        for s in elf.iter_sections()
+        if s["sh_flags"] & SH_FLAGS.SHF_ALLOC and s["sh_flags"] & flag and s["sh_size"]
+    }
+
+
+def words(elf: ELFFile, section: str) -> tuple[int, ...]:
+    found = elf.get_section_by_name(section)
+    assert found is not None
+    data = found.data()
+    return struct.unpack(f"<{len(data) // 4}I", data[: len(data) // 4 * 4])
+
+
+def flash_contents(elf: ELFFile) -> dict[int, bytes]:
+    """Load address -> bytes, of what must be in flash before reset."""
+    return {s["p_paddr"]: s.data() for s in elf.iter_segments("PT_LOAD") if s["p_filesz"]}
+
+
+def test_the_image_is_for_a_cortex_m7_with_hard_float_when_linked(elf: ELFFile) -> None:
+    section = elf.get_section_by_name(".ARM.attributes")
+    assert isinstance(section, ARMAttributesSection)
+    attributes = {
+        attribute.tag: attribute.value
+        for part in section.iter_subsections()
+        for group in part.iter_subsubsections()
+        for attribute in group.iter_attributes()
+    }
+    assert elf["e_machine"] == "EM_ARM"
+    assert elf["e_flags"] & 0xFF000000 == 0x05000000  # EABI version 5
+    assert elf["e_flags"] & 0x400  # EF_ARM_ABI_FLOAT_HARD
+    assert attributes["TAG_CPU_ARCH"] == 13  # v7E-M
+    assert attributes["TAG_CPU_ARCH_PROFILE"] == ord("M")
+    assert attributes["TAG_FP_ARCH"] == 8  # FPv5, 16 registers: the M7's, not the M4's FPv4
+    assert attributes["TAG_ABI_HARDFP_USE"] == 1  # single precision alone
+    assert attributes["TAG_ABI_VFP_ARGS"] == 1
+
+
+def test_the_boot_part_can_start_alone_when_reset(elf: ELFFile, symbols: dict[str, int]) -> None:
+    stack, reset, *faults = words(elf, ".boot")[:7]
+    boot = allocated(elf)[".boot"]
+    assert boot.address == FLASH_BOOT.address and boot.size <= FLASH_BOOT.size
+    assert stack == symbols["stack_top"]
+    assert reset == symbols["boot_reset"] == elf["e_entry"]
+    assert set(faults) == {symbols["boot_fault"]}
+    for handler in (reset, *faults):
+        assert handler & 1 and within(handler & ~1, 2, boot)
+
+
+def test_every_vector_points_at_code_when_the_bank_starts(
+    elf: ELFFile, symbols: dict[str, int], registers: RegisterTable
+) -> None:
+    stack, *handlers = words(elf, ".vectors")
+    code = allocated(elf, SH_FLAGS.SHF_EXECINSTR).values()
+    own = {
+        1: "reset_handler",
+        TICK_VECTOR: "tick_handler",
+        SYSTEM_VECTORS + registers.interrupts["EXTI3"]: "gyro_edge_handler",
+        SYSTEM_VECTORS + registers.interrupts["DMA2_STREAM2"]: "gyro_sample_handler",
+    }
+    assert allocated(elf)[".vectors"].address == FLASH_BANK_A.address
+    assert stack == symbols["stack_top"]
+    assert len(handlers) == SYSTEM_VECTORS - 1 + max(registers.interrupts.values()) + 1
+    for vector, handler in enumerate(handlers, start=1):
+        assert handler == symbols[own.get(vector, "fault_handler")], vector
+        assert handler & 1 and any(within(handler & ~1, 2, section) for section in code), vector
+
+
+def test_nothing_asks_for_a_heap_or_for_doubles_when_linked(symbols: dict[str, int]) -> None:
+    heap = {"malloc", "_malloc_r", "free", "realloc", "calloc", "_sbrk", "sbrk", "end", "_end", "__end__"}
+    assert not heap & symbols.keys()
+    assert not [name for name in symbols if "heap" in name.lower()]
+    assert not [name for name in symbols if DOUBLE_HELPER.fullmatch(name)]
+    assert not [name for name in symbols if "unwind" in name or "exidx" in name]
+
+
+@pytest.mark.parametrize("name", ["__aeabi_dadd", "__aeabi_f2d", "__aeabi_cdcmple", "__adddf3", "__muldf3"])
+def test_double_helpers_are_recognized_when_named(name: str) -> None:
+    assert DOUBLE_HELPER.fullmatch(name)
+
+
+def test_the_control_path_runs_from_itcm_when_linked(elf: ELFFile, symbols: dict[str, int]) -> None:
+    itcm = allocated(elf)[".itcm"]
+    assert within(itcm.address, itcm.size, ITCM)
+    assert itcm.address >= ITCM.address + NULL_PAGE
+    for name in HOT:
+        assert within(symbols[name] & ~1, 2, itcm), name
+
+
+def test_all_variables_and_the_stack_lie_in_dtcm_when_linked(elf: ELFFile, symbols: dict[str, int]) -> None:
+    sections = allocated(elf, SH_FLAGS.SHF_WRITE)
+    for section in sections.values():
+        assert within(section.address, section.size, DTCM), section.name
+    assert sections[".stack"].address == DTCM.address
+    assert symbols["stack_top"] == DTCM.address + sections[".stack"].size
+    assert symbols["stack_top"] % 8 == 0
+    for name in DMA_BUFFERS:
+        assert within(symbols[name], 4, sections[".bss"]), name
+        assert symbols[name] % 4 == 0, name
+    assert within(symbols["firmware"], 4 * 4868, sections[".bss"])
+
+
+def test_the_image_keeps_to_its_budget_when_linked(elf: ELFFile) -> None:
+    flash = sum(map(len, flash_contents(elf).values()))
+    ram = sum(s.size for s in allocated(elf).values() if within(s.address, s.size, DTCM))
+    ram += allocated(elf)[".itcm"].size
+    assert flash <= 96 * KIB
+    assert ram <= 96 * KIB
+    for address, data in flash_contents(elf).items():
+        assert any(within(address, len(data), home) for home in (FLASH_BOOT, FLASH_BANK_A))
+
+
+def test_the_binary_is_boot_part_and_bank_with_erased_flash_between_when_copied(
+    elf: ELFFile, image_folder: Path
+) -> None:
+    parts = flash_contents(elf)
+    end = max(address + len(data) for address, data in parts.items())
+    expected = bytearray(b"\xff" * (end - FLASH_BOOT.address))
+    for address, data in parts.items():
+        expected[address - FLASH_BOOT.address : address - FLASH_BOOT.address + len(data)] = data
+    assert (image_folder / "neuroflight.bin").read_bytes() == expected
+
+
+def test_the_hex_file_holds_the_same_bytes_when_read_by_another_tool(
+    image_folder: Path, tmp_path: Path
+) -> None:
+    again = tmp_path / "again.bin"
+    command = ["arm-none-eabi-objcopy", "-I", "ihex", "-O", "binary", "--gap-fill", "0xFF"]
+    subprocess.run([*command, image_folder / "neuroflight.hex", again], check=True)
+    assert again.read_bytes() == (image_folder / "neuroflight.bin").read_bytes()
+    lines = (image_folder / "neuroflight.hex").read_text().splitlines()
+    assert sum(int(line[1:3], 16) for line in lines) < 96 * KIB  # the gap itself is not in it
