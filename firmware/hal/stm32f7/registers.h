@@ -92,7 +92,6 @@
 #define DMA1 0x40026000u
 #define DMA2 0x40026400u
 #define DMA_LISR(dma) REGISTER((dma) + 0x00u)
-#define DMA_LISR_TEIF0 BIT(3)
 #define DMA_LISR_TCIF0 BIT(5)
 #define DMA_LISR_TCIF1 BIT(11)
 #define DMA_LISR_TCIF2 BIT(21)

@@ -1,27 +1,61 @@
-"""The MATEKF722 image around a policy of the shipped size, built once."""
+"""The MATEKF722 image around a policy of the shipped size, built once, and a sketch of its board."""
 
 from __future__ import annotations
 
 import io
 import itertools
+import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import unicorn
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
+from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_HOOK_MEM_READ, UC_HOOK_MEM_WRITE, UC_MODE_THUMB
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_PC,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_R2,
+    UC_ARM_REG_R3,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_CORTEX_M7,
+)
 
 from toolchain.compiler import compile_policy
-from toolchain.contract import observation_blocks
+from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, observation_blocks
 from toolchain.header import render_contract
 from toolchain.layers import Clip, Layer, Linear, Tanh
 from toolchain.network import PolicyModel
-from toolchain.registers import RegisterTable, load
+from toolchain.registers import Register, RegisterTable, load
 
 ROOT = Path(__file__).resolve().parents[3]
 TARGET = ROOT / "firmware" / "targets" / "MATEKF722"
 WIDTHS = (6, 64, 64, 4)
+
+FLASH_ALIAS = 0x00200000  # where BOOT_ADD0 makes the core fetch its first vectors
+GARBAGE = 0xA5  # what RAM holds at power-up
+STEPS_MAX = 20_000_000
+ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
+RETURN = FLASH_BASE + 0x3F00  # an address that no code uses, where `call` ends
+
+# Ready bit <- enable bit, in the same or a neighbouring register.
+FOLLOWS = {
+    "RCC_CR": (("HSIRDY", "RCC_CR", "HSION"), ("HSERDY", "RCC_CR", "HSEON"), ("PLLRDY", "RCC_CR", "PLLON")),
+    "RCC_CFGR": (("SWS", "RCC_CFGR", "SW"),),
+    "PWR_CSR1": (("ODRDY", "PWR_CR1", "ODEN"), ("ODSWRDY", "PWR_CR1", "ODSWEN")),
+}
+CLOCK_OF = {
+    **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABC"},
+    **{f"DMA{number}": ("RCC_AHB1ENR", f"DMA{number}EN") for number in (1, 2)},
+    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "USART2")},
+    **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM8", "USART1", "SPI1", "SYSCFG")},
+}
 
 
 def random_policy() -> PolicyModel:
@@ -79,3 +113,129 @@ def symbols(elf: ELFFile) -> dict[str, int]:
 def registers() -> RegisterTable:
     """The committed register table."""
     return load(TARGET)
+
+
+def processor() -> Any:  # noqa: ANN401 - unicorn is half typed
+    uc = unicorn.Uc(UC_ARCH_ARM, UC_MODE_THUMB)  # type: ignore[attr-defined, no-untyped-call]
+    uc.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)  # type: ignore[no-untyped-call]
+    return uc
+
+
+class Sketch:
+    """The board as far as start-up needs it. `dead` names ready bits that never come true;
+    the cycle counter moves by `cycles_a_read` whenever it is read, so that waits pass quickly.
+
+    Registers are memory with the vendor's reset values, ready bits follow their enable bits, nothing answers
+    on SPI unless a test does. It minds what the chip minds and notes it in `sins`: registers nobody stated,
+    reserved bits, peripherals without their clock.
+    """
+
+    def __init__(
+        self,
+        elf: ELFFile,
+        table: RegisterTable,
+        dead: frozenset[str] = frozenset(),
+        cycles_a_read: int = 20000,
+    ) -> None:
+        self.by_address = {r.address: r for r in table.registers}
+        self.by_name = {(r.name, r.instance): r for r in table.registers}
+        self.dead = dead
+        self.cycles, self.cycles_a_read = 0, cycles_a_read
+        self.sins: list[str] = []
+        self.seen: set[int] = set()  # addresses of executed instructions
+        self.on_code: Callable[[int], None] = self.seen.add
+        self.on_write: Callable[[Register, int], None] = lambda register, value: None
+        self.on_read: Callable[[Register], None] = lambda register: None
+        self.uc = processor()
+        for base, size in (
+            *((FLASH_ALIAS, FLASH_BYTES), (FLASH_BASE, FLASH_BYTES)),
+            *((ITCM.address, ITCM.size), (DTCM.address, DTCM.size)),
+            *((0x1FF07000, 0x1000), (0x40000000, 0x80000), (0xE0000000, 0x100000)),
+        ):
+            self.uc.mem_map(base, size)
+        self.uc.mem_write(FLASH_BASE, b"\xff" * FLASH_BYTES)
+        for segment in elf.iter_segments("PT_LOAD"):
+            if segment["p_filesz"]:
+                self.uc.mem_write(segment["p_paddr"], segment.data())
+        self.uc.mem_write(FLASH_ALIAS, bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
+        for ram in (ITCM, DTCM):
+            self.uc.mem_write(ram.address, bytes([GARBAGE]) * ram.size)
+        for register in table.registers:
+            self.poke(register.address, register.reset or 0)
+        self.uc.hook_add(UC_HOOK_MEM_READ, self._read, begin=0x40000000, end=0xFFFFFFFF)
+        self.uc.hook_add(UC_HOOK_MEM_WRITE, self._write, begin=0x40000000, end=0xFFFFFFFF)
+        self.uc.hook_add(UC_HOOK_CODE, lambda uc, address, size, data: self.on_code(address))
+
+    def peek(self, address: int) -> int:
+        return int(struct.unpack("<I", self.uc.mem_read(address, 4))[0])
+
+    def poke(self, address: int, value: int) -> None:
+        self.uc.mem_write(address, struct.pack("<I", value & 0xFFFFFFFF))
+
+    def field(self, register: str, field: str, instance: str = "") -> int:
+        known = self.by_name[register, instance or register.split("_")[0]]
+        found = next(f for f in known.fields if f.name == field)
+        return (self.peek(known.address) & found.mask) >> found.lsb
+
+    def run(self, until: int) -> None:
+        """From reset to the code address `until`."""
+        self.run_for(STEPS_MAX, until)
+        assert self.uc.reg_read(UC_ARM_REG_PC) == until & ~1, hex(self.uc.reg_read(UC_ARM_REG_PC))
+
+    def run_for(self, steps: int, until: int = 0xFFFFFFFF) -> None:
+        """From reset, `steps` instructions at most."""
+        stack, reset = struct.unpack("<II", self.uc.mem_read(FLASH_ALIAS, 8))
+        self.uc.reg_write(UC_ARM_REG_SP, stack)
+        self.uc.emu_start(reset, until & ~1, count=steps)
+
+    def call(self, function: int) -> None:
+        """Run a handler of the image as the core would on its interrupt, on top of what `run` left."""
+        self.uc.reg_write(UC_ARM_REG_LR, RETURN | 1)
+        self.uc.emu_start(function | 1, RETURN, count=STEPS_MAX)
+        assert self.uc.reg_read(UC_ARM_REG_PC) == RETURN, hex(self.uc.reg_read(UC_ARM_REG_PC))
+
+    def call_with(self, function: int, *arguments: int) -> int:
+        """Call a function of the image with up to four integers; returns its result."""
+        for register, value in zip(ARGUMENTS, arguments, strict=False):
+            self.uc.reg_write(register, value)
+        self.call(function)
+        return int(self.uc.reg_read(UC_ARM_REG_R0))
+
+    def _read(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:  # noqa: ANN401
+        register = self.by_address.get(address)
+        if register is None:
+            self.sins.append(f"read of 0x{address:08X}, which is no register in use")
+            return
+        self._mind_clock(register.instance)
+        if register.name == "DWT_CYCCNT":
+            self.cycles += self.cycles_a_read
+            self.poke(address, self.cycles)
+        self.on_read(register)
+        for ready, source, enable in FOLLOWS.get(register.name, ()):
+            found = next(f for f in register.fields if f.name == ready)
+            if ready not in self.dead:
+                on = self.field(source, enable) << found.lsb
+                self.poke(address, (self.peek(address) & ~found.mask) | on)
+
+    def _write(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:  # noqa: ANN401
+        register = self.by_address.get(address & ~3)
+        if register is None or "w" not in register.access:
+            self.sins.append(f"write of 0x{address:08X}, which is no writable register in use")
+            return
+        self._mind_clock(register.instance)
+        fields = sum(f.mask for f in register.fields)
+        if register.source == "svd" and (value ^ (register.reset or 0)) & 0xFFFFFFFF & ~fields:
+            self.sins.append(
+                f"{register.name} of {register.instance} = 0x{value & 0xFFFFFFFF:08X}: reserved bits"
+            )
+        self.on_write(register, value & 0xFFFFFFFF)
+
+    def _mind_clock(self, instance: str) -> None:
+        if instance in CLOCK_OF and not self.field(*CLOCK_OF[instance]):
+            self.sins.append(f"{instance} used without its clock")
+
+
+@pytest.fixture(scope="session")
+def make_sketch(elf: ELFFile, registers: RegisterTable) -> Callable[..., Sketch]:
+    """Makes a board with the image in its flash; `dead` names ready bits that never come true."""
+    return lambda **options: Sketch(elf, registers, **options)

@@ -1,0 +1,110 @@
+"""The image's UARTs: what circular DMA leaves in a ring, and what a broken byte costs."""
+
+# ruff: noqa: ANN401 - a Sketch is conftest's own class, which pytest hands over untyped
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+RING_BYTES = 256
+SCRATCH = 0x2000F000  # DTCM that the image does not use
+USART1_ISR, USART2_ISR = 0x4001101C, 0x4000441C
+PARITY, FRAMING, IDLE = 1 << 0, 1 << 1, 1 << 4
+DMA1_S5NDTR, DMA2_S5NDTR = 0x4002608C, 0x4002648C
+DMA2_S7CR, DMA2_S7NDTR, DMA2_S7M0AR = 0x400264B8, 0x400264BC, 0x400264C4
+
+
+class Line:
+    """The far end of a UART: puts bytes into its ring as DMA would."""
+
+    def __init__(self, sketch: Any, ring: int, remaining: int) -> None:
+        self.sketch, self.ring, self.remaining, self.head = sketch, ring, remaining, 0
+
+    def send(self, data: bytes) -> None:
+        for byte in data:
+            self.sketch.uc.mem_write(self.ring + self.head, bytes([byte]))
+            self.head = (self.head + 1) % RING_BYTES
+        self.sketch.poke(self.remaining, RING_BYTES - self.head)
+
+
+@pytest.fixture
+def board(make_sketch: Callable[..., Any], symbols: dict[str, int]) -> Any:
+    sketch = make_sketch()
+    sketch.run(symbols["msp_uart_serve"])
+    return sketch
+
+
+@pytest.fixture
+def sbus(board: Any, symbols: dict[str, int]) -> Line:
+    return Line(board, symbols["sbus_ring_bytes"], DMA1_S5NDTR)
+
+
+@pytest.fixture
+def read(board: Any, symbols: dict[str, int]) -> Callable[..., bytes]:
+    """Calls receiver_sbus_read."""
+
+    def take(capacity: int = RING_BYTES) -> bytes:
+        count = board.call_with(symbols["receiver_sbus_read"], SCRATCH, capacity)
+        return bytes(board.uc.mem_read(SCRATCH, count))
+
+    return take
+
+
+def test_the_receiver_line_is_inverted_8e2_when_set_up(board: Any) -> None:
+    for name in ("M0", "PCE", "RE", "UE"):
+        assert board.field("USART_CR1", name, "USART2") == 1
+    assert board.field("USART_CR1", "PS", "USART2") == 0  # even
+    assert board.field("USART_CR2", "STOP", "USART2") == 2  # two stop bits
+    assert board.field("USART_CR2", "RXINV", "USART2") == 1
+    assert board.field("DMA_SCR", "CIRC", "DMA1") == 1
+
+
+def test_bytes_come_once_and_in_order_when_the_ring_wraps(sbus: Line, read: Callable[..., bytes]) -> None:
+    assert read() == b""
+    for start in range(0, 1000, 100):
+        sent = bytes(i % 251 for i in range(start, start + 100))
+        sbus.send(sent)
+        assert read(60) + read() == sent
+        assert read() == b""
+
+
+@pytest.mark.parametrize("error", [PARITY, FRAMING])
+def test_the_rest_of_a_frame_is_dropped_when_a_byte_is_broken(
+    error: int, board: Any, sbus: Line, read: Callable[..., bytes]
+) -> None:
+    sbus.send(b"good")
+    assert read() == b"good"
+    board.poke(USART2_ISR, error)
+    sbus.send(b"broken")
+    assert read() == b""
+    board.poke(USART2_ISR, 0)
+    sbus.send(b"rest of it")
+    assert read() == b""
+    board.poke(USART2_ISR, IDLE)
+    sbus.send(b"end")
+    assert read() == b""
+    sbus.send(b"next frame")
+    assert read() == b"next frame"
+
+
+def test_a_request_is_answered_by_dma_when_it_came_in(board: Any, symbols: dict[str, int]) -> None:
+    host = Line(board, symbols["msp_ring_bytes"], DMA2_S5NDTR)
+    host.send(b"$M<\x00\x01\x01")  # API_VERSION
+    handlers = next(symbols[name] for name in symbols if name.split(".")[0] == "handlers")  # main's static
+    board.call_with(symbols["msp_uart_serve"], handlers)
+    length, place = board.peek(DMA2_S7NDTR), board.peek(DMA2_S7M0AR)
+    assert place == symbols["msp_reply_bytes"]
+    assert board.peek(DMA2_S7CR) & 1
+    reply = bytes(board.uc.mem_read(place, length))
+    assert reply[:5] == b"$M>\x03\x01"
+    host.send(b"$M<\x00\x01\x01")
+    board.uc.mem_write(place, b"?")
+    board.call_with(symbols["msp_uart_serve"], handlers)
+    assert board.uc.mem_read(place, 1) == b"?"  # the reply on the wire is not overwritten
+    board.poke(DMA2_S7CR, board.peek(DMA2_S7CR) & ~1)
+    board.call_with(symbols["msp_uart_serve"], handlers)
+    assert bytes(board.uc.mem_read(place, length)) == reply
+    assert board.sins == []
