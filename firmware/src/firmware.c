@@ -52,6 +52,27 @@ static void reset_controller(struct firmware *fw)
 		fw->action[i] = 0.0f;
 }
 
+/* What forbids arming now, apart from the switch. */
+static uint32_t reasons(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	return REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
+	       REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
+	       REASON_IF(receiver_link(&fw->receiver) == RECEIVER_LOST, RECEIVER_LOST) |
+	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
+	       REASON_IF(!fw->policy_good, POLICY_BAD);
+}
+
+/* Fills in what MSP tells beside the trace. */
+static void report(struct firmware *fw)
+{
+	struct firmware_status *status = &fw->status;
+
+	receiver_channels(&fw->receiver, status->channels_us);
+	status->arming_reasons = arming_reasons(&fw->arming, reasons(fw, status->channels_us));
+	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
+	status->policy_good = fw->policy_good;
+}
+
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config)
 {
 	enum nf_err err = check_rates(config->gyro_rate_hz);
@@ -78,22 +99,13 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	memcpy(fw->weights, policy_weights, sizeof fw->weights);
 	fw->policy_good = selftest(&fw->policy, fw->weights);
 	reset_controller(fw);
+	report(fw); /* a board whose gyro never speaks must still say why it does not arm */
 	return fw->policy_good ? NF_OK : NF_ERR_POLICY;
 }
 
 bool firmware_control_due(const struct firmware *fw)
 {
 	return fw->until_control == 0;
-}
-
-/* What forbids arming now, apart from the switch. */
-static uint32_t reasons(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
-{
-	return REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
-	       REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
-	       REASON_IF(receiver_link(&fw->receiver) == RECEIVER_LOST, RECEIVER_LOST) |
-	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
-	       REASON_IF(!fw->policy_good, POLICY_BAD);
 }
 
 /* Brings arming up to date with everything known now. */
@@ -154,13 +166,13 @@ static bool fly(struct firmware *fw, const struct control_trace *trace, float ou
 
 static void control_step(struct firmware *fw, const float rate[3])
 {
-	struct firmware_status *status = &fw->status;
-	struct control_trace *trace = &status->trace;
+	struct control_trace *trace = &fw->status.trace;
+	uint16_t channels_us[NF_CHANNEL_COUNT];
 	float output[POLICY_ACTION_COUNT];
 
-	receiver_channels(&fw->receiver, status->channels_us);
-	rates_setpoint(status->channels_us, trace->setpoint);
-	trace->throttle = rates_throttle(status->channels_us);
+	receiver_channels(&fw->receiver, channels_us);
+	rates_setpoint(channels_us, trace->setpoint);
+	trace->throttle = rates_throttle(channels_us);
 	memcpy(trace->gyro, rate, sizeof trace->gyro);
 
 	update_arming(fw);
@@ -171,11 +183,8 @@ static void control_step(struct firmware *fw, const float rate[3])
 	trace->armed = arming_is_armed(&fw->arming);
 	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
 		trace->dshot[i] = trace->armed ? dshot_value(output[i]) : NF_DSHOT_STOP;
-
 	trace->step = fw->control_steps++;
-	status->arming_reasons = arming_reasons(&fw->arming, reasons(fw, status->channels_us));
-	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
-	status->policy_good = fw->policy_good;
+	report(fw);
 }
 
 /* One gyro sample has passed for everything that waits. */

@@ -6,7 +6,7 @@
 #include "policy.h"
 
 #define SENSOR_GYRO (1u << 5)     /* bit of the sensors in STATUS */
-#define MCU_STM32F72X 5u          /* BOARD_INFO's number for this chip */
+#define MCU_NOT_TOLD 255u         /* BOARD_INFO: the numbering of chips differs between versions */
 #define CONFIGURED 2u             /* BOARD_INFO's configuration state: set up */
 #define SHA256_DIGITS 64
 #define TEXT_MAX 32u
@@ -96,7 +96,7 @@ static void board_info(struct writer *w, const struct source *s)
 	put_u8(w, 4);
 	put_text(w, s->identity->maker, 4);
 	put_zeros(w, 32); /* signature: none */
-	put_u8(w, MCU_STM32F72X);
+	put_u8(w, MCU_NOT_TOLD);
 	put_u8(w, CONFIGURED);
 	put_u16(w, s->status->gyro_rate_hz);
 	put_u32(w, 0); /* configuration problems */

@@ -51,21 +51,24 @@ void msp_tcp_close(struct msp_tcp *tcp)
 		close(tcp->listener);
 }
 
-static void answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
+/* Takes what the client has said, and answers. Returns whether it has been heard out: nothing is left of it,
+ * or it has hung up. */
+static bool answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
 	uint8_t request[REQUEST_BYTES], reply[REPLY_BYTES];
 	const ssize_t received = recv(tcp->client, request, sizeof request, MSG_DONTWAIT);
 
 	if (received < 0 && (errno == EAGAIN || errno == EINTR))
-		return;
+		return true;
 	if (received <= 0) {
 		hang_up(tcp);
-		return;
+		return true;
 	}
 	const size_t size = handlers->msp(handlers->context, request, (size_t)received, reply, sizeof reply);
 	/* A client that does not read its replies would get half a frame: better none. */
 	if (size > 0 && send(tcp->client, reply, size, MSG_DONTWAIT | MSG_NOSIGNAL) != (ssize_t)size)
 		hang_up(tcp);
+	return false;
 }
 
 static void admit(struct msp_tcp *tcp, const struct hal_handlers *handlers)
@@ -86,8 +89,7 @@ static void admit(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 
 void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
-	/* The client first: one that has just hung up makes room for the next caller. */
-	if (tcp->client >= 0)
-		answer(tcp, handlers);
-	admit(tcp, handlers);
+	/* A client that has hung up makes room for the next caller, but its last words stand before that. */
+	if (tcp->client < 0 || answer(tcp, handlers))
+		admit(tcp, handlers);
 }

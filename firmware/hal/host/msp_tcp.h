@@ -16,7 +16,7 @@ bool msp_tcp_open(struct msp_tcp *tcp, unsigned port);
 
 void msp_tcp_close(struct msp_tcp *tcp);
 
-/* Does whatever is to be done without waiting: hears and answers the client, accepts or turns away. */
+/* Called when the listener or the client has something: does one piece of it without waiting. */
 void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers);
 
 #endif

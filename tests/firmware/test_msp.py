@@ -1,0 +1,264 @@
+"""msp.c and msp_replies.c: bytes in, reply bytes out."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from functools import reduce
+from operator import xor
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flash import messages
+from flash.messages import PolicyInfo
+from toolchain.contract import MSP_PAYLOAD_MAX, ArmingReason, Msp
+
+IDENTITY = {"board": b"BRD1", "target": b"TARGETNAME", "maker": b"MAKR"}
+UNIQUE_ID = (0x01020304, 0x11121314, 0x21222324)
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8/DVB-S2, one bit at a time."""
+    crc = 0
+    for byte in data:
+        for bit in range(7, -1, -1):
+            feedback = crc >> 7 ^ byte >> bit & 1
+            crc = (crc << 1 & 0xFF) ^ (0xD5 if feedback else 0)
+    return crc
+
+
+def v1(command: int, payload: bytes = b"", direction: bytes = b"<") -> bytes:
+    body = bytes([len(payload), command]) + payload
+    return b"$M" + direction + body + bytes([reduce(xor, body)])
+
+
+def jumbo(command: int, payload: bytes) -> bytes:
+    body = struct.pack("<BBH", 255, command, len(payload)) + payload
+    return b"$M<" + body + bytes([reduce(xor, body)])
+
+
+def v2(command: int, payload: bytes = b"", direction: bytes = b"<") -> bytes:
+    body = struct.pack("<BHH", 0, command, len(payload)) + payload
+    return b"$X" + direction + body + bytes([crc8(body)])
+
+
+class Server:
+    def __init__(self, core: Any, **status: object) -> None:  # noqa: ANN401
+        self.core = core
+        self._texts = {name: core.new("char[]", text) for name, text in IDENTITY.items()}
+        self._identity = core.new("struct msp_identity *", {**self._texts, "unique_id": UNIQUE_ID})
+        self._msp = core.new("struct msp *")
+        self._status = core.new("struct firmware_status *", {"gyro_rate_hz": 4000, **status})
+        core.lib.msp_init(self._msp, self._identity)
+
+    def send(self, data: bytes, capacity: int = 4096) -> bytes:
+        out = self.core.new("uint8_t[]", b"\xa5" * (capacity + 16))
+        count = self.core.lib.msp_serve(self._msp, self._status, data, len(data), out, capacity)
+        reply = bytes(out)
+        assert count <= capacity
+        assert set(reply[capacity : capacity + 16]) == {0xA5}, "written past the end"
+        return reply[:count]
+
+    def ask(self, command: int) -> bytes:
+        """Payload of the reply, asked in v2."""
+        reply = self.send(v2(command))
+        payload = reply[8:-1]
+        assert reply == v2(command, payload, b">")
+        return payload
+
+    def reset(self) -> None:
+        self.core.lib.msp_reset(self._msp)
+
+
+@pytest.fixture
+def server(puppet: Any) -> Callable[..., Server]:  # noqa: ANN401
+    return lambda **status: Server(puppet, **status)
+
+
+VERSION_REPLY = v1(Msp.API_VERSION, bytes([0, 1, 46]), b">")
+
+
+# --- Frames -----------------------------------------------------------------------------------
+def test_the_crc_is_dvb_s2_when_checked_with_the_catalogues_example() -> None:
+    assert crc8(b"123456789") == 0xBC
+
+
+def test_the_reply_is_known_when_the_request_is_of_either_version(server: Callable[..., Server]) -> None:
+    s = server()
+    assert s.send(b"$M<\x00\x01\x01") == b"$M>\x03\x01\x00\x01\x2e\x2d"
+    assert s.send(v2(Msp.API_VERSION)) == v2(Msp.API_VERSION, bytes([0, 1, 46]), b">")
+
+
+@pytest.mark.parametrize("command", list(Msp))
+def test_each_command_is_answered_in_the_version_it_was_asked(
+    server: Callable[..., Server], command: Msp
+) -> None:
+    payload = server().ask(command)
+    assert payload
+    if command < 255:
+        assert server().send(v1(command)) == v1(command, payload, b">")
+
+
+def test_unknown_commands_are_refused_when_they_are_asked(server: Callable[..., Server]) -> None:
+    known = set(Msp)
+    s = server()
+    for command in range(255):
+        if command not in known:
+            assert s.send(v1(command)) == v1(command, b"", b"!")
+    for command in (0x1000, 0x4E00, 0x4E02, 0xFFFF):
+        assert s.send(v2(command, b"some payload")) == v2(command, b"", b"!")
+
+
+@pytest.mark.parametrize(
+    "request_bytes", [v1(1), v1(1, b"12345"), v2(1), v2(1, b"x" * 300), jumbo(1, b"y" * 300)]
+)
+def test_a_request_is_answered_once_when_it_is_cut_anywhere(
+    server: Callable[..., Server], request_bytes: bytes
+) -> None:
+    s = server()
+    whole = s.send(request_bytes)
+    assert whole[3:] == VERSION_REPLY[3:] or whole == v2(1, bytes([0, 1, 46]), b">")
+    for cut in range(1, len(request_bytes)):
+        assert s.send(request_bytes[:cut]) == b""
+        assert s.send(request_bytes[cut:]) == whole
+    assert b"".join(s.send(request_bytes[i : i + 1]) for i in range(len(request_bytes))) == whole
+
+
+@pytest.mark.parametrize("good", [v1(1, b"abc"), v2(1, b"abc"), jumbo(1, b"abc")])
+def test_a_request_is_not_answered_when_any_bit_of_its_body_is_wrong(
+    server: Callable[..., Server], good: bytes
+) -> None:
+    for index in range(3, len(good)):
+        for bit in range(8):
+            bad = bytearray(good)
+            bad[index] ^= 1 << bit
+            s = server()
+            assert s.send(bytes(bad)) == b"", (index, bit)
+            s.reset()
+            assert s.send(v1(1)) == VERSION_REPLY
+
+
+def test_requests_are_found_when_they_stand_among_noise(server: Callable[..., Server]) -> None:
+    s = server()
+    assert s.send(b"\x00$$M<\xff" + b"garbage") == b""
+    s.reset()
+    assert s.send(b"$" + v1(1) + b"$X" + b"noise" + v1(1) + b"$M>\x00\x01\x01" + v1(1)) == VERSION_REPLY * 3
+
+
+@pytest.mark.parametrize("size", [MSP_PAYLOAD_MAX + 1, 0xFFFF])
+def test_the_line_is_free_again_when_a_request_claims_too_much(
+    server: Callable[..., Server], size: int
+) -> None:
+    s = server()
+    assert s.send(b"$X<" + struct.pack("<BHH", 0, 1, size) + v1(1)) == VERSION_REPLY
+    assert s.send(b"$M<" + struct.pack("<BBH", 255, 1, size) + v1(1)) == VERSION_REPLY
+    assert len(s.send(v2(1, b"z" * MSP_PAYLOAD_MAX))) > 0
+
+
+def test_half_a_request_is_forgotten_when_a_new_peer_comes(server: Callable[..., Server]) -> None:
+    s = server()
+    s.send(v2(1, b"x" * 200)[:100])
+    s.reset()
+    assert s.send(v1(1)) == VERSION_REPLY
+
+
+def test_a_reply_is_dropped_whole_when_there_is_no_room_for_it(server: Callable[..., Server]) -> None:
+    s = server()
+    length = len(VERSION_REPLY)
+    for capacity in range(3 * length + 1):
+        assert s.send(v1(1) * 3, capacity) == VERSION_REPLY * (capacity // length)
+
+
+def test_any_bytes_are_survived_when_they_are_random(server: Callable[..., Server]) -> None:
+    s = server()
+    rng = np.random.default_rng(13)
+    alphabet = np.frombuffer(b"$MX<>\x00\x01\x02\x65\xff", np.uint8)
+    for _ in range(500):
+        s.send(rng.choice(alphabet, 300).tobytes(), int(rng.integers(0, 200)))
+        s.send(rng.integers(0, 256, 300, np.uint8).tobytes(), int(rng.integers(0, 200)))
+    s.reset()
+    assert s.send(v1(1)) == VERSION_REPLY
+
+
+# --- Replies ----------------------------------------------------------------------------------
+def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[..., Server]) -> None:
+    s = server()
+    assert s.ask(Msp.FC_VARIANT) == b"NRFL"
+    assert s.ask(Msp.FC_VERSION) == bytes([0, 1, 0])
+    assert s.ask(Msp.UID) == struct.pack("<3I", *UNIQUE_ID)
+    assert s.ask(Msp.NAME) == b"puppet"
+    board = messages.board_info(s.ask(Msp.BOARD_INFO))
+    assert (board.identifier, board.target, board.name) == ("BRD1", "TARGETNAME", "TARGETNAME")
+    assert board.manufacturer == "MAKR"
+    assert len(s.ask(Msp.BUILD_INFO)) == 26
+
+
+def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[..., Server]) -> None:
+    assert messages.policy_info(server(policy_good=True).ask(Msp.POLICY_INFO)) == PolicyInfo(
+        name="puppet",
+        sha256="00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210",
+        architecture_hash=0x01234567,
+        observation_count=17,
+        action_count=4,
+        weight_count=2,
+        control_rate_hz=1000,
+        gyro_rate_hz=4000,
+        good=True,
+    )
+    assert not messages.policy_info(server(policy_good=False).ask(Msp.POLICY_INFO)).good
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Server], armed: bool) -> None:
+    flags = 1 << ArmingReason.POLICY_BAD | 1 << ArmingReason.BOOT_GRACE
+    s = server(trace={"armed": armed}, arming_reasons=flags, load_percent=37)
+    extended = messages.status_ex(s.ask(Msp.STATUS_EX))
+    assert extended.status == messages.status(s.ask(Msp.STATUS))
+    assert extended.status.armed is armed
+    assert extended.status.cycle_time_us == 1000
+    assert extended.status.load_percent == 37
+    assert extended.arming_flag_count == len(ArmingReason)
+    assert messages.arming_reasons(extended.arming_flags) == ("BOOT_GRACE", "POLICY_BAD")
+
+
+def test_channels_come_in_the_ecosystems_order_when_asked(server: Callable[..., Server]) -> None:
+    channels = messages.rc(server(channels_us=list(range(1000, 1016))).ask(Msp.RC))
+    assert channels == (1000, 1001, 1003, 1002, *range(1004, 1016))
+
+
+def test_motors_are_pulse_widths_when_asked(server: Callable[..., Server]) -> None:
+    s = server(trace={"motor_count": 4, "dshot": [0, 48, 2047, 1048]})
+    assert messages.motor(s.ask(Msp.MOTOR)) == (1000, 1000, 2000, 1500, 0, 0, 0, 0)
+
+
+def test_gyro_is_whole_degrees_when_asked(server: Callable[..., Server]) -> None:
+    imu = messages.raw_imu(
+        server(trace={"gyro": np.radians([100.4, -100.6, -2000]).tolist()}).ask(Msp.RAW_IMU)
+    )
+    assert imu.gyro == (100, -101, -2000)
+    assert imu.acceleration == imu.magnetometer == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("good", "rssi"), [(True, 1023), (False, 0)])
+def test_signal_strength_is_full_or_none_when_the_receiver_is_good_or_not(
+    server: Callable[..., Server], good: bool, rssi: int
+) -> None:
+    assert messages.analog(server(receiver_good=good).ask(Msp.ANALOG)).rssi == rssi
+
+
+def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:  # noqa: ANN401
+    memory = puppet.new("uint64_t[]", puppet.lib.reference_size() // 8 + 1)
+    puppet.lib.puppet_action = [0.0] * 4
+    assert puppet.lib.reference_init(memory, 4000) == 0
+    out = puppet.new("uint8_t[256]")
+    ask = v1(Msp.STATUS_EX)
+    count = puppet.lib.reference_msp(memory, ask, len(ask), out, len(out))
+    extended = messages.status_ex(bytes(out)[5 : count - 1])
+    assert set(messages.arming_reasons(extended.arming_flags)) == {
+        "BOOT_GRACE",
+        "GYRO_NOT_CALIBRATED",
+        "RECEIVER_LOST",
+        "SWITCH_NOT_CYCLED",
+    }
