@@ -93,8 +93,17 @@ def _check_bounds(layers: Sequence[Layer]) -> None:
             return
         case last:
             raise PolicyError(
-                f"the policy ends with {last}, expected Clip within [0, 1]; clip the motor fractions"
+                f"the policy ends with {_short(last)}, expected Clip within [0, 1]; clip the motor fractions"
             )
+
+
+def _short(layer: Layer | None) -> str:
+    match layer:
+        case None:
+            return "nothing"
+        case Clip(low, high):
+            return f"Clip from {low} to {high}"
+    return type(layer).__name__
 
 
 def _describe(metadata: Mapping[str, str], sha256: str, width: int, layers: Layers) -> PolicyModel:

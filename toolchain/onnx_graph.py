@@ -6,6 +6,7 @@ Constant, in float32 with fixed shapes [1, n]. Refusals are PolicyError, one lin
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,6 +43,8 @@ def refuse_unsupported(model: onnx.ModelProto) -> None:
         raise PolicyError(
             "local functions or sparse weights in the policy, expected plain nodes and dense weights"
         )
+    if not all(isinstance(name, str) for name in _names(model)):
+        raise PolicyError("a name in the policy is not UTF-8; is the file damaged? export it again")
     for entry in model.opset_import:
         if entry.domain in DOMAINS and entry.version < OPSET_MIN:
             raise PolicyError(
@@ -50,10 +53,14 @@ def refuse_unsupported(model: onnx.ModelProto) -> None:
     for node in model.graph.node:
         if node.op_type not in SUPPORTED or node.domain not in DOMAINS:
             raise PolicyError(f"{_label(node)} is not supported, supported are {', '.join(SUPPORTED)}")
-    constants = [(_label(node), a.t) for node in model.graph.node for a in node.attribute]
-    for label, tensor in [(f"initializer {t.name!r}", t) for t in model.graph.initializer] + constants:
+    tensors = [(f"initializer {tensor.name!r}", tensor) for tensor in model.graph.initializer]
+    tensors += [(_label(n), a.t) for n in model.graph.node for a in n.attribute if a.HasField("t")]
+    for label, tensor in tensors:
         if tensor.data_location == onnx.TensorProto.EXTERNAL or tensor.external_data:
             raise PolicyError(f"{label} keeps its values in another file; export the policy as one file")
+        if tensor.data_type != onnx.TensorProto.FLOAT:
+            kind = _type_name(tensor.data_type)
+            raise PolicyError(f"{label} is of type {kind}, expected float32; export in float32")
 
 
 def read_layers(model: onnx.ModelProto) -> tuple[int, list[Layer]]:
@@ -217,8 +224,6 @@ def _floats(chain: _Chain, name: str, label: str) -> Float32:
     if name not in chain.constants:
         raise PolicyError(f"{label} takes {name!r} where a constant is expected")
     values = chain.constants[name]
-    if values.dtype != np.float32:
-        raise PolicyError(f"{label}: constant {name!r} is {values.dtype}, expected float32")
     floats = values.astype(np.float32)
     if not np.isfinite(floats).all():
         count = int((~np.isfinite(floats)).sum())
@@ -258,6 +263,17 @@ def _array(tensor: onnx.TensorProto, label: str) -> NDArray[np.generic]:
         return np.asarray(numpy_helper.to_array(tensor))
     except (ValueError, TypeError, KeyError) as error:
         raise PolicyError(f"{label} does not hold the values of its shape: {error}") from error
+
+
+def _names(model: onnx.ModelProto) -> Iterator[object]:
+    """Every name in the model; protobuf gives bytes instead of str for what is not UTF-8."""
+    for node in model.graph.node:
+        yield from (node.name, node.op_type, node.domain, *node.input, *node.output)
+        yield from (attribute.name for attribute in node.attribute)
+    for entry in (*model.graph.initializer, *model.graph.input, *model.graph.output):
+        yield entry.name
+    for entry in model.metadata_props:
+        yield from (entry.key, entry.value)
 
 
 def _label(node: onnx.NodeProto) -> str:

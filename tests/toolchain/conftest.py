@@ -1,0 +1,246 @@
+"""Policies made for a test, and the two machines that run their C: this one and an emulated Cortex-M7."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+from numpy.typing import ArrayLike, NDArray
+from onnx import TensorProto, helper, numpy_helper
+from unicorn import UC_ARCH_ARM, UC_HOOK_BLOCK, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_R2,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_CORTEX_M7,
+)
+
+from toolchain.compiler import CompiledPolicy, compile_policy
+from toolchain.network import parse_policy
+
+Float32 = NDArray[np.float32]
+
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-pedantic", "-Werror")
+HOST = ("gcc", "-std=c11", "-O2", "-mfma", "-ffp-contract=off", "-fno-math-errno", *WARNINGS)
+CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard")
+ARM = ("arm-none-eabi-gcc", "-std=c11", "-O2", *CORTEX_M7, "-ffp-contract=off", "-fno-math-errno", *WARNINGS)
+
+METADATA = {
+    "neuroflight.version": "1",
+    "neuroflight.observation": "rate_error,rate_error_delta",
+    "neuroflight.control_rate_hz": "1000",
+    "neuroflight.filters": "[]",
+    "neuroflight.aircraft": "nf1",
+    "neuroflight.aircraft_sha256": "0" * 64,
+    "neuroflight.training": "{}",
+}
+
+
+@dataclass
+class Chain:
+    """An ONNX model under construction: a chain of nodes from `observation` to `action`."""
+
+    inputs: int = 6
+    outputs: int = 4
+    nodes: list[onnx.NodeProto] = field(default_factory=list)
+    tensors: list[onnx.TensorProto] = field(default_factory=list)
+    metadata: dict[str, str] = field(default_factory=lambda: dict(METADATA))
+    opset: int = 17
+
+    def add(
+        self,
+        operator: str,
+        *operands: ArrayLike | None,
+        first: bool = True,
+        name: str = "",
+        **attributes: float,
+    ) -> Chain:
+        """Append a node that takes the chain's value and constant `operands` (None leaves one out)."""
+        index = len(self.nodes)
+        names = []
+        for place, operand in enumerate(operands):
+            names.append("" if operand is None else f"constant{index}_{place}")
+            if operand is not None:
+                self.tensors.append(numpy_helper.from_array(np.asarray(operand), names[-1]))
+        value = self.nodes[-1].output[0] if self.nodes else "observation"
+        takes = [value, *names] if first else [*names, value]
+        node = helper.make_node(operator, takes, [f"value{index}"], name=name or f"{operator}_{index}")
+        node.attribute.extend(helper.make_attribute(key, value) for key, value in attributes.items())
+        self.nodes.append(node)
+        return self
+
+    def clip(self) -> Chain:
+        """Append the door that every policy ends with."""
+        return self.add("Clip", np.float32(0), np.float32(1))
+
+    def model(self) -> onnx.ModelProto:
+        """The model; its last value is called `action`."""
+        if self.nodes:
+            self.nodes[-1].output[0] = "action"
+        ends = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, n])
+            for name, n in (("observation", self.inputs), ("action", self.outputs))
+        ]
+        graph = helper.make_graph(self.nodes, "policy", ends[:1], ends[1:], self.tensors)
+        opset = helper.make_opsetid("", self.opset)
+        model = helper.make_model(graph, opset_imports=[opset], ir_version=8)
+        helper.set_model_props(model, self.metadata)
+        return model
+
+    def data(self) -> bytes:
+        """The bytes of the file."""
+        return bytes(self.model().SerializeToString())
+
+
+def weights(rng: np.random.Generator, *shape: int) -> Float32:
+    """Random weights of a size that keeps sums near 1."""
+    return np.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]), np.float32)
+
+
+def mlp(widths: Sequence[int] = (6, 64, 64, 4), activation: str = "Tanh", seed: int = 0) -> Chain:
+    """A perceptron whose outputs mostly lie inside the clip."""
+    rng = np.random.default_rng(seed)
+    chain = Chain(widths[0], widths[-1])
+    for index, (inputs, outputs) in enumerate(pairwise(widths)):
+        last = index == len(widths) - 2
+        scale, offset = (0.3, 0.4) if last else (1.0, 0.0)
+        bias = (0.1 * weights(rng, outputs) + offset).astype(np.float32)
+        chain.add("Gemm", (scale * weights(rng, outputs, inputs)).astype(np.float32), bias, transB=1)
+        if not last:
+            chain.add(activation)
+    return chain.clip()
+
+
+def observations(count: int, inputs: int, seed: int = 0) -> Float32:
+    """Observations (count, inputs): half of unit scale, half of any bits, NaN and infinity included."""
+    rng = np.random.default_rng(seed)
+    bits = rng.integers(0, 1 << 32, (count // 2, inputs), dtype=np.uint32).view(np.float32)
+    special = np.array([0, -0.0, np.nan, np.inf, -np.inf, 1e-45, -1e-40, 3.4e38, -3.4e38, 1e-38], np.float32)
+    mixed = np.where(rng.random(bits.shape) < 0.3, rng.choice(special, bits.shape), bits)
+    lone = rng.normal(size=bits.shape).astype(np.float32)  # one odd value among sane ones
+    lone[np.arange(len(lone)), rng.integers(0, inputs, len(lone))] = mixed[:, 0]
+    unit = rng.normal(size=(count - len(bits), inputs)).astype(np.float32)
+    return np.concatenate([unit, np.where(rng.random((len(bits), 1)) < 0.5, mixed, lone)])
+
+
+def compiled(source: Chain | bytes) -> CompiledPolicy:
+    """A chain, or the bytes of an ONNX file, through the whole compiler."""
+    return compile_policy(parse_policy(source if isinstance(source, bytes) else source.data()))
+
+
+def write(policy: CompiledPolicy, directory: Path) -> Path:
+    """policy.c and policy.h in `directory`, nothing else. Returns policy.c."""
+    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "policy.h").write_text(policy.emission.header)
+    source = directory / "policy.c"
+    source.write_text(policy.emission.source)
+    return source
+
+
+class HostPolicy:
+    """policy.c compiled for this machine and called through ctypes."""
+
+    def __init__(self, policy: CompiledPolicy, directory: Path) -> None:
+        """Compile into `directory`."""
+        library = directory / "policy.so"
+        subprocess.run([*HOST, "-shared", "-fPIC", write(policy, directory), "-o", library], check=True)
+        self._library = ctypes.CDLL(str(library))
+        self._state = (ctypes.c_void_p * 1)()
+        self._outputs = policy.policy.action_count
+        self.init(None)
+
+    def init(self, table: ctypes.c_void_p | None) -> None:
+        """policy_init with another table of weights, None for the compiled-in one."""
+        self._library.policy_init(self._state, table)
+
+    def actions(self, observation: Float32) -> Float32:
+        """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
+        observation = np.ascontiguousarray(observation)
+        action = np.full((len(observation), self._outputs), np.nan, np.float32)
+        step, state = self._library.policy_step, ctypes.byref(self._state)
+        for row, out in zip(observation, action, strict=True):
+            step(state, ctypes.c_void_p(row.ctypes.data), ctypes.c_void_p(out.ctypes.data))
+        return action
+
+
+class ArmPolicy:
+    """policy.c linked alone for the Cortex-M7 and executed instruction by instruction."""
+
+    POLICY, OBSERVATION, ACTION, STACK_TOP = 0x20000000, 0x20000100, 0x20000400, 0x20010000
+    CODE, STOP = 0x10000, 0xFF000
+
+    def __init__(self, policy: CompiledPolicy, directory: Path) -> None:
+        """Compile and link in `directory`, load into the emulator."""
+        image = directory / "policy.elf"
+        link = ("-nostdlib", f"-Wl,-Ttext={self.CODE:#x}", "-Wl,-e,policy_step")
+        subprocess.run([*ARM, *link, write(policy, directory), "-o", image], check=True)
+        self._inputs, self._outputs = policy.policy.observation_count, policy.policy.action_count
+        self._cpu = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
+        self._cpu.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)
+        self._cpu.mem_map(0, 1 << 20)
+        self._cpu.mem_map(0x20000000, 1 << 16)
+        with image.open("rb") as file:
+            elf = ELFFile(file)
+            for segment in elf.iter_segments("PT_LOAD"):
+                self._cpu.mem_write(segment["p_vaddr"], segment.data())
+            table = elf.get_section_by_name(".symtab")
+            assert isinstance(table, SymbolTableSection)
+            self._symbols = {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
+        self._call("policy_init", self.POLICY, 0, 0)
+
+    def actions(self, observation: Float32) -> Float32:
+        """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
+        action = np.empty((len(observation), self._outputs), np.float32)
+        for row, out in zip(observation, action, strict=True):
+            self._cpu.mem_write(self.OBSERVATION, row.tobytes())
+            self._call("policy_step", self.POLICY, self.OBSERVATION, self.ACTION)
+            out[:] = np.frombuffer(self._cpu.mem_read(self.ACTION, out.nbytes), np.float32)
+        return action
+
+    def path(self, observation: Float32) -> list[int]:
+        """The addresses of the basic blocks that one step executes, in order."""
+        executed: list[int] = []
+        hook = self._cpu.hook_add(UC_HOOK_BLOCK, lambda _cpu, address, _size, _data: executed.append(address))
+        self.actions(observation[None])
+        self._cpu.hook_del(hook)
+        return executed
+
+    def _call(self, function: str, *arguments: int) -> None:
+        for register, value in zip((UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2), arguments, strict=True):
+            self._cpu.reg_write(register, value)
+        self._cpu.reg_write(UC_ARM_REG_SP, self.STACK_TOP)
+        self._cpu.reg_write(UC_ARM_REG_LR, self.STOP | 1)
+        self._cpu.emu_start(self._symbols[function] | 1, self.STOP)
+
+
+@dataclass(frozen=True)
+class Kit:
+    """What a test of the compiler works with."""
+
+    chain: Callable[..., Chain] = Chain
+    mlp: Callable[..., Chain] = mlp
+    weights: Callable[..., Float32] = weights
+    observations: Callable[..., Float32] = observations
+    compiled: Callable[[Chain | bytes], CompiledPolicy] = compiled
+    write: Callable[[CompiledPolicy, Path], Path] = write
+    host: Callable[[CompiledPolicy, Path], HostPolicy] = HostPolicy
+    arm: Callable[[CompiledPolicy, Path], ArmPolicy] = ArmPolicy
+    host_compiler: tuple[str, ...] = HOST
+    arm_compiler: tuple[str, ...] = ARM
+
+
+@pytest.fixture(scope="session")
+def kit() -> Kit:
+    """The functions and classes above; pytest's importlib mode offers no other way to reach them."""
+    return Kit()
