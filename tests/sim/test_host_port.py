@@ -21,7 +21,7 @@ STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3
 @pytest.fixture
 def impostor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
     """Makes a program that runs the given Python lines instead of a firmware; waits are cut short."""
-    monkeypatch.setattr(host_port, "START_S", 2.0)
+    monkeypatch.setattr(host_port, "START_S", 1.5)
     monkeypatch.setattr(host_port, "REPLY_S", 0.2)
 
     def make(lines: str) -> Path:
@@ -82,7 +82,10 @@ def test_ports_do_not_collide_when_two_programs_run(host_program: Path) -> None:
     second.close()
 
 
-def test_the_link_fails_clearly_when_the_program_dies_in_flight(host_program: Path) -> None:
+def test_the_link_fails_clearly_when_the_program_dies_in_flight(
+    host_program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host_port, "REPLY_S", 0.2)
     port = HostPort(host_program)
     port.exchange(STILL, None)
     assert port._child._process is not None
@@ -115,7 +118,7 @@ def test_it_says_so_when_the_file_is_no_program(tmp_path: Path) -> None:
     ("lines", "message"),
     [
         ("import sys; sys.exit('out of luck')", "it ended with 1: out of luck"),
-        ("import time; time.sleep(60)", "not ready within 2 s"),
+        ("import time; time.sleep(60)", "not ready within 1.5 s"),
         ("print('hello', flush=True); input()", "it said 'hello', expected its `ready` line"),
         ("print('ready state=1', flush=True); input()", "it said 'ready state=1'"),
     ],

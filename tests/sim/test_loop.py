@@ -181,7 +181,7 @@ def test_it_gives_up_with_the_reasons_when_the_firmware_does_not_arm() -> None:
 def test_it_refuses_when_the_firmware_is_armed_from_an_earlier_flight() -> None:
     port, twin = Recorder(1000), Watched(1000)
     fly(twin, port, HOLD)
-    port.exchange = lambda sample, channels: port.replies[-1]  # type: ignore[method-assign]
+    port.exchange = lambda sample, channels_us: port.replies[-1]  # type: ignore[method-assign]
     with pytest.raises(LinkError, match="armed with the switch off"):
         fly(twin, port, HOLD)
     twin.close()

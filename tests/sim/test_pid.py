@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from sim.metrics import effort, tracking
@@ -15,12 +16,10 @@ RATE_HZ = 1000
 ONE_AXIS = np.array([[1.0], [0.0], [-1.0]])  # motors that show only what roll asks
 
 
-def step_once(pid: Pid, setpoint: list[float], gyro: list[float]) -> np.ndarray:
-    return pid.step(
-        np.deg2rad([setpoint]).astype(np.float32),
-        np.deg2rad([gyro]).astype(np.float32),
-        np.zeros(1, np.float32),
-    )[0]
+def step_once(pid: Pid, setpoint: list[float], gyro: list[float]) -> NDArray[np.float32]:
+    wanted, measured = (np.deg2rad([rates]).astype(np.float32) for rates in (setpoint, gyro))
+    y: NDArray[np.float32] = pid.step(wanted, measured, np.zeros(1, np.float32))[0]
+    return y
 
 
 def roll_only(p: float, i: float, d: float) -> Pid:
@@ -127,7 +126,8 @@ def test_published_gains_give_the_published_figures_when_flown_without_noise_and
         outputs[k] = y = pid.step(setpoint, twin.gyro.astype(np.float32), np.zeros(count, np.float32))
         twin.step(y)
     twin.close()
-    result = tracking(*(array[..., :3].swapaxes(0, 1) for array in (setpoints, rates)), 1 / RATE_HZ).mean()
+    wanted, flown = (array[..., :3].swapaxes(0, 1) for array in (setpoints, rates))
+    result = tracking(wanted, flown, 1 / RATE_HZ).mean()
     assert result.mae.mean() == pytest.approx(4.5, abs=1.0)
     assert result.mse.mean() == pytest.approx(369, rel=0.35)
     assert effort(outputs, 1 / RATE_HZ).output == pytest.approx(0.03, abs=0.01)

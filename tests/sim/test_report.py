@@ -53,9 +53,9 @@ def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
     picture = draw([make_flight("firmware"), make_flight("PID")], "title")
     roll, pitch, yaw, error, motors = picture.axes
     assert [line.get_label() for line in roll.lines] == ["setpoint", "firmware", "PID"]
-    assert roll.lines[1].get_ydata()[-1] == pytest.approx(98)
-    assert pitch.lines[0].get_ydata()[-1] == pytest.approx(-40)
-    assert yaw.lines[2].get_ydata()[-1] == pytest.approx(-2)
+    assert np.asarray(roll.lines[1].get_ydata())[-1] == pytest.approx(98)
+    assert np.asarray(pitch.lines[0].get_ydata())[-1] == pytest.approx(-40)
+    assert np.asarray(yaw.lines[2].get_ydata())[-1] == pytest.approx(-2)
     assert [line.get_label() for line in error.lines] == ["roll", "pitch", "yaw"]
     assert error.lines[0].get_ydata() == pytest.approx(np.full(3000, 2.0))
     assert [line.get_label() for line in motors.lines[1::2]] == ["1", "2", "3", "4"]
@@ -64,7 +64,7 @@ def test_plot_shows_setpoint_and_rates_of_each_flight_when_drawn() -> None:
 
 def test_plot_shows_the_beginning_when_the_flight_is_long() -> None:
     picture = draw([make_flight("firmware", 20_000)], "title")
-    assert picture.axes[0].lines[0].get_xdata()[-1] == pytest.approx(13.5, abs=0.01)
+    assert np.asarray(picture.axes[0].lines[0].get_xdata())[-1] == pytest.approx(13.5, abs=0.01)
 
 
 def test_plot_draws_when_the_flight_is_a_single_step(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def test_same_tells_traces_apart_when_one_bit_differs() -> None:
         ({"t": np.zeros(0)}, "t is empty"),
     ],
 )
-def test_a_trace_is_refused_when_an_array_does_not_fit(changes: dict[str, object], message: str) -> None:
+def test_a_trace_is_refused_when_an_array_does_not_fit(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(TraceError, match=message):
         dataclasses.replace(make_trace(), **changes)
 

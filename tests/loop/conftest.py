@@ -1,0 +1,55 @@
+"""Flights of the shipped policy in the twin of the NF1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft import load_aircraft
+from sim.controller_port import ControllerPort
+from sim.loop import fly
+from sim.pid import aircraft_pid
+from sim.port import FirmwarePort
+from sim.reference_port import ReferencePort
+from sim.scenario import Scenario
+from sim.trace import Trace
+from sim.twin import Twin
+
+GYRO_RATE_HZ = 4000
+Flown = Callable[..., Trace]
+
+
+@pytest.fixture(scope="session")
+def flown() -> Flown:
+    """Flies a port in a fresh twin of the NF1, gyro noise on, and closes both."""
+
+    def run(
+        port: FirmwarePort,
+        scenario: Scenario,
+        seed: int = 1,
+        motor_order: tuple[int, ...] | None = None,
+    ) -> Trace:
+        rng = np.random.default_rng((seed, 1))
+        twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+        try:
+            return fly(twin, port, scenario, motor_order=motor_order)
+        finally:
+            port.close()
+            twin.close()
+
+    return run
+
+
+@pytest.fixture
+def reference(reference_library: Path) -> ReferencePort:
+    """A freshly booted firmware."""
+    return ReferencePort(reference_library, GYRO_RATE_HZ)
+
+
+@pytest.fixture
+def pid() -> ControllerPort:
+    """The PID with the aircraft's gains."""
+    return ControllerPort(aircraft_pid(load_aircraft("nf1")), 4, GYRO_RATE_HZ)

@@ -1,0 +1,96 @@
+"""What the shipped policy must achieve in the twin, through the firmware, with gyro noise on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.controller_port import ControllerPort
+from sim.host_port import HostPort
+from sim.metrics import Figures, figures
+from sim.reference_port import ReferencePort
+from sim.scenario import Scenario, Segment, load_scenario
+from sim.trace import Trace
+
+Flown = Callable[..., Trace]
+MAE_MAX_DEG_S = 6.0  # average of the axes, against the true rate
+CHANGE_MAX = 0.03  # mean |delta u| in 1 ms
+SEED = 20_000  # commands that no training saw
+CROSSED = (0, 2, 1, 3)  # motors 2 and 3 swapped
+
+
+def passes(result: Figures) -> bool:
+    """Whether a flight clears the bar."""
+    return float(result.tracking.mae.mean()) <= MAE_MAX_DEG_S and result.effort.change <= CHANGE_MAX
+
+
+def test_the_policy_clears_the_bar_when_it_flies_a_hundred_unseen_commands(
+    reference_library: Path, flown: Flown
+) -> None:
+    scenario = load_scenario("pulses", SEED, count=100)
+    trace = flown(ReferencePort(reference_library, 1000), scenario)
+    assert (trace.dshot > 0).all()
+    assert passes(figures(trace, scenario.episodes()))
+
+
+def test_the_policy_clears_the_bar_when_flown_over_sockets_at_the_boards_gyro_rate(
+    host_program: Path, flown: Flown
+) -> None:
+    scenario = load_scenario("pulses", SEED + 1, count=6)
+    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes()))
+
+
+@pytest.mark.prove
+def test_the_policy_clears_the_bar_when_a_hundred_commands_are_flown_over_sockets(
+    host_program: Path, flown: Flown
+) -> None:
+    scenario = load_scenario("pulses", SEED + 2, count=100)
+    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes()))
+
+
+def test_the_policy_misses_the_bar_when_motors_two_and_three_are_swapped(
+    reference: ReferencePort, flown: Flown
+) -> None:
+    scenario = load_scenario("pulses", SEED, count=2)
+    result = figures(flown(reference, scenario, motor_order=CROSSED), scenario.episodes())
+    assert not passes(result)
+    assert result.tracking.mae.mean() > 10 * MAE_MAX_DEG_S
+
+
+def test_the_pid_tracks_when_it_flies_the_same_commands(pid: ControllerPort, flown: Flown) -> None:
+    scenario = load_scenario("pulses", SEED, count=3)
+    result = figures(flown(pid, scenario), scenario.episodes())
+    assert result.tracking.mae.mean() < MAE_MAX_DEG_S
+    assert result.gyro_mae.mean() < MAE_MAX_DEG_S
+
+
+def test_the_pid_tumbles_when_motors_two_and_three_are_swapped(pid: ControllerPort, flown: Flown) -> None:
+    scenario = load_scenario("pulse", SEED)
+    assert figures(flown(pid, scenario, motor_order=CROSSED)).tracking.mae.mean() > 10 * MAE_MAX_DEG_S
+
+
+def test_the_throttle_lifts_the_motors_and_leaves_the_tracking_when_raised(
+    reference: ReferencePort, flown: Flown
+) -> None:
+    scenario = Scenario("lift", (Segment(0.5), Segment(1.0, (60.0, 60.0, 0.0), 0.4), Segment(1.0)))
+    trace = flown(reference, scenario)
+    assert trace.motors[1000:1500].mean() > 0.3
+    assert np.rad2deg(trace.rate[1200:1500, :2]).mean(axis=0) == pytest.approx([60, 60], abs=10)
+
+
+def test_the_firmware_centres_then_stops_for_good_when_the_receiver_falls_silent_in_flight(
+    reference: ReferencePort, flown: Flown
+) -> None:
+    turning = Segment(0.3, (90.0, 0.0, 0.0))
+    trace = flown(reference, Scenario("lost", (turning, Segment(0.6, receiver=False), turning)))
+    armed = (trace.dshot > 0).all(axis=1)
+    stopped = int(np.argmin(armed))
+    centred = int(np.argmax(trace.setpoint[:, 0] == 0))
+    # The last frame went out at most 10 ms before the silence began.
+    assert 300 + 90 <= centred <= 300 + 100
+    assert 300 + 390 <= stopped <= 300 + 400
+    assert not trace.dshot[stopped:].any()  # the switch is still on when the frames return: locked
+    assert not trace.motors[stopped:].any()

@@ -1,0 +1,96 @@
+"""`neuroflight fly` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim.trace import load_trace
+from toolchain.cli import fly as command
+from toolchain.cli.main import main
+
+
+@pytest.fixture
+def built(host_program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command finds the programs of this test run."""
+    monkeypatch.setattr(command, "BUILD", host_program.parent)
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> str:
+    """A scenario of a tenth of a second."""
+    path = tmp_path / "short.toml"
+    path.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("port", ["reference", "host"])
+@pytest.mark.usefixtures("built")
+def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
+    port: str, short: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trace, plot, report = (tmp_path / "new" / name for name in ("a.npz", "a.png", "a.html"))
+    arguments = ["fly", "--on", port, "--scenario", short, "--gyro-hz", "2000"]
+    assert main([*arguments, "--trace", str(trace), "--plot", str(plot), "--report", str(report)]) == 0
+    out = capsys.readouterr().out
+    assert "firmware" in out
+    assert "PID" in out
+    assert "MAE, deg/s" in out
+    assert len(load_trace(trace).t) == 100
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert "short" in report.read_text()
+
+
+@pytest.mark.usefixtures("built")
+def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fly", "--on", "reference", "--scenario", short, "--json", "--seed", "5"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["scenario"], document["seed"], document["on"]) == ("short", 5, "reference")
+    assert set(document["flights"]) == {"firmware", "PID"}
+    for flight in document["flights"].values():
+        assert len(flight["tracking"]["mae"]) == 3
+        assert flight["armed"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "loop"], "no such file"),
+        (["--scenario", "pulse", "--seed", "-3"], "seed: got -3"),
+        (["--scenario", "pulses", "--count", "0"], "count: got 0"),
+        (["--aircraft", "nf9"], "nf9"),
+        (["--trace", "a.txt"], "expected a name that ends in .npz"),
+        (["--report", "a.pdf"], "expected a name that ends in .html"),
+        (["--plot", "blocked/a.png"], "is no directory"),
+        (["--trace", "folder.npz"], "is a directory"),
+    ],
+)
+def test_it_refuses_in_one_line_before_flying_when_the_input_is_bad(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "BUILD", tmp_path / "never reached")
+    (tmp_path / "blocked").write_text("a file where a folder should be")
+    (tmp_path / "folder.npz").mkdir()
+    before = sorted(tmp_path.iterdir())
+    assert main(["fly", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_it_says_how_to_build_when_nothing_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    assert main(["fly", "--trace", str(tmp_path / "a.npz")]) == 1
+    assert "build it with `make host`" in capsys.readouterr().err
+    assert not (tmp_path / "a.npz").exists()

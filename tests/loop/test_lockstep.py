@@ -1,0 +1,52 @@
+"""The same firmware on every port: the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sim.controller import PolicyController
+from sim.controller_port import ControllerPort
+from sim.host_port import HostPort
+from sim.reference_port import ReferencePort
+from sim.scenario import Scenario, Segment, load_scenario
+from sim.trace import Trace, load_trace, save_trace
+from toolchain.network import read_policy
+
+Flown = Callable[..., Trace]
+BUSY = Scenario(
+    "busy",
+    tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(8)),
+)
+
+
+def test_a_host_flight_repeats_bit_for_bit_when_flown_twice(
+    host_program: Path, flown: Flown, tmp_path: Path
+) -> None:
+    for name in ("a.npz", "b.npz"):
+        save_trace(tmp_path / name, flown(HostPort(host_program), load_scenario("pulse", seed=1)))
+    assert load_trace(tmp_path / "a.npz").same(load_trace(tmp_path / "b.npz"))
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_flights_differ_when_the_seed_differs(reference_library: Path, flown: Flown) -> None:
+    flights = [flown(ReferencePort(reference_library), BUSY, seed) for seed in (1, 2)]
+    assert not flights[0].same(flights[1])
+
+
+@pytest.mark.parametrize("gyro_rate_hz", [1000, 4000, 8000])
+def test_library_and_host_program_fly_the_same_bits_when_the_scenario_is_busy(
+    host_program: Path, reference_library: Path, flown: Flown, gyro_rate_hz: int
+) -> None:
+    over_sockets = flown(HostPort(host_program, gyro_rate_hz), BUSY)
+    assert flown(ReferencePort(reference_library, gyro_rate_hz), BUSY).same(over_sockets)
+
+
+def test_the_toolchains_evaluator_flies_the_compiled_policys_bits_when_behind_the_port(
+    shipped_policy: Path, reference_library: Path, flown: Flown
+) -> None:
+    policy = read_policy(shipped_policy)
+    in_python = ControllerPort(PolicyController(policy), policy.action_count)
+    assert flown(in_python, BUSY).same(flown(ReferencePort(reference_library), BUSY))
