@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +35,8 @@ def flown() -> Flown:
     ) -> Trace:
         rng = np.random.default_rng((seed, 1))
         twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
-        try:
+        with closing(port), closing(twin):
             return fly(twin, port, scenario, motor_order=motor_order)
-        finally:
-            port.close()
-            twin.close()
 
     return run
 

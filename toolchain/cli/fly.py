@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -136,12 +138,8 @@ def _fly(
     from sim.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
-    twin = Twin(aircraft, rate_hz=args.gyro_hz, mount=scenario.mount, rng=rng)
-    try:
+    with closing(port), closing(Twin(aircraft, rate_hz=args.gyro_hz, mount=scenario.mount, rng=rng)) as twin:
         trace = fly(twin, port, scenario, progress=progress)
-    finally:
-        port.close()
-        twin.close()
     return Flight(name, trace, figures(trace, scenario.episodes()))
 
 
@@ -156,6 +154,8 @@ def _check_output(path: Path | None, suffix: str) -> None:
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir():
         raise NeuroflightError(f"{path}: {parent} is no directory; choose another place")
+    if not os.access(parent, os.W_OK):
+        raise NeuroflightError(f"{path}: may not be written in {parent}; choose another place")
 
 
 def _document(
@@ -187,11 +187,14 @@ def _document(
 def _print(title: str, note: str, flights: list[Flight]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from sim.report import table
 
     heading, *rows = table(flights)
-    shown = Table(title=title, caption=note, title_justify="left", caption_justify="left", box=None)
+    shown = Table(
+        title=Text(title), caption=Text(note), title_justify="left", caption_justify="left", box=None
+    )
     for number, cell in enumerate(heading):
         shown.add_column(cell, justify="right" if number else "left")
     for row in rows:
