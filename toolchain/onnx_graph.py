@@ -91,7 +91,7 @@ class _Chain:
     value: str
     width: int
     layers: list[Layer] = field(default_factory=list)
-    constants: dict[str, NDArray[np.generic]] = field(default_factory=dict)
+    constants: dict[str, Float32] = field(default_factory=dict)
 
     def append(self, layer: Layer, node: onnx.NodeProto) -> None:
         """`node` computes `layer` from the chain's value."""
@@ -224,13 +224,12 @@ def _floats(chain: _Chain, name: str, label: str) -> Float32:
     if name not in chain.constants:
         raise PolicyError(f"{label} takes {name!r} where a constant is expected")
     values = chain.constants[name]
-    floats = values.astype(np.float32)
-    if not np.isfinite(floats).all():
-        count = int((~np.isfinite(floats)).sum())
+    if not np.isfinite(values).all():
+        count = int((~np.isfinite(values)).sum())
         raise PolicyError(
             f"{label}: constant {name!r} holds {count} NaN or infinite values, expected finite ones"
         )
-    return floats
+    return values
 
 
 def _scalar(chain: _Chain, name: str, label: str) -> float | None:
@@ -246,7 +245,7 @@ def _attributes(node: onnx.NodeProto) -> dict[str, float]:
     return {a.name: onnx.helper.get_attribute_value(a) for a in node.attribute}
 
 
-def _constant(node: onnx.NodeProto, label: str) -> NDArray[np.generic]:
+def _constant(node: onnx.NodeProto, label: str) -> Float32:
     for attribute in node.attribute:
         match attribute.name:
             case "value":
@@ -258,9 +257,9 @@ def _constant(node: onnx.NodeProto, label: str) -> NDArray[np.generic]:
     raise PolicyError(f"{label} holds neither a tensor nor floats, expected float32 values")
 
 
-def _array(tensor: onnx.TensorProto, label: str) -> NDArray[np.generic]:
+def _array(tensor: onnx.TensorProto, label: str) -> Float32:
     try:
-        return np.asarray(numpy_helper.to_array(tensor))
+        return np.asarray(numpy_helper.to_array(tensor), np.float32)
     except (ValueError, TypeError, KeyError) as error:
         raise PolicyError(f"{label} does not hold the values of its shape: {error}") from error
 
@@ -277,7 +276,9 @@ def _names(model: onnx.ModelProto) -> Iterator[object]:
 
 
 def _label(node: onnx.NodeProto) -> str:
-    return f"node {node.name or ', '.join(node.output)!r} ({node.op_type})"
+    operator = node.op_type if node.domain in DOMAINS else f"{node.domain}::{node.op_type}"
+    operator = operator if operator.isprintable() else repr(operator)
+    return f"node {node.name or ', '.join(node.output)!r} ({operator})"
 
 
 def _type_name(code: int) -> str:
