@@ -91,6 +91,12 @@ def puppet(puppet_build: Path) -> Core:
     return load(puppet_build / "libneuroflight.so", scratch / "generated", scratch)
 
 
+@pytest.fixture(scope="session")
+def reference_core(reference_library: Path, tmp_path_factory: pytest.TempPathFactory) -> Core:
+    """The core around the shipped policy."""
+    return load(reference_library, FIRMWARE / "generated" / "HOST", tmp_path_factory.mktemp("reference"))
+
+
 def encode_sbus(
     values: Sequence[int], *, frame_lost: bool = False, failsafe: bool = False, footer: int = 0
 ) -> bytes:

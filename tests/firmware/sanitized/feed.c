@@ -1,0 +1,43 @@
+/* Feeds standard input to everything of the core that reads bytes or counts, under the sanitizers.
+ * Input: pieces of a length byte and as many bytes; each goes to the receiver, the MSP server and the gyro. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "firmware.h"
+#include "msp.h"
+
+int main(void)
+{
+	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
+	static const struct firmware_config config = { .gyro_rate_hz = 1000, .alignment = ALIGN_CW90 };
+	struct firmware *fw = malloc(sizeof *fw);
+	struct firmware_status status;
+	struct msp msp;
+	unsigned long samples = 0, replies = 0;
+
+	if (!fw || firmware_init(fw, &config) != NF_OK)
+		return 2;
+	msp_init(&msp, &identity);
+	for (int length; (length = getchar()) != EOF;) {
+		/* Exact sizes on the heap, so that one byte too far is seen. */
+		uint8_t *bytes = malloc((size_t)length + 1), *reply = malloc((size_t)length * 4 + 1);
+		uint16_t *dshot = malloc(POLICY_ACTION_COUNT * sizeof *dshot);
+		int16_t counts[3] = { 0 };
+		if (!bytes || !reply || !dshot)
+			return 2;
+		const size_t count = fread(bytes, 1, (size_t)length, stdin);
+		memcpy(counts, bytes, count < sizeof counts ? count : sizeof counts);
+		firmware_receive(fw, bytes, count);
+		firmware_sample(fw, counts, dshot);
+		firmware_status(fw, &status);
+		replies += msp_serve(&msp, &status, bytes, count, reply, (size_t)length * 4) > 0;
+		samples++;
+		free(bytes);
+		free(reply);
+		free(dshot);
+	}
+	free(fw);
+	printf("%lu %lu\n", samples, replies);
+	return 0;
+}

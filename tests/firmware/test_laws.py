@@ -1,0 +1,68 @@
+"""What the core may not contain: heap, maths library, statics that change, preprocessor switches."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "firmware" / "src"
+MODULES = sorted(path.stem for path in SOURCE.glob("*.c") if path.name != "main.c")
+MEMORY = {"memcpy", "memset", "memcmp", "memmove"}  # the compiler itself may ask for these four
+
+
+def symbols(path: Path, *options: str) -> list[tuple[str, str]]:
+    """(kind, name) of each symbol."""
+    done = subprocess.run(["nm", *options, str(path)], capture_output=True, text=True, check=True)
+    return [(words[-2], words[-1].split("@")[0]) for words in map(str.split, done.stdout.splitlines())]
+
+
+@pytest.fixture(scope="module")
+def objects(puppet_build: Path) -> dict[str, list[tuple[str, str]]]:
+    """Symbols of each core module."""
+    return {module: symbols(puppet_build / "obj" / "src" / f"{module}.o") for module in MODULES}
+
+
+def test_the_core_calls_only_itself_and_the_policy_when_linked(
+    puppet_build: Path, objects: dict[str, list[tuple[str, str]]]
+) -> None:
+    everything = [*objects.values(), symbols(puppet_build / "obj" / "policy.o")]
+    defined = {name for module in everything for kind, name in module if kind.isupper() and kind != "U"}
+    linkage = {"_GLOBAL_OFFSET_TABLE_"}
+    wanted = {name for module in objects.values() for kind, name in module if kind == "U"}
+    assert wanted - defined - linkage <= MEMORY
+
+
+def test_the_library_calls_no_heap_and_no_maths_when_loaded(puppet_build: Path) -> None:
+    called = {name for kind, name in symbols(puppet_build / "libneuroflight.so", "-D") if kind == "U"}
+    assert called <= MEMORY | {"__memcpy_chk"}, called
+
+
+def mutable(path: Path) -> set[str]:
+    """Variables of an object that can be written; tables that hold addresses are relocated, then constant."""
+    table = subprocess.run(["objdump", "-t", str(path)], capture_output=True, text=True, check=True).stdout
+    writable = r"^\S+ .{7} \.(?:bss|data(?!\.rel\.ro))\S*\s\S+ (\w+)$"
+    return set(re.findall(writable, table, re.MULTILINE))
+
+
+def test_only_main_has_variables_of_its_own_when_compiled(puppet_build: Path) -> None:
+    found = {path.stem: mutable(path) for path in (puppet_build / "obj" / "src").glob("*.o")}
+    assert found.pop("main") == {"firmware", "info", "msp", "longest_cycles"}
+    assert set(found) == set(MODULES)
+    assert not any(found.values()), found
+
+
+def test_the_core_is_the_same_for_every_target_when_preprocessed() -> None:
+    for path in sorted([*SOURCE.glob("*.c"), *SOURCE.glob("*.h")]):
+        text = path.read_text()
+        conditions = re.findall(r"^\s*#\s*(?:if|ifdef|ifndef|elif)\b.*", text, re.MULTILINE)
+        guards = 1 if path.suffix == ".h" else 0
+        assert len(conditions) == guards, f"{path.name}: {conditions}"
+
+
+def test_main_alone_reaches_the_hardware_boundary_when_read() -> None:
+    users = [path.name for path in SOURCE.iterdir() if "hal/" in path.read_text()]
+    assert users == ["main.c"]

@@ -1,0 +1,32 @@
+"""firmware/Makefile: what it refuses and what it rebuilds."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+
+
+def make(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["make", "-C", str(FIRMWARE), *arguments], capture_output=True, text=True)
+
+
+def test_the_known_targets_are_listed_when_the_target_is_unknown() -> None:
+    done = make("TARGET=NONSENSE")
+    assert done.returncode != 0
+    assert "unknown TARGET 'NONSENSE', known are HOST MATEKF722" in done.stderr
+
+
+def test_what_depends_on_a_header_is_rebuilt_when_it_changes(hexacopter_build: Path) -> None:
+    generated = hexacopter_build.parent / "generated"
+    arguments = ("TARGET=HOST", f"GENERATED={generated}", f"BUILD={hexacopter_build}")
+    assert make("-q", *arguments).returncode == 0, "nothing changed"
+    newest = max(path.stat().st_mtime_ns for path in hexacopter_build.rglob("*"))
+    policy = generated / "policy.h"
+    text = policy.read_text()
+    while policy.stat().st_mtime_ns <= newest:
+        policy.write_text(text)
+    plan = make("-n", *arguments).stdout
+    assert "src/firmware.c" in plan and "src/mixer.c" in plan
+    assert "src/sbus.c" not in plan
