@@ -85,8 +85,10 @@ def read_image(path: Path) -> Image:
                 attributes=_attributes(elf),
                 symbols=_symbols(elf),
             )
-    except (OSError, ELFError) as error:
-        raise BuildError(f"cannot read the image {path}: {error or 'not an ELF file'}") from error
+    except OSError as error:
+        raise BuildError(f"cannot read the image {path}: {error.strerror}") from error
+    except ELFError as error:
+        raise BuildError(f"cannot read the image {path}: not an ELF file, {error}") from error
 
 
 def memory_use(image: Image) -> tuple[MemoryUse, ...]:

@@ -1,0 +1,87 @@
+"""The compiler's commands: what they write and print, and one line where they refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from toolchain.cli.main import main
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Kit
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def policy_file(kit: Kit, tmp_path: Path) -> Path:
+    """A small policy."""
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(kit.mlp((6, 8, 4)).data())
+    return path
+
+
+def refused(arguments: list[str], capsys: Capture) -> str:
+    """The one line on stderr of a command that fails."""
+    assert main(arguments) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("neuroflight: ")
+    assert printed.err.count("\n") == 1
+    return printed.err
+
+
+def test_compile_writes_both_files_when_the_policy_is_good(
+    policy_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "out"
+    assert main(["compile", str(policy_file), "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert sorted(path.name for path in out.iterdir()) == ["policy.c", "policy.h"]
+    assert facts["weights"] == 6 * 8 + 8 + 8 * 4 + 4
+    assert f'POLICY_SHA256 "{facts["policy_sha256"]}"' in (out / "policy.h").read_text()
+
+
+def test_compile_writes_nothing_when_the_policy_is_refused(
+    policy_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    policy_file.write_bytes(policy_file.read_bytes()[:300])
+    assert "truncated" in refused(["compile", str(policy_file), "--out", str(tmp_path / "out")], capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_freeze_writes_nothing_when_the_checkpoint_is_none(
+    policy_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "frozen.onnx"
+    assert "is no checkpoint" in refused(["freeze", str(policy_file), "--out", str(out)], capsys)
+    assert not out.exists()
+
+
+def test_build_names_the_known_targets_when_the_target_is_unknown(policy_file: Path, capsys: Capture) -> None:
+    line = refused(["build", "--target", "KAKUTE", "--policy", str(policy_file)], capsys)
+    assert line == "neuroflight: unknown TARGET 'KAKUTE', known are MATEKF722, HOST\n"
+
+
+def test_build_prints_its_report_when_it_succeeds(
+    flown_policy: Path, host_program: Path, capsys: Capture
+) -> None:
+    arguments = ["build", "--target", "HOST", "--policy", str(flown_policy)]
+    assert main([*arguments, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report == json.loads((host_program.parent / "report.json").read_text())
+    assert main(arguments) == 0
+    table = capsys.readouterr().out
+    for word in ("synthesis", "optimization", "compilation", "network", "nothing changed"):
+        assert word in table
+
+
+@pytest.mark.parametrize("command", ["build", "compile", "freeze"])
+def test_help_is_shown_when_asked_for(command: str, capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([command, "--help"])
+    assert caught.value.code == 0
+    assert "usage: neuroflight" in capsys.readouterr().out
