@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")
-def flown_policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shipped_policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The policy inside the programs below: the one shipped for the NF1, or a random one before it ships."""
     shipped = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
     if shipped.is_file():
@@ -48,9 +48,9 @@ def random_policy() -> bytes:
 
 
 @pytest.fixture(scope="session")
-def host_program(flown_policy: Path) -> Path:
-    """The firmware as a program of this machine, around `flown_policy`."""
-    build("HOST", flown_policy, ROOT)
+def host_program(shipped_policy: Path) -> Path:
+    """The firmware as a program of this machine, around `shipped_policy`."""
+    build("HOST", shipped_policy, ROOT)
     return ROOT / "build" / "HOST" / "neuroflight"
 
 
@@ -61,7 +61,7 @@ def reference_library(host_program: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def board_image(flown_policy: Path) -> Path:
-    """The ELF that goes onto the MATEKF722, around `flown_policy`."""
-    build("MATEKF722", flown_policy, ROOT)
+def board_image(shipped_policy: Path) -> Path:
+    """The ELF that goes onto the MATEKF722, around `shipped_policy`."""
+    build("MATEKF722", shipped_policy, ROOT)
     return ROOT / "build" / "MATEKF722" / "neuroflight.elf"

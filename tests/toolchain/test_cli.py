@@ -67,9 +67,9 @@ def test_build_names_the_known_targets_when_the_target_is_unknown(policy_file: P
 
 
 def test_build_prints_its_report_when_it_succeeds(
-    flown_policy: Path, host_program: Path, capsys: Capture
+    shipped_policy: Path, host_program: Path, capsys: Capture
 ) -> None:
-    arguments = ["build", "--target", "HOST", "--policy", str(flown_policy)]
+    arguments = ["build", "--target", "HOST", "--policy", str(shipped_policy)]
     assert main([*arguments, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report == json.loads((host_program.parent / "report.json").read_text())
