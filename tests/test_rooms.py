@@ -45,7 +45,9 @@ def forbidden(room: str, names: Iterator[str]) -> list[str]:
     return [name for name in names if name not in GROUND and name.split(".")[0] not in BELOW[room]]
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if p not in COMMANDS], ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "path", [p for p in FILES if p not in COMMANDS], ids=lambda p: str(p.relative_to(ROOT))
+)
 def test_module_imports_only_rooms_below_when_it_is_no_command(path: Path) -> None:
     room = path.relative_to(ROOT).parts[0]
     names = list(imported(ast.parse(path.read_text())))
