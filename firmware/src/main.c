@@ -35,7 +35,8 @@ static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t 
 	struct firmware_status status;
 
 	firmware_status(context, &status);
-	status.load_percent = (uint16_t)(100u * longest_cycles / (info.cycles_hz / info.config.gyro_rate_hz));
+	const uint32_t percent = longest_cycles / (info.cycles_hz / info.config.gyro_rate_hz / 100u);
+	status.load_percent = (uint16_t)(percent < UINT16_MAX ? percent : UINT16_MAX);
 	return msp_serve(&msp, &status, bytes, count, reply, capacity);
 }
 

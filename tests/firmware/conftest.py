@@ -125,6 +125,12 @@ def sticks(*, arm: int = 1000, throttle: int = 1000, **channel_us: int) -> list[
     return channels
 
 
+def frame_of(*, frame_lost: bool = False, failsafe: bool = False, **channels_us: int) -> bytes:
+    """An SBUS frame of `sticks`."""
+    values = [VALUE_OF_US[us] for us in sticks(**channels_us)]
+    return encode_sbus(values, frame_lost=frame_lost, failsafe=failsafe)
+
+
 class Bench:
     """A firmware of its own, flown sample by sample."""
 
@@ -145,8 +151,7 @@ class Bench:
 
     def stick(self, *, frame_lost: bool = False, failsafe: bool = False, **channels_us: int) -> None:
         """A receiver frame with these sticks."""
-        values = [VALUE_OF_US[us] for us in sticks(**channels_us)]
-        self.send(encode_sbus(values, frame_lost=frame_lost, failsafe=failsafe))
+        self.send(frame_of(frame_lost=frame_lost, failsafe=failsafe, **channels_us))
 
     def sample(self) -> list[int]:
         """One gyro sample; returns the DShot values."""
@@ -155,7 +160,7 @@ class Bench:
 
     def run(self, ms: float, *, every_ms: int | None = 10, **channels_us: int) -> list[int]:
         """Fly with frames of these sticks each `every_ms` (None: silence); returns the last DShot values."""
-        frame = encode_sbus([VALUE_OF_US[us] for us in sticks(**channels_us)])
+        frame = frame_of(frame_lost=False, failsafe=False, **channels_us)
         values: list[int] = []
         for _ in range(round(ms * self.gyro_hz / 1000)):
             if self.core.lib.firmware_control_due(self.fw):
@@ -190,6 +195,12 @@ class Bench:
     def reasons(self) -> int:
         """Bit field of what forbids arming."""
         return int(self.status.arming_reasons)
+
+
+@pytest.fixture(scope="session")
+def frame() -> Callable[..., bytes]:
+    """The function frame_of."""
+    return frame_of
 
 
 @pytest.fixture

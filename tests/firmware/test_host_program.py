@@ -173,6 +173,17 @@ def test_trace_tells_the_control_step_when_it_is_asked_for(start: Start) -> None
     assert throttle == pytest.approx(0.25)
 
 
+def test_the_newest_sticks_are_flown_when_many_packets_wait_for_a_state(start: Start) -> None:
+    p = start("--gyro-hz=1000")
+    for count in (2, 5, 30):  # 30 are more than the receiver's line holds
+        for us in range(1000, 1000 + count):
+            p.sticks(throttle=us)
+        p.step()
+        assert p.last_trace()[8] == pytest.approx((count - 1) / 1000)
+        p.step()
+        assert p.last_trace()[8] == pytest.approx((count - 1) / 1000), "nothing older may follow"
+
+
 def test_no_trace_is_sent_when_nobody_asks(start: Start) -> None:
     p = start("--gyro-hz=1000", "--trace-port=0")
     for _ in range(5):

@@ -12,6 +12,7 @@ import pytest
 from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, ArmingReason
 
 Make = Callable[..., Any]
+Frame = Callable[..., bytes]
 STOPPED = [0, 0, 0, 0]
 
 
@@ -105,21 +106,21 @@ def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, puppet: A
     assert b.sample() == STOPPED
 
 
-def test_an_off_is_not_overlooked_when_an_on_follows_in_the_same_step(bench: Make) -> None:
+def test_an_off_is_not_overlooked_when_an_on_follows_in_the_same_step(bench: Make, frame: Frame) -> None:
     b = bench(1000)
     b.arm()
     b.run(50, arm=2000, throttle=1500)
-    b.stick(arm=1000, throttle=1500)
-    b.stick(arm=2000, throttle=1500)
+    b.send(frame(arm=1000, throttle=1500) + frame(arm=2000, throttle=1500))
     assert b.sample() == STOPPED
     assert b.run(200, arm=2000, throttle=1000) == STOPPED
 
 
-def test_a_failsafe_is_not_overlooked_when_a_good_frame_follows_in_the_same_step(bench: Make) -> None:
+def test_a_failsafe_is_not_overlooked_when_a_good_frame_follows_in_the_same_step(
+    bench: Make, frame: Frame
+) -> None:
     b = bench(1000)
     b.arm()
-    b.stick(arm=2000, failsafe=True)
-    b.stick(arm=2000)
+    b.send(frame(arm=2000, failsafe=True) + frame(arm=2000))
     assert b.sample() == STOPPED
     assert b.run(500, arm=2000) == STOPPED
 

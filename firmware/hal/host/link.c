@@ -104,7 +104,7 @@ unsigned link_port(int bound)
  * is a size that anybody expects. */
 static size_t take(int bound, uint8_t packet[PACKET_MAX])
 {
-	const ssize_t size = recv(bound, packet, PACKET_MAX, MSG_DONTWAIT | MSG_TRUNC);
+	const ssize_t size = recv(bound, packet, PACKET_MAX, MSG_DONTWAIT);
 
 	return size < 0 ? 0 : size == 0 ? 1 : (size_t)size;
 }
