@@ -6,9 +6,14 @@ sample by sample, `sbus` is an encoder of their own.
 
 from __future__ import annotations
 
+import contextlib
+import select
 import shutil
+import signal
+import socket
+import struct
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +21,7 @@ from typing import Any
 import pytest
 from cffi import FFI
 
+from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
 from toolchain.header import render_contract
 
@@ -208,3 +214,96 @@ def bench(puppet: Core) -> Callable[..., Bench]:
     """Makes benches; the puppet's strings hang loose (action 0) until the test pulls them."""
     puppet.lib.puppet_action = [0.0] * 4
     return lambda *args, **kwargs: Bench(puppet, *args, **kwargs)
+
+
+# --- The host program ---------------------------------------------------------------------------
+LOOPBACK = "127.0.0.1"
+WAIT_S = 5.0  # how long an answer may take before the test fails
+API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"
+
+
+class Program:
+    """The running program and a simulator's sockets around it."""
+
+    def __init__(self, build: Path, *options: str) -> None:
+        self.sockets = contextlib.ExitStack()
+        self.motor, self.servo, self.trace = (self._socket() for _ in range(3))
+        self._sender = self._socket()
+        ports = {"motor": self.motor, "servo": self.servo, "trace": self.trace}
+        command = [
+            str(build / "neuroflight"),
+            *(f"--{name}-port={sock.getsockname()[1]}" for name, sock in ports.items()),
+            *(f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")),
+            *options,
+        ]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        word, *pairs = self.process.stdout.readline().split()
+        assert word == "ready"
+        self.ports = {name: int(port) for name, port in (pair.split("=") for pair in pairs)}
+
+    def _socket(self) -> socket.socket:
+        sock = self.sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sock.bind((LOOPBACK, 0))
+        sock.settimeout(WAIT_S)
+        return sock
+
+    def send(self, port: str, packet: bytes) -> None:
+        self._sender.sendto(packet, (LOOPBACK, self.ports[port]))
+
+    def state(self, rates_frd: Sequence[float] = (0, 0, 0), time_s: float = 0) -> None:
+        self.send("state", struct.pack(contract.SIM_STATE_FORMAT, time_s, *rates_frd, *[0.0] * 14))
+
+    def sticks(self, arm: int = 1000, throttle: int = 1000, roll: int = 1500) -> None:
+        channels = [roll, 1500, throttle, 1500, arm, *[1500] * 11]
+        self.send("receiver", struct.pack(contract.SIM_RECEIVER_FORMAT, 0.0, *channels))
+
+    def motors(self) -> tuple[float, ...]:
+        return struct.unpack(contract.SIM_MOTOR_FORMAT, self.motor.recv(100))
+
+    def step(self, rates_frd: Sequence[float] = (0, 0, 0)) -> tuple[float, ...]:
+        self.state(rates_frd)
+        return self.motors()
+
+    def last_trace(self) -> tuple[float, ...]:
+        return struct.unpack(contract.SIM_TRACE_FORMAT, self.trace.recv(100))
+
+    def silent(self) -> bool:
+        """Whether no more packets have come, once the program has seen to everything sent so far."""
+        with self.connect() as peer:
+            peer.sendall(API_REQUEST)
+            assert peer.recv(100) == API_REPLY
+        return not select.select([self.motor, self.servo, self.trace], [], [], 0)[0]
+
+    def connect(self) -> socket.socket:
+        """An MSP peer."""
+        return socket.create_connection((LOOPBACK, self.ports["msp"]), WAIT_S)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> str:
+        """Tell it to end; returns its words on stderr."""
+        self.process.send_signal(number)
+        assert self.process.wait(WAIT_S) == 0
+        assert self.process.stderr is not None
+        return self.process.stderr.read()
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+        self.sockets.close()
+
+
+@pytest.fixture
+def start(puppet_build: Path) -> Iterator[Callable[..., Program]]:
+    """Starts programs (around the puppet policy unless told otherwise) that end with the test."""
+    with contextlib.ExitStack() as running:
+
+        def make(*options: str, build: Path = puppet_build) -> Program:
+            program = Program(build, *options)
+            running.callback(program.close)
+            return program
+
+        yield make
