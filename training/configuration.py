@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
+from sim.world import COUNT_MAX
 from toolchain.contract import CONTROL_RATES_HZ, ObservationBlock, observation_blocks
 from toolchain.errors import TrainingError
 from training.reward import TrackingReward
@@ -25,6 +26,10 @@ OBSERVATION_SCALES = {
     "previous_action": 1.0,
     "throttle": 1.0,
 }
+
+
+ACTIVATIONS = ("relu", "tanh")
+SEED_MAX = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,12 @@ class PpoConfig:
     aircraft: int = 256
     horizon: int = 128  # control steps an aircraft between updates
     minibatch: int = 8192
-    epochs: int = 5
+    epochs: int = 4
     learning_rate: float = 1e-3  # annealed linearly to a tenth
     discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
     gae_lambda: float = 0.95
     clip: float = 0.2
-    initial_log_std: float = -1.0
+    log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
     smoothness: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
 
 
@@ -79,20 +84,31 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""
-        if self.control_rate_hz not in CONTROL_RATES_HZ:
-            raise TrainingError(
-                f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}"
-            )
-        batch = self.ppo.aircraft * self.ppo.horizon
-        if batch % self.ppo.minibatch:
-            raise TrainingError(
-                f"minibatch {self.ppo.minibatch} does not divide the {batch} steps of a rollout "
-                f"({self.ppo.aircraft} aircraft x {self.ppo.horizon}); choose a divisor"
-            )
-        if self.steps < batch:
-            raise TrainingError(f"{self.steps} steps asked for, expected at least one rollout of {batch}")
-        if not 0 <= self.seed < 2**32:
-            raise TrainingError(f"seed {self.seed}, expected 0 to {2**32 - 1}")
+        ppo = self.ppo
+        batch = ppo.aircraft * ppo.horizon
+        demands = {
+            f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}": (
+                self.control_rate_hz in CONTROL_RATES_HZ
+            ),
+            f"{ppo.aircraft} aircraft, expected 1 to {COUNT_MAX}": 1 <= ppo.aircraft <= COUNT_MAX,
+            f"horizon {ppo.horizon}, expected 1 or more control steps": ppo.horizon >= 1,
+            f"minibatch {ppo.minibatch} does not divide the {batch} steps of a rollout "
+            f"({ppo.aircraft} aircraft x {ppo.horizon}); choose a divisor": (
+                ppo.minibatch > 0 and batch % ppo.minibatch == 0
+            ),
+            f"{self.steps} steps asked for, expected at least one rollout of {batch}": self.steps >= batch,
+            f"seed {self.seed}, expected 0 to {SEED_MAX}": 0 <= self.seed <= SEED_MAX,
+            f"hidden layers {list(self.hidden)}, expected one or more widths of at least 1": (
+                len(self.hidden) > 0 and min(self.hidden) >= 1
+            ),
+            f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}": (
+                self.activation in ACTIVATIONS
+            ),
+            f"throttle_max {self.throttle_max}, expected 0 to 1": 0.0 <= self.throttle_max <= 1.0,
+        }
+        for refusal, met in demands.items():
+            if not met:
+                raise TrainingError(refusal)
         self.blocks()
 
     def blocks(self) -> tuple[ObservationBlock, ...]:

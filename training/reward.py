@@ -14,13 +14,14 @@ class TrackingReward:
 
     r = -error Σ|e| / 100 deg/s - output ȳ - change mean|Δy|, over axes and motors.
     The absolute error (not its square) keeps pulling when the error is small, which is what the
-    figures of merit measure; Δy is taken of the sampled outputs, so its weight stays small and the
-    smoothness of the mean output is asked for in the policy's loss (see `training.smooth_ppo`).
+    figures of merit measure. Δy is of the sampled outputs, which exploration dominates: smoothness of
+    the mean output is asked for in the policy's loss instead (see `training.smooth_ppo`), and `change`
+    is there for those who train without it.
     """
 
     error: float = 1.0
     output: float = 0.5
-    change: float = 0.1
+    change: float = 0.0
 
     def __call__(
         self, rate_error: NDArray[np.floating], action: NDArray[np.floating], before: NDArray[np.floating]

@@ -26,10 +26,17 @@ class SmoothPpo(PPO):
         observation_noise: NDArray[np.float32],
         smoothness: float,
         clip: float,
+        log_std: tuple[float, float],
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
-        """observation_noise: (n,), standard deviation of each scaled observation under gyro noise."""
+        """observation_noise: (n,), standard deviation of each scaled observation under gyro noise.
+
+        log_std: of the exploration, at the start and at the end; linear in between. Left to itself PPO
+        keeps so much of it that the mean output drifts: nothing in the reward can tell.
+        """
         super().__init__(*args, **kwargs)
+        self._log_std = log_std
+        self.policy.log_std.requires_grad_(False)
         self._noise = torch.as_tensor(observation_noise)
         self._smoothness = smoothness
         self._clip = clip
@@ -38,6 +45,8 @@ class SmoothPpo(PPO):
         """Update the policy from the rollout buffer."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
+        start, end = self._log_std
+        self.policy.log_std.fill_(end + (start - end) * self._current_progress_remaining)
         for _ in range(self.n_epochs):
             for data in self.rollout_buffer.get(self.batch_size):
                 loss = self._loss(data)

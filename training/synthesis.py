@@ -25,7 +25,7 @@ from training.simulation import AttitudeSimulation
 from training.smooth_ppo import SmoothPpo
 from training.vector import AttitudeVecEnv
 
-ACTIVATIONS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 CHECKPOINT_EVERY_S = 20.0  # wall time between checkpoints
 
 
@@ -52,6 +52,8 @@ def train(
     done, then goes on its way.
     """
 
+    # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
+    torch.set_num_threads(1)
     env = vector_env(aircraft, config)
     model = learner(aircraft, config, env)
     document = config.document(aircraft)
@@ -95,10 +97,11 @@ def learner(aircraft: Aircraft, config: TrainingConfig, env: AttitudeVecEnv) -> 
         gamma=ppo.discount,
         gae_lambda=ppo.gae_lambda,
         clip=ppo.clip,
+        log_std=ppo.log_std,
         policy_kwargs={
             "net_arch": list(config.hidden),
-            "activation_fn": ACTIVATIONS[config.activation],
-            "log_std_init": ppo.initial_log_std,
+            "activation_fn": MODULES[config.activation],
+            "log_std_init": ppo.log_std[0],
         },
         seed=config.seed,
         device="cpu",

@@ -1,0 +1,105 @@
+"""Training: what it writes, that it repeats, that it can be interrupted, and that it learns."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from sim.aircraft import load_aircraft
+from sim.controller import PolicyController
+from toolchain.contract import CHECKPOINT_FORMAT
+from toolchain.errors import TrainingError
+from toolchain.network import read_policy
+from training.configuration import OBSERVATION_SCALES, PpoConfig, TrainingConfig
+from training.evaluation import evaluate
+from training.synthesis import Progress, train
+
+NF1 = load_aircraft("nf1")
+SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=64, epochs=2)
+CONFIG = TrainingConfig(steps=512, hidden=(8, 8), ppo=SMALL)
+
+
+def test_writes_checkpoint_policy_and_record(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    state = train(NF1, CONFIG, tmp_path, seen.append)
+    assert [p.steps for p in seen] == [128, 256, 384, 512]
+    assert state.steps == 512
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "checkpoint.pt",
+        "policy.onnx",
+        "training.json",
+    ]
+    policy = read_policy(tmp_path / "policy.onnx")
+    assert policy.control_rate_hz == 1000
+    assert policy.aircraft_sha256 == NF1.sha256
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert record["complete"] is True
+    assert record["steps"] == 512
+    assert record["config"]["observation"] == "rate_error,rate_error_delta"
+    assert record["tools"]["torch"]
+    checkpoint = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert checkpoint["format"] == CHECKPOINT_FORMAT
+    assert checkpoint["progress"]["steps"] == 512
+
+
+def test_the_same_seed_gives_the_same_policy_to_the_byte(tmp_path: Path) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        train(NF1, TrainingConfig(steps=256, seed=seed, hidden=(8, 8), ppo=SMALL), tmp_path / name)
+    first, second, other = ((tmp_path / name / "policy.onnx").read_bytes() for name in "abc")
+    assert first == second
+    assert first != other
+
+
+def test_an_interruption_keeps_what_is_done(tmp_path: Path) -> None:
+    def stop(state: Progress) -> None:
+        if state.steps >= 256:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(NF1, CONFIG, tmp_path, stop)
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert record["complete"] is False
+    assert record["steps"] == 256
+    assert read_policy(tmp_path / "policy.onnx").observation_count == 6
+
+
+def test_learns_to_follow_within_half_a_million_steps(tmp_path: Path) -> None:
+    ppo = PpoConfig(aircraft=64, horizon=128, minibatch=2048)
+    before = TrainingConfig(steps=8192, ppo=ppo)
+    train(NF1, before, tmp_path / "before")
+    train(NF1, TrainingConfig(steps=64 * 8192, ppo=ppo), tmp_path / "after")
+    errors = []
+    for name in ("before", "after"):
+        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 10)
+        result = evaluate(controller, NF1, episodes=10, seed=99, control_rate_hz=1000)
+        errors.append(float(result.tracking.mae.mean()))
+    assert errors[1] < 15.0  # deg/s; an aircraft left alone errs by about 35
+    assert errors[1] < errors[0] / 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 10}, "10 steps asked for, expected at least one rollout of 32768"),
+        ({"seed": -1}, "seed -1, expected 0 to"),
+        ({"control_rate_hz": 1234}, "control rate 1234 Hz"),
+        ({"observation": "rate_eror"}, "unknown observation block 'rate_eror'"),
+        ({"observation": ""}, "unknown observation block ''"),
+        ({"hidden": ()}, "hidden layers"),
+        ({"hidden": (64, 0)}, "hidden layers"),
+        ({"activation": "sin"}, "activation 'sin', expected one of: relu, tanh"),
+        ({"ppo": PpoConfig(minibatch=1000)}, "minibatch 1000 does not divide"),
+        ({"ppo": PpoConfig(aircraft=0)}, "0 aircraft, expected 1 to 4096"),
+        ({"throttle_max": 1.5}, "throttle_max 1.5, expected 0 to 1"),
+    ],
+)
+def test_refuses_before_training_starts_what_cannot_be_run(options: dict, message: str) -> None:
+    with pytest.raises(TrainingError, match=message):
+        TrainingConfig(**options)
+
+
+def test_every_block_of_the_contract_has_a_scale() -> None:
+    from toolchain.contract import OBSERVATION_BLOCKS
+
+    assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}

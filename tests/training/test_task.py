@@ -1,0 +1,31 @@
+"""The pulse task."""
+
+import numpy as np
+import pytest
+
+from training.task import PulseTask
+
+TASK = PulseTask()
+
+
+def test_setpoint_is_held_between_rests() -> None:
+    command = np.array([[1.0, -2.0, 0.5]])
+    seen = np.array([TASK.setpoint(command, np.array([k]), 1000)[0] for k in range(4500)])
+    assert TASK.duration_s == 4.5
+    assert not seen[:500].any()
+    assert (seen[500:2500] == command).all()
+    assert not seen[2500:].any()
+
+
+def test_each_aircraft_has_its_own_clock() -> None:
+    command = np.ones((3, 3))
+    seen = TASK.setpoint(command, np.array([0, 600, 2600]), 1000)
+    assert seen[:, 0].tolist() == [0.0, 1.0, 0.0]
+
+
+def test_commands_are_normal_and_within_full_stick() -> None:
+    drawn = np.rad2deg(TASK.draw(100_000, np.random.default_rng(1)))
+    assert drawn.std() == pytest.approx(100.0, rel=0.01)
+    assert drawn.mean() == pytest.approx(0.0, abs=1.0)
+    wide = np.rad2deg(PulseTask(sigma_deg_s=5000.0).draw(1000, np.random.default_rng(1)))
+    assert np.abs(wide).max() == pytest.approx(1000.0)

@@ -1,0 +1,80 @@
+"""Many aircraft behind Stable-Baselines3's interface."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from sim.aircraft import load_aircraft
+from training.configuration import PpoConfig, TrainingConfig
+from training.synthesis import vector_env
+from training.task import PulseTask
+from training.vector import AttitudeVecEnv
+
+NF1 = load_aircraft("nf1")
+SHORT = PulseTask(idle_s=0.02, command_s=0.03, rest_s=0.02)
+Build = Callable[..., AttitudeVecEnv]
+
+
+@pytest.fixture
+def build() -> Iterator[Build]:
+    envs = []
+
+    def make(**options: object) -> AttitudeVecEnv:
+        ppo = PpoConfig(aircraft=8, horizon=16, minibatch=128)
+        envs.append(vector_env(NF1, TrainingConfig(ppo=ppo, steps=1000, **options)))  # type: ignore[arg-type]
+        return envs[-1]
+
+    yield make
+    for env in envs:
+        env.close()
+
+
+def test_every_end_is_a_truncation_with_its_last_observation(build: Build) -> None:
+    env = build(task=SHORT)
+    env.reset()
+    ends = np.zeros(8, int)
+    for _ in range(200):
+        observation, reward, done, infos = env.step(np.zeros((8, 4), np.float32))
+        assert observation.shape == (8, 6)
+        assert np.isfinite(observation).all()
+        assert reward.shape == (8,)
+        for i in np.flatnonzero(done):
+            assert infos[i]["TimeLimit.truncated"] is True
+            assert infos[i]["terminal_observation"].shape == (6,)
+            assert not np.array_equal(infos[i]["terminal_observation"], observation[i])
+            assert observation[i, 3:].tolist() == [0, 0, 0]  # a new episode: no delta yet
+        ends += done
+    assert (ends >= 2).all()  # 70 ms episodes in 200 ms
+
+
+def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
+    env = build(task=SHORT)
+    env.reset()
+    first_ends = np.zeros(8, int)
+    for step in range(1, 71):
+        done = env.step(np.zeros((8, 4), np.float32))[2]
+        first_ends[(first_ends == 0) & done] = step
+    assert len(set(first_ends.tolist())) > 3
+
+
+def test_observations_are_scaled_and_actions_mapped_as_the_configuration_says(build: Build) -> None:
+    env = build(observation="previous_action,throttle", throttle_max=0.5)
+    env.reset()
+    low, high = env.action_space.low, env.action_space.high
+    middle = env.step(np.tile((low + high) / 2, (8, 1)))[0]
+    assert middle[:, :4] == pytest.approx(np.full((8, 4), 0.5))
+    top = env.step(np.tile(high * 10, (8, 1)))[0]
+    assert top[:, :4] == pytest.approx(np.ones((8, 4)))
+    assert (top[:, 4] <= 0.5).all()
+    assert top[:, 4].std() > 0.01
+
+
+def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
+    rows = []
+    for seed in (3, 3, 4):
+        env = build(seed=seed)
+        env.reset()
+        rows.append([env.step(np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
+    assert np.array_equal(rows[0], rows[1])
+    assert not np.array_equal(rows[0], rows[2])
