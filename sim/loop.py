@@ -1,8 +1,9 @@
 """The lockstep loop: a twin and a firmware behind a port, one gyro sample at a time.
 
 At each sample the port gets the twin's gyro and answers with DShot values, which act on the twin from
-the next sample on. Receiver frames go out just before the control step they belong to: when the sticks
-changed, but no closer than SBUS can send them, and every 10 ms in any case.
+the next sample on. Until the firmware is armed the aircraft is held where it is. Receiver frames go out
+just before the control step they belong to: when the sticks changed, but no closer than SBUS can send
+them, and every 10 ms in any case.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ class _Lockstep:
         self._frame: NDArray[np.uint16] | None = None  # the last one sent
         self._frame_step = 0
         self._sample = 0
+        self._held = True
         self._motors = np.zeros((1, motors))
         self._values: bytes | None = None  # DShot values that `_motors` stands for
         self.step = 0  # control steps so far
@@ -148,7 +150,16 @@ class _Lockstep:
         if values != self._values:
             self._motors[0, self._order] = motor_fractions(reply.dshot)
             self._values = values
-        twin.step(self._motors)
+        # Until it is armed the aircraft stands: only its gyro goes on.
+        self._held = self._held and not reply.armed
+        if self._held:
+            if reply.dshot.any():
+                raise LinkError(
+                    f"the firmware turns motors while it is disarmed: DShot {reply.dshot.tolist()}"
+                )
+            twin.measure()
+        else:
+            twin.step(self._motors)
         self._sample += 1
         return reply
 

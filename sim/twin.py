@@ -85,7 +85,7 @@ class Twin:
         self._world.reset(index.tolist())
         if self._noise:
             self._bias[index] = draw_bias(self.aircraft.gyro, len(index), self._rng)
-        self._measure()
+        self.measure()
 
     def step(self, motors: NDArray[np.floating]) -> None:
         """Advance one sample with `motors`, the commands (N, M) in 0..1 computed from this sample.
@@ -112,8 +112,9 @@ class Twin:
         world.step(wrench)
         self.rotor_speed = after
         self.specific_force = wrench[:, :3] / self.aircraft.mass_properties.mass
-        self._measure()
+        self.measure()
 
-    def _measure(self) -> None:
+    def measure(self) -> None:
+        """Read the gyro anew, as at the next sample of aircraft that are held where they are."""
         rate = self._world.rate
         self.gyro = measured_rate(rate, self._bias, self.aircraft.gyro, self._rng) if self._noise else rate

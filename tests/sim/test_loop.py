@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from sim.port import Reply, Sample
 from sim.scenario import Scenario, Segment
 from sim.trace import Trace
 from sim.twin import Twin
+from sim.world import Mount
 from toolchain.contract import ARM_ON_US, CHANNEL_ARM, CHANNEL_THROTTLE, THROTTLE_LOW_US
 from toolchain.errors import LinkError
 
@@ -82,11 +84,11 @@ def flown(port: Recorder, scenario: Scenario = HOLD) -> tuple[Watched, Trace, in
 def test_every_sample_is_answered_and_flown_once_when_in_lockstep() -> None:
     port = Recorder()
     twin, trace, start = flown(port)
-    assert len(port.samples) == len(twin.given) == start + 4 * 100
+    assert len(port.samples) == start + 4 * 100
+    assert len(twin.given) == 4 * 100  # held while disarmed
     assert [sample.time_s for sample in port.samples[:3]] == [0.0, 0.00025, 0.0005]
-    for reply, given in zip(port.replies, twin.given, strict=True):
-        expected = [(int(value) - 48) / 1999 if value else 0.0 for value in reply.dshot]
-        assert given == expected
+    for reply, given in zip(port.replies[start:], twin.given, strict=True):
+        assert given == [(int(value) - 48) / 1999 for value in reply.dshot]
     assert trace.t.tolist() == [k / 1000 for k in range(100)]
 
 
@@ -97,9 +99,9 @@ def test_rows_begin_at_the_first_armed_control_step_when_traced() -> None:
     controls = port.replies[start::4]
     assert trace.dshot.tolist() == [reply.dshot.tolist() for reply in controls]
     assert trace.setpoint.tolist() == [reply.setpoint.tolist() for reply in controls]
-    assert trace.rate.tolist() == [rate.tolist() for rate in twin.rates[start:-1:4]]
+    assert trace.rate.tolist() == [rate.tolist() for rate in twin.rates[:-1:4]]
     assert trace.gyro.tolist() == [reply.gyro.tolist() for reply in controls]
-    assert trace.motors.tolist() == twin.given[start::4]
+    assert trace.motors.tolist() == twin.given[::4]
 
 
 def test_setpoints_follow_the_scenario_to_the_step_when_flown() -> None:
@@ -133,12 +135,33 @@ def test_frames_come_at_control_steps_as_a_receiver_sends_them_when_flown() -> N
 
 def test_boot_keeps_switch_and_throttle_low_when_not_yet_armed() -> None:
     port = Recorder()
-    twin, _, start = flown(port)
+    _, _, start = flown(port)
     boot = [frame for number, frame in port.frames if number < start]
     assert all(frame[CHANNEL_ARM] < ARM_ON_US for frame in boot)
     assert all(frame[CHANNEL_THROTTLE] <= THROTTLE_LOW_US for frame in boot)
-    assert not np.any(twin.given[:start])
     assert 1000 <= start // 4 <= 1200
+
+
+def test_the_aircraft_stands_still_with_a_live_gyro_until_it_is_armed() -> None:
+    port = Recorder()
+    twin = Twin(load_aircraft("nf1"), rate_hz=4000, mount=Mount.FREE, rng=np.random.default_rng(1))
+    fly(twin, port, HOLD)
+    twin.close()
+    start = next(k for k, reply in enumerate(port.replies) if reply.armed)
+    assert not np.any([sample.position for sample in port.samples[: start + 1]])
+    noise = np.array([sample.gyro for sample in port.samples[:start]])
+    assert (noise.std(axis=0) > 0.01).all()
+    assert port.samples[-1].position[2] < 0  # and falls once it may move
+
+
+def test_stops_when_the_firmware_turns_motors_while_disarmed() -> None:
+    class Runaway(Recorder):
+        def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+            reply = super().exchange(sample, channels_us)
+            return replace(reply, dshot=np.full(4, 100, np.uint16), armed=False)
+
+    with pytest.raises(LinkError, match="turns motors while it is disarmed"):
+        flown(Runaway())
 
 
 def test_no_frames_come_when_the_transmitter_is_silent() -> None:
