@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from training.configuration import TrainingConfig
 from training.simulation import AttitudeSimulation
@@ -35,7 +35,7 @@ class AttitudeVecEnv(VecEnv):
             spaces.Box(*self._output.bounds(), (simulation.motors,), np.float32),
         )
 
-    def reset(self) -> VecEnvObs:
+    def reset(self) -> NDArray[np.float32]:
         """Begin everywhere, spread over the episode's clock."""
         return self._simulation.reset(stagger=True) * self._scale
 
@@ -43,7 +43,9 @@ class AttitudeVecEnv(VecEnv):
         """Take the network's outputs (N, M) for the next `step_wait`."""
         self._action = self._output.motors(actions)
 
-    def step_wait(self) -> VecEnvStepReturn:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance all aircraft; ended ones begin anew, their last observation goes into the info."""
         result = self._simulation.step(self._action)
         observation = result.observation * self._scale

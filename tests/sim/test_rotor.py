@@ -15,7 +15,7 @@ PROPULSION = NF1.propulsion
 
 def wrench_at(speeds: list[float], before: list[float] | None = None, **motion: list[float]) -> np.ndarray:
     after = np.array([speeds])
-    return rotor_wrench(
+    wrench: np.ndarray = rotor_wrench(
         np.array([before or speeds]),
         after,
         0.001,
@@ -23,6 +23,7 @@ def wrench_at(speeds: list[float], before: list[float] | None = None, **motion: 
         np.array([motion.get("rate", [0.0] * 3)]),
         rotor_geometry(NF1),
     )[0]
+    return wrench
 
 
 def test_full_throttle_settles_within_measurement_of_the_bench_figures() -> None:

@@ -1,6 +1,8 @@
 """Gymnasium's view of one aircraft."""
 
+import math
 import warnings
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -42,7 +44,7 @@ def test_ends_by_truncation_when_the_clock_runs_out() -> None:
     env.reset(seed=1)
     for step in range(1, 4501):
         _, reward, terminated, truncated, info = env.step(np.full(4, 0.1, np.float32))
-        assert np.isfinite(reward)
+        assert math.isfinite(reward)
         assert not terminated
         assert truncated == (step == 4500)
     env.close()
@@ -58,6 +60,8 @@ def test_ends_by_truncation_when_the_clock_runs_out() -> None:
         ({"control_rate_hz": 900}, TrainingError, "control rate 900 Hz, expected one of"),
     ],
 )
-def test_refuses_options_it_does_not_know(options: dict, error: type[Exception], message: str) -> None:
+def test_refuses_options_it_does_not_know(
+    options: dict[str, Any], error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         gymnasium.make(ID, **options)

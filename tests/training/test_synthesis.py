@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -94,7 +95,7 @@ def test_learns_to_follow_within_half_a_million_steps(tmp_path: Path) -> None:
         ({"throttle_max": 1.5}, "throttle_max 1.5, expected 0 to 1"),
     ],
 )
-def test_refuses_before_training_starts_what_cannot_be_run(options: dict, message: str) -> None:
+def test_refuses_before_training_starts_what_cannot_be_run(options: dict[str, Any], message: str) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(**options)
 

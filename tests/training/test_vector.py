@@ -1,9 +1,12 @@
 """Many aircraft behind Stable-Baselines3's interface."""
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
+from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from training.configuration import PpoConfig, TrainingConfig
@@ -30,12 +33,20 @@ def build() -> Iterator[Build]:
         env.close()
 
 
+Step = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
+
+
+def advance(env: AttitudeVecEnv, actions: NDArray[np.float32]) -> Step:
+    env.step_async(actions)
+    return env.step_wait()
+
+
 def test_every_end_is_a_truncation_with_its_last_observation(build: Build) -> None:
     env = build(task=SHORT)
     env.reset()
     ends = np.zeros(8, int)
     for _ in range(200):
-        observation, reward, done, infos = env.step(np.zeros((8, 4), np.float32))
+        observation, reward, done, infos = advance(env, np.zeros((8, 4), np.float32))
         assert observation.shape == (8, 6)
         assert np.isfinite(observation).all()
         assert reward.shape == (8,)
@@ -53,7 +64,7 @@ def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
     env.reset()
     first_ends = np.zeros(8, int)
     for step in range(1, 71):
-        done = env.step(np.zeros((8, 4), np.float32))[2]
+        done = advance(env, np.zeros((8, 4), np.float32))[2]
         first_ends[(first_ends == 0) & done] = step
     assert len(set(first_ends.tolist())) > 3
 
@@ -61,10 +72,11 @@ def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
 def test_observations_are_scaled_and_actions_mapped_as_the_configuration_says(build: Build) -> None:
     env = build(observation="previous_action,throttle", throttle_max=0.5)
     env.reset()
+    assert isinstance(env.action_space, spaces.Box)
     low, high = env.action_space.low, env.action_space.high
-    middle = env.step(np.tile((low + high) / 2, (8, 1)))[0]
+    middle = advance(env, np.tile((low + high) / 2, (8, 1)))[0]
     assert middle[:, :4] == pytest.approx(np.full((8, 4), 0.5))
-    top = env.step(np.tile(high * 10, (8, 1)))[0]
+    top = advance(env, np.tile(high * 10, (8, 1)))[0]
     assert top[:, :4] == pytest.approx(np.ones((8, 4)))
     assert (top[:, 4] <= 0.5).all()
     assert top[:, 4].std() > 0.01
@@ -75,6 +87,6 @@ def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
     for seed in (3, 3, 4):
         env = build(seed=seed)
         env.reset()
-        rows.append([env.step(np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
+        rows.append([advance(env, np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
     assert np.array_equal(rows[0], rows[1])
     assert not np.array_equal(rows[0], rows[2])
