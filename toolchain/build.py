@@ -73,9 +73,11 @@ class MakeError(BuildError):
         self.output = output
 
 
-def build(target: str, policy: Path, root: Path) -> BuildReport:
+def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> BuildReport:
     """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
 
+    Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
+    into `folder`/<target>, which leaves the user's images alone.
     Raises PolicyError or BuildError, one line, when something is missing or does not fit.
     """
     known = find_target(target)
@@ -85,10 +87,11 @@ def build(target: str, policy: Path, root: Path) -> BuildReport:
     check_fit(compiled, known)
     _check_tools(known)
     optimized = time.perf_counter()
-    out = root / "build" / known.name
+    out = (folder or root / "build") / known.name
+    generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
     with _locked(out):
-        _write_generated(compiled, root / "firmware" / "generated" / known.name)
-        built = _make(known, root, out)
+        _write_generated(compiled, generated)
+        built = _make(known, root, out, generated)
         image = read_image(out / "make" / known.products[0])
         memory = memory_use(image) if known.has_board_memory else ()
         files = tuple(_publish(out / "make" / name, out / name, root) for name in known.products)
@@ -165,10 +168,10 @@ def _write_generated(compiled: CompiledPolicy, directory: Path) -> None:
     write_text_if_changed(directory / "nf_contract.h", render_contract())
 
 
-def _make(target: Target, root: Path, out: Path) -> int:
+def _make(target: Target, root: Path, out: Path, generated: Path) -> int:
     """Run make. Returns how many files it compiled."""
     command = ["make", "-C", str(root / "firmware"), f"-j{os.cpu_count() or 1}"]
-    command += [f"TARGET={target.name}", f"BUILD={out / 'make'}"]
+    command += [f"TARGET={target.name}", f"BUILD={out / 'make'}", f"GENERATED={generated.resolve()}"]
     done = subprocess.run(command, capture_output=True, text=True, env=_environment(os.environ))
     if done.returncode != 0:
         words = done.stdout + done.stderr
@@ -189,7 +192,8 @@ def _publish(made: Path, published: Path, root: Path) -> OutputFile:
         with replacing(published) as aside:
             aside.write_bytes(data)
         published.chmod(made.stat().st_mode & 0o777)
-    return OutputFile(str(published.relative_to(root)), len(data), hashlib.sha256(data).hexdigest())
+    name = published.relative_to(root) if published.is_relative_to(root) else published
+    return OutputFile(str(name), len(data), hashlib.sha256(data).hexdigest())
 
 
 def _stages(compiled: CompiledPolicy, built: int, seconds: tuple[float, float]) -> tuple[Stage, ...]:

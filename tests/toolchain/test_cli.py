@@ -69,7 +69,8 @@ def test_build_names_the_known_targets_when_the_target_is_unknown(policy_file: P
 def test_build_prints_its_report_when_it_succeeds(
     shipped_policy: Path, host_program: Path, capsys: Capture
 ) -> None:
-    arguments = ["build", "--target", "HOST", "--policy", str(shipped_policy)]
+    out = host_program.parents[1]
+    arguments = ["build", "--target", "HOST", "--policy", str(shipped_policy), "--out", str(out)]
     assert main([*arguments, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report == json.loads((host_program.parent / "report.json").read_text())

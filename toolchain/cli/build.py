@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="POLICY.onnx",
         help="default: the shipped policy of the NF1",
     )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 
 
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.report import print_report
 
     try:
-        report = build(args.target, args.policy, ROOT)
+        report = build(args.target, args.policy, ROOT, args.out)
     except MakeError as error:
         print(error.output, file=sys.stderr)
         raise

@@ -35,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what runs the firmware: host, the program over UDP; reference, its C core as a library",
     )
     parser.add_argument(
+        "--build", type=Path, default=BUILD, metavar="DIR", help="the host build to fly; default: build/HOST"
+    )
+    parser.add_argument(
         "--scenario", default="pulse", metavar="NAME|FILE", help="pulse, pulses, roll, flip or a .toml file"
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
@@ -105,20 +108,20 @@ def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -
             progress.update(task, completed=1.0)
             return flight
 
-        firmware = _open(args.on, args.gyro_hz)
+        firmware = _open(args.on, args.build, args.gyro_hz)
         flights = [fly_one("firmware", firmware)]
         if aircraft.pid_gains is not None:
             flights.append(fly_one("PID", pid_port(firmware.control_rate_hz)))
     return flights
 
 
-def _open(kind: str, gyro_rate_hz: int) -> FirmwarePort:
+def _open(kind: str, build: Path, gyro_rate_hz: int) -> FirmwarePort:
     from sim.host_port import HostPort
     from sim.reference_port import ReferencePort
 
     if kind == "host":
-        return HostPort(BUILD / "neuroflight", gyro_rate_hz)
-    return ReferencePort(BUILD / "libneuroflight.so", gyro_rate_hz)
+        return HostPort(build / "neuroflight", gyro_rate_hz)
+    return ReferencePort(build / "libneuroflight.so", gyro_rate_hz)
 
 
 def _fly(
