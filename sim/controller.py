@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sim.observation import Observer
 from toolchain.evaluate import evaluate
 from toolchain.network import PolicyModel
+from toolchain.passes import optimize
 
 
 class Controller(Protocol):
@@ -30,11 +31,15 @@ class Controller(Protocol):
 
 
 class PolicyController:
-    """N copies of a policy, evaluated with the very roundings of the compiled C."""
+    """N copies of a policy."""
 
-    def __init__(self, policy: PolicyModel, count: int = 1) -> None:
-        """The controller is to be stepped at `policy.control_rate_hz`."""
-        self._layers = policy.layers
+    def __init__(self, policy: PolicyModel, count: int = 1, *, exact: bool = True) -> None:
+        """The controller is to be stepped at `policy.control_rate_hz`.
+
+        exact: with the very roundings of the compiled C; see `toolchain.evaluate`.
+        """
+        self._layers, _ = optimize(policy.layers)
+        self._exact = exact
         self._everyone = np.arange(count)
         self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
         self._action = np.zeros((count, policy.action_count), np.float32)
@@ -49,5 +54,5 @@ class PolicyController:
     ) -> NDArray[np.float32]:
         """See Controller."""
         observation = self._observer.observe(slice(None), setpoint, gyro, self._action, throttle)
-        self._action = evaluate(self._layers, observation)
+        self._action = evaluate(self._layers, observation, exact=self._exact)
         return self._action

@@ -72,7 +72,7 @@ def test_learns_to_follow_within_half_a_million_steps(tmp_path: Path) -> None:
     train(NF1, TrainingConfig(steps=64 * 8192, ppo=ppo), tmp_path / "after")
     errors = []
     for name in ("before", "after"):
-        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 10)
+        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 10, exact=False)
         result = evaluate(controller, NF1, episodes=10, seed=99, control_rate_hz=1000)
         errors.append(float(result.tracking.mae.mean()))
     assert errors[1] < 15.0  # deg/s; an aircraft left alone errs by about 35

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         policy = read_policy(Path(args.controller))
         rate_hz = policy.control_rate_hz
-        controller = PolicyController(policy, args.episodes)
+        controller = PolicyController(policy, args.episodes, exact=False)
     console = Console(stderr=args.json)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task(f"{args.episodes} commands")

@@ -39,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console) as bar:
-        task = bar.add_task(f"training {aircraft.name}", total=args.steps, figures="")
+        rollout = config.ppo.aircraft * config.ppo.horizon
+        total = -(-args.steps // rollout) * rollout  # whole rollouts
+        task = bar.add_task(f"training {aircraft.name}", total=total, figures="")
 
         def show(state: State) -> None:
             speed = state.steps / state.seconds
