@@ -1,0 +1,110 @@
+"""The shipped policy through torch, onnxruntime and the compiled C, on what it meets in flight and beyond."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from sim.observation import Observer
+from sim.reference_port import ReferencePort
+from sim.scenario import load_scenario
+from sim.trace import Trace
+from toolchain.evaluate import evaluate
+from toolchain.network import read_policy
+from toolchain.passes import optimize
+
+Float32 = NDArray[np.float32]
+TOLERANCE = 1e-6  # absolute
+HALF = 5_000
+
+
+def seen_in_flight(trace: Trace, observer: Observer) -> Float32:
+    """Observations of a recorded flight, one a control step."""
+    still, none = np.zeros((1, 4), np.float32), np.zeros(1, np.float32)
+    rows = [
+        observer.observe(slice(None), setpoint[None], gyro[None], still, none)
+        for setpoint, gyro in zip(trace.setpoint, trace.gyro, strict=True)
+    ]
+    return np.concatenate(rows)
+
+
+@pytest.fixture(scope="module")
+def observations(reference_library: Path, shipped_policy: Path, flown: Callable[..., Trace]) -> Float32:
+    """10,000 of them: half from a recorded flight, half random of unit scale."""
+    policy = read_policy(shipped_policy)
+    trace = flown(ReferencePort(reference_library, 1000), load_scenario("pulses", 31, count=2))
+    flight = seen_in_flight(trace, Observer(policy.blocks, 1, policy.action_count, policy.control_rate_hz))
+    assert np.abs(flight).max() > 1.0  # commands of some hundred deg/s were under way
+    rng = np.random.default_rng(2)
+    picked = flight[rng.choice(len(flight), HALF, replace=False)]
+    return np.concatenate([picked, rng.normal(size=picked.shape).astype(np.float32)])
+
+
+def through_torch(checkpoint: Path, observation: Float32) -> Float32:
+    """The trained actor itself, with the scaling and mapping that training put around it."""
+    document = torch.load(checkpoint, weights_only=True)
+    config = json.loads(document["config"])
+    actor = ActorCriticPolicy(
+        spaces.Box(-np.inf, np.inf, (observation.shape[1],)),
+        spaces.Box(-1.0, 1.0, (config["motors"],)),
+        lambda _: 0.0,
+        net_arch=config["hidden"],
+        activation_fn=torch.nn.Tanh,
+    )
+    actor.load_state_dict(document["state_dict"])
+    scale = torch.tensor(config["observation_scale"], dtype=torch.float32)
+    with torch.no_grad():
+        mean = actor.get_distribution(torch.as_tensor(observation) * scale).mode()
+    mapped: Float32 = (config["output"]["scale"] * mean + config["output"]["offset"]).clamp(0, 1).numpy()
+    return mapped
+
+
+def through_onnxruntime(policy: Path, observation: Float32) -> Float32:
+    """The file as any runtime reads it, one observation a call."""
+    session = onnxruntime.InferenceSession(policy, providers=["CPUExecutionProvider"])
+    return np.concatenate([session.run(["action"], {"observation": row[None]})[0] for row in observation])
+
+
+def through_c(library: Path, observation: Float32, actions: int) -> Float32:
+    """The policy inside the firmware's core."""
+    core = ctypes.CDLL(str(library))
+    state = (ctypes.c_void_p * 1)()
+    core.policy_init(state, None)
+    result = np.full((len(observation), actions), np.nan, np.float32)
+    for row, out in zip(observation, result, strict=True):
+        core.policy_step(state, ctypes.c_void_p(row.ctypes.data), ctypes.c_void_p(out.ctypes.data))
+    return result
+
+
+def test_torch_onnxruntime_and_c_agree_on_ten_thousand_observations(
+    shipped_policy: Path, reference_library: Path, observations: Float32
+) -> None:
+    assert len(observations) == 2 * HALF
+    trained = through_torch(shipped_policy.with_name("checkpoint.pt"), observations)
+    runtime = through_onnxruntime(shipped_policy, observations)
+    compiled = through_c(reference_library, observations, trained.shape[1])
+    assert np.ptp(compiled, axis=0).min() > 0.5  # the observations do exercise every motor
+    for name, peer in (("torch", trained), ("onnxruntime", runtime)):
+        worst = float(np.abs(compiled - peer).max())
+        print(f"compiled C against {name}: {worst:.2e}")
+        assert worst <= TOLERANCE, name
+    assert float(np.abs(trained - runtime).max()) <= TOLERANCE
+
+
+def test_the_evaluator_is_the_c_to_the_bit_and_its_fast_form_within_the_tolerance(
+    shipped_policy: Path, reference_library: Path, observations: Float32
+) -> None:
+    layers, _ = optimize(read_policy(shipped_policy).layers)
+    compiled = through_c(reference_library, observations, 4)
+    assert np.array_equal(evaluate(layers, observations), compiled)
+    assert np.abs(evaluate(layers, observations, exact=False) - compiled).max() <= TOLERANCE
