@@ -28,6 +28,8 @@ def run(args: argparse.Namespace) -> int:
 
     aircraft = load_aircraft(args.aircraft)
     config = TrainingConfig(steps=args.steps, seed=args.seed)
+    if args.out.exists() and not args.out.is_dir():
+        raise TrainingError(f"--out {args.out} is no folder; give the name of one, new or old")
     if not args.force and (args.out / "checkpoint.pt").exists():
         raise TrainingError(f"{args.out} already holds a checkpoint; choose another --out or add --force")
     console = Console()

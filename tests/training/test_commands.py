@@ -1,0 +1,71 @@
+"""`neuroflight train` and `neuroflight evaluate` as a user types them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from toolchain.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_train_writes_its_results_and_does_not_replace_them_unasked(tmp_path: Path, capsys: Capture) -> None:
+    arguments = ["train", "--aircraft", "nf1", "--steps", "32768", "--seed", "3", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    assert "32,768 steps" in capsys.readouterr().out
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(made) == {"checkpoint.pt", "policy.onnx", "training.json"}
+    assert json.loads(made["training.json"])["command"] == (
+        "neuroflight train --aircraft nf1 --steps 32768 --seed 3"
+    )
+    assert main(arguments) == 1
+    assert "already holds a checkpoint" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
+
+
+@pytest.mark.parametrize("controller", ["pid", "policy"])
+def test_evaluate_prints_figures_as_table_and_as_json(
+    controller: str, shipped_policy: Path, capsys: Capture
+) -> None:
+    name = "pid" if controller == "pid" else str(shipped_policy)
+    arguments = ["evaluate", name, "--episodes", "3", "--seed", "8"]
+    assert main([*arguments, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["episodes"] == 3
+    assert all(0.0 < value < 20.0 for value in document["mae"])
+    assert 0.0 < document["change"] < 0.1
+    assert main(arguments) == 0
+    table = capsys.readouterr().out
+    assert f"{document['mae'][0]:.2f}" in table
+    assert "true rate" in table
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
+        (["train", "--steps", "5", "--out", "OUT"], "expected at least one rollout"),
+        (["train", "--seed", "-4", "--out", "OUT"], "seed -4"),
+        (["train", "--out", "FILE"], "is no folder"),
+        (["evaluate", "OUT/none.onnx"], "none.onnx"),
+        (["evaluate", "FILE"], "not an ONNX file"),
+        (["evaluate", "pid", "--episodes", "0"], "--episodes 0"),
+        (["evaluate", "pid", "--episodes", "99999"], "--episodes 99999"),
+        (["evaluate", "pid", "--throttle", "1.5"], "--throttle 1.5"),
+        (["evaluate", "pid", "--seed", "-1"], "--seed -1"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
+    arguments: list[str], message: str, tmp_path: Path, capsys: Capture
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("not what you think")
+    names = {"OUT": str(tmp_path / "out"), "FILE": str(file), "OUT/none.onnx": str(tmp_path / "none.onnx")}
+    assert main([names.get(word, word) for word in arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.startswith("neuroflight: ")
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
