@@ -41,7 +41,7 @@ class Core:
     ffi: FFI
     lib: Any
 
-    def new(self, ctype: str, *initial: object) -> Any:  # noqa: ANN401 - a cffi object
+    def new(self, ctype: str, *initial: object) -> Any:
         """A C object of its own."""
         return self.ffi.new(ctype, *initial)
 
@@ -184,7 +184,7 @@ class Bench:
         assert self.armed
 
     @property
-    def trace(self) -> Any:  # noqa: ANN401 - a cffi struct
+    def trace(self) -> Any:
         return self.core.lib.firmware_trace(self.fw)
 
     @property
@@ -192,7 +192,7 @@ class Bench:
         return bool(self.trace.armed)
 
     @property
-    def status(self) -> Any:  # noqa: ANN401 - a cffi struct
+    def status(self) -> Any:
         status = self.core.new("struct firmware_status *")
         self.core.lib.firmware_status(self.fw, status)
         return status

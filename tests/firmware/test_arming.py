@@ -19,7 +19,7 @@ STOPPING = LOST | 1 << ArmingReason.POLICY_BAD
 class Case:
     """One call from one state under one set of reasons."""
 
-    def __init__(self, core: Any, state: int, reasons: int, switch_on: bool) -> None:  # noqa: ANN401
+    def __init__(self, core: Any, state: int, reasons: int, switch_on: bool) -> None:
         arming = core.new("struct arming *", (state,))
         self.before, self.reasons, self.switch_on = state, reasons, switch_on
         self.told = core.lib.arming_step(arming, reasons, switch_on)
@@ -28,7 +28,7 @@ class Case:
 
 
 @pytest.fixture
-def cases(puppet: Any) -> Iterator[Case]:  # noqa: ANN401
+def cases(puppet: Any) -> Iterator[Case]:
     """All of them: each state, each combination of reasons, switch on and off."""
     reasons = [
         sum(1 << reason for reason, on in zip(OTHERS, bits, strict=True) if on)
@@ -39,7 +39,7 @@ def cases(puppet: Any) -> Iterator[Case]:  # noqa: ANN401
 
 
 def test_motors_start_only_when_ready_and_switched_on_and_nothing_forbids_it(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     cases: Iterator[Case],
 ) -> None:
     for case in cases:
@@ -50,7 +50,7 @@ def test_motors_start_only_when_ready_and_switched_on_and_nothing_forbids_it(
 
 
 def test_motors_go_on_only_when_switched_on_with_receiver_and_good_policy(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     cases: Iterator[Case],
 ) -> None:
     for case in cases:
@@ -60,7 +60,7 @@ def test_motors_go_on_only_when_switched_on_with_receiver_and_good_policy(
 
 
 def test_readiness_is_gained_only_when_a_living_receiver_shows_the_switch_off(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     cases: Iterator[Case],
 ) -> None:
     for case in cases:
@@ -70,7 +70,7 @@ def test_readiness_is_gained_only_when_a_living_receiver_shows_the_switch_off(
 
 
 def test_readiness_is_lost_when_the_receiver_is_or_the_switch_comes_too_early(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     cases: Iterator[Case],
 ) -> None:
     for case in cases:
@@ -80,7 +80,7 @@ def test_readiness_is_lost_when_the_receiver_is_or_the_switch_comes_too_early(
 
 
 def test_reasons_are_shown_when_and_only_when_the_switch_would_not_arm(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     cases: Iterator[Case],
 ) -> None:
     for case in cases:
@@ -91,7 +91,7 @@ def test_reasons_are_shown_when_and_only_when_the_switch_would_not_arm(
             assert bool(case.shown & OWN) == (case.after == puppet.lib.ARMING_LOCKED)
 
 
-def test_it_starts_locked_when_initialised(puppet: Any) -> None:  # noqa: ANN401
+def test_it_starts_locked_when_initialised(puppet: Any) -> None:
     arming = puppet.new("struct arming *", (puppet.lib.ARMING_ARMED,))
     puppet.lib.arming_init(arming)
     assert arming.state == puppet.lib.ARMING_LOCKED

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 
-def counts_of(core: Any, rates_frd: list[float], alignment: int = 0) -> list[int] | None:  # noqa: ANN401
+def counts_of(core: Any, rates_frd: list[float], alignment: int = 0) -> list[int] | None:
     out = core.new("int16_t[3]", [1, 2, 3])
     good = core.lib.convert_rates(rates_frd, alignment, out)
     assert good or list(out) == [1, 2, 3], "counts must be left alone"
     return list(out) if good else None
 
 
-def test_counts_are_the_nearest_when_rates_are_random(puppet: Any) -> None:  # noqa: ANN401
+def test_counts_are_the_nearest_when_rates_are_random(puppet: Any) -> None:
     rng = np.random.default_rng(11)
     for rates in rng.uniform(-35, 35, (2000, 3)).tolist():
         exact = [Fraction(math.degrees(rate)) * 32768 / 2000 for rate in rates]
@@ -25,7 +25,7 @@ def test_counts_are_the_nearest_when_rates_are_random(puppet: Any) -> None:  # n
         assert counts_of(puppet, [rates[0], -rates[1], -rates[2]]) == expected
 
 
-def test_halves_go_to_the_even_count_when_a_rate_lies_between_two(puppet: Any) -> None:  # noqa: ANN401
+def test_halves_go_to_the_even_count_when_a_rate_lies_between_two(puppet: Any) -> None:
     tried = set()
     for halves in range(1, 200, 2):
         deg_s = halves * 125 / 4096  # 16.384 counts a deg/s: so many half counts exactly
@@ -39,20 +39,20 @@ def test_halves_go_to_the_even_count_when_a_rate_lies_between_two(puppet: Any) -
 
 
 @pytest.mark.parametrize("rate", [math.inf, 1e300, 35.0])
-def test_counts_saturate_when_a_rate_is_beyond_the_chip(puppet: Any, rate: float) -> None:  # noqa: ANN401
+def test_counts_saturate_when_a_rate_is_beyond_the_chip(puppet: Any, rate: float) -> None:
     assert counts_of(puppet, [rate, rate, -rate]) == [32767, -32768, 32767]
     assert counts_of(puppet, [-rate, -rate, rate]) == [-32768, 32767, -32768]
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_rates_are_refused_when_one_is_nan(puppet: Any, axis: int) -> None:  # noqa: ANN401
+def test_rates_are_refused_when_one_is_nan(puppet: Any, axis: int) -> None:
     rates = [1.0, 2.0, 3.0]
     rates[axis] = math.nan
     assert counts_of(puppet, rates) is None
 
 
 @pytest.mark.parametrize("alignment", range(4))
-def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(puppet: Any, alignment: int) -> None:  # noqa: ANN401
+def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(puppet: Any, alignment: int) -> None:
     gyro, rate = puppet.new("struct gyro *"), puppet.new("float[3]")
     assert puppet.lib.gyro_init(gyro, 1000, alignment) == 0
     rng = np.random.default_rng(alignment)
@@ -63,7 +63,7 @@ def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(puppet:
         np.testing.assert_allclose(list(rate), body, atol=1.01 * half_count)
 
 
-def test_channels_come_through_the_parser_unchanged_when_sbus_can_say_them(puppet: Any) -> None:  # noqa: ANN401
+def test_channels_come_through_the_parser_unchanged_when_sbus_can_say_them(puppet: Any) -> None:
     parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
     puppet.lib.sbus_reset(parser)
     wire = puppet.new("uint8_t[25]")
@@ -75,7 +75,7 @@ def test_channels_come_through_the_parser_unchanged_when_sbus_can_say_them(puppe
         assert (frame.frame_lost, frame.failsafe) == (False, False)
 
 
-def test_channels_are_sent_as_the_nearer_end_when_sbus_cannot_say_them(puppet: Any) -> None:  # noqa: ANN401
+def test_channels_are_sent_as_the_nearer_end_when_sbus_cannot_say_them(puppet: Any) -> None:
     parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
     wire = puppet.new("uint8_t[25]")
     for us, end in [(0, 880), (879, 880), (2160, 2159), (65535, 2159)]:
@@ -84,7 +84,7 @@ def test_channels_are_sent_as_the_nearer_end_when_sbus_cannot_say_them(puppet: A
         assert list(frame.channels_us) == [end] * 16
 
 
-def test_dshot_is_decoded_as_an_esc_does_when_a_motor_runs_or_stops(puppet: Any) -> None:  # noqa: ANN401
+def test_dshot_is_decoded_as_an_esc_does_when_a_motor_runs_or_stops(puppet: Any) -> None:
     assert [puppet.lib.convert_dshot(value) for value in (0, 1, 47, 48, 2047)] == [0, 0, 0, 0, 1]
     for value in range(48, 2048):
         assert puppet.lib.convert_dshot(value) == np.float32((value - 48) / 1999)

@@ -22,7 +22,7 @@ import pytest
     ],
 )
 def test_frame_is_the_known_one_when_the_value_is(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     value: int,
     telemetry: bool,
     frame: int,
@@ -30,7 +30,7 @@ def test_frame_is_the_known_one_when_the_value_is(
     assert puppet.lib.dshot_frame(value, telemetry) == frame
 
 
-def test_every_frame_checks_when_its_nibbles_are_xored(puppet: Any) -> None:  # noqa: ANN401
+def test_every_frame_checks_when_its_nibbles_are_xored(puppet: Any) -> None:
     for value in range(2048):
         for telemetry in (False, True):
             frame = puppet.lib.dshot_frame(value, telemetry)
@@ -39,7 +39,7 @@ def test_every_frame_checks_when_its_nibbles_are_xored(puppet: Any) -> None:  # 
             assert bool(frame >> 4 & 1) is telemetry
 
 
-def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> None:  # noqa: ANN401
+def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> None:
     rng = np.random.default_rng(5)
     for fraction in rng.random(5000).astype(np.float32).tolist():
         exact = 48 + 1999 * fraction
@@ -61,7 +61,7 @@ def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> N
     ],
 )
 def test_value_stays_a_throttle_or_stops_when_the_fraction_is_none(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     fraction: float,
     value: int,
 ) -> None:

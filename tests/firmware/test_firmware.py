@@ -26,23 +26,23 @@ def test_control_steps_come_at_the_policys_rate_when_the_gyro_is_faster(bench: M
 
 
 @pytest.mark.parametrize("gyro_hz", [0, 1, 500, 1500, 3000, 16000])
-def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, puppet: Any, gyro_hz: int) -> None:  # noqa: ANN401
+def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, puppet: Any, gyro_hz: int) -> None:
     bench(gyro_hz, expect=puppet.lib.NF_ERR_GYRO_RATE)
 
 
-def test_init_refuses_when_idle_or_alignment_is_wrong(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_init_refuses_when_idle_or_alignment_is_wrong(bench: Make, puppet: Any) -> None:
     bench(1000, idle=1.0, expect=puppet.lib.NF_ERR_IDLE)
     bench(1000, idle=math.nan, expect=puppet.lib.NF_ERR_IDLE)
     bench(1000, alignment=4, expect=puppet.lib.NF_ERR_ALIGNMENT)
 
 
-def test_weights_are_the_firmwares_own_copy_when_the_policy_runs(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_weights_are_the_firmwares_own_copy_when_the_policy_runs(bench: Make, puppet: Any) -> None:
     b = bench()
     assert b.fw.policy.weights == puppet.ffi.addressof(b.fw, "weights")[0]
     assert list(b.fw.weights) == list(puppet.lib.policy_weights)
 
 
-def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:
     b = bench(4000, idle=0.05)
     b.arm()
     puppet.lib.puppet_action = [0.0, 0.25, 0.5, 0.125]
@@ -52,7 +52,7 @@ def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> 
     assert list(b.trace.dshot)[:4] == values
 
 
-def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, puppet: Any) -> None:
     b = bench(4000)
     b.arm()
     while not b.core.lib.firmware_control_due(b.fw):
@@ -64,7 +64,7 @@ def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, puppet
     assert b.sample() != held
 
 
-def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: Make, puppet: Any) -> None:
     b = bench(1000)
     b.arm()
     puppet.lib.puppet_action = [0.1, 0.2, 0.3, 0.4]
@@ -85,7 +85,7 @@ def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: M
     np.testing.assert_allclose(list(b.trace.setpoint), np.radians([200, -100, -20]), rtol=1e-6)
 
 
-def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, puppet: Any) -> None:
     b = bench(1000)
     b.arm()
     puppet.lib.puppet_action = [0.3] * 4
@@ -104,7 +104,7 @@ def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, pu
     assert seen[12:16].tolist() == [0, 0, 0, 0]
 
 
-def test_the_policy_does_not_run_when_disarmed(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_the_policy_does_not_run_when_disarmed(bench: Make, puppet: Any) -> None:
     b = bench(1000)
     steps = puppet.lib.puppet_steps
     puppet.lib.puppet_action = [0.5] * 4

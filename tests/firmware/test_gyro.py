@@ -17,8 +17,8 @@ Gyro = Callable[..., Any]
 
 
 @pytest.fixture
-def make_gyro(puppet: Any) -> Gyro:  # noqa: ANN401
-    def make(rate_hz: int = 1000, alignment: int = 0) -> Any:  # noqa: ANN401
+def make_gyro(puppet: Any) -> Gyro:
+    def make(rate_hz: int = 1000, alignment: int = 0) -> Any:
         gyro = puppet.new("struct gyro *")
         assert puppet.lib.gyro_init(gyro, rate_hz, alignment) == 0
         return gyro
@@ -27,10 +27,10 @@ def make_gyro(puppet: Any) -> Gyro:  # noqa: ANN401
 
 
 @pytest.fixture
-def step(puppet: Any) -> Callable[..., list[float]]:  # noqa: ANN401
+def step(puppet: Any) -> Callable[..., list[float]]:
     out = puppet.new("float[3]")
 
-    def one(gyro: Any, counts: Any) -> list[float]:  # noqa: ANN401
+    def one(gyro: Any, counts: Any) -> list[float]:
         puppet.lib.gyro_step(gyro, [int(c) for c in counts], out)
         return list(out)
 
@@ -115,6 +115,6 @@ def test_sums_do_not_overflow_when_counts_are_extreme(
     assert not gyro.calibrated
 
 
-def test_init_refuses_when_the_alignment_is_unknown(puppet: Any) -> None:  # noqa: ANN401
+def test_init_refuses_when_the_alignment_is_unknown(puppet: Any) -> None:
     gyro = puppet.new("struct gyro *")
     assert puppet.lib.gyro_init(gyro, 1000, 4) == puppet.lib.NF_ERR_ALIGNMENT

@@ -96,7 +96,7 @@ def test_no_trace_is_sent_when_nobody_asks(start: Start) -> None:
     assert p.silent()
 
 
-def fly(p: Any, samples: int) -> bytes:  # noqa: ANN401
+def fly(p: Any, samples: int) -> bytes:
     """Boot, arm and fly random rates and sticks of a fixed seed; all that came back, as bytes."""
     rng = np.random.default_rng(21)
     got = b""

@@ -97,7 +97,7 @@ def test_it_stays_disarmed_when_the_gyro_never_came_to_rest(bench: Make) -> None
 
 
 # --- Disarming --------------------------------------------------------------------------------
-def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, puppet: Any) -> None:
     b = bench(1000)
     b.arm()
     puppet.lib.puppet_action = [0.5] * 4
@@ -139,7 +139,7 @@ def test_it_arms_again_when_the_switch_is_cycled_after_disarming(bench: Make) ->
 @pytest.mark.parametrize("gyro_hz", [1000, 4000])
 def test_sticks_are_centred_and_then_motors_stop_when_the_receiver_falls_silent(
     bench: Make,
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     gyro_hz: int,
 ) -> None:
     b = bench(gyro_hz)
@@ -212,7 +212,7 @@ def test_short_gaps_do_no_harm_when_frames_return_before_the_hold_time(bench: Ma
 @pytest.mark.parametrize("motor", range(4))
 def test_motors_stop_for_good_when_the_policy_answers_nonsense(
     bench: Make,
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     bad: float,
     motor: int,
 ) -> None:
@@ -231,7 +231,7 @@ def test_motors_stop_for_good_when_the_policy_answers_nonsense(
     assert not b.status.policy_good
 
 
-def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, puppet: Any) -> None:  # noqa: ANN401
+def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, puppet: Any) -> None:
     b = bench(1000)
     b.arm()
     puppet.lib.puppet_action = [0.0, 1.0, -0.0, 1.0]
@@ -241,7 +241,7 @@ def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, 
 @pytest.mark.parametrize("wrong", [1e-45, -0.0, math.nan])
 def test_it_never_arms_when_one_bit_of_the_self_test_is_wrong(
     bench: Make,
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     wrong: float,
 ) -> None:
     make = bench  # the fixture has slackened the strings: pull one before the firmware boots
@@ -257,7 +257,7 @@ def test_it_never_arms_when_one_bit_of_the_self_test_is_wrong(
 @pytest.mark.parametrize("seed", range(3))
 def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_random(
     bench: Make,
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     seed: int,
 ) -> None:
     """An observer who only sees the frames knows when arming is possible at all."""

@@ -45,7 +45,7 @@ def v2(command: int, payload: bytes = b"", direction: bytes = b"<") -> bytes:
 
 
 class Server:
-    def __init__(self, core: Any, **status: object) -> None:  # noqa: ANN401
+    def __init__(self, core: Any, **status: object) -> None:
         self.core = core
         self._texts = {name: core.new("char[]", text) for name, text in IDENTITY.items()}
         self._identity = core.new("struct msp_identity *", {**self._texts, "unique_id": UNIQUE_ID})
@@ -73,7 +73,7 @@ class Server:
 
 
 @pytest.fixture
-def server(puppet: Any) -> Callable[..., Server]:  # noqa: ANN401
+def server(puppet: Any) -> Callable[..., Server]:
     return lambda **status: Server(puppet, **status)
 
 
@@ -248,7 +248,7 @@ def test_signal_strength_is_full_or_none_when_the_receiver_is_good_or_not(
     assert messages.analog(server(receiver_good=good).ask(Msp.ANALOG)).rssi == rssi
 
 
-def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:  # noqa: ANN401
+def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:
     memory = puppet.new("uint64_t[]", puppet.lib.reference_size() // 8 + 1)
     puppet.lib.puppet_action = [0.0] * 4
     assert puppet.lib.reference_init(memory, 4000) == 0

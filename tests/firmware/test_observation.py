@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Observation:
-    def __init__(self, core: Any, codes: list[int], width: int, motors: int = 4, expect: int = 0) -> None:  # noqa: ANN401
+    def __init__(self, core: Any, codes: list[int], width: int, motors: int = 4, expect: int = 0) -> None:
         self.core, self.lib = core, core.lib
         self.self = core.new("struct observation *")
         self._codes = core.new("unsigned char[]", codes)
@@ -59,7 +59,7 @@ def defined(rate: Array, setpoint: Array, action: Array, throttle: Array) -> dic
 
 
 @pytest.mark.parametrize("motors", [4, 6])
-def test_blocks_are_as_defined_when_all_are_asked_for(puppet: Any, motors: int) -> None:  # noqa: ANN401
+def test_blocks_are_as_defined_when_all_are_asked_for(puppet: Any, motors: int) -> None:
     columns = flight(200, motors, scale=2.0)
     expected = np.concatenate(list(defined(*columns).values()), axis=1)
     observation = Observation(puppet, CODES, expected.shape[1], motors)
@@ -68,7 +68,7 @@ def test_blocks_are_as_defined_when_all_are_asked_for(puppet: Any, motors: int) 
 
 
 @pytest.mark.parametrize("names", ["rate_error,rate_error_delta", "throttle,rate", "previous_action"])
-def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, names: str) -> None:  # noqa: ANN401
+def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, names: str) -> None:
     blocks = observation_blocks(names)
     columns = flight(50, 4, scale=2.0)
     expected = np.concatenate([defined(*columns)[block.name] for block in blocks], axis=1)
@@ -78,7 +78,7 @@ def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, nam
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: Any, sign: int) -> None:  # noqa: ANN401
+def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: Any, sign: int) -> None:
     blocks = observation_blocks("rate_error_integral")
     observation = Observation(puppet, [blocks[0].code], 3)
     still, error = np.zeros(3), np.array([10.0, 100.0, 1000.0])
@@ -89,7 +89,7 @@ def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: 
     np.testing.assert_allclose(out, sign * np.array([0.59, 0.5, -0.4]), atol=1e-6)
 
 
-def test_the_past_is_forgotten_when_it_is_reset(puppet: Any) -> None:  # noqa: ANN401
+def test_the_past_is_forgotten_when_it_is_reset(puppet: Any) -> None:
     used, fresh = (Observation(puppet, CODES, 17) for _ in range(2))
     first, *later = list(zip(*flight(20, 4, scale=5.0), strict=True))
     for row in later:
@@ -103,7 +103,7 @@ def test_the_past_is_forgotten_when_it_is_reset(puppet: Any) -> None:  # noqa: A
     ("codes", "width"), [([0], 3), ([7], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)]
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
-    puppet: Any,  # noqa: ANN401
+    puppet: Any,
     codes: list[int],
     width: int,
 ) -> None:

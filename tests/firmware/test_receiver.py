@@ -20,7 +20,7 @@ LOST = [1500, 1500, 1000, 1500, *[1000] * 12]
 
 
 class Receiver:
-    def __init__(self, core: Any, rate_hz: int = 1000) -> None:  # noqa: ANN401
+    def __init__(self, core: Any, rate_hz: int = 1000) -> None:
         self.lib, self.core = core.lib, core
         self.self = core.new("struct receiver *")
         self.lib.receiver_init(self.self, rate_hz)
@@ -44,7 +44,7 @@ class Receiver:
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
-def test_link_is_held_and_then_lost_when_silence_lasts(puppet: Any, rate_hz: int) -> None:  # noqa: ANN401
+def test_link_is_held_and_then_lost_when_silence_lasts(puppet: Any, rate_hz: int) -> None:
     lib, receiver = puppet.lib, Receiver(puppet, rate_hz)
     hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, RECEIVER_LOST_MS))
     receiver.frame()
@@ -62,19 +62,19 @@ def test_link_is_held_and_then_lost_when_silence_lasts(puppet: Any, rate_hz: int
     assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_GOOD, FLOWN)
 
 
-def test_link_is_lost_when_nothing_was_ever_heard(puppet: Any) -> None:  # noqa: ANN401
+def test_link_is_lost_when_nothing_was_ever_heard(puppet: Any) -> None:
     receiver = Receiver(puppet)
     assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
 
 
-def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(puppet: Any) -> None:  # noqa: ANN401
+def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(puppet: Any) -> None:
     receiver = Receiver(puppet)
     receiver.frame()
     receiver.frame(failsafe=True)
     assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
 
 
-def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(puppet: Any) -> None:  # noqa: ANN401
+def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(puppet: Any) -> None:
     receiver = Receiver(puppet)
     receiver.frame()
     for _ in range(RECEIVER_HOLD_MS):

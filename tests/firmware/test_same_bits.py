@@ -93,7 +93,7 @@ class Board:
 class Host:
     """The same calls into the shared library."""
 
-    def __init__(self, core: Any) -> None:  # noqa: ANN401
+    def __init__(self, core: Any) -> None:
         self._core = core
         self.firmware = core.new("struct firmware *")
         config = core.new("struct firmware_config *", (GYRO_HZ, IDLE, CW180))
@@ -114,14 +114,14 @@ def board(board_image: Path) -> Board:
 
 
 @pytest.fixture(scope="module")
-def host(reference_core: Any) -> Host:  # noqa: ANN401
+def host(reference_core: Any) -> Host:
     return Host(reference_core)
 
 
 def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
     board: Board,
     host: Host,
-    sbus: Any,  # noqa: ANN401
+    sbus: Any,
 ) -> None:
     rng = np.random.default_rng(31)
     values: set[bytes] = set()

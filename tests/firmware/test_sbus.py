@@ -13,7 +13,7 @@ VALUES = [172 + 103 * index for index in range(16)]  # no 0x0F and no 0x00 among
 
 
 @pytest.fixture
-def push(puppet: Any) -> Callable[[bytes], list[Any]]:  # noqa: ANN401
+def push(puppet: Any) -> Callable[[bytes], list[Any]]:
     """Feeds one parser; returns the frames that came out."""
     parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
     puppet.lib.sbus_reset(parser)
@@ -33,18 +33,18 @@ def microseconds(values: list[int]) -> list[int]:
     return [880 + (5 * value + 4) // 8 for value in values]
 
 
-def test_each_channel_comes_out_when_its_values_run_through_all(push: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_each_channel_comes_out_when_its_values_run_through_all(push: Any, sbus: Encode) -> None:
     for value in range(2048):
         values = [(value + 128 * index) % 2048 for index in range(16)]
         assert push(sbus(values)) == [(microseconds(values), False, False)]
 
 
 @pytest.mark.parametrize(("lost", "failsafe"), [(True, False), (False, True), (True, True)])
-def test_flags_come_out_when_they_are_set(push: Any, sbus: Encode, lost: bool, failsafe: bool) -> None:  # noqa: ANN401
+def test_flags_come_out_when_they_are_set(push: Any, sbus: Encode, lost: bool, failsafe: bool) -> None:
     assert push(sbus(VALUES, frame_lost=lost, failsafe=failsafe)) == [(microseconds(VALUES), lost, failsafe)]
 
 
-def test_nothing_comes_out_when_header_or_footer_is_wrong(push: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_nothing_comes_out_when_header_or_footer_is_wrong(push: Any, sbus: Encode) -> None:
     good = sbus(VALUES)
     assert 0x0F not in good[1:] and 0 not in good[1:23]
     assert push(b"\x0e" + good[1:]) == []
@@ -53,25 +53,25 @@ def test_nothing_comes_out_when_header_or_footer_is_wrong(push: Any, sbus: Encod
     assert push(good) == [(microseconds(VALUES), False, False)]
 
 
-def test_nothing_comes_out_when_a_byte_is_missing_but_the_next_frame_does(push: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_nothing_comes_out_when_a_byte_is_missing_but_the_next_frame_does(push: Any, sbus: Encode) -> None:
     good = sbus(VALUES)
     for cut in range(1, 24):
         frames = push(good[:cut] + good[cut + 1 :] + good)
         assert frames == [(microseconds(VALUES), False, False)], cut
 
 
-def test_frames_come_out_when_bytes_trail_between_them(push: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_frames_come_out_when_bytes_trail_between_them(push: Any, sbus: Encode) -> None:
     good = sbus(VALUES)
     assert len(push(good + b"\x00\x01\xff" + good + b"\x55" + good)) == 3
 
 
-def test_a_false_header_is_survived_when_it_stands_inside_the_noise(push: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_a_false_header_is_survived_when_it_stands_inside_the_noise(push: Any, sbus: Encode) -> None:
     good = sbus(VALUES)
     for noise in range(1, 25):
         assert push(b"\x0f" * noise + good)[-1:] == [(microseconds(VALUES), False, False)], noise
 
 
-def test_any_bytes_are_survived_when_they_are_random(push: Any, puppet: Any) -> None:  # noqa: ANN401
+def test_any_bytes_are_survived_when_they_are_random(push: Any, puppet: Any) -> None:
     rng = np.random.default_rng(7)
     frames = []
     for _ in range(300):
@@ -83,7 +83,7 @@ def test_any_bytes_are_survived_when_they_are_random(push: Any, puppet: Any) -> 
     assert all(880 <= us <= 2159 for channels, _, _ in frames for us in channels)
 
 
-def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any, sbus: Encode) -> None:  # noqa: ANN401
+def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any, sbus: Encode) -> None:
     parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
     good = sbus(VALUES)
     for byte in good[:12]:

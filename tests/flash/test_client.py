@@ -20,11 +20,11 @@ ANSWER = encode(reply(ASKED, b"NRFL"))
 SILENCE = None
 
 
-def ask(line: Any, **limits: Any) -> bytes:  # noqa: ANN401 - the scripted line of conftest.py
+def ask(line: Any, **limits: Any) -> bytes:
     return Client(line, clock=line.clock).request(Msp.FC_VARIANT, **limits)
 
 
-def failure(line: Any, **limits: Any) -> str:  # noqa: ANN401
+def failure(line: Any, **limits: Any) -> str:
     """The one line that asking ends in."""
     with pytest.raises(LinkError) as caught:
         ask(line, **limits)

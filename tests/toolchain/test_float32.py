@@ -23,7 +23,7 @@ Float32 = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")
-def processor(tmp_path_factory: pytest.TempPathFactory) -> Any:  # noqa: ANN401 - a ctypes library
+def processor(tmp_path_factory: pytest.TempPathFactory) -> Any:
     directory: Path = tmp_path_factory.mktemp("fma")
     (directory / "fma.c").write_text(SOURCE)
     library = directory / "fma.so"
@@ -33,7 +33,7 @@ def processor(tmp_path_factory: pytest.TempPathFactory) -> Any:  # noqa: ANN401 
     return ctypes.CDLL(str(library))
 
 
-def processor_fma(processor: Any, a: Float32, b: Float32, c: Float32) -> Float32:  # noqa: ANN401
+def processor_fma(processor: Any, a: Float32, b: Float32, c: Float32) -> Float32:
     out = np.empty_like(a)
     processor.fma_all(len(a), *(ctypes.c_void_p(v.ctypes.data) for v in (a, b, c, out)))
     return out
@@ -45,13 +45,13 @@ def assert_same_bits(got: Float32, expected: Float32) -> None:
     np.testing.assert_array_equal(got[~nan].view(np.uint32), expected[~nan].view(np.uint32))
 
 
-def test_fma_gives_the_processors_bits_when_operands_are_any_bits(processor: Any) -> None:  # noqa: ANN401
+def test_fma_gives_the_processors_bits_when_operands_are_any_bits(processor: Any) -> None:
     rng = np.random.default_rng(1)
     a, b, c = rng.integers(0, 1 << 32, (3, 500_000), dtype=np.uint32).view(np.float32)
     assert_same_bits(fma(a, b, c), processor_fma(processor, a, b, c))
 
 
-def test_fma_gives_the_processors_bits_when_terms_nearly_cancel(processor: Any) -> None:  # noqa: ANN401
+def test_fma_gives_the_processors_bits_when_terms_nearly_cancel(processor: Any) -> None:
     rng = np.random.default_rng(2)
     a, b = (
         (rng.normal(size=500_000) * 2.0 ** rng.integers(-70, 20, 500_000)).astype(np.float32).reshape(2, -1)

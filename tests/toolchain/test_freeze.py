@@ -193,7 +193,7 @@ def make_empty(path: Path) -> None:
 @pytest.mark.parametrize(
     "make", [make_garbage, make_bomb, make_torch_bomb, make_tensor, make_other_version, make_empty]
 )
-def test_file_is_refused_when_it_is_no_checkpoint(tmp_path: Path, make: Any) -> None:  # noqa: ANN401
+def test_file_is_refused_when_it_is_no_checkpoint(tmp_path: Path, make: Any) -> None:
     path, out = tmp_path / "checkpoint.pt", tmp_path / "policy.onnx"
     make(path)
     with pytest.raises(PolicyError) as caught:

@@ -115,7 +115,7 @@ def registers() -> RegisterTable:
     return load(TARGET)
 
 
-def processor() -> Any:  # noqa: ANN401 - unicorn is half typed
+def processor() -> Any:
     uc = unicorn.Uc(UC_ARCH_ARM, UC_MODE_THUMB)  # type: ignore[attr-defined, no-untyped-call]
     uc.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)  # type: ignore[no-untyped-call]
     return uc
@@ -201,7 +201,7 @@ class Sketch:
         self.call(function)
         return int(self.uc.reg_read(UC_ARM_REG_R0))
 
-    def _read(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:  # noqa: ANN401
+    def _read(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:
         register = self.by_address.get(address)
         if register is None:
             self.sins.append(f"read of 0x{address:08X}, which is no register in use")
@@ -217,7 +217,7 @@ class Sketch:
                 on = self.field(source, enable) << found.lsb
                 self.poke(address, (self.peek(address) & ~found.mask) | on)
 
-    def _write(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:  # noqa: ANN401
+    def _write(self, uc: Any, access: int, address: int, size: int, value: int, data: object) -> None:
         register = self.by_address.get(address & ~3)
         if register is None or "w" not in register.access:
             self.sins.append(f"write of 0x{address:08X}, which is no writable register in use")

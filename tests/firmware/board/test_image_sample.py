@@ -1,7 +1,5 @@
 """One gyro sample through the image's own interrupt handlers: edge, SPI by DMA, control path, motor frame."""
 
-# ruff: noqa: ANN401 - a Sketch is conftest's own class, which pytest hands over untyped
-
 from __future__ import annotations
 
 import struct

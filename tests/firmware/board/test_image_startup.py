@@ -1,7 +1,5 @@
 """The image's first steps, executed: reset, boot part, bank A, clock, set-up, background."""
 
-# ruff: noqa: ANN401 - a Sketch is conftest's own class, which pytest hands over untyped
-
 from __future__ import annotations
 
 from collections.abc import Callable

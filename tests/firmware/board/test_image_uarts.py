@@ -1,7 +1,5 @@
 """The image's UARTs: what circular DMA leaves in a ring, and what a broken byte costs."""
 
-# ruff: noqa: ANN401 - a Sketch is conftest's own class, which pytest hands over untyped
-
 from __future__ import annotations
 
 from collections.abc import Callable
