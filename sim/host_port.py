@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
-from sim.port import Reply, Sample, control_divider, motor_fractions
+from sim.motors import motor_fractions
+from sim.port import Reply, Sample, control_divider
 from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
     SIM_MOTOR_FORMAT,

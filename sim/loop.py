@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import sticks
-from sim.port import FirmwarePort, Reply, Sample, control_divider, motor_fractions
+from sim.motors import motor_fractions
+from sim.port import FirmwarePort, Reply, Sample, control_divider
 from sim.scenario import Scenario
 from sim.trace import Trace
 from sim.twin import Twin

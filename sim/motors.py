@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import DSHOT_MIN, DSHOT_SPAN
+from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP
+from toolchain.errors import LinkError
 
 Array = NDArray[np.float32]
 
@@ -28,3 +29,17 @@ def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
     floor = np.float32(idle)
     raised = floor + (np.float32(1.0) - floor) * u
     return np.uint16(DSHOT_MIN) + (np.float32(DSHOT_SPAN) * raised + np.float32(0.5)).astype(np.uint16)
+
+
+def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """Motor fractions 0..1 that an ESC decodes: 0 for 0, else (v - 48) / 1999.
+
+    dshot: 11-bit values, any shape. Raises LinkError on one that is no throttle.
+    """
+    command = (dshot > DSHOT_STOP) & (dshot < DSHOT_MIN)
+    if command.any() or (dshot > DSHOT_MAX).any():
+        raise LinkError(
+            f"DShot value {dshot[command | (dshot > DSHOT_MAX)][0]} is no throttle, expected {DSHOT_STOP} "
+            f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
+        )
+    return np.where(dshot == DSHOT_STOP, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)

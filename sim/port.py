@@ -1,4 +1,4 @@
-"""The one interface behind which a firmware stands, and what an ESC makes of its answer."""
+"""The one interface behind which a firmware stands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP
 from toolchain.errors import LinkError
 
 
@@ -62,20 +61,6 @@ class FirmwarePort(Protocol):
     def close(self) -> None:
         """End the firmware. May be called twice."""
         ...
-
-
-def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """Motor fractions 0..1 that an ESC decodes: 0 for 0, else (v - 48) / 1999.
-
-    dshot: 11-bit values, any shape. Raises LinkError on one that is no throttle.
-    """
-    command = (dshot > DSHOT_STOP) & (dshot < DSHOT_MIN)
-    if command.any() or (dshot > DSHOT_MAX).any():
-        raise LinkError(
-            f"DShot value {dshot[command | (dshot > DSHOT_MAX)][0]} is no throttle, expected {DSHOT_STOP} "
-            f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
-        )
-    return np.where(dshot == DSHOT_STOP, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
 
 
 def control_divider(gyro_rate_hz: int, control_rate_hz: int) -> int:

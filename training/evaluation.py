@@ -12,8 +12,7 @@ from sim.aircraft import Aircraft
 from sim.controller import Controller
 from sim.imu import quantised_rate
 from sim.metrics import Effort, Tracking, effort, tracking
-from sim.motors import dshot_values, throttle_mix
-from sim.port import motor_fractions
+from sim.motors import dshot_values, motor_fractions, throttle_mix
 from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
 from sim.imu import quantised_rate
-from sim.motors import dshot_values, throttle_mix
+from sim.motors import dshot_values, motor_fractions, throttle_mix
 from sim.observation import Observer
-from sim.port import motor_fractions
 from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT, ObservationBlock

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.motors import dshot_values, throttle_mix
+from sim.motors import dshot_values, motor_fractions, throttle_mix
+from toolchain.errors import LinkError
 
 
 def test_the_mix_is_the_output_itself_when_the_throttle_is_zero() -> None:
@@ -33,3 +34,14 @@ def test_thrust_rides_on_top_within_bounds_for_any_output() -> None:
 )
 def test_dshot_value_of_a_fraction(u: float, idle: float, value: int) -> None:
     assert dshot_values(np.array([[u]], np.float32), idle)[0, 0] == value
+
+
+def test_motor_fractions_are_the_escs_when_values_are_throttle() -> None:
+    values = np.array([[0, 48], [1047, 2047]], np.uint16)
+    assert motor_fractions(values).tolist() == [[0.0, 0.0], [999 / 1999, 1.0]]
+
+
+@pytest.mark.parametrize("value", [1, 47, 2048, 65535])
+def test_motor_fractions_refuse_when_a_value_is_no_throttle(value: int) -> None:
+    with pytest.raises(LinkError, match=f"DShot value {value} is no throttle"):
+        motor_fractions(np.array([100, value], np.uint16))
