@@ -2,7 +2,7 @@
 TARGET   ?= MATEKF722
 POLICY   ?= training/policies/nf1/policy.onnx
 AIRCRAFT ?= nf1
-STEPS    ?= 6000000
+STEPS    ?= 8000000
 SEED     ?= 1
 OUT      ?= runs/$(AIRCRAFT)-$(SEED)
 SCENARIO ?= pulses

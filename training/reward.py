@@ -20,7 +20,7 @@ class TrackingReward:
     """
 
     error: float = 1.0
-    output: float = 0.3
+    output: float = 0.6
     change: float = 0.0
 
     def __call__(

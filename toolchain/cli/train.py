@@ -9,7 +9,7 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--aircraft", default="nf1", help="shipped name or path of a .toml file")
-    parser.add_argument("--steps", type=int, default=6_000_000, help="control steps, all aircraft together")
+    parser.add_argument("--steps", type=int, default=8_000_000, help="control steps, all aircraft together")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True, help="folder for the three results")
     parser.add_argument("--force", action="store_true", help="replace results that are in --out already")
