@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -65,18 +66,15 @@ def test_an_interruption_keeps_what_is_done(tmp_path: Path) -> None:
     assert read_policy(tmp_path / "policy.onnx").observation_count == 6
 
 
-def test_learns_to_follow_within_half_a_million_steps(tmp_path: Path) -> None:
-    ppo = PpoConfig(aircraft=64, horizon=128, minibatch=2048)
-    before = TrainingConfig(steps=8192, ppo=ppo)
-    train(NF1, before, tmp_path / "before")
-    train(NF1, TrainingConfig(steps=64 * 8192, ppo=ppo), tmp_path / "after")
-    errors = []
-    for name in ("before", "after"):
-        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 10, exact=False)
-        result = evaluate(controller, NF1, episodes=10, seed=99, control_rate_hz=1000)
-        errors.append(float(result.tracking.mae.mean()))
-    assert errors[1] < 15.0  # deg/s; an aircraft left alone errs by about 35
-    assert errors[1] < errors[0] / 2
+def test_learns_to_follow_within_forty_rollouts(tmp_path: Path) -> None:
+    """The default run cut short, exploration kept up: seeds 1, 2 and 3 all pass with room."""
+    rewards: list[float] = []
+    config = TrainingConfig(steps=40 * 32_768, seed=2, ppo=PpoConfig(log_std=(-1.0, -1.2)))
+    train(NF1, config, tmp_path, lambda state: rewards.append(state.reward))
+    assert sum(rewards[-5:]) / 5 > sum(rewards[:3]) / 3 + 1.0
+    controller = PolicyController(read_policy(tmp_path / "policy.onnx"), 10, exact=False)
+    result = evaluate(controller, NF1, episodes=10, seed=99, control_rate_hz=1000)
+    assert result.tracking.mae.mean() < 20.0  # deg/s; an aircraft that does nothing errs by about 36
 
 
 @pytest.mark.parametrize(
@@ -104,3 +102,17 @@ def test_every_block_of_the_contract_has_a_scale() -> None:
     from toolchain.contract import OBSERVATION_BLOCKS
 
     assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}
+
+
+def test_smoothness_in_the_loss_makes_outputs_deaf_to_gyro_noise(tmp_path: Path) -> None:
+    changes = []
+    for name, smoothness in (("without", 0.0), ("with", 20.0)):
+        ppo = PpoConfig(aircraft=16, horizon=64, minibatch=256, smoothness=smoothness)
+        train(NF1, TrainingConfig(steps=40 * 1024, ppo=ppo), tmp_path / name)
+        controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 4, exact=False)
+        still = np.zeros((4, 3), np.float32)
+        rng = np.random.default_rng(0)
+        noise = rng.normal(0.0, NF1.gyro.noise, (200, 4, 3)).astype(np.float32)
+        outputs = [controller.step(still, gyro, np.zeros(4, np.float32)) for gyro in noise]
+        changes.append(float(np.abs(np.diff(outputs, axis=0)).mean()))
+    assert changes[1] < changes[0] / 3
