@@ -5,6 +5,7 @@ The layout is shared with `toolchain.freeze` (contract CHECKPOINT_*). Loading ex
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import torch
 
 from toolchain.contract import CHECKPOINT_FORMAT, CHECKPOINT_VERSION
-from toolchain.files import replacing
+from toolchain.files import write_bytes
 
 
 def save_checkpoint(
@@ -27,15 +28,17 @@ def save_checkpoint(
     document: `TrainingConfig.document`; state_dict: of the Stable-Baselines3 policy; progress: numbers
     such as {"steps": 1000000}.
     """
-    with replacing(path) as aside:
-        torch.save(
-            {
-                "format": CHECKPOINT_FORMAT,
-                "version": CHECKPOINT_VERSION,
-                "config": json.dumps(document, sort_keys=True),
-                "state_dict": state_dict,
-                "optimizer": optimizer,
-                "progress": progress,
-            },
-            aside,
-        )
+    # Through memory: torch writes a file's own name into it, and an equal run shall give equal bytes.
+    buffer = io.BytesIO()
+    torch.save(
+        {
+            "format": CHECKPOINT_FORMAT,
+            "version": CHECKPOINT_VERSION,
+            "config": json.dumps(document, sort_keys=True),
+            "state_dict": state_dict,
+            "optimizer": optimizer,
+            "progress": progress,
+        },
+        buffer,
+    )
+    write_bytes(path, buffer.getvalue())

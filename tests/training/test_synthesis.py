@@ -45,10 +45,11 @@ def test_writes_checkpoint_policy_and_record(tmp_path: Path) -> None:
     assert checkpoint["progress"]["steps"] == 512
 
 
-def test_the_same_seed_gives_the_same_policy_to_the_byte(tmp_path: Path) -> None:
+@pytest.mark.parametrize("file", ["checkpoint.pt", "policy.onnx"])
+def test_the_same_seed_gives_the_same_file_to_the_byte(file: str, tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         train(NF1, TrainingConfig(steps=256, seed=seed, hidden=(8, 8), ppo=SMALL), tmp_path / name)
-    first, second, other = ((tmp_path / name / "policy.onnx").read_bytes() for name in "abc")
+    first, second, other = ((tmp_path / name / file).read_bytes() for name in "abc")
     assert first == second
     assert first != other
 
