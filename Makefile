@@ -6,6 +6,7 @@ STEPS    ?= 8000000
 SEED     ?= 1
 OUT      ?= runs/$(AIRCRAFT)-$(SEED)
 SCENARIO ?= pulses
+COUNT    ?= 10
 ARGS     ?=
 
 VENV := .venv
@@ -43,8 +44,8 @@ host: setup ## the same firmware as a program of this machine
 train: setup ## a policy from the twin: AIRCRAFT=nf1 [STEPS=] [SEED=] [OUT=]
 	@$(RUN) train --aircraft $(AIRCRAFT) --steps $(STEPS) --seed $(SEED) --out $(OUT) $(ARGS)
 
-fly: host ## the host build against the twin: [SCENARIO=pulses] [SEED=] [ARGS="--trace FILE.npz"]
-	@$(RUN) fly --on host --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --seed $(SEED) $(ARGS)
+fly: host ## the host build against the twin: [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
+	@$(RUN) fly --on host --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
 test: firmware host ## the tests
 	@$(VENV)/bin/python -m pytest $(ARGS)
