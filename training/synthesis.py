@@ -37,7 +37,6 @@ class Progress:
     steps_wanted: int
     seconds: float
     reward: float  # mean of a control step in the last rollout
-    spread: float  # mean standard deviation of the action distribution, network output units
 
 
 def train(
@@ -127,7 +126,7 @@ class _Run(BaseCallback):
         self, wanted: int, report: Callable[[Progress], None] | None, save: Callable[[], None]
     ) -> None:
         super().__init__()
-        self.state = Progress(0, wanted, 0.0, 0.0, 0.0)
+        self.state = Progress(0, wanted, 0.0, 0.0)
         self._report = report
         self._save = save
         self._began = self._saved = time.monotonic()
@@ -144,7 +143,6 @@ class _Run(BaseCallback):
             steps_wanted=self.state.steps_wanted,
             seconds=now - self._began,
             reward=float(model.rollout_buffer.rewards.mean()),
-            spread=float(model.policy.log_std.detach().exp().mean()),
         )
         if self._report is not None:
             self._report(self.state)

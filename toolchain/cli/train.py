@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps · {task.fields[figures]}"),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} · {task.fields[figures]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             bar.update(
                 task,
                 completed=state.steps,
-                figures=f"{speed:,.0f}/s · reward {state.reward:.3f} · spread {state.spread:.2f}",
+                figures=f"{speed:,.0f}/s · reward {state.reward:.3f}",
             )
 
         state = train(aircraft, config, args.out, show)
