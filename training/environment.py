@@ -67,9 +67,11 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Advance one control period."""
+        """Advance one control period. Raises ValueError on an action that is not finite."""
         if self._simulation is None:
             raise RuntimeError("step() on a closed environment; call reset() first")
+        if not np.isfinite(action).all():
+            raise ValueError(f"action {action} is not finite, expected motor fractions 0..1")
         clipped = np.clip(np.asarray(action, np.float32), 0.0, 1.0)[None]
         result = self._simulation.step(clipped)
         info = self._info(self._simulation)

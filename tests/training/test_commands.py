@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from sim.aircraft import FOLDER
 from toolchain.cli.main import main
 
 Capture = pytest.CaptureFixture[str]
@@ -39,6 +40,20 @@ def test_evaluate_prints_figures_as_table_and_as_json(
     table = capsys.readouterr().out
     assert f"{document['mae'][0]:.2f}" in table
     assert "true rate" in table
+
+
+def test_evaluate_refuses_a_policy_for_another_number_of_motors(
+    shipped_policy: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    five = tmp_path / "five.toml"
+    rotor = (
+        '[[rotor]]\nmotor_m = [0.2, 0.0, 0.042]\npropeller_m = [0.2, 0.0, 0.058]\nspin = "cw"\n\n[propulsion]'
+    )
+    five.write_text((FOLDER / "nf1.toml").read_text().replace("[propulsion]", rotor))
+    assert main(["evaluate", str(shipped_policy), "--aircraft", str(five)]) == 1
+    captured = capsys.readouterr()
+    assert "drives 4 motors, aircraft nf1 has 5" in captured.err
+    assert captured.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,15 @@ def test_ends_by_truncation_when_the_clock_runs_out() -> None:
     assert info["setpoint"].shape == (3,)
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_refuses_an_action_that_is_not_finite(value: float) -> None:
+    env = gymnasium.make(ID).unwrapped
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="is not finite"):
+        env.step(np.array([0.1, value, 0.1, 0.1], np.float32))
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from sim.pid import aircraft_pid
     from sim.world import COUNT_MAX, Mount
     from toolchain.contract import AXES
-    from toolchain.errors import TrainingError
+    from toolchain.errors import PolicyError, TrainingError
     from toolchain.network import read_policy
     from training.evaluation import evaluate
 
@@ -48,6 +48,11 @@ def run(args: argparse.Namespace) -> int:
         controller = aircraft_pid(aircraft, args.episodes, rate_hz)
     else:
         policy = read_policy(Path(args.controller))
+        if policy.action_count != aircraft.motor_count:
+            raise PolicyError(
+                f"{args.controller} drives {policy.action_count} motors, aircraft {aircraft.name} has "
+                f"{aircraft.motor_count}; evaluate it on an aircraft it was trained for"
+            )
         rate_hz = policy.control_rate_hz
         controller = PolicyController(policy, args.episodes, exact=False)
     console = Console(stderr=args.json)
