@@ -27,6 +27,7 @@ from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.motors import motor_fractions
 from sim.port import Reply, Sample, control_divider
+from sim.rotation import quaternion
 from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
     SIM_MOTOR_FORMAT,
@@ -255,23 +256,6 @@ def _state_fields(sample: Sample) -> list[float]:
     pressure = SEA_LEVEL_PA * math.exp(-up / SCALE_HEIGHT_M)
     rates, force = (x, -y, -z), (fx, -fy, -fz)
     return [
-        *(sample.time_s, *rates, *force, *_quaternion(sample.rotation)),
+        *(sample.time_s, *rates, *force, *quaternion(sample.rotation)),
         *(-vw, vn, vu, -west, north, up, pressure),
     ]
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Unit quaternion w x y z of a rotation matrix, by its largest component (Shepperd 1978)."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    w2, x2, y2, z2 = 1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i
-    largest = max(w2, x2, y2, z2)
-    if largest == w2:
-        q = (w2, h - f, c - g, d - b)
-    elif largest == x2:
-        q = (h - f, x2, b + d, c + g)
-    elif largest == y2:
-        q = (c - g, b + d, y2, f + h)
-    else:
-        q = (d - b, c + g, f + h, z2)
-    scale = 0.5 / math.sqrt(largest)
-    return (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)

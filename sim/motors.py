@@ -43,3 +43,8 @@ def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
             f"or {DSHOT_MIN} to {DSHOT_MAX}: the firmware is broken"
         )
     return np.where(dshot == DSHOT_STOP, 0.0, (dshot.astype(np.float64) - DSHOT_MIN) / DSHOT_SPAN)
+
+
+def motor_commands(y: Array, throttle: Array, idle: float) -> NDArray[np.float64]:
+    """What the ESCs decode (N, M) when a controller answers y (N, M) under the pilot's thrust (N,)."""
+    return motor_fractions(dshot_values(throttle_mix(y, throttle), idle))

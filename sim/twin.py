@@ -47,7 +47,7 @@ class Twin:
         self._commands = np.zeros((self._delay + 1, *shape))  # the last ones, by sample modulo length
         self._sample = 0
         self.rotor_speed = np.zeros(shape)
-        self.specific_force = np.zeros((count, 3))
+        self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes, of the rotors; a mount's is not in it
         self._bias = np.zeros((count, 3))
         self.gyro = np.zeros((count, 3))
         self.reset()

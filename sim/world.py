@@ -17,6 +17,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
+from sim.rotation import quaternion
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665  # [m/s^2], standard gravity
@@ -51,7 +52,8 @@ class World:
             axes[:, 0] = -axes[:, 0]
         # A loose body is turned in its principal axes (the columns of `axes`), the rig's link in body axes.
         self._axes = np.eye(3) if mount is Mount.RIG else axes
-        self._quaternion = _quaternion(self._axes)
+        w, x, y, z = quaternion(self._axes)
+        self._quaternion = (x, y, z, w)  # pybullet's order
         self._link = 0 if mount is Mount.RIG else -1
         self._bodies = [self._create(aircraft, moments) for _ in range(count)]
         self.rate = np.zeros((count, 3))
@@ -179,18 +181,3 @@ def _load_rig(aircraft: Aircraft, client: int) -> int:
                 physicsClientId=client,
             )
         )
-
-
-def _quaternion(matrix: Array) -> list[float]:
-    """Rotation matrix to pybullet's x y z w, by the largest component (Shepperd's method)."""
-    trace = float(np.trace(matrix))
-    squares = np.array([*(1 + 2 * np.diag(matrix) - trace), 1 + trace])
-    k = int(np.argmax(squares))
-    m = matrix
-    if k == 3:
-        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]])
-    else:
-        i, j, l = k, (k + 1) % 3, (k + 2) % 3  # noqa: E741 - cyclic axes
-        q = np.zeros(4)
-        q[i], q[j], q[l], q[3] = squares[k], m[j, i] + m[i, j], m[l, i] + m[i, l], m[l, j] - m[j, l]
-    return [float(value) for value in q / np.linalg.norm(q)]

@@ -26,8 +26,6 @@ OBSERVATION_SCALES = {
     "previous_action": 1.0,
     "throttle": 1.0,
 }
-
-
 ACTIVATIONS = ("relu", "tanh")
 SEED_MAX = 2**32 - 1
 

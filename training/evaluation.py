@@ -12,7 +12,7 @@ from sim.aircraft import Aircraft
 from sim.controller import Controller
 from sim.imu import quantised_rate
 from sim.metrics import Effort, Tracking, effort, tracking
-from sim.motors import dshot_values, motor_fractions, throttle_mix
+from sim.motors import motor_commands
 from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT
@@ -62,7 +62,7 @@ def evaluate(
             setpoint = task.setpoint(command, np.full(episodes, k), control_rate_hz).astype(np.float32)
             wanted[k], flown[k] = setpoint, twin.rate
             outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
-            twin.step(motor_fractions(dshot_values(throttle_mix(y, thrust), IDLE_DEFAULT)))
+            twin.step(motor_commands(y, thrust, IDLE_DEFAULT))
             if progress is not None:
                 progress(k + 1, steps)
     finally:

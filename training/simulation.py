@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
 from sim.imu import quantised_rate
-from sim.motors import dshot_values, motor_fractions, throttle_mix
+from sim.motors import motor_commands
 from sim.observation import Observer
 from sim.twin import Twin
 from sim.world import Mount
@@ -83,8 +83,7 @@ class AttitudeSimulation:
         The observation of an aircraft whose episode ended is still that episode's last; call
         `restart` to begin its next one.
         """
-        motors = motor_fractions(dshot_values(throttle_mix(action, self._throttle), IDLE_DEFAULT))
-        self._twin.step(motors)
+        self._twin.step(motor_commands(action, self._throttle, IDLE_DEFAULT))
         before, self._action = self._action, action
         self._step += 1
         error = self.setpoint - self._twin.rate

@@ -18,7 +18,10 @@ from torch.nn import functional
 
 
 class SmoothPpo(PPO):
-    """Stable-Baselines3's PPO, its `train` with one term more; the clip range is constant."""
+    """Stable-Baselines3's PPO, its `train` with one term more.
+
+    The clip range is constant, and exploration follows a schedule, so there is no entropy term.
+    """
 
     def __init__(
         self,

@@ -50,7 +50,6 @@ def train(
     A checkpoint is kept every 20 s. An interruption (KeyboardInterrupt) writes all three for the steps
     done, then goes on its way.
     """
-
     # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
     torch.set_num_threads(1)
     env = vector_env(aircraft, config)

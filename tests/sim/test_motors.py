@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.motors import dshot_values, motor_fractions, throttle_mix
+from sim.motors import dshot_values, motor_commands, motor_fractions, throttle_mix
 from toolchain.errors import LinkError
 
 
@@ -45,3 +45,11 @@ def test_motor_fractions_are_the_escs_when_values_are_throttle() -> None:
 def test_motor_fractions_refuse_when_a_value_is_no_throttle(value: int) -> None:
     with pytest.raises(LinkError, match=f"DShot value {value} is no throttle"):
         motor_fractions(np.array([100, value], np.uint16))
+
+
+def test_commands_are_the_outputs_within_a_step_of_dshot_when_the_throttle_is_closed() -> None:
+    y = np.random.default_rng(5).uniform(0, 1, (50, 4)).astype(np.float32)
+    still = np.zeros(50, np.float32)
+    assert np.abs(motor_commands(y, still, 0.0) - y).max() <= 0.5001 / 1999
+    raised = motor_commands(y, still, 0.1)
+    assert raised.min() >= 0.1 - 0.5001 / 1999
