@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +23,10 @@ from toolchain.errors import AircraftError
 FOLDER = Path(__file__).parent / "aircraft"
 FILE_BYTES_MAX = 256 << 10
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
+ZERO: Vector = (0.0, 0.0, 0.0)
+COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
+EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
+CELL_VOLTAGE_MIN, CELL_VOLTAGE_MAX = 3.0, 4.45  # [V], full cells of any lithium chemistry in use
 
 
 @dataclass(frozen=True)
@@ -35,27 +38,107 @@ class Rotor:
 
 
 @dataclass(frozen=True)
-class Propulsion:
-    """What a motor command does to a rotor, the same for every rotor of the aircraft."""
+class TorqueResponse:
+    """A P controller on rotor speed whose torque is clamped (Koch 2019, chapter 5)."""
 
-    speed_curve: Vector  # a, b, c of H(u) = a u^2 + b u + c [rad/s]
-    thrust_coefficient: float  # [N s^2/rad^2]
-    torque_ratio: float  # [m], drag torque a newton of thrust
-    rotor_inertia: float  # [kg m^2]
-    response_gain: float  # [N m s/rad]
-    response_torque_up: float  # [N m]
-    response_torque_down: float  # [N m]
-    drag_coefficient: float  # [N s^2/(rad m)]
-    rolling_coefficient: float  # [N s^2/rad]
-    delay: float  # [s], command to rotor, the control loop's own sample included
+    gain: float  # [N m s/rad]
+    torque_up: float  # [N m], most it accelerates with
+    torque_down: float  # [N m], most it brakes with
 
 
 @dataclass(frozen=True)
-class GyroNoise:
-    """Noise of the gyro as the controller samples it."""
+class FirstOrderResponse:
+    """A first-order lag, with one time constant for each direction."""
+
+    time_constant_up: float  # [s], while the rotor gains speed
+    time_constant_down: float  # [s], while it loses speed
+
+
+Response = TorqueResponse | FirstOrderResponse
+
+
+@dataclass(frozen=True)
+class Propulsion:
+    """What a motor command does to a rotor, the same for every rotor of the aircraft.
+
+    Coefficients are polynomials of rotor speed w [rad/s], lowest power first; one number is a constant.
+    """
+
+    speed_curve: Vector  # a, b, c of H(u) = a u^2 + b u + c [rad/s], at `supply_voltage`
+    thrust_coefficient: tuple[float, ...]  # K_T(w) [N s^2/rad^2]: thrust = K_T w^2
+    torque_ratio: tuple[float, ...]  # K_Q(w) [m]: drag torque = K_Q thrust
+    rotor_inertia: float  # [kg m^2]
+    response: Response
+    drag_coefficient: float  # [N s^2/(rad m)]
+    rolling_coefficient: float  # [N s^2/rad]
+    delay: float  # [s], command to rotor, the control loop's own sample included
+    supply_voltage: float | None  # [V], where the speed curve was measured; None: not known
+    efficiency: float  # electrical power to power on the shaft, motor and ESC, 0..1
+
+    @property
+    def speed_max(self) -> float:
+        """Rotor speed at full command on the bench supply [rad/s]."""
+        return sum(self.speed_curve)
+
+
+@dataclass(frozen=True)
+class Battery:
+    """A LiPo pack."""
+
+    cells: int  # in series
+    capacity: float  # [A s]
+    rest_voltage: float  # [V], full, without load
+    resistance: float  # [ohm], of pack and leads
+    electronics_power: float  # [W], what runs besides the motors
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """The gyro as the controller samples it; what a file leaves out is ideal."""
 
     noise: Vector  # [rad/s], standard deviation of white noise, one draw a sample
     bias: float  # [rad/s], standard deviation of the constant drawn for each episode
+    bandwidth_hz: float | None = None  # of the chip's own first-order low-pass; None: none
+    misalignment: Vector = (0.0, 0.0, 0.0)  # [rad], small turns of the chip about the body axes
+    vibration: Vector = (0.0, 0.0, 0.0)  # [rad/s], amplitude that one rotor causes at its full speed
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """The accelerometer beside the gyro."""
+
+    noise: Vector  # [m/s^2], standard deviation of white noise, one draw a sample
+    bias: float = 0.0  # [m/s^2], standard deviation of the constant drawn for each episode
+    bandwidth_hz: float | None = None  # of a first-order low-pass; None: none
+    full_scale: float = 16 * 9.80665  # [m/s^2], where it saturates
+    vibration: Vector = (0.0, 0.0, 0.0)  # [m/s^2], amplitude that one rotor causes at its full speed
+
+
+@dataclass(frozen=True)
+class EscTelemetry:
+    """What the ESCs report, rounded to these steps; 0 is unrounded."""
+
+    speed_step: float = 0.0  # [rad/s]
+    voltage_step: float = 0.0  # [V]
+    current_step: float = 0.0  # [A]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The box that touches the ground and meets the wind."""
+
+    size: Vector  # [m], along x, y, z
+    centre: Vector  # [m], body frame
+    drag_area: Vector  # [m^2], drag coefficient times area, along x, y, z
+
+
+@dataclass(frozen=True)
+class PidSettings:
+    """A PID controller's settings; the sum in deg/s is divided by 1000 to a motor fraction."""
+
+    gains: tuple[Vector, Vector, Vector]  # roll, pitch, yaw as K_P, K_I, K_D, on the error in deg/s
+    derivative_cutoff_hz: float  # of the first-order low-pass before the derivative
+    idle: float  # fraction an armed motor turns at without thrust, which these gains were found with
 
 
 @dataclass(frozen=True)
@@ -64,13 +147,17 @@ class Aircraft:
 
     name: str
     description: str
-    sha256: str  # of the file's bytes
+    sha256: str  # of the file's bytes, and of its meshes'
     parts: tuple[Part, ...]
     rotors: tuple[Rotor, ...]
     propulsion: Propulsion
-    gyro: GyroNoise
+    gyro: Gyro
+    accelerometer: Accelerometer | None
+    esc: EscTelemetry
+    battery: Battery | None
+    body: Body | None
     centre_of_thrust: Vector  # [m], where the attitude rig holds it
-    pid_gains: tuple[Vector, Vector, Vector] | None  # roll, pitch, yaw as K_P, K_I, K_D (docs in nf1.toml)
+    pids: tuple[tuple[str, PidSettings], ...]  # by name; the first is the aircraft's own
     mass_properties: MassProperties
 
     @property
@@ -124,7 +211,11 @@ def parse_aircraft(data: bytes, where: str) -> Aircraft:
     parts = (*(_part(table) for table in root.tables("part", 1, 1000)), *mounted)
     propulsion = _propulsion(root.table("propulsion"))
     gyro = _gyro(root.table("gyro"))
-    pid = _pid(root.table("pid")) if root.has("pid") else None
+    accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
+    esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
+    battery = _battery(root.table("battery")) if root.has("battery") else None
+    body = _body(root.table("body")) if root.has("body") else None
+    pids = _pids(root.table("pid")) if root.has("pid") else ()
     root.finish()
     return Aircraft(
         name=name,
@@ -134,8 +225,12 @@ def parse_aircraft(data: bytes, where: str) -> Aircraft:
         rotors=rotors,
         propulsion=propulsion,
         gyro=gyro,
+        accelerometer=accelerometer,
+        esc=esc,
+        battery=battery,
+        body=body,
         centre_of_thrust=centre_of_thrust,
-        pid_gains=pid,
+        pids=pids,
         mass_properties=mass_properties(parts),
     )
 
@@ -175,34 +270,143 @@ def _rotors(root: Table) -> tuple[tuple[Rotor, ...], tuple[Part, ...]]:
 
 def _propulsion(table: Table) -> Propulsion:
     a, b, c = table.vector("speed_curve_rpm", -1e6, 1e6)
-    propulsion = Propulsion(
-        speed_curve=(a * RPM, b * RPM, c * RPM),
-        thrust_coefficient=table.number("thrust_coefficient", 1e-12, 1),
-        torque_ratio=table.number("torque_ratio_m", 0, 10),
-        rotor_inertia=table.number("rotor_inertia_kg_m2", 1e-12, 10),
-        response_gain=table.number("response_gain", 1e-12, 10),
-        response_torque_up=table.number("response_torque_up_n_m", 1e-9, 1000),
-        response_torque_down=table.number("response_torque_down_n_m", 1e-9, 1000),
-        drag_coefficient=table.number("drag_coefficient", 0, 1),
-        rolling_coefficient=table.number("rolling_coefficient", 0, 1),
-        delay=table.number("delay_s", 0, 0.1),
-    )
-    table.finish()
     if b <= 0 or 2 * a + b < 0 or c < 0:
         raise table.error(
             "speed_curve_rpm", f"[{a}, {b}, {c}] must rise over throttle 0..1 and start at no less than 0 rpm"
         )
+    full = (a + b + c) * RPM
+    propulsion = Propulsion(
+        speed_curve=(a * RPM, b * RPM, c * RPM),
+        thrust_coefficient=_coefficient(table, "thrust_coefficient", full, 1),
+        torque_ratio=_coefficient(table, "torque_ratio_m", full, 10),
+        rotor_inertia=table.number("rotor_inertia_kg_m2", 1e-12, 10),
+        response=_response(table.table("response")),
+        drag_coefficient=table.number("drag_coefficient", 0, 1),
+        rolling_coefficient=table.number("rolling_coefficient", 0, 1),
+        delay=table.number("delay_s", 0, 0.1),
+        supply_voltage=table.number("supply_voltage_v", 1, 1000) if table.has("supply_voltage_v") else None,
+        efficiency=table.number("efficiency", 0.05, 1, EFFICIENCY_DEFAULT),
+    )
+    table.finish()
     return propulsion
 
 
-def _gyro(table: Table) -> GyroNoise:
-    x, y, z = (math.radians(value) for value in table.vector("noise_deg_s", 0, 100))
-    gyro = GyroNoise((x, y, z), math.radians(table.number("bias_deg_s", 0, 100)))
+def _coefficient(table: Table, key: str, speed_max: float, high: float) -> tuple[float, ...]:
+    """A number, or a polynomial of rotor speed that stays positive up to `speed_max` [rad/s]."""
+    polynomial = table.numbers(key, 1, COEFFICIENT_TERMS_MAX, -high, high)
+    speeds = np.linspace(0.0, speed_max, 1001)
+    values = np.polynomial.polynomial.polyval(speeds, polynomial)
+    if values.min() <= 0 or values.max() > high:
+        worst = values.min() if values.min() <= 0 else values.max()
+        raise table.error(
+            key,
+            f"got {list(polynomial)}, which reaches {worst:.3g}; expected above 0 and at most {high:g} "
+            f"at every speed up to {speed_max:.0f} rad/s",
+        )
+    return polynomial
+
+
+def _response(table: Table) -> Response:
+    kind = table.choice("kind", {"torque": "torque", "first_order": "first_order"})
+    response: Response
+    if kind == "torque":
+        response = TorqueResponse(
+            gain=table.number("gain", 1e-12, 10),
+            torque_up=table.number("torque_up_n_m", 1e-9, 1000),
+            torque_down=table.number("torque_down_n_m", 1e-9, 1000),
+        )
+    else:
+        response = FirstOrderResponse(
+            time_constant_up=table.number("time_constant_up_s", 1e-4, 10),
+            time_constant_down=table.number("time_constant_down_s", 1e-4, 10),
+        )
+    table.finish()
+    return response
+
+
+def _battery(table: Table) -> Battery:
+    battery = Battery(
+        cells=table.integer("cells", 1, 100),
+        capacity=3600 * table.number("capacity_ah", 1e-3, 1e4),
+        rest_voltage=table.number("rest_voltage_v", 0.5, 1000),
+        resistance=table.number("resistance_ohm", 0, 100),
+        electronics_power=table.number("electronics_w", 0, 1000, 0.0),
+    )
+    table.finish()
+    cell = battery.rest_voltage / battery.cells
+    if not CELL_VOLTAGE_MIN <= cell <= CELL_VOLTAGE_MAX:
+        raise table.error(
+            "rest_voltage_v",
+            f"got {battery.rest_voltage:g} V, {cell:.2f} V for each of {battery.cells} cells; expected "
+            f"{CELL_VOLTAGE_MIN:g} to {CELL_VOLTAGE_MAX:g} V a full cell",
+        )
+    return battery
+
+
+def _gyro(table: Table) -> Gyro:
+    gyro = Gyro(
+        noise=_radians(table.vector("noise_deg_s", 0, 100)),
+        bias=math.radians(table.number("bias_deg_s", 0, 100)),
+        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        misalignment=_radians(table.vector("misalignment_deg", -10, 10, ZERO)),
+        vibration=_radians(table.vector("vibration_deg_s", 0, 1000, ZERO)),
+    )
     table.finish()
     return gyro
 
 
-def _pid(table: Table) -> tuple[Vector, Vector, Vector]:
-    gains: Sequence[Vector] = [table.vector(axis, 0, 1e6) for axis in AXES]
+def _accelerometer(table: Table) -> Accelerometer:
+    accelerometer = Accelerometer(
+        noise=table.vector("noise_m_s2", 0, 100),
+        bias=table.number("bias_m_s2", 0, 10, 0.0),
+        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        full_scale=table.number("full_scale_m_s2", 1, 1e4, Accelerometer.full_scale),
+        vibration=table.vector("vibration_m_s2", 0, 1000, ZERO),
+    )
     table.finish()
-    return (gains[0], gains[1], gains[2])
+    return accelerometer
+
+
+def _esc(table: Table) -> EscTelemetry:
+    esc = EscTelemetry(
+        speed_step=table.number("speed_step_rpm", 0, 1e4, 0.0) * RPM,
+        voltage_step=table.number("voltage_step_v", 0, 10, 0.0),
+        current_step=table.number("current_step_a", 0, 10, 0.0),
+    )
+    table.finish()
+    return esc
+
+
+def _body(table: Table) -> Body:
+    body = Body(
+        size=table.vector("size_m", 1e-3, 20),
+        centre=table.vector("centre_m", -10, 10),
+        drag_area=table.vector("drag_area_m2", 0, 100, ZERO),
+    )
+    table.finish()
+    return body
+
+
+def _pids(table: Table) -> tuple[tuple[str, PidSettings], ...]:
+    pids = []
+    for name in table.names():
+        pid = table.table(name)
+        roll, pitch, yaw = (pid.vector(axis, 0, 1e6) for axis in AXES)
+        settings = PidSettings(
+            gains=(roll, pitch, yaw),
+            derivative_cutoff_hz=pid.number("derivative_cutoff_hz", 1, 1e5),
+            idle=pid.number("idle", 0, 0.5, 0.0),
+        )
+        pid.finish()
+        pids.append((name, settings))
+    table.finish()
+    return tuple(pids)
+
+
+def _radians(degrees: Vector) -> Vector:
+    x, y, z = (math.radians(value) for value in degrees)
+    return (x, y, z)
+
+
+def _optional(table: Table, key: str, low: float, high: float) -> float | None:
+    return table.number(key, low, high) if table.has(key) else None

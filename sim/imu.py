@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import GyroNoise
+from sim.aircraft import Gyro
 from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 Array = NDArray[np.float64]
 
 
-def draw_bias(noise: GyroNoise, count: int, rng: np.random.Generator) -> Array:
+def draw_bias(noise: Gyro, count: int, rng: np.random.Generator) -> Array:
     """Constant offset of each aircraft's gyro for one episode [rad/s], (count, 3)."""
     return rng.normal(0.0, noise.bias, (count, 3))
 
 
-def measured_rate(rate: Array, bias: Array, noise: GyroNoise, rng: np.random.Generator) -> Array:
+def measured_rate(rate: Array, bias: Array, noise: Gyro, rng: np.random.Generator) -> Array:
     """What an ideal converter would read [rad/s], (N, 3): the true rate with bias and white noise."""
     return np.asarray(rate + bias + rng.standard_normal(rate.shape) * np.array(noise.noise))
 

@@ -18,12 +18,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
+from sim.aircraft import Aircraft, PidSettings
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 SCALE = 1e-3  # motor fraction of one unit of the sum; Koch 2019, ch. 5, after Betaflight's mixer
-DERIVATIVE_CUTOFF_HZ = 80.0  # of a first-order low-pass; Betaflight's default for this term is of that order
 INTEGRAL_OUTPUT_MAX = 1.0  # motor fraction that the integral term alone may ask for
 
 
@@ -49,14 +48,14 @@ def desaturated(demand: Array) -> Array:
 class Pid:
     """N PID controllers in float64."""
 
-    def __init__(self, mix: Array, gains: Array, count: int, control_rate_hz: int) -> None:
-        """mix: (M, 3); gains: (3, 3), a row K_P, K_I, K_D for each of roll, pitch, yaw."""
+    def __init__(self, mix: Array, settings: PidSettings, count: int, control_rate_hz: int) -> None:
+        """mix: (M, 3), the share of each motor in roll, pitch, yaw."""
         self._mix = mix
-        self._p, self._i, self._d = (gains * SCALE).T
+        self._p, self._i, self._d = (np.array(settings.gains) * SCALE).T
         with np.errstate(divide="ignore"):
             self._integral_max = np.where(self._i > 0, INTEGRAL_OUTPUT_MAX / self._i, 0.0)
         self._dt = 1.0 / control_rate_hz
-        self._smoothing = 1.0 - math.exp(-2 * math.pi * DERIVATIVE_CUTOFF_HZ * self._dt)
+        self._smoothing = 1.0 - math.exp(-2 * math.pi * settings.derivative_cutoff_hz * self._dt)
         self._integral = np.zeros((count, 3))  # [deg]
         self._slope = np.zeros((count, 3))  # [deg/s^2], of the gyro, low-passed
         self._previous: Array | None = None  # gyro of the step before [deg/s]
@@ -82,8 +81,20 @@ class Pid:
         return y
 
 
-def aircraft_pid(aircraft: Aircraft, count: int = 1, control_rate_hz: int = 1000) -> Pid:
-    """The PID with the gains of the aircraft file. Raises AircraftError if it has none."""
-    if aircraft.pid_gains is None:
-        raise AircraftError(f"aircraft {aircraft.name}: no [pid] table with roll, pitch, yaw gains; add one")
-    return Pid(mixer(aircraft), np.array(aircraft.pid_gains), count, control_rate_hz)
+def aircraft_pid(
+    aircraft: Aircraft, count: int = 1, control_rate_hz: int = 1000, name: str | None = None
+) -> Pid:
+    """The PID called `name` in the aircraft file, its first one unless given. Raises AircraftError."""
+    return Pid(mixer(aircraft), pid_settings(aircraft, name), count, control_rate_hz)
+
+
+def pid_settings(aircraft: Aircraft, name: str | None = None) -> PidSettings:
+    """Settings of the PID called `name`, the first one unless given. Raises AircraftError."""
+    pids = dict(aircraft.pids)
+    if not pids:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: no [pid.NAME] table with roll, pitch, yaw gains; add one"
+        )
+    if name is not None and name not in pids:
+        raise AircraftError(f"aircraft {aircraft.name}: no PID {name!r}; it has: {', '.join(pids)}")
+    return pids[name or next(iter(pids))]

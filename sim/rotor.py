@@ -11,54 +11,80 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft, Propulsion
+from sim.aircraft import Aircraft, Propulsion, TorqueResponse
 
 Array = NDArray[np.float64]
 
 
-def target_speed(command: Array, propulsion: Propulsion) -> Array:
+def target_speed(command: Array, propulsion: Propulsion, voltage: Array | None = None) -> Array:
     """Speed that a motor command settles at [rad/s]; command is a fraction 0..1.
 
-    Source: Koch 2019, chapter 5: H(u), a quadratic fitted on the dynamometer.
+    voltage: of the battery under load [V], (N, 1); None: the supply the curve was measured with. Speed is
+    taken as proportional to it. Source: Koch 2019, chapter 5: H(u), a quadratic fitted on the dynamometer.
     """
     a, b, c = propulsion.speed_curve
     speed: Array = (a * command + b) * command + c
+    if voltage is not None and propulsion.supply_voltage is not None:
+        speed *= voltage / propulsion.supply_voltage
     return speed
 
 
 def next_speed(speed: Array, target: Array, dt: float, propulsion: Propulsion) -> Array:
-    """Rotor speed [rad/s] after `dt` [s] towards a constant target.
+    """Rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
 
-    I_r dw/dt = clamp(K (H(u) - w), -down, +up): exact while the clamp is away or holds throughout.
-    Source: facts of the published twin; Koch 2019, chapter 5.
+    TorqueResponse: I_r dw/dt = clamp(K (H(u) - w), -down, +up), exact while the clamp is away or holds
+    throughout; source: facts of the published twin and Koch 2019, chapter 5. FirstOrderResponse: exact.
     """
-    inertia = propulsion.rotor_inertia
-    settle = -np.expm1(-propulsion.response_gain / inertia * dt)
-    up = propulsion.response_torque_up / inertia * dt
-    down = propulsion.response_torque_down / inertia * dt
-    change = np.minimum(np.maximum(settle * (target - speed), -down), up)
+    response = propulsion.response
+    away = target - speed
+    if isinstance(response, TorqueResponse):
+        inertia = propulsion.rotor_inertia
+        settle = -np.expm1(-response.gain / inertia * dt)
+        up = response.torque_up / inertia * dt
+        down = response.torque_down / inertia * dt
+        change = np.minimum(np.maximum(settle * away, -down), up)
+    else:
+        rise = -np.expm1(-dt / response.time_constant_up)
+        fall = -np.expm1(-dt / response.time_constant_down)
+        change = np.where(away > 0, rise, fall) * away
     after: Array = np.maximum(speed + change, 0.0)
     return after
+
+
+def coefficient(polynomial: tuple[float, ...], speed: Array) -> Array | float:
+    """A propulsion coefficient at rotor speeds [rad/s]; a constant stays a number."""
+    *lower, value = polynomial
+    at: Array | float = value
+    for term in reversed(lower):
+        at = at * speed + term
+    return at
+
+
+def thrust_and_torque(speed: Array, propulsion: Propulsion) -> tuple[Array, Array]:
+    """Thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q thrust."""
+    thrust = coefficient(propulsion.thrust_coefficient, speed) * speed * speed
+    return thrust, coefficient(propulsion.torque_ratio, speed) * thrust
 
 
 @dataclass(frozen=True)
 class RotorGeometry:
     """Constant maps from rotor speeds to wrenches, made once for an aircraft."""
 
-    thrust_wrench: Array  # (M, 6): wrench a newton of thrust
+    load_wrench: Array  # (2M, 6): wrench a newton of each rotor's thrust, then a newton metre of its torque
     spin_inertia: Array  # (M,): signed rotor inertia [kg m^2], + counter-clockwise
     drag_wrench: Array  # (M, 36): -d wrench / d(speed * twist), twist = velocity, rate in body axes
-    thrust_coefficient: float
+    propulsion: Propulsion
 
 
 def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
     """Maps of `aircraft`, about its centre of mass."""
     propulsion = aircraft.propulsion
-    thrust, drag = [], []
+    thrust, torque, drag = [], [], []
     for r, spin in zip(aircraft.rotor_positions, aircraft.spins, strict=True):
         up = np.array([0.0, 0.0, 1.0])
+        thrust.append(np.concatenate([up, np.cross(r, up)]))
         # Air holds the propeller back: the body is turned against its spin.
-        thrust.append(np.concatenate([up, np.cross(r, up) - spin * propulsion.torque_ratio * up]))
+        torque.append(np.concatenate([np.zeros(3), -spin * up]))
         # v_hub = v + w x r = v - [r] w; its part across the rotor axis makes drag and a rolling moment.
         across = np.diag([1.0, 1.0, 0.0])
         hub = across @ np.hstack([np.eye(3), -_cross_matrix(r)])
@@ -66,10 +92,10 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
         moment = _cross_matrix(r) @ force + propulsion.rolling_coefficient * hub
         drag.append(np.vstack([force, moment]).ravel())
     return RotorGeometry(
-        thrust_wrench=np.array(thrust),
+        load_wrench=np.array(thrust + torque),
         spin_inertia=aircraft.spins * propulsion.rotor_inertia,
         drag_wrench=np.array(drag),
-        thrust_coefficient=propulsion.thrust_coefficient,
+        propulsion=propulsion,
     )
 
 
@@ -82,7 +108,9 @@ def rotor_wrench(
     mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust K_T w^2, drag torque
     K_Q thrust, reaction to rotor acceleration, gyroscopic moment, rotor drag and rolling moment.
     """
-    wrench = (geometry.thrust_coefficient * after * after) @ geometry.thrust_wrench
+    wrench: Array = (
+        np.concatenate(thrust_and_torque(after, geometry.propulsion), axis=1) @ geometry.load_wrench
+    )
     momentum = after @ geometry.spin_inertia
     wrench[:, 3] -= rate[:, 1] * momentum
     wrench[:, 4] += rate[:, 0] * momentum

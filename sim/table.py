@@ -58,13 +58,31 @@ class Table:
             raise self.error(key, f"got {value!r}, expected one of: {', '.join(values)}")
         return values[value]
 
-    def vector(self, key: str, low: float, high: float) -> tuple[float, float, float]:
+    def names(self) -> tuple[str, ...]:
+        """The keys of a table whose keys are names, in the file's order."""
+        return tuple(self._values)
+
+    def vector(
+        self, key: str, low: float, high: float, default: tuple[float, float, float] | None = None
+    ) -> tuple[float, float, float]:
         """Three finite numbers, each in [low, high]."""
+        if default is not None and not self.has(key):
+            self._read.add(key)
+            return default
         value = self._get(key, None)
         if not isinstance(value, list) or len(value) != 3:
             raise self.error(key, f"got {value!r}, expected a list of three numbers")
         x, y, z = (self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
         return (x, y, z)
+
+    def numbers(self, key: str, fewest: int, most: int, low: float, high: float) -> tuple[float, ...]:
+        """A number, or a list of `fewest` to `most` of them; each finite and in [low, high]."""
+        value = self._get(key, None)
+        if not isinstance(value, list):
+            value = [value]
+        if not fewest <= len(value) <= most:
+            raise self.error(key, f"got {len(value)} numbers, expected {fewest} to {most}")
+        return tuple(self._number(key, item, low, high) for item in value)
 
     def table(self, key: str) -> Table:
         """The table called `key`."""

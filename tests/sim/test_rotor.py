@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft import RPM, load_aircraft
+from sim.aircraft import RPM, TorqueResponse, load_aircraft
 from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed
 
 NF1 = load_aircraft("nf1")
@@ -29,7 +29,7 @@ def wrench_at(speeds: list[float], before: list[float] | None = None, **motion: 
 def test_full_throttle_settles_within_measurement_of_the_bench_figures() -> None:
     top = float(target_speed(np.array(1.0), PROPULSION))
     assert top == pytest.approx(25042 * RPM, rel=0.005)  # measured 25,042 rpm
-    thrust = PROPULSION.thrust_coefficient * top**2
+    thrust = PROPULSION.thrust_coefficient[0] * top**2
     assert thrust == pytest.approx(6.59, abs=0.5)  # measured 6.59 N; K_T's own fit error is 0.588 N
 
 
@@ -51,7 +51,8 @@ def test_settling_is_the_same_at_any_step_when_the_clamp_is_away() -> None:
     for _ in range(16):
         fine = next_speed(fine, target, 0.00025, PROPULSION)
     assert fine[0] == pytest.approx(coarse[0], abs=1e-9)
-    lag = PROPULSION.rotor_inertia / PROPULSION.response_gain
+    assert isinstance(PROPULSION.response, TorqueResponse)
+    lag = PROPULSION.rotor_inertia / PROPULSION.response.gain
     assert coarse[0] == pytest.approx(510 - 10 * math.exp(-0.004 / lag))
 
 
@@ -73,8 +74,8 @@ def test_equal_speeds_only_lift() -> None:
 def test_moment_is_positive_about_one_axis_when_a_pair_is_faster(faster: tuple[int, int], axis: int) -> None:
     speeds = [1200.0 if motor in faster else 1000.0 for motor in range(4)]
     moment = wrench_at(speeds)[3:]
-    thrusts = PROPULSION.thrust_coefficient * np.array(speeds) ** 2
-    lever = [0.07, 0.0805, PROPULSION.torque_ratio][axis]
+    thrusts = PROPULSION.thrust_coefficient[0] * np.array(speeds) ** 2
+    lever = [0.07, 0.0805, PROPULSION.torque_ratio[0]][axis]
     expected = np.zeros(3)
     expected[axis] = lever * 2 * (thrusts.max() - thrusts.min())
     assert moment == pytest.approx(expected, abs=1e-9)

@@ -79,7 +79,7 @@ def test_hovers_at_the_analytic_throttle_when_free() -> None:
     """Thrust of four rotors at speed H(u) equals the weight: the climb rate stays where it is."""
     aircraft = twin(noise=False, mount=Mount.FREE)
     weight = NF1.mass_properties.mass * 9.80665
-    speed = np.sqrt(weight / 4 / NF1.propulsion.thrust_coefficient)
+    speed = np.sqrt(weight / 4 / NF1.propulsion.thrust_coefficient[0])
     a, b, c = NF1.propulsion.speed_curve
     hover = (-b + np.sqrt(b * b - 4 * a * (c - speed))) / (2 * a)
     for _ in range(600):

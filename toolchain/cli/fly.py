@@ -110,7 +110,7 @@ def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -
 
         firmware = _open(args.on, args.build, args.gyro_hz)
         flights = [fly_one("firmware", firmware)]
-        if aircraft.pid_gains is not None:
+        if aircraft.pids:
             flights.append(fly_one("PID", pid_port(firmware.control_rate_hz)))
     return flights
 
