@@ -40,6 +40,7 @@ def evaluate(
     mount: Mount = Mount.CENTRE,
     noise: bool = True,
     throttle: float = 0.0,
+    idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
     """Fly `episodes` commands, one aircraft each, all at once.
@@ -62,7 +63,7 @@ def evaluate(
             setpoint = task.setpoint(command, np.full(episodes, k), control_rate_hz).astype(np.float32)
             wanted[k], flown[k] = setpoint, twin.rate
             outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
-            twin.step(motor_commands(y, thrust, IDLE_DEFAULT))
+            twin.step(motor_commands(y, thrust, idle))
             if progress is not None:
                 progress(k + 1, steps)
     finally:
