@@ -90,7 +90,7 @@ def draw(flights: Sequence[Flight], title: str) -> Figure:
     _draw_motors(panels[4], flights[0], shown)
     names = (*AXES, f"error, {flights[0].name}", f"motors, {flights[0].name}")
     for panel, name in zip(panels, names, strict=True):
-        _dress(panel, name)
+        dress(panel, name)
     for panel in (panels[0], *panels[3:]):
         handles, labels = panel.get_legend_handles_labels()
         panel.legend(
@@ -113,13 +113,13 @@ def draw(flights: Sequence[Flight], title: str) -> Figure:
 
 def save_plot(path: Path, flights: Sequence[Flight], title: str) -> None:
     """Write the plot as PNG."""
-    write_bytes(path, _png(draw(flights, title)))
+    write_bytes(path, png(draw(flights, title)))
 
 
 def save_report(path: Path, flights: Sequence[Flight], title: str, note: str) -> None:
     """Write one HTML page with the figures and the plot inside; nothing is loaded from elsewhere."""
     heading, *rows = table(flights)
-    picture = base64.b64encode(_png(draw(flights, "")))
+    picture = base64.b64encode(png(draw(flights, "")))
     write_text(
         path,
         f"<!doctype html>\n<html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
@@ -177,7 +177,8 @@ def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
     panel.set_ylim(0, 104)
 
 
-def _dress(panel: Axes, name: str) -> None:
+def dress(panel: Axes, name: str) -> None:
+    """Title, grid and spines of a panel in the look that all plots share."""
     panel.set_title(name, loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
     panel.grid(color=GRID, lw=0.6)
     panel.set_axisbelow(True)
@@ -187,7 +188,8 @@ def _dress(panel: Axes, name: str) -> None:
         spine.set_color(GRID)
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """The figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
     return buffer.getvalue()
