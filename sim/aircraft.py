@@ -1,13 +1,13 @@
 """The description of an aircraft: a TOML file in, one frozen object out.
 
 Keys carry their unit; each number's source stands in the file. A file that is missing, malformed or
-names a key nobody reads is refused with the key's name.
+names a key nobody reads is refused with the key's name. docs/own-aircraft.md lists every key.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,26 +15,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_collisions
+from sim.airframe import Rotor as Rotor
 from sim.mass import MassProperties, Part, Vector, mass_properties
 from sim.table import Table
-from toolchain.contract import AXES, MOTOR_COUNT_MAX
+from toolchain.contract import AXES
 from toolchain.errors import AircraftError
 
 FOLDER = Path(__file__).parent / "aircraft"
 FILE_BYTES_MAX = 256 << 10
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the C of a policy
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
-ZERO: Vector = (0.0, 0.0, 0.0)
 COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
 EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
 CELL_VOLTAGE_MIN, CELL_VOLTAGE_MAX = 3.0, 4.45  # [V], full cells of any lithium chemistry in use
-
-
-@dataclass(frozen=True)
-class Rotor:
-    """One motor with its propeller, thrusting along body +z."""
-
-    position: Vector  # [m], hub of the propeller, body frame
-    spin: int  # +1 counter-clockwise seen from above, -1 clockwise
 
 
 @dataclass(frozen=True)
@@ -74,6 +68,7 @@ class Propulsion:
     delay: float  # [s], command to rotor, the control loop's own sample included
     supply_voltage: float | None  # [V], where the speed curve was measured; None: not known
     efficiency: float  # electrical power to power on the shaft, motor and ESC, 0..1
+    propeller_diameter: float | None = None  # [m]; None: not known
 
     @property
     def speed_max(self) -> float:
@@ -189,27 +184,33 @@ def load_aircraft(name: str | Path) -> Aircraft:
         raise AircraftError(
             f"aircraft {str(name)!r}: no such file; give the path of a .toml file or one of: {known}"
         )
-    if path.stat().st_size > FILE_BYTES_MAX:
-        raise AircraftError(
-            f"aircraft file {path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}"
-        )
-    return parse_aircraft(path.read_bytes(), str(path))
-
-
-def parse_aircraft(data: bytes, where: str) -> Aircraft:
-    """Aircraft from the bytes of its file; `where` names it in messages. Raises AircraftError."""
     try:
-        document = tomllib.loads(data.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AircraftError(f"aircraft file {where}: not TOML: {error}") from error
-    root = Table(document, f"aircraft file {where}", AircraftError)
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
+    except OSError as error:
+        raise AircraftError(f"aircraft file {path}: cannot be read: {error.strerror}") from error
+    if size > FILE_BYTES_MAX:
+        raise AircraftError(f"aircraft file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
+    return parse_aircraft(data, str(path), path.parent)
+
+
+def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircraft:
+    """Aircraft from the bytes of its file; `where` names it in messages. Raises AircraftError.
+
+    folder: where its meshes lie; without one, a file that names a mesh is refused.
+    """
+    root = Table(_document(data, where), f"aircraft file {where}", AircraftError)
     root.integer("format", 1, 1)
     name = root.text("name")
+    if not NAME.fullmatch(name):
+        raise root.error("name", f"got {name!r}, expected at most 32 letters, digits, dots and dashes")
     description = root.text("description", "")
     centre_of_thrust = root.vector("centre_of_thrust_m", -10, 10)
-    rotors, mounted = _rotors(root)
-    parts = (*(_part(table) for table in root.tables("part", 1, 1000)), *mounted)
+    meshes = Meshes(folder)
+    parts = read_parts(root, meshes)
+    rotors, mounted = read_rotors(root, meshes)
     propulsion = _propulsion(root.table("propulsion"))
+    refuse_collisions(root, rotors, propulsion.propeller_diameter)
     gyro = _gyro(root.table("gyro"))
     accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
     esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
@@ -217,11 +218,12 @@ def parse_aircraft(data: bytes, where: str) -> Aircraft:
     body = _body(root.table("body")) if root.has("body") else None
     pids = _pids(root.table("pid")) if root.has("pid") else ()
     root.finish()
+    parts += mounted
     return Aircraft(
         name=name,
         description=description,
-        sha256=hashlib.sha256(data).hexdigest(),
-        parts=parts,
+        sha256=meshes.sha256(data),
+        parts=tuple(parts),
         rotors=rotors,
         propulsion=propulsion,
         gyro=gyro,
@@ -235,37 +237,40 @@ def parse_aircraft(data: bytes, where: str) -> Aircraft:
     )
 
 
-def _part(table: Table, name: str | None = None, position: Vector | None = None) -> Part:
-    part = Part(
-        name=name or table.text("name"),
-        mass=table.number("mass_kg", 1e-6, 1000),
-        position=position or table.vector("position_m", -10, 10),
-        yaw=0.0 if position else table.number("yaw_rad", -2 * math.pi, 2 * math.pi, 0.0),
-        centre=table.vector("centre_of_mass_m", -10, 10),
-        inertia=table.vector("inertia_kg_m2", 1e-12, 1000),
-    )
-    table.finish()
-    a, b, c = part.inertia
-    if a + b < c or b + c < a or c + a < b:
-        raise table.error(
-            "inertia_kg_m2",
-            f"{list(part.inertia)} is no rigid body's: each moment must be at most the sum of the other two",
-        )
-    return part
+def thrust_coefficient(c_t: float, diameter: float, density: float) -> float:
+    """K_T [N s^2/rad^2] of a propeller [m] in air of `density` [kg/m^3] from its dimensionless C_T.
+
+    Source: T = C_T rho n^2 D^4 with n = w / 2 pi revolutions a second (UIUC Propeller Data Site).
+    """
+    return c_t * density * diameter**4 / (2 * math.pi) ** 2
 
 
-def _rotors(root: Table) -> tuple[tuple[Rotor, ...], tuple[Part, ...]]:
-    motor, propeller = root.table("motor_part"), root.table("propeller_part")
-    rotors: list[Rotor] = []
-    parts: list[Part] = []
-    for number, table in enumerate(root.tables("rotor", 3, MOTOR_COUNT_MAX), start=1):
-        hub = table.vector("propeller_m", -10, 10)
-        parts.append(_part(motor, f"motor {number}", table.vector("motor_m", -10, 10)))
-        parts.append(_part(propeller, f"propeller {number}", hub))
-        spin = table.choice("spin", {"cw": -1, "ccw": 1})
-        table.finish()
-        rotors.append(Rotor(hub, spin))
-    return tuple(rotors), tuple(parts)
+def torque_ratio(c_t: float, c_q: float, diameter: float) -> float:
+    """K_Q [m], torque over thrust, of a propeller [m] from its dimensionless C_T and C_Q.
+
+    Source: Q = C_Q rho n^2 D^5, beside T as above; C_Q is C_P / 2 pi.
+    """
+    return c_q * diameter / c_t
+
+
+def _document(data: bytes, where: str) -> dict[str, object]:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = data[error.start]
+        raise AircraftError(
+            f"aircraft file {where}: not UTF-8: byte 0x{byte:02x} at {error.start}; save it as UTF-8 text"
+        ) from error
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        lines = text.splitlines()
+        found = re.search(r"at line (\d+)", str(error))
+        line = lines[int(found[1]) - 1].strip() if found and int(found[1]) <= len(lines) else ""
+        shown = f": {line[:60]!r}" if line else ""
+        raise AircraftError(
+            f"aircraft file {where}: not TOML: {error or 'nested too deep'}{shown}"
+        ) from error
 
 
 def _propulsion(table: Table) -> Propulsion:
@@ -274,21 +279,36 @@ def _propulsion(table: Table) -> Propulsion:
         raise table.error(
             "speed_curve_rpm", f"[{a}, {b}, {c}] must rise over throttle 0..1 and start at no less than 0 rpm"
         )
-    full = (a + b + c) * RPM
+    diameter = _optional(table, "propeller_diameter_m", 0.01, 5)
+    thrust, torque = _coefficients(table, (a + b + c) * RPM)
     propulsion = Propulsion(
         speed_curve=(a * RPM, b * RPM, c * RPM),
-        thrust_coefficient=_coefficient(table, "thrust_coefficient", full, 1),
-        torque_ratio=_coefficient(table, "torque_ratio_m", full, 10),
+        thrust_coefficient=thrust,
+        torque_ratio=torque,
         rotor_inertia=table.number("rotor_inertia_kg_m2", 1e-12, 10),
         response=_response(table.table("response")),
         drag_coefficient=table.number("drag_coefficient", 0, 1),
         rolling_coefficient=table.number("rolling_coefficient", 0, 1),
         delay=table.number("delay_s", 0, 0.1),
-        supply_voltage=table.number("supply_voltage_v", 1, 1000) if table.has("supply_voltage_v") else None,
+        supply_voltage=_optional(table, "supply_voltage_v", 1, 1000),
         efficiency=table.number("efficiency", 0.05, 1, EFFICIENCY_DEFAULT),
+        propeller_diameter=diameter,
     )
     table.finish()
     return propulsion
+
+
+def _coefficients(table: Table, speed_max: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """K_T and K_Q, given as such or by the propeller's dimensionless C_T and C_Q."""
+    if table.either("thrust_coefficient", "c_t") == "thrust_coefficient":
+        table.either("torque_ratio_m", "c_q")
+        thrust = _coefficient(table, "thrust_coefficient", speed_max, 1)
+        return thrust, _coefficient(table, "torque_ratio_m", speed_max, 10)
+    table.either("c_q", "torque_ratio_m")
+    c_t, c_q = table.number("c_t", 1e-4, 1), table.number("c_q", 1e-6, 1)
+    diameter = table.number("propeller_diameter_m", 0.01, 5)
+    density = table.number("air_density_kg_m3", 0.01, 10)
+    return (thrust_coefficient(c_t, diameter, density),), (torque_ratio(c_t, c_q, diameter),)
 
 
 def _coefficient(table: Table, key: str, speed_max: float, high: float) -> tuple[float, ...]:

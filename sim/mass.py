@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 Vector = tuple[float, float, float]
+Tensor = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A rigid part. Its own frame sits at `position` in the body frame, turned by `yaw` about z."""
+    """A rigid part. Its own frame sits at `position` in the body frame, turned by `rotation`."""
 
     name: str
     mass: float  # [kg]
     position: Vector  # [m], body frame
-    yaw: float  # [rad]
+    rotation: Vector  # [rad], roll, pitch, yaw: about the fixed x, then y, then z axis
     centre: Vector  # [m], centre of mass in the part's own frame
-    inertia: Vector  # [kg m^2], principal moments about that centre, along the part's own axes
+    inertia: Tensor  # [kg m^2], about that centre, along the part's own axes
+    surface: NDArray[np.float64] | None = field(  # (K, 3, 3) [m], triangles in the part's own frame
+        default=None, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class MassProperties:
 
 def mass_properties(parts: Sequence[Part]) -> MassProperties:
     """Sum of the parts by the parallel-axis theorem."""
-    turns = [_rotation_z(part.yaw) for part in parts]
+    turns = [rotation_matrix(part.rotation) for part in parts]
     masses = np.array([part.mass for part in parts])
     centres = np.array(
         [np.array(p.position) + turn @ np.array(p.centre) for p, turn in zip(parts, turns, strict=True)]
@@ -43,11 +47,30 @@ def mass_properties(parts: Sequence[Part]) -> MassProperties:
     centre = masses @ centres / mass
     inertia = np.zeros((3, 3))
     for part, turn, where in zip(parts, turns, centres - centre, strict=True):
-        inertia += turn @ np.diag(part.inertia) @ turn.T
+        inertia += turn @ np.array(part.inertia) @ turn.T
         inertia += part.mass * (where @ where * np.eye(3) - np.outer(where, where))
     return MassProperties(mass, centre, inertia)
 
 
-def _rotation_z(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Principal moments (3,) and their axes, the columns of (3, 3), of a symmetric inertia tensor.
+
+    Each moment stands in the place of the body axis that its own axis is nearest to, and points along it.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    order = []
+    for axis in range(3):
+        free = [column for column in range(3) if column not in order]
+        order.append(max(free, key=lambda column: abs(axes[axis, column])))
+    axes = axes[:, order]
+    return moments[order], axes * np.where(np.diag(axes) < 0, -1.0, 1.0)
+
+
+def rotation_matrix(rotation: Vector) -> NDArray[np.float64]:
+    """Part to body for roll, pitch, yaw [rad] about the fixed x, then y, then z axis, shape (3, 3)."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(rotation), np.sin(rotation)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    turn: NDArray[np.float64] = about_z @ about_y @ about_x
+    return turn

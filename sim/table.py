@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from toolchain.errors import NeuroflightError
 
 Value = TypeVar("Value")
+SHOWN_MAX = 60  # characters of a wrong value in a message
+TEXT_MAX = 200  # characters
 
 
 class Table:
@@ -22,14 +23,26 @@ class Table:
         self._error = error
         self._path = path
         self._read: set[str] = set()
+        self._known: set[str] = set()
 
     def has(self, key: str) -> bool:
         """Whether the file gives `key`."""
+        self._known.add(key)
         return key in self._values
+
+    def either(self, *keys: str) -> str:
+        """The one of `keys` that the file gives; none of them and more than one are refused."""
+        given = [key for key in keys if self.has(key)]
+        if not given:
+            raise self.error(keys[0], f"missing; give it or one of: {', '.join(keys[1:])}")
+        if len(given) > 1:
+            raise self.error(given[1], f"stands beside {given[0]}; give one of the two")
+        return given[0]
 
     def error(self, key: str, message: str) -> NeuroflightError:
         """The exception that says what is wrong with `key`, for the caller to raise."""
-        return self._error(f"{self._where}: {self._path}{key}: {message}")
+        name = f"{self._path}{key}"
+        return self._error(f"{self._where}: {name if name.isprintable() else _shown(name)}: {message}")
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """A finite number in [low, high]."""
@@ -39,23 +52,23 @@ class Table:
         """A whole number in [low, high]."""
         value = self._get(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.error(key, f"got {value!r}, expected a whole number from {low} to {high}")
+            raise self.error(key, f"got {_shown(value)}, expected a whole number from {low} to {high}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A string of 1 to 200 characters (the default may be empty)."""
+        """A line of 1 to 200 characters (the default may be empty)."""
         value = self._get(key, default)
         if value == default and key not in self._values:
             return str(value)
-        if not isinstance(value, str) or not 1 <= len(value) <= 200:
-            raise self.error(key, f"got {value!r}, expected a text of 1 to 200 characters")
+        if not isinstance(value, str) or not 1 <= len(value) <= TEXT_MAX or not value.isprintable():
+            raise self.error(key, f"got {_shown(value)}, expected one line of 1 to {TEXT_MAX} characters")
         return value
 
     def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
         """One of the words of `values`; returns what it stands for."""
         value = self._get(key, default)
         if not isinstance(value, str) or value not in values:
-            raise self.error(key, f"got {value!r}, expected one of: {', '.join(values)}")
+            raise self.error(key, f"got {_shown(value)}, expected one of: {', '.join(values)}")
         return values[value]
 
     def names(self) -> tuple[str, ...]:
@@ -67,11 +80,10 @@ class Table:
     ) -> tuple[float, float, float]:
         """Three finite numbers, each in [low, high]."""
         if default is not None and not self.has(key):
-            self._read.add(key)
             return default
         value = self._get(key, None)
         if not isinstance(value, list) or len(value) != 3:
-            raise self.error(key, f"got {value!r}, expected a list of three numbers")
+            raise self.error(key, f"got {_shown(value)}, expected a list of three numbers")
         x, y, z = (self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
         return (x, y, z)
 
@@ -81,15 +93,19 @@ class Table:
         if not isinstance(value, list):
             value = [value]
         if not fewest <= len(value) <= most:
-            raise self.error(key, f"got {len(value)} numbers, expected {fewest} to {most}")
-        return tuple(self._number(key, item, low, high) for item in value)
+            expected = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+            raise self.error(key, f"got {len(value)} numbers, expected {expected}")
+        many = len(value) > 1
+        return tuple(
+            self._number(f"{key}[{i}]" if many else key, item, low, high) for i, item in enumerate(value)
+        )
 
     def table(self, key: str) -> Table:
         """The table called `key`."""
         value = self._get(key, None)
         if not isinstance(value, dict):
-            raise self.error(key, f"got {value!r}, expected a table [{self._path}{key}]")
-        return Table(value, self._where, self._error, f"{self._path}{key}.")
+            raise self.error(key, f"got {_shown(value)}, expected a table [{self._path}{key}]")
+        return self._within(value, key)
 
     def tables(self, key: str, low: int, high: int) -> list[Table]:
         """The list of tables [[key]], `low` to `high` of them."""
@@ -98,25 +114,34 @@ class Table:
             raise self.error(key, f"expected tables [[{self._path}{key}]]")
         if not low <= len(value) <= high:
             raise self.error(key, f"got {len(value)} of them, expected {low} to {high}")
-        return [
-            Table(item, self._where, self._error, f"{self._path}{key}[{i}].") for i, item in enumerate(value)
-        ]
+        return [self._within(item, f"{key}[{i}]") for i, item in enumerate(value)]
 
     def finish(self) -> None:
         """Refuse what is in the file but was never read: most often a slip of the pen."""
         unknown = sorted(set(self._values) - self._read)
         if unknown:
-            raise self.error(unknown[0], f"unknown key; known here: {', '.join(sorted(self._read))}")
+            raise self.error(unknown[0], f"unknown key; known here: {', '.join(sorted(self._known))}")
+
+    def _within(self, values: Mapping[str, Any], key: str) -> Table:
+        return type(self)(values, self._where, self._error, f"{self._path}{key}.")
 
     def _get(self, key: str, default: object) -> Any:  # noqa: ANN401 - any TOML value
+        self._known.add(key)
         self._read.add(key)
         if key not in self._values and default is None:
             raise self.error(key, "missing")
         return self._values.get(key, default)
 
     def _number(self, key: str, value: object, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.error(key, f"got {value!r}, expected a finite number")
-        if not low <= value <= high:
-            raise self.error(key, f"got {value!r}, expected {low:g} to {high:g}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise self.error(key, f"got {_shown(value)}, expected a number from {low:g} to {high:g}")
         return float(value)
+
+
+def _shown(value: object) -> str:
+    """A value as a message shows it: on one line, and not all of it if it is long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python does not print integers of thousands of digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= SHOWN_MAX else f"{text[:SHOWN_MAX]}..."

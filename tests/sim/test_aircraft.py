@@ -57,7 +57,7 @@ def test_hash_is_that_of_the_file_when_loaded_by_path(tmp_path: Path) -> None:
         (replaced(r"^noise_deg_s = .*$", "noise_deg_s = [1.0, inf, 1.0]"), r"gyro.noise_deg_s\[1\]: got inf"),
         (replaced(r"^inertia_kg_m2 = \[1.6783e-4", "inertia_kg_m2 = [9e-4"), "no rigid body's"),
         (b"name = [", "not TOML"),
-        (b"\xff\xfe", "not TOML"),
+        (b"\xff\xfe", "not UTF-8"),
     ],
 )
 def test_refuses_in_one_line_naming_the_key_when_malformed(data: bytes, expected: str) -> None:
