@@ -133,8 +133,10 @@ class Table:
         return self._values.get(key, default)
 
     def _number(self, key: str, value: object, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise self.error(key, f"got {_shown(value)}, expected a number from {low:g} to {high:g}")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(key, f"got {_shown(value)}, expected a number")
+        if not low <= value <= high:  # NaN included
+            raise self.error(key, f"got {_shown(value)}, expected {low:g} to {high:g}")
         return float(value)
 
 
