@@ -1,23 +1,32 @@
-"""The gyro: noise, bias and the 16-bit numbers that a chip makes of a rate. Pure and vectorised."""
+"""Gyro and accelerometer: what they make of a motion, and the 16-bit numbers of a gyro chip. Vectorised.
+
+A reading is the true value turned to the chip, lagged by its low-pass, plus the constant of the episode,
+white noise and what the rotors shake. What an aircraft file leaves out is skipped.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Gyro
+from sim.aircraft import Accelerometer, Gyro
 from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 Array = NDArray[np.float64]
 
+# Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle.
+VIBRATION_PHASE = np.array([0.0, math.pi / 2, math.pi / 4])
 
-def draw_bias(noise: Gyro, count: int, rng: np.random.Generator) -> Array:
-    """Constant offset of each aircraft's gyro for one episode [rad/s], (count, 3)."""
+
+def draw_bias(noise: Gyro | Accelerometer, count: int, rng: np.random.Generator) -> Array:
+    """Constant offset of each aircraft's sensor for one episode, in the sensor's unit, (count, 3)."""
     return rng.normal(0.0, noise.bias, (count, 3))
 
 
-def measured_rate(rate: Array, bias: Array, noise: Gyro, rng: np.random.Generator) -> Array:
-    """What an ideal converter would read [rad/s], (N, 3): the true rate with bias and white noise."""
+def measured_rate(rate: Array, bias: Array, noise: Gyro | Accelerometer, rng: np.random.Generator) -> Array:
+    """What an ideal converter would read, (N, 3): the true value with bias and white noise."""
     return np.asarray(rate + bias + rng.standard_normal(rate.shape) * np.array(noise.noise))
 
 
@@ -31,3 +40,96 @@ def quantised_rate(rate: Array) -> NDArray[np.float32]:
     """Rate [rad/s] after the chip and the firmware's conversion back, float32."""
     scale = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))
     return counts(rate).astype(np.float32) * scale
+
+
+def rotor_vibration(phase: Array, speed: Array, speed_max: float, amplitude: Array) -> Array:
+    """What the rotors' unbalance shakes into each axis, (N, 3), in the unit of `amplitude` (3,).
+
+    phase: angle of each rotor [rad], speed: its speed [rad/s], both (N, M). An unbalance pulls with the
+    square of the speed: `amplitude` is that of one rotor at `speed_max` [rad/s].
+    """
+    strength = np.square(speed / speed_max)
+    waves = np.sin(phase[:, :, None] + VIBRATION_PHASE)
+    return np.asarray(np.matmul(strength[:, None, :], waves)[:, 0, :] * amplitude)
+
+
+def rotation_by(turn: Array) -> Array:
+    """Rotation matrix (3, 3) of a turn about the axis and by the length of `turn` [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn / angle if angle > 0.0 else turn
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k))
+
+
+class _Sensor:
+    """Three axes of N aircraft: lag, bias, white noise and vibration, in the unit of the settings."""
+
+    def __init__(
+        self, settings: Gyro | Accelerometer, count: int, dt: float, rng: np.random.Generator
+    ) -> None:
+        self._settings = settings
+        self._rng = rng
+        self._bias = np.zeros((count, 3))
+        self._amplitude = np.array(settings.vibration)
+        self.vibrates = bool(self._amplitude.any())  # whether `measure` needs the rotors' phases
+        bandwidth = settings.bandwidth_hz
+        # First-order low-pass, exact for an input that stands still over the sample.
+        self._follow = None if bandwidth is None else -math.expm1(-2.0 * math.pi * bandwidth * dt)
+        self._lagged = np.zeros((count, 3))
+        self._fresh = np.ones(count, dtype=np.bool_)  # aircraft whose low-pass starts at its next input
+
+    def reset(self, index: NDArray[np.intp]) -> None:
+        """A new episode for the aircraft of `index`: their bias is drawn anew."""
+        self._bias[index] = draw_bias(self._settings, len(index), self._rng)
+        self._fresh[index] = True
+
+    def _read(self, value: Array, phase: Array | None, speed: Array, speed_max: float) -> Array:
+        if self._follow is not None:
+            self._lagged[self._fresh] = value[self._fresh]
+            self._fresh[:] = False
+            self._lagged += self._follow * (value - self._lagged)
+            value = self._lagged
+        reading = measured_rate(value, self._bias, self._settings, self._rng)
+        if self.vibrates:
+            if phase is None:
+                raise ValueError("a sensor with vibration needs the rotors' phases, got none")
+            reading += rotor_vibration(phase, speed, speed_max, self._amplitude)
+        return reading
+
+
+class GyroModel(_Sensor):
+    """The gyros of N aircraft, sampled every `dt` [s]; `reset` before the first `measure`.
+
+    `rng` gives a bias (n, 3) for each reset of n aircraft and noise (N, 3) for each measurement, nothing
+    else. Rounding and saturation are the chip's: see `counts`.
+    """
+
+    def __init__(self, gyro: Gyro, count: int, dt: float, rng: np.random.Generator) -> None:
+        super().__init__(gyro, count, dt, rng)
+        # Rows times this matrix: the body's rate in the axes of a chip turned by `misalignment`.
+        self._turn = rotation_by(np.array(gyro.misalignment)) if any(gyro.misalignment) else None
+
+    def measure(self, rate: Array, rotor_phase: Array | None, rotor_speed: Array, speed_max: float) -> Array:
+        """Reading of this sample [rad/s], (N, 3), of the true body rate (N, 3).
+
+        rotor_phase [rad] and rotor_speed [rad/s], (N, M), only matter to a gyro that vibrates; the phase may
+        be None otherwise. Raises ValueError if it is None and needed.
+        """
+        if self._turn is not None:
+            rate = rate @ self._turn
+        return self._read(rate, rotor_phase, rotor_speed, speed_max)
+
+
+class AccelerometerModel(_Sensor):
+    """The accelerometers of N aircraft, like `GyroModel`; they saturate at full scale."""
+
+    def __init__(self, accelerometer: Accelerometer, count: int, dt: float, rng: np.random.Generator) -> None:
+        super().__init__(accelerometer, count, dt, rng)
+        self._full_scale = accelerometer.full_scale
+
+    def measure(
+        self, specific_force: Array, rotor_phase: Array | None, rotor_speed: Array, speed_max: float
+    ) -> Array:
+        """Reading of this sample [m/s^2], (N, 3), of the specific force (N, 3) in body axes."""
+        reading = self._read(specific_force, rotor_phase, rotor_speed, speed_max)
+        return np.clip(reading, -self._full_scale, self._full_scale)
