@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.response import ResponseFigures, hold, response_figures
 from sim.trace import Trace
 from toolchain.contract import IDLE_DEFAULT
 
@@ -51,6 +52,7 @@ class Figures:
     tracking: Tracking  # against the true rate
     gyro_mae: Array  # (3,) [deg/s], against what the controller measured
     effort: Effort
+    response: ResponseFigures | None  # None where no command is held for a second
 
 
 def tracking(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Tracking:
@@ -108,8 +110,10 @@ def figures(trace: Trace, episodes: int = 1, idle: float = IDLE_DEFAULT) -> Figu
     setpoint, rate, gyro = (
         array.reshape(episodes, -1, 3) for array in (trace.setpoint, trace.rate, trace.gyro)
     )
+    held = hold(setpoint, rate, step_s)
     return Figures(
         tracking=tracking(setpoint, rate, step_s).mean(),
         gyro_mae=tracking(setpoint, gyro, step_s).mae.mean(axis=0),
         effort=effort(controller_output(trace.motors, trace.throttle, idle), step_s),
+        response=response_figures(held) if held else None,
     )

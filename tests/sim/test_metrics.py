@@ -122,3 +122,21 @@ def test_figures_begin_each_episode_at_zero_when_a_flight_has_many() -> None:
 def test_figures_refuse_when_the_episodes_do_not_divide_the_flight() -> None:
     with pytest.raises(ValueError, match="do not divide"):
         figures(make_trace(*np.zeros((3, 10, 3))), episodes=3)
+
+
+def test_figures_judge_each_command_when_a_flight_holds_them() -> None:
+    setpoint = np.zeros((2, 2000, 3))
+    setpoint[0, 500:1500], setpoint[1, 500:1500] = np.deg2rad(100.0), np.deg2rad(-40.0)
+    rate = setpoint.copy()
+    rate[:, 500] = 0.0
+    rate[1, 501:1500, 2] = 0.0  # does not answer
+    trace = make_trace(*(array.reshape(-1, 3) for array in (setpoint, rate, rate)))
+    judged = figures(trace, episodes=2).response
+    assert judged is not None
+    assert judged.success.value.tolist() == [1.0, 1.0, 0.5]
+    assert judged.failure.value == pytest.approx([0.0, 0.0, 100.0])
+    assert judged.rise_ms.count.tolist() == [2, 2, 1]
+
+
+def test_figures_leave_the_response_out_when_no_command_is_held() -> None:
+    assert figures(make_trace(*np.zeros((3, 900, 3)))).response is None

@@ -1,0 +1,58 @@
+"""A mean over episodes and how sure it is. Pure functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
+STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447)  # the same of Student's t, 1 to 6 degrees of freedom
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean per axis with its 95 % confidence interval, each (3,): roll, pitch, yaw.
+
+    Where `count` is 0 there was nothing to take a mean of, and the others are 0.
+    """
+
+    value: Array
+    low: Array
+    high: Array
+    count: NDArray[np.int64]  # how many episodes it is the mean of
+
+
+def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
+    """Mean of the `valid` ones of values (E, 3) with Student's t interval; a single one has no width."""
+    count = valid.sum(axis=0)
+    some = np.maximum(count, 1)
+    mean = np.where(valid, values, 0.0).sum(axis=0) / some
+    squares = np.where(valid, (values - mean) ** 2, 0.0).sum(axis=0)
+    freedom = np.maximum(count - 1, 1)
+    margin = student(freedom) * np.sqrt(squares / freedom / some)
+    return Mean(mean, mean - margin, mean + margin, count.astype(np.int64))
+
+
+def share_of(hits: NDArray[np.bool_]) -> Mean:
+    """Share of hits (E, 3), 0..1, with Wilson's interval, which has a width at 0 and at 1 too."""
+    count = len(hits)
+    share = hits.mean(axis=0)
+    z = NORMAL * NORMAL / count
+    centre = (share + z / 2) / (1 + z)
+    half = np.sqrt(z * share * (1 - share) + z * z / 4) / (1 + z)
+    bounds = np.clip([centre - half, centre + half], 0.0, 1.0)
+    return Mean(share, bounds[0], bounds[1], np.full(3, count, np.int64))
+
+
+def student(freedom: NDArray[np.integer]) -> Array:
+    """97.5 % quantile of Student's t; from 7 degrees of freedom on by Cornish and Fisher's expansion."""
+    z, n = NORMAL, np.maximum(freedom, 1).astype(np.float64)
+    first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
+    third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+    series = z + first / n + second / n**2 + third / n**3
+    few = np.array(STUDENT)[np.clip(freedom, 1, len(STUDENT)) - 1]
+    quantile: Array = np.where(freedom <= len(STUDENT), few, series)
+    return quantile
