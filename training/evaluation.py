@@ -3,20 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
+from sim.confidence import Mean, mean_of
 from sim.controller import Controller
 from sim.imu import quantised_rate
 from sim.metrics import Effort, Tracking, effort, tracking
 from sim.motors import motor_commands
+from sim.response import Hold, ResponseFigures, hold, response_figures
 from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT
-from training.task import PulseTask
+from training.task import PulseTask, Task
+
+CHUNK = 256  # episodes whose errors are worked out at a time: their float64 copies are the large ones
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What was flown: E episodes of T control steps with M motors."""
+
+    setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s]
+    rate: NDArray[np.float32]  # (E, T, 3) [rad/s], true body rate
+    output: NDArray[np.float32]  # (E, T, M), the controller's, before throttle mix and idle
+    step_s: float  # [s] between rows
+
+    def hold(self) -> Hold | None:
+        """The held command of each episode; None if the task has none of a second."""
+        return hold(self.setpoint, self.rate, self.step_s)
 
 
 @dataclass(frozen=True)
@@ -25,8 +43,10 @@ class Evaluation:
 
     episodes: int
     tracking: Tracking  # mean over episodes, per axis
+    tracking_margin: Tracking  # half width of its 95 % confidence interval
     worst_mae: float  # [deg/s], of the worst episode and axis
     effort: Effort
+    response: ResponseFigures | None  # None where the task holds no command for a second
 
 
 def evaluate(
@@ -36,19 +56,50 @@ def evaluate(
     episodes: int,
     seed: int,
     control_rate_hz: int,
-    task: PulseTask | None = None,
+    task: Task | None = None,
     mount: Mount = Mount.CENTRE,
     noise: bool = True,
     throttle: float = 0.0,
     idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
-    """Fly `episodes` commands, one aircraft each, all at once.
+    """Fly `episodes` commands of `task`, pulses unless given, and take the figures; see `record`."""
+    return figures(
+        record(
+            controller,
+            aircraft,
+            task or PulseTask(),
+            episodes=episodes,
+            seed=seed,
+            control_rate_hz=control_rate_hz,
+            mount=mount,
+            noise=noise,
+            throttle=throttle,
+            idle=idle,
+            progress=progress,
+        )
+    )
+
+
+def record(
+    controller: Controller,
+    aircraft: Aircraft,
+    task: Task,
+    *,
+    episodes: int,
+    seed: int,
+    control_rate_hz: int,
+    mount: Mount = Mount.CENTRE,
+    noise: bool = True,
+    throttle: float = 0.0,
+    idle: float = IDLE_DEFAULT,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
     controller: for `episodes` aircraft; seed: of commands and noise; progress: called with steps done
     and to do. The same seed gives every controller the same commands.
     """
-    task = task or PulseTask()
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     command = task.draw(episodes, commands)
     steps = round(task.duration_s * control_rate_hz)
@@ -68,13 +119,29 @@ def evaluate(
                 progress(k + 1, steps)
     finally:
         twin.close()
-    errors = tracking(_by_episode(wanted), _by_episode(flown), 1.0 / control_rate_hz)
+    return Recording(_by_episode(wanted), _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
+
+
+def figures(recording: Recording) -> Evaluation:
+    """All figures of a recording."""
+    episodes, step_s = len(recording.rate), recording.step_s
+    chunks = [slice(start, start + CHUNK) for start in range(0, episodes, CHUNK)]
+    parts = [tracking(recording.setpoint[c], recording.rate[c], step_s) for c in chunks]
+    names = [field.name for field in fields(Tracking)]
+    errors = {name: _mean(np.concatenate([getattr(part, name) for part in parts])) for name in names}
+    held = recording.hold()
     return Evaluation(
         episodes=episodes,
-        tracking=errors.mean(),
-        worst_mae=float(errors.mae.max()),
-        effort=effort(_by_episode(outputs), 1.0 / control_rate_hz),
+        tracking=Tracking(**{name: mean.value for name, mean in errors.items()}),
+        tracking_margin=Tracking(**{name: mean.high - mean.value for name, mean in errors.items()}),
+        worst_mae=float(max(part.mae.max() for part in parts)),
+        effort=effort(recording.output, step_s),
+        response=response_figures(held) if held else None,
     )
+
+
+def _mean(values: NDArray[np.float64]) -> Mean:
+    return mean_of(values, np.ones(values.shape, bool))
 
 
 def _by_episode(array: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,9 +1,9 @@
-"""The pulse task."""
+"""What each task asks for."""
 
 import numpy as np
 import pytest
 
-from training.task import PulseTask
+from training.task import TASKS, EnvelopeTask, EpisodicTask, PulseTask
 
 TASK = PulseTask()
 
@@ -29,3 +29,25 @@ def test_commands_are_normal_and_within_full_stick() -> None:
     assert drawn.mean() == pytest.approx(0.0, abs=1.0)
     wide = np.rad2deg(PulseTask(sigma_deg_s=5000.0).draw(1000, np.random.default_rng(1)))
     assert np.abs(wide).max() == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize("name", ["episodic", "envelope"])
+def test_command_is_held_from_the_first_step_when_the_task_is(name: str) -> None:
+    task, command = TASKS[name](), np.array([[1.0, -2.0, 0.5]])
+    assert task.duration_s == 1.0
+    seen = np.array([task.setpoint(command, np.array([k]), 500)[0] for k in range(500)])
+    assert (seen == command).all()
+    assert not task.setpoint(command, np.array([500]), 500).any()
+
+
+def test_commands_are_uniform_when_the_task_is_episodic() -> None:
+    drawn = np.rad2deg(EpisodicTask().draw(50_000, np.random.default_rng(1)))
+    assert np.abs(drawn).max() <= 300.0
+    assert drawn.std() == pytest.approx(300.0 / np.sqrt(3), rel=0.01)
+    assert np.histogram(drawn, bins=10)[0] / drawn.size == pytest.approx(np.full(10, 0.1), rel=0.03)
+
+
+def test_commands_are_wide_and_normal_when_the_task_is_the_envelope() -> None:
+    drawn = np.rad2deg(EnvelopeTask().draw(50_000, np.random.default_rng(1)))
+    assert np.abs(drawn).max() == pytest.approx(1000.0)
+    assert (np.abs(drawn) < 300.0).mean() == pytest.approx(0.6827, abs=0.005)
