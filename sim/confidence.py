@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
-STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447)  # the same of Student's t, 1 to 6 degrees of freedom
+# The same of Student's t with 1 to 10 degrees of freedom.
+STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def share_of(hits: NDArray[np.bool_]) -> Mean:
 
 
 def student(freedom: NDArray[np.integer]) -> Array:
-    """97.5 % quantile of Student's t; from 7 degrees of freedom on by Cornish and Fisher's expansion."""
+    """97.5 % quantile of Student's t; from 11 degrees of freedom on by Cornish and Fisher's expansion."""
     z, n = NORMAL, np.maximum(freedom, 1).astype(np.float64)
     first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
     third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
