@@ -1,4 +1,4 @@
-"""Rotation matrices and unit quaternions."""
+"""Rotation matrices, of one or of N aircraft, and unit quaternions."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
@@ -25,3 +26,15 @@ def quaternion(rotation: NDArray[np.float64]) -> Quaternion:
         q = (d - b, c + g, f + h, z2)
     scale = 0.5 / math.sqrt(largest)
     return (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)
+
+
+def turned(rotation: Array, vectors: Array) -> Array:
+    """Rows of `vectors` (N, 3), each turned by its own matrix of `rotation` (N, 3, 3)."""
+    rows: Array = np.einsum("nij,nj->ni", rotation, vectors)
+    return rows
+
+
+def turned_back(rotation: Array, vectors: Array) -> Array:
+    """Rows of `vectors` (N, 3), each turned by the inverse of its own matrix of `rotation` (N, 3, 3)."""
+    rows: Array = np.einsum("nji,nj->ni", rotation, vectors)
+    return rows

@@ -70,31 +70,44 @@ def thrust_and_torque(speed: Array, propulsion: Propulsion) -> tuple[Array, Arra
 class RotorGeometry:
     """Constant maps from rotor speeds to wrenches, made once for an aircraft."""
 
-    load_wrench: Array  # (2M, 6): wrench a newton of each rotor's thrust, then a newton metre of its torque
-    spin_inertia: Array  # (M,): signed rotor inertia [kg m^2], + counter-clockwise
-    drag_wrench: Array  # (M, 36): -d wrench / d(speed * twist), twist = velocity, rate in body axes
+    thrust_wrench: Array  # (M, 6): wrench a newton of each rotor's thrust
+    torque_wrench: Array  # (M, 6): wrench a newton metre of each rotor's drag torque
+    square_wrench: Array | None  # (M, 6): wrench a speed squared, if both coefficients are constants
+    reaction_wrench: Array  # (M, 6): wrench a rad/s^2 of each rotor's acceleration
+    motion_wrench: Array  # (6M, 6): wrench a speed * twist, twist = velocity, rate in body axes
     propulsion: Propulsion
 
 
 def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
     """Maps of `aircraft`, about its centre of mass."""
     propulsion = aircraft.propulsion
-    thrust, torque, drag = [], [], []
+    thrust, torque, reaction, motion = [], [], [], []
+    up, nothing = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    across = np.diag([1.0, 1.0, 0.0])
     for r, spin in zip(aircraft.rotor_positions, aircraft.spins, strict=True):
-        up = np.array([0.0, 0.0, 1.0])
         thrust.append(np.concatenate([up, np.cross(r, up)]))
         # Air holds the propeller back: the body is turned against its spin.
-        torque.append(np.concatenate([np.zeros(3), -spin * up]))
+        torque.append(np.concatenate([nothing, -spin * up]))
+        momentum = spin * propulsion.rotor_inertia * up  # [N m s] a rad/s
+        reaction.append(np.concatenate([nothing, -momentum]))
         # v_hub = v + w x r = v - [r] w; its part across the rotor axis makes drag and a rolling moment.
-        across = np.diag([1.0, 1.0, 0.0])
         hub = across @ np.hstack([np.eye(3), -_cross_matrix(r)])
-        force = propulsion.drag_coefficient * hub
-        moment = _cross_matrix(r) @ force + propulsion.rolling_coefficient * hub
-        drag.append(np.vstack([force, moment]).ravel())
+        force = -propulsion.drag_coefficient * hub
+        moment = _cross_matrix(r) @ force - propulsion.rolling_coefficient * hub
+        # Gyroscopic moment: -w x h = h x w.
+        moment[:, 3:] += _cross_matrix(momentum)
+        motion.append(np.vstack([force, moment]).T)
+    thrust_wrench, torque_wrench = np.array(thrust), np.array(torque)
+    square_wrench = None
+    if len(propulsion.thrust_coefficient) == len(propulsion.torque_ratio) == 1:
+        each = thrust_wrench + propulsion.torque_ratio[0] * torque_wrench
+        square_wrench = propulsion.thrust_coefficient[0] * each
     return RotorGeometry(
-        load_wrench=np.array(thrust + torque),
-        spin_inertia=aircraft.spins * propulsion.rotor_inertia,
-        drag_wrench=np.array(drag),
+        thrust_wrench=thrust_wrench,
+        torque_wrench=torque_wrench,
+        square_wrench=square_wrench,
+        reaction_wrench=np.array(reaction),
+        motion_wrench=np.concatenate(motion),
         propulsion=propulsion,
     )
 
@@ -105,19 +118,19 @@ def rotor_wrench(
     """Wrench of all rotors on the aircraft over one step, (N, 6).
 
     before, after: rotor speeds (N, M) [rad/s] at the step's ends; velocity (N, 3) [m/s] of the centre of
-    mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust K_T w^2, drag torque
-    K_Q thrust, reaction to rotor acceleration, gyroscopic moment, rotor drag and rolling moment.
+    mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust, drag torque, reaction to rotor
+    acceleration, gyroscopic moment, rotor drag and rolling moment.
     """
-    wrench: Array = (
-        np.concatenate(thrust_and_torque(after, geometry.propulsion), axis=1) @ geometry.load_wrench
-    )
-    momentum = after @ geometry.spin_inertia
-    wrench[:, 3] -= rate[:, 1] * momentum
-    wrench[:, 4] += rate[:, 0] * momentum
-    wrench[:, 5] -= (after - before) @ geometry.spin_inertia / dt
+    if geometry.square_wrench is not None:
+        load = (after * after) @ geometry.square_wrench
+    else:
+        thrusts, torques = thrust_and_torque(after, geometry.propulsion)
+        load = thrusts @ geometry.thrust_wrench + torques @ geometry.torque_wrench
     twist = np.concatenate([velocity, rate], axis=1)
-    drag = (after @ geometry.drag_wrench).reshape(-1, 6, 6)
-    wrench -= np.matmul(drag, twist[:, :, None])[:, :, 0]
+    motion = (after[:, :, None] * twist[:, None, :]).reshape(len(after), -1)
+    wrench: Array = (
+        load + ((after - before) / dt) @ geometry.reaction_wrench + motion @ geometry.motion_wrench
+    )
     return wrench
 
 

@@ -1,16 +1,24 @@
-"""The digital twin: world, rotors and gyro of N copies of an aircraft, advanced together."""
+"""The digital twin: world, rotors, battery, air and sensors of N copies of an aircraft, advanced together."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.air import Wind, body_drag
 from sim.aircraft import Aircraft
-from sim.imu import draw_bias, measured_rate
-from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed
-from sim.world import Mount, World
+from sim.battery import BatteryState, shaft_power
+from sim.esc import Telemetry, telemetry
+from sim.imu import AccelerometerModel, GyroModel
+from sim.mass import Vector
+from sim.rotation import turned_back
+from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed, thrust_and_torque
+from sim.world import GRAVITY, Mount, World
+from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
+CALM: Vector = (0.0, 0.0, 0.0)
+WIND_ALTITUDE = 10.0  # [m], at which gusts are drawn: where such aircraft fly
 
 
 class Twin:
@@ -30,26 +38,51 @@ class Twin:
         mount: Mount = Mount.CENTRE,
         gravity: bool | None = None,
         noise: bool = True,
+        charge: float | None = None,
+        wind: Vector = CALM,
+        gust: float = 0.0,
+        ground: bool = False,
         rng: np.random.Generator,
     ) -> None:
+        """Bring up `count` aircraft at rest.
+
+        gravity: on in free flight unless given. noise: of gyro and accelerometer; without it they are ideal.
+        charge: the battery's state of charge at the start, 0..1; None: the bench supply that the speed curve
+        was measured with. wind: [m/s], world axes; gust: wind speed 20 feet above the ground that sets the
+        Dryden turbulence [m/s]. ground: the plane z = 0, free flight only.
+        Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
+        """
         self.aircraft = aircraft
         self.count = count
         self.rate_hz = rate_hz
         self.mount = mount
         self._dt = 1.0 / rate_hz
         self._gravity = gravity if gravity is not None else mount is Mount.FREE
-        self._world = World(aircraft, count, self._dt, mount, self._gravity)
+        self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground)
         self._geometry = rotor_geometry(aircraft)
-        self._noise = noise
-        self._rng = rng
+        self._speed_max = aircraft.propulsion.speed_max
         self._delay = max(1, round(aircraft.propulsion.delay * rate_hz))
         shape = (count, aircraft.motor_count)
         self._commands = np.zeros((self._delay + 1, *shape))  # the last ones, by sample modulo length
         self._sample = 0
         self.rotor_speed = np.zeros(shape)
-        self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes, of the rotors; a mount's is not in it
-        self._bias = np.zeros((count, 3))
+        self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes; where the centre is held, the rotors'
+        self._battery = None if charge is None else _battery(aircraft, count)
+        self._charge = 0.0 if charge is None else charge
+        self._wind = None
+        if any(wind) or gust:
+            # A stream of its own: the sensors' noise is the same with and without wind.
+            self._wind = Wind(np.array(wind), gust, WIND_ALTITUDE, count, self._dt, rng.spawn(1)[0])
+        self._drag_area = np.array(aircraft.body.drag_area) if aircraft.body else np.zeros(3)
+        self._gyro = GyroModel(aircraft.gyro, count, self._dt, rng) if noise else None
+        self._accelerometer = None
+        if noise and aircraft.accelerometer is not None and mount is not Mount.CENTRE:
+            own = rng.spawn(1)[0]
+            self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own)
+        sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
+        self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self.gyro = np.zeros((count, 3))
+        self.accelerometer = np.zeros((count, 3))
         self.reset()
 
     def close(self) -> None:
@@ -76,15 +109,36 @@ class Twin:
         """Position of the centre of mass [m], world axes, (N, 3)."""
         return self._world.position
 
+    @property
+    def telemetry(self) -> Telemetry:
+        """What the ESCs report of this sample; voltage and current are NaN on a supply of unknown voltage."""
+        if self._battery is not None:
+            voltage, current = self._battery.voltage[:, 0], self._battery.current
+        else:
+            voltage = np.full(self.count, self.aircraft.propulsion.supply_voltage or np.nan)
+            current = self._power(self.rotor_speed, self.rotor_speed) / voltage
+        return telemetry(self.rotor_speed, voltage, current, self.aircraft.esc)
+
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
-        """At rest, level, rotors and commands zero, a new gyro bias: all aircraft or those of `index`."""
+        """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.
+
+        All aircraft, or those of `index`.
+        """
         index = np.arange(self.count) if index is None else index
         self._commands[:, index] = 0.0
         self.rotor_speed[index] = 0.0
-        self.specific_force[index] = 0.0
+        if self._phase is not None:
+            self._phase[index] = 0.0
         self._world.reset(index.tolist())
-        if self._noise:
-            self._bias[index] = draw_bias(self.aircraft.gyro, len(index), self._rng)
+        rests = GRAVITY if self._gravity and self.mount is not Mount.CENTRE else 0.0
+        self.specific_force[index] = (0.0, 0.0, rests)  # held where it is
+        if self._battery is not None:
+            self._battery.reset(index, self._charge)
+        if self._wind is not None:
+            self._wind.reset(index)
+        for sensor in (self._gyro, self._accelerometer):
+            if sensor is not None:
+                sensor.reset(index)
         self.measure()
 
     def step(self, motors: NDArray[np.floating]) -> None:
@@ -101,20 +155,69 @@ class Twin:
         self._sample += 1
         acting = self._commands[self._sample % slots]  # the oldest slot: `delay` samples before this one
 
+        world, dt, propulsion = self._world, self._dt, self.aircraft.propulsion
+        voltage = None if self._battery is None else self._battery.voltage
         before = self.rotor_speed
-        target = target_speed(acting, self.aircraft.propulsion)
-        after = next_speed(before, target, self._dt, self.aircraft.propulsion)
-        world = self._world
-        velocity = world.velocity
+        after = next_speed(before, target_speed(acting, propulsion, voltage), dt, propulsion)
+        if self._battery is not None:
+            self._battery.step(self._power(before, after), dt)
+        through_air = world.body_velocity if self._wind is None else self._met(self._wind)
+        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry)
         if self.mount is not Mount.CENTRE:
-            velocity = np.matmul(velocity[:, None, :], world.rotation)[:, 0, :]
-        wrench = rotor_wrench(before, after, self._dt, velocity, world.rate, self._geometry)
-        world.step(wrench)
+            wrench[:, :3] += body_drag(through_air, self._drag_area)
+        if self._phase is not None:
+            self._phase += 0.5 * dt * (before + after)
         self.rotor_speed = after
-        self.specific_force = wrench[:, :3] / self.aircraft.mass_properties.mass
+        self._move(wrench)
         self.measure()
 
     def measure(self) -> None:
-        """Read the gyro anew, as at the next sample of aircraft that are held where they are."""
-        rate = self._world.rate
-        self.gyro = measured_rate(rate, self._bias, self.aircraft.gyro, self._rng) if self._noise else rate
+        """Read the sensors anew, as at the next sample of aircraft that are held where they are."""
+        rotors = (self._phase, self.rotor_speed, self._speed_max)
+        rate, force = self._world.rate, self.specific_force
+        self.gyro = rate if self._gyro is None else self._gyro.measure(rate, *rotors)
+        self.accelerometer = (
+            force if self._accelerometer is None else self._accelerometer.measure(force, *rotors)
+        )
+
+    def _move(self, wrench: Array) -> None:
+        """Advance the world, and find the specific force from what became of the velocity."""
+        world = self._world
+        if self.mount is Mount.CENTRE:
+            world.step(wrench)
+            self.specific_force = wrench[:, :3] / self.aircraft.mass_properties.mass
+            return
+        velocity = world.velocity
+        world.step(wrench)
+        gained = (world.velocity - velocity) * self.rate_hz
+        if self._gravity:
+            gained[:, 2] += GRAVITY
+        self.specific_force = turned_back(world.rotation, gained)
+
+    def _met(self, wind: Wind) -> Array:
+        """Velocity through moving air [m/s], (N, 3), body axes; advances the gusts."""
+        through_air: Array = self._world.velocity - wind.velocity
+        wind.step(np.sqrt((through_air * through_air).sum(axis=1)))
+        return turned_back(self._world.rotation, through_air)
+
+    def _power(self, before: Array, after: Array) -> Array:
+        """What motors and electronics draw over a sample [W], (N,)."""
+        propulsion, battery = self.aircraft.propulsion, self.aircraft.battery
+        gained = propulsion.rotor_inertia * (after - before) * self.rate_hz
+        torque = thrust_and_torque(after, propulsion)[1] + gained
+        electronics = 0.0 if battery is None else battery.electronics_power
+        drawn: Array = shaft_power(after, torque) / propulsion.efficiency + electronics
+        return drawn
+
+
+def _battery(aircraft: Aircraft, count: int) -> BatteryState:
+    if aircraft.battery is None:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: no [battery] table, so it flies on the bench supply only"
+        )
+    if aircraft.propulsion.supply_voltage is None:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: propulsion.supply_voltage_v missing; without it a battery's voltage "
+            f"says nothing about rotor speed"
+        )
+    return BatteryState(aircraft.battery, count)

@@ -13,8 +13,9 @@ The copies do not feel each other; with `ground` each meets the plane z = 0.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,7 +24,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
-from sim.rotation import quaternion
+from sim.rotation import quaternion, turned, turned_back
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
@@ -46,9 +47,9 @@ class Mount(Enum):
 class World:
     """A pybullet client with `count` aircraft; state arrays are refreshed by `reset` and `step`.
 
-    rate: (N, 3) [rad/s] body axes; velocity, position: (N, 3) [m/s], [m] world axes, of the centre of
-    mass; rotation: (N, 3, 3) body to world; momentum: (N, 3) [N m s] world axes, angular, about the centre
-    of mass or, on the rig, about the ball joint.
+    rate: (N, 3) [rad/s] body axes; rotation: (N, 3, 3) body to world; body_velocity: (N, 3) [m/s] of the
+    centre of mass, body axes; momentum: (N, 3) [N m s] world axes, angular, about the centre of mass or, on
+    the rig, about the ball joint.
     """
 
     def __init__(
@@ -68,18 +69,20 @@ class World:
         if ground and aircraft.body is None:
             raise AircraftError(f"aircraft {aircraft.name}: no [body] table, so nothing can touch the ground")
         self.mount = mount
-        self._dt = dt
         self._ground = ground
         properties = aircraft.mass_properties
+        moments, axes = np.linalg.eigh(properties.inertia)
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] = -axes[:, 0]
+        self._axes = axes  # pybullet turns bodies in their principal axes, the columns
         self._mass = properties.mass
         self._weight = np.array([0.0, 0.0, -GRAVITY * properties.mass if gravity else 0.0])  # [N], world
-        self._arm = np.zeros(3)  # [m], pivot to centre of mass, body axes
-        self._inertia = properties.inertia  # about the pivot
+        arm = np.zeros(3)  # [m], pivot to centre of mass, body axes
         if mount is Mount.RIG:
-            self._arm = properties.centre - np.array(aircraft.centre_of_thrust)
-            squared = self._arm @ self._arm * np.eye(3) - np.outer(self._arm, self._arm)
-            self._inertia = self._inertia + properties.mass * squared
-        self._inverse = np.linalg.inv(self._inertia)
+            arm = properties.centre - np.array(aircraft.centre_of_thrust)
+        self._arm = arm
+        self._swing = _cross_matrix(arm)  # rows: rate @ swing = rate x arm, -force @ swing = arm x force
+        self._maps(properties.inertia + properties.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm)), dt)
 
         self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.setTimeStep(dt, self._client)
@@ -87,20 +90,16 @@ class World:
             pybullet.setGravity(0.0, 0.0, self._weight[2] / self._mass, self._client)
         if ground:
             self._create_ground()
-        moments, axes = np.linalg.eigh(properties.inertia)
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] = -axes[:, 0]
-        self._axes = axes  # pybullet turns bodies in their principal axes, the columns
-        w, x, y, z = quaternion(self._axes)
+        w, x, y, z = quaternion(axes)
         self._quaternion = (x, y, z, w)  # pybullet's order
         self._link = 0 if mount is Mount.RIG else -1
         self._bodies = [self._create(aircraft, moments, axes) for _ in range(count)]
-        self._everyone = np.arange(count)
         self._inner_rate = np.zeros((count, 3))  # [rad/s], pybullet's own, body axes
+        self._position = np.zeros((count, 3))
+        self._velocity = np.zeros((count, 3))
         self.momentum = np.zeros((count, 3))
         self.rate = np.zeros((count, 3))
-        self.velocity = np.zeros((count, 3))
-        self.position = np.zeros((count, 3))
+        self.body_velocity = np.zeros((count, 3))
         self.rotation = np.zeros((count, 3, 3))
         self.reset(range(count))
 
@@ -109,6 +108,16 @@ class World:
         if self._client >= 0:
             pybullet.disconnect(self._client)
             self._client = -1
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity of the centre of mass [m/s], world axes, (N, 3)."""
+        return self._velocity if self.mount is Mount.FREE else turned(self.rotation, self.body_velocity)
+
+    @property
+    def position(self) -> Array:
+        """Position of the centre of mass [m], world axes, (N, 3), from the mount or the start."""
+        return self._position if self.mount is Mount.FREE else self.rotation @ self._arm
 
     def reset(self, index: Iterable[int], rate: Array | None = None) -> None:
         """Put the aircraft of `index` level, at the origin or on the ground, at rest.
@@ -121,8 +130,7 @@ class World:
         for i, turning in zip(which, rates.tolist(), strict=True):
             body = self._bodies[i]
             if self.mount is Mount.RIG:
-                still = [0.0, 0.0, 0.0, 1.0]
-                spin = (self._axes.T @ turning).tolist()
+                still, spin = [0.0, 0.0, 0.0, 1.0], (self._axes.T @ turning).tolist()
                 pybullet.resetJointStateMultiDof(body, 0, still, spin, physicsClientId=self._client)
             else:
                 pybullet.resetBasePositionAndOrientation(body, origin, self._quaternion, self._client)
@@ -131,81 +139,87 @@ class World:
         self.momentum[which] = rates @ self._inertia  # body axes are world axes here
         self._read_pose()
         self.rate[which] = rates
-        if self.mount is not Mount.FREE:
-            self._swing()
-        else:
-            self.velocity[which] = 0.0
+        self._velocity[which] = 0.0
+        self.body_velocity[which] = rates @ self._swing
 
     def step(self, wrench: Array) -> None:
         """Advance one time step under `wrench` (N, 6): body-axes force and moment at the centre of mass."""
         client, link, world = self._client, self._link, pybullet.WORLD_FRAME
-        dt, rotation = self._dt, self.rotation
+        before, inner = self.rotation, self._inner_rate
         moment = self._moment(wrench)
-        middle = self.rate + (0.5 * dt) * (self._euler(moment, self.rate) @ self._inverse)
-        asked = (middle - self._inner_rate) @ (self._inertia / dt) - self._euler(0.0, self._inner_rate)
+        gyroscopic = _squares(np.concatenate([self.rate, inner])) @ self._gyro
+        middle = self.rate + (moment - gyroscopic[: len(inner)]) @ self._half_push
+        asked = (middle - inner) @ self._rate_to_torque + gyroscopic[len(inner) :]
         apply_torque = pybullet.applyExternalTorque
-        torques = np.matmul(rotation, asked[:, :, None])[:, :, 0].tolist()
-        for body, torque in zip(self._bodies, torques, strict=True):
+        for body, torque in zip(self._bodies, turned(before, asked).tolist(), strict=True):
             apply_torque(body, link, torque, world, client)
         if self.mount is Mount.FREE:
             apply_force = pybullet.applyExternalForce
-            forces = np.matmul(rotation, wrench[:, :3, None])[:, :, 0].tolist()
-            for body, force, at in zip(self._bodies, forces, self.position.tolist(), strict=True):
+            forces = turned(before, wrench[:, :3]).tolist()
+            for body, force, at in zip(self._bodies, forces, self._position.tolist(), strict=True):
                 apply_force(body, link, force, at, world, client)
         pybullet.stepSimulation(client)
         self._inner_rate = middle
         self._read_pose()
-        mean = rotation + self.rotation  # twice the mean attitude of the step
-        self.momentum += np.matmul(mean, moment[:, :, None])[:, :, 0] * (0.5 * dt)
+        # The moment keeps its body axes while they turn: it acts along their mean over the step.
+        self.momentum += turned(before + self.rotation, moment * self._half_step)
         if self.mount is Mount.FREE:
             self._read_motion()
-        self.rate = np.matmul(self.momentum[:, None, :], self.rotation)[:, 0, :] @ self._inverse
+        self.rate = turned_back(self.rotation, self.momentum) @ self._inverse
         if self.mount is Mount.RIG:
-            self._swing()
+            self.body_velocity = self.rate @ self._swing
+
+    def _maps(self, inertia: Array, dt: float) -> None:
+        """Constant matrices of a step; `inertia` is about the pivot."""
+        self._inertia = inertia
+        self._inverse = np.linalg.inv(inertia)
+        self._half_step = 0.5 * dt
+        self._rate_to_torque = inertia / dt
+        self._half_push = 0.5 * dt * self._inverse
+        # w x I w = squares(w) @ gyro
+        units = np.eye(3)
+        pairs = [np.cross(units[i], inertia @ units[j]) for i in range(3) for j in range(3)]
+        self._gyro = np.array(pairs)
+        # Body to world, nine numbers, from the squares of pybullet's quaternion.
+        matrix = _matrix_of_squares() @ self._axes.T
+        if self.mount is Mount.RIG:  # the joint's zero lies along the principal axes
+            matrix = self._axes @ matrix
+        self._attitude = matrix.reshape(16, 9)
 
     def _moment(self, wrench: Array) -> Array:
         """Moment about the pivot, body axes, (N, 3); gravity pulls at the rig's hanging centre of mass."""
         moment: Array = wrench[:, 3:]
         if self.mount is Mount.RIG:
-            force = wrench[:, :3] + self._weight @ self.rotation
-            moment = moment + _cross(self._arm[None], force)
+            force = wrench[:, :3]
+            if self._weight[2]:
+                force = force + self._weight @ self.rotation
+            moment = moment - force @ self._swing
         return moment
-
-    def _euler(self, moment: Array | float, rate: Array) -> Array:
-        """Euler's equations: rate of change of the body-axes momentum, (N, 3)."""
-        change: Array = moment - _cross(rate, rate @ self._inertia)
-        return change
 
     def _read_pose(self) -> None:
         client, bodies = self._client, self._bodies
-        matrix = pybullet.getMatrixFromQuaternion
         if self.mount is Mount.RIG:
             joint = pybullet.getJointStateMultiDof
-            turned = np.array([matrix(joint(b, 0, client)[0]) for b in bodies]).reshape(-1, 3, 3)
-            self.rotation = self._axes @ turned @ self._axes.T
-            return
-        poses = [pybullet.getBasePositionAndOrientation(b, client) for b in bodies]
-        principal = np.array([matrix(pose[1]) for pose in poses]).reshape(-1, 3, 3)
-        self.rotation = principal @ self._axes.T
-        if self.mount is Mount.FREE:
-            self.position = np.array([pose[0] for pose in poses])
+            turns: Sequence[tuple[float, ...]] = [joint(b, 0, client)[0] for b in bodies]
+        else:
+            pose = pybullet.getBasePositionAndOrientation
+            if self.mount is Mount.CENTRE:
+                turns = [pose(b, client)[1] for b in bodies]
+            else:
+                places, turns = zip(*[pose(b, client) for b in bodies], strict=True)
+                self._position = _rows(places, 3)
+        self.rotation = (_squares(_rows(turns, 4)) @ self._attitude).reshape(-1, 3, 3)
 
     def _read_motion(self) -> None:
         """Velocities as pybullet has them; what the ground did to the rate goes into the momentum."""
         motions = [pybullet.getBaseVelocity(b, self._client) for b in self._bodies]
-        self.velocity = np.array([motion[0] for motion in motions])
+        self._velocity = _rows([motion[0] for motion in motions], 3)
+        self.body_velocity = turned_back(self.rotation, self._velocity)
         if self._ground:
-            spin = np.array([motion[1] for motion in motions])
-            inner = np.matmul(spin[:, None, :], self.rotation)[:, 0, :]
+            inner = turned_back(self.rotation, _rows([motion[1] for motion in motions], 3))
             impulse = (inner - self._inner_rate) @ self._inertia
-            self.momentum += np.matmul(self.rotation, impulse[:, :, None])[:, :, 0]
+            self.momentum += turned(self.rotation, impulse)
             self._inner_rate = inner
-
-    def _swing(self) -> None:
-        """Motion of the rig's centre of mass about the ball joint."""
-        self.position = self.rotation @ self._arm
-        speed = _cross(self.rate, self._arm[None])
-        self.velocity = np.matmul(self.rotation, speed[:, :, None])[:, :, 0]
 
     def _create(self, aircraft: Aircraft, moments: Array, axes: Array) -> int:
         client = self._client
@@ -275,10 +289,38 @@ class World:
         )
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """a x b of rows; np.cross costs several times as much on small arrays."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.column_stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+def _squares(rows: Array) -> Array:
+    """All products of two components of each row: (N, k) to (N, k^2)."""
+    return (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
+
+
+def _matrix_of_squares() -> Array:
+    """(16, 3, 3): the rotation matrix of a unit quaternion x, y, z, w is linear in its `_squares`."""
+    x, y, z, w = np.eye(4)
+
+    def product(a: Array, b: Array) -> Array:
+        return np.outer(a, b).ravel()
+
+    xx, yy, zz, ww = (product(a, a) for a in (x, y, z, w))
+    xy, xz, yz = 2 * product(x, y), 2 * product(x, z), 2 * product(y, z)
+    wx, wy, wz = 2 * product(w, x), 2 * product(w, y), 2 * product(w, z)
+    rows = [
+        [ww + xx - yy - zz, xy - wz, xz + wy],
+        [xy + wz, ww - xx + yy - zz, yz - wx],
+        [xz - wy, yz + wx, ww - xx - yy + zz],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _rows(tuples: Sequence[tuple[float, ...]], width: int) -> Array:
+    """Array (N, width) of pybullet's tuples; quicker than np.array."""
+    return np.fromiter(chain.from_iterable(tuples), np.float64, width * len(tuples)).reshape(-1, width)
+
+
+def _cross_matrix(r: Array) -> Array:
+    """Matrix of r x."""
+    x, y, z = r
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _load_rig(mass: float, arm: Array, moments: Array, axes: Array, client: int) -> int:

@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft import Battery, Body, load_aircraft
+from sim.rotor import target_speed, thrust_and_torque
 from sim.twin import Twin
 from sim.world import Mount
+from toolchain.errors import AircraftError
 
-NF1 = load_aircraft("nf1")
+BODY = Body(size=(0.2, 0.16, 0.06), centre=(0.0, 0.0, 0.03), drag_area=(0.01, 0.01, 0.02))
+PACK = Battery(cells=4, capacity=5580.0, rest_voltage=16.78, resistance=0.03, electronics_power=6.0)
+NF1 = replace(load_aircraft("nf1"), body=BODY, battery=PACK)
 
 
 def twin(count: int = 1, seed: int = 1, **options: object) -> Twin:
@@ -117,3 +121,165 @@ def test_refuses_commands_that_are_no_fractions(motors: np.ndarray) -> None:
     with pytest.raises(ValueError, match="motor commands"):
         aircraft.step(motors)
     aircraft.close()
+
+
+def test_terminal_speed_thrust_and_yaw_torque_are_the_analytic_ones() -> None:
+    """Half a per cent, in still air that holds nothing back: H(u), K_T w^2 and K_Q K_T w^2."""
+    propulsion = replace(NF1.propulsion, drag_coefficient=0.0, rolling_coefficient=0.0)
+    slick = replace(NF1, propulsion=propulsion, body=None)
+    held = Twin(slick, noise=False, rng=np.random.default_rng(0))
+    loose = Twin(slick, noise=False, mount=Mount.FREE, gravity=False, rng=np.random.default_rng(0))
+    command = np.array([[0.6, 0.4, 0.4, 0.6]])  # the clockwise pair is faster: yaw to the left, nothing else
+    for _ in range(800):
+        held.step(command)
+        loose.step(command)
+    rate, velocity = held.rate[0, 2], loose.velocity[0, 2]
+    for _ in range(10):
+        held.step(command)
+        loose.step(command)
+    gained, climbed = (held.rate[0, 2] - rate) / 0.010, (loose.velocity[0, 2] - velocity) / 0.010
+    speed, force = held.rotor_speed[0].copy(), loose.specific_force[0, 2]
+    held.close()
+    loose.close()
+    a, b, c = propulsion.speed_curve
+    speeds = (a * command[0] + b) * command[0] + c
+    thrusts = propulsion.thrust_coefficient[0] * speeds**2
+    torque = -NF1.spins @ thrusts * propulsion.torque_ratio[0]
+    assert speed == pytest.approx(speeds, rel=0.005)
+    assert gained == pytest.approx(torque / NF1.mass_properties.inertia[2, 2], rel=0.005)
+    assert climbed == pytest.approx(thrusts.sum() / NF1.mass_properties.mass, rel=0.005)
+    assert force == pytest.approx(climbed, rel=1e-3)
+
+
+def test_battery_sags_under_load_and_empties_as_power_says() -> None:
+    sagging = twin(charge=1.0, noise=False)
+    pack = NF1.battery
+    assert pack is not None
+    rest = sagging.telemetry.voltage[0]
+    for _ in range(1000):
+        sagging.step(np.full((1, 4), 0.8))
+    report, speed = sagging.telemetry, sagging.rotor_speed.copy()
+    settled = target_speed(np.array([[0.8]]), NF1.propulsion, report.voltage[:, None])
+    sagging.close()
+    torque = thrust_and_torque(speed, NF1.propulsion)[1]
+    power = (speed * torque).sum() / NF1.propulsion.efficiency + pack.electronics_power
+    step = NF1.esc.current_step / 2 + 0.01 * power / report.voltage[0]
+    assert rest == pytest.approx(pack.rest_voltage, abs=NF1.esc.voltage_step)
+    assert report.voltage[0] < rest - 0.1
+    assert report.current[0] == pytest.approx(power / report.voltage[0], abs=step)
+    assert speed[0] == pytest.approx([settled[0, 0]] * 4, rel=2e-3)
+
+
+def test_half_empty_battery_turns_rotors_slower_than_a_full_one() -> None:
+    speeds = []
+    for charge in (1.0, 0.2):
+        aircraft = twin(charge=charge, noise=False)
+        for _ in range(500):
+            aircraft.step(np.full((1, 4), 0.5))
+        speeds.append(aircraft.rotor_speed[0, 0])
+        aircraft.close()
+    assert speeds[1] < 0.95 * speeds[0]
+
+
+def test_loose_aircraft_drifts_with_the_wind_until_it_flies_as_fast() -> None:
+    """Without gravity and thrust only drag acts: the air takes the aircraft along, ever slower."""
+    wind = (6.0, -3.0, 0.0)
+    blown, still = (
+        twin(mount=Mount.FREE, gravity=False, noise=False, wind=w) for w in (wind, (0.0, 0.0, 0.0))
+    )
+    lag = []
+    for _ in range(2):
+        for _ in range(4000):
+            blown.step(np.zeros((1, 4)))
+            still.step(np.zeros((1, 4)))
+        lag.append(float(np.linalg.norm(blown.velocity[0] - wind)))
+    stayed = still.velocity[0].copy()
+    blown.close()
+    still.close()
+    assert stayed == pytest.approx(np.zeros(3), abs=0.01)  # at command zero the curve still says 87 rpm
+    assert lag[1] < lag[0] < np.linalg.norm(wind)
+    assert lag[0] < 0.9 * np.linalg.norm(wind)
+
+
+def test_gusts_shake_each_aircraft_its_own_way_and_leave_the_gyro_noise_alone() -> None:
+    gusty, calm = (twin(3, 4, mount=Mount.FREE, gust=g) for g in (15.0, 0.0))
+    first = gusty.gyro.copy(), calm.gyro.copy()
+    hover = np.full((3, 4), 0.25)
+    for _ in range(300):
+        gusty.step(hover)
+        calm.step(hover)
+    apart = gusty.velocity - calm.velocity
+    gusty.close()
+    calm.close()
+    assert np.array_equal(*first)
+    assert np.abs(apart).max(axis=1).min() > 1e-3
+    assert np.abs(apart[0] - apart[1]).max() > 1e-3
+
+
+def test_specific_force_is_what_an_accelerometer_feels() -> None:
+    falling, standing = twin(noise=False, mount=Mount.FREE), twin(noise=False, mount=Mount.FREE, ground=True)
+    swinging = twin(noise=False, mount=Mount.RIG, gravity=True)
+    for _ in range(300):
+        for aircraft in (falling, standing, swinging):
+            aircraft.step(np.zeros((1, 4)))
+    forces = [aircraft.accelerometer[0].copy() for aircraft in (falling, standing, swinging)]
+    for aircraft in (falling, standing, swinging):
+        aircraft.close()
+    assert forces[0] == pytest.approx([0.0, 0.0, 0.27], abs=0.02)  # drag of 2.9 m/s: 0.10 N on 0.391 kg
+    assert forces[1] == pytest.approx([0.0, 0.0, 9.80665], abs=0.02)
+    assert forces[2] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-3)
+
+
+def test_turning_on_the_rig_pulls_the_centre_of_mass_inwards() -> None:
+    """Yaw at w with the centre of mass r beside the joint: w^2 r towards the joint."""
+    beside = replace(NF1, centre_of_thrust=(-0.03, 0.0, float(NF1.mass_properties.centre[2])))
+    aircraft = Twin(beside, mount=Mount.RIG, noise=False, rng=np.random.default_rng(0))
+    aircraft._world.reset([0], np.array([[0.0, 0.0, 10.0]]))
+    for _ in range(10):
+        aircraft.step(np.zeros((1, 4)))
+    rate, force = aircraft.rate[0].copy(), aircraft.specific_force[0].copy()
+    aircraft.close()
+    arm = float(NF1.mass_properties.centre[0]) + 0.03
+    assert rate[2] == pytest.approx(10.0, abs=0.1)
+    assert force[0] == pytest.approx(-(rate[2] ** 2) * arm, rel=0.01)
+
+
+def test_everything_on_repeats_exactly_for_a_seed() -> None:
+    runs = []
+    for seed in (3, 3, 4):
+        aircraft = twin(2, seed, mount=Mount.FREE, ground=True, charge=0.9, wind=(3.0, 1.0, 0.0), gust=8.0)
+        for command in np.random.default_rng(0).uniform(0, 1, (200, 2, 4)):
+            aircraft.step(command)
+        runs.append([aircraft.gyro.copy(), aircraft.accelerometer.copy(), aircraft.position.copy()])
+        aircraft.close()
+    assert all(np.array_equal(a, b) for a, b in zip(runs[0], runs[1], strict=True))
+    assert not any(np.array_equal(a, b) for a, b in zip(runs[0], runs[2], strict=True))
+
+
+def test_vibration_of_the_rotors_reaches_the_gyro() -> None:
+    shaky = replace(NF1, gyro=replace(NF1.gyro, noise=(0.0, 0.0, 0.0), bias=0.0, vibration=(0.1, 0.0, 0.0)))
+    aircraft = Twin(shaky, rate_hz=8000, rng=np.random.default_rng(0))
+    readings = []
+    for step in range(8000):
+        aircraft.step(np.full((1, 4), 0.5))
+        if step >= 6000:
+            readings.append(aircraft.gyro[0] - aircraft.rate[0])
+    speed = aircraft.rotor_speed[0, 0]
+    aircraft.close()
+    shake = np.array(readings)
+    spectrum = np.abs(np.fft.rfft(shake[:, 0]))
+    loudest = np.fft.rfftfreq(len(shake), 1 / 8000)[spectrum.argmax()]
+    assert loudest == pytest.approx(speed / (2 * np.pi), abs=5.0)
+    assert shake[:, 0].max() == pytest.approx(4 * 0.1 * (speed / NF1.propulsion.speed_max) ** 2, rel=0.05)
+    assert np.abs(shake[:, 1:]).max() == 0.0
+
+
+def test_an_aircraft_without_what_is_asked_for_is_refused() -> None:
+    bare = replace(NF1, battery=None, body=None)
+    with pytest.raises(AircraftError, match=r"no \[battery\] table"):
+        Twin(bare, charge=1.0, rng=np.random.default_rng(0))
+    with pytest.raises(AircraftError, match=r"no \[body\] table"):
+        Twin(bare, mount=Mount.FREE, ground=True, rng=np.random.default_rng(0))
+    unknown = replace(NF1, propulsion=replace(NF1.propulsion, supply_voltage=None))
+    with pytest.raises(AircraftError, match="supply_voltage_v missing"):
+        Twin(unknown, charge=1.0, rng=np.random.default_rng(0))

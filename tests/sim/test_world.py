@@ -258,14 +258,17 @@ def test_ground_is_refused_when_nothing_could_touch_it() -> None:
 
 
 def test_copies_do_not_feel_each_other(build: Build) -> None:
-    alone, many = build(1, Mount.CENTRE), build(5, Mount.CENTRE)
+    quiet, busy = build(5, Mount.CENTRE), build(5, Mount.CENTRE)
     pushes = np.zeros((5, 6))
-    pushes[:, 3] = [0.0, 1e-3, 2e-3, -1e-3, 5e-4]
+    pushes[2, 3:] = [2e-3, 1e-3, -1e-3]
+    others = pushes.copy()
+    others[[0, 1, 3, 4], 3] = [5e-3, 1e-3, -1e-3, 5e-4]
     for _ in range(200):
-        alone.step(pushes[2:3])
-        many.step(pushes)
-    assert np.array_equal(many.rate[2], alone.rate[0])
-    assert many.rate[0] == pytest.approx(np.zeros(3))
+        quiet.step(pushes)
+        busy.step(others)
+    assert np.array_equal(busy.rate[2], quiet.rate[2])
+    assert np.array_equal(busy.rotation[2], quiet.rotation[2])
+    assert quiet.rate[0] == pytest.approx(np.zeros(3))
 
 
 def test_reset_touches_only_the_aircraft_it_names(build: Build) -> None:
