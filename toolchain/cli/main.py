@@ -19,6 +19,7 @@ COMMANDS = {
     "freeze": "turn a training checkpoint into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
     "evaluate": "measure a policy or the PID on unseen commands",
+    "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "fly": "fly a firmware against the twin and print tracking figures",
     "msp": "ask a running firmware over MSP",
 }

@@ -1,0 +1,48 @@
+"""What commands that write or record share: refusing early what could not be written, retelling a command."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from toolchain.errors import NeuroflightError
+
+
+def check_output(path: Path | None, suffix: str) -> None:
+    """Refuse a file that could not be written after the work."""
+    if path is None:
+        return
+    if path.suffix != suffix:
+        raise NeuroflightError(f"{path}: expected a name that ends in {suffix}")
+    if path.is_dir():
+        raise NeuroflightError(f"{path}: is a directory, expected a file to write")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir():
+        raise NeuroflightError(f"{path}: {parent} is no directory; choose another place")
+    if not os.access(parent, os.W_OK):
+        raise NeuroflightError(f"{path}: may not be written in {parent}; choose another place")
+
+
+def command_line(command: str, *words: str, **options: object) -> str:
+    """The command that repeats a result: without options that are None or False, paths cut short."""
+    line = ["neuroflight", command, *(_short(word) for word in words)]
+    for name, value in options.items():
+        if value is None or value is False:
+            continue
+        line.append(f"--{name.replace('_', '-')}")
+        if value is not True:
+            values = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+            line += [f"{item:g}" if isinstance(item, float) else _short(str(item)) for item in values]
+    return " ".join(line)
+
+
+def plain(value: object) -> object:
+    """Dictionaries of arrays as JSON has them."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _short(word: str) -> str:
+    return Path(word).name if Path(word).is_absolute() else word
