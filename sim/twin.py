@@ -102,7 +102,7 @@ class Twin:
     @property
     def velocity(self) -> Array:
         """Velocity of the centre of mass [m/s], world axes, (N, 3); zero where the mount holds it."""
-        return self._world.velocity
+        return self._velocity
 
     @property
     def position(self) -> Array:
@@ -130,6 +130,7 @@ class Twin:
         if self._phase is not None:
             self._phase[index] = 0.0
         self._world.reset(index.tolist())
+        self._velocity = self._world.velocity
         rests = GRAVITY if self._gravity and self.mount is not Mount.CENTRE else 0.0
         self.specific_force[index] = (0.0, 0.0, rests)  # held where it is
         if self._battery is not None:
@@ -163,7 +164,7 @@ class Twin:
             self._battery.step(self._power(before, after), dt)
         through_air = world.body_velocity if self._wind is None else self._met(self._wind)
         wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry)
-        if self.mount is not Mount.CENTRE:
+        if self.mount is Mount.FREE:
             wrench[:, :3] += body_drag(through_air, self._drag_area)
         if self._phase is not None:
             self._phase += 0.5 * dt * (before + after)
@@ -187,16 +188,16 @@ class Twin:
             world.step(wrench)
             self.specific_force = wrench[:, :3] / self.aircraft.mass_properties.mass
             return
-        velocity = world.velocity
         world.step(wrench)
-        gained = (world.velocity - velocity) * self.rate_hz
+        earlier, self._velocity = self._velocity, world.velocity
+        gained = (self._velocity - earlier) * self.rate_hz
         if self._gravity:
             gained[:, 2] += GRAVITY
         self.specific_force = turned_back(world.rotation, gained)
 
     def _met(self, wind: Wind) -> Array:
         """Velocity through moving air [m/s], (N, 3), body axes; advances the gusts."""
-        through_air: Array = self._world.velocity - wind.velocity
+        through_air: Array = self._velocity - wind.velocity
         wind.step(np.sqrt((through_air * through_air).sum(axis=1)))
         return turned_back(self._world.rotation, through_air)
 

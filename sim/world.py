@@ -34,6 +34,7 @@ RATE_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
 FRICTION = 0.6  # of the ground; grass and asphalt lie on either side
 RESTITUTION = 0.1
 _GROUND, _AIRCRAFT = 1, 2  # collision groups
+_CENTRE = (0.0, 0.0, 0.0)
 
 
 class Mount(Enum):
@@ -144,20 +145,23 @@ class World:
 
     def step(self, wrench: Array) -> None:
         """Advance one time step under `wrench` (N, 6): body-axes force and moment at the centre of mass."""
-        client, link, world = self._client, self._link, pybullet.WORLD_FRAME
+        client, link, frame = self._client, self._link, self._frame
         before, inner = self.rotation, self._inner_rate
         moment = self._moment(wrench)
-        gyroscopic = _squares(np.concatenate([self.rate, inner])) @ self._gyro
-        middle = self.rate + (moment - gyroscopic[: len(inner)]) @ self._half_push
-        asked = (middle - inner) @ self._rate_to_torque + gyroscopic[len(inner) :]
+        squares = _squares(np.concatenate([self.rate, inner]))
+        count = len(inner)
+        middle = self.rate + moment @ self._half_push - squares[:count] @ self._half_gyro
+        asked = (middle - inner) @ self._rate_to_torque + squares[count:] @ self._gyro_torque
+        if self.mount is Mount.RIG:
+            asked = turned(before, asked)
         apply_torque = pybullet.applyExternalTorque
-        for body, torque in zip(self._bodies, turned(before, asked).tolist(), strict=True):
-            apply_torque(body, link, torque, world, client)
+        for body, torque in zip(self._bodies, asked.tolist(), strict=True):
+            apply_torque(body, link, torque, frame, client)
         if self.mount is Mount.FREE:
             apply_force = pybullet.applyExternalForce
-            forces = turned(before, wrench[:, :3]).tolist()
-            for body, force, at in zip(self._bodies, forces, self._position.tolist(), strict=True):
-                apply_force(body, link, force, at, world, client)
+            forces = (wrench[:, :3] @ self._axes).tolist()
+            for body, force in zip(self._bodies, forces, strict=True):
+                apply_force(body, link, force, _CENTRE, frame, client)
         pybullet.stepSimulation(client)
         self._inner_rate = middle
         self._read_pose()
@@ -174,15 +178,22 @@ class World:
         self._inertia = inertia
         self._inverse = np.linalg.inv(inertia)
         self._half_step = 0.5 * dt
-        self._rate_to_torque = inertia / dt
         self._half_push = 0.5 * dt * self._inverse
         # w x I w = squares(w) @ gyro
         units = np.eye(3)
         pairs = [np.cross(units[i], inertia @ units[j]) for i in range(3) for j in range(3)]
-        self._gyro = np.array(pairs)
+        gyro = np.array(pairs)
+        self._half_gyro = gyro @ self._half_push
+        # pybullet takes a loose body's torque along its principal axes. A link it would turn by the attitude
+        # of the step before, so the rig's torque is turned here.
+        rig = self.mount is Mount.RIG
+        self._frame = pybullet.WORLD_FRAME if rig else pybullet.LINK_FRAME
+        along = np.eye(3) if rig else self._axes
+        self._rate_to_torque = inertia @ along / dt
+        self._gyro_torque = gyro @ along
         # Body to world, nine numbers, from the squares of pybullet's quaternion.
         matrix = _matrix_of_squares() @ self._axes.T
-        if self.mount is Mount.RIG:  # the joint's zero lies along the principal axes
+        if rig:  # the joint's zero lies along the principal axes
             matrix = self._axes @ matrix
         self._attitude = matrix.reshape(16, 9)
 
