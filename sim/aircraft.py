@@ -132,8 +132,10 @@ class PidSettings:
     """A PID controller's settings; the sum in deg/s is divided by 1000 to a motor fraction."""
 
     gains: tuple[Vector, Vector, Vector]  # roll, pitch, yaw as K_P, K_I, K_D, on the error in deg/s
-    derivative_cutoff_hz: float  # of the first-order low-pass before the derivative
+    derivative_cutoff_hz: float | None  # of the first-order low-pass on the derivative; None: none
     idle: float  # fraction an armed motor turns at without thrust, which these gains were found with
+    # Share of each motor in roll, pitch and yaw, which the gains were found with; None: from the geometry.
+    mixer: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
     esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
     battery = _battery(root.table("battery")) if root.has("battery") else None
     body = _body(root.table("body")) if root.has("body") else None
-    pids = _pids(root.table("pid")) if root.has("pid") else ()
+    pids = _pids(root.table("pid"), len(rotors)) if root.has("pid") else ()
     root.finish()
     parts += mounted
     return Aircraft(
@@ -407,20 +409,27 @@ def _body(table: Table) -> Body:
     return body
 
 
-def _pids(table: Table) -> tuple[tuple[str, PidSettings], ...]:
+def _pids(table: Table, motors: int) -> tuple[tuple[str, PidSettings], ...]:
     pids = []
     for name in table.names():
         pid = table.table(name)
         roll, pitch, yaw = (pid.vector(axis, 0, 1e6) for axis in AXES)
         settings = PidSettings(
             gains=(roll, pitch, yaw),
-            derivative_cutoff_hz=pid.number("derivative_cutoff_hz", 1, 1e5),
+            derivative_cutoff_hz=_optional(pid, "derivative_cutoff_hz", 1, 1e5),
             idle=pid.number("idle", 0, 0.5, 0.0),
+            mixer=_mixer(pid.table("mixer"), motors) if pid.has("mixer") else None,
         )
         pid.finish()
         pids.append((name, settings))
     table.finish()
     return tuple(pids)
+
+
+def _mixer(table: Table, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    roll, pitch, yaw = (table.numbers(axis, motors, motors, -10, 10) for axis in AXES)
+    table.finish()
+    return roll, pitch, yaw
 
 
 def _radians(degrees: Vector) -> Vector:
