@@ -144,7 +144,7 @@ class _Lockstep:
             rotation=twin.rotation[0],
             velocity=twin.velocity[0],
             position=twin.position[0],
-            specific_force=twin.specific_force[0],
+            specific_force=twin.accelerometer[0],
         )
         reply = self._port.exchange(sample, None if channels is None else channels.tolist())
         values = reply.dshot.tobytes()

@@ -21,7 +21,7 @@ class Sample:
     rotation: NDArray[np.float64]  # (3, 3) attitude, body to world
     velocity: NDArray[np.float64]  # (3,) [m/s], world
     position: NDArray[np.float64]  # (3,) [m], world
-    specific_force: NDArray[np.float64]  # (3,) [m/s^2], body
+    specific_force: NDArray[np.float64]  # (3,) [m/s^2], body, as the accelerometer measures it
 
 
 @dataclass(frozen=True, slots=True)
