@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
+from sim.confidence import Mean
 from sim.metrics import Figures
+from sim.response import ResponseFigures
 from sim.trace import Trace
 from toolchain.contract import AXES
 from toolchain.files import write_bytes, write_text
@@ -72,8 +74,25 @@ def table(flights: Sequence[Flight]) -> list[tuple[str, ...]]:
     add("ITSE", [_axes(item.itse, 0) for item in tracking])
     add("mean output ū", [f"{flight.figures.effort.output:.3f}" for flight in flights])
     add("mean |Δu| in 1 ms", [f"{flight.figures.effort.change:.4f}" for flight in flights])
+    if any(flight.figures.response for flight in flights):
+        _add_response(add, [flight.figures.response for flight in flights])
     add("armed", [f"{100 * flight.armed:.1f} %" for flight in flights])
     return rows
+
+
+def _add_response(
+    add: Callable[[str, Sequence[str]], None], responses: Sequence[ResponseFigures | None]
+) -> None:
+    """Rows about commands that were held; a dash for a flight that holds none."""
+    rows = (
+        ("success, %", "success", 100, 1),
+        ("in band after 500 ms, %", "in_band_500", 100, 1),
+        ("rise, ms", "rise_ms", 1, 1),
+        ("peak, %", "peak", 1, 0),
+    )
+    for label, name, factor, digits in rows:
+        means: list[Mean | None] = [getattr(figures, name, None) for figures in responses]
+        add(label, [_axes(factor * mean.value, digits) if mean else "-" for mean in means])
 
 
 def draw(flights: Sequence[Flight], title: str) -> Figure:

@@ -41,6 +41,15 @@ def test_table_stands_the_flights_side_by_side_when_there_are_two() -> None:
     assert rows["armed"] == ("100.0 %", "100.0 %")
 
 
+def test_table_judges_the_commands_when_they_are_held() -> None:
+    held, brief = make_flight("firmware"), make_flight("PID", 1200)
+    rows = {row[0].strip(): row[1:] for row in table([held, brief])}
+    # Off by 2 deg/s from the first sample on: in the band, and none of it is risen.
+    assert rows["success, %"] == ("100.0 / 100.0 / 100.0", "-")
+    assert rows["rise, ms"] == ("0.0 / 0.0 / 0.0", "-")
+    assert "success, %" not in {row[0] for row in table([brief])}
+
+
 def test_armed_is_the_part_before_the_motors_stopped_when_the_receiver_was_lost() -> None:
     flight = make_flight("firmware", 1000)
     dshot = flight.trace.dshot.copy()
