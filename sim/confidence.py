@@ -15,7 +15,7 @@ STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean per axis with its 95 % confidence interval, each (3,): roll, pitch, yaw.
+    """A mean with its 95 % confidence interval; (3,) each where there is one per axis.
 
     Where `count` is 0 there was nothing to take a mean of, and the others are 0.
     """
@@ -27,7 +27,7 @@ class Mean:
 
 
 def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
-    """Mean of the `valid` ones of values (E, 3) with Student's t interval; a single one has no width."""
+    """Mean of the `valid` ones of values (E, ...) with Student's t interval; a single one has no width."""
     count = valid.sum(axis=0)
     some = np.maximum(count, 1)
     mean = np.where(valid, values, 0.0).sum(axis=0) / some
@@ -38,14 +38,14 @@ def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
 
 
 def share_of(hits: NDArray[np.bool_]) -> Mean:
-    """Share of hits (E, 3), 0..1, with Wilson's interval, which has a width at 0 and at 1 too."""
+    """Share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too."""
     count = len(hits)
     share = hits.mean(axis=0)
     z = NORMAL * NORMAL / count
     centre = (share + z / 2) / (1 + z)
     half = np.sqrt(z * share * (1 - share) + z * z / 4) / (1 + z)
     bounds = np.clip([centre - half, centre + half], 0.0, 1.0)
-    return Mean(share, bounds[0], bounds[1], np.full(3, count, np.int64))
+    return Mean(share, bounds[0], bounds[1], np.full(share.shape, count, np.int64))
 
 
 def student(freedom: NDArray[np.integer]) -> Array:

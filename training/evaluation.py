@@ -46,6 +46,7 @@ class Evaluation:
     tracking_margin: Tracking  # half width of its 95 % confidence interval
     worst_mae: float  # [deg/s], of the worst episode and axis
     effort: Effort
+    effort_margin: Effort  # likewise
     response: ResponseFigures | None  # None where the task holds no command for a second
 
 
@@ -129,13 +130,19 @@ def figures(recording: Recording) -> Evaluation:
     parts = [tracking(recording.setpoint[c], recording.rate[c], step_s) for c in chunks]
     names = [field.name for field in fields(Tracking)]
     errors = {name: _mean(np.concatenate([getattr(part, name) for part in parts])) for name in names}
+    efforts = [effort(output, step_s) for output in recording.output]
+    output, change = (
+        _mean(np.array([e.output for e in efforts])),
+        _mean(np.array([e.change for e in efforts])),
+    )
     held = recording.hold()
     return Evaluation(
         episodes=episodes,
         tracking=Tracking(**{name: mean.value for name, mean in errors.items()}),
         tracking_margin=Tracking(**{name: mean.high - mean.value for name, mean in errors.items()}),
         worst_mae=float(max(part.mae.max() for part in parts)),
-        effort=effort(recording.output, step_s),
+        effort=Effort(float(output.value), float(change.value)),
+        effort_margin=Effort(float(output.high - output.value), float(change.high - change.value)),
         response=response_figures(held) if held else None,
     )
 

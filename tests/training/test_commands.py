@@ -42,6 +42,55 @@ def test_evaluate_prints_figures_as_table_and_as_json(
     assert "true rate" in table
 
 
+@pytest.mark.parametrize("task", ["pulse", "episodic", "envelope"])
+def test_evaluate_tells_what_it_flew_when_asked_for_json(task: str, tmp_path: Path, capsys: Capture) -> None:
+    plot = tmp_path / "plot.png"
+    words = ["evaluate", "pid:published", "--task", task, "--episodes", "3", "--seed", "8", "--no-noise"]
+    assert main([*words, "--delay", "0", "--json", "--plot", str(plot)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == (
+        f"neuroflight evaluate pid:published --aircraft nf1 --task {task} --episodes 3 --seed 8 "
+        "--no-noise --delay 0"
+    )
+    assert (document["pid"], document["noise"], document["delay_s"]) == ("published", False, 0.0)
+    assert document["response"]["episodes"] == 3
+    assert len(document["response"]["success"]["value"]) == 3
+    assert len(document["margin_95"]["mae"]) == 3
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main([*document["command"].split()[1:], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == document
+
+
+def test_evaluate_flies_better_when_nothing_delays_the_rotors(capsys: Capture) -> None:
+    figures = []
+    for delay in ("0", "0.02"):
+        words = ["evaluate", "pid:published", "--task", "episodic", "--episodes", "5", "--no-noise"]
+        assert main([*words, "--delay", delay, "--json"]) == 0
+        figures.append(json.loads(capsys.readouterr().out))
+    assert sum(figures[0]["mse"]) < 0.8 * sum(figures[1]["mse"])
+
+
+def test_evaluate_adds_the_idle_it_is_given(capsys: Capture) -> None:
+    errors = []
+    for idle in ("0", "0.2"):
+        words = [
+            "evaluate",
+            "pid:published",
+            "--task",
+            "episodic",
+            "--episodes",
+            "5",
+            "--idle",
+            idle,
+            "--json",
+        ]
+        assert main(words) == 0
+        document = json.loads(capsys.readouterr().out)
+        assert document["idle"] == float(idle)
+        errors.append(document["mse"])
+    assert errors[0] != errors[1]
+
+
 def test_evaluate_refuses_a_policy_for_another_number_of_motors(
     shipped_policy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -69,6 +118,10 @@ def test_evaluate_refuses_a_policy_for_another_number_of_motors(
         (["evaluate", "pid", "--episodes", "99999"], "--episodes 99999"),
         (["evaluate", "pid", "--throttle", "1.5"], "--throttle 1.5"),
         (["evaluate", "pid", "--seed", "-1"], "--seed -1"),
+        (["evaluate", "pid", "--delay", "nan"], "--delay nan, expected 0 to 0.1 s"),
+        (["evaluate", "pid", "--idle", "0.9"], "--idle 0.9"),
+        (["evaluate", "pid:best"], "no PID 'best'"),
+        (["evaluate", "pid", "--plot", "OUT"], "ends in .png"),
     ],
 )
 def test_bad_input_is_refused_in_one_line_and_nothing_is_written(

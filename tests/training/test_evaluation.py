@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from sim.pid import aircraft_pid
-from training.evaluation import evaluate
-from training.task import PulseTask
+from training.evaluation import evaluate, figures, record
+from training.task import EnvelopeTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 
@@ -72,3 +72,41 @@ def test_progress_counts_every_step() -> None:
         progress=lambda done, total: calls.append((done, total)),
     )
     assert calls == [(k, 30) for k in range(1, 31)]
+
+
+def test_success_is_all_or_nothing_when_the_controller_is() -> None:
+    task = EpisodicTask()
+    pid = evaluate(aircraft_pid(NF1, 12), NF1, episodes=12, seed=3, control_rate_hz=1000, task=task)
+    still = evaluate(Still(12), NF1, episodes=12, seed=3, control_rate_hz=1000, task=task)
+    assert pid.response is not None
+    assert still.response is not None
+    assert pid.response.success.value.min() > 0.9
+    assert still.response.success.value.max() < 0.2
+    assert still.response.failure.value == pytest.approx([100.0] * 3, abs=0.1)
+    assert still.response.rise_ms.count.tolist() == [0, 0, 0]
+
+
+def test_a_brief_task_has_no_response_to_judge() -> None:
+    task = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
+    assert evaluate(Still(2), NF1, episodes=2, seed=1, control_rate_hz=1000, task=task).response is None
+
+
+def test_margin_shrinks_when_there_are_more_episodes() -> None:
+    task = EnvelopeTask()
+    few, many = (
+        evaluate(Still(count), NF1, episodes=count, seed=2, control_rate_hz=1000, task=task)
+        for count in (40, 640)
+    )
+    assert few.tracking_margin.mae == pytest.approx(4 * many.tracking_margin.mae, rel=0.35)
+
+
+def test_figures_are_of_the_recording_when_it_is_long() -> None:
+    task = PulseTask(idle_s=0.0, command_s=1.0, rest_s=0.0)
+    flown = record(Still(600), NF1, task, episodes=600, seed=2, control_rate_hz=500, noise=False)
+    assert flown.rate.shape == (600, 500, 3)
+    assert flown.output.shape == (600, 500, 4)
+    result = figures(flown)
+    assert result.tracking.mae == pytest.approx(
+        np.rad2deg(np.abs(flown.setpoint)).mean(axis=(0, 1)), rel=1e-4
+    )
+    assert result.effort_margin.output == pytest.approx(0.0, abs=1e-12)
