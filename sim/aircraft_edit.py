@@ -53,7 +53,10 @@ def edit_aircraft(path: Path, changes: Changes) -> None:
         tables = " and ".join(f"[{table}]" for table in changes)
         raise AircraftError(f"{where}: cannot be edited as it is written; give it plain tables {tables}")
     parse_aircraft(text.encode(), str(path), path.parent)
-    write_bytes(path, text.encode())
+    try:
+        write_bytes(path, text.encode())
+    except OSError as error:
+        raise AircraftError(f"{where}: cannot be written: {error.strerror}") from error
 
 
 def _with_key(text: str, table: str, key: str, value: str) -> str:

@@ -21,6 +21,7 @@ COMMANDS = {
     "evaluate": "measure a policy or the PID on unseen commands",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "fly": "fly a firmware against the twin and print tracking figures",
+    "twin": "measure what a twin should know of the real aircraft",
     "msp": "ask a running firmware over MSP",
 }
 
