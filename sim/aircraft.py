@@ -25,6 +25,7 @@ from toolchain.errors import AircraftError
 FOLDER = Path(__file__).parent / "aircraft"
 FILE_BYTES_MAX = 256 << 10
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the C of a policy
+GRAVITY = 9.80665  # [m/s^2], standard gravity
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
 COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
 EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
@@ -105,7 +106,7 @@ class Accelerometer:
     noise: Vector  # [m/s^2], standard deviation of white noise, one draw a sample
     bias: float = 0.0  # [m/s^2], standard deviation of the constant drawn for each episode
     bandwidth_hz: float | None = None  # of a first-order low-pass; None: none
-    full_scale: float = 16 * 9.80665  # [m/s^2], where it saturates
+    full_scale: float = 16 * GRAVITY  # [m/s^2], where it saturates
     vibration: Vector = (0.0, 0.0, 0.0)  # [m/s^2], amplitude that one rotor causes at its full speed
 
 
