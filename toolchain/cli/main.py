@@ -22,6 +22,7 @@ COMMANDS = {
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "fly": "fly a firmware against the twin and print tracking figures",
     "twin": "measure what a twin should know of the real aircraft",
+    "aircraft": "check and draw an aircraft file",
     "msp": "ask a running firmware over MSP",
 }
 
