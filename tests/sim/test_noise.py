@@ -161,10 +161,14 @@ def test_motion_is_noticed_when_the_aircraft_turns(motion: Callable[[Array], Arr
     assert "moved" in doubts(noise)[0]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize(("scale", "rate_hz"), [(0.05, 8000.0), (1.0, 100.0), (20.0, 1000.0)])
-def test_rest_is_not_called_motion_when_noise_is_white(seed: int, scale: float, rate_hz: float) -> None:
-    assert not measure_noise(record(scale * white(20_000, seed), rate_hz)).moved
+def test_white_noise_is_neither_motion_nor_a_floor_when_at_rest(
+    seed: int, scale: float, rate_hz: float
+) -> None:
+    noise = measure_noise(record(scale * white(20_000, round(rate_hz) + seed), rate_hz))
+    assert not noise.moved
+    assert not noise.gyro.floor.any()
 
 
 def test_drift_of_a_warming_gyro_is_not_called_motion() -> None:

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=summary,
         description=f"{summary}: a trace (.npz), or a .csv with columns t_s, gyro_x_deg_s, gyro_y_deg_s, "
         "gyro_z_deg_s (and acc_x_m_s2, acc_y_m_s2, acc_z_m_s2), or what blackbox_decode makes of a "
-        "Betaflight log. Record armed, on the ground, a minute or longer. " + BIAS_NOTE.replace("%", "%%"),
+        "Betaflight log. Record armed, on the ground, a minute or longer. " + BIAS_NOTE,
     )
     noise.add_argument("log", type=Path, metavar="LOG", help="the log")
     noise.add_argument(
@@ -130,7 +130,7 @@ def _print(args: argparse.Namespace, noise: Noise) -> None:
     title = (
         f"{args.log.name}: {noise.samples:,} samples, {noise.duration:.1f} s at {noise.rate_hz:,.1f} a second"
     )
-    shown = Table(title=Text(title), title_justify="left", box=None, pad_edge=False)
+    shown = Table(box=None, pad_edge=False)
     for number, heading in enumerate(
         ("", *(f"{letter}, {axis}" for letter, axis in zip("xyz", AXES, strict=True)))
     ):
@@ -148,12 +148,13 @@ def _print(args: argparse.Namespace, noise: Noise) -> None:
         shown.add_row(Text(f"{name}, {unit}", style="bold"))
         for label, values in rows:
             shown.add_row(label, *(f"{value:.4f}" for value in values))
-        least = zip(scale * sensor.instability, sensor.instability_s, sensor.floor, strict=True)
+        least = zip(scale * sensor.instability, sensor.floor, strict=True)
         shown.add_row(
-            "  bias instability",
-            *(f"{'' if found else '< '}{value:.4f} at {tau:.2g} s" for value, tau, found in least),
+            "  bias instability", *(f"{'' if found else '< '}{value:.4f}" for value, found in least)
         )
+        shown.add_row("  averaged over, s", *(f"{value:.2g}" for value in sensor.instability_s))
     console = Console()
+    console.print(Text(title))
     console.print(shown)
     for doubt in doubts(noise):
         console.print(Text(f"warning: {doubt}"))
