@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=summary,
         description=f"{summary}: a trace (.npz), or a .csv with columns t_s, gyro_x_deg_s, gyro_y_deg_s, "
         "gyro_z_deg_s (and acc_x_m_s2, acc_y_m_s2, acc_z_m_s2), or what blackbox_decode makes of a "
-        "Betaflight log. Record armed, on the ground, a minute or longer. " + BIAS_NOTE,
+        "Betaflight log. Record a minute or longer on the ground; armed and idling, without propellers, the "
+        "motors' vibration is in it. " + BIAS_NOTE,
     )
     noise.add_argument("log", type=Path, metavar="LOG", help="the log")
     noise.add_argument(
