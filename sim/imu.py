@@ -15,6 +15,8 @@ from sim.aircraft import Accelerometer, Gyro
 from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 Array = NDArray[np.float64]
+Which = NDArray[np.intp] | slice  # some of the aircraft
+EVERYONE = slice(None)
 
 # Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle.
 VIBRATION_PHASE = np.array([0.0, math.pi / 2, math.pi / 4])
@@ -83,13 +85,13 @@ class _Sensor:
         self._bias[index] = draw_bias(self._settings, len(index), self._rng)
         self._fresh[index] = True
 
-    def _read(self, value: Array, phase: Array | None, speed: Array, speed_max: float) -> Array:
+    def _read(self, value: Array, phase: Array | None, speed: Array, speed_max: float, which: Which) -> Array:
         if self._follow is not None:
-            self._lagged[self._fresh] = value[self._fresh]
-            self._fresh[:] = False
-            self._lagged += self._follow * (value - self._lagged)
-            value = self._lagged
-        reading = measured_rate(value, self._bias, self._settings, self._rng)
+            lagged = np.where(self._fresh[which, None], value, self._lagged[which])
+            value = lagged + self._follow * (value - lagged)
+            self._lagged[which] = value
+            self._fresh[which] = False
+        reading = measured_rate(value, self._bias[which], self._settings, self._rng)
         if self.vibrates:
             if phase is None:
                 raise ValueError("a sensor with vibration needs the rotors' phases, got none")
@@ -109,15 +111,22 @@ class GyroModel(_Sensor):
         # Rows times this matrix: the body's rate in the axes of a chip turned by `misalignment`.
         self._turn = rotation_by(np.array(gyro.misalignment)) if any(gyro.misalignment) else None
 
-    def measure(self, rate: Array, rotor_phase: Array | None, rotor_speed: Array, speed_max: float) -> Array:
-        """Reading of this sample [rad/s], (N, 3), of the true body rate (N, 3).
+    def measure(
+        self,
+        rate: Array,
+        rotor_phase: Array | None,
+        rotor_speed: Array,
+        speed_max: float,
+        which: Which = EVERYONE,
+    ) -> Array:
+        """Reading of this sample [rad/s], (K, 3), of the true body rate (K, 3) of the aircraft of `which`.
 
-        rotor_phase [rad] and rotor_speed [rad/s], (N, M), only matter to a gyro that vibrates; the phase may
+        rotor_phase [rad] and rotor_speed [rad/s], (K, M), only matter to a gyro that vibrates; the phase may
         be None otherwise. Raises ValueError if it is None and needed.
         """
         if self._turn is not None:
             rate = rate @ self._turn
-        return self._read(rate, rotor_phase, rotor_speed, speed_max)
+        return self._read(rate, rotor_phase, rotor_speed, speed_max, which)
 
 
 class AccelerometerModel(_Sensor):
@@ -128,8 +137,13 @@ class AccelerometerModel(_Sensor):
         self._full_scale = accelerometer.full_scale
 
     def measure(
-        self, specific_force: Array, rotor_phase: Array | None, rotor_speed: Array, speed_max: float
+        self,
+        specific_force: Array,
+        rotor_phase: Array | None,
+        rotor_speed: Array,
+        speed_max: float,
+        which: Which = EVERYONE,
     ) -> Array:
-        """Reading of this sample [m/s^2], (N, 3), of the specific force (N, 3) in body axes."""
-        reading = self._read(specific_force, rotor_phase, rotor_speed, speed_max)
+        """Reading [m/s^2], (K, 3), of the specific force (K, 3), body axes, as `GyroModel.measure` does."""
+        reading = self._read(specific_force, rotor_phase, rotor_speed, speed_max, which)
         return np.clip(reading, -self._full_scale, self._full_scale)

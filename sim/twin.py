@@ -9,7 +9,7 @@ from sim.air import Wind, body_drag
 from sim.aircraft import Aircraft
 from sim.battery import BatteryState, shaft_power
 from sim.esc import Telemetry, telemetry
-from sim.imu import AccelerometerModel, GyroModel
+from sim.imu import EVERYONE, AccelerometerModel, GyroModel, Which
 from sim.mass import Vector
 from sim.rotation import turned_back
 from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed, thrust_and_torque
@@ -81,6 +81,7 @@ class Twin:
             self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own)
         sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
+        self._phase_rng = rng.spawn(1)[0]
         self.gyro = np.zeros((count, 3))
         self.accelerometer = np.zeros((count, 3))
         self.reset()
@@ -128,7 +129,7 @@ class Twin:
         self._commands[:, index] = 0.0
         self.rotor_speed[index] = 0.0
         if self._phase is not None:
-            self._phase[index] = 0.0
+            self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())
         self._velocity = self._world.velocity
         rests = GRAVITY if self._gravity and self.mount is not Mount.CENTRE else 0.0
@@ -140,7 +141,7 @@ class Twin:
         for sensor in (self._gyro, self._accelerometer):
             if sensor is not None:
                 sensor.reset(index)
-        self.measure()
+        self.measure(index)
 
     def step(self, motors: NDArray[np.floating]) -> None:
         """Advance one sample with `motors`, the commands (N, M) in 0..1 computed from this sample.
@@ -172,14 +173,18 @@ class Twin:
         self._move(wrench)
         self.measure()
 
-    def measure(self) -> None:
-        """Read the sensors anew, as at the next sample of aircraft that are held where they are."""
-        rotors = (self._phase, self.rotor_speed, self._speed_max)
-        rate, force = self._world.rate, self.specific_force
-        self.gyro = rate if self._gyro is None else self._gyro.measure(rate, *rotors)
-        self.accelerometer = (
-            force if self._accelerometer is None else self._accelerometer.measure(force, *rotors)
-        )
+    def measure(self, which: Which = EVERYONE) -> None:
+        """Read the sensors of the aircraft of `which` anew, as at the next sample of those that are held."""
+        phase = None if self._phase is None else self._phase[which]
+        rotors = (phase, self.rotor_speed[which], self._speed_max, which)
+        rate, force = self._world.rate[which], self.specific_force[which]
+        meter = self._accelerometer
+        gyro = rate if self._gyro is None else self._gyro.measure(rate, *rotors)
+        acceleration = force if meter is None else meter.measure(force, *rotors)
+        if which is EVERYONE:
+            self.gyro, self.accelerometer = gyro, acceleration
+        else:
+            self.gyro[which], self.accelerometer[which] = gyro, acceleration
 
     def _move(self, wrench: Array) -> None:
         """Advance the world, and find the specific force from what became of the velocity."""
