@@ -20,6 +20,7 @@ COMMANDS = {
     "train": "synthesize a policy in the twin of an aircraft",
     "evaluate": "measure a policy or the PID on unseen commands",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
+    "results": "write the page of results from stored figures",
     "fly": "fly a firmware against the twin and print tracking figures",
     "twin": "measure what a twin should know of the real aircraft",
     "aircraft": "check and draw an aircraft file",

@@ -1,0 +1,277 @@
+"""The page of results from stored figures, and `neuroflight results` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim.aircraft import load_aircraft
+from toolchain.cli.main import main
+from training.results import render
+from training.stored import ResultsError, Stored, read_results
+
+Capture = pytest.CaptureFixture[str]
+Document = dict[str, Any]
+ROOT = Path(__file__).resolve().parents[2]
+FIGURES = ("success", "success_bare", "settling_ms", "failure", "failure_bare", "rise_ms", "peak", "error")
+SHARES = ("in_band_500", "in_band_750", "in_band_500_bare", "in_band_750_bare")
+
+
+def response(value: float) -> Document:
+    """Every figure alike; nothing failed in yaw."""
+    found: Document = {
+        name: {"value": [value, value, value], "count": [9, 9, 9]}
+        for name in (*FIGURES, "stability", *SHARES)
+    }
+    found["failure"] = {"value": [12.3, 0.0, 0.0], "count": [2, 1, 0]}
+    return found | {f"all_{name}": {"value": value, "count": 9} for name in SHARES}
+
+
+def evaluated(controller: str, task: str = "pulse", aircraft: str = "nf1", **more: Any) -> Document:
+    """What `evaluate --json` prints, as far as the page reads it."""
+    return {
+        "command": f"neuroflight evaluate {controller} --aircraft {aircraft} --task {task}",
+        "controller": controller,
+        "aircraft": aircraft,
+        "aircraft_sha256": "ab" * 32,
+        "task": task,
+        "episodes": 1000,
+        "seed": 1,
+        "mount": "centre",
+        "throttle": 0.0,
+        "noise": True,
+        "delay_s": 0.002,
+        **{name: [2.5, 2.25, 1.5] for name in ("mae", "mse", "iae", "ise", "itae", "itse")},
+        "margin_95": {"mae": [0.125, 0.25, 0.5]},
+        "output": 0.1234,
+        "change": 0.01234,
+        "response": response(0.875),
+    } | more
+
+
+def flown(*names: str) -> Document:
+    """What `fly --json` prints, as far as the page reads it."""
+    sums = {name: [1.25, 1.5, 1.75] for name in ("mae", "mse", "iae", "ise", "itae", "itse")}
+    flight = {"tracking": sums, "effort": {"output": 0.2, "change": 0.005}, "response": None}
+    return {
+        "on": "betaflight",
+        "scenario": "pulses",
+        "seed": 7,
+        "episodes": 10,
+        "aircraft": "nf1",
+        "aircraft_sha256": "cd" * 32,
+        "flights": dict.fromkeys(names, flight),
+    }
+
+
+def drifted() -> Document:
+    """What `stability --json` prints."""
+    runs = [("reduced", 1.0, 2e-16), ("maximal", 1.0, 3.4e-4), ("maximal", 0.25, 1e-5)]
+    return {
+        "command": "neuroflight stability",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "combinations": 16,
+        "rate_limit_deg_s": 2000.0,
+        "runs": [{"formulation": f, "step_ms": ms, "drift_m": drift} for f, ms, drift in runs],
+    }
+
+
+def page(*documents: Document) -> str:
+    return render([Stored(f"{number}.json", document) for number, document in enumerate(documents)])
+
+
+def row(text: str, label: str, table: int = 0) -> list[str]:
+    """Cells of the `table`-th row that begins with `label`."""
+    lines = [line for line in text.splitlines() if line.startswith(f"| {label} |")]
+    return [cell.strip() for cell in lines[table].split("|")[2:-1]]
+
+
+def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
+    text = page(evaluated("pid:tuned", pid="tuned"))
+    assert row(text, "PID `tuned`") == [
+        "1000",
+        "2.50 ± 0.12 / 2.25 ± 0.25 / 1.50 ± 0.50",
+        "2.08",
+        "2 / 2 / 2",
+        "2",
+        "0.123",
+        "0.0123",
+    ]
+    assert row(text, "dissertation, PID") == [
+        "100",
+        "4 / 4 / 3",
+        "4.51",
+        "414 / 492 / 199",
+        "368",
+        "0.03",
+        "0.04",
+    ]
+    assert row(text, "dissertation, PID", 1)[0] == "4,773 / 4,941 / 3,829"
+    assert row(text, "PID `tuned`", 2)[0] == "87.5 / 87.5 / 87.5"
+    assert text.index("PID `tuned`") < text.index("dissertation, PID")
+
+
+@pytest.mark.parametrize(
+    ("more", "label"),
+    [
+        ({"pid": "published"}, "PID `published`"),
+        ({"pid": "published", "noise": False}, "PID `published`, no noise"),
+        (
+            {"pid": "a", "noise": False, "delay_s": 0.0, "command": "neuroflight evaluate pid:a --delay 0"},
+            "PID `a`, no noise, delay 0 ms",
+        ),
+        ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
+        ({"controller": "training/policies/nf1/policy.onnx"}, "shipped policy (nf1)"),
+        ({"controller": "mine.onnx"}, "policy `mine.onnx`"),
+    ],
+)
+def test_row_says_how_it_was_flown_when_that_is_not_the_usual(more: Document, label: str) -> None:
+    assert row(page(evaluated("pid") | more), label)[0] == "1000"
+
+
+def test_rows_keep_the_order_of_files_when_there_are_several() -> None:
+    text = page(evaluated("pid", pid="z"), evaluated("pid", pid="a"), flown("Betaflight", "PID"))
+    places = [
+        text.index(f"| {label} |") for label in ("PID `z`", "PID `a`", "Betaflight, default PID (SITL)")
+    ]
+    assert places == sorted(places)
+    assert row(text, "PID, same port and commands as Betaflight")[1] == "1.25 / 1.50 / 1.75"
+
+
+def test_flight_that_keeps_no_command_is_retold_when_listed() -> None:
+    assert "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --count 10 --seed 7`" in page(
+        flown("Betaflight")
+    )
+
+
+def test_episodic_rows_stand_beside_the_dissertations_when_flown_on_the_iris() -> None:
+    text = page(evaluated("pid", "episodic", "iris", pid="tuned"), evaluated("pid", "episodic", pid="tuned"))
+    assert row(text, "PID `tuned`")[:3] == ["1000", "87.5 / 87.5 / 87.5", "87.5 / 87.5 / 87.5"]
+    assert row(text, "PID `tuned`")[3] == "12.3 / 0.0 / -"
+    assert row(text, "dissertation, PPO, m = 1")[4] == "66.6 / 70.8 / 72.9"
+    assert text.count("dissertation, PPO, m = 1") == 1
+    assert (
+        text.index("## Episodic task, iris")
+        < text.index("dissertation, PPO")
+        < text.index("## Episodic task, nf1")
+    )
+
+
+def test_envelope_has_both_readings_when_flown() -> None:
+    text = page(evaluated("pid", "envelope", pid="tuned"))
+    assert row(text, "PID `tuned`") == ["1000", "87.5", "87.5", "87.5", "87.5"]
+    assert row(text, "PID `tuned`", 1)[0] == "87.5 / 87.5 / 87.5"
+    assert row(text, "dissertation, policy") == ["1000", "72", "", "76", ""]
+
+
+def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> None:
+    text = page(drifted())
+    assert row(text, "reduced") == ["1", "2e-13", "0"]
+    assert row(text, "maximal") == ["1", "0.34", "39"]
+    assert row(text, "maximal", 1) == ["0.25", "0.01", ""]
+
+
+def test_sources_name_command_and_digests_when_listed() -> None:
+    text = page(evaluated("mine.onnx", policy_sha256="ef" * 32))
+    assert row(text, "`0.json`") == [
+        "`neuroflight evaluate mine.onnx --aircraft nf1 --task pulse`",
+        "nf1 `abababababab`, policy `efefefefefef`",
+    ]
+
+
+def without(key: str) -> Callable[[Document], Document]:
+    return lambda document: {name: value for name, value in document.items() if name != key}
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (without("mae"), "mae: got 'nothing', expected a value"),
+        (lambda d: d | {"mae": [1, 2]}, "mae: got '[1, 2]', expected three finite numbers"),
+        (lambda d: d | {"mae": [1, 2, float("nan")]}, "expected three finite numbers"),
+        (lambda d: d | {"output": "much"}, "output: got 'much', expected a finite number"),
+        (lambda d: d | {"task": "loop"}, "task: got 'loop', expected one of pulse, episodic, envelope"),
+        (lambda d: d | {"aircraft": "a\nb"}, "aircraft: got 'a\\nb', expected a line of text"),
+        (lambda d: d | {"response": {"success": 1}}, "response.success.value"),
+        (without("task"), "what evaluate, fly or stability printed"),
+        (lambda d: flown("PID") | {"scenario": "flip"}, "scenario: got 'flip'"),
+        (lambda d: flown("PID") | {"flights": 3}, "flights: got '3'"),
+        (lambda d: drifted() | {"runs": [1]}, "expected a list of runs"),
+        (lambda d: drifted() | {"runs": [{"formulation": "reduced"}]}, "runs[0]: step_ms"),
+    ],
+)
+def test_page_is_refused_when_a_file_is_damaged(damage: Callable[[Document], Document], message: str) -> None:
+    with pytest.raises(ResultsError) as caught:
+        page(damage(evaluated("pid", pid="tuned")))
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("0.json: ")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"{", "not JSON"),
+        (b"[]", "holds a list"),
+        (b"\xff", "not JSON"),
+        (b" " * 5_000_000, "at most 4194304"),
+    ],
+)
+def test_file_is_refused_when_it_is_no_result(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(ResultsError, match=message):
+        read_results(tmp_path)
+
+
+def test_command_writes_checks_and_notices_when_a_figure_changes(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = tmp_path / "results", tmp_path / "results.md"
+    folder.mkdir()
+    (folder / "a.json").write_text(json.dumps(evaluated("pid", pid="tuned")))
+    words = ["results", "--folder", str(folder), "--out", str(out)]
+    assert main([*words, "--check"]) == 1
+    assert "run `neuroflight results`" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(words) == 0
+    assert main([*words, "--check"]) == 0
+    assert out.read_text() == render(read_results(folder))
+    (folder / "a.json").write_text(json.dumps(evaluated("pid", pid="tuned", episodes=999)))
+    assert main([*words, "--check"]) == 1
+
+
+def test_command_refuses_in_one_line_when_there_is_nothing_to_show(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md")]) == 1
+    error = capsys.readouterr().err
+    assert "0 .json files" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "a.md").exists()
+
+
+def test_page_takes_what_the_commands_print(tmp_path: Path, capsys: Capture) -> None:
+    commands = {
+        "a": ["evaluate", "pid:published", "--episodes", "2", "--no-noise"],
+        "b": ["evaluate", "pid:published", "--task", "episodic", "--episodes", "2"],
+        "c": ["evaluate", "pid:published", "--task", "envelope", "--episodes", "2"],
+        "d": ["stability", "--steps-ms", "2"],
+    }
+    for name, words in commands.items():
+        assert main([*words, "--json"]) == 0
+        (tmp_path / f"{name}.json").write_text(capsys.readouterr().out)
+    text = render(read_results(tmp_path))
+    for heading in (
+        "Pulses, nf1",
+        "Episodic task, nf1",
+        "Flight envelope, nf1",
+        "Stability of the simulation, nf1",
+    ):
+        assert f"## {heading}" in text
+    assert load_aircraft("nf1").sha256[:12] in text
+
+
+def test_shipped_page_is_what_the_stored_figures_give_when_checked(capsys: Capture) -> None:
+    assert main(["results", "--check"]) == 0
+    assert (ROOT / "docs" / "results.md").is_file()
+    assert "up to date" in capsys.readouterr().out

@@ -1,0 +1,89 @@
+"""Stored results: what `evaluate --json`, `fly --json` or `stability --json` printed, read with suspicion."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolchain.errors import NeuroflightError
+from training.dissertation import Axes
+
+FILE_BYTES_MAX = 4 << 20
+FILES_MAX = 200
+
+
+class ResultsError(NeuroflightError):
+    """A stored result that is damaged or none."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A file of figures."""
+
+    name: str
+    document: Mapping[str, Any]
+
+    def error(self, key: str, got: object, expected: str) -> ResultsError:
+        """The exception that says what is wrong with `key`, for the caller to raise."""
+        return ResultsError(
+            f"{self.name}: {key}: got {str(got)[:60]!r}, expected {expected}; "
+            f"make the file anew by its command"
+        )
+
+    def get(self, *path: str) -> Any:  # noqa: ANN401 - any JSON value
+        """What stands at a path of keys. Raises ResultsError naming it when nothing does."""
+        value: Any = self.document
+        for depth, key in enumerate(path, start=1):
+            if not isinstance(value, dict) or key not in value:
+                raise self.error(".".join(path[:depth]), "nothing", "a value")
+            value = value[key]
+        return value
+
+    def number(self, *path: str) -> float:
+        """A finite number at a path."""
+        value = self.get(*path)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.error(".".join(path), value, "a finite number")
+        return float(value)
+
+    def text(self, *path: str) -> str:
+        """A line of text at a path."""
+        value = self.get(*path)
+        if not isinstance(value, str) or not value.isprintable():
+            raise self.error(".".join(path), value, "a line of text")
+        return value
+
+    def axes(self, *path: str) -> Axes:
+        """Three finite numbers at a path."""
+        value = self.get(*path)
+        good = isinstance(value, list) and len(value) == 3
+        if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
+            raise self.error(".".join(path), value, "three finite numbers")
+        roll, pitch, yaw = value
+        return (float(roll), float(pitch), float(yaw))
+
+
+def read_results(folder: Path) -> list[Stored]:
+    """The stored results of a folder, by name. Raises ResultsError naming a file that is none."""
+    paths = sorted(folder.glob("*.json"))
+    if not 1 <= len(paths) <= FILES_MAX:
+        raise ResultsError(
+            f"{folder}: {len(paths)} .json files, expected 1 to {FILES_MAX}; "
+            f"`neuroflight evaluate ... --json > {folder}/NAME.json` makes one"
+        )
+    results = []
+    for path in paths:
+        if path.stat().st_size > FILE_BYTES_MAX:
+            raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+        try:
+            document = json.loads(path.read_text())
+        except (ValueError, RecursionError) as error:
+            raise ResultsError(f"{path}: not JSON ({error}); make it anew") from error
+        if not isinstance(document, dict):
+            raise ResultsError(f"{path}: holds a {type(document).__name__}, expected an object; make it anew")
+        results.append(Stored(path.name, document))
+    return results
