@@ -52,7 +52,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Response:
-    """Each axis of each episode, (E, 3)."""
+    """Each axis of each episode, (E, 3) unless said."""
 
     success: Mask  # settled in the band with the floor, and stayed
     success_bare: Mask  # the same without the floor
@@ -68,6 +68,10 @@ class Response:
     in_band_750: Array
     in_band_500_bare: Array  # the same without the floor
     in_band_750_bare: Array
+    all_in_band_500: Array  # (E,), share of that time in which all three axes are
+    all_in_band_750: Array
+    all_in_band_500_bare: Array
+    all_in_band_750_bare: Array
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,10 @@ class ResponseFigures:
     in_band_750: Mean
     in_band_500_bare: Mean
     in_band_750_bare: Mean
+    all_in_band_500: Mean  # of all axes at once: single values
+    all_in_band_750: Mean
+    all_in_band_500_bare: Mean
+    all_in_band_750_bare: Mean
 
 
 def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
@@ -162,6 +170,10 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         in_band_750=inside[:, later:].mean(axis=1),
         in_band_500_bare=bare[:, late:].mean(axis=1),
         in_band_750_bare=bare[:, later:].mean(axis=1),
+        all_in_band_500=inside[:, late:].all(axis=2).mean(axis=1),
+        all_in_band_750=inside[:, later:].all(axis=2).mean(axis=1),
+        all_in_band_500_bare=bare[:, late:].all(axis=2).mean(axis=1),
+        all_in_band_750_bare=bare[:, later:].all(axis=2).mean(axis=1),
     )
 
 
@@ -185,6 +197,10 @@ def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
         in_band_750=mean_of(each.in_band_750, everyone),
         in_band_500_bare=mean_of(each.in_band_500_bare, everyone),
         in_band_750_bare=mean_of(each.in_band_750_bare, everyone),
+        all_in_band_500=mean_of(each.all_in_band_500, everyone[:, 0]),
+        all_in_band_750=mean_of(each.all_in_band_750, everyone[:, 0]),
+        all_in_band_500_bare=mean_of(each.all_in_band_500_bare, everyone[:, 0]),
+        all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0]),
     )
 
 

@@ -79,6 +79,8 @@ def test_success_begins_again_when_the_rate_leaves_the_band() -> None:
     assert each.settling_ms[0] == pytest.approx([700.0, 1.0, 0.0])
     assert each.in_band_500[0] == pytest.approx([0.8, 1.0, 0.9])
     assert each.in_band_750[0] == pytest.approx([1.0, 1.0, 0.8])
+    assert each.all_in_band_500 == pytest.approx([0.7])
+    assert each.all_in_band_750 == pytest.approx([0.8])
 
 
 def test_two_readings_of_the_band_differ_when_the_command_is_small() -> None:

@@ -23,6 +23,12 @@ MOUNTS = ("centre", "rig", "free")
 PID_RATE_HZ = 1000
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
+ALL_ROWS = (
+    ("all axes, 500 ms on, %", "all_in_band_500"),
+    ("all axes, 750 ms on, %", "all_in_band_750"),
+    ("  bare, 500 ms on, %", "all_in_band_500_bare"),
+    ("  bare, 750 ms on, %", "all_in_band_750_bare"),
+)
 RESPONSE_ROWS = (  # heading, figure, factor, digits
     ("success, %", "success", 100, 1),
     ("  bare 10 % band", "success_bare", 100, 1),
@@ -260,6 +266,9 @@ def _add_response(table: Table, result: Evaluation) -> None:
         some = mean.count > 0
         average = f"{factor * np.mean(mean.value[some]):.{digits}f}" if some.any() else "none"
         table.add_row(heading, *cells, average)
+    for heading, name in ALL_ROWS:
+        share: Mean = getattr(result.response, name)
+        table.add_row(heading, "", "", "", f"{100 * share.value:.1f}")
 
 
 def _number(value: float, digits: int) -> str:
