@@ -1,0 +1,46 @@
+"""Least squares that outliers hardly move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted number and its standard error."""
+
+    value: float
+    error: float
+
+
+def robust(
+    residuals: Callable[[Array], Array],
+    start: Array,
+    scale: float,
+    bounds: tuple[Array, Array] | None = None,
+    evaluations: int = 60,
+) -> tuple[Array, float, Array]:
+    """Parameters, cost and covariance at the least soft-L1 loss of residuals whose noise is `scale`."""
+    result = least_squares(
+        residuals,
+        start,
+        bounds=bounds or (-np.inf, np.inf),
+        loss="soft_l1",
+        f_scale=scale,
+        x_scale="jac",
+        max_nfev=evaluations,
+        xtol=1e-9,
+        ftol=1e-9,
+    )
+    # result.jac is weighted such that J'J is the Hessian, the sum of psi' x x'.
+    grown = 1.0 + (result.fun / scale) ** 2
+    spread = np.mean(result.fun**2 / grown) / np.mean(grown**-1.5)
+    covariance: Array = spread * np.linalg.pinv(result.jac.T @ result.jac)
+    return result.x, float(result.cost), covariance
