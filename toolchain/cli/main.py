@@ -19,6 +19,7 @@ COMMANDS = {
     "freeze": "turn a training checkpoint into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
     "evaluate": "measure a policy or the PID on unseen commands",
+    "dyno": "measure a rotor on a simulated dynamometer, or fit one to a real one's log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",
     "fly": "fly a firmware against the twin and print tracking figures",
