@@ -24,7 +24,7 @@ CHUNK = 256  # episodes whose errors are worked out at a time: their float64 cop
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Flights:
     """What was flown: E episodes of T control steps with M motors."""
 
     setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s]
@@ -95,7 +95,7 @@ def record(
     throttle: float = 0.0,
     idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
-) -> Recording:
+) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
     controller: for `episodes` aircraft; seed: of commands and noise; progress: called with steps done
@@ -120,22 +120,22 @@ def record(
                 progress(k + 1, steps)
     finally:
         twin.close()
-    return Recording(_by_episode(wanted), _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
+    return Flights(_by_episode(wanted), _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
 
 
-def figures(recording: Recording) -> Evaluation:
-    """All figures of a recording."""
-    episodes, step_s = len(recording.rate), recording.step_s
+def figures(flights: Flights) -> Evaluation:
+    """All figures of what was flown."""
+    episodes, step_s = len(flights.rate), flights.step_s
     chunks = [slice(start, start + CHUNK) for start in range(0, episodes, CHUNK)]
-    parts = [tracking(recording.setpoint[c], recording.rate[c], step_s) for c in chunks]
+    parts = [tracking(flights.setpoint[c], flights.rate[c], step_s) for c in chunks]
     names = [field.name for field in fields(Tracking)]
     errors = {name: _mean(np.concatenate([getattr(part, name) for part in parts])) for name in names}
-    efforts = [effort(output, step_s) for output in recording.output]
+    efforts = [effort(output, step_s) for output in flights.output]
     output, change = (
         _mean(np.array([e.output for e in efforts])),
         _mean(np.array([e.change for e in efforts])),
     )
-    held = recording.hold()
+    held = flights.hold()
     return Evaluation(
         episodes=episodes,
         tracking=Tracking(**{name: mean.value for name, mean in errors.items()}),

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     quiet = args.json or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
         task = bar.add_task(f"{args.episodes} commands")
-        recording = record(
+        flights = record(
             opponent.controller,
             aircraft,
             BUILDERS[args.task](),
@@ -117,11 +117,11 @@ def run(args: argparse.Namespace) -> int:
             idle=opponent.idle,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    result = figures(recording)
+    result = figures(flights)
     title = (
         f"{args.controller} on {aircraft.name}: {result.episodes} commands of {args.task}, seed {args.seed}"
     )
-    held = recording.hold()
+    held = flights.hold()
     if args.plot and held and result.response:
         write_bytes(args.plot, png(draw(held, result.response, title)))
     if args.json:
