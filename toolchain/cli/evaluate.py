@@ -24,10 +24,10 @@ PID_RATE_HZ = 1000
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
 ALL_ROWS = (
-    ("all axes, 500 ms on, %", "all_in_band_500"),
-    ("all axes, 750 ms on, %", "all_in_band_750"),
-    ("  bare, 500 ms on, %", "all_in_band_500_bare"),
-    ("  bare, 750 ms on, %", "all_in_band_750_bare"),
+    ("all axes, 500 ms+, %", "all_in_band_500"),
+    ("all axes, 750 ms+, %", "all_in_band_750"),
+    ("  bare, 500 ms+, %", "all_in_band_500_bare"),
+    ("  bare, 750 ms+, %", "all_in_band_750_bare"),
 )
 RESPONSE_ROWS = (  # heading, figure, factor, digits
     ("success, %", "success", 100, 1),
@@ -39,10 +39,10 @@ RESPONSE_ROWS = (  # heading, figure, factor, digits
     ("peak, %", "peak", 1, 1),
     ("error, rad/s", "error", 1, 1),
     ("stability, deg/s²", "stability", 1, 2),
-    ("in band, 500 ms on, %", "in_band_500", 100, 1),
-    ("in band, 750 ms on, %", "in_band_750", 100, 1),
-    ("  bare, 500 ms on, %", "in_band_500_bare", 100, 1),
-    ("  bare, 750 ms on, %", "in_band_750_bare", 100, 1),
+    ("in band, 500 ms+, %", "in_band_500", 100, 1),
+    ("in band, 750 ms+, %", "in_band_750", 100, 1),
+    ("  bare, 500 ms+, %", "in_band_500_bare", 100, 1),
+    ("  bare, 750 ms+, %", "in_band_750_bare", 100, 1),
 )
 
 
