@@ -6,7 +6,7 @@ they are read as numbers and nothing in them is executed.
 
 from __future__ import annotations
 
-import io
+import re
 import struct
 from dataclasses import dataclass
 
@@ -19,7 +19,10 @@ Array = NDArray[np.float64]
 BYTES_MAX = 32 << 20  # of a mesh file; 670,000 triangles in binary
 SIZE_MIN, SIZE_MAX = 1e-4, 10.0  # [m], longest side of a part; outside, its unit is wrong
 CORNERS = 48  # of the polygon that a cylinder's surface is drawn with
-_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL before the triangles, and of each
+VOLUME_MIN = 1e-6  # of the cube of its size: less is a sheet
+_HEADER = 84  # bytes of a binary STL before the triangles
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -38,39 +41,35 @@ def read_solid(data: bytes, unit: float) -> Solid:
     """
     import trimesh  # only aircraft with a mesh wait for it
 
-    if not _is_stl(data):
-        raise ValueError("is not an STL mesh, text or binary; export the part as STL")
-    try:
-        mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
-        surface = np.asarray(mesh.triangles, dtype=np.float64) * unit
-    except Exception as error:  # whatever a damaged file does to the reader
-        raise ValueError(f"is a damaged STL mesh ({type(error).__name__}); export the part again") from error
-    if surface.ndim != 3 or len(surface) < 4 or not np.isfinite(surface).all():
+    corners = _corners(data)
+    if len(corners) < 4 or not np.isfinite(corners).all():
         raise ValueError("holds no solid: it has fewer than four triangles or corners that are no numbers")
-    size = float(np.ptp(surface.reshape(-1, 3), axis=0).max())
+    size = unit * float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if not SIZE_MIN <= size <= SIZE_MAX:
         raise ValueError(
             f"is {size:g} m long with mesh_unit_m = {unit:g}; expected {SIZE_MIN:g} to {SIZE_MAX:g} m: "
             f"mesh_unit_m is 0.001 for a mesh in millimetres, 0.0254 in inches, 1 in metres"
         )
+    # Meshed in units of its size: trimesh takes corners nearer than 1e-8 for one.
+    mesh = trimesh.Trimesh(corners.reshape(-1, 3) * (unit / size), np.arange(3 * len(corners)).reshape(-1, 3))
     if not (mesh.is_watertight and mesh.is_winding_consistent):
         raise ValueError(
             "is not watertight, so it has no inside to weigh; close its holes and remove loose or doubled "
             "faces (the repair tools of MeshLab, Blender or the slicer do), or give inertia_kg_m2 instead"
         )
+    surface = corners * unit
     with np.errstate(all="ignore"):  # a flat mesh divides by its volume
+        if mesh.volume < 0:
+            mesh.invert()
+            surface = surface[:, ::-1]
         volume = float(mesh.volume)
-    if volume < 0:
-        mesh.invert()
-        surface = np.asarray(mesh.triangles, dtype=np.float64) * unit
-        volume = -volume
-    if volume * unit**3 < 1e-6 * size**3:
+    if volume < VOLUME_MIN:
         raise ValueError(
             "encloses next to no volume; export the part as a solid with walls of a true thickness"
         )
     mesh.density = 1.0 / volume
-    centre = np.asarray(mesh.center_mass) * unit
-    return Solid(_vector(centre), _tensor(np.asarray(mesh.moment_inertia) * unit**2), surface)
+    centre = np.asarray(mesh.center_mass) * size
+    return Solid(_vector(centre), _tensor(np.asarray(mesh.moment_inertia) * size**2), surface)
 
 
 def box(size: Vector, centre: Vector) -> Solid:
@@ -114,12 +113,20 @@ def equal_box(mass: float, inertia: Tensor) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(0.0, 6 / mass * (moments.sum() - 2 * moments))), axes
 
 
-def _is_stl(data: bytes) -> bool:
+def _corners(data: bytes) -> Array:
+    """Triangles (K, 3, 3) of an STL file, in its own unit. Raises ValueError if it is none."""
     if len(data) >= _HEADER:
         (count,) = struct.unpack_from("<I", data, _HEADER - 4)
-        if len(data) == _HEADER + count * _TRIANGLE:
-            return True
-    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower()
+        if len(data) == _HEADER + count * _TRIANGLE.itemsize:
+            with np.errstate(invalid="ignore"):  # the caller looks for NaN
+                return np.frombuffer(data, _TRIANGLE, offset=_HEADER)["corners"].astype(np.float64)
+    if not (data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower()):
+        raise ValueError("is not an STL mesh, text or binary; export the part as STL")
+    try:
+        values = np.array(_VERTEX.findall(data)).astype(np.float64)
+        return values.reshape(-1, 3, 3)
+    except ValueError as error:
+        raise ValueError("is a damaged STL mesh; export the part again") from error
 
 
 def _vector(values: Array) -> Vector:

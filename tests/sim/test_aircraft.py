@@ -401,6 +401,19 @@ def plain(allowed: str) -> str:
     return f"{float(low):g} to {float(high):g}" if to else allowed
 
 
+PID = """
+[pid.NAME]
+roll = [1, 1, 0]
+pitch = [1, 1, 0]
+yaw = [1, 1, 0]
+derivative_cutoff_hz = 80
+[pid.NAME.mixer]
+roll = [-1, -1, 1, 1]
+pitch = [1, -1, 1, -1]
+yaw = [1, -1, -1, 1]
+"""
+
+
 def every_form(folder: Path) -> list[str]:
     """Aircraft files that between them give every key there is."""
     (folder / "frame.stl").write_bytes(brick())
@@ -409,7 +422,7 @@ def every_form(folder: Path) -> list[str]:
     optional = re.sub(r"^\[accelerometer\]$", "[accelerometer]\nbandwidth_hz = 100", optional, flags=re.M)
     lag = 'kind = "first_order"\ntime_constant_up_s = 0.04\ntime_constant_down_s = 0.05\n'
     return [
-        re.sub(r"^\[pid\.\w+\]$", "[pid.NAME]", optional, count=1, flags=re.M),
+        optional + PID,
         with_frame('mesh = "frame.stl"\nmesh_unit_m = 0.001'),
         with_frame("box_m = [0.1, 0.1, 0.1]"),
         with_frame("cylinder_m = [0.1, 0.1]"),
