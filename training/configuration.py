@@ -13,7 +13,7 @@ from sim.world import COUNT_MAX
 from toolchain.contract import CONTROL_RATES_HZ, ObservationBlock, observation_blocks
 from toolchain.errors import TrainingError
 from training.reward import TrackingReward
-from training.task import PulseTask
+from training.task import PulseTask, Task
 
 # Raw observation values are brought to about unit size by these factors, folded into the first layer at
 # freeze. Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of
@@ -76,7 +76,7 @@ class TrainingConfig:
     activation: str = "tanh"
     output: OutputMap = field(default_factory=OutputMap)
     throttle_max: float = 0.0
-    task: PulseTask = field(default_factory=PulseTask)
+    task: Task = field(default_factory=PulseTask)
     reward: TrackingReward = field(default_factory=TrackingReward)
     ppo: PpoConfig = field(default_factory=PpoConfig)
 

@@ -18,7 +18,7 @@ from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT, ObservationBlock
 from training.reward import TrackingReward
-from training.task import PulseTask
+from training.task import Task
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class AttitudeSimulation:
         *,
         blocks: tuple[ObservationBlock, ...],
         control_rate_hz: int,
-        task: PulseTask,
+        task: Task,
         reward: TrackingReward,
         rng: np.random.Generator,
         mount: Mount = Mount.CENTRE,

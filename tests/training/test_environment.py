@@ -74,3 +74,15 @@ def test_refuses_options_it_does_not_know(
 ) -> None:
     with pytest.raises(error, match=message):
         gymnasium.make(ID, **options)
+
+
+@pytest.mark.parametrize(("task", "seconds"), [("pulse", 4.5), ("episodic", 1.0), ("envelope", 1.0)])
+def test_an_episode_lasts_as_long_as_its_task(task: str, seconds: float) -> None:
+    env = gymnasium.make(ID, aircraft="nf1", task=task)
+    env.reset(seed=1)
+    steps, over = 0, False
+    while not over:
+        *_, over, _ = env.step(np.zeros(4, np.float32))
+        steps += 1
+    env.close()
+    assert steps == round(1000 * seconds)
