@@ -12,6 +12,8 @@ from scipy.optimize import linprog
 from sim.aircraft import FOLDER, GRAVITY, Aircraft, load_aircraft, parse_aircraft, shipped
 from sim.airworthiness import Level, Verdict, balanced_thrust, examine, greatest_moment
 from sim.mass import MassProperties
+from sim.twin import Twin
+from sim.world import Mount
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 IRIS = (FOLDER / "iris.toml").read_text()
@@ -47,6 +49,34 @@ def test_hover_carries_the_weight_evenly_when_the_rotors_are_symmetric() -> None
     u = hover.throttle[0]
     assert -14229.32 * u**2 + 39125.59 * u + 86.67 == pytest.approx(speed * 60 / (2 * math.pi), rel=1e-4)
     assert hover.power == pytest.approx(4 * 8.64e-3 * newtons * speed / 0.7 + 6.21, rel=1e-4)
+
+
+def slid_back() -> Aircraft:
+    return changed(NF1, (r"^position_m = \[0.0, 0.0, 0.0\]", "position_m = [-0.03, 0.0, 0.0]"))
+
+
+@pytest.mark.parametrize(
+    "aircraft", [*map(load_aircraft, shipped()), slid_back()], ids=[*shipped(), "nf1, battery slid back"]
+)
+def test_twin_hangs_in_the_air_when_its_motors_get_the_hover_throttle(aircraft: Aircraft) -> None:
+    """Once the rotors turn, nothing accelerates it: the twin and these figures agree on every moment."""
+    hover = examine(aircraft)[0].hover
+    assert hover is not None
+    twin = Twin(aircraft, mount=Mount.CENTRE, noise=False, rng=np.random.default_rng(0))
+    try:
+        for _ in range(1000):
+            twin.step(hover.throttle[None])
+        twin_rate = twin.rate.copy()
+        for _ in range(20):
+            twin.step(hover.throttle[None])
+        turning = (twin.rate - twin_rate)[0] / 0.020
+        force = twin.specific_force[0, 2]
+    finally:
+        twin.close()
+    assert force == pytest.approx(GRAVITY, rel=2e-3)
+    # Where the transient of uneven rotors left it turning, drag and gyroscopic moments remain.
+    limit = 0.01 if np.ptp(hover.thrust) < 1e-6 * hover.thrust.max() else 0.5
+    assert np.abs(turning).max() < limit
 
 
 def test_accelerations_are_lever_times_thrust_over_inertia_when_the_aircraft_is_an_x() -> None:
