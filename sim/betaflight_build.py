@@ -58,8 +58,17 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
             _build_program(folder, program, say)
         if not clock.is_file():
             _check_tools()
-            _build_clock(folder, clock)
+            build_clock(clock)
     return Betaflight(program, clock)
+
+
+def build_clock(clock: Path) -> None:
+    """Build betaflight_clock.c into the library `clock`. Raises BuildError."""
+    log = clock.with_name("clock.log")
+    with replacing(clock) as aside:
+        gcc = ["gcc", "-std=c11", "-O2", "-Wall", "-Wextra", "-fPIC", "-shared"]
+        gcc += [str(CLOCK), "-o", str(aside.resolve()), "-ldl", "-pthread"]
+        _run(gcc, clock.parent, log, f"{CLOCK.name} does not build")
 
 
 def unpack(sdist: Path, into: Path) -> Path:
@@ -125,13 +134,6 @@ def _fetch(into: Path, log: Path) -> Path:
         raise BuildError(f"pip left no {sdist.name}; see {log}")
     check_sdist(sdist)
     return sdist
-
-
-def _build_clock(folder: Path, clock: Path) -> None:
-    with replacing(clock) as aside:
-        gcc = ["gcc", "-std=c11", "-O2", "-Wall", "-Wextra", "-fPIC", "-shared"]
-        gcc += [str(CLOCK), "-o", str(aside.resolve()), "-ldl", "-pthread"]
-        _run(gcc, folder, folder / "clock.log", f"{CLOCK.name} does not build")
 
 
 def _run(command: list[str], cwd: Path, log: Path, failure: str) -> None:

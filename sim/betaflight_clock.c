@@ -8,9 +8,11 @@
  *                                           BOUND: a server got port `value` instead of its own, `port`
  *     struct permit  simulator -> program   run to limit_ns, but first take in so many packets
  *
- * Packets reach the program over UDP in threads of its own. `states` and `receivers` count all that were
- * sent so far; the main thread goes on when those threads have finished with the last of them, so nothing
- * depends on how the system schedules threads. When the simulator goes away the program ends.
+ * Packets reach the program over UDP in threads of its own, its serial ports live in another. They share
+ * data with the main thread unguarded. Here one thread works at a time: the main thread until it is parked,
+ * each other from one select() to the next. `states` and `receivers` count all packets that were sent so
+ * far; the main thread goes on when the last of them is dealt with, so that nothing depends on how the
+ * system schedules threads. When the simulator goes away the program ends.
  *
  * Servers get free ports on loopback. Servo packets (to 9001) go to NEUROFLIGHT_MOTOR_PORT, motor packets
  * (to 9002), which say the same in thousandths, nowhere.
@@ -60,9 +62,10 @@ static struct {
 	uint16_t motor_port;
 	_Atomic uint64_t now_ns;
 	struct permit permit; /* the last one; of the main thread */
-	pthread_mutex_t lock; /* of the counts below */
-	pthread_cond_t counted;
-	uint32_t states;
+	pthread_mutex_t lock; /* of what follows, up to the functions */
+	pthread_cond_t changed;
+	bool busy; /* a thread works */
+	uint32_t states; /* packets dealt with */
 	uint32_t receivers;
 	int (*clock_gettime)(clockid_t, struct timespec *);
 	int (*nanosleep)(const struct timespec *, struct timespec *);
@@ -70,10 +73,12 @@ static struct {
 	int (*select)(int, fd_set *, fd_set *, fd_set *, struct timeval *);
 	ssize_t (*recvfrom)(int, void *, size_t, int, struct sockaddr *, socklen_t *);
 	ssize_t (*sendto)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
-} s = {.control = -1, .lock = PTHREAD_MUTEX_INITIALIZER, .counted = PTHREAD_COND_INITIALIZER};
+	int (*pthread_create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+	int (*pthread_join)(pthread_t, void **);
+} s = {.control = -1, .busy = true, .lock = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
 
 static _Thread_local bool main_thread;
-static _Thread_local uint32_t *taken; /* the count of the packet that this thread is busy with */
+static _Thread_local uint32_t *taken; /* the count of the packet that it deals with */
 
 static long number(const char *name)
 {
@@ -89,6 +94,8 @@ __attribute__((constructor)) static void start(void)
 	*(void **)&s.select = dlsym(RTLD_NEXT, "select");
 	*(void **)&s.recvfrom = dlsym(RTLD_NEXT, "recvfrom");
 	*(void **)&s.sendto = dlsym(RTLD_NEXT, "sendto");
+	*(void **)&s.pthread_create = dlsym(RTLD_NEXT, "pthread_create");
+	*(void **)&s.pthread_join = dlsym(RTLD_NEXT, "pthread_join");
 	s.control = (int)number("NEUROFLIGHT_CONTROL");
 	s.motor_port = (uint16_t)number("NEUROFLIGHT_MOTOR_PORT");
 	main_thread = true;
@@ -102,18 +109,36 @@ static void report(uint32_t kind, uint32_t port, uint64_t value)
 	}
 }
 
-/* Stand still until the simulator permits more and its packets are taken in. */
+/* Let another thread work. */
+static void rest(void)
+{
+	pthread_mutex_lock(&s.lock);
+	s.busy = false;
+	pthread_cond_broadcast(&s.changed);
+	pthread_mutex_unlock(&s.lock);
+}
+
+/* Work, once no other thread does and all packets of `permit`, if any, are dealt with. */
+static void work(const struct permit *permit)
+{
+	pthread_mutex_lock(&s.lock);
+	while (s.busy ||
+	       (permit != NULL && (s.states != permit->states || s.receivers != permit->receivers))) {
+		pthread_cond_wait(&s.changed, &s.lock);
+	}
+	s.busy = true;
+	pthread_mutex_unlock(&s.lock);
+}
+
+/* Stand still until the simulator permits more and its packets are dealt with. */
 static void park(void)
 {
+	rest();
 	report(PARKED, 0, s.permit.limit_ns);
 	if (recv(s.control, &s.permit, sizeof s.permit, 0) != sizeof s.permit) {
 		_exit(1);
 	}
-	pthread_mutex_lock(&s.lock);
-	while (s.states != s.permit.states || s.receivers != s.permit.receivers) {
-		pthread_cond_wait(&s.counted, &s.lock);
-	}
-	pthread_mutex_unlock(&s.lock);
+	work(&s.permit);
 }
 
 /* The main thread's time goes on by `ns`. */
@@ -151,17 +176,19 @@ int nanosleep(const struct timespec *time, struct timespec *left)
 	return 0;
 }
 
-/* A receiving thread comes back here when it has finished with a packet. */
+/* A thread waits for the world in here, and nowhere else; the packet before is dealt with. */
 int select(int count, fd_set *readable, fd_set *writable, fd_set *failed, struct timeval *timeout)
 {
 	if (taken != NULL) {
-		pthread_mutex_lock(&s.lock);
-		++*taken;
+		++*taken; /* guarded by `busy`, which is ours */
 		taken = NULL;
-		pthread_cond_signal(&s.counted);
-		pthread_mutex_unlock(&s.lock);
 	}
-	return s.select(count, readable, writable, failed, timeout);
+	rest();
+	const int ready = s.select(count, readable, writable, failed, timeout);
+	const int error = errno;
+	work(NULL);
+	errno = error;
+	return ready;
 }
 
 ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *from, socklen_t *length)
@@ -205,4 +232,37 @@ int bind(int fd, const struct sockaddr *wanted, socklen_t length)
 	}
 	report(BOUND, ntohs(four->sin_port), ntohs(address.sin_port));
 	return 0;
+}
+
+struct beginning {
+	void *(*routine)(void *);
+	void *argument;
+};
+
+static void *begin(void *data)
+{
+	const struct beginning beginning = *(struct beginning *)data;
+	free(data);
+	work(NULL);
+	void *value = beginning.routine(beginning.argument);
+	rest();
+	return value;
+}
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *how, void *(*routine)(void *), void *argument)
+{
+	struct beginning *beginning = malloc(sizeof *beginning);
+	if (beginning == NULL) {
+		return EAGAIN;
+	}
+	*beginning = (struct beginning){routine, argument};
+	return s.pthread_create(thread, how, begin, beginning);
+}
+
+int pthread_join(pthread_t thread, void **value)
+{
+	rest();
+	const int error = s.pthread_join(thread, value);
+	work(NULL);
+	return error;
 }

@@ -56,7 +56,6 @@ IDLE = 0.055  # motor fraction of its armed motors at zero thrust: motor_idle = 
 SETTINGS = (
     "aux 0 0 0 1700 2100 0 0",  # the arm switch: channel 5
     "set pwr_on_arm_grace = 0",  # the loop waits for itself
-    "set acc_calibration = 0,0,0,1",  # the twin's accelerometer needs none
     "set small_angle = 180",  # a rig arms in any attitude
     "set runaway_takeoff_prevention = OFF",  # hard turns on a rig are no runaway take-off
     "set airmode_start_throttle_percent = 0",
@@ -168,11 +167,9 @@ def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
     The process has ended afterwards. Raises LinkError naming the line that it refuses.
     """
     with process.open_line() as line:
-        line.write(b"#")
-        _answer(line, "#")
+        _say(line, b"#")
         for setting in settings:
-            line.write(setting.encode() + b"\n")
-            _answer(line, setting)
+            _say(line, setting.encode() + b"\n")
         line.write(b"save\n")
         return process.restarted()
 
@@ -216,13 +213,13 @@ class _Step:
     throttle: float
 
 
-def _answer(line: Transport, said: str) -> bytes:
-    """What the command line answers, up to its prompt. Raises LinkError when it refuses or stays silent."""
+def _say(line: Transport, words: bytes) -> None:
+    """Say something to the command line and await its prompt. Raises LinkError on refusal or silence."""
+    line.write(words)
     heard = b""
     deadline = time.monotonic() + CLI_ANSWER_S
     while not heard.endswith(PROMPT) and len(heard) < CLI_BYTES_MAX and time.monotonic() < deadline:
         heard += line.read(CLI_ANSWER_S)
     if CLI_ERROR in heard or not heard.endswith(PROMPT):
-        words = " ".join(heard.decode(errors="replace").split())
-        raise LinkError(f"Betaflight: its command line answers {words!r} to {said!r}, expected a prompt")
-    return heard
+        said, answer = (" ".join(text.decode(errors="replace").split()) for text in (words, heard))
+        raise LinkError(f"Betaflight: its command line answers {answer!r} to {said!r}, expected a prompt")

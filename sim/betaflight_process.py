@@ -29,6 +29,7 @@ START_NS = 3_000_000_000  # of simulated time, for its servers to stand
 STEP_NS = 1_000_000  # of simulated time, between two looks at what it says
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
 END_S = 5.0  # real, from its decision to restart to its end
+LAST_WORDS_S = 0.1  # real, for one that is dying to be gone
 POLL_S = 0.0005  # real, for its TCP thread to carry what was said
 PACKET_BYTES_MAX = 2048
 EEPROM = "eeprom.bin"  # its settings, in its working directory
@@ -123,7 +124,7 @@ class BetaflightProcess:
     def lost(self, what: str) -> LinkError:
         """It failed: what happened, how it ended if it did, and its last words."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            what += f"; it ended with {self._process.wait(POLL_S)}"
+            what += f"; it ended with {self._process.wait(LAST_WORDS_S)}"
         end = self._errors.seek(0, os.SEEK_END)
         self._errors.seek(max(0, end - PACKET_BYTES_MAX))
         lines = self._errors.read().decode(errors="replace").split("\n")

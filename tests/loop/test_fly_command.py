@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sim.trace import load_trace
 from toolchain.cli import fly as command
 from toolchain.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -65,6 +68,11 @@ def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.
         (["--report", "a.pdf"], "expected a name that ends in .html"),
         (["--plot", "blocked/a.png"], "is no directory"),
         (["--trace", "folder.npz"], "is a directory"),
+        (["--battery", "1.5"], "--battery: got 1.5, expected a charge of 0 to 1"),
+        (["--wind", "0", "-60", "0"], "--wind: got 0 -60 0, expected at most 50 m/s"),
+        (["--gust", "nan"], "--gust: got nan, expected 0 to 50 m/s"),
+        (["--ground"], "the aircraft hangs in mount centre, expected free; add --mount free"),
+        (["--on", "betaflight", "--aircraft", "hexa"], "its 6 motors stand or turn otherwise"),
     ],
 )
 def test_it_refuses_in_one_line_before_flying_when_the_input_is_bad(
@@ -76,6 +84,7 @@ def test_it_refuses_in_one_line_before_flying_when_the_input_is_bad(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "BUILD", tmp_path / "never reached")
+    monkeypatch.setattr(command, "BETAFLIGHT", tmp_path / "never reached")
     (tmp_path / "blocked").write_text("a file where a folder should be")
     (tmp_path / "folder.npz").mkdir()
     before = sorted(tmp_path.iterdir())
@@ -94,3 +103,53 @@ def test_it_says_how_to_build_when_nothing_is_built(
     assert main(["fly", "--trace", str(tmp_path / "a.npz")]) == 1
     assert "build it with `make host`" in capsys.readouterr().err
     assert not (tmp_path / "a.npz").exists()
+
+
+def flown(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    """The JSON document of a flight on the library."""
+    assert main(["fly", "--on", "reference", "--gyro-hz", "1000", "--json", *arguments]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
+
+
+@pytest.mark.usefixtures("built")
+def test_the_pids_idle_is_no_output_of_its_own_when_its_table_has_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "sim" / "aircraft" / "nf1.toml").read_text()
+    aircraft = tmp_path / "idling.toml"
+    aircraft.write_text(text.replace("[pid.published]", "[pid.published]\nidle = 0.2"))
+    still = tmp_path / "still.toml"
+    still.write_text("[[segment]]\nduration_s = 0.3\nsetpoint_deg_s = [0, 0, 0]\n")
+    idling = flown(capsys, "--scenario", str(still), "--aircraft", str(aircraft))
+    plain = flown(capsys, "--scenario", str(still))
+    output = [document["flights"]["PID"]["effort"]["output"] for document in (idling, plain)]
+    assert output[0] == pytest.approx(output[1], rel=0.05)  # of some 0.09, all from the gyro's noise
+
+
+@pytest.mark.usefixtures("built")
+def test_the_air_and_the_battery_make_another_flight_when_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "climb.toml"
+    scenario.write_text('mount = "free"\n[[segment]]\nduration_s = 0.5\nsetpoint_deg_s = [80, 0, 0]\n')
+    scenario.write_text(scenario.read_text() + "throttle = 0.5\n")
+    base = "--scenario", str(scenario)
+    calm = flown(capsys, *base)
+    assert (calm["battery"], calm["wind_m_s"], calm["gust_m_s"], calm["ground"]) == (
+        None,
+        [0, 0, 0],
+        0,
+        False,
+    )
+    asked = {
+        "battery": ["--battery", "0.2"],
+        "wind_m_s": ["--wind", "8", "-4", "0"],
+        "gust_m_s": ["--gust", "15"],
+        "ground": ["--ground"],
+    }
+    for name, arguments in asked.items():
+        other = flown(capsys, *base, *arguments)
+        assert other[name] != calm[name]
+        mae = [document["flights"]["firmware"]["tracking"]["mae"] for document in (calm, other)]
+        assert mae[0] != mae[1]

