@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import COEFFICIENT_TERMS_MAX
-from sim.dyno_data import DynoError, Recording
+from sim.dyno_data import THROTTLE_SLACK, DynoError, Recording
 from sim.dyno_model import curve, make_schedule, quadratic, quadratic_errors
 from sim.dyno_response import (
     EXACT,
@@ -32,13 +32,13 @@ from sim.dyno_signal import (
     JUMP,
     NOISE_FLOOR,
     average,
+    commanded,
     deviation,
     jumps,
     noise_of,
     outliers,
     settled_rows,
     steady_rows,
-    without_spikes,
 )
 from sim.robust import Estimate, robust
 
@@ -101,7 +101,10 @@ def fit(
     """
     notes: list[str] = []
     progress("speed curve")
-    throttle = without_spikes(recording.throttle, recording.starts)
+    throttle = commanded(recording)
+    slips = int((np.abs(recording.throttle - 0.5) > 0.5 + THROTTLE_SLACK).sum())
+    if slips:
+        notes.append(f"{slips} rows have a throttle outside 0 to 1: taken for slips of the logger")
     rows = jumps(recording)
     settled = settled_rows(recording, rows)
     _check_levels(throttle[settled])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sim.aircraft import RPM
 from sim.dyno_data import Recording
 from sim.dyno_fit import Fit
-from sim.dyno_signal import jumps, settled_rows
+from sim.dyno_signal import WINDOW_S, jumps, settled_rows
 from sim.report import AXIS_COLOURS, INK, MOTOR_COLOURS, dress, png
 from sim.robust import Estimate
 from toolchain.files import write_bytes
@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 DATA, MODEL, OFF = "#8b949e", AXIS_COLOURS[0], AXIS_COLOURS[1]
 THROTTLE = AXIS_COLOURS[2]
 ROWS_SHOWN = 20_000  # more dots than that tell no more
-BEFORE_S, AFTER_S = 0.05, 0.6  # [s] around a step
+BEFORE_S = 0.05  # [s] shown before a step
+NEAR = 0.02  # of the top speed: what is left of a step when the picture may end
 TURNING = 0.15  # of the top speed: slower rows say little of K_T and K_Q
 CHANNELS = (("speed", "rotor speed", "rpm"), ("thrust", "thrust", "N"), ("torque", "torque", "N m"))
 
@@ -81,6 +82,17 @@ def draw_fit(fit: Fit, title: str) -> Figure:
     return figure
 
 
+def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
+    """Time [s] that holds the slowest step and a margin."""
+    recording = fit.recording
+    longest = 0.0
+    for row, end in zip(rows, np.append(rows[1:], len(fit.speed)), strict=True):
+        shown = slice(int(row), int(row + np.sum(recording.time[row:end] < recording.time[row] + WINDOW_S)))
+        left = np.abs(fit.speed[shown] - fit.speed[shown][-1]) > NEAR * fit.speed_max
+        longest = max(longest, float((recording.time[shown] - recording.time[row])[left].max(initial=0.0)))
+    return min(1.3 * longest + 0.1, WINDOW_S)
+
+
 def _figure(size: tuple[float, float], title: str) -> Figure:
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
     figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
@@ -101,7 +113,8 @@ def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) ->
     _dots(panel, time[kept], data[kept], "data")
     panel.plot(time, model, color=MODEL, lw=1.2, label="model", zorder=3)
     inside = off & (data > low) & (data < high)
-    panel.plot(time[inside], data[inside], "x", color=OFF, ms=3, mew=0.7, label="outlier", zorder=2)
+    if inside.any():
+        panel.plot(time[inside], data[inside], "x", color=OFF, ms=3, mew=0.7, label="outlier", zorder=2)
     panel.set_ylim(low, high)
     panel.set_ylabel(unit, color=INK)
     panel.set_xlim(time[0], time[-1])
@@ -170,14 +183,16 @@ def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
 def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
     """Speed around every jump of one direction, from the instant of the jump on."""
     recording = fit.recording
+    rows = jumps(recording)
+    after = _settling(fit, rows)
     number = 0
-    for row in jumps(recording):
+    for row in rows:
         throttle = recording.throttle
         change = float(throttle[row] - throttle[row - 1])
         if (change > 0) is not rising:
             continue
         since = recording.time - recording.time[row]
-        near = (since > -BEFORE_S) & (since < AFTER_S) & ~fit.outliers[0]
+        near = (since > -BEFORE_S) & (since < after) & ~fit.outliers[0]
         colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
         number += 1
         ms = 1000 * since[near]
@@ -186,9 +201,9 @@ def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
         panel.plot(ms, fit.speed[near] / RPM, color=colour, lw=1.5, label=label if number <= 8 else None)
     panel.set_xlabel("time since the step, ms", color=INK)
     panel.set_ylabel("rpm", color=INK)
-    panel.set_xlim(-1000 * BEFORE_S, 1000 * AFTER_S)
+    panel.set_xlim(-1000 * BEFORE_S, 1000 * after)
     dress(panel, f"steps {'up' if rising else 'down'}: data and model")
-    panel.legend(loc="lower right" if rising else "upper right", frameon=False, fontsize=9, handlelength=1.6)
+    panel.legend(loc="upper left" if rising else "upper right", frameon=False, fontsize=9, handlelength=1.6)
 
 
 def _polynomial(terms: tuple[Estimate, ...]) -> str:

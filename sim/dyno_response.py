@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim.aircraft import FirstOrderResponse, Response, TorqueResponse
 from sim.dyno_data import Recording
 from sim.dyno_model import UNLIMITED, Dynamics, Schedule, curve, knots, retimed, simulate
-from sim.dyno_signal import JUMP, average, outliers, transient_rows, without_spikes
+from sim.dyno_signal import JUMP, average, commanded, outliers, transient_rows, without_spikes
 from sim.robust import Estimate, robust
 
 Array = NDArray[np.float64]
@@ -185,7 +185,7 @@ def _lags(
     recording: Recording, rows: NDArray[np.intp], slopes: Array, shown: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """Median time up and down to 63 % of the way from one held speed to the next [s]."""
-    throttle = without_spikes(recording.throttle, recording.starts)
+    throttle = commanded(recording)
     speed = without_spikes(recording.speed, recording.starts)
     lags: dict[bool, list[float]] = {True: [], False: []}
     for row, end in zip(rows, np.append(rows[1:], len(speed)), strict=True):

@@ -16,6 +16,8 @@ SETTLED_S = 0.5  # [s] after a jump, when a rotor is taken to have settled
 WINDOW_S = 1.5  # [s] after a jump in which the response shows
 STEADY = 0.2  # of the top speed a second: a rotor that accelerates less carries no transient
 SPIKE_ROWS = 5  # length of the running medians that single slips of a logger do not survive
+CALM_ROWS = 25  # of the running median of a noisy throttle
+THROTTLE_NOISE = 0.002  # that a fifth of the rows exceed when it is noisy
 SMOOTH_S = 0.05  # [s], over which speed residuals are averaged: the noise goes, the model's error stays
 SMOOTH_ROWS = 9  # and at least so many rows
 OUTLIER = 5.0  # standard deviations of its channel's noise, against the median of its neighbours
@@ -24,15 +26,23 @@ UNEVEN = 0.1  # of the usual period: rows whose distances spread more are not ta
 BINS = 12  # of a channel's value, each with its own noise
 
 
-def without_spikes(values: Array, starts: tuple[int, ...] = (0,)) -> Array:
+def without_spikes(values: Array, starts: tuple[int, ...] = (0,), rows: int = SPIKE_ROWS) -> Array:
     """Running median of each run: steps and slopes stay as they are, single slips vanish."""
     pieces = np.split(values, starts[1:])
-    return np.concatenate([median_filter(piece, SPIKE_ROWS, mode="nearest") for piece in pieces])
+    return np.concatenate([median_filter(piece, rows, mode="nearest") for piece in pieces])
+
+
+def commanded(recording: Recording) -> Array:
+    """Throttle, (N,) 0..1, without slips of the logger and, where it was measured, without most noise."""
+    throttle = without_spikes(recording.throttle, recording.starts)
+    if np.quantile(np.abs(recording.throttle - throttle), 0.8) > THROTTLE_NOISE:
+        throttle = without_spikes(throttle, recording.starts, CALM_ROWS)
+    return np.clip(throttle, 0.0, 1.0)
 
 
 def jumps(recording: Recording) -> NDArray[np.intp]:
     """Rows at which throttle has just jumped, single slips of the logger left out."""
-    throttle = without_spikes(recording.throttle, recording.starts)
+    throttle = commanded(recording)
     moved = np.flatnonzero(np.abs(np.diff(throttle)) > JUMP) + 1
     return np.setdiff1d(moved, recording.starts)
 

@@ -275,6 +275,21 @@ def test_note_says_extrapolated_when_throttle_ends_early() -> None:
     assert fitted_curve(found, np.ones(1))[0] == pytest.approx(NF1.speed_max, rel=0.02)
 
 
+def test_throttle_may_be_measured_when_its_noise_and_slips_are_few() -> None:
+    rng = np.random.default_rng(19)
+    poor, _ = record(NF1, rng, noise=0.02, outliers=0.01)
+    slip = rng.random(len(poor.time)) < 0.01
+    throttle = np.where(
+        slip, rng.uniform(0, 2, len(slip)), poor.throttle + 0.02 * rng.standard_normal(len(slip))
+    )
+    found = fit(replace(poor, throttle=throttle))
+    assert any("slips of the logger" in note for note in found.notes)
+    assert found.response is not None and found.response.kind == "torque"
+    assert found.response.rate_up.value == pytest.approx(1e-4 / 4.24e-6, rel=0.15)
+    assert fitted_curve(found, np.ones(1))[0] == pytest.approx(NF1.speed_max, rel=0.01)
+    assert found.thrust_coefficient[0].value == pytest.approx(9.37e-7, rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
