@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft import GRAVITY
 from sim.trace import load_trace
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
 
-STANDARD_GRAVITY = 9.80665  # [m/s^2]
 BYTES_MAX = 256 << 20  # of a CSV file: more than an hour at 1 kHz
 HEADER_CHARACTERS_MAX = 1 << 16
 SAMPLES_MIN = 1000  # fewer know a standard deviation no better than 2 %
@@ -116,7 +116,7 @@ def _read_csv(path: Path, unit_deg_s: float) -> tuple[Array, Array, Array | None
             raise TraceError(
                 f"log {path}: accSmooth is zero throughout; log an accelerometer or leave it out"
             )
-        acceleration = acceleration * (STANDARD_GRAVITY / rest)
+        acceleration = acceleration * (GRAVITY / rest)
     return table[:, 0], table[:, 1:4], acceleration
 
 

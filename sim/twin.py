@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.air import Wind, body_drag
-from sim.aircraft import Aircraft
+from sim.aircraft import GRAVITY, Aircraft
 from sim.battery import BatteryState, shaft_power
 from sim.esc import Telemetry, telemetry
 from sim.imu import EVERYONE, AccelerometerModel, GyroModel, Which
 from sim.mass import Vector
 from sim.rotation import turned_back
 from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed, thrust_and_torque
-from sim.world import GRAVITY, Mount, World
+from sim.world import Mount, World
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]

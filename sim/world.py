@@ -23,12 +23,11 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
+from sim.aircraft import GRAVITY, Aircraft
 from sim.rotation import quaternion, turned, turned_back
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
-GRAVITY = 9.80665  # [m/s^2], standard gravity
 COUNT_MAX = 4096
 RATE_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
 FRICTION = 0.6  # of the ground; grass and asphalt lie on either side

@@ -8,8 +8,8 @@ import pybullet
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.aircraft import Body, load_aircraft
-from sim.world import COUNT_MAX, GRAVITY, Mount, World
+from sim.aircraft import GRAVITY, Body, load_aircraft
+from sim.world import COUNT_MAX, Mount, World
 from toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")

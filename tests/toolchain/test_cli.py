@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,3 +88,14 @@ def test_help_is_shown_when_asked_for(command: str, capsys: Capture) -> None:
         main([command, "--help"])
     assert caught.value.code == 0
     assert "usage: neuroflight" in capsys.readouterr().out
+
+
+def test_ends_quietly_when_its_reader_goes_away() -> None:
+    program = [sys.executable, "-m", "toolchain.cli.main", "aircraft", "check", "nf1", "--json"]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    words = process.stderr.read()
+    process.stderr.close()
+    assert process.wait() == 1
+    assert words == ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -18,6 +19,7 @@ COMMANDS = {
     "compile": "turn policy.onnx into policy.c and policy.h",
     "freeze": "turn a training checkpoint into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
+    "tune-pid": "find the gains of a PID for an aircraft in its twin",
     "evaluate": "measure a policy or the PID on unseen commands",
     "dyno": "measure a rotor on a simulated dynamometer, or fit one to a real one's log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
@@ -35,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
-        module = importlib.import_module(f"toolchain.cli.{name}")
+        module = importlib.import_module(f"toolchain.cli.{name.replace('-', '_')}")
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     return top
@@ -45,13 +47,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
     args = parser().parse_args(argv)
     try:
-        return int(args.run(args))
+        code = int(args.run(args))
+        sys.stdout.flush()
+        return code
     except NeuroflightError as error:
         print(f"neuroflight: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("neuroflight: interrupted; what was finished is kept", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
 
 
 if __name__ == "__main__":
