@@ -16,11 +16,13 @@ from toolchain.files import replacing
 DIGITS = 6  # significant, of a number written
 NOTE = "# Fitted by `neuroflight dyno fit` to "
 NOTE_MAX = 200  # characters of the data's name
-DIMENSIONLESS = ("c_t", "c_q", "air_density_kg_m3")  # what K_T and K_Q take the place of
+# What K_T and K_Q take the place of.
+DIMENSIONLESS = {"c_t": "thrust_coefficient", "c_q": "torque_ratio_m", "air_density_kg_m3": None}
 RESPONSE_KEYS = {
     "torque": ("gain", "torque_up_n_m", "torque_down_n_m"),
     "first_order": ("time_constant_up_s", "time_constant_down_s"),
 }
+Renames = dict[str, dict[str, str | None]]  # by table: a key and the one in its place, or None
 
 
 def write_fit(source: Path, target: Path, fit: Fit, data: str, inertia: float | None = None) -> None:
@@ -34,12 +36,14 @@ def write_fit(source: Path, target: Path, fit: Fit, data: str, inertia: float | 
     known = load_aircraft(source).propulsion.rotor_inertia
     text = source.read_bytes().decode("utf-8-sig")
     changes = _changes(fit, inertia, known)
-    obsolete: dict[str, tuple[str, ...]] = {"propulsion": DIMENSIONLESS}
+    renames: Renames = {"propulsion": DIMENSIONLESS}
     if fit.response is not None:
-        others = (keys for kind, keys in RESPONSE_KEYS.items() if kind != fit.response.kind)
-        obsolete["propulsion.response"] = tuple(key for keys in others for key in keys)
-    edited = _without(text, obsolete)
-    if tomllib.loads(edited) != _expected(text, obsolete):
+        (others,) = (keys for kind, keys in RESPONSE_KEYS.items() if kind != fit.response.kind)
+        renames["propulsion.response"] = dict(
+            zip(others, [*RESPONSE_KEYS[fit.response.kind], None], strict=False)
+        )
+    edited = _renamed(text, renames)
+    if tomllib.loads(edited) != _expected(text, renames):
         raise AircraftError(
             f"aircraft file {source}: cannot be edited as it is written; give it plain tables "
             f"[propulsion] and [propulsion.response]"
@@ -94,20 +98,28 @@ def _lines(text: str) -> list[tuple[str, str, str]]:
     return found
 
 
-def _without(text: str, obsolete: dict[str, tuple[str, ...]]) -> str:
-    """`text` without the lines that assign the `obsolete` keys of each table."""
-    return "".join(line for line, table, key in _lines(text) if key not in obsolete.get(table, ()))
+def _renamed(text: str, renames: Renames) -> str:
+    """`text` with other keys on the lines of those in `renames`, their values 0, or without such lines."""
+    lines = []
+    for line, table, key in _lines(text):
+        names = renames.get(table, {})
+        if key not in names:
+            lines.append(line)
+        elif (name := names[key]) is not None:
+            lines.append(f"{name} = 0.0" + ("\r\n" if line.endswith("\r\n") else "\n"))
+    return "".join(lines)
 
 
-def _expected(text: str, obsolete: dict[str, tuple[str, ...]]) -> dict[str, object]:
-    """The document of `text` without the `obsolete` keys."""
+def _expected(text: str, renames: Renames) -> dict[str, object]:
+    """What `_renamed` is to make of `text`, as a document."""
     document = tomllib.loads(text)
-    for name, keys in obsolete.items():
+    for path, names in renames.items():
         table = document
-        for part in name.split("."):
+        for part in path.split("."):
             table = table.get(part, {})
-        for key in keys:
-            table.pop(key, None)
+        for old, new in names.items():
+            if table.pop(old, None) is not None and new is not None:
+                table[new] = 0.0
     return document
 
 

@@ -72,9 +72,22 @@ def test_response_changes_its_kind_when_another_was_fitted(tmp_path: Path, laggi
     assert isinstance(response, FirstOrderResponse)
     assert response.time_constant_up == pytest.approx(0.05, rel=0.01)
     assert response.time_constant_down == pytest.approx(0.03, rel=0.01)
+    assert target.read_text().count("\n") == SOURCE.read_text().count("\n")  # a note more, a key less
     write_fit(target, target, lagging, "again.csv")
     text = target.read_text()
     assert text.count("dyno fit") == 1 and "again.csv" in text
+
+
+def test_response_changes_back_when_torques_are_fitted_again(
+    tmp_path: Path, found: Fit, lagging: Fit
+) -> None:
+    target = tmp_path / "mine.toml"
+    write_fit(SOURCE, target, lagging, "a.csv")
+    write_fit(target, target, found, "b.csv")
+    response = load_aircraft(target).propulsion.response
+    assert isinstance(response, TorqueResponse)
+    assert response.torque_up == pytest.approx(0.1, rel=0.01)
+    assert response.torque_down == pytest.approx(0.2, rel=0.01)
 
 
 def test_dimensionless_coefficients_give_way_when_the_file_has_them(tmp_path: Path, found: Fit) -> None:
@@ -88,7 +101,10 @@ def test_dimensionless_coefficients_give_way_when_the_file_has_them(tmp_path: Pa
     write_fit(source, source, found, "bench.csv")
     propulsion = load_aircraft(source).propulsion
     assert propulsion.thrust_coefficient[0] == pytest.approx(4.7e-7, rel=1e-3)
-    assert "c_t" not in document(source)["propulsion"]
+    table = document(source)["propulsion"]
+    assert not {"c_t", "c_q", "air_density_kg_m3"} & set(table)
+    keys = [line.split(" = ")[0] for line in source.read_text().splitlines()]
+    assert keys.index("thrust_coefficient") == keys.index("speed_curve_rpm") + 1  # where c_t stood
     assert document(source)["propulsion"]["propeller_diameter_m"] == 0.13
 
 
