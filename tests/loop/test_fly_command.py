@@ -153,3 +153,15 @@ def test_the_air_and_the_battery_make_another_flight_when_asked_for(
         assert other[name] != calm[name]
         mae = [document["flights"]["firmware"]["tracking"]["mae"] for document in (calm, other)]
         assert mae[0] != mae[1]
+
+
+@pytest.mark.usefixtures("built")
+def test_json_carries_the_response_when_a_command_is_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "held.toml"
+    scenario.write_text("[[segment]]\nduration_s = 1.1\nsetpoint_deg_s = [50, -70, 90]\n")
+    flights = flown(capsys, "--scenario", str(scenario))["flights"]
+    for flight in flights.values():
+        assert flight["response"]["episodes"] == 1
+        assert flight["response"]["success"]["count"] == [1, 1, 1]

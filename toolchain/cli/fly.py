@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable
 from contextlib import closing, nullcontext
@@ -91,8 +90,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, write what was asked for, print the figures. Returns 0."""
+    from toolchain.cli.output import check_output
+
     for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
-        _check_output(path, suffix)
+        check_output(path, suffix)
     _check_air(args)
 
     from sim.aircraft import load_aircraft
@@ -270,30 +271,10 @@ def _check_air(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--gust: got {args.gust:g}, expected 0 to {WIND_MAX:g} m/s")
 
 
-def _check_output(path: Path | None, suffix: str) -> None:
-    """Refuse a file that could not be written after the flight."""
-    if path is None:
-        return
-    if path.suffix != suffix:
-        raise NeuroflightError(f"{path}: expected a name that ends in {suffix}")
-    if path.is_dir():
-        raise NeuroflightError(f"{path}: is a directory, expected a file to write")
-    parent = next(folder for folder in path.absolute().parents if folder.exists())
-    if not parent.is_dir():
-        raise NeuroflightError(f"{path}: {parent} is no directory; choose another place")
-    if not os.access(parent, os.W_OK):
-        raise NeuroflightError(f"{path}: may not be written in {parent}; choose another place")
-
-
 def _document(
     args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flights: list[Flight]
 ) -> dict[str, Any]:
-    import numpy as np
-
-    def plain(value: Any) -> Any:  # noqa: ANN401 - dataclasses of arrays and floats
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        return value.tolist() if isinstance(value, np.ndarray) else value
+    from toolchain.cli.output import plain
 
     return {
         "on": args.on,
@@ -311,7 +292,7 @@ def _document(
         "aircraft_sha256": aircraft.sha256,
         "flights": {
             # The first flight is the firmware's, whichever it is: "on" says.
-            name: {**plain(asdict(flight.figures)), "armed": flight.armed}
+            name: plain({**asdict(flight.figures), "armed": flight.armed})
             for name, flight in zip(("firmware", "PID"), flights, strict=False)
         },
     }
