@@ -50,14 +50,14 @@ class Dynamics:
     delay: float
 
 
-def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0) -> Schedule:
-    """Stretches on which throttle moves less than HELD, each with its mean; noise [rad/s]: of the speed."""
+def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, held: float = HELD) -> Schedule:
+    """Stretches on which throttle moves less than `held`, each with its mean; noise [rad/s]: of the speed."""
     begins = []
     starts = set(recording.starts)
     low = high = 0.0
     for row, value in enumerate(throttle.tolist()):
         low, high = min(low, value), max(high, value)
-        if row in starts or high - low > HELD:
+        if row in starts or high - low > held:
             begins.append(row)
             low = high = value
     rows = np.array(begins)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft import FirstOrderResponse, Response, TorqueResponse
 from sim.dyno_data import Recording
-from sim.dyno_model import UNLIMITED, Dynamics, Schedule, curve, knots, retimed, simulate
+from sim.dyno_model import UNLIMITED, Dynamics, Schedule, curve, knots, make_schedule, retimed, simulate
 from sim.dyno_signal import JUMP, average, commanded, outliers, transient_rows, without_spikes
 from sim.robust import Estimate, robust
 
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 KINDS = ("torque", "first_order")
 DELAY_MAX = 0.1  # [s], the most an aircraft file may hold
 DELAY_UNIT = 0.01  # [s], makes the fit's parameters alike in size
+HELD_COARSE = 0.02  # throttle, while only steps are looked at
 SLOPE_MIN = 1e-3  # of the top speed: least slope of H that is written
 ROUNDS = 2  # of placing jumps between rows and fitting everything
 REACHED = 0.98  # a limit counts as reached if it is below this part of what a step asked for
@@ -88,7 +89,9 @@ def fit_response(
     """H and a response of `kind`: the response alone on the transients first, then all on every row."""
     time = recording.time
     shown = transient_rows(recording, rows)
-    rise, fall = _lags(recording, rows, slopes, shown)
+    throttle = commanded(recording)
+    rise, fall = _lags(recording, throttle, rows, slopes, shown)
+    coarse = make_schedule(recording, throttle, noise, HELD_COARSE)
 
     def dynamics(p: Array) -> Dynamics:
         wait = delay if delay is not None else float(p[-1]) * DELAY_UNIT
@@ -119,7 +122,7 @@ def fit_response(
         guess = np.log([start[0] * quicker, *start[1:]])
         guess = np.clip(guess if delay is not None else np.append(guess, 0.2), low, high)
         found, cost, _ = robust(
-            lambda p: simulate(schedule, slopes, dynamics(p), time[shown]) - recording.speed[shown],
+            lambda p: simulate(coarse, slopes, dynamics(p), time[shown]) - recording.speed[shown],
             guess,
             noise,
             (np.array(low), np.array(high)),
@@ -182,10 +185,9 @@ def _response_fit(
 
 
 def _lags(
-    recording: Recording, rows: NDArray[np.intp], slopes: Array, shown: NDArray[np.bool_]
+    recording: Recording, throttle: Array, rows: NDArray[np.intp], slopes: Array, shown: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """Median time up and down to 63 % of the way from one held speed to the next [s]."""
-    throttle = commanded(recording)
     speed = without_spikes(recording.speed, recording.starts)
     lags: dict[bool, list[float]] = {True: [], False: []}
     for row, end in zip(rows, np.append(rows[1:], len(speed)), strict=True):

@@ -11,6 +11,8 @@ from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
 
+TOLERANCE = 1e-7  # of cost and parameters: with 1e5 rows still a small part of a standard error
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -36,8 +38,8 @@ def robust(
         f_scale=scale,
         x_scale="jac",
         max_nfev=evaluations,
-        xtol=1e-9,
-        ftol=1e-9,
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
     )
     # result.jac is weighted such that J'J is the Hessian, the sum of psi' x x'.
     grown = 1.0 + (result.fun / scale) ** 2

@@ -70,7 +70,7 @@ def fitted_curve(found: Fit, throttle: Array) -> Array:
     return (a * throttle + b) * throttle + c
 
 
-def check_trial(number: int) -> None:
+def check_trial(number: int, rate_hz: float) -> None:
     """One unknown rotor against the bars; odd ones lag, even ones are clamped; noise of two kinds."""
     rng = np.random.default_rng((2019, number))
     kind = ("torque", "first_order")[number % 2]
@@ -79,7 +79,7 @@ def check_trial(number: int) -> None:
         rotor,
         rng,
         EXPERIMENTS["all"],
-        rate_hz=500,
+        rate_hz=rate_hz,
         noise=0.02,
         of_reading=bool(number // 2 % 2),
         outliers=0.01,
@@ -105,20 +105,20 @@ def check_trial(number: int) -> None:
         assert response.time_constant_down == pytest.approx(known.time_constant_down, rel=0.1)
     error = (found.speed - true.speed) / top
     assert np.sqrt(np.mean(error**2)) < 0.002
-    assert np.abs(error).max() < 0.02  # at every instant, steps included
+    assert np.abs(error).max() < (0.02 if rate_hz == 500 else 0.03)  # at every instant, steps included
     for part in found.speed_errors:
         assert part.mae < 0.02 and part.model_rms < 0.01
 
 
 @pytest.mark.parametrize("number", range(4))
 def test_rotor_is_found_when_its_parameters_are_unknown(number: int) -> None:
-    check_trial(number)
+    check_trial(number, rate_hz=250)
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("number", range(4, 20))
+@pytest.mark.parametrize("number", range(20))
 def test_rotor_is_found_in_every_trial_when_there_are_many(number: int) -> None:
-    check_trial(number)
+    check_trial(number, rate_hz=500)
 
 
 @pytest.mark.parametrize("response", [NF1.response, FirstOrderResponse(0.05, 0.03)], ids=["torque", "lag"])
