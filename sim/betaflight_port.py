@@ -7,8 +7,9 @@ that it flies scenarios at zero throttle with the full authority of its PID.
 
 Its gyro loop and PID run at 8 kHz of its own time and hold a slower gyro's sample; it answers each state
 packet with the motor values of its first loop after it. They act on the twin from the next sample on.
-The gyro's counts are those of every port's chip. Its SITL takes no notice of a receiver that falls
-silent: the sticks stay where they were.
+The gyro's counts are those of every port's chip, less their mean over the first second: a board takes its
+gyro's bias, the SITL trusts its virtual one. Nor does the SITL take notice of a receiver that falls silent:
+the sticks stay where they were.
 
 The wire's axes: forward, right, down, and back to forward, left, up inside Betaflight. Its motors are
 numbered and turn as this project's do.
@@ -35,6 +36,7 @@ from sim.imu import counts
 from sim.port import Reply, Sample, control_divider
 from sim.rotation import quaternion
 from toolchain.contract import (
+    CALIBRATION_MS,
     DSHOT_MIN,
     DSHOT_SPAN,
     DSHOT_STOP,
@@ -112,6 +114,9 @@ class BetaflightPort:
             eeprom = configured(blank, settings)
         self._process = BetaflightProcess(betaflight, eeprom)
         self._samples = 0
+        self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
+        self._sum = np.zeros(3, np.int64)  # of counts
+        self._bias = np.zeros(3, np.int32)  # counts
         self._channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
         self._dshot = np.zeros(MOTOR_COUNT, np.uint16)
         self._step = _Step(np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0)
@@ -122,7 +127,7 @@ class BetaflightPort:
         if channels_us is not None:
             self._channels = np.array(channels_us, np.uint16)
             self._process.send_receiver(_RECEIVER.pack(time_s, *channels_us))
-        raw = counts(sample.gyro)
+        raw = self._unbiased(counts(sample.gyro))
         self._process.send_state(state_packet(time_s, raw, sample))
         self._process.run(self._period_ns)
         for packet in self._process.servo_packets():
@@ -137,6 +142,14 @@ class BetaflightPort:
         step = self._step
         number = (self._samples - 1) // self._divider
         return Reply(self._dshot, number, step.setpoint, step.gyro, step.throttle, bool(self._dshot.all()))
+
+    def _unbiased(self, raw: NDArray[np.int16]) -> NDArray[np.int32]:
+        """Counts less the gyro's bias, which is 0 until it is known."""
+        if self._samples < self._calibration:
+            self._sum += raw
+        elif self._samples == self._calibration:
+            self._bias = np.rint(self._sum / self._calibration).astype(np.int32)
+        return raw - self._bias
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; asked over MSP."""
@@ -174,7 +187,7 @@ def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
         return process.restarted()
 
 
-def state_packet(time_s: float, raw: NDArray[np.int16], sample: Sample) -> bytes:
+def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> bytes:
     """A state packet from which Betaflight makes the gyro counts `raw` (3,) and the sample's forces.
 
     It reads rates in forward, right, down and scales them to counts of its own, dropping fractions; it
