@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import RPM
-from toolchain.errors import NeuroflightError
+from toolchain.errors import DynoError
 from toolchain.files import write_text
 
 Array = NDArray[np.float64]
@@ -34,10 +34,6 @@ PAUSE_S = 0.5
 PAUSE_PERIODS = 20  # and no pause is shorter than this many of the usual periods
 THROTTLE_SLACK = 0.1  # noise of a throttle that was measured, beyond 0 and 1
 THROTTLE_SLIPS = 0.02  # part of the rows that may lie further out: slips of the logger
-
-
-class DynoError(NeuroflightError):
-    """A recording that is damaged or does not show what is asked of it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import COEFFICIENT_TERMS_MAX
-from sim.dyno_data import THROTTLE_SLACK, DynoError, Recording
+from sim.dyno_data import THROTTLE_SLACK, Recording
 from sim.dyno_model import curve, make_schedule, quadratic, quadratic_errors
 from sim.dyno_response import (
     EXACT,
@@ -41,6 +41,7 @@ from sim.dyno_signal import (
     steady_rows,
 )
 from sim.robust import Estimate, robust
+from toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

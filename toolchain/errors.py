@@ -37,3 +37,7 @@ class TrainingError(NeuroflightError):
 
 class TraceError(NeuroflightError):
     """A recorded flight that is damaged or not one."""
+
+
+class DynoError(NeuroflightError):
+    """A recording of a bench that is damaged or does not show what is asked of it."""

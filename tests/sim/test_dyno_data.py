@@ -9,7 +9,8 @@ import pytest
 
 from sim import dyno_data
 from sim.aircraft import RPM
-from sim.dyno_data import DynoError, Recording, read_recordings, write_recording
+from sim.dyno_data import Recording, read_recordings, write_recording
+from toolchain.errors import DynoError
 
 HEADING = "time_s,throttle,rpm,thrust_n,torque_n_m"
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from sim.aircraft import RPM, FirstOrderResponse, Propulsion, TorqueResponse, load_aircraft
 from sim.dyno import EXPERIMENTS, RAMP, STEPS, Phase, disturbed, duration, run, sample_times
-from sim.dyno_data import DynoError, Recording
+from sim.dyno_data import Recording
 from sim.dyno_fit import Fit, fit
 from sim.dyno_model import Dynamics, make_schedule, simulate
 from sim.rotor import next_speed, target_speed
+from toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,9 +85,10 @@ def _run(args: argparse.Namespace) -> int:
     from sim import dyno
     from sim.aircraft import load_aircraft
     from sim.dyno_data import write_recording
+    from toolchain.cli.output import check_output
 
-    _check_output(args.out, ".csv")
-    _check_output(args.plot, ".png")
+    check_output(args.out, ".csv")
+    check_output(args.plot, ".png")
     _check_range("--rate-hz", args.rate_hz, dyno.RATE_HZ_MIN, dyno.RATE_HZ_MAX)
     _check_range("--noise", args.noise, 0, 100)
     _check_range("--outliers", args.outliers, 0, 50)
@@ -134,9 +134,10 @@ def _fit(args: argparse.Namespace) -> int:
     from sim.dyno_data import read_recordings
     from sim.dyno_fit import fit
     from sim.dyno_response import DELAY_MAX
+    from toolchain.cli.output import check_output
 
-    _check_output(args.plot, ".png")
-    _check_output(args.write, ".toml")
+    check_output(args.plot, ".png")
+    check_output(args.write, ".toml")
     if args.delay is not None:
         _check_range("--delay", args.delay, 0, DELAY_MAX)
     if args.inertia is not None:
@@ -178,19 +179,6 @@ def _fit(args: argparse.Namespace) -> int:
     else:
         _print_fit(title, found, inertia, args.write)
     return 0
-
-
-def _check_output(path: Path | None, suffix: str) -> None:
-    """Refuse a file that could not be written in the end."""
-    if path is None:
-        return
-    if path.suffix != suffix:
-        raise NeuroflightError(f"{path}: expected a name that ends in {suffix}")
-    if path.is_dir():
-        raise NeuroflightError(f"{path}: is a directory, expected a file to write")
-    parent = next(folder for folder in path.absolute().parents if folder.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise NeuroflightError(f"{path}: may not be written in {parent}; choose another place")
 
 
 def _check_range(name: str, value: float, low: float, high: float) -> None:
