@@ -34,9 +34,11 @@
 #include <unistd.h>
 
 enum {
-	READING_NS = 100, /* a look at the clock costs the main thread this, so that its waiting loops end */
-	REST_NS_MAX = 60000, /* the main loop rests up to this each turn to spare the computer, which here... */
-	TURN_NS = 5000, /* ...would only make its tasks late: the turn is what a board's might cost */
+	READING_NS = 100, /* what a look at the clock costs the main thread, so that its waiting loops end */
+	/* Each turn of the main loop sleeps 50 us to spare the computer. A board does not, and the sleep would
+	 * only make the gyro's task late: sleeps up to SPARING_NS cost TURN_NS. */
+	SPARING_NS = 60000,
+	TURN_NS = 5000,
 	STATE_BYTES = 144,
 	RECEIVER_BYTES = 40,
 	SERVO_PORT = 9001,
@@ -64,7 +66,7 @@ static struct {
 	struct permit permit; /* the last one; of the main thread */
 	pthread_mutex_t lock; /* of what follows, up to the functions */
 	pthread_cond_t changed;
-	bool busy; /* a thread works */
+	bool busy;       /* a thread works */
 	uint32_t states; /* packets dealt with */
 	uint32_t receivers;
 	int (*clock_gettime)(clockid_t, struct timespec *);
@@ -172,7 +174,7 @@ int nanosleep(const struct timespec *time, struct timespec *left)
 		return s.nanosleep(time, left);
 	}
 	const uint64_t ns = (uint64_t)time->tv_sec * 1000000000U + (uint64_t)time->tv_nsec;
-	pass(ns > REST_NS_MAX ? ns : TURN_NS);
+	pass(ns > SPARING_NS ? ns : TURN_NS);
 	return 0;
 }
 

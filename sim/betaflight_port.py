@@ -1,9 +1,10 @@
 """Betaflight behind the port: its SITL over the simulator link, in lockstep with the twin.
 
-What flies is Betaflight 4.6 with its default PID, filters and feedforward. SETTINGS says what differs from
-its defaults: linear sticks without smoothing, so that its setpoint is what the sticks say at once, as for
-every other controller; and what a rig takes that is no flight. Airmode is on from the first armed step, so
-that it flies scenarios at zero throttle with the full authority of its PID.
+What flies is Betaflight 4.6 with its default PID and filters. SETTINGS says what differs from its defaults:
+linear sticks without smoothing, so that its setpoint is what the sticks say at once, as for every other
+controller; and what a rig takes that is no flight. Airmode is on from the first armed step, so that it
+flies scenarios at zero throttle with the full authority of its PID. Feedforward has no part: it follows the
+frames of a receiver, and the SITL sees a new one in each loop; with its gains at 0 it flies the same.
 
 Its gyro loop and PID run at 8 kHz of its own time and hold a slower gyro's sample; it answers each state
 packet with the motor values of its first loop after it. They act on the twin from the next sample on.

@@ -118,6 +118,14 @@ def test_the_command_prints_the_same_document_as_elsewhere_when_it_flies(
 
 
 @pytest.mark.prove
+def test_feedforward_has_no_part_when_sticks_come_over_the_link(betaflight: Betaflight, flown: Flown) -> None:
+    without = (*SETTINGS, "set f_roll = 0", "set f_pitch = 0", "set f_yaw = 0")
+    first, second = (flown(BetaflightPort(betaflight, 2000, lines), TURN) for lines in (SETTINGS, without))
+    assert first.same(second)
+    assert not first.same(flown(BetaflightPort(betaflight, 2000, (*SETTINGS, "set p_roll = 60")), TURN))
+
+
+@pytest.mark.prove
 def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Betaflight) -> None:
     aircraft, scenario = load_aircraft("nf1"), pulses(20002, 10)
 

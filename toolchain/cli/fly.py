@@ -257,6 +257,8 @@ def _conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
         words.append(f"gusts of a wind of {args.gust:g} m/s")
     if args.ground:
         words.append("over ground")
+    if args.on == "betaflight":
+        return [*words, "Betaflight 4.6 with its default PID, airmode and idle"]
     return [*words, f"firmware on {args.on}"]
 
 
