@@ -151,8 +151,8 @@ def test_published_gains_give_the_published_figures_when_flown_without_noise_and
     # Koch 2019, ch. 5, PID row: MAE 4 / 4 / 3 as printed, by its IAE 4.773 / 4.941 / 3.829; mean output 0.03.
     aircraft = load_aircraft("nf1")
     aircraft = dataclasses.replace(aircraft, propulsion=dataclasses.replace(aircraft.propulsion, delay=0.0))
-    pid = aircraft_pid(aircraft, 200, RATE_HZ, "published")
-    result = evaluate(pid, aircraft, episodes=200, seed=1, control_rate_hz=RATE_HZ, noise=False)
+    pid = aircraft_pid(aircraft, 100, RATE_HZ, "published")
+    result = evaluate(pid, aircraft, episodes=100, seed=1, control_rate_hz=RATE_HZ, noise=False)
     assert result.tracking.mae == pytest.approx(np.array([4.0, 4.0, 3.0]), abs=1.0)
     assert result.tracking.mae == pytest.approx(np.array([4.773, 4.941, 3.829]), abs=1.0)
     assert result.tracking.mse.mean() == pytest.approx((414.216 + 493.033 + 199.662) / 3, rel=0.35)
