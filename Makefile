@@ -7,6 +7,7 @@ SEED     ?= 1
 OUT      ?= runs/$(basename $(notdir $(AIRCRAFT)))-$(SEED)
 SCENARIO ?= pulses
 COUNT    ?= 10
+ON       ?= host
 ARGS     ?=
 
 VENV := .venv
@@ -44,8 +45,8 @@ host: setup ## the same firmware as a program of this machine
 train: setup ## a policy from the twin: AIRCRAFT=nf1 [STEPS=] [SEED=] [OUT=]
 	@$(RUN) train --aircraft $(AIRCRAFT) --steps $(STEPS) --seed $(SEED) --out $(OUT) $(ARGS)
 
-fly: host ## the host build against the twin: [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
-	@$(RUN) fly --on host --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
+fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
+	@$(RUN) fly --on $(ON) --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
 test: firmware host ## the tests
 	@$(VENV)/bin/python -m pytest $(ARGS)
