@@ -32,7 +32,7 @@ from training.ultimate import RULES, Steps, Ultimate, ultimate
 
 Array = NDArray[np.float64]
 
-POPULATION = 16  # candidates of a generation
+POPULATION = 12  # candidates of a generation; the usual number for 11 settings
 PENALTY = 20.0  # [deg/s] for a limit exceeded by itself
 MARGIN = 0.97  # part of each limit that the search keeps to: unseen commands differ by a percent or two
 HELD_MARGIN = 0.8  # likewise of the band at the end of a held command
@@ -46,8 +46,11 @@ CUTOFF_MIN_HZ = 15.0  # with less, K_D acts on the rate rather than on its slope
 CUTOFF_NYQUIST_MAX = 0.9  # of half the control rate
 NOTHING = (0.0, 1e-2, 1e-4)  # K_P, K_I, K_D below which a gain does nothing to be seen and is written as 0
 DIGITS = 4  # significant, of the settings that are flown and written
-LESS_INTEGRAL = 0.01  # of a rule's K_I, tried too: a rate follows a moment by itself already
-SPREAD_GAIN, SPREAD_INTEGRAL = 0.3, 1.0  # standard deviation of the search's first logarithms
+# Parts of a rule's gains, and of its K_I besides, that the search may begin with: K_u is an ideal gyro's, and
+# a rate follows a moment by itself, with little integral.
+STARTS = ((1.0, 1.0), (1.0, 0.01), (0.3, 0.01), (0.1, 0.01))
+MOST = (1.0, 1.2, 0.3)  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u), beyond which nothing is looked for
+SPREAD_GAIN, SPREAD_INTEGRAL = 0.3, 0.6  # standard deviation of the search's first logarithms
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Tuning:
 
     ultimates: tuple[Ultimate, Ultimate, Ultimate]  # roll, pitch, yaw
     rules: dict[str, Trial]  # the rules of Ziegler and Nichols and their successors, by name
-    start: Trial  # where the search began: the best of the rules, with their K_I or little of it
+    start: Trial  # where the search began: the best of the rules and of parts of them
     trials: tuple[Trial, ...]  # of the search, in the order flown
     best: Trial
     interrupted: bool
@@ -110,21 +113,19 @@ def tune(
 
     idle = min(IDLE_START, limits.idle)
     ultimates = ultimate(aircraft, idle, control_rate_hz)
-    settings = [
-        _rule_settings(ultimates, rule, part, idle) for part in (1.0, LESS_INTEGRAL) for rule in RULES
-    ]
-    starts = fly(settings)
+    starts = fly([_rule_settings(ultimates, rule, *part, idle) for part in STARTS for rule in RULES])
     rules = dict(zip(RULES, starts, strict=False))
     start = best = min(starts, key=lambda trial: trial.cost)
     trials: list[Trial] = []
     cutoff_max_hz = CUTOFF_NYQUIST_MAX * control_rate_hz / 2
+    most = np.array([item.scaled(MOST) for item in ultimates])
     spread = np.full(11, SPREAD_GAIN)
     spread[3:6] = SPREAD_INTEGRAL
     evolution = Evolution(_encoded(start.settings), spread, POPULATION, search)
     try:
         for _ in range(max(1, round(budget / POPULATION))):
             points = evolution.ask()
-            generation = fly([_decoded(point, limits.idle, cutoff_max_hz) for point in points])
+            generation = fly([_decoded(point, most, limits.idle, cutoff_max_hz) for point in points])
             evolution.tell(points, np.array([trial.cost for trial in generation]))
             trials += generation
             best = min([best, *generation], key=lambda trial: trial.cost)
@@ -247,10 +248,12 @@ def _missed(held: Flights) -> float:
     return float((error / (HELD_MARGIN * band) - 1.0).clip(0.0, 1.0).mean())
 
 
-def _rule_settings(ultimates: Sequence[Ultimate], rule: str, integral: float, idle: float) -> PidSettings:
-    """Gains by `rule`, of K_I the part `integral`."""
+def _rule_settings(
+    ultimates: Sequence[Ultimate], rule: str, part: float, integral: float, idle: float
+) -> PidSettings:
+    """A part of the gains by `rule`, and of K_I another part of that."""
     gains = [item.gains(rule) for item in ultimates]
-    roll, pitch, yaw = ((p, integral * i, d) for p, i, d in gains)
+    roll, pitch, yaw = ((part * p, part * integral * i, part * d) for p, i, d in gains)
     return _rounded((roll, pitch, yaw), CUTOFF_START_HZ, idle)
 
 
@@ -260,9 +263,9 @@ def _encoded(settings: PidSettings) -> Array:
     return np.log([*gains, settings.derivative_cutoff_hz or CUTOFF_START_HZ, max(settings.idle, IDLE_MIN)])
 
 
-def _decoded(point: Array, idle_max: float, cutoff_max_hz: float) -> PidSettings:
+def _decoded(point: Array, most: Array, idle_max: float, cutoff_max_hz: float) -> PidSettings:
     *values, cutoff, idle = np.exp(point).tolist()
-    gains = np.reshape(values, (3, 3)).T
+    gains = np.minimum(np.reshape(values, (3, 3)).T, most)
     roll, pitch, yaw = np.where(gains < NOTHING, 0.0, gains).tolist()
     cutoff = min(max(cutoff, CUTOFF_MIN_HZ), cutoff_max_hz)
     return _rounded((tuple(roll), tuple(pitch), tuple(yaw)), cutoff, min(idle, idle_max))

@@ -41,7 +41,11 @@ class Ultimate:
 
     def gains(self, rule: str) -> Vector:
         """K_P, K_I, K_D by a rule of `RULES`."""
-        p, i, d = RULES[rule]
+        return self.scaled(RULES[rule])
+
+    def scaled(self, parts: Vector) -> Vector:
+        """K_P, K_I, K_D that are `parts` of K_u, K_u / T_u and K_u T_u."""
+        p, i, d = parts
         return p * self.gain, i * self.gain / self.period, d * self.gain * self.period
 
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from rich.console import Console
 
     from sim.aircraft import Aircraft, PidSettings
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from training.tuning import Limits, Trial, Tuning
 
 RATE_HZ = 1000  # of the control loop
-BUDGET, COMMANDS, CHECKED = 640, 10, 1000
+BUDGET, COMMANDS, CHECKED = 720, 12, 1000
 BUDGET_MAX = 100_000
 OUTPUT, CHANGE = 0.12, 0.012  # limits
 
@@ -255,28 +257,31 @@ def _print(
     from toolchain.contract import AXES
 
     gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
-    for heading in ("", "K_u", "T_u, ms", *tuning.rules, "tuned"):
+    for heading in ("", *AXES):
         gains.add_column(heading, justify="right" if heading else "left")
-    for axis, name in enumerate(AXES):
-        found = tuning.ultimates[axis]
-        trials = (*tuning.rules.values(), tuning.best)
-        sets = (" ".join(f"{value:.4g}" for value in trial.settings.gains[axis]) for trial in trials)
-        gains.add_row(name, f"{found.gain:.3g}", f"{1e3 * found.period:.1f}", *sets)
+    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimates))
+    for name, trial in (*tuning.rules.items(), ("tuned", tuning.best)):
+        sets = (", ".join(f"{value:.3g}" for value in axis) for axis in trial.settings.gains)
+        gains.add_row(name, *sets)
     console.print(gains)
     best = tuning.best.settings
     console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
 
     table = Table(title=f"{args.check:,} unseen pulses, seed {args.seed}", title_justify="left")
-    for heading in ("", *AXES, "average", "ū", "|Δu| in 1 ms"):
+    for heading in ("", *checked):
         table.add_column(heading, justify="right" if heading else "left")
-    for name, evaluation in checked.items():
-        effort = (f"{evaluation.effort.output:.3f}", f"{evaluation.effort.change:.4f}")
-        for unit, values, digits in (
-            ("MAE", evaluation.tracking.mae, 2),
-            ("MSE", evaluation.tracking.mse, 0),
-        ):
-            cells = (f"{value:,.{digits}f}" for value in (*values, values.mean()))
-            table.add_row(f"{name}: {unit}", *cells, *(effort if unit == "MAE" else ("", "")))
+    errors = [evaluation.tracking for evaluation in checked.values()]
+    efforts = [evaluation.effort for evaluation in checked.values()]
+    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
+    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
+    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
+    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
+    table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
+    table.add_row("mean |Δu| in 1 ms", *(f"{item.change:.4f}" for item in efforts))
     console.print(table)
     if args.write:
         console.print(f"[pid.{args.name}] is in {args.write}", markup=False, highlight=False)
+
+
+def _each(values: NDArray[np.float64], digits: int) -> str:
+    return " / ".join(f"{value:,.{digits}f}" for value in values)
