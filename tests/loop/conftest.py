@@ -12,7 +12,7 @@ import pytest
 from sim.aircraft import load_aircraft
 from sim.controller_port import ControllerPort
 from sim.loop import fly
-from sim.pid import aircraft_pid
+from sim.pid import aircraft_pid, pid_settings
 from sim.port import FirmwarePort
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario
@@ -50,4 +50,5 @@ def reference(reference_library: Path) -> ReferencePort:
 @pytest.fixture
 def pid() -> ControllerPort:
     """The PID with the aircraft's gains."""
-    return ControllerPort(aircraft_pid(load_aircraft("nf1")), 4, GYRO_RATE_HZ)
+    nf1 = load_aircraft("nf1")
+    return ControllerPort(aircraft_pid(nf1), 4, GYRO_RATE_HZ, idle=pid_settings(nf1).idle)

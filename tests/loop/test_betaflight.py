@@ -136,7 +136,9 @@ def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Be
         return found.tracking.mae.mean(), found.tracking.mse.mean(), found.effort.change
 
     mae, mse, change = flight(BetaflightPort(betaflight, 4000), IDLE)
-    pid_mae, pid_mse, pid_change = flight(ControllerPort(aircraft_pid(aircraft), 4, 4000), 0.0)
+    pid_mae, pid_mse, pid_change = flight(
+        ControllerPort(aircraft_pid(aircraft, name="published"), 4, 4000), 0.0
+    )
     assert mae < 3.0 < pid_mae  # [deg/s]
     assert mse < 220 < pid_mse
     assert change < 0.004 < pid_change

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from sim.aircraft import load_aircraft
 from sim.trace import load_trace
 from toolchain.cli import fly as command
 from toolchain.cli.main import main
@@ -116,9 +117,11 @@ def flown(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]
 def test_the_pids_idle_is_no_output_of_its_own_when_its_table_has_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    own = load_aircraft("nf1").pids[0][1].idle
     text = (ROOT / "sim" / "aircraft" / "nf1.toml").read_text()
     aircraft = tmp_path / "idling.toml"
-    aircraft.write_text(text.replace("[pid.published]", "[pid.published]\nidle = 0.2"))
+    aircraft.write_text(text.replace(f"\nidle = {own}\n", f"\nidle = {own / 2}\n", 1))
+    assert load_aircraft(aircraft).pids[0][1].idle == own / 2 > 0.05
     still = tmp_path / "still.toml"
     still.write_text("[[segment]]\nduration_s = 0.3\nsetpoint_deg_s = [0, 0, 0]\n")
     idling = flown(capsys, "--scenario", str(still), "--aircraft", str(aircraft))
