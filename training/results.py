@@ -49,7 +49,7 @@ def render(results: Sequence[Stored]) -> str:
             raise stored.error("task", "nothing", "what evaluate, fly or stability printed with --json")
     blocks = [HEAD]
     for task, section in SECTIONS.items():
-        for (_, aircraft), rows in sorted(item for item in tables.items() if item[0][0] == task):
+        for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
             printed = PRINTED[task] if aircraft == PRINTED_AIRCRAFT[task] else ()
             blocks.append(section(aircraft, [*rows, *printed]))
     blocks += [_drift_section(stored) for stored in drifts]
@@ -91,13 +91,13 @@ def _flown_rows(stored: Stored) -> list[Row]:
             "scenario", stored.text("scenario"), "pulses, the only flight the page has a table for"
         )
     on = stored.text("on")
-    names = {"firmware": f"policy in the firmware ({on})", "Betaflight": "Betaflight, default PID (SITL)"}
+    firmware = "Betaflight, default PID (SITL)" if on == "betaflight" else f"policy in the firmware ({on})"
     flights = stored.get("flights")
     if not isinstance(flights, dict):
         raise stored.error("flights", flights, "an object")
     return [
         Row(
-            label=names.get(name, f"{name}, same port and commands as {next(iter(flights))}"),
+            label=firmware if name == "firmware" else f"{name}, same gyro rate and commands as the row above",
             episodes=int(stored.number("episodes")),
             tracking={key: stored.axes("flights", name, "tracking", key) for key in ("mae", "mse", *SUMS)},
             output=stored.number("flights", name, "effort", "output"),

@@ -135,17 +135,17 @@ def test_row_says_how_it_was_flown_when_that_is_not_the_usual(more: Document, la
 
 
 def test_rows_keep_the_order_of_files_when_there_are_several() -> None:
-    text = page(evaluated("pid", pid="z"), evaluated("pid", pid="a"), flown("Betaflight", "PID"))
+    text = page(evaluated("pid", pid="z"), evaluated("pid", pid="a"), flown("firmware", "PID"))
     places = [
         text.index(f"| {label} |") for label in ("PID `z`", "PID `a`", "Betaflight, default PID (SITL)")
     ]
     assert places == sorted(places)
-    assert row(text, "PID, same port and commands as Betaflight")[1] == "1.25 / 1.50 / 1.75"
+    assert row(text, "PID, same gyro rate and commands as the row above")[1] == "1.25 / 1.50 / 1.75"
 
 
 def test_flight_that_keeps_no_command_is_retold_when_listed() -> None:
     assert "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --count 10 --seed 7`" in page(
-        flown("Betaflight")
+        flown("firmware")
     )
 
 
