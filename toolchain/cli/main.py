@@ -14,6 +14,9 @@ from collections.abc import Sequence
 
 from toolchain.errors import NeuroflightError
 
+SUMMARY = (
+    "From the digital twin of an aircraft to a flight firmware whose rate controller is a neural network."
+)
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
     "compile": "turn policy.onnx into policy.c and policy.h",
@@ -33,7 +36,7 @@ COMMANDS = {
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    top = argparse.ArgumentParser(prog="neuroflight", description=__doc__.splitlines()[0])
+    top = argparse.ArgumentParser(prog="neuroflight", description=SUMMARY)
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
