@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
-from sim.pid import aircraft_pid
+from sim.pid import aircraft_pid, pid_settings
 from training.evaluation import evaluate, figures, record
 from training.task import EnvelopeTask, EpisodicTask, PulseTask
 
@@ -54,7 +54,8 @@ def test_every_controller_meets_the_same_commands_when_the_seed_is_the_same() ->
 
 
 def test_the_pid_tracks_an_order_better_than_standing_still() -> None:
-    pid = evaluate(aircraft_pid(NF1, 10), NF1, episodes=10, seed=5, control_rate_hz=1000)
+    idle = pid_settings(NF1).idle
+    pid = evaluate(aircraft_pid(NF1, 10), NF1, episodes=10, seed=5, control_rate_hz=1000, idle=idle)
     still = evaluate(Still(10), NF1, episodes=10, seed=5, control_rate_hz=1000)
     assert pid.tracking.mae.mean() < 0.2 * still.tracking.mae.mean()
 
@@ -76,11 +77,12 @@ def test_progress_counts_every_step() -> None:
 
 def test_success_is_all_or_nothing_when_the_controller_is() -> None:
     task = EpisodicTask()
-    pid = evaluate(aircraft_pid(NF1, 12), NF1, episodes=12, seed=3, control_rate_hz=1000, task=task)
+    controller, idle = aircraft_pid(NF1, 12), pid_settings(NF1).idle
+    pid = evaluate(controller, NF1, episodes=12, seed=3, control_rate_hz=1000, task=task, idle=idle)
     still = evaluate(Still(12), NF1, episodes=12, seed=3, control_rate_hz=1000, task=task)
     assert pid.response is not None
     assert still.response is not None
-    assert pid.response.success.value.mean() > 0.8
+    assert pid.response.success.value.tolist() == [1.0, 1.0, 1.0]
     assert still.response.success.value.max() < 0.2
     assert still.response.failure.value == pytest.approx([100.0] * 3, abs=0.1)
     assert still.response.rise_ms.count.tolist() == [0, 0, 0]
