@@ -216,4 +216,5 @@ def test_plot_is_drawn_when_one_sample_is_far_out() -> None:
     recording = record(samples)
     histogram = draw(measure_noise(recording), recording, "glitch").axes[1]
     assert len(histogram.patches) == 3
-    assert all(len(outline.get_path().vertices) < 500 for outline in histogram.patches)  # bins, however far it lies
+    corners = [len(outline.get_path().vertices) for outline in histogram.patches]
+    assert max(corners) < 500  # as many bins as ever, however far the slip lies
