@@ -38,3 +38,9 @@ def turned_back(rotation: Array, vectors: Array) -> Array:
     """Rows of `vectors` (N, 3), each turned by the inverse of its own matrix of `rotation` (N, 3, 3)."""
     rows: Array = np.einsum("nji,nj->ni", rotation, vectors)
     return rows
+
+
+def cross_matrix(r: Array) -> Array:
+    """Matrix (3, 3) of r x, for r of shape (3,)."""
+    x, y, z = r
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

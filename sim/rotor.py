@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft, Propulsion, TorqueResponse
+from sim.rotation import cross_matrix
 
 Array = NDArray[np.float64]
 
@@ -91,11 +92,11 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
         momentum = spin * propulsion.rotor_inertia * up  # [N m s] a rad/s
         reaction.append(np.concatenate([nothing, -momentum]))
         # v_hub = v + w x r = v - [r] w; its part across the rotor axis makes drag and a rolling moment.
-        hub = across @ np.hstack([np.eye(3), -_cross_matrix(r)])
+        hub = across @ np.hstack([np.eye(3), -cross_matrix(r)])
         force = -propulsion.drag_coefficient * hub
-        moment = _cross_matrix(r) @ force - propulsion.rolling_coefficient * hub
+        moment = cross_matrix(r) @ force - propulsion.rolling_coefficient * hub
         # Gyroscopic moment: -w x h = h x w.
-        moment[:, 3:] += _cross_matrix(momentum)
+        moment[:, 3:] += cross_matrix(momentum)
         motion.append(np.vstack([force, moment]).T)
     thrust_wrench, torque_wrench = np.array(thrust), np.array(torque)
     square_wrench = None
@@ -132,8 +133,3 @@ def rotor_wrench(
         load + ((after - before) / dt) @ geometry.reaction_wrench + motion @ geometry.motion_wrench
     )
     return wrench
-
-
-def _cross_matrix(r: Array) -> Array:
-    x, y, z = r
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

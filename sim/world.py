@@ -24,7 +24,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft import GRAVITY, Aircraft
-from sim.rotation import quaternion, turned, turned_back
+from sim.rotation import cross_matrix, quaternion, turned, turned_back
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class World:
         if mount is Mount.RIG:
             arm = properties.centre - np.array(aircraft.centre_of_thrust)
         self._arm = arm
-        self._swing = _cross_matrix(arm)  # rows: rate @ swing = rate x arm, -force @ swing = arm x force
+        self._swing = cross_matrix(arm)  # rows: rate @ swing = rate x arm, -force @ swing = arm x force
         self._maps(properties.inertia + properties.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm)), dt)
 
         self._client = pybullet.connect(pybullet.DIRECT)
@@ -325,12 +325,6 @@ def _matrix_of_squares() -> Array:
 def _rows(tuples: Sequence[tuple[float, ...]], width: int) -> Array:
     """Array (N, width) of pybullet's tuples; quicker than np.array."""
     return np.fromiter(chain.from_iterable(tuples), np.float64, width * len(tuples)).reshape(-1, width)
-
-
-def _cross_matrix(r: Array) -> Array:
-    """Matrix of r x."""
-    x, y, z = r
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _load_rig(mass: float, arm: Array, moments: Array, axes: Array, client: int) -> int:
