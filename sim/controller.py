@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.observation import Observer
-from toolchain.evaluate import evaluate
+from toolchain.evaluate import advance, clear_state
 from toolchain.network import PolicyModel
 from toolchain.passes import optimize
 
@@ -38,21 +38,23 @@ class PolicyController:
 
         exact: with the very roundings of the compiled C; see `toolchain.evaluate`.
         """
-        self._layers, _ = optimize(policy.layers)
+        self._network, _ = optimize(policy.network)
+        self._state = clear_state(self._network, count)
         self._exact = exact
         self._everyone = np.arange(count)
         self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
         self._action = np.zeros((count, policy.action_count), np.float32)
 
     def reset(self) -> None:
-        """Forget the past: deltas and the previous action of the next step are zero."""
+        """Forget the past: deltas, the previous action and recurrent state of the next step are zero."""
         self._observer.reset(self._everyone)
         self._action[:] = 0.0
+        self._state = clear_state(self._network, len(self._everyone))
 
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """See Controller."""
         observation = self._observer.observe(slice(None), setpoint, gyro, self._action, throttle)
-        self._action = evaluate(self._layers, observation, exact=self._exact)
+        self._action, self._state = advance(self._network, observation, self._state, exact=self._exact)
         return self._action

@@ -213,7 +213,7 @@ def _facts(compiled: CompiledPolicy, file: Path) -> PolicyFacts:
     return PolicyFacts(
         file=str(file),
         sha256=model.source_sha256,
-        network=model.network,
+        network=model.network.text,
         observation=model.observation,
         control_rate_hz=model.control_rate_hz,
         weights=int(compiled.plan.table.size),

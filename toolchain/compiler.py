@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolchain.emit import Emission, emit
-from toolchain.layers import Layers
+from toolchain.graph import Network
 from toolchain.network import PolicyModel
 from toolchain.passes import Saving, optimize
 from toolchain.plan import Plan, lower
@@ -17,7 +17,7 @@ class CompiledPolicy:
     """A policy with each stage of its compilation."""
 
     policy: PolicyModel
-    layers: Layers  # after optimization: what `toolchain.evaluate` evaluates
+    network: Network  # after optimization: what `toolchain.evaluate` evaluates
     savings: tuple[Saving, ...]
     plan: Plan
     emission: Emission
@@ -25,7 +25,7 @@ class CompiledPolicy:
 
 def compile_policy(policy: PolicyModel) -> CompiledPolicy:
     """The C of `policy`. Deterministic. Raises PolicyError where folding leaves float32's range."""
-    layers, savings = optimize(policy.layers)
-    plan = lower(policy, layers)
-    observation, action = selftest_vectors(layers, policy.observation_count)
-    return CompiledPolicy(policy, layers, savings, plan, emit(policy, plan, observation, action))
+    network, savings = optimize(policy.network)
+    plan = lower(policy, network)
+    observation, action = selftest_vectors(network)
+    return CompiledPolicy(policy, network, savings, plan, emit(policy, plan, observation, action))

@@ -12,8 +12,8 @@ import numpy as np
 
 from toolchain import tanh
 from toolchain.float32 import Float32
-from toolchain.layers import Activation, Clip, Relu, Tanh
 from toolchain.network import PolicyModel
+from toolchain.operations import Activation, Clip, Relu, Tanh
 from toolchain.plan import Plan, Step
 from toolchain.templating import render
 
@@ -98,6 +98,7 @@ def _compared(activation: Activation) -> tuple[float, ...]:
             return (0.0,)
         case Clip(low, high):
             return tuple(bound for bound in (low, high) if bound is not None)
+    raise TypeError(f"{activation} is not emitted")
 
 
 def _used(step: Step, limits: Sequence[float]) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -16,7 +16,8 @@ from typing import TypeVar
 from toolchain import contract
 from toolchain.contract import ObservationBlock
 from toolchain.errors import PolicyError
-from toolchain.layers import Clip, Layer, Layers, Linear, shape_text
+from toolchain.graph import Network
+from toolchain.operations import Clip, Operation
 
 AIRCRAFT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into C: no quotes, no escapes
 SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -33,14 +34,17 @@ class PolicyModel:
     aircraft_sha256: str
     training: Mapping[str, object]  # what is known about its training, for people
     source_sha256: str  # of the ONNX file
-    observation_count: int
-    action_count: int
-    layers: Layers  # ends with a Clip within [0, 1]
+    network: Network  # ends with a Clip within [0, 1]
 
     @property
-    def network(self) -> str:
-        """Widths and activations, as `6-64-64-4 tanh`."""
-        return shape_text(self.observation_count, self.layers)
+    def observation_count(self) -> int:
+        """Number of values of an observation."""
+        return self.network.inputs
+
+    @property
+    def action_count(self) -> int:
+        """Number of motors."""
+        return self.network.outputs
 
     @property
     def observation(self) -> str:
@@ -69,7 +73,7 @@ def parse_policy(data: bytes) -> PolicyModel:
     import onnx  # a third of a second that commands without a policy need not wait for
     from google.protobuf.message import DecodeError
 
-    from toolchain.onnx_graph import read_layers, refuse_unsupported
+    from toolchain.onnx_graph import read_network, refuse_unsupported
 
     try:
         model = onnx.load_model_from_string(data)
@@ -81,14 +85,14 @@ def parse_policy(data: bytes) -> PolicyModel:
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, ValueError) as error:
         first = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
         raise PolicyError(f"not a valid ONNX model, or a truncated one: {first}") from error
-    width, layers = read_layers(model)
-    _check_bounds(layers)
+    network = read_network(model)
+    _check_bounds(network)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
-    return _describe(metadata, hashlib.sha256(data).hexdigest(), width, tuple(layers))
+    return _describe(metadata, hashlib.sha256(data).hexdigest(), network)
 
 
-def _check_bounds(layers: Sequence[Layer]) -> None:
-    match layers[-1] if layers else None:
+def _check_bounds(network: Network) -> None:
+    match network.nodes[-1].operation if network.nodes else None:
         case Clip(low=float(low), high=float(high)) if 0 <= low <= high <= 1:
             return
         case last:
@@ -97,7 +101,7 @@ def _check_bounds(layers: Sequence[Layer]) -> None:
             )
 
 
-def _short(layer: Layer | None) -> str:
+def _short(layer: Operation | None) -> str:
     match layer:
         case None:
             return "nothing"
@@ -106,7 +110,7 @@ def _short(layer: Layer | None) -> str:
     return type(layer).__name__
 
 
-def _describe(metadata: Mapping[str, str], sha256: str, width: int, layers: Layers) -> PolicyModel:
+def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> PolicyModel:
     """Join the metadata of the file to its network. Raises PolicyError naming the key that does not fit."""
     version = _value(metadata, contract.META_VERSION)
     if version != contract.POLICY_FORMAT_VERSION:
@@ -125,8 +129,7 @@ def _describe(metadata: Mapping[str, str], sha256: str, width: int, layers: Laye
     aircraft_sha256 = _value(metadata, contract.META_AIRCRAFT_SHA256)
     if not SHA256.fullmatch(aircraft_sha256):
         raise _wrong(contract.META_AIRCRAFT_SHA256, aircraft_sha256, "64 hexadecimal digits")
-    linears = [layer for layer in layers if isinstance(layer, Linear)]
-    actions = linears[-1].outputs if linears else width
+    width, actions = network.inputs, network.outputs
     if (expected := contract.observation_count(blocks, actions)) != width:
         raise PolicyError(
             f"the policy takes {width} values, but its blocks {names} make {expected} with {actions} motors"
@@ -139,9 +142,7 @@ def _describe(metadata: Mapping[str, str], sha256: str, width: int, layers: Laye
         aircraft_sha256=aircraft_sha256,
         training=_json(metadata, contract.META_TRAINING, dict),
         source_sha256=sha256,
-        observation_count=width,
-        action_count=actions,
-        layers=layers,
+        network=network,
     )
 
 

@@ -17,7 +17,9 @@ from onnx import numpy_helper
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
 from toolchain.errors import PolicyError
 from toolchain.float32 import Float32
-from toolchain.layers import Affine, Clip, Layer, Linear, Relu, Tanh
+from toolchain.graph import Network
+from toolchain.graph import chain as chain_of
+from toolchain.operations import Affine, Clip, Linear, Operation, Relu, Tanh
 
 SUPPORTED = (
     "Add",
@@ -63,8 +65,8 @@ def refuse_unsupported(model: onnx.ModelProto) -> None:
             raise PolicyError(f"{label} is of type {kind}, expected float32; export in float32")
 
 
-def read_layers(model: onnx.ModelProto) -> tuple[int, list[Layer]]:
-    """The width of the observation and the layers of a model that the ONNX checker has accepted."""
+def read_network(model: onnx.ModelProto) -> Network:
+    """The network of a model that the ONNX checker has accepted."""
     graph = model.graph
     given = {tensor.name for tensor in graph.initializer}
     inputs = [value for value in graph.input if value.name not in given]
@@ -81,7 +83,7 @@ def read_layers(model: onnx.ModelProto) -> tuple[int, list[Layer]]:
         )
     if chain.width != outputs:
         raise PolicyError(f"the policy computes {chain.width} actions and declares {outputs}")
-    return width, chain.layers
+    return chain_of(width, chain.layers)
 
 
 @dataclass
@@ -90,10 +92,10 @@ class _Chain:
 
     value: str
     width: int
-    layers: list[Layer] = field(default_factory=list)
+    layers: list[Operation] = field(default_factory=list)
     constants: dict[str, Float32] = field(default_factory=dict)
 
-    def append(self, layer: Layer, node: onnx.NodeProto) -> None:
+    def append(self, layer: Operation, node: onnx.NodeProto) -> None:
         """`node` computes `layer` from the chain's value."""
         if isinstance(layer, Linear):
             self.width = layer.outputs

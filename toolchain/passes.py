@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from toolchain.errors import PolicyError
 from toolchain.float32 import Float32
-from toolchain.layers import Affine, Layer, Layers, Linear
+from toolchain.graph import Network, chain
+from toolchain.operations import Affine, Linear
+from toolchain.operations import Operation as Layer
 
 
 @dataclass(frozen=True)
@@ -26,14 +28,14 @@ class Saving:
     bytes: int  # of weights
 
 
-def optimize(layers: Sequence[Layer]) -> tuple[Layers, tuple[Saving, ...]]:
+def optimize(network: Network) -> tuple[Network, tuple[Saving, ...]]:
     """The shortened chain and what was saved, one `Saving` a kind of rewrite that applied.
 
     Raises PolicyError where folding leaves the range of float32.
     """
     kept: list[Layer] = []
     savings: dict[str, Saving] = {}
-    for layer in layers:
+    for layer in (node.operation for node in network.nodes):
         kept.append(layer)
         while len(kept) > 1 and (rewritten := _join(kept[-2], kept[-1])) is not None:
             rewrite, joined = rewritten
@@ -42,7 +44,7 @@ def optimize(layers: Sequence[Layer]) -> tuple[Layers, tuple[Saving, ...]]:
             _count(savings, rewrite, before, after)
         if _is_identity(kept[-1]):
             _count(savings, "drop identity", [kept.pop()], [])
-    return tuple(kept), tuple(savings.values())
+    return chain(network.inputs, kept), tuple(savings.values())
 
 
 def _join(first: Layer, second: Layer) -> tuple[str, Layer] | None:

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolchain.float32 import Float32
-from toolchain.layers import Activation, Affine, Clip, Layer, Linear
+from toolchain.graph import Network
 from toolchain.network import PolicyModel
+from toolchain.operations import Activation, Affine, Clip, Linear
+from toolchain.operations import Operation as Layer
 
 BLOCK = 8  # outputs summed at a time: 8 sums, 8 weights and the input fit the FPU's 32 registers
 
@@ -51,10 +53,11 @@ class Plan:
     architecture_hash: int  # CRC-32: equal for policies whose tables may be exchanged
 
 
-def lower(policy: PolicyModel, layers: Sequence[Layer]) -> Plan:
-    """The plan of `policy` with its network in the form `layers`."""
+def lower(policy: PolicyModel, network: Network) -> Plan:
+    """The plan of `policy` with its network in the form `network`."""
     steps: list[Step] = []
     tables: list[Float32] = [np.zeros(0, np.float32)]
+    layers = [node.operation for node in network.nodes]
     width, offset, position = policy.observation_count, 0, 0
     while position < len(layers):
         layer = layers[position]

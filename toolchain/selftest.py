@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 
 import numpy as np
 
 from toolchain.contract import SELFTEST_COUNT
-from toolchain.evaluate import evaluate
+from toolchain.evaluate import replay
 from toolchain.float32 import Float32
-from toolchain.layers import Layer
+from toolchain.graph import Network
 
 # Every value of one observation: zero, the smallest and largest magnitudes of float32, and rates beyond a
 # gyro's range; random ones of growing scale follow. No NaN and no infinity: C has no constant for them.
@@ -18,15 +17,15 @@ EXTREMES = (0.0, 1e-45, 1.1754944e-38, 1e-6, 1e3, -1e3, 3.4028235e38, -3.4028235
 SCALES = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 40.0)
 
 
-def selftest_vectors(layers: Sequence[Layer], inputs: int) -> tuple[Float32, Float32]:
+def selftest_vectors(network: Network) -> tuple[Float32, Float32]:
     """Observations (SELFTEST_COUNT, inputs) and actions (SELFTEST_COUNT, outputs): the same in every run.
 
     The random bits come from SHAKE-128, because no library promises a generator's stream for ever.
     """
     count = SELFTEST_COUNT - len(EXTREMES)
-    bits = hashlib.shake_128(b"neuroflight self-test").digest(4 * count * inputs)
-    unit = np.frombuffer(bits, "<u4").reshape(count, inputs) / 2.0**31 - 1
+    bits = hashlib.shake_128(b"neuroflight self-test").digest(4 * count * network.inputs)
+    unit = np.frombuffer(bits, "<u4").reshape(count, network.inputs) / 2.0**31 - 1
     random = unit * np.resize(SCALES, count)[:, None]
-    extremes = np.repeat(np.array(EXTREMES)[:, None], inputs, axis=1)
+    extremes = np.repeat(np.array(EXTREMES)[:, None], network.inputs, axis=1)
     observation = np.concatenate([extremes, random]).astype(np.float32)
-    return observation, evaluate(layers, observation)
+    return observation, replay(network, observation)

@@ -104,7 +104,7 @@ def test_torch_onnxruntime_and_c_agree_on_ten_thousand_observations(
 def test_the_evaluator_is_the_c_to_the_bit_and_its_fast_form_within_the_tolerance(
     shipped_policy: Path, reference_library: Path, observations: Float32
 ) -> None:
-    layers, _ = optimize(read_policy(shipped_policy).layers)
+    network, _ = optimize(read_policy(shipped_policy).network)
     compiled = through_c(reference_library, observations, 4)
-    assert np.array_equal(evaluate(layers, observations), compiled)
-    assert np.abs(evaluate(layers, observations, exact=False) - compiled).max() <= TOLERANCE
+    assert np.array_equal(evaluate(network, observations), compiled)
+    assert np.abs(evaluate(network, observations, exact=False) - compiled).max() <= TOLERANCE

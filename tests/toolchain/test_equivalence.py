@@ -54,7 +54,7 @@ def test_host_c_gives_the_evaluators_bits_when_observations_are_anything(
 ) -> None:
     policy = kit.compiled(chain_of(kit, name))
     observation = kit.observations(10_000, policy.policy.observation_count)
-    expected = evaluate(policy.layers, observation)
+    expected = evaluate(policy.network, observation)
     assert_same_bits(kit.host(policy, tmp_path).actions(observation), expected)
 
 
@@ -77,7 +77,7 @@ def test_actions_agree_with_onnxruntime_when_observations_are_of_unit_scale(kit:
     observation = rng.normal(size=(10_000, policy.policy.observation_count)).astype(np.float32)
     expected = np.concatenate([session.run(None, {"observation": row[None]})[0] for row in observation])
     assert np.ptp(expected) > 0.1
-    np.testing.assert_allclose(evaluate(policy.layers, observation), expected, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(evaluate(policy.network, observation), expected, rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -108,12 +108,12 @@ def test_actions_agree_with_torch_when_torch_exported_the_model(kit: Kit, tmp_pa
     observation = np.random.default_rng(4).normal(size=(10_000, 6)).astype(np.float32)
     with torch.no_grad():
         expected = module(torch.from_numpy(observation)).numpy()
-    np.testing.assert_allclose(evaluate(policy.layers, observation), expected, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(evaluate(policy.network, observation), expected, rtol=0, atol=TOLERANCE)
 
 
 def test_actions_are_bounded_when_observations_are_anything(kit: Kit) -> None:
     policy = kit.compiled(kit.mlp())
-    action = evaluate(policy.layers, kit.observations(10_000, 6, seed=2))
+    action = evaluate(policy.network, kit.observations(10_000, 6, seed=2))
     assert np.isfinite(action).all()
     assert action.min() >= 0
     assert action.max() <= 1
@@ -144,6 +144,6 @@ def test_table_of_another_policy_is_used_when_it_is_given_at_init(kit: Kit, tmp_
     table = other.plan.table
     host.init(ctypes.c_void_p(table.ctypes.data))
     observation = kit.observations(200, 6)
-    assert_same_bits(host.actions(observation), evaluate(other.layers, observation))
+    assert_same_bits(host.actions(observation), evaluate(other.network, observation))
     host.init(None)
-    assert_same_bits(host.actions(observation), evaluate(ours.layers, observation))
+    assert_same_bits(host.actions(observation), evaluate(ours.network, observation))

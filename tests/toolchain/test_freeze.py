@@ -95,8 +95,8 @@ def test_policy_does_what_the_trained_one_did_when_frozen(
         action = trained.get_distribution(scaled).mode().numpy()
     expected = np.clip(0.5 * action + 0.25, 0, 1)
     assert np.ptp(expected) > 0.05
-    np.testing.assert_allclose(evaluate(policy.layers, raw), expected, rtol=0, atol=3e-6)
-    assert policy.network == f"6-32-16-4 {name}"
+    np.testing.assert_allclose(evaluate(policy.network, raw), expected, rtol=0, atol=3e-6)
+    assert policy.network.text == f"6-32-16-4 {name}"
 
 
 def test_file_holds_the_policy_only_when_frozen(state: dict[str, torch.Tensor]) -> None:

@@ -45,7 +45,7 @@ def test_policy_tells_what_it_is_when_it_is_read(kit: Kit, tmp_path: Path) -> No
     path = tmp_path / "policy.onnx"
     path.write_bytes(chain.data())
     policy = read_policy(path)
-    assert policy.network == "6-64-64-4 tanh"
+    assert policy.network.text == "6-64-64-4 tanh"
     assert policy.observation == "rate_error,rate_error_delta"
     assert (policy.observation_count, policy.action_count) == (6, 4)
     assert (policy.control_rate_hz, policy.filters, policy.aircraft) == (1000, (), "nf1")
@@ -97,8 +97,8 @@ def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     expected = np.concatenate([session.run(None, {"observation": row[None]})[0] for row in observation])
     policy = parse_policy(data)
-    for layers in (policy.layers, optimize(policy.layers)[0]):
-        np.testing.assert_allclose(evaluate(layers, observation), expected, rtol=0, atol=1e-6)
+    for network in (policy.network, optimize(policy.network)[0]):
+        np.testing.assert_allclose(evaluate(network, observation), expected, rtol=0, atol=1e-6)
 
 
 def test_constants_are_found_when_nodes_hold_them(kit: Kit) -> None:
@@ -108,7 +108,7 @@ def test_constants_are_found_when_nodes_hold_them(kit: Kit) -> None:
             model.graph.node.insert(0, node)
         model.graph.node[-1].input[1:] = ["low", "high"]
 
-    assert parse_policy(edited(kit.mlp(), hold)).network == "6-64-64-4 tanh"
+    assert parse_policy(edited(kit.mlp(), hold)).network.text == "6-64-64-4 tanh"
 
 
 @pytest.mark.parametrize("keep", [0, 1, 100, 0.5, 0.999])

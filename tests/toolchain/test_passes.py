@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from toolchain.errors import PolicyError
 from toolchain.evaluate import evaluate
-from toolchain.layers import Affine, Clip, Layers, Linear, Tanh
+from toolchain.graph import Network, chain
+from toolchain.operations import Affine, Clip, Linear, Operation, Tanh
 from toolchain.passes import Saving, optimize
 
 DOOR = Clip(0.0, 1.0)
@@ -25,12 +26,20 @@ def affine(count: int, seed: int = 0) -> Affine:
     return Affine(rng.normal(size=count), rng.normal(size=count))
 
 
-def actions(layers: Layers, inputs: int) -> NDArray[np.float32]:
-    observation = np.random.default_rng(9).normal(size=(300, inputs)).astype(np.float32)
-    return evaluate(layers, observation)
+def actions(network: Network) -> NDArray[np.float32]:
+    observation = np.random.default_rng(9).normal(size=(300, network.inputs)).astype(np.float32)
+    return evaluate(network, observation)
 
 
-CASES: dict[str, tuple[Layers, list[type], Saving]] = {
+def operations_of(network: Network) -> tuple[Operation, ...]:
+    return tuple(node.operation for node in network.nodes)
+
+
+def kinds_of(network: Network) -> list[type]:
+    return [type(operation) for operation in operations_of(network)]
+
+
+CASES: dict[str, tuple[tuple[Operation, ...], list[type], Saving]] = {
     "affine before linear": (
         (affine(6), linear(4, 6), DOOR),
         [Linear, Clip],
@@ -61,30 +70,34 @@ CASES: dict[str, tuple[Layers, list[type], Saving]] = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_layers_are_joined_when_nothing_lies_between(name: str) -> None:
-    layers, kinds, saving = CASES[name]
-    shorter, savings = optimize(layers)
-    assert [type(layer) for layer in shorter] == kinds
+    operations, kinds, saving = CASES[name]
+    network = chain(6, operations)
+    shorter, savings = optimize(network)
+    assert kinds_of(shorter) == kinds
     assert savings == (saving,)
-    np.testing.assert_allclose(actions(shorter, 6), actions(layers, 6), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(actions(shorter), actions(network), rtol=0, atol=1e-6)
 
 
 def test_linear_layers_stay_apart_when_their_product_costs_more() -> None:
     layers = (linear(1, 30), linear(30, 1), DOOR)
-    shorter, savings = optimize(layers)
-    assert shorter == layers
+    shorter, savings = optimize(chain(30, layers))
+    assert operations_of(shorter) == layers
     assert not savings
 
 
 def test_layers_stay_apart_when_an_activation_lies_between() -> None:
     layers = (linear(8, 6), Tanh(), linear(4, 8), DOOR)
-    assert optimize(layers) == (layers, ())
+    shorter, savings = optimize(chain(6, layers))
+    assert operations_of(shorter) == layers
+    assert not savings
 
 
 def test_long_chain_becomes_one_layer_when_all_of_it_is_affine() -> None:
     layers = (affine(6), linear(9, 6), affine(9), affine(9, 3), linear(4, 9), affine(4), DOOR)
-    shorter, _ = optimize(layers)
-    assert [type(layer) for layer in shorter] == [Linear, Clip]
-    np.testing.assert_allclose(actions(shorter, 6), actions(layers, 6), rtol=0, atol=1e-5)
+    network = chain(6, layers)
+    shorter, _ = optimize(network)
+    assert kinds_of(shorter) == [Linear, Clip]
+    np.testing.assert_allclose(actions(shorter), actions(network), rtol=0, atol=1e-5)
 
 
 def test_policy_is_refused_when_folding_leaves_float32() -> None:
@@ -95,4 +108,4 @@ def test_policy_is_refused_when_folding_leaves_float32() -> None:
         DOOR,
     )
     with pytest.raises(PolicyError, match="expected values of float32's range"):
-        optimize(layers)
+        optimize(chain(6, layers))

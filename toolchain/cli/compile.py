@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     write_text(paths["source"], compiled.emission.source)
     write_text(paths["header"], compiled.emission.header)
     facts = {
-        "network": compiled.policy.network,
+        "network": compiled.policy.network.text,
         "weights": int(compiled.plan.table.size),
         "architecture_hash": f"{compiled.plan.architecture_hash:08x}",
         "policy_sha256": compiled.policy.source_sha256,

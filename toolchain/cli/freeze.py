@@ -20,6 +20,7 @@ def run(args: argparse.Namespace) -> int:
     freeze(args.checkpoint, args.out)
     policy = read_policy(args.out)
     print(
-        f"{args.checkpoint} -> {args.out}: {policy.network}, {policy.aircraft}, {policy.control_rate_hz} Hz"
+        f"{args.checkpoint} -> {args.out}: {policy.network.text}, {policy.aircraft}, "
+        f"{policy.control_rate_hz} Hz"
     )
     return 0

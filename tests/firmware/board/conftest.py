@@ -29,9 +29,10 @@ from unicorn.arm_const import (
 
 from toolchain.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, observation_blocks
+from toolchain.graph import chain
 from toolchain.header import render_contract
-from toolchain.layers import Clip, Layer, Linear, Tanh
 from toolchain.network import PolicyModel
+from toolchain.operations import Clip, Linear, Operation, Tanh
 from toolchain.registers import Register, RegisterTable, load
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -61,7 +62,7 @@ CLOCK_OF = {
 def random_policy() -> PolicyModel:
     """A 6-64-64-4 network of random weights, as large as the shipped one."""
     rng = np.random.default_rng(1)
-    layers: list[Layer] = []
+    layers: list[Operation] = []
     for inputs, outputs in itertools.pairwise(WIDTHS):
         weight = rng.normal(0, inputs**-0.5, (outputs, inputs)).astype(np.float32)
         layers += [Linear(weight, np.zeros(outputs, np.float32)), Tanh()]
@@ -73,9 +74,7 @@ def random_policy() -> PolicyModel:
         aircraft_sha256="0" * 64,
         training={},
         source_sha256="0" * 64,
-        observation_count=WIDTHS[0],
-        action_count=WIDTHS[-1],
-        layers=(*layers[:-1], Clip(0.0, 1.0)),
+        network=chain(WIDTHS[0], [*layers[:-1], Clip(0.0, 1.0)]),
     )
 
 
