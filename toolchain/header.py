@@ -2,7 +2,8 @@
 
 Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
 suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and
-`_SIZE`, and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`.
+`_SIZE`, and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The header of the policy blob
+becomes a struct whose offsets the C compiler proves.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from toolchain.templating import render
 
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing.
 PYTHON_ONLY = ("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_")
+TABLES = ("POLICY_BLOB_FIELDS",)  # rendered as a struct
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,29 @@ class Enumeration:
     members: tuple[Member, ...]
 
 
+@dataclass(frozen=True)
+class BlobField:
+    """One member of the struct that lies over a policy blob's header; an array where `count` is above 1."""
+
+    c_type: str
+    name: str
+    count: int
+    comment: str
+    offset: int  # from the blob's begin [bytes]
+    size: int  # [bytes]
+
+
+def blob_header_fields() -> tuple[BlobField, ...]:
+    """The header of the policy blob for the macros of templates/blob_header.j2, in order, without gaps."""
+    fields, offset = [], 0
+    for field in contract.POLICY_BLOB_FIELDS:
+        comment = f"{field.unit}: {field.meaning}" if field.unit else field.meaning
+        size = struct.calcsize("<" + field.format)
+        fields.append(BlobField(field.c_type, field.name, field.count, comment, offset, size))
+        offset += size
+    return tuple(fields)
+
+
 def render_contract() -> str:
     """The text of nf_contract.h. Deterministic: the contract in its own order."""
     groups = [list(_defines(f"NF_{name}", value)) for name, value in _constants()]
@@ -58,12 +83,13 @@ def render_contract() -> str:
             {"name": block.name, "code": block.code, "width": int(block.width)}
             for block in contract.OBSERVATION_BLOCKS
         ],
+        blob_fields=blob_header_fields(),
     )
 
 
 def _constants() -> Iterator[tuple[str, object]]:
     for name, value in vars(contract).items():
-        if name.isupper() and not name.startswith(("_", *PYTHON_ONLY)):
+        if name.isupper() and not name.startswith(("_", *PYTHON_ONLY, *TABLES)):
             yield name, value
 
 

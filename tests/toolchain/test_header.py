@@ -23,6 +23,12 @@ EXPRESSIONS = {
     "NF_FLASH_SECTORS_4_SIZE": 64 * 1024,
     "NF_DTCM_ADDRESS": contract.DTCM.address,
     "NF_OBSERVATION_BLOCK_COUNT": len(contract.OBSERVATION_BLOCKS),
+    "sizeof(struct nf_policy_blob_header)": 216,
+    "NF_POLICY_BLOB_HEADER_BYTES": 216,
+    "NF_POLICY_BLOB_MAGIC": int.from_bytes(b"NFPB", "little"),
+    "offsetof(struct nf_policy_blob_header, architecture_hash)": 16,
+    "offsetof(struct nf_policy_blob_header, weight_count)": 36,
+    "offsetof(struct nf_policy_blob_header, policy_sha256)": 180,
     "sizeof(NF_MSP_VARIANT)": len(contract.MSP_VARIANT) + 1,
     "sizeof(NF_CALIBRATION_MOTION_DEG_S)": 4,
     **{f"NF_OBSERVATION_{block.name.upper()}": block.code for block in contract.OBSERVATION_BLOCKS},
@@ -49,8 +55,8 @@ _Static_assert(0 NF_OBSERVATION_BLOCKS(CODE) == {widths}, "widths");
 int use(int i);
 int use(int i) {{ return (int)(rates[i] - expected[i]); }}
 """
-    flags = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror", "-fsyntax-only"]
-    command = [compiler, *flags, f"-I{tmp_path}", "-x", "c", "-"]
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Wpadded", "-pedantic"]
+    command = [compiler, *flags, "-Werror", "-fsyntax-only", f"-I{tmp_path}", "-x", "c", "-"]
     done = subprocess.run(command, input=source, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -64,6 +70,12 @@ def test_header_leaves_out_what_only_python_speaks_when_rendered() -> None:
     assert "NF_META_" not in text
     assert "NF_CHECKPOINT_" not in text
     assert "_FORMAT" not in text
+
+
+def test_header_has_one_struct_for_the_blob_when_rendered() -> None:
+    text = render_contract()
+    assert text.count("struct nf_policy_blob_header {") == 1
+    assert "NF_POLICY_BLOB_FIELDS" not in text
 
 
 def test_header_is_the_same_when_rendered_twice() -> None:
