@@ -9,6 +9,16 @@ enum nf_err {
 	NF_ERR_IDLE = -3,        /* idle outside [0, 1) */
 	NF_ERR_OBSERVATION = -4, /* the policy asks for a block that this core does not compute */
 	NF_ERR_POLICY = -5,      /* the self-test vectors do not come out bit for bit */
+
+	/* A policy blob, in the order of the checks. */
+	NF_ERR_BLOB_SHORT = -6,         /* fewer bytes than a header and a CRC */
+	NF_ERR_BLOB_MAGIC = -7,         /* not a blob: an erased slot, for instance */
+	NF_ERR_BLOB_LAYOUT = -8,        /* of another layout version */
+	NF_ERR_BLOB_SIZE = -9,          /* sizes that contradict each other or exceed the bytes; no self-test */
+	NF_ERR_BLOB_CRC = -10,          /* damaged */
+	NF_ERR_BLOB_RATE = -11,         /* trained for another control rate */
+	NF_ERR_BLOB_FILTERS = -12,      /* trained behind other gyro filters */
+	NF_ERR_BLOB_ARCHITECTURE = -13, /* weights for other code */
 };
 
 #endif

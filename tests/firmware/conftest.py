@@ -28,7 +28,10 @@ from toolchain.header import render_contract
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
 PUPPET = Path(__file__).parent / "puppet"
-HEADERS = ("firmware.h", "rates.h", "dshot.h", "msp.h", "hal/host/convert.h", "hal/host/reference.h")
+HEADERS = (
+    *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h"),
+    *("hal/host/convert.h", "hal/host/reference.h"),
+)
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types
 
 SUCCESS, ERR_GYRO_RATE, ERR_ALIGNMENT, ERR_IDLE, ERR_OBSERVATION, ERR_POLICY = range(0, -6, -1)

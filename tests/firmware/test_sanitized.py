@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import subprocess
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from toolchain import contract
+from toolchain.blob import PolicyBlob, pack
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "firmware" / "src"
@@ -26,6 +30,22 @@ def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{SOURCE}", f"-I{generated}", "-o", str(program)]
     subprocess.run([*command, *map(str, sources), str(generated / "policy.c"), str(FEED)], check=True)
     return program
+
+
+SMALLEST_BLOB = PolicyBlob(
+    sequence=1,
+    architecture_hash=1,
+    filters_hash=contract.POLICY_FILTERS_NONE,
+    control_rate_hz=1000,
+    blocks=contract.observation_blocks("throttle"),
+    aircraft="nf1",
+    aircraft_sha256="0" * 64,
+    policy_sha256="0" * 64,
+    weights=np.ones(1, np.float32),
+    selftest_observation=np.zeros((1, 1), np.float32),
+    selftest_action=np.zeros((1, 1), np.float32),
+    selftest_steps=1,
+)
 
 
 def pieces(seed: int, sbus: Callable[..., bytes]) -> list[bytes]:
@@ -55,6 +75,33 @@ def test_no_sanitizer_speaks_when_bytes_are_wild(feed: Path, sbus: Callable[...,
     stream = b"".join(bytes([len(piece)]) + piece for piece in given)
     done = subprocess.run([str(feed)], input=stream, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
-    samples, replies = map(int, done.stdout.split())
+    samples, replies, _ = map(int, done.stdout.split())
     assert samples == len(given)
     assert replies > 100, "some of the requests must have got through"
+
+
+def resealed(data: bytes) -> bytes:
+    """`data` with the CRC that belongs to it."""
+    return data[:-4] + zlib.crc32(data[:-4]).to_bytes(4, "little")
+
+
+def test_no_sanitizer_speaks_when_blobs_are_cut_damaged_or_lie(feed: Path) -> None:
+    good = pack(SMALLEST_BLOB)
+    rng = np.random.default_rng(4)
+    given = [good, good + b"slot"] + [good[:length] for length in range(len(good))]
+    for index in range(len(good)):
+        for value in (0x00, 0xFF, int(rng.integers(256))):
+            damaged = good[:index] + bytes([value]) + good[index + 1 :]
+            given += [damaged, resealed(damaged)]
+    for _ in range(2000):
+        noise = bytearray(good[:4] + b"\x01\x00" + rng.integers(0, 256, len(good) - 6, np.uint8).tobytes())
+        for offset in range(6, 52):  # most sizes as they should be, so that the others are reached
+            if rng.random() < 0.95:
+                noise[offset] = good[offset]
+        given.append(resealed(bytes(noise)))
+    stream = b"".join(bytes([len(piece)]) + piece for piece in given)
+    done = subprocess.run([str(feed)], input=stream, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    samples, _, blobs = map(int, done.stdout.split())
+    assert samples == len(given)
+    assert 100 < blobs < len(given) / 2, "good ones are taken, and what does not change their figures"

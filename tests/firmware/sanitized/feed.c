@@ -1,20 +1,26 @@
 /* Feeds standard input to everything of the core that reads bytes or counts, under the sanitizers.
- * Input: pieces of a length byte and as many bytes; each goes to the receiver, the MSP server and the gyro. */
+ * Input: pieces of a length byte and as many bytes; each goes to the receiver, the MSP server, the gyro and the
+ * check of policy blobs. Output: how many pieces, how many with MSP replies, how many good blobs. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "firmware.h"
 #include "msp.h"
+#include "policy_blob.h"
 
 int main(void)
 {
 	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
 	static const struct firmware_config config = { .gyro_rate_hz = 1000, .alignment = ALIGN_CW90 };
+	static const struct policy_blob_identity identity_of_blob = {
+		.architecture_hash = 1, .filters_hash = NF_POLICY_FILTERS_NONE, .control_rate_hz = 1000,
+		.weight_count = 1, .observation_count = 1, .action_count = 1,
+	};
 	struct firmware *fw = malloc(sizeof *fw);
 	struct firmware_status status;
 	struct msp msp;
-	unsigned long samples = 0, replies = 0;
+	unsigned long samples = 0, replies = 0, blobs = 0;
 
 	if (!fw || firmware_init(fw, &config) != NF_OK)
 		return 2;
@@ -22,9 +28,10 @@ int main(void)
 	for (int length; (length = getchar()) != EOF;) {
 		/* Exact sizes on the heap, so that one byte too far is seen. */
 		uint8_t *bytes = malloc((size_t)length + 1), *reply = malloc((size_t)length * 4 + 1);
+		uint8_t *slot = malloc((size_t)length + 1);
 		uint16_t *dshot = malloc(POLICY_ACTION_COUNT * sizeof *dshot);
 		int16_t counts[3] = { 0 };
-		if (!bytes || !reply || !dshot)
+		if (!bytes || !reply || !slot || !dshot)
 			return 2;
 		const size_t count = fread(bytes, 1, (size_t)length, stdin);
 		memcpy(counts, bytes, count < sizeof counts ? count : sizeof counts);
@@ -32,12 +39,15 @@ int main(void)
 		firmware_sample(fw, counts, dshot);
 		firmware_status(fw, &status);
 		replies += msp_serve(&msp, &status, bytes, count, reply, (size_t)length * 4) > 0;
+		memcpy(slot + 1, bytes, count); /* misaligned, and its end is the heap block's */
+		blobs += policy_blob_check(slot + 1, count, &identity_of_blob) == NF_OK;
 		samples++;
 		free(bytes);
 		free(reply);
+		free(slot);
 		free(dshot);
 	}
 	free(fw);
-	printf("%lu %lu\n", samples, replies);
+	printf("%lu %lu %lu\n", samples, replies, blobs);
 	return 0;
 }
