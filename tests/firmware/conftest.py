@@ -103,7 +103,9 @@ def puppet(puppet_build: Path) -> Core:
 @pytest.fixture(scope="session")
 def reference_core(reference_library: Path, tmp_path_factory: pytest.TempPathFactory) -> Core:
     """The core around the shipped policy."""
-    return load(reference_library, FIRMWARE / "generated" / "HOST", tmp_path_factory.mktemp("reference"))
+    return load(
+        reference_library, reference_library.parent / "generated", tmp_path_factory.mktemp("reference")
+    )
 
 
 def encode_sbus(
