@@ -239,11 +239,10 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
 
 
 def _refuse_names(blob: PolicyBlob) -> None:
-    limit = contract.POLICY_BLOB_AIRCRAFT_BYTES
-    if len(blob.aircraft) > limit or not AIRCRAFT_NAME.fullmatch(blob.aircraft):
-        shown = repr(blob.aircraft[:60])
+    if not AIRCRAFT_NAME.fullmatch(blob.aircraft):
         raise PolicyError(
-            f"the policy's aircraft is {shown}, expected at most {limit} letters, digits, dots and dashes"
+            f"the policy's aircraft is {blob.aircraft[:60]!r}, "
+            f"expected at most {contract.POLICY_BLOB_AIRCRAFT_BYTES} letters, digits, dots and dashes"
         )
     for name, digits in (("aircraft", blob.aircraft_sha256), ("policy", blob.policy_sha256)):
         if not SHA256.fullmatch(digits):

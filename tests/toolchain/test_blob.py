@@ -225,6 +225,7 @@ def test_a_blob_is_refused_in_its_words_when_a_field_lies(name: str, value: byte
     [
         ({"weights": np.array([1, np.nan, np.inf], np.float32)}, "2 NaN or infinite values"),
         ({"selftest_action": np.full((2, 4), 1.0000001, np.float32)}, "action outside 0 to 1"),
+        ({"selftest_action": np.full((2, 4), -1e-45, np.float32)}, "action outside 0 to 1"),
         ({"selftest_action": np.full((2, 4), np.nan, np.float32)}, "action outside 0 to 1"),
         ({"selftest_steps": 3}, "self-test steps is 3, expected 1 to 2"),
         ({"selftest_steps": 0}, "self-test steps is 0, expected 1 to 2"),
