@@ -1,0 +1,311 @@
+"""An emulated Cortex-M7 that calls the C functions of a linked program, one at a time.
+
+Nothing of a chip is emulated: a program's segments lie at their addresses, what the caller asks for beside
+them is allocated in an arena, a stack has unmapped memory on either side. Whatever else is touched is a
+fault that names the function. The core and its floating point are unicorn's, with the model of the M7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.constants import P_FLAGS, SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+from unicorn import (
+    UC_ARCH_ARM,
+    UC_HOOK_BLOCK,
+    UC_HOOK_CODE,
+    UC_HOOK_MEM_INVALID,
+    UC_MEM_FETCH_PROT,
+    UC_MEM_FETCH_UNMAPPED,
+    UC_MEM_READ_PROT,
+    UC_MEM_READ_UNMAPPED,
+    UC_MEM_WRITE_PROT,
+    UC_MEM_WRITE_UNMAPPED,
+    UC_MODE_MCLASS,
+    UC_MODE_THUMB,
+    UC_PROT_ALL,
+    UC_PROT_EXEC,
+    UC_PROT_READ,
+    UC_PROT_WRITE,
+    Uc,
+    UcError,
+)
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_PC,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_R2,
+    UC_ARM_REG_R3,
+    UC_ARM_REG_SP,
+    UC_CPU_ARM_CORTEX_M7,
+)
+
+from toolchain.contract import Region
+from toolchain.errors import BuildError, NeuroflightError
+
+ELF_BYTES_MAX = 64 << 20
+INSTRUCTIONS_MAX = 10_000_000  # of one call: what runs longer will not come back
+PAGE = 4096  # bytes: what the emulator maps
+ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)  # AAPCS: the first four words
+
+# Where no memory of the board lies and no linker script puts anything.
+ARENA = Region("arena", 0x90000000, 256 * 1024)
+STACK = Region("stack", 0x9F000000, 64 * 1024)
+RETURN = 0x9FF00000  # where a called function comes back to
+
+ACCESS = {
+    UC_MEM_READ_UNMAPPED: "a read",
+    UC_MEM_WRITE_UNMAPPED: "a write",
+    UC_MEM_FETCH_UNMAPPED: "a jump",
+    UC_MEM_READ_PROT: "a read",
+    UC_MEM_WRITE_PROT: "a write to what is constant,",
+    UC_MEM_FETCH_PROT: "a jump into data,",
+}
+
+Blocks = list[tuple[int, int]]  # address and size [bytes] of runs of code, in the order executed
+
+
+class FaultError(NeuroflightError):
+    """A function that touched memory it may not, executed what is no instruction, or did not come back."""
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A name of the program."""
+
+    name: str
+    address: int  # bit 0 cleared
+    size: int  # bytes
+    is_function: bool
+
+
+@dataclass(frozen=True)
+class ProgramSegment:
+    """Memory of the program as it is when main begins: zeroes included, at the address where it is used."""
+
+    address: int
+    data: bytes
+    is_writable: bool
+    is_code: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A linked program."""
+
+    path: Path
+    segments: tuple[ProgramSegment, ...]
+    symbols: Mapping[str, Symbol]
+    sections: Mapping[str, int]  # size [bytes] of those that occupy memory
+
+    def symbol(self, name: str) -> Symbol:
+        """The symbol `name`. Raises BuildError when the program has none."""
+        if name not in self.symbols:
+            raise BuildError(f"{self.path.name} has no {name}; link a program that does")
+        return self.symbols[name]
+
+    def place(self, address: int) -> str:
+        """`address` as people read it: policy_step+0x1a, or the bare number outside all functions."""
+        for symbol in self._functions:
+            if symbol.address <= address < symbol.address + max(symbol.size, 1):
+                return f"{symbol.name}+0x{address - symbol.address:x}"
+        return f"0x{address:08X}"
+
+    @cached_property
+    def _functions(self) -> tuple[Symbol, ...]:
+        return tuple(symbol for symbol in self.symbols.values() if symbol.is_function)
+
+
+def load_program(path: Path) -> Program:
+    """The program in the ELF file `path`. Raises BuildError when it is none for this core."""
+    try:
+        if path.stat().st_size > ELF_BYTES_MAX:
+            raise BuildError(
+                f"{path}: {path.stat().st_size} bytes, expected an ELF of at most {ELF_BYTES_MAX}"
+            )
+        with path.open("rb") as file:
+            elf = ELFFile(file)
+            if elf.get_machine_arch() != "ARM":
+                raise BuildError(
+                    f"{path} is for {elf.get_machine_arch()}, expected ARM; link it for the Cortex-M7"
+                )
+            return Program(path, tuple(_segments(elf)), _symbols(elf), _sections(elf))
+    except OSError as error:
+        raise BuildError(f"cannot read the program {path}: {error.strerror}") from error
+    except ELFError as error:
+        raise BuildError(f"cannot read the program {path}: not an ELF file, {error}") from error
+
+
+class CortexM7:
+    """The core with a program in its memory. Memory keeps what calls leave in it."""
+
+    def __init__(self, program: Program, memory: Sequence[Region] = ()) -> None:
+        """Load `program`. `memory`: regions of a board, page by page, that it may use beside its segments.
+
+        Without `memory` a write to code or constants is a fault; within it everything is allowed.
+        """
+        self.program = program
+        self._uc = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
+        self._uc.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)
+        self._map(memory)
+        for segment in program.segments:
+            self._uc.mem_write(segment.address, segment.data)
+        self._free = ARENA.address
+        self._bad_access = ""
+        self._uc.hook_add(UC_HOOK_MEM_INVALID, self._note_access)
+
+    def allocate(self, size: int) -> int:
+        """The address of `size` fresh bytes of zero, 64-byte aligned; they are never given back."""
+        address = self._free
+        self._free += -(-size // 64) * 64
+        if self._free > ARENA.address + ARENA.size:
+            raise FaultError(f"{size} bytes more than the arena of {ARENA.size} bytes holds")
+        return address
+
+    def read(self, address: int, size: int) -> bytes:
+        """`size` bytes of memory."""
+        return bytes(self._uc.mem_read(address, size))
+
+    def write(self, address: int, data: bytes) -> None:
+        """Put `data` into memory, constants included."""
+        self._uc.mem_write(address, data)
+
+    def call(self, function: str, *arguments: int, instructions: int = INSTRUCTIONS_MAX) -> int:
+        """Call `function` with up to four words. Returns r0.
+
+        instructions: after how many the call is given up.
+        Raises FaultError when the call fails, BuildError when the program has no such function.
+        """
+        entry = self.program.symbol(function).address
+        if len(arguments) > len(ARGUMENTS):
+            raise ValueError(
+                f"{len(arguments)} arguments of {function}, at most {len(ARGUMENTS)} lie in registers"
+            )
+        for register, value in zip(ARGUMENTS, arguments, strict=False):
+            self._uc.reg_write(register, value)
+        self._uc.reg_write(UC_ARM_REG_SP, STACK.address + STACK.size)
+        self._uc.reg_write(UC_ARM_REG_LR, RETURN | 1)
+        self._bad_access = ""
+        try:
+            self._uc.emu_start(entry | 1, RETURN, count=instructions)
+        except UcError as error:
+            raise FaultError(f"{function} stopped at {self._here()}: {self._bad_access or error}") from error
+        if self._uc.reg_read(UC_ARM_REG_PC) != RETURN:
+            raise FaultError(
+                f"{function} did not come back within {instructions} instructions, {self._here()}"
+            )
+        return int(self._uc.reg_read(UC_ARM_REG_R0))
+
+    @contextmanager
+    def recording(self) -> Iterator[Blocks]:
+        """Note the runs of code that calls execute, in order; the caller clears the list between calls.
+
+        A run ends in a branch or wherever the emulator had a reason of its own, such as the end of a page;
+        every instruction in it was executed or, under a condition that did not hold, skipped in its place.
+        """
+        blocks: Blocks = []
+        note = blocks.append
+        with self._hooked(UC_HOOK_BLOCK, lambda _uc, address, size, _data: note((address, size))):
+            yield blocks
+
+    def stack_bytes(self, function: str, *arguments: int) -> int:
+        """The stack that a call takes at its deepest: the stack pointer is read before every instruction."""
+        top = lowest = STACK.address + STACK.size
+
+        def look(uc: Uc, _address: int, _size: int, _data: object) -> None:
+            nonlocal lowest
+            lowest = min(lowest, uc.reg_read(UC_ARM_REG_SP))
+
+        with self._hooked(UC_HOOK_CODE, look):
+            self.call(function, *arguments)
+        return top - lowest
+
+    @contextmanager
+    def _hooked(self, kind: int, callback: object) -> Iterator[None]:
+        # Hooks are compiled into translated code, so what was translated without them is thrown away.
+        hook = self._uc.hook_add(kind, callback)
+        self._uc.ctl_flush_tb()  # type: ignore[attr-defined]
+        try:
+            yield
+        finally:
+            self._uc.hook_del(hook)
+            self._uc.ctl_flush_tb()  # type: ignore[attr-defined]
+
+    def _map(self, memory: Sequence[Region]) -> None:
+        board = {page for region in memory for page in _pages(region.address, region.size)}
+        pages = dict.fromkeys(board, UC_PROT_ALL)
+        for segment in self.program.segments:
+            allowed = UC_PROT_READ
+            allowed |= UC_PROT_WRITE if segment.is_writable else 0
+            allowed |= UC_PROT_EXEC if segment.is_code else 0
+            for page in _pages(segment.address, len(segment.data)):
+                pages[page] = pages.get(page, 0) | allowed
+        for region in (ARENA, STACK):
+            pages |= dict.fromkeys(_pages(region.address, region.size), UC_PROT_READ | UC_PROT_WRITE)
+        pages[RETURN] = UC_PROT_READ | UC_PROT_EXEC
+        for address, size, allowed in _joined(pages):
+            self._uc.mem_map(address, size, allowed)
+
+    def _note_access(self, _uc: Uc, access: int, address: int, size: int, _value: int, _data: object) -> bool:
+        self._bad_access = f"{ACCESS.get(access, 'an access')} of {size} bytes at 0x{address:08X}"
+        return False
+
+    def _here(self) -> str:
+        return self.program.place(self._uc.reg_read(UC_ARM_REG_PC))
+
+
+def _segments(elf: ELFFile) -> Iterator[ProgramSegment]:
+    for segment in elf.iter_segments("PT_LOAD"):
+        size, flags = segment["p_memsz"], segment["p_flags"]
+        if size > ELF_BYTES_MAX:
+            raise BuildError(f"a segment of {size} bytes in memory, expected at most {ELF_BYTES_MAX}")
+        if size:
+            yield ProgramSegment(
+                segment["p_vaddr"],
+                segment.data().ljust(size, b"\0"),
+                is_writable=bool(flags & P_FLAGS.PF_W),
+                is_code=bool(flags & P_FLAGS.PF_X),
+            )
+
+
+def _symbols(elf: ELFFile) -> dict[str, Symbol]:
+    table = elf.get_section_by_name(".symtab")
+    if not isinstance(table, SymbolTableSection):
+        raise BuildError("the program has no symbols; link it without -s")
+    found = {}
+    for symbol in table.iter_symbols():
+        is_function = symbol["st_info"]["type"] == "STT_FUNC"
+        if symbol.name and symbol["st_shndx"] != "SHN_UNDEF":
+            address = symbol["st_value"] & ~1 if is_function else symbol["st_value"]
+            found[symbol.name] = Symbol(symbol.name, address, symbol["st_size"], is_function)
+    return found
+
+
+def _sections(elf: ELFFile) -> dict[str, int]:
+    return {s.name: s["sh_size"] for s in elf.iter_sections() if s["sh_flags"] & SH_FLAGS.SHF_ALLOC}
+
+
+def _pages(address: int, size: int) -> range:
+    return range(address & -PAGE, address + size, PAGE)
+
+
+def _joined(pages: Mapping[int, int]) -> Iterator[tuple[int, int, int]]:
+    """Neighbouring pages of one protection as (address, size, protection)."""
+    start, end, allowed = 0, 0, -1
+    for page, protection in sorted(pages.items()):
+        if page == end and protection == allowed:
+            end += PAGE
+            continue
+        if end > start:
+            yield start, end - start, allowed
+        start, end, allowed = page, page + PAGE, protection
+    if end > start:
+        yield start, end - start, allowed
