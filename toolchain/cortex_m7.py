@@ -89,10 +89,11 @@ class Symbol:
 
 @dataclass(frozen=True)
 class ProgramSegment:
-    """Memory of the program as it is when main begins: zeroes included, at the address where it is used."""
+    """Memory of the program as it is when main begins, at the address where it is used."""
 
     address: int
-    data: bytes
+    data: bytes  # the rest is zero, unless another segment lies in the gap
+    size: int  # bytes
     is_writable: bool
     is_code: bool
 
@@ -246,7 +247,7 @@ class CortexM7:
             allowed = UC_PROT_READ
             allowed |= UC_PROT_WRITE if segment.is_writable else 0
             allowed |= UC_PROT_EXEC if segment.is_code else 0
-            for page in _pages(segment.address, len(segment.data)):
+            for page in _pages(segment.address, segment.size):
                 pages[page] = pages.get(page, 0) | allowed
         for region in (ARENA, STACK):
             pages |= dict.fromkeys(_pages(region.address, region.size), UC_PROT_READ | UC_PROT_WRITE)
@@ -270,7 +271,8 @@ def _segments(elf: ELFFile) -> Iterator[ProgramSegment]:
         if size:
             yield ProgramSegment(
                 segment["p_vaddr"],
-                segment.data().ljust(size, b"\0"),
+                segment.data(),
+                size,
                 is_writable=bool(flags & P_FLAGS.PF_W),
                 is_code=bool(flags & P_FLAGS.PF_X),
             )
