@@ -74,6 +74,12 @@ def state_bytes(program: Path) -> int:
     raise BuildError(f"{program.name} does not tell the size of struct policy; compile it with -g")
 
 
+def compiler_version() -> str:
+    """Name and version of the compiler."""
+    done = subprocess.run([COMPILER, "-dumpfullversion"], capture_output=True, text=True, check=True)
+    return f"{COMPILER} {done.stdout.strip()}"
+
+
 class ArmPolicy:
     """policy_init and policy_step of a program, called on an emulated core."""
 
