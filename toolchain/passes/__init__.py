@@ -1,0 +1,166 @@
+"""Optimization: shortens a network without changing what it computes.
+
+Each pass is exact in real arithmetic, is carried out in float64 and rounds its result to float32 once. The
+passes run in the order of PASSES, again and again until none of them changes anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from toolchain.graph import Network, multiply_adds
+from toolchain.operations import (
+    Affine,
+    Concat,
+    Elu,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Operation,
+    Sigmoid,
+    Silu,
+    Slice,
+    Softsign,
+)
+from toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
+from toolchain.passes.bounds import drop_bounds
+from toolchain.passes.matrices import merge_linear
+from toolchain.passes.shape import drop_identities, share_equal, simplify_slices
+from toolchain.passes.unread import drop_unread
+
+if TYPE_CHECKING:
+    from toolchain.proof import Proof
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One kind of rewrite: a pure function that gives back the same object where it finds nothing to do."""
+
+    name: str
+    does: str  # one line for people
+    run: Callable[[Network], Network]
+
+
+PASSES = (
+    Pass("drop unread", "drops nodes, and rows of matrices, that cannot reach the output", drop_unread),
+    Pass("drop identities", "drops what gives the value that it takes", drop_identities),
+    Pass("share equal", "computes once what is computed twice from the same values", share_equal),
+    Pass("simplify slices", "takes values where they come from, not from a slice or concat", simplify_slices),
+    Pass("drop bounds", "drops a clip or relu that cannot bind, joins two in a row", drop_bounds),
+    Pass("lower sigmoid", "writes a sigmoid between matrices as 1/2 + 1/2 tanh(x/2)", lower_sigmoid),
+    Pass("merge affine", "makes two affine maps in a row one", merge_affine),
+    Pass("fold affine", "folds affine maps into the weights before or after them", fold_affine),
+    Pass("move affine", "moves affine maps through concat and slice towards weights", move_affine),
+    Pass("merge linear", "multiplies out linear layers with no activation between", merge_linear),
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """What a network costs."""
+
+    nodes: int
+    operations: int  # of one evaluation; a multiply-add, a bound or a tanh is one
+    bytes: int  # of weights
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What one pass took away, over all its runs; less than nothing where it prepares another's work."""
+
+    rewrite: str  # the name of the pass
+    nodes: int
+    operations: int
+    bytes: int
+    proof: Proof | None = None  # the worst of its runs
+
+
+def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Saving, ...]]:
+    """The shortened network and what was saved, one `Saving` a pass that did something, in their order.
+
+    prove: run the network in onnxruntime before and after each pass that did something, and raise
+    `toolchain.proof.ProofError` where they differ by more than rounding. Deterministic. Raises PolicyError
+    where folding leaves the range of float32.
+    """
+    savings: dict[str, Saving] = {}
+    changed = True
+    while changed:
+        changed = False
+        for step in PASSES:
+            after = step.run(network)
+            if after is not network:
+                changed = True
+                savings[step.name] = _add(savings.get(step.name), step.name, network, after, prove)
+                network = after
+    for node in network.nodes:
+        if isinstance(node.operation, Affine):  # the others have been rounded where they were made
+            rounded(node.operation.scale)
+            rounded(node.operation.offset)
+    return network, tuple(savings[step.name] for step in PASSES if step.name in savings)
+
+
+def size(network: Network) -> Size:
+    """Nodes, operations and bytes of a network."""
+    widths = network.widths[1:]
+    operations = sum(
+        _operations(node.operation, width) for node, width in zip(network.nodes, widths, strict=True)
+    )
+    return Size(len(network.nodes), operations, sum(weight_bytes(node.operation) for node in network.nodes))
+
+
+def weight_bytes(operation: Operation) -> int:
+    """Bytes of the operation's weights in float32."""
+    match operation:
+        case Linear(weight, bias):
+            return weight.nbytes + bias.nbytes
+        case Affine(scale, offset) | LayerNorm(_, scale, offset):
+            return 4 * (scale.size + offset.size)
+        case Gru():
+            biases = operation.input_bias.nbytes + operation.state_bias.nbytes
+            return operation.input_weight.nbytes + operation.state_weight.nbytes + biases
+        case Lstm():
+            return operation.input_weight.nbytes + operation.state_weight.nbytes + operation.bias.nbytes
+    return 0
+
+
+def _operations(operation: Operation, width: int) -> int:
+    """Operations of one evaluation; a function that has a kernel of its own counts as one."""
+    match operation:
+        case Linear():
+            return multiply_adds(operation)
+        case Gru():  # 2 sums, 2 sigmoids of 3, tanh, 2 products with a sum, a difference
+            return multiply_adds(operation) + 12 * width
+        case Lstm():  # 4 sums, 3 sigmoids of 3, 2 tanh, 2 products, a product with a sum
+            return multiply_adds(operation) + 18 * width
+        case Concat() | Slice():
+            return 0
+        case Sigmoid() | Softsign() | Elu():
+            return 3 * width
+        case LayerNorm() | Silu():
+            return 4 * width
+        case LeakyRelu():
+            return 2 * width
+    return width
+
+
+def _add(old: Saving | None, name: str, before: Network, after: Network, prove: bool) -> Saving:
+    """The saving of a pass with one more run of it."""
+    less, now = size(before), size(after)
+    proof = None if old is None else old.proof
+    if prove:
+        from toolchain.proof import prove_equal
+
+        fresh = prove_equal(before, after, name)
+        proof = fresh if proof is None else proof.worst(fresh)
+    base = old or Saving(name, 0, 0, 0)
+    return Saving(
+        name,
+        base.nodes + less.nodes - now.nodes,
+        base.operations + less.operations - now.operations,
+        base.bytes + less.bytes - now.bytes,
+        proof,
+    )

@@ -1,0 +1,128 @@
+"""The one way in which a pass changes a network: node by node in order of computation, by a local rule."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from toolchain.graph import OBSERVATION, Network, Node, output_width
+from toolchain.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
+
+
+@dataclass
+class Draft:
+    """The network that a rule is writing. Its values are numbered anew as its nodes are."""
+
+    widths: list[int]  # of every value so far
+    uses: list[int]  # how many inputs of living nodes each value will be
+    nodes: list[Node] = field(default_factory=list)
+    roles: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
+
+    def add(self, operation: Operation, inputs: Sequence[int], name: str = "") -> int:
+        """Append a node that nobody takes yet. Returns its value."""
+        self.widths.append(output_width(operation, [self.widths[value] for value in inputs]))
+        self.nodes.append(Node(operation, tuple(inputs), name))
+        self.uses.append(0)
+        for value in inputs:
+            self.uses[value] += 1
+        return len(self.nodes)
+
+    def producer(self, value: int) -> Node | None:
+        """The node that gives `value`, None for the observation."""
+        return None if value == OBSERVATION else self.nodes[value - 1]
+
+    def sole(self, value: int) -> Node | None:
+        """The node that gives `value` if only one input takes it, so that it may be rewritten."""
+        return self.producer(value) if self.uses[value] == 1 else None
+
+    def release(self, value: int, count: int = 1) -> None:
+        """`count` inputs no longer take `value`; what nobody takes releases what it took."""
+        self.uses[value] -= count
+        node = self.producer(value)
+        if self.uses[value] == 0 and node is not None:
+            for taken in node.inputs:
+                self.release(taken)
+
+
+# What a rule makes of a node of the draft that has the number of a value in the old network: another node in
+# its place, an earlier value of the draft that equals it, or None to leave it.
+Rule = Callable[[Draft, Node, int], Node | int | None]
+
+
+def rewrite(network: Network, rule: Rule) -> Network:
+    """`network` after `rule` has seen every node, rewritten ones again; the same object if it did nothing.
+
+    The rule may add nodes to the draft. It may not replace the last node by an earlier value: that node
+    is the policy's door. Nodes that nothing takes any more are dropped.
+    """
+    uses = _uses(network)
+    draft = Draft([network.inputs], [uses[OBSERVATION]], roles=defaultdict(list, {0: [OBSERVATION]}))
+    renamed, changed = [OBSERVATION], False
+    for number, old in enumerate(network.nodes, 1):
+        if not uses[number]:  # dead: its inputs were never counted
+            renamed.append(-1)
+            continue
+        node = replace(old, inputs=tuple(renamed[value] for value in old.inputs))
+        while (better := rule(draft, node, number)) is not None:
+            if isinstance(better, int):
+                break
+            for value in better.inputs:
+                draft.uses[value] += 1
+            for value in node.inputs:
+                draft.release(value)
+            node, changed = better, True
+        if isinstance(better, int) and number < len(network.nodes):
+            draft.uses[better] += uses[number]
+            for value in node.inputs:
+                draft.release(value)
+            changed = True
+        else:
+            better = draft.add(node.operation, node.inputs, node.name)
+            for value in node.inputs:  # counted already as the old node's
+                draft.uses[value] -= 1
+            draft.uses[better] = uses[number]
+        renamed.append(better)
+        draft.roles[better].append(number)
+    return sweep(Network(network.inputs, tuple(draft.nodes))) if changed else network
+
+
+def sweep(network: Network) -> Network:
+    """`network` without the nodes that do not reach its last one; the same object if there are none."""
+    uses = _uses(network)
+    kept = [number for number in range(1, len(uses)) if uses[number]]
+    if len(kept) == len(network.nodes):
+        return network
+    renamed = {OBSERVATION: OBSERVATION} | {number: place for place, number in enumerate(kept, 1)}
+    nodes = (network.nodes[number - 1] for number in kept)
+    return Network(
+        network.inputs,
+        tuple(replace(node, inputs=tuple(renamed[value] for value in node.inputs)) for node in nodes),
+    )
+
+
+def absorbed(network: Network) -> list[bool]:
+    """Whether each value is taken only by what an affine map can vanish into.
+
+    That is a matrix, another affine map, or a Concat or Slice whose result is.
+    """
+    result = [True] * (len(network.nodes) + 1)
+    result[-1] = False
+    for number in range(len(network.nodes), 0, -1):
+        node = network.nodes[number - 1]
+        takes = isinstance(node.operation, Linear | Affine | Gru | Lstm)
+        if not (takes or (isinstance(node.operation, Concat | Slice) and result[number])):
+            for value in node.inputs:
+                result[value] = False
+    return result
+
+
+def _uses(network: Network) -> list[int]:
+    """How many inputs of nodes that reach the last one take each value; 1 for the last."""
+    uses = [0] * (len(network.nodes) + 1)
+    uses[-1] = 1
+    for number in range(len(network.nodes), 0, -1):
+        if uses[number]:
+            for value in network.nodes[number - 1].inputs:
+                uses[value] += 1
+    return uses

@@ -1,0 +1,121 @@
+"""Passes over what moves values without computing: equal values, identities, Slice and Concat."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from itertools import pairwise
+
+import numpy as np
+
+from toolchain.graph import Network, Node
+from toolchain.operations import (
+    Add,
+    Affine,
+    Clip,
+    Concat,
+    LeakyRelu,
+    Linear,
+    Multiply,
+    Operation,
+    Slice,
+)
+from toolchain.passes.rewrite import Draft, rewrite
+
+
+def share_equal(network: Network) -> Network:
+    """What is computed twice from the same values, weights included, is computed once."""
+    known: dict[tuple[object, ...], int] = {}
+
+    def rule(draft: Draft, node: Node, number: int) -> int | None:
+        inputs = sorted(node.inputs) if isinstance(node.operation, Add | Multiply) else node.inputs
+        key = (*inputs, *_content(node.operation))
+        if number < len(network.nodes) and key in known:
+            return known[key]
+        known[key] = len(draft.nodes) + 1  # the value that this node is about to give
+        return None
+
+    return rewrite(network, rule)
+
+
+def drop_identities(network: Network) -> Network:
+    """What gives the value that it takes is dropped."""
+
+    def rule(draft: Draft, node: Node, _number: int) -> int | None:
+        return node.inputs[0] if _is_identity(node.operation, draft.widths[node.inputs[0]]) else None
+
+    return rewrite(network, rule)
+
+
+def simplify_slices(network: Network) -> Network:
+    """Slice of Slice and Slice of Concat take their values where they come from; Concats join."""
+
+    def rule(draft: Draft, node: Node, _number: int) -> Node | int | None:
+        match node.operation:
+            case Slice() as cut:
+                return _source(draft, node, cut)
+            case Concat() if len(node.inputs) == 1:
+                return node.inputs[0]
+            case Concat():
+                return _joined(draft, node)
+        return None
+
+    return rewrite(network, rule)
+
+
+def _content(operation: Operation) -> tuple[object, ...]:
+    """The operation by value."""
+    content: list[object] = [type(operation)]
+    for entry in fields(operation):
+        value = getattr(operation, entry.name)
+        content.append((value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value)
+    return tuple(content)
+
+
+def _is_identity(operation: Operation, width: int) -> bool:
+    match operation:
+        case Affine(scale, offset):
+            return bool((scale == 1).all() and (offset == 0).all())
+        case Linear(weight, bias):
+            return np.array_equal(weight, np.eye(width)) and not bias.any()
+        case LeakyRelu(slope):
+            return slope == 1
+        case Slice(start, count, step):
+            return start == 0 and count == width and (step == 1 or count == 1)
+        case Clip(None, None):
+            return True
+    return False
+
+
+def _source(draft: Draft, node: Node, cut: Slice) -> Node | None:
+    before = draft.producer(node.inputs[0])
+    match before:
+        case Node(operation=Slice() as inner):
+            start = inner.start + cut.start * inner.step
+            return Node(Slice(start, cut.count, cut.step * inner.step), before.inputs, node.name)
+        case Node(operation=Concat()):
+            last = cut.start + (cut.count - 1) * cut.step
+            lowest, highest, first = min(cut.start, last), max(cut.start, last), 0
+            for value in before.inputs:
+                width = draft.widths[value]
+                if first <= lowest and highest < first + width:
+                    return Node(Slice(cut.start - first, cut.count, cut.step), (value,), node.name)
+                first += width
+    return None
+
+
+def _joined(draft: Draft, node: Node) -> Node | None:
+    """A Concat of Concats as one; neighbouring slices of one value as one slice."""
+    values = list[int]()
+    for value in node.inputs:
+        part = draft.sole(value)
+        inner = part is not None and isinstance(part.operation, Concat)
+        values += part.inputs if part is not None and inner else (value,)
+    if len(values) > len(node.inputs):
+        return Node(Concat(), tuple(values), node.name)
+    for place, (one, other) in enumerate(pairwise(values)):
+        match draft.producer(one), draft.producer(other):
+            case Node(operation=Slice(start, count, 1)) as a, Node(operation=Slice(second, more, 1)) as b:
+                if a.inputs == b.inputs and start + count == second:
+                    whole = draft.add(Slice(start, count + more), a.inputs, a.name)
+                    return Node(Concat(), (*values[:place], whole, *values[place + 2 :]), node.name)
+    return None

@@ -1,0 +1,113 @@
+"""The pass that drops what cannot reach the output: nodes, and single elements of values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.graph import OBSERVATION, Network, Node
+from toolchain.operations import Affine, Concat, Gru, LayerNorm, Linear, Lstm, Operation, Slice
+from toolchain.passes.rewrite import sweep
+
+Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
+
+
+def drop_unread(network: Network) -> Network:
+    """Nodes, and rows of matrices, that cannot reach the output are dropped.
+
+    An element is read unless every weight that it meets is exactly 0. The observation keeps its width, a
+    recurrent cell and a LayerNorm all of their elements.
+    """
+    network = sweep(network)
+    kept = kept_elements(network)
+    if all(mask.all() for mask in kept):
+        return network
+    nodes, renamed = list[Node](), {OBSERVATION: OBSERVATION}
+    for number, node in enumerate(network.nodes, 1):
+        if kept[number].any():
+            inputs = node.inputs
+            if isinstance(node.operation, Concat):
+                parts = _parts(kept[number], [kept[value].size for value in inputs])
+                inputs = tuple(value for value, part in zip(inputs, parts, strict=True) if part.any())
+            operation = _cut(node.operation, kept[number], kept[inputs[0]])
+            nodes.append(Node(operation, tuple(renamed[value] for value in inputs), node.name))
+            renamed[number] = len(nodes)
+    return Network(network.inputs, tuple(nodes))
+
+
+def kept_elements(network: Network) -> list[Mask]:
+    """For every value, the elements that something reads; masks of what is computed value by value agree."""
+    kept: list[Mask] = [np.zeros(width, np.bool_) for width in network.widths]
+    kept[OBSERVATION][:] = True
+    kept[-1][:] = True
+    before = -1
+    while (now := sum(int(mask.sum()) for mask in kept)) != before:
+        before = now
+        for number in range(len(network.nodes), 0, -1):
+            node = network.nodes[number - 1]
+            _mark(node.operation, kept[number], [kept[value] for value in node.inputs])
+    return kept
+
+
+def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
+    """Keep of what is `taken` what `result` needs, and of `result` what comes with that."""
+    if not result.any():
+        return
+    match operation:
+        case Linear(weight, _):
+            taken[0] |= (weight[result] != 0).any(axis=0)
+            taken[0][0] |= not taken[0].any()  # a value has at least one element
+        case Gru() | Lstm() | LayerNorm():
+            result[:] = True
+            taken[0][:] = True
+        case Concat():
+            for mask, part in zip(taken, _parts(result, [mask.size for mask in taken]), strict=True):
+                if part.any():
+                    mask |= part
+                    part |= mask
+        case Slice():
+            _mark_slice(operation, result, taken[0])
+        case _:
+            for mask in taken:
+                result |= mask
+            for mask in taken:
+                mask |= result
+
+
+def _parts(result: Mask, widths: Sequence[int]) -> list[Mask]:
+    """The parts that a Concat of these widths is made of; writing to one writes to `result`."""
+    return np.split(result, np.cumsum(widths)[:-1])
+
+
+def _mark_slice(cut: Slice, result: Mask, taken: Mask) -> None:
+    places = cut.start + cut.step * np.arange(cut.count)
+    taken[places[result]] = True
+    if _progression(cut, result, taken) is None:
+        result[:] = True
+        taken[:] = True
+
+
+def _progression(cut: Slice, result: Mask, taken: Mask) -> Slice | None:
+    """The slice that takes the kept elements of `result` out of those `taken`, None if no slice does."""
+    places = cut.start + cut.step * np.arange(cut.count)
+    new = (np.cumsum(taken) - 1)[places[result]]
+    steps = np.unique(np.diff(new))
+    if steps.size > 1:
+        return None
+    return Slice(int(new[0]), int(new.size), int(steps[0]) if steps.size else 1)
+
+
+def _cut(operation: Operation, result: Mask, taken: Mask) -> Operation:
+    """`operation` on the kept elements only."""
+    match operation:
+        case Linear(weight, bias):
+            return Linear(np.ascontiguousarray(weight[result][:, taken]), bias[result])
+        case Affine(scale, offset):
+            return Affine(scale[result], offset[result])
+        case Slice():
+            cut = _progression(operation, result, taken)
+            assert cut is not None
+            return cut
+    return operation
