@@ -20,6 +20,7 @@ SUMMARY = (
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
     "compile": "turn policy.onnx into policy.c and policy.h",
+    "verify": "run a policy on every machine, from torch to the Cortex-M7, and compare them",
     "timing": "count what a policy takes on the board: instructions, predicted cycles, memory",
     "freeze": "turn a training checkpoint into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",

@@ -1,0 +1,360 @@
+"""One policy through every machine: do they agree, within what, and does it stay within bounds on anything?
+
+Laws, each with the machines that are held to it:
+- error: on finite observations torch, onnxruntime and our machines lie within what is allowed of the float64
+  reference, and ours within as much of onnxruntime (see `standard`);
+- bounds: whatever comes in, our actions are finite and within the bounds of the policy's last Clip;
+- door: an observation that holds a NaN or an infinity gives the lower bound on every motor;
+- state: recurrent state stays finite;
+- bits: this machine's C and the Cortex-M7 give the evaluator's actions bit for bit;
+- selftest: the vectors in policy.c are repeated exactly, by the evaluator too;
+- sanitizer: no access outside an object, no undefined behaviour;
+- runs: the program compiles, loads and comes back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.compiler import CompiledPolicy
+from toolchain.evaluate import replay
+from toolchain.float32 import Float32
+from toolchain.graph import Network
+from toolchain.operations import Clip
+from toolchain.verify_inputs import Inputs, make_inputs
+from toolchain.verify_machines import (
+    Machine,
+    MachineError,
+    NotRunError,
+    open_arm,
+    open_evaluator,
+    open_host,
+    open_onnxruntime,
+    open_torch,
+)
+from toolchain.verify_reference import Float64, perturbed, reference
+
+TOLERANCE = 1e-6  # of an action, whatever the observation
+ROUNDING = 12.0  # how many times what moving the constants does to an action may rounding do to it
+PERTURBATIONS = 8  # of the network's constants
+COMPARED_MAX = 1e9  # larger values are not compared: their products may leave float32's range
+UNIT_SCALE = 4.0  # the largest |value| that counts as unit scale: a standard normal one hardly exceeds it
+DSHOT_STEP = 2.0**-11  # of a motor fraction; the ulp of a smaller action is taken as that of this one
+
+Progress = Callable[[str, int, int], None]  # machine, groups done, groups in all
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A law that a machine breaks, and the first input that shows it."""
+
+    machine: str
+    law: str
+    message: str
+    inputs: str | None = None  # the group
+    index: int | None = None  # of the sequence, or of the self-test vector
+    step: int | None = None  # within the sequence
+    motor: int | None = None
+    observation: tuple[str, ...] = ()  # as float32 bits in hexadecimal
+    got: str | None = None
+    expected: str | None = None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How far a machine is from others on one group; None where no observation is compared."""
+
+    inputs: str
+    count: int  # observations
+    compared: int  # those that are finite and not huge
+    error: float | None  # largest, to the float64 reference
+    ulp: float | None  # the same in units in the last place of the reference
+    share: float | None  # largest of error / allowed
+    difference: float | None  # largest, to onnxruntime
+    scaled: float | None  # the same with each observation's divided by its scale, where that exceeds 1
+
+
+@dataclass(frozen=True)
+class MachineReport:
+    """What became of one machine."""
+
+    name: str
+    required: bool  # without it the verdict is incomplete
+    figures: tuple[Figures, ...] = ()
+    finding: Finding | None = None
+    not_run: str | None = None  # the reason
+
+    @property
+    def count(self) -> int:
+        """Observations that it was given."""
+        return sum(group.count for group in self.figures)
+
+    @property
+    def verdict(self) -> str:
+        """holds, fails or not run."""
+        return "not run" if self.not_run else "fails" if self.finding else "holds"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All that was seen of one policy."""
+
+    machines: tuple[MachineReport, ...]
+    recovery: float | None  # recurrent: largest distance to the undisturbed path 100 steps after faults
+
+    @property
+    def finding(self) -> Finding | None:
+        """The first law that is broken."""
+        return next((machine.finding for machine in self.machines if machine.finding), None)
+
+    @property
+    def missing(self) -> tuple[MachineReport, ...]:
+        """The machines that should have run and did not."""
+        return tuple(machine for machine in self.machines if machine.required and machine.not_run)
+
+    @property
+    def verdict(self) -> str:
+        """holds, fails or incomplete."""
+        return "fails" if self.finding else "incomplete" if self.missing else "holds"
+
+
+@dataclass(frozen=True, eq=False)
+class Standard:
+    """What actions on one group of inputs are held against."""
+
+    inputs: Inputs
+    reference: Float64  # (S, T, outputs)
+    allowed: Float64  # (S, T): largest error of an action
+    scale: Float64  # (S, T): 1 at unit scale, in proportion to the largest |value| so far beyond
+    comparable: NDArray[np.bool_]  # (S, T): no value so far is larger than COMPARED_MAX, or no number
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A machine that can be opened."""
+
+    name: str
+    required: bool
+    open: Callable[[], Machine]
+
+
+@dataclass
+class _Bench:
+    """What is known while machines run one after the other: actions by group."""
+
+    door: Clip
+    network: Network
+    onnxruntime: dict[str, Float32] = field(default_factory=dict)
+    evaluator: dict[str, Float32] = field(default_factory=dict)
+
+
+def verify(
+    compiled: CompiledPolicy,
+    candidates: Sequence[Candidate],
+    *,
+    count: int,
+    seed: int,
+    progress: Progress = lambda _machine, _done, _total: None,
+) -> Verification:
+    """Run all `candidates` on about `count` observations of each kind; raises nothing for a policy at fault.
+
+    seed: of the random observations.
+    """
+    groups = make_inputs(compiled.policy.observation_count, count, seed)
+    rng = np.random.default_rng(seed)
+    standards = [standard(compiled.policy.network, inputs, rng) for inputs in groups]
+    door = compiled.network.nodes[-1].operation
+    assert isinstance(door, Clip)
+    bench = _Bench(door, compiled.network)
+    reports = [
+        _examine(candidate, standards, bench, partial(progress, candidate.name)) for candidate in candidates
+    ]
+    return Verification(tuple(reports), _recovery(bench) if compiled.network.recurrent else None)
+
+
+def all_candidates(
+    compiled: CompiledPolicy, data: bytes, directory: Path, checkpoint: Path | None
+) -> tuple[Candidate, ...]:
+    """Every machine there is for the policy whose file is `data`; programs are built in `directory`.
+
+    Later ones are compared with onnxruntime and the evaluator, so these come first.
+    """
+    policy = compiled.policy
+
+    def torch() -> Machine:
+        if checkpoint is None:
+            raise NotRunError("no checkpoint.pt beside the policy; name one with --checkpoint")
+        return open_torch(checkpoint, policy.observation_count, policy.action_count)
+
+    def host(compiler: str, sanitize: bool) -> Callable[[], Machine]:
+        folder = directory / (compiler + "-sanitized" * sanitize)
+        return lambda: open_host(compiled, folder, compiler, sanitize=sanitize)
+
+    return (
+        Candidate("onnxruntime", True, lambda: open_onnxruntime(data)),
+        Candidate("torch", False, torch),
+        Candidate("evaluator", True, lambda: open_evaluator(compiled.network)),
+        Candidate("host C, gcc", True, host("gcc", False)),
+        Candidate("host C, sanitized", True, host("gcc", True)),
+        Candidate("host C, clang", False, host("clang", False)),
+        Candidate("Cortex-M7, emulated", True, lambda: open_arm(compiled, directory / "arm")),
+    )
+
+
+def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Standard:
+    """What the policy's own `network`, not yet optimized, should give for `inputs`, and how nearly.
+
+    TOLERANCE is allowed, or more where rounding must do more: the rounding errors of a sum are in proportion
+    to its terms, and the layers after it magnify or swallow them. How much of that reaches an action is
+    measured, not assumed: the network's constants are moved by a unit in the last place, and ROUNDING times
+    the move of the action that this gives (root mean square of PERTURBATIONS tries) is allowed.
+    """
+    exact = reference(network, inputs.observation)
+    with np.errstate(all="ignore"):
+        size = np.maximum.accumulate(np.abs(inputs.observation).max(axis=2), axis=1).astype(np.float64)
+        moves = [reference(perturbed(network, rng), inputs.observation) - exact for _ in range(PERTURBATIONS)]
+        spread = np.sqrt(np.square(moves).mean(axis=0)).max(axis=2)
+    return Standard(
+        inputs=inputs,
+        reference=exact,
+        allowed=np.fmax(TOLERANCE, ROUNDING * spread),
+        scale=np.fmax(1, size / UNIT_SCALE),
+        comparable=size <= COMPARED_MAX,
+    )
+
+
+def _examine(
+    candidate: Candidate, standards: Sequence[Standard], bench: _Bench, progress: Callable[[int, int], None]
+) -> MachineReport:
+    name, required = candidate.name, candidate.required
+    figures: list[Figures] = []
+    finding: Finding | None = None
+    progress(0, len(standards))
+    try:
+        machine = candidate.open()
+        if machine.selftest:
+            finding = _selftest(machine, bench.network)
+        for done, expected in enumerate(standards):
+            actions = machine.actions(expected.inputs.observation)
+            group = expected.inputs.name
+            if name in ("onnxruntime", "evaluator"):
+                getattr(bench, name)[group] = actions
+            finding = finding or next(_broken(machine, actions, expected, bench), None)
+            figures.append(_figures(actions, expected, bench.onnxruntime.get(group)))
+            progress(done + 1, len(standards))
+    except NotRunError as error:
+        return MachineReport(name, required, not_run=str(error))
+    except MachineError as error:
+        finding = finding or Finding(name, error.law, f"{name}: {error}")
+    return MachineReport(name, required, tuple(figures), finding)
+
+
+def _figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figures:
+    use = expected.comparable
+    name, count, compared = expected.inputs.name, expected.inputs.count, int(use.sum())
+    if not compared:
+        return Figures(name, count, 0, None, None, None, None, None)
+    exact = expected.reference[use]
+    error = _distance(actions[use], exact)
+    ulp = error / np.spacing(np.maximum(np.abs(exact), DSHOT_STEP).astype(np.float32)).astype(np.float64)
+    share = error.max(axis=1) / expected.allowed[use]
+    difference = scaled = None
+    if peer is not None:
+        distance = _distance(actions[use], peer[use]).max(axis=1)
+        difference, scaled = float(distance.max()), float((distance / expected.scale[use]).max())
+    worst, units, most = (float(values.max()) for values in (error, ulp, share))
+    return Figures(name, count, compared, worst, units, most, difference, scaled)
+
+
+def _distance(actions: NDArray[np.floating], others: NDArray[np.floating]) -> Float64:
+    """|a - b|; a NaN is infinitely far."""
+    with np.errstate(invalid="ignore"):
+        distance = np.abs(actions.astype(np.float64) - others)
+    return np.where(np.isnan(distance), np.inf, distance)
+
+
+def _broken(machine: Machine, actions: Float32, expected: Standard, bench: _Bench) -> Iterator[Finding]:
+    """The laws that the machine's actions break, the first input for each."""
+    group, observation = expected.inputs.name, expected.inputs.observation
+    found = partial(_found, machine.name, actions, expected)
+    if machine.is_ours:
+        low, high = np.float32(bench.door.low), np.float32(bench.door.high)
+        with np.errstate(invalid="ignore"):
+            outside = ~((actions >= low) & (actions <= high))
+        yield from found("bounds", outside, None, f"leaves the bounds {low:g} to {high:g}")
+        leaks = ~np.isfinite(observation).all(axis=2, keepdims=True) & (actions != low)
+        yield from found("door", leaks, None, f"answers NaN or infinity with something else than {low:g}")
+        if machine.name != "evaluator" and group in bench.evaluator:
+            same = bench.evaluator[group]
+            differ = actions.view(np.uint32) != same.view(np.uint32)
+            yield from found("bits", differ, same, "has not the evaluator's bits")
+    peers: list[tuple[str, NDArray[np.floating]]] = [("the float64 reference", expected.reference)]
+    if machine.is_ours and group in bench.onnxruntime:
+        peers.append(("onnxruntime", bench.onnxruntime[group]))
+    for name, peer in peers:
+        far = expected.comparable[..., None] & (_distance(actions, peer) > expected.allowed[..., None])
+        yield from found("error", far, peer, f"is further from {name} than allowed")
+
+
+def _found(
+    name: str,
+    actions: Float32,
+    expected: Standard,
+    law: str,
+    wrong: NDArray[np.bool_],
+    peer: NDArray[np.floating] | None,
+    said: str,
+) -> Iterator[Finding]:
+    """The first of the actions that are `wrong` (S, T, outputs), if any is; `peer` has what was expected."""
+    if not wrong.any():
+        return
+    sequence, step, motor = np.argwhere(wrong)[0].tolist()
+    group, observation = expected.inputs.name, expected.inputs.observation
+    got = _text(actions[sequence, step, motor])
+    wanted = None if peer is None else _text(peer[sequence, step, motor])
+    message = f"{name} {said}: {group} {sequence}"
+    message += f", step {step}" if observation.shape[1] > 1 else ""
+    message += f", motor {motor + 1}: got {got}"
+    message += f", expected {wanted}" if wanted else ""
+    message += f" within {expected.allowed[sequence, step]:.2g}" if law == "error" else ""
+    row = _words(observation[sequence, step])
+    yield Finding(name, law, message, group, sequence, step, motor, row, got, wanted)
+
+
+def _selftest(machine: Machine, network: Network) -> Finding | None:
+    assert machine.selftest is not None
+    test = machine.selftest()
+    for name, actions in ((machine.name, test.given), ("evaluator", replay(network, test.observation))):
+        wrong = actions.view(np.uint32) != test.promised.view(np.uint32)
+        if wrong.any():
+            vector, motor = np.argwhere(wrong)[0].tolist()
+            got, promised = _text(actions[vector, motor]), _text(test.promised[vector, motor])
+            message = f"{name} does not repeat self-test vector {vector} of policy.c: motor {motor + 1}: "
+            message += f"got {got}, expected {promised}"
+            row = _words(test.observation[vector])
+            return Finding(name, "selftest", message, None, vector, None, motor, row, got, promised)
+    return None
+
+
+def _recovery(bench: _Bench) -> float | None:
+    """How far paths with faults end from the same paths without."""
+    calm, disturbed = (bench.evaluator.get(name) for name in ("paths", "paths with faults"))
+    if calm is None or disturbed is None:
+        return None
+    return float(_distance(calm[:, -1], disturbed[:, -1]).max())
+
+
+def _words(observation: Float32) -> tuple[str, ...]:
+    return tuple(f"0x{word:08X}" for word in observation.view(np.uint32))
+
+
+def _text(value: np.floating) -> str:
+    """Nine digits, which tell every float32 from every other; of a float32 its bits, too."""
+    bits = f" (0x{value.view(np.uint32):08X})" if isinstance(value, np.float32) else ""
+    return f"{value:.9g}{bits}"
