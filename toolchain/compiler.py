@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from toolchain.blob import PolicyBlob, filters_hash
 from toolchain.emit import Emission, emit
 from toolchain.graph import Network
 from toolchain.network import PolicyModel
@@ -20,12 +21,34 @@ class CompiledPolicy:
     network: Network  # after optimization: what `toolchain.evaluate` evaluates
     savings: tuple[Saving, ...]
     plan: Plan
+    blob: PolicyBlob
     emission: Emission
 
 
 def compile_policy(policy: PolicyModel) -> CompiledPolicy:
     """The C of `policy`. Deterministic. Raises PolicyError where folding leaves float32's range."""
     network, savings = optimize(policy.network)
+    return compile_network(policy, network, savings)
+
+
+def compile_network(
+    policy: PolicyModel, network: Network, savings: tuple[Saving, ...] = ()
+) -> CompiledPolicy:
+    """The C of `policy` with its network in the form `network`, as it stands."""
     plan = lower(policy, network)
     observation, action = selftest_vectors(network)
-    return CompiledPolicy(policy, network, savings, plan, emit(policy, plan, observation, action))
+    blob = PolicyBlob(
+        sequence=0,
+        architecture_hash=plan.architecture_hash,
+        filters_hash=filters_hash(policy.filters),
+        control_rate_hz=policy.control_rate_hz,
+        blocks=policy.blocks,
+        aircraft=policy.aircraft,
+        aircraft_sha256=policy.aircraft_sha256,
+        policy_sha256=policy.source_sha256,
+        weights=plan.table,
+        selftest_observation=observation,
+        selftest_action=action,
+        selftest_steps=len(observation) if network.recurrent else 1,
+    )
+    return CompiledPolicy(policy, network, savings, plan, blob, emit(policy, plan, blob))

@@ -15,6 +15,7 @@ import numpy as np
 
 from toolchain.float32 import Float32, fma
 from toolchain.graph import Network
+from toolchain.lookup import EXPM1, TANH, apply
 from toolchain.operations import (
     Add,
     Affine,
@@ -36,7 +37,6 @@ from toolchain.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.tanh import tanh
 
 State = tuple[Float32, ...]  # (N, units) of each recurrent node in order; for an Lstm h, then c
 
@@ -79,9 +79,10 @@ def advance(
     door = network.nodes[-1].operation
     if not isinstance(door, Clip) or door.low is None or door.high is None:
         raise ValueError(f"the last operation is {door}, expected a Clip with both bounds")
-    values = [np.ascontiguousarray(observation, np.float32)]
+    usable = np.isfinite(observation).all(axis=1, keepdims=True)
     old, new = iter(state), list[Float32]()
     with np.errstate(all="ignore"):
+        values = [np.where(usable, observation + np.float32(0), np.float32(np.nan))]  # -0 becomes 0
         for node in network.nodes:
             inputs = [values[number] for number in node.inputs]
             match node.operation:
@@ -95,7 +96,6 @@ def advance(
                     values.append(h)
                 case operation:
                     values.append(_apply(operation, inputs, exact))
-    usable = np.isfinite(values[0]).all(axis=1, keepdims=True)
     return np.where(usable, values[-1], np.float32(door.low)), tuple(new)
 
 
@@ -114,13 +114,14 @@ def _apply(operation: Operation, inputs: Sequence[Float32], exact: bool) -> Floa
             return x * _sigmoid(x, exact)
         case Softsign():
             x = _bound(x, -_LARGEST, _LARGEST)
-            return x / (_1 + np.abs(x))
+            quotient: Float32 = np.divide(x, _1 + np.abs(x))
+            return quotient
         case Relu():
             return _at_least(x, 0.0)
         case LeakyRelu(slope):
-            return fma(_at_most(x, 0.0), slope, _at_least(x, 0.0))
+            return fma(_at_most(x, 0.0), np.float32(slope), _at_least(x, 0.0))
         case Elu(alpha):
-            return fma(np.expm1(_at_most(x, 0.0)), alpha, _at_least(x, 0.0))
+            return fma(apply(EXPM1, x), alpha, _at_least(x, 0.0))
         case Clip(low, high):
             x = x if low is None else _at_least(x, low)
             return x if high is None else _at_most(x, high)
@@ -148,7 +149,7 @@ def _linear(weight: Float32, bias: Float32, x: Float32, exact: bool) -> Float32:
 
 
 def _tanh(x: Float32, exact: bool) -> Float32:
-    return tanh(x) if exact else np.tanh(x)
+    return apply(TANH, x) if exact else np.tanh(x)
 
 
 def _sigmoid(x: Float32, exact: bool) -> Float32:

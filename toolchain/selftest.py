@@ -11,9 +11,9 @@ from toolchain.evaluate import replay
 from toolchain.float32 import Float32
 from toolchain.graph import Network
 
-# Every value of one observation: zero, the smallest and largest magnitudes of float32, and rates beyond a
-# gyro's range; random ones of growing scale follow. No NaN and no infinity: C has no constant for them.
-EXTREMES = (0.0, 1e-45, 1.1754944e-38, 1e-6, 1e3, -1e3, 3.4028235e38, -3.4028235e38)
+# Every value of one observation: zero, the smallest and largest magnitudes of float32, rates beyond a gyro's
+# range, and what is no number; random ones of growing scale follow.
+EXTREMES = (0.0, 1e-45, 1.1754944e-38, 1e-6, 1e3, -1e3, 3.4028235e38, -3.4028235e38, np.nan, -np.inf)
 SCALES = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 40.0)
 
 

@@ -27,7 +27,7 @@ struct firmware_config {
 };
 
 struct firmware {
-	float weights[POLICY_WEIGHT_COUNT]; /* the policy's working copy: DTCM on the board */
+	_Alignas(8) float weights[POLICY_WEIGHT_COUNT]; /* the policy's working copy: DTCM on the board */
 	struct policy policy;
 	struct gyro gyro;
 	struct sbus sbus;

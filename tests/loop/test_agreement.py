@@ -78,7 +78,7 @@ def through_onnxruntime(policy: Path, observation: Float32) -> Float32:
 def through_c(library: Path, observation: Float32, actions: int) -> Float32:
     """The policy inside the firmware's core."""
     core = ctypes.CDLL(str(library))
-    state = (ctypes.c_void_p * 1)()
+    state = (ctypes.c_uint64 * 8192)()  # struct policy, whatever its network needs
     core.policy_init(state, None)
     result = np.full((len(observation), actions), np.nan, np.float32)
     for row, out in zip(observation, result, strict=True):

@@ -12,21 +12,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
-from unicorn import UC_ARCH_ARM, UC_HOOK_BLOCK, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
-from unicorn.arm_const import (
-    UC_ARM_REG_LR,
-    UC_ARM_REG_R0,
-    UC_ARM_REG_R1,
-    UC_ARM_REG_R2,
-    UC_ARM_REG_SP,
-    UC_CPU_ARM_CORTEX_M7,
-)
 
+from toolchain.arm_policy import ArmPolicy, build_policy_elf
 from toolchain.compiler import CompiledPolicy, compile_policy
+from toolchain.cortex_m7 import load_program
 from toolchain.network import parse_policy
 
 Float32 = NDArray[np.float32]
@@ -156,7 +147,7 @@ class HostPolicy:
         library = directory / "policy.so"
         subprocess.run([*HOST, "-shared", "-fPIC", write(policy, directory), "-o", library], check=True)
         self._library = ctypes.CDLL(str(library))
-        self._state = (ctypes.c_void_p * 1)()
+        self._state = (ctypes.c_uint64 * (2 + policy.plan.state + policy.plan.scratch))()
         self._outputs = policy.policy.action_count
         self.init(None)
 
@@ -174,54 +165,11 @@ class HostPolicy:
         return action
 
 
-class ArmPolicy:
+def arm(policy: CompiledPolicy, directory: Path, *options: str) -> ArmPolicy:
     """policy.c linked alone for the Cortex-M7 and executed instruction by instruction."""
-
-    POLICY, OBSERVATION, ACTION, STACK_TOP = 0x20000000, 0x20000100, 0x20000400, 0x20010000
-    CODE, STOP = 0x10000, 0xFF000
-
-    def __init__(self, policy: CompiledPolicy, directory: Path) -> None:
-        """Compile and link in `directory`, load into the emulator."""
-        image = directory / "policy.elf"
-        link = ("-nostdlib", f"-Wl,-Ttext={self.CODE:#x}", "-Wl,-e,policy_step")
-        subprocess.run([*ARM, *link, write(policy, directory), "-o", image], check=True)
-        self._inputs, self._outputs = policy.policy.observation_count, policy.policy.action_count
-        self._cpu = Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
-        self._cpu.ctl_set_cpu_model(UC_CPU_ARM_CORTEX_M7)
-        self._cpu.mem_map(0, 1 << 20)
-        self._cpu.mem_map(0x20000000, 1 << 16)
-        with image.open("rb") as file:
-            elf = ELFFile(file)
-            for segment in elf.iter_segments("PT_LOAD"):
-                self._cpu.mem_write(segment["p_vaddr"], segment.data())
-            table = elf.get_section_by_name(".symtab")
-            assert isinstance(table, SymbolTableSection)
-            self._symbols = {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
-        self._call("policy_init", self.POLICY, 0, 0)
-
-    def actions(self, observation: Float32) -> Float32:
-        """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
-        action = np.empty((len(observation), self._outputs), np.float32)
-        for row, out in zip(observation, action, strict=True):
-            self._cpu.mem_write(self.OBSERVATION, row.tobytes())
-            self._call("policy_step", self.POLICY, self.OBSERVATION, self.ACTION)
-            out[:] = np.frombuffer(self._cpu.mem_read(self.ACTION, out.nbytes), np.float32)
-        return action
-
-    def path(self, observation: Float32) -> list[int]:
-        """The addresses of the basic blocks that one step executes, in order."""
-        executed: list[int] = []
-        hook = self._cpu.hook_add(UC_HOOK_BLOCK, lambda _cpu, address, _size, _data: executed.append(address))
-        self.actions(observation[None])
-        self._cpu.hook_del(hook)
-        return executed
-
-    def _call(self, function: str, *arguments: int) -> None:
-        for register, value in zip((UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2), arguments, strict=True):
-            self._cpu.reg_write(register, value)
-        self._cpu.reg_write(UC_ARM_REG_SP, self.STACK_TOP)
-        self._cpu.reg_write(UC_ARM_REG_LR, self.STOP | 1)
-        self._cpu.emu_start(self._symbols[function] | 1, self.STOP)
+    directory.mkdir(parents=True, exist_ok=True)
+    program = build_policy_elf(policy.emission, directory, *WARNINGS, *options)
+    return ArmPolicy(load_program(program), policy.policy.observation_count, policy.policy.action_count)
 
 
 @dataclass(frozen=True)
@@ -235,7 +183,7 @@ class Kit:
     compiled: Callable[[Chain | bytes], CompiledPolicy] = compiled
     write: Callable[[CompiledPolicy, Path], Path] = write
     host: Callable[[CompiledPolicy, Path], HostPolicy] = HostPolicy
-    arm: Callable[[CompiledPolicy, Path], ArmPolicy] = ArmPolicy
+    arm: Callable[..., ArmPolicy] = arm
     host_compiler: tuple[str, ...] = HOST
     arm_compiler: tuple[str, ...] = ARM
 

@@ -131,8 +131,13 @@ def test_motors_stop_when_one_value_is_nan(kit: Kit, tmp_path: Path, activation:
 def test_cortex_m7_takes_the_same_path_when_observations_differ(kit: Kit, tmp_path: Path, name: str) -> None:
     policy = kit.compiled(chain_of(kit, name))
     arm = kit.arm(policy, tmp_path)
-    observation = kit.observations(40, policy.policy.observation_count, seed=6)
-    paths = [arm.path(row) for row in observation]
+    paths = []
+    with arm.machine.recording() as runs:
+        for row in kit.observations(40, policy.policy.observation_count, seed=6):
+            arm.observe(row)
+            runs.clear()
+            arm.machine.call(*arm.step)
+            paths.append(list(runs))
     assert len(paths[0]) > 10
     assert all(path == paths[0] for path in paths)
 

@@ -1,0 +1,34 @@
+"""The nouns that lowering leaves: calls of kernels, and the places in `struct policy` that they work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LANES = 4  # values that a kernel takes at a time
+BLOCK = 8  # outputs summed at a time: 8 sums, 8 inputs and 16 weights fill the FPU's 32 registers
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value lies in `struct policy`."""
+
+    memory: str  # "scratch" or "state"
+    offset: int  # floats
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a kernel: target[0..count) from its sources, table and constants."""
+
+    kernel: str
+    target: Place | None  # None: the action
+    sources: tuple[Place, ...]  # none: the observation
+    count: int  # values; for "linear8" and "linear4" blocks
+    table: int | None = None  # where in the table its part begins
+    inputs: int = 0  # of a linear kernel, or how far apart a "copy" reads
+    constants: tuple[float, ...] = ()
+
+
+def padded(count: int) -> int:
+    """`count` rounded up to whole lanes."""
+    return -(-count // LANES) * LANES
