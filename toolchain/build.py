@@ -20,13 +20,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from toolchain import contract
+from toolchain.arm_policy import ArmPolicy
 from toolchain.compiler import CompiledPolicy, compile_policy
+from toolchain.cortex_m7 import load_program
 from toolchain.errors import BuildError, PolicyError
 from toolchain.files import replacing, write_text, write_text_if_changed
 from toolchain.header import render_contract
-from toolchain.image import memory_use, read_image
+from toolchain.image import FLASH, RAM, memory_use, read_image
 from toolchain.network import PolicyModel, read_policy
 from toolchain.report import BuildReport, OutputFile, PolicyFacts, Stage
+from toolchain.timing import Cost, mixed_observations, step_cost
+
+BOARD_MEMORY = (*RAM, FLASH)
+OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
+NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
 
 
 @dataclass(frozen=True)
@@ -92,8 +99,10 @@ def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> 
     with _locked(out):
         _write_generated(compiled, generated)
         built = _make(known, root, out, generated)
-        image = read_image(out / "make" / known.products[0])
+        made = out / "make" / known.products[0]
+        image = read_image(made)
         memory = memory_use(image) if known.has_board_memory else ()
+        cost = _step_cost(compiled, made) if known.has_board_memory else None
         files = tuple(_publish(out / "make" / name, out / name, root) for name in known.products)
         finished = time.perf_counter()
         report = BuildReport(
@@ -103,6 +112,9 @@ def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> 
             sections=image.sections,
             memory=memory,
             files=files,
+            step_instructions=cost.instructions[1] if cost else None,
+            predicted_cycles=round(cost.cycles[1]) if cost and cost.cycles else None,
+            predicted_cycles_reason=cost.no_cycles_reason if cost else NO_CYCLES,
         )
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
     return report
@@ -183,6 +195,13 @@ def _environment(environment: Mapping[str, str]) -> dict[str, str]:
     """`environment` without what an outer make hands down: its job slots and its variables are not ours."""
     outer = ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL")
     return {name: value for name, value in environment.items() if name not in outer} | {"LC_ALL": "C"}
+
+
+def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
+    """What policy_step takes inside the image. Raises FaultError when it fails there."""
+    policy = compiled.policy
+    arm = ArmPolicy(load_program(image), policy.observation_count, policy.action_count, BOARD_MEMORY)
+    return step_cost(arm, mixed_observations(OBSERVATIONS, policy.observation_count))
 
 
 def _publish(made: Path, published: Path, root: Path) -> OutputFile:

@@ -16,6 +16,8 @@ from toolchain.disassembly import Instruction
 from toolchain.errors import BuildError
 from toolchain.mca import block_cycles
 
+CORE_HZ = 216_000_000  # of the MATEKF722: firmware/hal/stm32f7/clock.h
+
 Route = frozenset[tuple[tuple[int, int], int]]  # ((address, size) of a run of code, times executed)
 
 

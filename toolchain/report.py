@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from toolchain.cycles import CORE_HZ
 from toolchain.image import MemoryUse, Section
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-NO_CYCLES = "not computed yet: this version has no timing model of the Cortex-M7"
 TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
 
 
@@ -58,8 +58,9 @@ class BuildReport:
     sections: tuple[Section, ...]
     memory: tuple[MemoryUse, ...]  # empty on the host
     files: tuple[OutputFile, ...]
-    predicted_cycles: int | None = None
-    predicted_cycles_reason: str = NO_CYCLES
+    step_instructions: int | None  # of policy_step in this image, exactly; on the host None
+    predicted_cycles: int | None  # of policy_step in this image
+    predicted_cycles_reason: str | None  # why they are None
 
     def document(self) -> dict[str, object]:
         """The content of report.json."""
@@ -82,6 +83,8 @@ def print_report(report: BuildReport, console: Console) -> None:
     table.add_row("policy", "network", f"{policy.network}, {policy.weights} weights, {policy.observation}")
     table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training or 'not told'}")
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
+    if report.step_instructions is not None:
+        table.add_row("", "a step", _step(report))
     for index, use in enumerate(report.memory):
         share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
         table.add_row("" if index else "memory", use.region, share)
@@ -91,3 +94,15 @@ def print_report(report: BuildReport, console: Console) -> None:
     for index, file in enumerate(report.files):
         table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
     console.print(table)
+
+
+def _step(report: BuildReport) -> str:
+    """What a control step of the policy takes, in words."""
+    counted = f"{report.step_instructions:,} instructions"
+    if report.predicted_cycles is None:
+        return f"{counted}; no predicted cycles: {report.predicted_cycles_reason}"
+    seconds = report.predicted_cycles / CORE_HZ
+    return (
+        f"{counted}, {report.predicted_cycles:,} cycles predicted: {1e6 * seconds:.0f} µs, "
+        f"{100 * seconds * report.policy.control_rate_hz:.1f} % of its period"
+    )

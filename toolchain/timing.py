@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +10,12 @@ import numpy as np
 
 from toolchain.arm_policy import ArmPolicy, build_policy_elf, compiler_version, state_bytes
 from toolchain.compiler import CompiledPolicy
-from toolchain.contract import Region
 from toolchain.cortex_m7 import load_program
-from toolchain.cycles import Route, RouteCost, route_costs, route_of
+from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
 from toolchain.disassembly import disassemble
 from toolchain.float32 import Float32
 from toolchain.mca import PricingError, pricer_version
 
-CORE_HZ = 216_000_000  # MATEKF722: firmware/hal/stm32f7/clock.h
 ONE_OF = 3  # observations in so many are of unit scale; as many of any scale, as many hold an extreme value
 EXTREMES = np.array(
     [0, -0.0, 1e-45, -1e-40, 1e-38, 1, -1, 1e6, -1e6, 3.4e38, -3.4e38, np.inf, -np.inf, np.nan], np.float32
@@ -91,8 +89,7 @@ def time_policy(
 ) -> Timing:
     """Build the policy alone in `directory` and run it on `observations` (N, inputs).
 
-    Raises BuildError when a tool of the ARM compiler is missing, or the code holds an instruction that
-    cannot be priced; a missing llvm-mca leaves cycles out and says so.
+    Raises BuildError when a tool of the ARM compiler is missing, FaultError when the policy fails.
     """
     file = build_policy_elf(compiled.emission, directory, optimization=optimization)
     program = load_program(file)
@@ -114,7 +111,10 @@ def time_policy(
 
 
 def step_cost(policy: ArmPolicy, observations: Float32, *, progress: Progress | None = None) -> Cost:
-    """What policy_step costs over `observations` (N, inputs), one after the other."""
+    """What policy_step costs over `observations` (N, inputs), one after the other.
+
+    Where llvm-mca is missing or lacks an instruction, cycles are left out and the reason is given.
+    """
     machine = policy.machine
     seen: dict[Route, int] = {}
     with machine.recording() as runs:
@@ -131,19 +131,10 @@ def step_cost(policy: ArmPolicy, observations: Float32, *, progress: Progress | 
         stack = max(stack, machine.stack_bytes(*policy.step))
     code = disassemble(machine.program.path, lines=True)
     try:
-        pricer, reason = pricer_version(), None
+        pricer = pricer_version()
+        return Cost(tuple(route_costs(list(seen), code, price=True)), stack, pricer, None)
     except PricingError as error:
-        pricer, reason = "", str(error)
-    return Cost(tuple(route_costs(list(seen), code, price=reason is None)), stack, pricer, reason)
-
-
-def step_cost_of_image(image: Path, inputs: int, outputs: int, memory: Sequence[Region], count: int) -> Cost:
-    """What policy_step costs inside a linked image, over `count` observations.
-
-    memory: the board's, which the image may use.
-    """
-    policy = ArmPolicy(load_program(image), inputs, outputs, memory)
-    return step_cost(policy, mixed_observations(count, inputs))
+        return Cost(tuple(route_costs(list(seen), code, price=False)), stack, "", str(error))
 
 
 def mixed_observations(count: int, inputs: int, seed: int = 0) -> Float32:

@@ -13,6 +13,7 @@ import pytest
 from toolchain.build import TARGETS, MakeError, build
 from toolchain.errors import BuildError, NeuroflightError, PolicyError
 from toolchain.image import read_image
+from toolchain.mca import find_pricer
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
@@ -137,7 +138,7 @@ def test_report_says_what_was_built_when_it_succeeds(tmp_path: Path, policy_file
     assert written["target"] == "HOST"
     assert written["policy"]["network"] == "6-64-64-4 tanh"
     assert written["predicted_cycles"] is None
-    assert written["predicted_cycles_reason"].startswith("not computed yet: ")
+    assert written["predicted_cycles_reason"].startswith("cycles are predicted for the board's")
     assert [stage["name"] for stage in written["stages"]] == ["synthesis", "optimization", "compilation"]
     assert "1 files compiled" in written["stages"][2]["did"]
     assert [file["path"] for file in written["files"]] == [
@@ -190,4 +191,11 @@ def test_board_image_and_host_program_are_what_the_targets_promise(
         assert all((path.parent / name).is_file() for name in TARGETS[target].products)
         report = json.loads((path.parent / "report.json").read_text())
         assert report["target"] == target
+        assert (report["step_instructions"] is None) == (target == "HOST")
+        assert (report["predicted_cycles"] is None) == bool(report["predicted_cycles_reason"])
+    report = json.loads((board_image.parent / "report.json").read_text())
+    multiply_accumulates = 4736  # of the shipped policy
+    assert report["step_instructions"] > multiply_accumulates
+    if find_pricer():
+        assert report["predicted_cycles"] > multiply_accumulates
     assert read_image(board_image).machine == "ARM"

@@ -14,10 +14,11 @@ from toolchain.arm_policy import ArmPolicy, build_policy_elf, compile_arm, state
 from toolchain.cli.main import main
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region
 from toolchain.cortex_m7 import load_program
+from toolchain.cycles import CORE_HZ
 from toolchain.errors import BuildError
 from toolchain.evaluate import evaluate
 from toolchain.mca import find_pricer
-from toolchain.timing import CORE_HZ, mixed_observations, step_cost, step_cost_of_image, time_policy
+from toolchain.timing import mixed_observations, step_cost, time_policy
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -109,7 +110,7 @@ def test_emulated_policy_gives_the_evaluators_bits_when_its_table_is_replaced(
 
 def test_step_inside_the_image_is_counted_when_it_was_linked_for_the_board(board_image: Path) -> None:
     memory = (ITCM, DTCM, Region("flash", FLASH_BASE, FLASH_BYTES))
-    cost = step_cost_of_image(board_image, 6, 4, memory, 9)
+    cost = step_cost(ArmPolicy(load_program(board_image), 6, 4, memory), mixed_observations(9, 6))
     assert len(cost.routes) == 1
     assert cost.instructions[0] > 4736
     assert any(block.instructions[0].address < ITCM.size for block in cost.worst.blocks)

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, timing: Timing) -> dict[str, Any]:
-    from toolchain.timing import CORE_HZ
+    from toolchain.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     worst = timing.cost.worst
@@ -149,7 +149,7 @@ def _provenance(timing: Timing) -> str:
 
 def _rows(timing: Timing) -> Sequence[tuple[str, tuple[str, ...]]]:
     """Names with the worst and the best value."""
-    from toolchain.timing import CORE_HZ
+    from toolchain.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     rows: list[tuple[str, tuple[str, ...]]] = [("instructions", (f"{most:,}", f"{fewest:,}"))]
