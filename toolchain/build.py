@@ -223,7 +223,7 @@ def _stages(compiled: CompiledPolicy, built: int, seconds: tuple[float, float]) 
     return (
         Stage("synthesis", f"trained earlier on aircraft {model.aircraft}", None),
         Stage("optimization", f"{rewrites}; {saved} multiply-adds saved", seconds[0]),
-        Stage("compilation", f"{len(compiled.plan.steps)} steps to C; {made}", seconds[1]),
+        Stage("compilation", f"{len(compiled.plan.calls)} kernel calls in C; {made}", seconds[1]),
     )
 
 
