@@ -12,7 +12,7 @@ ARGS     ?=
 
 VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
-ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi
+ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
 .PHONY: help setup arm firmware host train fly test prove bench lint clean
 
@@ -27,12 +27,12 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-arm: # the ARM compiler, from the system's packages where that is allowed
-	@command -v arm-none-eabi-gcc >/dev/null || { \
+arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca
+	@command -v arm-none-eabi-gcc >/dev/null && command -v llvm-mca >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	    echo "installing $(ARM_PACKAGES)"; \
-	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(ARM_PACKAGES) >/dev/null; \
-	  else \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(ARM_PACKAGES) >/dev/null; \
+	  elif ! command -v arm-none-eabi-gcc >/dev/null; then \
 	    echo "arm-none-eabi-gcc is missing; run: sudo apt-get install $(ARM_PACKAGES)" >&2; exit 1; \
 	  fi; }
 
