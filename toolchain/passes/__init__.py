@@ -41,21 +41,21 @@ class Pass:
     """One kind of rewrite: a pure function that gives back the same object where it finds nothing to do."""
 
     name: str
-    does: str  # one line for people
+    finds: str  # what it removes or rewrites, for people
     run: Callable[[Network], Network]
 
 
 PASSES = (
-    Pass("drop unread", "drops nodes, and rows of matrices, that cannot reach the output", drop_unread),
-    Pass("drop identities", "drops what gives the value that it takes", drop_identities),
-    Pass("share equal", "computes once what is computed twice from the same values", share_equal),
-    Pass("simplify slices", "takes values where they come from, not from a slice or concat", simplify_slices),
-    Pass("drop bounds", "drops a clip or relu that cannot bind, joins two in a row", drop_bounds),
-    Pass("lower sigmoid", "writes a sigmoid between matrices as 1/2 + 1/2 tanh(x/2)", lower_sigmoid),
-    Pass("merge affine", "makes two affine maps in a row one", merge_affine),
-    Pass("fold affine", "folds affine maps into the weights before or after them", fold_affine),
-    Pass("move affine", "moves affine maps through concat and slice towards weights", move_affine),
-    Pass("merge linear", "multiplies out linear layers with no activation between", merge_linear),
+    Pass("drop unread", "nodes, and rows of matrices, that cannot reach the output", drop_unread),
+    Pass("drop identities", "what gives the value that it takes", drop_identities),
+    Pass("share equal", "what is computed twice from the same values", share_equal),
+    Pass("simplify slices", "slices of slices and of concats, concats of both", simplify_slices),
+    Pass("drop bounds", "a clip or relu that cannot bind, or two in a row", drop_bounds),
+    Pass("lower sigmoid", "sigmoid between matrices: 1/2 + 1/2 tanh(x/2)", lower_sigmoid),
+    Pass("merge affine", "two affine maps in a row", merge_affine),
+    Pass("fold affine", "affine maps beside weights that take them in", fold_affine),
+    Pass("move affine", "affine maps that a concat or slice keeps from weights", move_affine),
+    Pass("merge linear", "linear layers with no activation between", merge_linear),
 )
 
 
@@ -106,10 +106,8 @@ def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Savi
 def size(network: Network) -> Size:
     """Nodes, operations and bytes of a network."""
     widths = network.widths[1:]
-    operations = sum(
-        _operations(node.operation, width) for node, width in zip(network.nodes, widths, strict=True)
-    )
-    return Size(len(network.nodes), operations, sum(weight_bytes(node.operation) for node in network.nodes))
+    total = sum(operations(node.operation, width) for node, width in zip(network.nodes, widths, strict=True))
+    return Size(len(network.nodes), total, sum(weight_bytes(node.operation) for node in network.nodes))
 
 
 def weight_bytes(operation: Operation) -> int:
@@ -127,7 +125,7 @@ def weight_bytes(operation: Operation) -> int:
     return 0
 
 
-def _operations(operation: Operation, width: int) -> int:
+def operations(operation: Operation, width: int) -> int:
     """Operations of one evaluation; a function that has a kernel of its own counts as one."""
     match operation:
         case Linear():

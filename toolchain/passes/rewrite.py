@@ -36,13 +36,15 @@ class Draft:
         """The node that gives `value` if only one input takes it, so that it may be rewritten."""
         return self.producer(value) if self.uses[value] == 1 else None
 
-    def release(self, value: int, count: int = 1) -> None:
-        """`count` inputs no longer take `value`; what nobody takes releases what it took."""
-        self.uses[value] -= count
-        node = self.producer(value)
-        if self.uses[value] == 0 and node is not None:
-            for taken in node.inputs:
-                self.release(taken)
+    def release(self, values: Sequence[int]) -> None:
+        """Inputs no longer take `values`; what nobody takes releases what it took."""
+        released = list(values)
+        while released:
+            value = released.pop()
+            self.uses[value] -= 1
+            node = self.producer(value)
+            if self.uses[value] == 0 and node is not None:
+                released += node.inputs
 
 
 # What a rule makes of a node of the draft that has the number of a value in the old network: another node in
@@ -69,13 +71,11 @@ def rewrite(network: Network, rule: Rule) -> Network:
                 break
             for value in better.inputs:
                 draft.uses[value] += 1
-            for value in node.inputs:
-                draft.release(value)
+            draft.release(node.inputs)
             node, changed = better, True
         if isinstance(better, int) and number < len(network.nodes):
             draft.uses[better] += uses[number]
-            for value in node.inputs:
-                draft.release(value)
+            draft.release(node.inputs)
             changed = True
         else:
             better = draft.add(node.operation, node.inputs, node.name)

@@ -42,10 +42,10 @@ def kept_elements(network: Network) -> list[Mask]:
     kept: list[Mask] = [np.zeros(width, np.bool_) for width in network.widths]
     kept[OBSERVATION][:] = True
     kept[-1][:] = True
-    before = -1
+    backwards, before = range(len(network.nodes), 0, -1), -1
     while (now := sum(int(mask.sum()) for mask in kept)) != before:
         before = now
-        for number in range(len(network.nodes), 0, -1):
+        for number in (*backwards, *reversed(backwards)):
             node = network.nodes[number - 1]
             _mark(node.operation, kept[number], [kept[value] for value in node.inputs])
     return kept
