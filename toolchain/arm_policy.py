@@ -91,9 +91,9 @@ class ArmPolicy:
         self.machine = CortexM7(program, memory)
         self.inputs, self.outputs = inputs, outputs
         self._state = self.machine.allocate(STATE_BYTES_MAX)
-        self._observation = self.machine.allocate(4 * inputs)
+        self.observation = self.machine.allocate(4 * inputs)  # where `step` reads it
         self._action = self.machine.allocate(4 * outputs)
-        self.step = ("policy_step", self._state, self._observation, self._action)
+        self.step = ("policy_step", self._state, self.observation, self._action)
         self.init()
 
     def init(self, table: Float32 | None = None) -> None:
@@ -106,15 +106,11 @@ class ArmPolicy:
         self.machine.write(address, data)
         self.machine.call("policy_init", self._state, address)
 
-    def observe(self, observation: Float32) -> None:
-        """Put one observation (inputs,) where `step` reads it."""
-        self.machine.write(self._observation, np.ascontiguousarray(observation, np.float32).tobytes())
-
     def actions(self, observations: Float32) -> Float32:
         """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
         actions = np.empty((len(observations), self.outputs), np.float32)
         for observation, action in zip(observations, actions, strict=True):
-            self.observe(observation)
+            self.machine.write(self.observation, np.asarray(observation, np.float32).tobytes())
             self.machine.call(*self.step)
             action[:] = np.frombuffer(self.machine.read(self._action, action.nbytes), np.float32)
         return actions

@@ -10,12 +10,13 @@ import numpy as np
 
 from toolchain.arm_policy import ArmPolicy, build_policy_elf, compiler_version, state_bytes
 from toolchain.compiler import CompiledPolicy
-from toolchain.cortex_m7 import load_program
+from toolchain.cortex_m7 import CortexM7, load_program
 from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
 from toolchain.disassembly import disassemble
 from toolchain.float32 import Float32
 from toolchain.mca import PricingError, pricer_version
 
+STACK_ROUTES = 100  # whose stack is measured
 ONE_OF = 3  # observations in so many are of unit scale; as many of any scale, as many hold an extreme value
 EXTREMES = np.array(
     [0, -0.0, 1e-45, -1e-40, 1e-38, 1, -1, 1e6, -1e6, 3.4e38, -3.4e38, np.inf, -np.inf, np.nan], np.float32
@@ -26,10 +27,10 @@ Progress = Callable[[int, int], None]  # observations done, of how many
 
 @dataclass(frozen=True)
 class Cost:
-    """policy_step over observations."""
+    """A function over its inputs."""
 
     routes: tuple[RouteCost, ...]  # distinct ones, in the order met
-    stack_bytes: int  # at the deepest
+    stack_bytes: int  # at the deepest, of the first STACK_ROUTES routes
     pricer: str  # which model priced cycles; "" for none
     no_cycles_reason: str | None  # why there are none
 
@@ -111,24 +112,35 @@ def time_policy(
 
 
 def step_cost(policy: ArmPolicy, observations: Float32, *, progress: Progress | None = None) -> Cost:
-    """What policy_step costs over `observations` (N, inputs), one after the other.
+    """What policy_step costs over `observations` (N, inputs), one after the other."""
+    return call_cost(policy.machine, policy.step, policy.observation, observations, progress=progress)
+
+
+def call_cost(
+    machine: CortexM7,
+    call: tuple[str, *tuple[int, ...]],
+    place: int,
+    values: Float32,
+    *,
+    progress: Progress | None = None,
+) -> Cost:
+    """What `call`, a function and its arguments, costs with each row of `values` in turn at address `place`.
 
     Where llvm-mca is missing or lacks an instruction, cycles are left out and the reason is given.
     """
-    machine = policy.machine
     seen: dict[Route, int] = {}
     with machine.recording() as runs:
-        for number, observation in enumerate(observations):
+        for number, row in enumerate(values):
             runs.clear()
-            policy.observe(observation)
-            machine.call(*policy.step)
+            machine.write(place, row.tobytes())
+            machine.call(*call)
             seen.setdefault(route_of(runs), number)
             if progress:
-                progress(number + 1, len(observations))
+                progress(number + 1, len(values))
     stack = 0
-    for number in seen.values():
-        policy.observe(observations[number])
-        stack = max(stack, machine.stack_bytes(*policy.step))
+    for number in list(seen.values())[:STACK_ROUTES]:
+        machine.write(place, values[number].tobytes())
+        stack = max(stack, machine.stack_bytes(*call))
     code = disassemble(machine.program.path, lines=True)
     try:
         pricer = pricer_version()

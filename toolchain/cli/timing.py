@@ -198,6 +198,7 @@ def _account(timing: Timing) -> Table:
         cells += (
             [f"{block.times}"] if total is None else [f"{total:,.0f}", f"{block.times}", f"{block.cycles:g}"]
         )
-        place = ":".join(filter(None, (first.function, first.line.rpartition(":")[2])))
+        function = first.function.partition(".")[0]  # without what gcc adds to the name of a clone
+        place = ":".join(filter(None, (function, first.line.rpartition(":")[2])))
         table.add_row(*cells, f"{len(block.instructions)}", f"{first.address:x}", place, escape(first.text))
     return table

@@ -1,4 +1,4 @@
-"""Speed, measured in one run: `make bench`. Machines differ and are shared, so compare within a run.
+"""Speed of the twin and of training beside bare pybullet.
 
 Bare pybullet is the floor that the twin stands on: the same bodies and the same calls (moment in, step, pose
 out; in free flight force and velocity too) with no rotors, no sensors and no arithmetic around them. All
@@ -8,8 +8,6 @@ turn, not the figure.
 
 from __future__ import annotations
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -27,6 +25,7 @@ from training.configuration import PpoConfig, TrainingConfig
 from training.synthesis import train
 
 NF1 = load_aircraft("nf1")
+LEARNING = PpoConfig().aircraft
 ROUNDS = 5
 
 
@@ -48,6 +47,15 @@ class Subject:
             self.advance()
             calls += 1
         self.best = max(self.best, calls * self.aircraft / (time.perf_counter() - began))
+
+
+@dataclass(frozen=True)
+class Speed:
+    """A figure: aircraft steps a second, and bare pybullet's on the same mount."""
+
+    name: str
+    value: float
+    floor: float
 
 
 def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> Subject:
@@ -115,21 +123,8 @@ def twin(count: int, mount: Mount, stack: ExitStack) -> Subject:
     return Subject(f"twin, {mount.value}", mount, count, lambda: aircraft.step(motors))
 
 
-def training(steps: int) -> float:
-    """Environment steps a second of `neuroflight train`, learning, checkpoints and all."""
-    with tempfile.TemporaryDirectory() as folder:
-        state = train(NF1, TrainingConfig(steps=steps), Path(folder))
-    return state.steps / state.seconds
-
-
-def main() -> int:
-    """Measure everything and print it."""
-    parser = argparse.ArgumentParser(description="speed of the twin and of training, in one run")
-    parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of the twin")
-    parser.add_argument("--steps", type=int, default=2_000_000, help="of training")
-    parser.add_argument("--json", action="store_true")
-    args = parser.parse_args()
-    learning = PpoConfig().aircraft
+def twin_speeds(seconds: float) -> list[Speed]:
+    """The twin and what it stands on. seconds: for each figure."""
     with ExitStack() as stack:
         floors = [bare(64, mount, stack) for mount in Mount]
         subjects = [
@@ -138,22 +133,21 @@ def main() -> int:
             uncorrected(64, stack),
             world(64, stack),
             *(twin(64, mount, stack) for mount in Mount),
-            *(twin(count, Mount.CENTRE, stack) for count in (1, learning)),
+            *(twin(count, Mount.CENTRE, stack) for count in (1, LEARNING)),
         ]
         for _ in range(ROUNDS):
             for subject in subjects:
-                subject.time(args.seconds / ROUNDS)
+                subject.time(seconds / ROUNDS)
     floor = {subject.mount: subject.best for subject in floors}
-    rows = [(f"{s.name}, {s.aircraft} aircraft", s.best, floor[s.mount]) for s in subjects]
-    rows.append((f"training, {learning} aircraft", training(args.steps), floor[Mount.CENTRE]))
-    if args.json:
-        print(json.dumps({name: round(value) for name, value, _ in rows}))
-        return 0
-    print(f"{'aircraft steps a second':44}{'':>10}  of bare pybullet on the same mount")
-    for name, value, reference in rows:
-        print(f"{name:44}{value:>10,.0f}  {value / reference:.2f}")
-    return 0
+    return [Speed(f"{s.name}, {s.aircraft} aircraft", s.best, floor[s.mount]) for s in subjects]
 
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+def training_speed(steps: int, seconds: float) -> Speed:
+    """`neuroflight train`, learning, checkpoints and all. seconds: for bare pybullet."""
+    with ExitStack() as stack:
+        floor = bare(64, Mount.CENTRE, stack)
+        for _ in range(ROUNDS):
+            floor.time(seconds / ROUNDS)
+    with tempfile.TemporaryDirectory() as folder:
+        state = train(NF1, TrainingConfig(steps=steps), Path(folder))
+    return Speed(f"training, {LEARNING} aircraft", state.steps / state.seconds, floor.best)

@@ -1,0 +1,58 @@
+"""`python -m tests.bench`: measure everything, or what --only names, and print it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+SUBJECTS = ("twin", "training", "compiler")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="tests.bench", description="speed and cost, in one run")
+    parser.add_argument("--only", nargs="+", choices=SUBJECTS, default=SUBJECTS, metavar="|".join(SUBJECTS))
+    parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of the twin")
+    parser.add_argument("--steps", type=int, default=2_000_000, help="of training")
+    parser.add_argument("--inputs", type=int, default=10_000, help="of each compiled network")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args(argv)
+    document: dict[str, Any] = {}
+    if {"twin", "training"} & set(args.only):
+        document |= measure_flights(args)
+    if "compiler" in args.only:
+        document |= measure_compiler(args)
+    if args.json:
+        print(json.dumps(document))
+    return 0
+
+
+def measure_flights(args: argparse.Namespace) -> dict[str, Any]:
+    """Aircraft steps a second of the twin and of training."""
+    from tests.bench.twin import training_speed, twin_speeds
+
+    speeds = twin_speeds(args.seconds) if "twin" in args.only else []
+    if "training" in args.only:
+        speeds.append(training_speed(args.steps, args.seconds))
+    if not args.json:
+        print(f"{'aircraft steps a second':44}{'':>10}  of bare pybullet on the same mount")
+        for speed in speeds:
+            print(f"{speed.name:44}{speed.value:>10,.0f}  {speed.value / speed.floor:.2f}")
+    return {"aircraft_steps_a_second": {speed.name: round(speed.value) for speed in speeds}}
+
+
+def measure_compiler(args: argparse.Namespace) -> dict[str, Any]:
+    """What compiled networks take on the Cortex-M7, beside another compiler's."""
+    from tests.bench.compiler import print_table, rows
+
+    measured, notes = rows(args.inputs)
+    if not args.json:
+        print_table(measured, notes)
+    return {"compiler": {"rows": [asdict(row) for row in measured], "notes": notes}}
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
