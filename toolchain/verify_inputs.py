@@ -43,10 +43,10 @@ class Inputs:
         return int(np.prod(self.observation.shape[:2]))
 
 
-def make_inputs(width: int, count: int, seed: int) -> tuple[Inputs, ...]:
+def make_inputs(width: int, count: int, seed: int, steps: int = STEPS) -> tuple[Inputs, ...]:
     """All groups for a policy that observes `width` values, about `count` observations each, at least some.
 
-    A group's numbers depend on the seed and on its place, not on those before it.
+    steps: of a path. A group's numbers depend on the seed and on its place, not on those before it.
     """
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)]
     groups = [
@@ -55,13 +55,13 @@ def make_inputs(width: int, count: int, seed: int) -> tuple[Inputs, ...]:
     ]
     groups.append(_singles("grid", _grid(generators[4], width, count)))
     groups.append(_singles("adversarial", _adversarial(generators[5], width, count)))
-    paths = smooth_paths(generators[6], width, max(2, count // STEPS))
+    paths = smooth_paths(generators[6], width, max(2, count // steps), steps)
     groups.append(Inputs("paths", paths))
     groups.append(Inputs("paths with faults", _with_faults(generators[6], paths)))
     return tuple(groups)
 
 
-def smooth_paths(rng: np.random.Generator, width: int, sequences: int, steps: int = STEPS) -> Float32:
+def smooth_paths(rng: np.random.Generator, width: int, sequences: int, steps: int) -> Float32:
     """Smooth random paths (sequences, steps, width) from rest, by turns of unit and half the gyro's scale."""
     paths = np.zeros((sequences, steps, width))
     innovation = np.sqrt(1 - SMOOTHNESS**2)

@@ -21,7 +21,7 @@ import numpy as np
 from toolchain.compiler import CompiledPolicy
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT, SELFTEST_COUNT
 from toolchain.errors import BuildError, PolicyError
-from toolchain.evaluate import advance, clear_state
+from toolchain.evaluate import advance, clear_state, evaluate
 from toolchain.files import write_text
 from toolchain.float32 import Float32
 from toolchain.graph import Network
@@ -160,6 +160,9 @@ def open_evaluator(network: Network) -> Machine:
     """The compiled network in numpy, in the order of operations that the C has."""
 
     def actions(observation: Float32) -> Float32:
+        if not network.recurrent:
+            flat = evaluate(network, observation.reshape(-1, network.inputs))
+            return flat.reshape(*observation.shape[:2], network.outputs)
         state = clear_state(network, len(observation))
         steps = []
         for step in range(observation.shape[1]):

@@ -43,6 +43,9 @@ CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight"
 
 def reference(network: Network, observation: Float32) -> Float64:
     """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state."""
+    if not network.recurrent and observation.shape[1] > 1:
+        flat = reference(network, observation.reshape(-1, 1, network.inputs))
+        return flat.reshape(*observation.shape[:2], network.outputs)
     sequences, steps, _ = observation.shape
     state = {index: _clear(node.operation, sequences) for index, node in enumerate(network.nodes)}
     actions = np.empty((sequences, steps, network.outputs))

@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.compiler import compile_policy
     from toolchain.network import read_policy
     from toolchain.verify import all_candidates, verify
+    from toolchain.verify_inputs import make_inputs
 
     if not 1 <= args.count <= COUNT_MAX:
         raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         seen = verify(
             compiled,
             candidates,
-            count=args.count,
+            make_inputs(compiled.policy.observation_count, args.count, args.seed),
             seed=args.seed,
             progress=lambda name, done, total: bar.update(tasks[name], completed=done, total=total),
         )
