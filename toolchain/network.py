@@ -11,16 +11,22 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from toolchain import contract
 from toolchain.contract import ObservationBlock
 from toolchain.errors import PolicyError
 from toolchain.graph import Network
-from toolchain.operations import Clip, Operation
+
+if TYPE_CHECKING:
+    import onnx
 
 AIRCRAFT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into C: no quotes, no escapes
 SHA256 = re.compile(r"[0-9a-f]{64}")
+FREEZE = (
+    "add them with `neuroflight freeze MODEL.onnx --observation BLOCKS --rate HZ --aircraft NAME "
+    "--out POLICY.onnx`"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,60 +60,46 @@ class PolicyModel:
 
 def read_policy(path: Path) -> PolicyModel:
     """The policy in the ONNX file `path`. Raises PolicyError, one line, on anything it cannot prove."""
-    try:
-        if (size := path.stat().st_size) > contract.POLICY_FILE_BYTES_MAX:
-            raise PolicyError(
-                f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise PolicyError(f"cannot read the policy {path}: {error.strerror}") from error
+    data = read_file(path)
     try:
         return parse_policy(data)
     except PolicyError as error:
         raise PolicyError(f"{path}: {error}") from error
 
 
+def read_file(path: Path) -> bytes:
+    """The bytes of an ONNX file. Raises PolicyError when it is missing or larger than any policy."""
+    try:
+        if (size := path.stat().st_size) > contract.POLICY_FILE_BYTES_MAX:
+            raise PolicyError(
+                f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise PolicyError(f"cannot read the policy {path}: {error.strerror}") from error
+
+
 def parse_policy(data: bytes) -> PolicyModel:
     """The policy in the bytes of an ONNX file. Raises PolicyError, one line, without the file's name."""
-    import onnx  # a third of a second that commands without a policy need not wait for
-    from google.protobuf.message import DecodeError
+    from toolchain.reader.graph import read_network
 
-    from toolchain.onnx_graph import read_network, refuse_unsupported
-
-    try:
-        model = onnx.load_model_from_string(data)
-    except DecodeError as error:
-        raise PolicyError("not an ONNX file, or a truncated one; export it again") from error
-    refuse_unsupported(model)
-    try:
-        onnx.checker.check_model(model, full_check=True)
-    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, ValueError) as error:
-        first = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise PolicyError(f"not a valid ONNX model, or a truncated one: {first}") from error
+    model = parse_model(data)
+    metadata = {entry.key: entry.value for entry in model.metadata_props if isinstance(entry.key, str)}
+    if model.HasField("graph") and not any(key.startswith("neuroflight.") for key in metadata):
+        raise PolicyError(f"an ONNX model without metadata; {FREEZE}")
     network = read_network(model)
-    _check_bounds(network)
-    metadata = {entry.key: entry.value for entry in model.metadata_props}
     return _describe(metadata, hashlib.sha256(data).hexdigest(), network)
 
 
-def _check_bounds(network: Network) -> None:
-    match network.nodes[-1].operation if network.nodes else None:
-        case Clip(low=float(low), high=float(high)) if 0 <= low <= high <= 1:
-            return
-        case last:
-            raise PolicyError(
-                f"the policy ends with {_short(last)}, expected Clip within [0, 1]; clip the motor fractions"
-            )
+def parse_model(data: bytes) -> onnx.ModelProto:
+    """The ONNX model in `data`, unchecked. Raises PolicyError when it is none."""
+    import onnx  # a third of a second that commands without a policy need not wait for
+    from google.protobuf.message import DecodeError
 
-
-def _short(layer: Operation | None) -> str:
-    match layer:
-        case None:
-            return "nothing"
-        case Clip(low, high):
-            return f"Clip from {low} to {high}"
-    return type(layer).__name__
+    try:
+        return onnx.load_model_from_string(data)
+    except DecodeError as error:
+        raise PolicyError("not an ONNX file, or a truncated one; export it again") from error
 
 
 def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> PolicyModel:
@@ -148,7 +140,7 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
 
 def _value(metadata: Mapping[str, str], key: str) -> str:
     if key not in metadata:
-        raise PolicyError(f"the metadata lack {key}; write the policy with `neuroflight freeze`")
+        raise PolicyError(f"the metadata lack {key}; {FREEZE}")
     return metadata[key]
 
 

@@ -1,0 +1,97 @@
+"""The walk over a model's nodes, in the order of computation."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnx
+from onnx import helper
+
+from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
+from toolchain.errors import PolicyError
+from toolchain.graph import Network, Node
+from toolchain.reader.checks import action_width, check_model, observation_width
+from toolchain.reader.constants import array, fold
+from toolchain.reader.door import bounded
+from toolchain.reader.operators import OPERATORS
+from toolchain.reader.patterns import STARTS, read_part
+from toolchain.reader.values import WIDTH_MAX, Builder, Call, Part, Row, Unread, Value, label, shown
+
+
+def read_network(model: onnx.ModelProto) -> Network:
+    """The network of `model`; it ends with a Clip within [0, 1]. Raises PolicyError."""
+    check_model(model)
+    graph = model.graph
+    width = observation_width(model)
+    if width > WIDTH_MAX:
+        raise PolicyError(f"the policy takes {width} values, expected at most {WIDTH_MAX}")
+    outputs = action_width(model)
+    build = Builder(width)
+    values: dict[str, Value] = {
+        tensor.name: array(tensor, f"initializer {shown(tensor.name)}") for tensor in graph.initializer
+    }
+    values[POLICY_INPUT] = Row(0, (1, width))
+    for node in graph.node:
+        call = _call(node, values)
+        results = _read(build, call)
+        if len(results) < sum(map(bool, node.output)):
+            raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
+        values.update((name, result) for name, result in zip(node.output, results, strict=False) if name)
+    action = values.get(POLICY_OUTPUT)
+    if not isinstance(action, Row):
+        raise PolicyError(f"output {POLICY_OUTPUT!r} is no function of the observation; is the export right?")
+    if action.shape != (1, outputs):
+        raise PolicyError(
+            f"the policy computes actions of shape {list(action.shape)}, declared [1, {outputs}]"
+        )
+    return bounded(_network(build, action))
+
+
+def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
+    inputs = tuple(values[name] if name else None for name in node.input)
+    attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+    name = node.name or next(iter(node.output), "")
+    return Call(node.op_type, name, label(node), tuple(node.input), inputs, attributes, len(node.output))
+
+
+def _read(build: Builder, call: Call) -> tuple[Value, ...]:
+    """The outputs of one node."""
+    for name, value in zip(call.names, call.inputs, strict=True):
+        if isinstance(value, Unread):
+            raise call.error(f"takes {shown(name)}, {value.label}, which is not supported")
+    kinds = {type(value) for value in call.inputs}
+    if call.operator == "Constant":
+        return (_constant(call),)
+    if (call.operator == "Shape" and Part not in kinds) or not kinds & {Row, Part}:
+        result: Value | tuple[Value, ...] = fold(call)
+    elif Part in kinds or call.operator in STARTS:
+        result = read_part(build, call)
+    elif call.operator in OPERATORS:
+        result = OPERATORS[call.operator](build, call)
+    else:
+        raise call.error("takes values computed from the observation; it is supported on constants only")
+    return result if isinstance(result, tuple) else (result,)
+
+
+def _constant(call: Call) -> Value:
+    for name, value in call.attributes.items():
+        match name:
+            case "value":
+                return array(value, call.label)
+            case "value_float" | "value_floats":
+                return np.array(value, np.float32)
+            case "value_int" | "value_ints":
+                return np.array(value, np.int64)
+    raise call.error("holds neither a tensor nor numbers")
+
+
+def _network(build: Builder, action: Row) -> Network:
+    """The nodes up to the one that gives the action, without those that a later one absorbed."""
+    nodes = build.nodes[: action.number]
+    kept, numbers = list[Node](), {0: 0}
+    taken = {number for node in nodes for number in node.inputs} | {action.number}
+    for number, node in enumerate(nodes, 1):
+        if number in build.absorbed and number not in taken:
+            continue
+        kept.append(Node(node.operation, tuple(numbers[value] for value in node.inputs), node.name))
+        numbers[number] = len(kept)
+    return Network(build.inputs, tuple(kept))

@@ -1,0 +1,220 @@
+"""What the reader knows of each ONNX value, and the network that grows from it.
+
+An ONNX value of any rank is a row of float32 in C order, so that a reshape, a squeeze or a transpose that
+leaves the order alone costs nothing, and whatever else moves values becomes slices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+
+from toolchain.errors import PolicyError
+from toolchain.float32 import Float32
+from toolchain.graph import Node, multiply_adds, output_width
+from toolchain.operations import Concat, Operation, Slice
+
+NODES_MAX = 1024  # a policy has some tens
+WIDTH_MAX = 4096
+MULTIPLY_ADDS_MAX = 216_000  # what 216 MHz does in 1 ms, the longest control period, at one a cycle
+PIECES_MAX = 64  # slices that one node may cut its value into
+NAME_MAX = 60  # characters of a name in a message
+STANDARD_DOMAINS = ("", "ai.onnx")  # two spellings of one
+
+Array = NDArray[Any]  # a constant: float32, int64, int32 or bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """A value of the network: its number there and the shape that ONNX gives it, values in C order."""
+
+    number: int
+    shape: tuple[int, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of values."""
+        return math.prod(self.shape)
+
+    @property
+    def places(self) -> NDArray[np.int64]:
+        """The place of each value in the row, in the shape of the value."""
+        return np.arange(self.width).reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A value inside a pattern of nodes that makes one operation, such as the mean within a layer norm."""
+
+    kind: str
+    row: Row  # what the pattern works on
+    label: str  # of the node that computes it
+    epsilon: float = 0.0
+
+
+@dataclass(frozen=True)
+class Unread:
+    """An output that the reader does not know, such as the cell state of an LSTM; only its use is refused."""
+
+    label: str
+
+
+Value = Array | Row | Part | Unread
+
+
+@dataclass(frozen=True, eq=False)
+class Call:
+    """One ONNX node and what it takes; an input that is left out is None."""
+
+    operator: str
+    name: str
+    label: str  # for messages: name and operator
+    names: tuple[str, ...]  # of the inputs
+    inputs: tuple[Value | None, ...]
+    attributes: Mapping[str, Any]
+    outputs: int
+
+    def input(self, place: int) -> Value | None:
+        """Input number `place`, None where the node leaves it out."""
+        return self.inputs[place] if place < len(self.inputs) else None
+
+    def row(self, place: int = 0) -> Row:
+        """The computed value that the node takes at `place`. Raises PolicyError for a constant there."""
+        value = self.input(place)
+        if isinstance(value, Row):
+            return value
+        raise self.error(f"takes a constant as input {place}, expected a value computed from the observation")
+
+    def constant(self, place: int) -> Array | None:
+        """The constant at `place`, of any type. Raises PolicyError for a computed value there."""
+        value = self.input(place)
+        if value is None or isinstance(value, np.ndarray):
+            return value
+        raise self.error(f"takes {shown(self.names[place])} where a constant is expected")
+
+    def floats(self, place: int) -> Float32 | None:
+        """The float32 constant at `place`. Raises PolicyError for another type, NaN or infinity."""
+        values = self.constant(place)
+        if values is None:
+            return None
+        if values.dtype != np.float32:
+            raise self.error(f"takes {shown(self.names[place])} of type {values.dtype}, expected float32")
+        if bad := int((~np.isfinite(values)).sum()):
+            raise self.error(
+                f"takes {shown(self.names[place])}, which holds {bad} NaN or infinite values, expected finite"
+            )
+        return values
+
+    def scalar(self, place: int) -> float | None:
+        """The one float32 value at `place`, which may be repeated. Infinity is allowed."""
+        values = self.constant(place)
+        if values is None:
+            return None
+        if values.dtype != np.float32 or values.size == 0 or not (values == values.flat[0]).all():
+            kind = f"{values.dtype} {list(values.shape)}"
+            raise self.error(f"takes {shown(self.names[place])} of {kind}, expected one float32 value")
+        return float(values.flat[0])
+
+    def error(self, message: str) -> PolicyError:
+        """A refusal that names the node."""
+        return PolicyError(f"{self.label} {message}")
+
+
+@dataclass
+class Builder:
+    """The network under construction."""
+
+    inputs: int
+    nodes: list[Node] = field(default_factory=list)
+    widths: list[int] = field(default_factory=list)
+    multiply_adds: int = 0
+    absorbed: set[int] = field(default_factory=set)  # values that an operation read later contains
+
+    def __post_init__(self) -> None:
+        """The observation is value 0."""
+        self.widths.append(self.inputs)
+
+    def append(self, call: Call, operation: Operation, *rows: Row, shape: tuple[int, ...]) -> Row:
+        """`call` computes `operation` from `rows`; the result has `shape`."""
+        self.multiply_adds += multiply_adds(operation)
+        if self.multiply_adds > MULTIPLY_ADDS_MAX:
+            raise call.error(
+                f"brings the policy to {self.multiply_adds} multiply-adds, expected at most "
+                f"{MULTIPLY_ADDS_MAX}: what the processor does in a millisecond; train a smaller network"
+            )
+        if len(self.nodes) >= NODES_MAX:
+            raise call.error(f"is one too many: a policy may have {NODES_MAX} operations")
+        width = output_width(operation, [self.widths[row.number] for row in rows])
+        if width != math.prod(shape) or width > WIDTH_MAX:
+            raise call.error(f"gives {width} values of shape {list(shape)}, expected at most {WIDTH_MAX}")
+        self.nodes.append(Node(operation, tuple(row.number for row in rows), call.name))
+        self.widths.append(width)
+        return Row(len(self.nodes), shape)
+
+    def operation(self, row: Row) -> Node | None:
+        """The node that computes `row`, None for the observation."""
+        return self.nodes[row.number - 1] if row.number else None
+
+    def arranged(self, call: Call, row: Row, places: NDArray[np.int64]) -> Row:
+        """The value whose item i is item places[i] of `row`: itself where nothing moves, slices otherwise."""
+        shape, flat = places.shape, places.ravel()
+        if flat.size == 0 or flat.size > WIDTH_MAX:
+            raise call.error(f"gives {flat.size} values, expected 1 to {WIDTH_MAX}")
+        if np.array_equal(flat, np.arange(row.width)):
+            return Row(row.number, shape)
+        slices = _slices(flat)
+        if len(slices) > PIECES_MAX:
+            raise call.error(
+                f"cuts its value into {len(slices)} pieces, expected at most {PIECES_MAX}; "
+                "sort the weights before or after it instead"
+            )
+        pieces = [self.append(call, piece, row, shape=(piece.count,)) for piece in slices]
+        if len(pieces) == 1:
+            return Row(pieces[0].number, shape)
+        return self.append(call, Concat(), *pieces, shape=shape)
+
+    def broadcast(self, call: Call, row: Row, shape: tuple[int, ...]) -> Row:
+        """`row` repeated along the axes where `shape` is larger, as ONNX's arithmetic does."""
+        if math.prod(shape) > WIDTH_MAX:
+            raise call.error(f"gives values of shape {list(shape)}, expected at most {WIDTH_MAX}")
+        return self.arranged(call, row, np.broadcast_to(row.places, shape))
+
+
+def joint_shape(call: Call, *shapes: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape that ONNX's arithmetic gives values of `shapes`."""
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError as error:
+        listed = " and ".join(str(list(shape)) for shape in shapes)
+        raise call.error(f"joins values of shapes {listed}, which do not fit each other") from error
+
+
+def shown(name: str) -> str:
+    """A name as messages quote it: one line, not too long."""
+    return repr(name if len(name) <= NAME_MAX else name[: NAME_MAX - 3] + "...")
+
+
+def label(node: onnx.NodeProto) -> str:
+    """A node's name and operator."""
+    operator = node.op_type if node.domain in STANDARD_DOMAINS else f"{node.domain}::{node.op_type}"
+    operator = operator if operator.isprintable() and len(operator) <= NAME_MAX else shown(operator)
+    return f"node {shown(node.name or ', '.join(node.output))} ({operator})"
+
+
+def _slices(flat: NDArray[np.int64]) -> list[Slice]:
+    """The fewest slices, read greedily, that give the places `flat` one after the other."""
+    slices, start = list[Slice](), 0
+    while start < flat.size:
+        step = int(flat[start + 1] - flat[start]) if start + 1 < flat.size else 0
+        count = 1
+        while step and start + count < flat.size and flat[start + count] - flat[start + count - 1] == step:
+            count += 1
+        slices.append(Slice(int(flat[start]), count, step or 1))
+        start += count
+    return slices
