@@ -242,10 +242,10 @@ def _examine(
             group = expected.inputs.name
             if name in ("onnxruntime", "evaluator"):
                 getattr(bench, name)[group] = actions
-            finding = finding or next(_broken(machine, actions, expected, bench), None)
+            finding = finding or next(_broken(name, machine, actions, expected, bench), None)
             figures.append(_figures(actions, expected, bench.onnxruntime.get(group)))
             progress(done + 1, len(standards))
-        finding = finding or _selftest(machine, bench.network)
+        finding = finding or _selftest(name, machine, bench.network)
     except NotRunError as error:
         return MachineReport(name, required, not_run=str(error))
     except MachineError as error:
@@ -277,10 +277,12 @@ def _distance(actions: NDArray[np.floating], others: NDArray[np.floating]) -> Fl
     return np.where(np.isnan(distance), np.inf, distance)
 
 
-def _broken(machine: Machine, actions: Float32, expected: Standard, bench: _Bench) -> Iterator[Finding]:
+def _broken(
+    name: str, machine: Machine, actions: Float32, expected: Standard, bench: _Bench
+) -> Iterator[Finding]:
     """The laws that the machine's actions break, the first input for each."""
     group, observation = expected.inputs.name, expected.inputs.observation
-    found = partial(_found, machine.name, actions, expected)
+    found = partial(_found, name, actions, expected)
     if machine.is_ours:
         low, high = np.float32(bench.door.low), np.float32(bench.door.high)
         with np.errstate(invalid="ignore"):
@@ -288,16 +290,16 @@ def _broken(machine: Machine, actions: Float32, expected: Standard, bench: _Benc
         yield from found("bounds", outside, None, f"leaves the bounds {low:g} to {high:g}")
         leaks = ~np.isfinite(observation).all(axis=2, keepdims=True) & (actions != low)
         yield from found("door", leaks, None, f"answers NaN or infinity with something else than {low:g}")
-        if machine.name != "evaluator" and group in bench.evaluator:
+        if name != "evaluator" and group in bench.evaluator:
             same = bench.evaluator[group]
             differ = actions.view(np.uint32) != same.view(np.uint32)
             yield from found("bits", differ, same, "has not the evaluator's bits")
     peers: list[tuple[str, NDArray[np.floating]]] = [("the float64 reference", expected.reference)]
     if machine.is_ours and group in bench.onnxruntime:
         peers.append(("onnxruntime", bench.onnxruntime[group]))
-    for name, peer in peers:
+    for peer_name, peer in peers:
         far = expected.comparable[..., None] & (_distance(actions, peer) > expected.allowed[..., None])
-        yield from found("error", far, peer, f"is further from {name} than allowed")
+        yield from found("error", far, peer, f"is further from {peer_name} than allowed")
 
 
 def _found(
@@ -321,15 +323,16 @@ def _found(
     message += f", motor {motor + 1}: got {got}"
     message += f", expected {wanted}" if wanted else ""
     message += f" within {expected.allowed[sequence, step]:.2g}" if law == "error" else ""
+    message += "; is the checkpoint the one that the policy was frozen from?" if name == "torch" else ""
     row = _words(observation[sequence, step])
     yield Finding(name, law, message, group, sequence, step, motor, row, got, wanted)
 
 
-def _selftest(machine: Machine, network: Network) -> Finding | None:
+def _selftest(machine_name: str, machine: Machine, network: Network) -> Finding | None:
     if machine.selftest is None:
         return None
     test = machine.selftest()
-    for name, actions in ((machine.name, test.given), ("evaluator", replay(network, test.observation))):
+    for name, actions in ((machine_name, test.given), ("evaluator", replay(network, test.observation))):
         wrong = actions.view(np.uint32) != test.promised.view(np.uint32)
         if wrong.any():
             vector, motor = np.argwhere(wrong)[0].tolist()

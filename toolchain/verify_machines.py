@@ -63,7 +63,6 @@ class SelfTest:
 class Machine:
     """Something that runs the policy."""
 
-    name: str
     is_ours: bool  # runs the compiled network, and so is held to the evaluator's bits
     actions: Callable[[Float32], Float32]
     selftest: Callable[[], SelfTest] | None = None
@@ -98,7 +97,7 @@ def open_onnxruntime(data: bytes) -> Machine:
                 rows.append(action[0])
         return np.array(rows, np.float32).reshape(*observation.shape[:2], -1)
 
-    return Machine("onnxruntime", False, actions)
+    return Machine(False, actions)
 
 
 def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
@@ -153,7 +152,7 @@ def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
         x = torch.nn.functional.linear(x, *layers[-1]) * factor + offset
         return np.asarray(x.clip(0, 1).numpy(), np.float32)
 
-    return Machine("torch", False, actions)
+    return Machine(False, actions)
 
 
 def open_evaluator(network: Network) -> Machine:
@@ -172,7 +171,7 @@ def open_evaluator(network: Network) -> Machine:
             steps.append(action)
         return np.stack(steps, axis=1)
 
-    return Machine("evaluator", True, actions)
+    return Machine(True, actions)
 
 
 def open_host(policy: CompiledPolicy, directory: Path, compiler: str, *, sanitize: bool = False) -> Machine:
@@ -209,7 +208,7 @@ def open_host(policy: CompiledPolicy, directory: Path, compiler: str, *, sanitiz
             action.reshape(count, outputs),
         )
 
-    return Machine(f"host C, {compiler}{' with sanitizers' if sanitize else ''}", True, actions, selftest)
+    return Machine(True, actions, selftest)
 
 
 def _run(program: Path, data: bytes) -> Float32:
@@ -245,12 +244,12 @@ def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
         raise NotRunError(f"{error.name} is not installed; run: pip install unicorn") from error
     if shutil.which(COMPILER) is None:
         raise NotRunError(f"{COMPILER} is not installed; run: sudo apt-get install gcc-arm-none-eabi")
+    inputs, outputs = policy.policy.observation_count, policy.policy.action_count
     try:
         program = load_program(build_policy_elf(policy.emission, directory))
-    except BuildError as error:
+        arm = ArmPolicy(program, inputs, outputs)
+    except (BuildError, FaultError) as error:
         raise MachineError("runs", _first_line(str(error))) from error
-    inputs, outputs = policy.policy.observation_count, policy.policy.action_count
-    arm = ArmPolicy(program, inputs, outputs)
 
     def sequence(observation: Float32) -> Float32:
         try:
@@ -270,7 +269,7 @@ def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:
         observation = vectors("policy_selftest_observation", inputs)
         return SelfTest(observation, vectors("policy_selftest_action", outputs), sequence(observation))
 
-    return Machine("Cortex-M7, emulated", True, actions, selftest)
+    return Machine(True, actions, selftest)
 
 
 def _first_line(text: str) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from toolchain.verify import Figures, Verification
 
 NOTHING = "-"
+ULP_SHOWN, SHARE_SHOWN = 1e6, 10.0  # beyond, digits say no more
 COUNT, COUNT_MAX = 2000, 1_000_000
 CHECKPOINT = "checkpoint.pt"
 
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the policy on all machines, print what was seen; fails with one line unless everything holds."""
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
     from toolchain.compiler import compile_policy
     from toolchain.network import read_policy
@@ -66,13 +67,19 @@ def run(args: argparse.Namespace) -> int:
         Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar,
     ):
         candidates = all_candidates(compiled, args.policy.read_bytes(), Path(folder), checkpoint)
-        tasks = {candidate.name: bar.add_task(candidate.name, total=None) for candidate in candidates}
+        tasks: dict[str, TaskID] = {}
+
+        def show(machine: str, done: int, total: int) -> None:
+            if machine not in tasks:
+                tasks[machine] = bar.add_task(machine, total=total)
+            bar.update(tasks[machine], completed=done)
+
         seen = verify(
             compiled,
             candidates,
             make_inputs(compiled.policy.observation_count, args.count, args.seed),
             seed=args.seed,
-            progress=lambda name, done, total: bar.update(tasks[name], completed=done, total=total),
+            progress=show,
         )
     if args.json:
         print(json.dumps(_document(args, compiled, seen), indent=2))
@@ -127,15 +134,15 @@ def _print(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verificatio
 
     policy = compiled.policy
     title = f"{args.policy.name}: {policy.network.text}, {policy.control_rate_hz} Hz"
-    machines = _table(title, "machine", "observations", "worst error", "ulp", "of allowed", "verdict")
+    machines = _table(title, "machine", "inputs", "worst error", "ulp", "of allowed", "verdict")
     for machine in seen.machines:
         figures = [_worst(machine.figures, name) for name in ("error", "ulp", "share")]
         count = f"{machine.count:,}" if machine.count else NOTHING
         law = f": {machine.finding.law}" if machine.finding else ""
         machines.add_row(machine.name, count, *_cells(*figures), machine.verdict + law)
     groups = _table(
-        "The compiled policy by kind of observation",
-        *("observations", "number", "compared", "worst error", "ulp", "of allowed", "onnxruntime"),
+        "The compiled policy by kind of input",
+        *("inputs", "number", "compared", "worst error", "ulp", "of allowed", "onnxruntime"),
     )
     ours = next(machine for machine in seen.machines if machine.name == "evaluator")
     for group in ours.figures:
@@ -166,8 +173,8 @@ def _table(title: str, *headings: str) -> Table:
 def _cells(error: float | None, ulp: float | None = None, share: float | None = None) -> list[str]:
     return [
         NOTHING if error is None else f"{error:.1e}",
-        NOTHING if ulp is None else f"{ulp:,.0f}",
-        NOTHING if share is None else f"{100 * share:.0f} %",
+        NOTHING if ulp is None else f"{ulp:,.0f}" if ulp < ULP_SHOWN else f"{ulp:.1e}",
+        NOTHING if share is None else f"{100 * share:.0f} %" if share < SHARE_SHOWN else "far over",
     ]
 
 
@@ -178,8 +185,8 @@ def _worst(figures: Sequence[Figures], name: str) -> float | None:
 
 def _closing(seen: Verification) -> str:
     text = {
-        "holds": "Holds: every machine within what is allowed, host and Cortex-M7 the same bits.",
-        "fails": f"Fails: {seen.finding.message if seen.finding else ''}",
+        "holds": "Holds: every machine is within what is allowed, host and Cortex-M7 give the same bits.",
+        "fails": "Fails: the first law that is broken is said below.",
         "incomplete": "Incomplete: what ran holds, but not every machine ran.",
     }[seen.verdict]
     if seen.recovery is not None:
