@@ -57,7 +57,9 @@ def every_pass() -> Network:
     scaled = add(Affine(array(6).astype(float), np.zeros(6)), moved)
     errors = add(Slice(0, 5), scaled)
     gate = add(Sigmoid(), add(linear(16, 5), errors))
-    hidden = add(Clip(-1.0, 1.0), add(Tanh(), add(linear(12, 16), gate)))
+    still = linear(12, 16)
+    still.weight[4] = 0
+    hidden = add(Clip(-1.0, 1.0), add(Tanh(), add(still, gate)))
     twin, other = add(linear(7, 16, 3), gate), add(linear(7, 16, 3), gate)
     deltas = add(Relu(), add(linear(4, 2), add(Slice(1, 2), errors)))
     joined = add(Concat(), hidden, add(Softsign(), twin), add(Softsign(), other), deltas)

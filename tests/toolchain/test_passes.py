@@ -78,6 +78,13 @@ def pruned(outputs: int, inputs: int, *columns: int) -> Linear:
     return Linear(weight, layer.bias)
 
 
+def fixed(layer: Linear, *rows: int, bias: float = 0.5) -> Linear:
+    """`layer` with some outputs that only their bias makes."""
+    weight, biases = layer.weight.copy(), layer.bias.copy()
+    weight[list(rows)], biases[list(rows)] = 0, bias
+    return Linear(weight, biases)
+
+
 def written(network: Network) -> str:
     """The network in a line: each operation with its width and what it takes."""
     nodes = zip(network.nodes, network.widths[1:], strict=True)
@@ -88,6 +95,18 @@ SHARED = affine(6)  # one observation scaling that several branches take
 
 # name of the pass, network before, network after, (nodes, operations, bytes) saved
 FIRES: dict[str, tuple[str, Network, str, tuple[int, int, int]]] = {
+    "units without weights": (
+        "fold constants",
+        line(fixed(linear(8, 6), 2, 5), Sigmoid(), linear(4, 8), DOOR),
+        "Linear8[0] Sigmoid8[1] Linear4[2] Clip4[3]",
+        (0, 0, 0),
+    ),
+    "constants before a cell": (
+        "fold constants",
+        line(fixed(linear(8, 6), 2), Tanh(), gru(3, 8), Tanh(), DOOR),
+        "Linear8[0] Tanh8[1] Gru3[2] Tanh3[3] Clip3[4]",
+        (0, 0, 0),
+    ),
     "a node that nobody takes": (
         "drop unread",
         graph((linear(4, 6), (0,)), (linear(9, 6), (0,)), (Tanh(), (2,)), (DOOR, (1,))),
@@ -344,6 +363,20 @@ FIRES: dict[str, tuple[str, Network, str, tuple[int, int, int]]] = {
 
 # name of the pass, network that it must leave alone
 RESTS: dict[str, tuple[str, Network]] = {
+    "a relu that hardly opens": (
+        "fold constants",
+        line(
+            Tanh(),
+            Linear(np.full((8, 6), 0.2, np.float32), np.full(8, -1, np.float32)),
+            Relu(),
+            linear(4, 8),
+            DOOR,
+        ),
+    ),
+    "constants that no matrix takes": (
+        "fold constants",
+        line(fixed(linear(4, 6), 1), Tanh(), affine(4), DOOR),
+    ),
     "an observed value that only zeros meet": ("drop unread", line(pruned(4, 6, 2, 3), DOOR)),
     "a unit of a cell that only zeros meet": ("drop unread", line(gru(3, 6), pruned(4, 3, 1), DOOR)),
     "a value of a layer norm that only zeros meet": ("drop unread", line(norm(6), pruned(4, 6, 1), DOOR)),
@@ -469,6 +502,16 @@ def test_pass_finds_nothing_more_when_it_runs_again(name: str) -> None:
 def test_pass_leaves_the_network_alone_when_it_meets(name: str) -> None:
     step, network = RESTS[name]
     assert RUN[step](network) is network
+
+
+def test_units_are_dropped_when_they_cannot_vary() -> None:
+    """Two have no weights, and a ReLU cannot open: 5 of 8 are left."""
+    closed = fixed(linear(8, 6), 0, 7)
+    closed.bias[3] = -1.1 * np.abs(closed.weight[3]).sum()
+    network = line(Tanh(), closed, Relu(), linear(4, 8), DOOR)
+    shorter, savings = optimize(network, prove=True)
+    assert written(shorter) == "Tanh6[0] Linear5[1] Relu5[2] Linear4[3] Clip4[4]"
+    assert [saving.rewrite for saving in savings] == ["fold constants", "drop unread"]
 
 
 def test_savings_add_up_when_several_passes_run() -> None:

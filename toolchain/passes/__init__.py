@@ -27,7 +27,7 @@ from toolchain.operations import (
     Softsign,
 )
 from toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
-from toolchain.passes.bounds import drop_bounds
+from toolchain.passes.bounds import drop_bounds, fold_constants
 from toolchain.passes.matrices import merge_linear
 from toolchain.passes.shape import drop_identities, share_equal, simplify_slices
 from toolchain.passes.unread import drop_unread
@@ -46,6 +46,7 @@ class Pass:
 
 
 PASSES = (
+    Pass("fold constants", "what no observation changes, before a matrix", fold_constants),
     Pass("drop unread", "nodes, and rows of matrices, that cannot reach the output", drop_unread),
     Pass("drop identities", "what gives the value that it takes", drop_identities),
     Pass("share equal", "what is computed twice from the same values", share_equal),

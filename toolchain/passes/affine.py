@@ -90,7 +90,10 @@ def move_affine(network: Network) -> Network:
 
 
 def lower_sigmoid(network: Network) -> Network:
-    """A sigmoid between matrices becomes 1/2 + 1/2 tanh(x/2), whose affine maps vanish in them."""
+    """A sigmoid between matrices becomes 1/2 + 1/2 tanh(x/2), whose affine maps vanish in them.
+
+    With a matrix on one side only, the map that stays would cost more bytes than the other saves time.
+    """
     vanishes = absorbed(network)
 
     def rule(draft: Draft, node: Node, number: int) -> Node | None:

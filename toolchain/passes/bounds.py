@@ -1,4 +1,4 @@
-"""The pass over bounds: a Clip or Relu that cannot bind is dropped, two in a row become one.
+"""Passes over what values can be: bounds that cannot bind, and values that cannot vary.
 
 What a value can be is found by interval arithmetic from any observation on, exact in real arithmetic.
 """
@@ -31,6 +31,7 @@ from toolchain.operations import (
     Softsign,
     Tanh,
 )
+from toolchain.passes.affine import input_matrix, with_input
 from toolchain.passes.rewrite import Draft, rewrite
 
 Interval = tuple[NDArray[np.float64], NDArray[np.float64]]  # lowest and highest value, each (n,)
@@ -65,6 +66,24 @@ def drop_bounds(network: Network) -> Network:
                 if kept != bounds:
                     return Node(_bound(*kept), node.inputs, node.name)
         return None
+
+    return rewrite(network, rule)
+
+
+def fold_constants(network: Network) -> Network:
+    """What a matrix takes that no observation changes moves into the bias; its weight becomes 0."""
+    intervals = value_intervals(network)
+
+    def rule(draft: Draft, node: Node, _number: int) -> Node | None:
+        if (matrix := input_matrix(node.operation)) is None:
+            return None
+        weight, bias = matrix
+        low, high = intervals[draft.roles[node.inputs[0]][0]]
+        constant = (low == high) & np.isfinite(low) & weight.any(axis=0)
+        if not constant.any():
+            return None
+        folded = bias + weight[:, constant] @ low[constant]
+        return Node(with_input(node.operation, np.where(constant, 0, weight), folded), node.inputs, node.name)
 
     return rewrite(network, rule)
 
