@@ -62,6 +62,7 @@ def test_freeze_writes_nothing_when_the_checkpoint_is_none(
     policy_file: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "frozen.onnx"
+    policy_file.write_bytes(b"no checkpoint")
     assert "is no checkpoint" in refused(["freeze", str(policy_file), "--out", str(out)], capsys)
     assert not out.exists()
 

@@ -22,7 +22,7 @@ COMMANDS = {
     "compile": "turn policy.onnx into policy.c and policy.h",
     "verify": "run a policy on every machine, from torch to the Cortex-M7, and compare them",
     "timing": "count what a policy takes on the board: instructions, predicted cycles, memory",
-    "freeze": "turn a training checkpoint into policy.onnx",
+    "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
     "tune-pid": "find the gains of a PID for an aircraft in its twin",
     "evaluate": "measure a policy or the PID on unseen commands",
