@@ -112,7 +112,7 @@ MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
     (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
     (wide, "the policy observes 66 values, the firmware offers at most 64"),
-    (large, "weights, 72 more than the board's 12288"),
+    (large, "weights, 748 more than the board's 12288"),
 ]
 
 

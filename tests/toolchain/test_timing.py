@@ -12,16 +12,34 @@ import pytest
 
 from toolchain.arm_policy import ArmPolicy, build_policy_elf, compile_arm, state_bytes
 from toolchain.cli.main import main
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region
+from toolchain.compiler import compile_policy
+from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region, observation_blocks
 from toolchain.cortex_m7 import load_program
 from toolchain.cycles import CORE_HZ
 from toolchain.errors import BuildError
 from toolchain.evaluate import evaluate
+from toolchain.graph import chain
 from toolchain.mca import find_pricer
+from toolchain.network import PolicyModel
+from toolchain.operations import (
+    Clip,
+    Elu,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Operation,
+    Relu,
+    Sigmoid,
+    Silu,
+    Softsign,
+    Tanh,
+)
 from toolchain.timing import mixed_observations, step_cost, time_policy
 
 if TYPE_CHECKING:
-    from tests.toolchain.conftest import Kit
+    from tests.toolchain.conftest import Float32, Kit
 
 COUNTING = """
 #include "policy.h"
@@ -94,6 +112,61 @@ def test_policy_takes_one_route_when_observations_are_anything(kit: Kit, tmp_pat
     assert timing.microseconds(CORE_HZ) == 1e6
     assert timing.share(CORE_HZ / timing.control_rate_hz) == pytest.approx(1)
     assert timing.limit_ratio(2 * timing.multiply_accumulates) == 2
+
+
+RNG = np.random.default_rng(11)
+
+
+def values(*shape: int) -> Float32:
+    return RNG.normal(size=shape).astype(np.float32)
+
+
+def linear(inputs: int, outputs: int) -> Linear:
+    return Linear(values(outputs, inputs), values(outputs))
+
+
+HIDDEN: dict[str, list[Operation]] = {
+    **{str(operation): [operation] for operation in (Tanh(), Sigmoid(), Silu(), Softsign(), Relu())},
+    **{str(operation): [operation] for operation in (LeakyRelu(0.1), Elu(1.0), Clip(-0.5, None))},
+    "LayerNorm": [LayerNorm(1e-5, values(9), values(9))],
+    "Gru": [Gru(values(15, 9), values(15, 5), values(15), values(15)), linear(5, 9)],
+    "Lstm": [Lstm(values(20, 9), values(20, 5), values(20)), linear(5, 9)],
+}
+
+
+def policy_with(hidden: list[Operation]) -> PolicyModel:
+    """A policy of these operations on nine values."""
+    network = chain(6, [linear(6, 9), *hidden, linear(9, 4), Clip(0.0, 1.0)])
+    blocks = observation_blocks("rate_error,rate_error_delta")
+    return PolicyModel(blocks, 1000, (), "nf1", "0" * 64, {}, "0" * 64, network)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_no_instruction_depends_on_the_observation_when_the_operation_is_any(
+    name: str, tmp_path: Path
+) -> None:
+    policy = compile_policy(policy_with(HIDDEN[name]))
+    arm = ArmPolicy(load_program(build_policy_elf(policy.emission, tmp_path)), 6, 4)
+    cost = step_cost(arm, mixed_observations(90, 6))
+    assert len(cost.routes) == 1
+    assert cost.worst.conditional == 0
+    assert cost.no_cycles_reason is None or find_pricer() is None, "every instruction has a price"
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("optimization", ["-O2", "-O3"])
+def test_bars_hold_on_one_route_when_observations_are_ten_thousand(
+    kit: Kit, tmp_path: Path, optimization: str
+) -> None:
+    for widths, instructions, cycles in (((6, 32, 32, 4), 3300, 5200), ((6, 64, 64, 4), 9500, 14500)):
+        policy = kit.compiled(kit.mlp(widths))
+        timing = time_policy(policy, tmp_path, mixed_observations(10_000, 6), optimization=optimization)
+        assert len(timing.cost.routes) == 1
+        assert timing.cost.instructions[1] <= instructions
+        assert timing.cost.cycles is None or timing.cost.cycles[1] <= cycles
+        assert timing.code_bytes + timing.constant_bytes <= 4096
+        assert timing.cost.stack_bytes <= 1024
+        assert timing.state_bytes <= 2048
 
 
 def test_emulated_policy_gives_the_evaluators_bits_when_its_table_is_replaced(
