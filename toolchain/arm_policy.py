@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from elftools.elf.elffile import ELFFile
 
-from toolchain.contract import DTCM, Region
+from toolchain.contract import DTCM, POLICY_WEIGHT_COUNT_MAX, Region
 from toolchain.cortex_m7 import CortexM7, Program
 from toolchain.emit import Emission
 from toolchain.errors import BuildError
@@ -93,6 +93,7 @@ class ArmPolicy:
         self._state = self.machine.allocate(STATE_BYTES_MAX)
         self.observation = self.machine.allocate(4 * inputs)  # where `step` reads it
         self._action = self.machine.allocate(4 * outputs)
+        self._table = self.machine.allocate(4 * POLICY_WEIGHT_COUNT_MAX)
         self.step = ("policy_step", self._state, self.observation, self._action)
         self.init()
 
@@ -101,10 +102,8 @@ class ArmPolicy:
         if table is None:
             self.machine.call("policy_init", self._state, 0)
             return
-        data = np.ascontiguousarray(table, np.float32).tobytes()
-        address = self.machine.allocate(len(data))
-        self.machine.write(address, data)
-        self.machine.call("policy_init", self._state, address)
+        self.machine.write(self._table, np.asarray(table, np.float32).tobytes())
+        self.machine.call("policy_init", self._state, self._table)
 
     def actions(self, observations: Float32) -> Float32:
         """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
