@@ -60,8 +60,7 @@ ACCEPTED: dict[str, str] = {
     "arithmetic of two values": "p = Tanh(observation) q = Sub(observation, p) r = Mul(q, p) x = Add(r, q) "
     + END,
     "a value with itself": "p = Add(observation, observation) x = Mul(p, p) " + END,
-    "one value for many": "p = Slice(observation, axis1, sizes, axis1) g = Slice(observation, axis0, axis1, "
-    "axis1) x = Mul(observation, g) " + END,
+    "one value for many": "g = Slice(observation, axis0, axis1, axis1) x = Mul(observation, g) " + END,
     "Tanh": "x = Tanh(observation) " + END,
     "Relu": "x = Relu(observation) " + END,
     "LeakyRelu": "x = LeakyRelu<alpha=0.2>(observation) " + END,

@@ -135,6 +135,8 @@ def _slice(inputs: Sequence[Any], _: Attributes) -> Array:
     steps = _integers(inputs[4]) if len(inputs) > 4 else None
     cut = [slice(None)] * data.ndim
     axes, steps = axes or list(range(len(starts))), steps or [1] * len(starts)
+    if not len(starts) == len(ends) == len(axes) == len(steps):
+        raise ValueError("starts, ends, axes and steps of different lengths")
     for start, end, axis, step in zip(starts, ends, axes, steps, strict=True):
         size = data.shape[axis]
         # a negative bound counts from the end once; one beyond it stays at the edge
