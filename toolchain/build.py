@@ -151,12 +151,14 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, "
             "the firmware has none; train it without filters"
         )
-    excess = compiled.plan.table.size - contract.POLICY_WEIGHT_COUNT_MAX
-    if excess > 0:
-        raise PolicyError(
-            f"the policy has {compiled.plan.table.size} weights, {excess} more than the board's "
-            f"{contract.POLICY_WEIGHT_COUNT_MAX}; train a smaller network"
-        )
+    plan = compiled.plan
+    for facts, count, most in (
+        (f"has {plan.table.size} weights", plan.table.size, contract.POLICY_WEIGHT_COUNT_MAX),
+        (f"works on {plan.memory} floats", plan.memory, contract.POLICY_MEMORY_COUNT_MAX),
+    ):
+        if count > most:
+            excess = f"{count - most} more than the board's {most}"
+            raise PolicyError(f"the policy {facts}, {excess}; train a smaller network")
 
 
 def _check_tools(target: Target) -> None:

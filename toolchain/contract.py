@@ -105,6 +105,7 @@ OBSERVATION_BLOCKS = (
 RATE_ERROR_INTEGRAL_LIMIT_RAD = 0.6
 OBSERVATION_COUNT_MAX = 64
 POLICY_WEIGHT_COUNT_MAX = 12288  # 48 KiB of DTCM
+POLICY_MEMORY_COUNT_MAX = 1024  # floats of scratch and recurrent state together: 4 KiB of DTCM
 
 
 def observation_blocks(text: str) -> tuple[ObservationBlock, ...]:

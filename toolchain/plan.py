@@ -39,6 +39,11 @@ class Plan:
     state: int  # floats of recurrent state
     architecture_hash: int  # CRC-32: equal for policies whose tables may be exchanged
 
+    @property
+    def memory(self) -> int:
+        """Floats that `struct policy` holds."""
+        return self.scratch + self.state
+
 
 def lower(policy: PolicyModel, network: Network) -> Plan:
     """The plan of `policy` with its network in the form `network`."""

@@ -107,12 +107,17 @@ def large(kit: Kit) -> Chain:
     return kit.mlp((6, 100, 111, 4))
 
 
+def broad(kit: Kit) -> Chain:
+    return kit.mlp((6, 600, 4))
+
+
 MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (six_motors, "the policy drives 6 motors, MATEKF722 has 4"),
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
     (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
     (wide, "the policy observes 66 values, the firmware offers at most 64"),
     (large, "weights, 748 more than the board's 12288"),
+    (broad, "the policy works on 1200 floats, 176 more than the board's 1024"),
 ]
 
 
