@@ -105,11 +105,15 @@ class ArmPolicy:
         self.machine.write(self._table, np.asarray(table, np.float32).tobytes())
         self.machine.call("policy_init", self._state, self._table)
 
+    def observe(self, observation: Float32) -> None:
+        """Put one observation (inputs,) where `step` reads it."""
+        self.machine.write(self.observation, np.asarray(observation, np.float32).tobytes())
+
     def actions(self, observations: Float32) -> Float32:
         """Actions (N, outputs) of observations (N, inputs), one call of policy_step each."""
         actions = np.empty((len(observations), self.outputs), np.float32)
         for observation, action in zip(observations, actions, strict=True):
-            self.machine.write(self.observation, np.asarray(observation, np.float32).tobytes())
+            self.observe(observation)
             self.machine.call(*self.step)
             action[:] = np.frombuffer(self.machine.read(self._action, action.nbytes), np.float32)
         return actions
