@@ -54,7 +54,7 @@ test: firmware host ## the tests
 prove: firmware host ## the long version of what the tests sample
 	@$(VENV)/bin/python -m pytest -m "prove or not prove" $(ARGS)
 
-bench: setup ## speed, as figures and ratios of one run
+bench: setup arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
 
 lint: setup ## style and types; C warnings are errors in every build
