@@ -56,15 +56,18 @@ def is_checkpoint(path: Path) -> bool:
     return False
 
 
-def adopt(source: Path, out: Path, claims: PolicyClaims, *, clip: bool) -> tuple[PolicyModel, Sequence[str]]:
+def adopt(
+    source: Path, out: Path, claims: PolicyClaims, *, clip: bool, output: str | None = None
+) -> tuple[PolicyModel, Sequence[str]]:
     """Write the policy of the ONNX file `source` to `out`; returns it and what was changed, in words.
 
     clip: append a Clip to [0, 1] where nothing else keeps the motor fractions there.
+    output: which output of the model is the action, where it has several.
     Raises PolicyError, one line; then nothing is written.
     """
     data = read_file(source)
     try:
-        adopted, changes = adopted_model(data, claims, clip=clip)
+        adopted, changes = adopted_model(data, claims, clip=clip, output=output)
         policy = parse_policy(adopted)
         if policy.action_count != claims.motors:
             raise PolicyError(
@@ -77,12 +80,16 @@ def adopt(source: Path, out: Path, claims: PolicyClaims, *, clip: bool) -> tuple
     return policy, changes
 
 
-def adopted_model(data: bytes, claims: PolicyClaims, *, clip: bool) -> tuple[bytes, Sequence[str]]:
+def adopted_model(
+    data: bytes, claims: PolicyClaims, *, clip: bool, output: str | None = None
+) -> tuple[bytes, Sequence[str]]:
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
     model, changes = parse_model(data), list[str]()
     check_parts(model)
     graph = model.graph
     del graph.value_info[:]  # shapes that were inferred for any batch
+    if output is not None:
+        changes += _choose(graph, output)
     given = {tensor.name for tensor in graph.initializer}
     for values, name, role in (
         ([value for value in graph.input if value.name not in given], contract.POLICY_INPUT, "input"),
@@ -90,7 +97,9 @@ def adopted_model(data: bytes, claims: PolicyClaims, *, clip: bool) -> tuple[byt
     ):
         if len(values) != 1:
             names = ", ".join(repr(value.name) for value in values[:8]) or "none"
-            hint = "export the actor alone" if role == "output" else "state is carried by GRU and LSTM nodes"
+            hint = (
+                "choose one with --output" if role == "output" else "state is carried by GRU and LSTM nodes"
+            )
             raise PolicyError(f"the model's {role}s are {names}, expected one; {hint}")
         changes += _rename(graph, values[0], name, role)
         changes += _fix_shape(values[0], claims.motors if role == "output" else None)
@@ -106,6 +115,27 @@ def adopted_model(data: bytes, claims: PolicyClaims, *, clip: bool) -> tuple[byt
         adopted = _bytes(model)
         parse_policy(adopted)
     return adopted, changes
+
+
+def _choose(graph: onnx.GraphProto, output: str) -> list[str]:
+    """Leave the graph's output `output` and what it needs: no critic, no probabilities."""
+    names = [value.name for value in graph.output]
+    if output not in names:
+        listed = ", ".join(map(repr, names[:8])) or "none"
+        raise PolicyError(f"the model has no output {output!r}, its outputs are {listed}")
+    needed, nodes = {output}, []
+    for node in reversed(graph.node):
+        if needed.intersection(node.output):
+            needed.update(node.input)
+            nodes.append(node)
+    chosen = graph.output[names.index(output)]
+    tensors = [tensor for tensor in graph.initializer if tensor.name in needed]
+    dropped = len(graph.node) - len(nodes)
+    for kept, field in (([chosen], graph.output), (nodes[::-1], graph.node), (tensors, graph.initializer)):
+        copies = [type(item).FromString(item.SerializeToString()) for item in kept]
+        del field[:]
+        field.extend(copies)
+    return [f"kept the output {output!r}, dropped {len(names) - 1} other(s) and {dropped} node(s)"]
 
 
 def _rename(graph: onnx.GraphProto, value: onnx.ValueInfoProto, new: str, role: str) -> list[str]:

@@ -174,9 +174,30 @@ def dynamic_width(graph: onnx.GraphProto) -> None:
     graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
 
 
+def two_outputs(graph: onnx.GraphProto) -> None:
+    """A critic beside the actor, with an operator that no policy may have."""
+    graph.node.append(onnx.helper.make_node("Erf", [graph.node[0].output[0]], ["value"]))
+    graph.output.add().CopyFrom(graph.output[0])
+    graph.output[1].name = "value"
+
+
+def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
+    chain = kit.mlp((6, 8, 4))
+    network = parse_policy(chain.data()).network
+    source = foreign(chain, two_outputs)
+    data, changes = adopted_model(source, CLAIMS, clip=False, output="act")
+    assert changes[0] == "kept the output 'act', dropped 1 other(s) and 1 node(s)"
+    observation = kit.observations(20, 6)
+    adopted = parse_policy(data).network
+    np.testing.assert_array_equal(evaluate(adopted, observation), evaluate(network, observation))
+    with pytest.raises(PolicyError, match="no output 'motors', its outputs are 'act', 'value'"):
+        adopted_model(source, CLAIMS, clip=False, output="motors")
+
+
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
+        (two_outputs, "outputs are 'act', 'value', expected one; choose one with --output"),
         (two_inputs, "inputs are 'obs', 'state', expected one"),
         (taken_name, "the output 'act' cannot be named 'action'"),
         (dynamic_width, "dynamic shape [1, n]"),

@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=int, metavar="HZ", help="control rate it was trained at")
     parser.add_argument("--aircraft", metavar="NAME|FILE", help="shipped name or .toml it was trained for")
     parser.add_argument("--filters", metavar="JSON", help="gyro filters it was trained behind; default: []")
+    parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a line")
 
@@ -75,6 +76,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--rate": args.rate,
         "--aircraft": args.aircraft,
         "--filters": args.filters,
+        "--output": args.output,
         "--clip": args.clip or None,
     }
 
@@ -109,4 +111,4 @@ def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         aircraft_sha256=aircraft.sha256,
         motors=aircraft.motor_count,
     )
-    return adopt(args.source, args.out, claims, clip=args.clip)
+    return adopt(args.source, args.out, claims, clip=args.clip, output=args.output)
