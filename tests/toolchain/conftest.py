@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -94,6 +94,20 @@ class Chain:
         return bytes(self.model().SerializeToString())
 
 
+def graph(body: str, constants: Mapping[str, ArrayLike], opset: int = 17) -> bytes:
+    """A policy of six inputs and four motors whose nodes are written in ONNX's text format.
+
+    constants: those that `body` names become initializers.
+    """
+    ends = "(float[1,6] observation) => (float[1,4] action)"
+    built = onnx.parser.parse_graph(f"policy {ends} {{ {body} }}")
+    names = sorted({name for node in built.node for name in node.input} & set(constants))
+    built.initializer.extend(numpy_helper.from_array(np.asarray(constants[name]), name) for name in names)
+    model = helper.make_model(built, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
+    helper.set_model_props(model, METADATA)
+    return bytes(model.SerializeToString())
+
+
 def weights(rng: np.random.Generator, *shape: int) -> Float32:
     """Random weights of a size that keeps sums near 1."""
     return np.asarray(rng.normal(size=shape) / np.sqrt(shape[-1]), np.float32)
@@ -178,6 +192,7 @@ class Kit:
 
     chain: Callable[..., Chain] = Chain
     mlp: Callable[..., Chain] = mlp
+    graph: Callable[..., bytes] = graph
     weights: Callable[..., Float32] = weights
     observations: Callable[..., Float32] = observations
     compiled: Callable[[Chain | bytes], CompiledPolicy] = compiled

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 from numpy.typing import NDArray
-from onnx import helper, numpy_helper
 
 from toolchain.evaluate import evaluate
 from toolchain.network import parse_policy
@@ -114,23 +112,6 @@ NEWER = {  # operators that opset 16 does not have
 }
 
 
-def model(body: str, opset: int = 16) -> bytes:
-    """The bytes of a policy whose nodes are written in `body`."""
-    text = f"policy (float[1,6] observation) => (float[1,4] action) {{ {body} }}"
-    graph = onnx.parser.parse_graph(text)
-    names = {name for node in graph.node for name in node.input}
-    graph.initializer.extend(numpy_helper.from_array(CONSTANTS[n], n) for n in sorted(names & set(CONSTANTS)))
-    built = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
-    return bytes(built.SerializeToString())
-
-
-def with_metadata(data: bytes, kit: Kit) -> bytes:
-    """The same model with the metadata of a policy."""
-    built = onnx.load_from_string(data)
-    helper.set_model_props(built, kit.chain().metadata)
-    return bytes(built.SerializeToString())
-
-
 def run(data: bytes, observation: NDArray[np.float32]) -> NDArray[np.float32]:
     """What onnxruntime computes."""
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
@@ -139,7 +120,7 @@ def run(data: bytes, observation: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @pytest.mark.parametrize("name", ACCEPTED)
 def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit: Kit, name: str) -> None:
-    data = with_metadata(model(ACCEPTED[name], NEWER.get(name, 16)), kit)
+    data = kit.graph(ACCEPTED[name], CONSTANTS, NEWER.get(name, 16))
     observation = np.random.default_rng(1).normal(size=(200, 6)).astype(np.float32)
     network = parse_policy(data).network
     expected = run(data, observation)
@@ -160,7 +141,7 @@ def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit:
 def test_pattern_is_one_operation_when_it_is_written_in_parts(
     kit: Kit, name: str, operation: type, count: int
 ) -> None:
-    nodes = parse_policy(with_metadata(model(ACCEPTED[name]), kit)).network.nodes
+    nodes = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network.nodes
     assert sum(isinstance(node.operation, operation) for node in nodes) == 1
     assert len(nodes) <= count
 
@@ -169,17 +150,17 @@ def test_pattern_is_one_operation_when_it_is_written_in_parts(
     "name", ["Flatten", "Reshape", "Squeeze and Unsqueeze", "Expand", "Identity and Dropout", "Cast to float"]
 )
 def test_nothing_is_computed_when_values_stay_where_they_are(kit: Kit, name: str) -> None:
-    assert len(parse_policy(with_metadata(model(ACCEPTED[name]), kit)).network.nodes) == 2
+    assert len(parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network.nodes) == 2
 
 
 def test_swish_is_read_when_the_opset_has_it(kit: Kit) -> None:
-    data = with_metadata(model("x = Swish(observation) " + END, 24), kit)
+    data = kit.graph("x = Swish(observation) " + END, CONSTANTS, 24)
     assert parse_policy(data).network.nodes[0].operation == Silu()
 
 
 @pytest.mark.parametrize("name", [name for name in ACCEPTED if name.startswith("a network that ends")])
 def test_clip_is_added_when_the_last_activation_is_bounded(kit: Kit, name: str) -> None:
-    network = parse_policy(with_metadata(model(ACCEPTED[name]), kit)).network
+    network = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network
     assert network.nodes[-1].operation == Clip(0.0, 1.0)
     assert not isinstance(network.nodes[-2].operation, Clip)
 
