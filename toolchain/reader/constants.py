@@ -84,6 +84,8 @@ def _reshape(inputs: Sequence[Any], attributes: Attributes) -> Array:
     data, wanted = inputs[0], _integers(inputs[1]) or []
     if not attributes.get("allowzero", 0):
         wanted = [data.shape[axis] if size == 0 else size for axis, size in enumerate(wanted)]
+    if min(wanted, default=0) < -1:
+        raise ValueError(f"shape {wanted}")  # numpy takes any negative size for an unknown one
     return np.reshape(data, wanted)
 
 
