@@ -38,11 +38,11 @@ from toolchain.verify_machines import (
     open_onnxruntime,
     open_torch,
 )
-from toolchain.verify_reference import Float64, perturbed, reference
+from toolchain.verify_reference import Float64, disturbed, reference
 
 TOLERANCE = 1e-6  # of an action, whatever the observation
-ROUNDING = 12.0  # how many times what moving the constants does to an action may rounding do to it
-PERTURBATIONS = 8  # of the network's constants
+ROUNDING = 12.0  # how many times what disturbing the network does to an action may rounding do to it
+DISTURBANCES = 8  # that this is measured with
 COMPARED_MAX = 1e9  # larger values are not compared: their products may leave float32's range
 UNIT_SCALE = 4.0  # the largest |value| that counts as unit scale: a standard normal one hardly exceeds it
 DSHOT_STEP = 2.0**-11  # of a motor fraction; the ulp of a smaller action is taken as that of this one
@@ -164,7 +164,7 @@ def verify(
 ) -> Verification:
     """Run all `candidates` on `inputs`, one after the other; a policy at fault raises nothing.
 
-    seed: of the perturbations that say what is allowed (`standard`).
+    seed: of the disturbances that say what is allowed (`standard`).
     """
     rng = np.random.default_rng(seed)
     standards = [standard(compiled.policy.network, group, rng) for group in inputs]
@@ -211,13 +211,13 @@ def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Stan
 
     TOLERANCE is allowed, or more where rounding must do more: the rounding errors of a sum are in proportion
     to its terms, and the layers after it magnify or swallow them. How much of that reaches an action is
-    measured, not assumed: the network's constants are moved by a unit in the last place, and ROUNDING times
-    the move of the action that this gives (root mean square of PERTURBATIONS tries) is allowed.
+    measured, not assumed: the network is disturbed in the last place of its constants and functions, and
+    ROUNDING times the move of the action that this gives (root mean square of DISTURBANCES) is allowed.
     """
     exact = reference(network, inputs.observation)
     with np.errstate(all="ignore"):
         size = np.maximum.accumulate(np.abs(inputs.observation).max(axis=2), axis=1).astype(np.float64)
-        moves = [reference(perturbed(network, rng), inputs.observation) - exact for _ in range(PERTURBATIONS)]
+        moves = [disturbed(network, inputs.observation, rng) - exact for _ in range(DISTURBANCES)]
         spread = np.sqrt(np.square(moves).mean(axis=0)).max(axis=2)
     return Standard(
         inputs=inputs,

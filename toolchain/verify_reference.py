@@ -6,6 +6,7 @@ compiler takes part, so that an error of theirs shows against it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -41,10 +42,16 @@ ULP = 2.0**-23  # relative, at most: from one float32 to the next
 CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight", "input_bias", "state_bias")
 
 
-def reference(network: Network, observation: Float32) -> Float64:
-    """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state."""
+Function = Callable[[Float64], Float64]
+
+
+def reference(network: Network, observation: Float32, tanh: Function = np.tanh) -> Float64:
+    """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state.
+
+    tanh: what is taken for it, in gates and sigmoids too.
+    """
     if not network.recurrent and observation.shape[1] > 1:
-        flat = reference(network, observation.reshape(-1, 1, network.inputs))
+        flat = reference(network, observation.reshape(-1, 1, network.inputs), tanh)
         return flat.reshape(*observation.shape[:2], network.outputs)
     sequences, steps, _ = observation.shape
     state = {index: _clear(node.operation, sequences) for index, node in enumerate(network.nodes)}
@@ -56,22 +63,26 @@ def reference(network: Network, observation: Float32) -> Float64:
                 inputs = [values[number] for number in node.inputs]
                 match node.operation:
                     case Gru() | Lstm() as cell:
-                        state[index] = _cell(cell, inputs[0], *state[index])
+                        state[index] = _cell(cell, tanh, inputs[0], *state[index])
                         values.append(state[index][0])
                     case operation:
-                        values.append(_apply(operation, inputs))
+                        values.append(_apply(operation, tanh, inputs))
             actions[:, step] = values[-1]
     return actions
 
 
-def perturbed(network: Network, rng: np.random.Generator) -> Network:
-    """`network` with each of its constants moved by about one unit in its last place, up or down.
+def disturbed(network: Network, observation: Float32, rng: np.random.Generator) -> Float64:
+    """Like `reference`, with each constant and each tanh moved by about a unit in its last place, up or down.
 
-    An evaluation in float32 is one in real arithmetic with constants that are off by a few such units, so
-    how far apart the actions of these two networks lie says how much of rounding an observation shows.
+    An evaluation in float32 is one in real arithmetic that is disturbed in about this way, a few times over:
+    so how far these actions lie from the reference's says how much of rounding an observation shows.
     """
+
+    def tanh(x: Float64) -> Float64:
+        return np.tanh(x) * (1 + ULP * rng.standard_normal(x.shape))
+
     nodes = tuple(replace(node, operation=_moved(node.operation, rng)) for node in network.nodes)
-    return replace(network, nodes=nodes)
+    return reference(replace(network, nodes=nodes), observation, tanh)
 
 
 def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
@@ -93,20 +104,22 @@ def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
     return ()
 
 
-def _cell(cell: Gru | Lstm, x: Float64, h: Float64, c: Float64 | None = None) -> tuple[Float64, ...]:
+def _cell(
+    cell: Gru | Lstm, tanh: Function, x: Float64, h: Float64, c: Float64 | None = None
+) -> tuple[Float64, ...]:
     """h' of a Gru, h' and c' of an Lstm."""
     from_input, from_state = x @ _wide(cell.input_weight), h @ _wide(cell.state_weight)
     if isinstance(cell, Gru):
         z, r, n = np.split(from_input + cell.input_bias, 3, axis=1)
         state_z, state_r, state_n = np.split(from_state + cell.state_bias, 3, axis=1)
-        update, reset = _sigmoid(z + state_z), _sigmoid(r + state_r)
-        return ((1 - update) * np.tanh(n + reset * state_n) + update * h,)
+        update, reset = _sigmoid(z + state_z, tanh), _sigmoid(r + state_r, tanh)
+        return ((1 - update) * tanh(n + reset * state_n) + update * h,)
     i, o, f, g = np.split(from_input + from_state + cell.bias, 4, axis=1)
-    c = _sigmoid(f) * (0.0 if c is None else c) + _sigmoid(i) * np.tanh(g)
-    return (_sigmoid(o) * np.tanh(c), c)
+    c = _sigmoid(f, tanh) * (0.0 if c is None else c) + _sigmoid(i, tanh) * tanh(g)
+    return (_sigmoid(o, tanh) * tanh(c), c)
 
 
-def _apply(operation: Operation, inputs: list[Float64]) -> Float64:
+def _apply(operation: Operation, tanh: Function, inputs: list[Float64]) -> Float64:
     x = inputs[0]
     match operation:
         case Linear():
@@ -114,11 +127,11 @@ def _apply(operation: Operation, inputs: list[Float64]) -> Float64:
         case Affine(scale, offset):
             return x * scale + offset
         case Tanh():
-            return np.tanh(x)
+            return tanh(x)
         case Sigmoid():
-            return _sigmoid(x)
+            return _sigmoid(x, tanh)
         case Silu():
-            return x * _sigmoid(x)
+            return x * _sigmoid(x, tanh)
         case Softsign():
             return np.asarray(x / (1 + np.abs(x)))
         case Relu():
@@ -144,8 +157,8 @@ def _apply(operation: Operation, inputs: list[Float64]) -> Float64:
     raise TypeError(f"{operation} is no operation of one step")
 
 
-def _sigmoid(x: Float64) -> Float64:
-    return np.asarray(0.5 + 0.5 * np.tanh(x / 2))
+def _sigmoid(x: Float64, tanh: Function) -> Float64:
+    return np.asarray(0.5 + 0.5 * tanh(x / 2))
 
 
 def _wide(weight: Float32) -> Float64:

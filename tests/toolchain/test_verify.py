@@ -150,6 +150,13 @@ def test_onnxruntime_is_named_when_the_file_has_other_weights(
     assert len(found.observation) == 6
 
 
+def test_evaluator_is_named_when_its_actions_are_off_by_3e_6(compiled: CompiledPolicy) -> None:
+    evaluator = open_evaluator(compiled.network)
+    off = replace(evaluator, actions=lambda x: np.maximum(evaluator.actions(x) - np.float32(3e-6), 0))
+    seen = verify(compiled, [Candidate("evaluator", True, lambda: off)], make_inputs(6, COUNT, 0, STEPS)[:1])
+    assert (finding(seen).machine, finding(seen).law) == ("evaluator", "error")
+
+
 def test_evaluator_is_named_when_a_pass_has_changed_the_network(
     kit: Kit, compiled: CompiledPolicy, policy: Chain, tmp_path: Path
 ) -> None:
@@ -423,16 +430,17 @@ def test_grid_crosses_every_pair_of_axes_when_count_allows() -> None:
 
 def test_more_is_allowed_only_when_rounding_must_do_more() -> None:
     rng = np.random.default_rng(0)
-    inputs = Inputs("unit", rng.normal(size=(200, 1, 6)).astype(np.float32))
+    inputs = Inputs("nearly equal", (1 + 1e-3 * rng.normal(size=(50, 1, 6))).astype(np.float32))
 
     def allowed(gain: float) -> float:
-        weight = (gain * rng.normal(size=(4, 6)) / 6**0.5).astype(np.float32)
-        network = chain(6, [Linear(weight, np.zeros(4, np.float32)), Tanh(), Clip(0.0, 1.0)])
-        return float(standard(network, inputs, rng).allowed.max())
+        """For a sum whose terms are as large as `gain` and nearly cancel."""
+        weight = np.tile(np.array([gain, -gain] * 3, np.float32), (4, 1))
+        network = chain(6, [Linear(weight, np.full(4, 0.5, np.float32)), Clip(0.0, 1.0)])
+        return float(np.median(standard(network, inputs, rng).allowed))
 
-    assert allowed(0.1) == 1e-6
-    assert 1e-6 < allowed(1.0) < 5e-6
-    assert 1e-5 < allowed(100.0) < 1e-3
+    assert allowed(0.01) == 1e-6
+    assert 1e-6 < allowed(1.0) < 1e-5
+    assert 1e-4 < allowed(100.0) < 1e-3
 
 
 def test_huge_and_not_finite_observations_are_not_compared_from_their_step_on() -> None:
