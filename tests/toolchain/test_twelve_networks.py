@@ -220,6 +220,6 @@ def test_host_and_cortex_m7_agree_when_networks_are_of_every_kind(
 def test_host_and_cortex_m7_agree_when_there_are_10_000_observations(
     kit: Kit, tmp_path: Path, name: str
 ) -> None:
-    machines = verified(kit, name, tmp_path, 10_400, 200)
+    machines = verified(kit, name, tmp_path, 10_800, 200)
     assert machines["Cortex-M7, emulated"].count >= 10_000
     assert_near_onnxruntime(machines["Cortex-M7, emulated"])

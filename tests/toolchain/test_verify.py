@@ -22,7 +22,7 @@ from toolchain.evaluate import State, advance
 from toolchain.freeze import freeze
 from toolchain.graph import Network, chain
 from toolchain.onnx_export import to_model
-from toolchain.operations import Clip, Gru, Linear, Tanh
+from toolchain.operations import Clip, Gru, Linear
 from toolchain.verify import Candidate, Finding, Verification, all_candidates, standard, verify
 from toolchain.verify_inputs import Inputs, make_inputs
 from toolchain.verify_machines import Machine, open_evaluator
