@@ -22,6 +22,7 @@ CONSTANTS: Mapping[str, NDArray[np.generic]] = {
     "w": np.full((4, 6), 0.1, np.float32),
     "v": np.full((6, 4), 0.1, np.float32),
     "cube": np.full((2, 6, 4), 0.1, np.float32),
+    "column": np.ones((6, 1), np.float32),
     "whole": np.ones((6, 4), np.int64),
     "byte": np.ones((6, 4), np.int8),
     "wide": np.zeros((6, 4)),
@@ -79,7 +80,7 @@ REFUSED = [
     ("p = Tanh(observation) x = Div(observation, p)", "node 'x' (Div) divides a value by another"),
     ("x = Div(six, observation)", "node 'x' (Div) divides a constant by a value"),
     ("x = Div(observation, noughts)", "node 'x' (Div) divides by zero"),
-    ("x = Div(observation, tiny)", "node 'x' (Div) divides by a value so small"),
+    ("x = Div(observation, tiny)", "node 'x' (Div) scales its value beyond the range of float32"),
     ("x = Mul(observation, noughts)", "(Mul) computes with zeros only; a recurrent cell exported with"),
     (
         "p = MatMul(six, v) q = MatMul(observation, v) a = Add(p, q)" + OUT,
@@ -115,6 +116,10 @@ REFUSED = [
     ("x = Expand(observation, huge)", "(Expand) does not fit the values it takes: shape [1, 1048576, 6]"),
     ("x = Slice(observation, ten, ten, whole_one)", "node 'x' (Slice) gives 0 values"),
     ("x = Gather<axis=1>(observation, ten)", "node 'x' (Gather) does not fit the values it takes: index 10"),
+    (
+        "p = MatMul(observation, column) q = Squeeze(p) a = MatMul(q, v)" + OUT,
+        "value of shape [], expected one row",
+    ),
     ("x = Add(observation, three)", "node 'x' (Add) joins values of shapes [1, 6] and [3]"),
     ("action = Clip(observation, zero, one)", "computes actions of shape [1, 6], declared [1, 4]"),
     # the graph

@@ -14,7 +14,18 @@ from toolchain.reader.constants import array, fold
 from toolchain.reader.door import bounded
 from toolchain.reader.operators import OPERATORS
 from toolchain.reader.patterns import STARTS, read_part
-from toolchain.reader.values import WIDTH_MAX, Builder, Call, Part, Row, Unread, Value, label, shown
+from toolchain.reader.values import (
+    WIDTH_MAX,
+    Builder,
+    Call,
+    Part,
+    Row,
+    Unread,
+    Value,
+    label,
+    printable,
+    shown,
+)
 
 
 def read_network(model: onnx.ModelProto) -> Network:
@@ -33,7 +44,7 @@ def read_network(model: onnx.ModelProto) -> Network:
     for node in graph.node:
         call = _call(node, values)
         results = _read(build, call)
-        if len(results) < sum(map(bool, node.output)):
+        if len(results) < len(node.output):
             raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
         values.update((name, result) for name, result in zip(node.output, results, strict=False) if name)
     action = values.get(POLICY_OUTPUT)
@@ -49,7 +60,7 @@ def read_network(model: onnx.ModelProto) -> Network:
 def _call(node: onnx.NodeProto, values: dict[str, Value]) -> Call:
     inputs = tuple(values[name] if name else None for name in node.input)
     attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
-    name = node.name or next(iter(node.output), "")
+    name = printable(node.name or next(iter(node.output), ""))
     return Call(node.op_type, name, label(node), tuple(node.input), inputs, attributes, len(node.output))
 
 

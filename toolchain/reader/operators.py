@@ -6,19 +6,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from onnx import TensorProto
 
 from toolchain.operations import (
-    Add,
-    Affine,
     Clip,
     Concat,
     Elu,
     LayerNorm,
     LeakyRelu,
-    Linear,
-    Multiply,
     Operation,
     Relu,
     Sigmoid,
@@ -26,140 +21,13 @@ from toolchain.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.reader.constants import CONSTANT_STATE, FOLDED, MOVES, apply
+from toolchain.reader.arithmetic import mapped, read_arithmetic, read_gemm, read_matmul, read_negative
+from toolchain.reader.constants import FOLDED, MOVES, apply
 from toolchain.reader.patterns import ONLY_INSIDE, STARTS
 from toolchain.reader.recurrent import read_gru, read_lstm
-from toolchain.reader.values import WIDTH_MAX, Array, Builder, Call, Row, Unread, Value, joint_shape
+from toolchain.reader.values import WIDTH_MAX, Builder, Call, Row, Unread, Value, joint_shape
 
 Reader = Callable[[Builder, Call], Value | tuple[Value, ...]]
-Float64 = NDArray[np.float64]
-
-
-def _gemm(build: Builder, call: Call) -> Row:
-    row, options = call.row(0), call.attributes
-    shape = row.shape[::-1] if options.get("transA", 0) else row.shape
-    if len(shape) != 2 or shape[0] != 1:
-        raise call.error(f"multiplies a value of shape {list(row.shape)}, expected one row")
-    with np.errstate(all="ignore"):
-        weight = _weights(call, 1, (2,)) * options.get("alpha", 1.0)
-    weight = weight if options.get("transB", 0) else weight.T
-    bias = np.zeros(weight.shape[0])
-    given = call.floats(2)
-    if given is not None:
-        if joint_shape(call, given.shape, (1, bias.size)) != (1, bias.size):
-            raise call.error(f"adds a constant of shape {list(given.shape)}, expected [{bias.size}]")
-        with np.errstate(all="ignore"):
-            bias = np.broadcast_to(given, (1, bias.size))[0] * np.float64(options.get("beta", 1.0))
-    return _linear(build, call, row, weight, bias, (1, bias.size))
-
-
-def _matmul(build: Builder, call: Call) -> Row:
-    """x W or W x, where every axis but the one that is summed over has size 1."""
-    first = isinstance(call.input(0), Row)
-    row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
-    weight = _weights(call, 1).T if first else _weights(call, 0)
-    flat = len(row.shape) == 1
-    inner = row.shape[-1] if first or flat else row.shape[-2]
-    if inner != row.width or constant is None:
-        raise call.error(f"multiplies a value of shape {list(row.shape)}, expected one row")
-    lead = (1,) * max(len(row.shape) - 2, constant.ndim - 2)
-    outer = () if flat else (1,)
-    shape = (*lead, *outer, weight.shape[0]) if first else (*lead, weight.shape[0], *outer)
-    return _linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
-
-
-def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Float64:
-    weight = call.floats(place)
-    if weight is None or weight.ndim not in ranks or math.prod(weight.shape[:-2]) != 1:
-        shape = "none" if weight is None else f"shape {list(weight.shape)}"
-        raise call.error(f"has weights of {shape}, expected a matrix")
-    return weight.reshape(weight.shape[-2:]).astype(np.float64)
-
-
-def _linear(
-    build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
-) -> Row:
-    if weight.shape[1] != row.width or not weight.size:
-        raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
-    with np.errstate(over="ignore"):
-        layer = Linear(np.ascontiguousarray(weight, np.float32), bias.astype(np.float32))
-    if not (np.isfinite(layer.weight).all() and np.isfinite(layer.bias).all()):
-        raise call.error("scales its weights beyond the range of float32")
-    return build.append(call, layer, row, shape=shape)
-
-
-def _arithmetic(build: Builder, call: Call) -> Row:
-    """Add, Sub, Mul and Div: of a value and a constant, or of two values."""
-    if len(call.inputs) == 2 and all(isinstance(value, Row) for value in call.inputs):
-        return _of_two(build, call, call.row(0), call.row(1))
-    first = isinstance(call.input(0), Row)
-    row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
-    assert constant is not None
-    shape = joint_shape(call, row.shape, constant.shape)
-    row = build.broadcast(call, row, shape)
-    values = np.broadcast_to(constant, shape).ravel().astype(np.float64)
-    _refuse_constant_state(build, call, row, constant)
-    return build.append(call, _affine(call, values, first), row, shape=shape)
-
-
-def _affine(call: Call, values: Float64, first: bool) -> Affine:
-    one, zero = np.ones(values.size), np.zeros(values.size)
-    match call.operator:
-        case "Add":
-            return Affine(one, values)
-        case "Sub":
-            return Affine(one, -values) if first else Affine(-one, values)
-        case "Mul":
-            return Affine(values, zero)
-    if not first:
-        raise call.error("divides a constant by a value, expected a constant divisor")
-    if not values.all():
-        raise call.error("divides by zero, expected a divisor without zeros")
-    if np.abs(1 / values).max() > np.finfo(np.float32).max:
-        raise call.error("divides by a value so small that its inverse leaves the range of float32")
-    return Affine(1 / values, zero)
-
-
-def _of_two(build: Builder, call: Call, first: Row, second: Row) -> Row:
-    shape = joint_shape(call, first.shape, second.shape)
-    if call.operator == "Mul" and (row := _gated_by_itself(build, first, second)):
-        return build.append(call, Silu(), row, shape=row.shape)
-    first, second = (build.broadcast(call, row, shape) for row in (first, second))
-    match call.operator:
-        case "Add":
-            return build.append(call, Add(), first, second, shape=shape)
-        case "Sub":
-            minus = Affine(-np.ones(second.width), np.zeros(second.width))
-            negative = build.append(call, minus, second, shape=shape)
-            return build.append(call, Add(), first, negative, shape=shape)
-        case "Mul":
-            return build.append(call, Multiply(), first, second, shape=shape)
-    raise call.error("divides a value by another, expected a constant divisor")
-
-
-def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
-    """x of x sigmoid(x), as exporters write SiLU before opset 24."""
-    for row, gate in ((first, second), (second, first)):
-        node = build.operation(gate)
-        if node and node.operation == Sigmoid() and node.inputs == (row.number,) and row.shape == gate.shape:
-            build.absorbed.add(gate.number)
-            return row
-    return None
-
-
-def _refuse_constant_state(build: Builder, call: Call, row: Row, constant: Array) -> None:
-    """Refuse what is left of a recurrent cell whose state the exporter took for a constant."""
-    if constant.any():
-        return
-    node = build.operation(row)
-    after_tanh = node is not None and node.operation == Tanh()
-    if call.operator == "Mul" or (call.operator == "Sub" and constant.size > 1 and after_tanh):
-        raise call.error(f"computes with zeros only; {CONSTANT_STATE}")
-
-
-def _negative(build: Builder, call: Call) -> Row:
-    row = call.row()
-    return build.append(call, Affine(-np.ones(row.width), np.zeros(row.width)), row, shape=row.shape)
 
 
 def _activation(operation: Operation) -> Reader:
@@ -194,9 +62,7 @@ def _min_or_max(build: Builder, call: Call) -> Row:
     places = [place for place, value in enumerate(call.inputs) if isinstance(value, Row)]
     if len(places) != 1 or len(call.inputs) != 2:
         raise call.error("takes more than one value, expected one value and one constant")
-    bound = call.scalar(1 - places[0])
-    row = call.row(places[0])
-    constant = call.constant(1 - places[0])
+    row, bound, constant = call.row(places[0]), call.scalar(1 - places[0]), call.constant(1 - places[0])
     assert constant is not None
     row = build.broadcast(call, row, joint_shape(call, row.shape, constant.shape))
     low, high = (None, bound) if call.operator == "Min" else (bound, None)
@@ -248,7 +114,7 @@ def _batch_norm(build: Builder, call: Call) -> Row:
     if not (spread > 0).all():
         raise call.error("has a variance that is not above 0")
     factor = scale / np.sqrt(spread)
-    return build.append(call, Affine(factor, offset - mean * factor), row, shape=row.shape)
+    return mapped(build, call, row, factor, offset - mean * factor, row.shape)
 
 
 def _dropout(build: Builder, call: Call) -> tuple[Value, ...]:
@@ -292,7 +158,7 @@ def _move(build: Builder, call: Call) -> Value | tuple[Value, ...]:
 
 OPERATORS: dict[str, Reader] = {
     **dict.fromkeys(MOVES, _move),
-    **dict.fromkeys(("Add", "Sub", "Mul", "Div"), _arithmetic),
+    **dict.fromkeys(("Add", "Sub", "Mul", "Div"), read_arithmetic),
     **dict.fromkeys(("Min", "Max"), _min_or_max),
     "BatchNormalization": _batch_norm,
     "Cast": _cast,
@@ -301,12 +167,12 @@ OPERATORS: dict[str, Reader] = {
     "Dropout": _dropout,
     "Elu": _parameter(Elu, 1.0),
     "GRU": read_gru,
-    "Gemm": _gemm,
+    "Gemm": read_gemm,
     "LSTM": read_lstm,
     "LayerNormalization": _layer_norm,
     "LeakyRelu": _parameter(LeakyRelu, 0.01),
-    "MatMul": _matmul,
-    "Neg": _negative,
+    "MatMul": read_matmul,
+    "Neg": read_negative,
     "Relu": _activation(Relu()),
     "Sigmoid": _activation(Sigmoid()),
     "Softsign": _activation(Softsign()),

@@ -73,7 +73,7 @@ def _over_all(call: Call, row: Row) -> bool:
     axes = call.attributes.get("axes") if given is None else [int(axis) for axis in given.ravel()]
     if not axes:
         return not call.attributes.get("noop_with_empty_axes", 0)
-    reduced = {axis % len(row.shape) for axis in axes}
+    reduced = {axis + len(row.shape) if axis < 0 else axis for axis in axes}
     return all(size == 1 or axis in reduced for axis, size in enumerate(row.shape))
 
 

@@ -200,6 +200,11 @@ def shown(name: str) -> str:
     return repr(name if len(name) <= NAME_MAX else name[: NAME_MAX - 3] + "...")
 
 
+def printable(name: str) -> str:
+    """A name that may stand in a table or a C comment: letters, digits and what names of exporters hold."""
+    return "".join(c if c.isalnum() or c in "/._:-" else "_" for c in name[:NAME_MAX])
+
+
 def label(node: onnx.NodeProto) -> str:
     """A node's name and operator."""
     operator = node.op_type if node.domain in STANDARD_DOMAINS else f"{node.domain}::{node.op_type}"

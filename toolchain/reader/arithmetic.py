@@ -1,0 +1,149 @@
+"""Readers of matrices and arithmetic: Gemm, MatMul, Add, Sub, Mul, Div and Neg."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.operations import Add, Affine, Linear, Multiply, Sigmoid, Silu, Tanh
+from toolchain.reader.constants import CONSTANT_STATE
+from toolchain.reader.values import Array, Builder, Call, Row, joint_shape
+
+Float64 = NDArray[np.float64]
+
+
+def read_gemm(build: Builder, call: Call) -> Row:
+    """alpha x W + beta b."""
+    row, options = call.row(0), call.attributes
+    shape = row.shape[::-1] if options.get("transA", 0) else row.shape
+    if len(shape) != 2 or shape[0] != 1:
+        raise call.error(f"multiplies a value of shape {list(row.shape)}, expected one row")
+    with np.errstate(all="ignore"):
+        weight = _weights(call, 1, (2,)) * options.get("alpha", 1.0)
+    weight = weight if options.get("transB", 0) else weight.T
+    bias = np.zeros(weight.shape[0])
+    given = call.floats(2)
+    if given is not None:
+        if joint_shape(call, given.shape, (1, bias.size)) != (1, bias.size):
+            raise call.error(f"adds a constant of shape {list(given.shape)}, expected [{bias.size}]")
+        with np.errstate(all="ignore"):
+            bias = np.broadcast_to(given, (1, bias.size))[0] * np.float64(options.get("beta", 1.0))
+    return _linear(build, call, row, weight, bias, (1, bias.size))
+
+
+def read_matmul(build: Builder, call: Call) -> Row:
+    """x W or W x, where every axis but the one that is summed over has size 1."""
+    first = isinstance(call.input(0), Row)
+    row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
+    weight = _weights(call, 1).T if first else _weights(call, 0)
+    flat = len(row.shape) == 1
+    summed = row.shape[-1 if first or flat else -2] if row.shape else 0
+    if summed != row.width or constant is None:
+        raise call.error(f"multiplies a value of shape {list(row.shape)}, expected one row")
+    lead = (1,) * max(len(row.shape) - 2, constant.ndim - 2)
+    outer = () if flat else (1,)
+    shape = (*lead, *outer, weight.shape[0]) if first else (*lead, weight.shape[0], *outer)
+    return _linear(build, call, row, weight, np.zeros(weight.shape[0]), shape)
+
+
+def _weights(call: Call, place: int, ranks: tuple[int, ...] = (2, 3, 4)) -> Float64:
+    weight = call.floats(place)
+    if weight is None or weight.ndim not in ranks or math.prod(weight.shape[:-2]) != 1:
+        shape = "none" if weight is None else f"shape {list(weight.shape)}"
+        raise call.error(f"has weights of {shape}, expected a matrix")
+    return weight.reshape(weight.shape[-2:]).astype(np.float64)
+
+
+def _linear(
+    build: Builder, call: Call, row: Row, weight: Float64, bias: Float64, shape: tuple[int, ...]
+) -> Row:
+    if weight.shape[1] != row.width or not weight.size:
+        raise call.error(f"has weights for {weight.shape[1]} inputs, expected {row.width}")
+    with np.errstate(over="ignore"):
+        layer = Linear(np.ascontiguousarray(weight, np.float32), bias.astype(np.float32))
+    if not (np.isfinite(layer.weight).all() and np.isfinite(layer.bias).all()):
+        raise call.error("scales its weights beyond the range of float32")
+    return build.append(call, layer, row, shape=shape)
+
+
+def read_arithmetic(build: Builder, call: Call) -> Row:
+    """Add, Sub, Mul and Div: of a value and a constant, or of two values."""
+    if len(call.inputs) == 2 and all(isinstance(value, Row) for value in call.inputs):
+        return _of_two(build, call, call.row(0), call.row(1))
+    first = isinstance(call.input(0), Row)
+    row, constant = call.row(0 if first else 1), call.floats(1 if first else 0)
+    assert constant is not None
+    shape = joint_shape(call, row.shape, constant.shape)
+    row = build.broadcast(call, row, shape)
+    values = np.broadcast_to(constant, shape).ravel().astype(np.float64)
+    _refuse_constant_state(build, call, row, constant)
+    match call.operator:
+        case "Add":
+            return mapped(build, call, row, 1.0, values, shape)
+        case "Sub":
+            return mapped(build, call, row, 1.0 if first else -1.0, -values if first else values, shape)
+        case "Mul":
+            return mapped(build, call, row, values, 0.0, shape)
+    if not first:
+        raise call.error("divides a constant by a value, expected a constant divisor")
+    if not values.all():
+        raise call.error("divides by zero, expected a divisor without zeros")
+    return mapped(build, call, row, 1 / values, 0.0, shape)
+
+
+def mapped(
+    build: Builder,
+    call: Call,
+    row: Row,
+    scale: Float64 | float,
+    offset: Float64 | float,
+    shape: tuple[int, ...],
+) -> Row:
+    """scale row + offset, value by value."""
+    factors, summands = (np.broadcast_to(np.float64(values), row.width).copy() for values in (scale, offset))
+    if max(np.abs(factors).max(), np.abs(summands).max()) > np.finfo(np.float32).max:
+        raise call.error("scales its value beyond the range of float32")
+    return build.append(call, Affine(factors, summands), row, shape=shape)
+
+
+def _of_two(build: Builder, call: Call, first: Row, second: Row) -> Row:
+    shape = joint_shape(call, first.shape, second.shape)
+    if call.operator == "Mul" and (row := _gated_by_itself(build, first, second)):
+        return build.append(call, Silu(), row, shape=row.shape)
+    first, second = (build.broadcast(call, row, shape) for row in (first, second))
+    match call.operator:
+        case "Add":
+            return build.append(call, Add(), first, second, shape=shape)
+        case "Sub":
+            negative = mapped(build, call, second, -1.0, 0.0, shape)
+            return build.append(call, Add(), first, negative, shape=shape)
+        case "Mul":
+            return build.append(call, Multiply(), first, second, shape=shape)
+    raise call.error("divides a value by another, expected a constant divisor")
+
+
+def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
+    """x of x sigmoid(x), as exporters write SiLU before opset 24."""
+    for row, gate in ((first, second), (second, first)):
+        node = build.operation(gate)
+        if node and node.operation == Sigmoid() and node.inputs == (row.number,) and row.shape == gate.shape:
+            build.absorbed.add(gate.number)
+            return row
+    return None
+
+
+def _refuse_constant_state(build: Builder, call: Call, row: Row, constant: Array) -> None:
+    """Refuse what is left of a recurrent cell whose state the exporter took for a constant."""
+    if constant.any():
+        return
+    node = build.operation(row)
+    after_tanh = node is not None and node.operation == Tanh()
+    if call.operator == "Mul" or (call.operator == "Sub" and constant.size > 1 and after_tanh):
+        raise call.error(f"computes with zeros only; {CONSTANT_STATE}")
+
+
+def read_negative(build: Builder, call: Call) -> Row:
+    """-x."""
+    return mapped(build, call, call.row(), -1.0, 0.0, call.row().shape)
