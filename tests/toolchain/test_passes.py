@@ -25,6 +25,7 @@ from toolchain.operations import (
     Operation,
     Relu,
     Sigmoid,
+    Silu,
     Slice,
     Softsign,
     Tanh,
@@ -130,6 +131,26 @@ FIRES: dict[str, tuple[str, Network, str, tuple[int, int, int]]] = {
         line(linear(9, 6), Tanh(), affine(9), pruned(4, 9, 0, 5), DOOR),
         "Linear7[0] Tanh7[1] Affine7[2] Linear4[3] Clip4[4]",
         (0, 2 * 6 + 2 + 2 + 2 * 4, 4 * (2 * 7 + 2 * 2 + 2 * 4)),
+    ),
+    "what only unread rows read": (
+        "drop unread",
+        line(linear(9, 6), Tanh(), Linear(np.eye(9, dtype=np.float32), array(9)), Slice(2, 4), DOOR),
+        "Linear4[0] Tanh4[1] Linear4[2] Slice4[3] Clip4[4]",
+        (0, 5 * 6 + 5 + 81 - 16, 4 * (5 * 7 + 90 - 20)),
+    ),
+    "a branch that one of two readers needs": (
+        "drop unread",
+        graph(
+            (linear(3, 6), (0,)),
+            (linear(5, 6), (0,)),
+            (Concat(), (1, 2)),
+            (pruned(4, 8, 3, 4, 5, 6, 7), (3,)),
+            (linear(4, 5), (2,)),
+            (Add(), (4, 5)),
+            (DOOR, (6,)),
+        ),
+        "Linear3[0] Linear5[0] Concat3[1] Linear4[3] Linear4[2] Add4[4, 5] Clip4[6]",
+        (0, 5 * 4, 4 * 5 * 4),
     ),
     "one of two branches that is unread": (
         "drop unread",
@@ -259,6 +280,19 @@ FIRES: dict[str, tuple[str, Network, str, tuple[int, int, int]]] = {
         "Linear4[0] Clip4[1]",
         (1, 4, 0),
     ),
+    "a relu twice, taken by another too": (
+        "drop bounds",
+        graph(
+            (Relu(), (0,)),
+            (Relu(), (1,)),
+            (Tanh(), (2,)),
+            (Clip(None, 0.5), (1,)),
+            (Add(), (3, 4)),
+            (DOOR, (5,)),
+        ),
+        "Relu6[0] Tanh6[1] Clip6[1] Add6[2, 3] Clip6[4]",
+        (1, 6, 0),
+    ),
     "clips that do not meet": (
         "drop bounds",
         line(Clip(-2.0, -1.0), Clip(0.25, 3.0), Tanh(), DOOR),
@@ -339,6 +373,12 @@ FIRES: dict[str, tuple[str, Network, str, tuple[int, int, int]]] = {
         "Linear4[0] Clip4[1]",
         (1, 20 * 6 + 4 * 20 - 4 * 6, 4 * (20 * 7 + 4 * 21 - 4 * 7)),
     ),
+    "matrices that only pay together": (
+        "merge linear",
+        line(linear(1, 30), linear(30, 1), linear(1, 30), DOOR, inputs=30),
+        "Linear1[0] Clip1[1]",
+        (2, 60, 4 * 91),
+    ),
     "a matrix before a cell": (
         "merge linear",
         line(linear(20, 6), lstm(2, 20), DOOR),
@@ -397,7 +437,16 @@ RESTS: dict[str, tuple[str, Network]] = {
         "drop identities",
         line(Linear(np.eye(6, dtype=np.float32)[::-1].copy(), np.zeros(6, np.float32)), DOOR),
     ),
+    "an identity that is the output": ("drop identities", line(Tanh(), Slice(0, 6))),
     "a slice that turns": ("drop identities", line(Slice(5, 6, -1), DOOR)),
+    "a matrix of ones and zeros with a bias": (
+        "drop identities",
+        line(Linear(np.eye(6, dtype=np.float32), array(6)), DOOR),
+    ),
+    "values that are joined in another order": (
+        "share equal",
+        graph((Tanh(), (0,)), (Concat(), (0, 1)), (Concat(), (1, 0)), (Multiply(), (2, 3)), (DOOR, (4,))),
+    ),
     "layers of other weights": (
         "share equal",
         graph((linear(4, 6), (0,)), (linear(4, 6, 1), (0,)), (Add(), (1, 2)), (DOOR, (3,))),
@@ -406,10 +455,6 @@ RESTS: dict[str, tuple[str, Network]] = {
         "share equal",
         graph((Tanh(), (0,)), (linear(4, 6), (0,)), (linear(4, 6), (1,)), (Add(), (2, 3)), (DOOR, (4,))),
     ),
-    "a door that equals a value within": (
-        "share equal",
-        graph((DOOR, (0,)), (Tanh(), (1,)), (DOOR, (0,))),
-    ),
     "a slice across a concat's seam": (
         "simplify slices",
         graph((Tanh(), (0,)), (Concat(), (0, 1)), (Slice(4, 4), (2,)), (DOOR, (3,))),
@@ -417,6 +462,15 @@ RESTS: dict[str, tuple[str, Network]] = {
     "slices that exchange places": (
         "simplify slices",
         graph((Slice(3, 3), (0,)), (Slice(0, 3), (0,)), (Concat(), (1, 2)), (DOOR, (3,))),
+    ),
+    "neighbouring slices of two values": (
+        "simplify slices",
+        graph((Tanh(), (0,)), (Slice(0, 3), (0,)), (Slice(3, 3), (1,)), (Concat(), (2, 3)), (DOOR, (4,))),
+    ),
+    "a clip above what a silu falls to": ("drop bounds", line(Silu(), Clip(-0.2, None), Tanh(), DOOR)),
+    "a clip within what a bent line reaches": (
+        "drop bounds",
+        line(Tanh(), LeakyRelu(-1.0), Clip(0.5, None), Tanh(), DOOR),
     ),
     "a clip that binds": ("drop bounds", line(Tanh(), Clip(-0.9, 0.9), Softsign(), DOOR)),
     "a door that cannot bind": ("drop bounds", line(Sigmoid(), DOOR)),
@@ -449,6 +503,16 @@ RESTS: dict[str, tuple[str, Network]] = {
         "fold affine",
         graph((SHARED, (0,)), (linear(6, 6), (1,)), (Tanh(), (1,)), (Add(), (2, 3)), (DOOR, (4,))),
     ),
+    "an affine map before a matrix and a concat that stays": (
+        "fold affine",
+        graph(
+            (SHARED, (0,)),
+            (linear(12, 6), (1,)),
+            (Concat(), (0, 1)),
+            (Multiply(), (2, 3)),
+            (DOOR, (4,)),
+        ),
+    ),
     "an affine map after a matrix that another takes": (
         "fold affine",
         graph((linear(4, 6), (0,)), (affine(4), (1,)), (Add(), (1, 2)), (DOOR, (3,))),
@@ -471,6 +535,10 @@ RESTS: dict[str, tuple[str, Network]] = {
     "a matrix that another takes too": (
         "merge linear",
         graph((linear(4, 6), (0,)), (linear(4, 4), (1,)), (Add(), (1, 2)), (DOOR, (3,))),
+    ),
+    "matrices of other values beside each other": (
+        "merge linear",
+        graph((Tanh(), (0,)), (linear(4, 6), (0,)), (linear(4, 6), (1,)), (Concat(), (2, 3)), (DOOR, (4,))),
     ),
     "matrices of other values that are added": (
         "merge linear",

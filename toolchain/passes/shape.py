@@ -26,10 +26,10 @@ def share_equal(network: Network) -> Network:
     """What is computed twice from the same values, weights included, is computed once."""
     known: dict[tuple[object, ...], int] = {}
 
-    def rule(draft: Draft, node: Node, number: int) -> int | None:
+    def rule(draft: Draft, node: Node, _number: int) -> int | None:
         inputs = sorted(node.inputs) if isinstance(node.operation, Add | Multiply) else node.inputs
         key = (*inputs, *_content(node.operation))
-        if number < len(network.nodes) and key in known:
+        if key in known:
             return known[key]
         known[key] = len(draft.nodes) + 1  # the value that this node is about to give
         return None
