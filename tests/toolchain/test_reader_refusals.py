@@ -114,6 +114,10 @@ REFUSED = [
     ("x = Reshape(observation, odd)", "node 'x' (Reshape) does not fit the values it takes: cannot reshape"),
     ("x = Reshape(observation, negative)", "(Reshape) does not fit the values it takes: shape [-3, 6]"),
     ("x = Expand(observation, huge)", "(Expand) does not fit the values it takes: shape [1, 1048576, 6]"),
+    (
+        "x, y = Split<axis=1, num_outputs=3>(observation)",
+        "(Split) does not fit the values it takes: num_outputs 3",
+    ),
     ("x = Slice(observation, ten, ten, whole_one)", "node 'x' (Slice) gives 0 values"),
     ("x = Gather<axis=1>(observation, ten)", "node 'x' (Gather) does not fit the values it takes: index 10"),
     (

@@ -154,6 +154,8 @@ def _split(inputs: Sequence[Any], attributes: Attributes) -> tuple[Array, ...]:
     sizes = _integers(inputs[1]) if len(inputs) > 1 else None
     if sizes is None:
         count = attributes["outputs"]
+        if attributes.get("num_outputs", count) != count:
+            raise ValueError(f"num_outputs {attributes['num_outputs']} of {count} outputs")
         size = -(-data.shape[axis] // count)
         sizes = [size] * (count - 1) + [data.shape[axis] - size * (count - 1)]
     if sum(sizes) != data.shape[axis] or min(sizes) < 1 or len(sizes) != attributes["outputs"]:
