@@ -149,16 +149,19 @@ def _write_cell(graph: _Graph, cell: Gru | Lstm, x: str, output: str, state: boo
     inputs = [f"{output}_x", graph.constant(cell.input_weight[None]), graph.constant(cell.state_weight[None])]
     inputs += [graph.constant(np.concatenate(biases)[None]), ""]
     graph.add("Unsqueeze", [x, axis], [inputs[0]])
-    results = [(f"{output}_h", output)] + [(f"{output}_c", f"{output}_c_row")] * isinstance(cell, Lstm)
-    for inner, _ in results if state else ():
-        index = len(graph.states)
-        graph.states.append((f"{STATE}{index}", f"{NEW_STATE}{index}", cell.units))
-        graph.add("Unsqueeze", [f"{STATE}{index}", axis], [f"{inner}_before"])
-        inputs.append(f"{inner}_before")
+    results = [(f"{output}_h", output)]
+    if state:
+        results += [(f"{output}_c", f"{output}_c_row")] * isinstance(cell, Lstm)
+        for inner, _ in results:
+            index = len(graph.states)
+            graph.states.append((f"{STATE}{index}", f"{NEW_STATE}{index}", cell.units))
+            graph.add("Unsqueeze", [f"{STATE}{index}", axis], [f"{inner}_before"])
+            inputs.append(f"{inner}_before")
     options = {"linear_before_reset": 1} if isinstance(cell, Gru) else {}
     outputs = ["", *(inner for inner, _ in results)]
     graph.add(type(cell).__name__.upper(), inputs, outputs, hidden_size=cell.units, **options)
     for inner, result in results:
         graph.add("Squeeze", [inner, axis], [result])
-    for (_, result), (_, given, _) in zip(results, graph.states[-len(results) :], strict=False):
-        graph.add("Identity", [result], [given])
+    if state:
+        for (_, result), (_, given, _) in zip(results, graph.states[-len(results) :], strict=True):
+            graph.add("Identity", [result], [given])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
+from onnx import helper
 
-from toolchain.evaluate import advance, clear_state, evaluate
+from toolchain.evaluate import advance, clear_state, evaluate, replay
 from toolchain.graph import Network, Node, chain
+from toolchain.network import parse_policy
 from toolchain.onnx_export import to_model
 from toolchain.operations import (
     Add,
@@ -30,6 +34,9 @@ from toolchain.operations import (
     Softsign,
     Tanh,
 )
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Kit
 
 DOOR = Clip(0.0, 1.0)
 
@@ -128,3 +135,15 @@ def test_every_value_is_given_when_asked_for() -> None:
 def test_model_is_the_same_when_it_is_written_twice() -> None:
     network = chain(6, (GRU, LSTM, DOOR))
     assert to_model(network).SerializeToString() == to_model(network).SerializeToString()
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_network_is_read_back_when_the_operation_is(name: str, kit: Kit) -> None:
+    joined = Network(6, (Node(OPERATIONS[name], (0,)), Node(Concat(), (1, 0)), Node(Multiply(), (2, 2))))
+    last = Linear(array(4, joined.outputs), array(4) + np.float32(0.5))
+    network = Network(6, (*joined.nodes, Node(last, (3,)), Node(DOOR, (4,))))
+    model = to_model(network)
+    helper.set_model_props(model, kit.chain().metadata)
+    read = parse_policy(bytes(model.SerializeToString())).network
+    rows = observations(12)
+    np.testing.assert_array_equal(replay(read, rows), replay(network, rows))
