@@ -2,7 +2,7 @@
 
 Laws, each with the machines that are held to it:
 - error: on finite observations torch, onnxruntime and our machines lie within what is allowed of the float64
-  reference, and ours within as much of onnxruntime (see `standard`);
+  reference, and ours within as much of onnxruntime (toolchain.verify_standard);
 - bounds: whatever comes in, our actions are finite and within the bounds of the policy's last Clip;
 - door: an observation that holds a NaN or an infinity gives the lower bound on every motor;
 - state: recurrent state stays finite;
@@ -38,14 +38,7 @@ from toolchain.verify_machines import (
     open_onnxruntime,
     open_torch,
 )
-from toolchain.verify_reference import Float64, disturbed, reference
-
-TOLERANCE = 1e-6  # of an action, whatever the observation
-ROUNDING = 12.0  # how many times what disturbing the network does to an action may rounding do to it
-DISTURBANCES = 8  # that this is measured with
-COMPARED_MAX = 1e9  # larger values are not compared: their products may leave float32's range
-UNIT_SCALE = 4.0  # the largest |value| that counts as unit scale: a standard normal one hardly exceeds it
-DSHOT_STEP = 2.0**-11  # of a motor fraction; the ulp of a smaller action is taken as that of this one
+from toolchain.verify_standard import Figures, Standard, distance, figures, standard
 
 Progress = Callable[[str, int, int], None]  # machine, groups done, groups in all
 
@@ -64,20 +57,6 @@ class Finding:
     observation: tuple[str, ...] = ()  # as float32 bits in hexadecimal
     got: str | None = None
     expected: str | None = None
-
-
-@dataclass(frozen=True)
-class Figures:
-    """How far a machine is from others on one group; None where no observation is compared."""
-
-    inputs: str
-    count: int  # observations
-    compared: int  # those that are finite and not huge
-    error: float | None  # largest, to the float64 reference
-    ulp: float | None  # the same in units in the last place of the reference
-    share: float | None  # largest of error / allowed
-    difference: float | None  # largest, to onnxruntime
-    scaled: float | None  # the same with each observation's divided by its scale, where that exceeds 1
 
 
 @dataclass(frozen=True)
@@ -124,17 +103,6 @@ class Verification:
         return "fails" if self.finding else "incomplete" if self.missing else "holds"
 
 
-@dataclass(frozen=True, eq=False)
-class Standard:
-    """What actions on one group of inputs are held against."""
-
-    inputs: Inputs
-    reference: Float64  # (S, T, outputs)
-    allowed: Float64  # (S, T): largest error of an action
-    scale: Float64  # (S, T): 1 at unit scale, in proportion to the largest |value| so far beyond
-    comparable: NDArray[np.bool_]  # (S, T): no value so far is larger than COMPARED_MAX, or no number
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A machine that can be opened."""
@@ -164,7 +132,7 @@ def verify(
 ) -> Verification:
     """Run all `candidates` on `inputs`, one after the other; a policy at fault raises nothing.
 
-    seed: of the disturbances that say what is allowed (`standard`).
+    seed: of the disturbances that say what is allowed.
     """
     rng = np.random.default_rng(seed)
     standards = [standard(compiled.policy.network, group, rng) for group in inputs]
@@ -188,7 +156,7 @@ def all_candidates(
 
     def torch() -> Machine:
         if checkpoint is None:
-            raise NotRunError("no checkpoint.pt beside the policy; name one with --checkpoint")
+            raise NotRunError("no checkpoint; name one with --checkpoint")
         return open_torch(checkpoint, policy.observation_count, policy.action_count)
 
     def host(compiler: str, sanitize: bool) -> Callable[[], Machine]:
@@ -206,33 +174,11 @@ def all_candidates(
     )
 
 
-def standard(network: Network, inputs: Inputs, rng: np.random.Generator) -> Standard:
-    """What the policy's own `network`, not yet optimized, should give for `inputs`, and how nearly.
-
-    TOLERANCE is allowed, or more where rounding must do more: the rounding errors of a sum are in proportion
-    to its terms, and the layers after it magnify or swallow them. How much of that reaches an action is
-    measured, not assumed: the network is disturbed in the last place of its constants and functions, and
-    ROUNDING times the move of the action that this gives (root mean square of DISTURBANCES) is allowed.
-    """
-    exact = reference(network, inputs.observation)
-    with np.errstate(all="ignore"):
-        size = np.maximum.accumulate(np.abs(inputs.observation).max(axis=2), axis=1).astype(np.float64)
-        moves = [disturbed(network, inputs.observation, rng) - exact for _ in range(DISTURBANCES)]
-        spread = np.sqrt(np.square(moves).mean(axis=0)).max(axis=2)
-    return Standard(
-        inputs=inputs,
-        reference=exact,
-        allowed=np.fmax(TOLERANCE, ROUNDING * spread),
-        scale=np.fmax(1, size / UNIT_SCALE),
-        comparable=size <= COMPARED_MAX,
-    )
-
-
 def _examine(
     candidate: Candidate, standards: Sequence[Standard], bench: _Bench, progress: Callable[[int, int], None]
 ) -> MachineReport:
     name, required = candidate.name, candidate.required
-    figures: list[Figures] = []
+    measured: list[Figures] = []
     finding: Finding | None = None
     progress(0, len(standards))
     try:
@@ -243,38 +189,14 @@ def _examine(
             if name in ("onnxruntime", "evaluator"):
                 getattr(bench, name)[group] = actions
             finding = finding or next(_broken(name, machine, actions, expected, bench), None)
-            figures.append(_figures(actions, expected, bench.onnxruntime.get(group)))
+            measured.append(figures(actions, expected, bench.onnxruntime.get(group)))
             progress(done + 1, len(standards))
         finding = finding or _selftest(name, machine, bench.network)
     except NotRunError as error:
         return MachineReport(name, required, not_run=str(error))
     except MachineError as error:
         finding = finding or Finding(name, error.law, f"{name}: {error}")
-    return MachineReport(name, required, tuple(figures), finding)
-
-
-def _figures(actions: Float32, expected: Standard, peer: Float32 | None) -> Figures:
-    use = expected.comparable
-    name, count, compared = expected.inputs.name, expected.inputs.count, int(use.sum())
-    if not compared:
-        return Figures(name, count, 0, None, None, None, None, None)
-    exact = expected.reference[use]
-    error = _distance(actions[use], exact)
-    ulp = error / np.spacing(np.maximum(np.abs(exact), DSHOT_STEP).astype(np.float32)).astype(np.float64)
-    share = error.max(axis=1) / expected.allowed[use]
-    difference = scaled = None
-    if peer is not None:
-        distance = _distance(actions[use], peer[use]).max(axis=1)
-        difference, scaled = float(distance.max()), float((distance / expected.scale[use]).max())
-    worst, units, most = (float(values.max()) for values in (error, ulp, share))
-    return Figures(name, count, compared, worst, units, most, difference, scaled)
-
-
-def _distance(actions: NDArray[np.floating], others: NDArray[np.floating]) -> Float64:
-    """|a - b|; a NaN is infinitely far."""
-    with np.errstate(invalid="ignore"):
-        distance = np.abs(actions.astype(np.float64) - others)
-    return np.where(np.isnan(distance), np.inf, distance)
+    return MachineReport(name, required, tuple(measured), finding)
 
 
 def _broken(
@@ -298,7 +220,7 @@ def _broken(
     if machine.is_ours and group in bench.onnxruntime:
         peers.append(("onnxruntime", bench.onnxruntime[group]))
     for peer_name, peer in peers:
-        far = expected.comparable[..., None] & (_distance(actions, peer) > expected.allowed[..., None])
+        far = expected.comparable[..., None] & (distance(actions, peer) > expected.allowed[..., None])
         yield from found("error", far, peer, f"is further from {peer_name} than allowed")
 
 
@@ -323,7 +245,8 @@ def _found(
     message += f", motor {motor + 1}: got {got}"
     message += f", expected {wanted}" if wanted else ""
     message += f" within {expected.allowed[sequence, step]:.2g}" if law == "error" else ""
-    message += "; is the checkpoint the one that the policy was frozen from?" if name == "torch" else ""
+    if name == "torch":
+        message += "; is the checkpoint the one it was frozen from? Leave torch out with --no-torch"
     row = _words(observation[sequence, step])
     yield Finding(name, law, message, group, sequence, step, motor, row, got, wanted)
 
@@ -346,10 +269,10 @@ def _selftest(machine_name: str, machine: Machine, network: Network) -> Finding 
 
 def _recovery(bench: _Bench) -> float | None:
     """How far paths with faults end from the same paths without."""
-    calm, disturbed = (bench.evaluator.get(name) for name in ("paths", "paths with faults"))
-    if calm is None or disturbed is None:
+    calm, faulty = (bench.evaluator.get(name) for name in ("paths", "paths with faults"))
+    if calm is None or faulty is None:
         return None
-    return float(_distance(calm[:, -1], disturbed[:, -1]).max())
+    return float(distance(calm[:, -1], faulty[:, -1]).max())
 
 
 def _words(observation: Float32) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import platform
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 CFLAGS = ("-std=c11", "-ffp-contract=off", "-fno-math-errno")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
-FINDINGS = ("ERROR: AddressSanitizer: ", "runtime error: ")  # what begins a sanitizer's report
+ADDRESS, UNDEFINED = "ERROR: AddressSanitizer: ", ": runtime error: "  # what begins a sanitizer's report
 RUN_SECONDS_MAX = 600  # of one run of a program: beyond, it hangs
 MESSAGE_MAX = 200  # characters of another program's words
 
@@ -135,23 +135,26 @@ def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
             (torch.from_numpy(state[f"{name}.weight"]), torch.from_numpy(state[f"{name}.bias"]))
             for name in (*names, "action_net")
         ]
-        shape = (layers[0][0].shape[1], layers[-1][0].shape[0])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise PolicyError(f"{checkpoint}: its configuration or weights lack or spoil {error}") from error
-    if shape != (inputs, outputs):
-        raise PolicyError(
-            f"{checkpoint}: its network takes {shape[0]} values and gives {shape[1]}, the policy's {inputs} "
-            f"and {outputs}; name the checkpoint that the policy was frozen from"
-        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise PolicyError(f"{checkpoint} is a damaged checkpoint: {type(error).__name__} {error}") from error
 
-    @torch.inference_mode()  # type: ignore[untyped-decorator, unused-ignore]
     def actions(observation: Float32) -> Float32:
-        x = torch.from_numpy(observation) * scale
-        for weight, bias in layers[:-1]:
-            x = function(torch.nn.functional.linear(x, weight, bias))
-        x = torch.nn.functional.linear(x, *layers[-1]) * factor + offset
-        return np.asarray(x.clip(0, 1).numpy(), np.float32)
+        with torch.inference_mode():
+            x = torch.from_numpy(observation) * scale
+            for weight, bias in layers[:-1]:
+                x = function(torch.nn.functional.linear(x, weight, bias))
+            x = torch.nn.functional.linear(x, *layers[-1]) * factor + offset
+            return np.asarray(x.clip(0, 1).numpy(), np.float32)
 
+    try:
+        fits = actions(np.zeros((1, 1, inputs), np.float32)).shape[-1] == outputs
+    except RuntimeError:  # torch's word for tensors whose shapes or types do not fit
+        fits = False
+    if not fits:
+        raise PolicyError(
+            f"{checkpoint}: its network does not take {inputs} values and give {outputs} as the policy does; "
+            "name the checkpoint that the policy was frozen from, or leave torch out with --no-torch"
+        )
     return Machine(False, actions)
 
 
@@ -220,19 +223,22 @@ def _run(program: Path, data: bytes) -> Float32:
     except subprocess.TimeoutExpired as error:
         raise MachineError("runs", f"did not come back within {RUN_SECONDS_MAX} s") from error
     if done.returncode:
-        words = done.stderr.decode(errors="replace").splitlines()
-        report = next((line for line in words if any(mark in line for mark in FINDINGS)), None)
-        if report is not None:
-            place = next(
-                (line.split(" in ", 1)[1] for line in words if "policy.c:" in line and " in " in line), ""
-            )
-            text = report.split("ERROR: ")[-1].strip()
-            raise MachineError(
-                "sanitizer", _first_line(f"{text}{' in ' + Path(place).name if place else ''}")
-            )
+        if report := _sanitizer_report(done.stderr.decode(errors="replace").splitlines()):
+            raise MachineError("sanitizer", _first_line(report))
         end = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
         raise MachineError("runs", f"ended with {end}")
     return np.frombuffer(done.stdout, np.float32)
+
+
+def _sanitizer_report(lines: Sequence[str]) -> str | None:
+    """What a sanitizer found and where, without addresses; None if `lines` hold no report."""
+    for line in lines:
+        if UNDEFINED in line:
+            return line
+        if ADDRESS in line:
+            places = (frame.rpartition("/")[2] for frame in lines if "policy.c:" in frame)
+            return f"{line.partition(ADDRESS)[2].partition(' on ')[0]} at {next(places, 'an unknown place')}"
+    return None
 
 
 def open_arm(policy: CompiledPolicy, directory: Path) -> Machine:

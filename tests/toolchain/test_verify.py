@@ -23,9 +23,10 @@ from toolchain.freeze import freeze
 from toolchain.graph import Network, chain
 from toolchain.onnx_export import to_model
 from toolchain.operations import Clip, Gru, Linear
-from toolchain.verify import Candidate, Finding, Verification, all_candidates, standard, verify
+from toolchain.verify import Candidate, Finding, Verification, all_candidates, verify
 from toolchain.verify_inputs import Inputs, make_inputs
 from toolchain.verify_machines import Machine, open_evaluator
+from toolchain.verify_standard import standard
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Float32, Kit
@@ -308,6 +309,27 @@ def test_torch_agrees_when_the_policy_was_frozen_from_the_checkpoint(kit: Kit, t
     assert seen_on(("torch", "evaluator"), compiled, data, tmp_path, own).verdict == "holds"
     found = finding(seen_on(("torch", "evaluator"), compiled, data, tmp_path, other))
     assert (found.machine, found.law) == ("torch", "error")
+
+
+def test_command_leaves_torch_out_when_asked_although_a_checkpoint_lies_beside(
+    policy: Chain, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = checkpoint(tmp_path / "checkpoint.pt").with_name("policy.onnx")
+    path.write_bytes(policy.data())
+    assert main(["verify", str(path), "--count", "5"]) == 1
+    assert "is the checkpoint the one it was frozen from?" in capsys.readouterr().err
+    assert main(["verify", str(path), "--count", "5", "--no-torch"]) == 0
+
+
+def test_command_refuses_a_checkpoint_whose_network_does_not_fit(
+    kit: Kit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = checkpoint(tmp_path / "checkpoint.pt").with_name("policy.onnx")
+    three = kit.mlp((3, 8, 4))
+    three.metadata["neuroflight.observation"] = "rate_error"
+    path.write_bytes(three.data())
+    assert main(["verify", str(path), "--count", "5"]) == 1
+    assert "its network does not take 3 values" in capsys.readouterr().err
 
 
 def test_verdict_is_incomplete_when_a_required_tool_is_missing(

@@ -17,23 +17,26 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from toolchain.compiler import CompiledPolicy
-    from toolchain.verify import Figures, Verification
+    from toolchain.verify import Verification
+    from toolchain.verify_standard import Figures
 
 NOTHING = "-"
 ULP_SHOWN, SHARE_SHOWN = 1e6, 10.0  # beyond, digits say no more
-COUNT, COUNT_MAX = 2000, 1_000_000
+COUNT, COUNT_MAX = 2000, 100_000
 CHECKPOINT = "checkpoint.pt"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
-    parser.add_argument(
+    torch = parser.add_mutually_exclusive_group()
+    torch.add_argument(
         "--checkpoint",
         type=Path,
         metavar="FILE",
         help="run torch on it; default: checkpoint.pt beside the policy",
     )
+    torch.add_argument("--no-torch", action="store_true", help="leave torch out")
     parser.add_argument(
         "--count", type=int, default=COUNT, metavar="N", help=f"observations of each kind; default: {COUNT}"
     )
@@ -59,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise NeuroflightError(f"--seed {args.seed}, expected 0 or more")
     beside = args.policy.with_name(CHECKPOINT)
-    checkpoint = args.checkpoint or (beside if beside.is_file() else None)
+    checkpoint = args.checkpoint or (beside if beside.is_file() and not args.no_torch else None)
     compiled = compile_policy(read_policy(args.policy))
     quiet = args.json or not sys.stderr.isatty()
     with (
@@ -95,9 +98,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _document(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verification) -> dict[str, Any]:
     from toolchain.cli.output import command_line
-    from toolchain.verify import ROUNDING, TOLERANCE
+    from toolchain.verify_standard import ROUNDING, TOLERANCE
 
-    options = {"count": args.count, "seed": args.seed, "checkpoint": args.checkpoint}
+    options = {
+        "count": args.count,
+        "seed": args.seed,
+        "checkpoint": args.checkpoint,
+        "no_torch": args.no_torch,
+    }
     return {
         "command": command_line("verify", str(args.policy), **options),
         "policy_sha256": compiled.policy.source_sha256,
