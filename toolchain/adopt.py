@@ -18,6 +18,7 @@ from toolchain.files import write_bytes
 from toolchain.network import PolicyModel, parse_model, parse_policy, read_file
 from toolchain.reader.checks import check_parts
 from toolchain.reader.door import UnboundedError
+from toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
     import onnx
@@ -67,6 +68,7 @@ def adopt(
     """
     data = read_file(source)
     try:
+        data, embedded = _in_one_file(data, source.parent)
         adopted, changes = adopted_model(data, claims, clip=clip, output=output)
         policy = parse_policy(adopted)
         if policy.action_count != claims.motors:
@@ -77,7 +79,7 @@ def adopt(
     except PolicyError as error:
         raise PolicyError(f"{source}: {error}") from error
     write_bytes(out, adopted)
-    return policy, changes
+    return policy, [*embedded, *changes]
 
 
 def adopted_model(
@@ -115,6 +117,15 @@ def adopted_model(
         adopted = _bytes(model)
         parse_policy(adopted)
     return adopted, changes
+
+
+def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:
+    """The model with the weights that lie in files beside it, and what that changed."""
+    model = parse_model(data)
+    check_parts(model)
+    if not (files := embed_weights(model, folder)):
+        return data, []
+    return _bytes(model), [f"took the weights out of {', '.join(map(repr, files))}"]
 
 
 def _choose(graph: onnx.GraphProto, output: str) -> list[str]:

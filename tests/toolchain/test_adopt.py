@@ -12,7 +12,7 @@ import onnx
 import pytest
 
 from sim.aircraft import load_aircraft
-from toolchain.adopt import PolicyClaims, adopted_model
+from toolchain.adopt import PolicyClaims, adopt, adopted_model
 from toolchain.cli.main import main
 from toolchain.errors import PolicyError
 from toolchain.evaluate import evaluate
@@ -179,6 +179,59 @@ def two_outputs(graph: onnx.GraphProto) -> None:
     graph.node.append(onnx.helper.make_node("Erf", [graph.node[0].output[0]], ["value"]))
     graph.output.add().CopyFrom(graph.output[0])
     graph.output[1].name = "value"
+
+
+def with_data_beside(kit: Kit, folder: Path, **edits: str) -> Path:
+    """A model whose weights lie in `weights.data`; `edits` replaces entries of the first one."""
+    model = onnx.load_from_string(foreign(kit.mlp((6, 8, 4))))
+    data = b""
+    for tensor in model.graph.initializer:
+        entries = {"location": "weights.data", "offset": str(len(data)), "length": str(len(tensor.raw_data))}
+        data += tensor.raw_data
+        tensor.ClearField("raw_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        for key, value in entries.items():
+            tensor.external_data.add(key=key, value=value)
+    for entry in model.graph.initializer[0].external_data:
+        entry.value = edits.get(entry.key, entry.value)
+    (folder / "weights.data").write_bytes(data)
+    path = folder / "model.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path: Path) -> None:
+    out = tmp_path / "out" / "policy.onnx"
+    policy, changes = adopt(with_data_beside(kit, tmp_path), out, CLAIMS, clip=False)
+    assert changes[0] == "took the weights out of 'weights.data'"
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+    assert policy.source_sha256 == read_policy(out).source_sha256
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        ({"location": "../weights.data"}, "keeps weights in '../weights.data', expected a file beside it"),
+        ({"location": "/etc/hostname"}, "keeps weights in '/etc/hostname', expected a file beside it"),
+        ({"location": "absent.data"}, "absent.data: No such file"),
+        ({"location": ""}, "keeps weights in '', expected a file beside it"),
+        ({"offset": "-4"}, "is kept in bytes -4 to"),
+        ({"length": "100000"}, "do model and weights belong together?"),
+        ({"length": "many"}, "has no sound offset and length"),
+        ({"length": "8"}, "raw_data size (8 bytes) is too small"),
+    ],
+)
+def test_model_is_refused_when_its_weights_beside_it_are_not_sound(
+    kit: Kit, tmp_path: Path, edits: dict[str, str], words: str
+) -> None:
+    source, out = with_data_beside(kit, tmp_path, **edits), tmp_path / "out" / "policy.onnx"
+    with pytest.raises(PolicyError) as caught:
+        adopt(source, out, CLAIMS, clip=False)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not out.parent.exists()
 
 
 def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:

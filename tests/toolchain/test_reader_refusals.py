@@ -186,7 +186,7 @@ MODELS: dict[str, Callable[[onnx.ModelProto], object]] = {
     "is of opset 99, and onnx": lambda model: setattr(model.opset_import[0], "version", 99),
     "names no opset": lambda model: model.ClearField("opset_import"),
     "two initializers of the policy have one name": two_names,
-    "the policy's inputs are 'observation', 'state', expected one input": state_as_input,
+    "'state', expected one input 'observation'; state is carried by GRU and LSTM nodes": state_as_input,
     "the policy has 5004 nodes, expected at most": many_nodes,
     "local functions or sparse weights": lambda model: model.functions.add(),
     "it has no graph": lambda model: model.ClearField("graph"),

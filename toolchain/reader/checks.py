@@ -16,6 +16,10 @@ from toolchain.reader.values import NODES_MAX, STANDARD_DOMAINS, label, shown
 OPSET_MIN = 13  # the oldest that torch still writes; since then axes and bounds are inputs
 FILE_NODES_MAX = 4 * NODES_MAX  # constants and shapes included
 CHECKER_WORDS_MAX = 300  # characters of what the ONNX checker says
+HINTS = {
+    "input": "state is carried by GRU and LSTM nodes",
+    "output": "`neuroflight freeze --output` picks one",
+}
 WEIGHTED = {  # operator: places of its weights
     "Gemm": (1, 2),
     "MatMul": (0, 1),
@@ -101,7 +105,7 @@ def _check_tensors(graph: onnx.GraphProto) -> None:
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise PolicyError(
                 f"{name} keeps its values in another file; export the policy as one file "
-                "(torch.onnx.export with external_data=False)"
+                "(torch.onnx.export with external_data=False) or let `neuroflight freeze` join them"
             )
         if tensor.data_type not in TYPES:
             kind = _type_name(tensor.data_type)
@@ -184,7 +188,7 @@ def _only_vector(values: list[onnx.ValueInfoProto], name: str, role: str) -> int
     """n of the one float32 [1, n] value called `name`."""
     names = ", ".join(shown(value.name) for value in values[:8]) or "none"
     if [value.name for value in values] != [name]:
-        hint = "; `neuroflight freeze` renames it" if len(values) == 1 else ""
+        hint = f"; {HINTS[role]}" if len(values) > 1 else "; `neuroflight freeze` renames it"
         raise PolicyError(f"the policy's {role}s are {names}, expected one {role} {name!r}{hint}")
     tensor = values[0].type.tensor_type
     if tensor.elem_type != TensorProto.FLOAT:

@@ -1,0 +1,57 @@
+"""Weights that an exporter put into a file beside the model, as torch does unless told otherwise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnx
+from onnx import TensorProto
+
+from toolchain.contract import POLICY_FILE_BYTES_MAX
+from toolchain.errors import PolicyError
+from toolchain.reader.values import shown
+
+
+def embed_weights(model: onnx.ModelProto, folder: Path) -> list[str]:
+    """Move weights of files in `folder` into `model`; returns the names of those files.
+
+    Raises PolicyError for a file elsewhere, a missing or a large one, and for weights beyond its end.
+    """
+    files: dict[str, bytes] = {}
+    for tensor in model.graph.initializer:
+        if tensor.data_location != TensorProto.EXTERNAL:
+            continue
+        entries = {entry.key: entry.value for entry in tensor.external_data}
+        name = entries.get("location", "")
+        if name not in files:
+            files[name] = _read(folder, name, POLICY_FILE_BYTES_MAX - sum(map(len, files.values())))
+        tensor.raw_data = _part(files[name], entries, tensor.name)
+        tensor.data_location = TensorProto.DEFAULT
+        del tensor.external_data[:]
+    return list(files)
+
+
+def _read(folder: Path, name: str, limit: int) -> bytes:
+    path = folder / name
+    if not isinstance(name, str) or not name.isprintable() or path.name != name:
+        raise PolicyError(f"the model keeps weights in {shown(str(name))}, expected a file beside it")
+    try:
+        if (size := path.stat().st_size) > limit:
+            raise PolicyError(f"{path} is {size} bytes, expected at most {limit}; is it a policy?")
+        return path.read_bytes()
+    except OSError as error:
+        raise PolicyError(f"cannot read the weights {path}: {error.strerror}") from error
+
+
+def _part(data: bytes, entries: dict[str, str], name: str) -> bytes:
+    try:
+        start = int(entries.get("offset", "0"))
+        count = int(entries.get("length", str(len(data) - start)))
+    except ValueError as error:
+        raise PolicyError(f"initializer {shown(name)} has no sound offset and length: {error}") from error
+    if start < 0 or count < 0 or start + count > len(data):
+        raise PolicyError(
+            f"initializer {shown(name)} is kept in bytes {start} to {start + count} of a file of "
+            f"{len(data)}; do model and weights belong together?"
+        )
+    return data[start : start + count]
