@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from toolchain.contract import POLICY_OUTPUT
 from toolchain.graph import OBSERVATION, Network, Node
 from toolchain.onnx_export import to_model
 from toolchain.operations import (
@@ -186,9 +185,6 @@ def verified(kit: Kit, name: str, directory: Path, count: int, steps: int) -> di
     """What each of PEERS made of about `count` observations; fails with the first law that is broken."""
     network = NETWORKS[name]()
     model = to_model(network)
-    used = {name for node in model.graph.node for name in node.input} | {POLICY_OUTPUT}
-    for node in [node for node in model.graph.node if not used.intersection(node.output)]:
-        model.graph.node.remove(node)  # the cell state of an LSTM that nobody asks for
     helper.set_model_props(model, {**kit.chain().metadata, "neuroflight.observation": BLOCKS[network.inputs]})
     data = model.SerializeToString()
     compiled = kit.compiled(data)
