@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from toolchain.evaluate import evaluate
 from toolchain.network import parse_policy
 from toolchain.operations import Affine, Clip, LayerNorm, Silu, Softsign
+from toolchain.reader.operators import KNOWN
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -163,6 +166,12 @@ def test_clip_is_added_when_the_last_activation_is_bounded(kit: Kit, name: str) 
     network = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network
     assert network.nodes[-1].operation == Clip(0.0, 1.0)
     assert not isinstance(network.nodes[-2].operation, Clip)
+
+
+def test_page_names_every_operator_when_it_is_read() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()
+    words = set(re.findall(r"\w+", page.partition("## What is read")[2].partition("##")[0]))
+    assert not KNOWN - words - {"Constant"}
 
 
 def test_node_keeps_its_name_when_it_has_one(kit: Kit) -> None:
