@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,6 +172,15 @@ def test_explained_policy_is_the_same_when_it_is_written(
     document([str(policy_file), "--out", str(explained), "--explain"], capsys)
     for name in ("policy.c", "policy.h"):
         assert (explained / name).read_bytes() == (plain / name).read_bytes()
+
+
+def test_onnxruntime_is_not_waited_for_when_nothing_is_explained(policy_file: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys; from toolchain.cli.main import main; main(sys.argv[1:]); "
+        "sys.exit('onnxruntime' in sys.modules)"
+    )
+    words = ["compile", policy_file, "--out", tmp_path / "out"]
+    subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
 
 
 def test_name_from_the_file_is_shown_as_it_is_when_it_looks_like_markup(

@@ -17,6 +17,7 @@ class Draft:
     widths: list[int]  # of every value so far
     uses: list[int]  # how many inputs of living nodes each value will be
     nodes: list[Node] = field(default_factory=list)
+    # The numbers that each value has in the old network; none for one that a rule has added.
     roles: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, operation: Operation, inputs: Sequence[int], name: str = "") -> int:
