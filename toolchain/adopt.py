@@ -137,7 +137,7 @@ def _choose(graph: onnx.GraphProto, output: str) -> list[str]:
     needed, nodes = {output}, []
     for node in reversed(graph.node):
         if needed.intersection(node.output):
-            needed.update(node.input)
+            needed.update(filter(None, node.input))
             nodes.append(node)
     chosen = graph.output[names.index(output)]
     tensors = [tensor for tensor in graph.initializer if tensor.name in needed]

@@ -107,6 +107,16 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
     assert len(document["changes"]) == 5
 
 
+@pytest.mark.parametrize(("name", "words"), [("", "is a directory"), ("file/policy.onnx", "is no directory")])
+def test_freeze_refuses_at_once_when_the_output_cannot_be_written(
+    source: Path, tmp_path: Path, capsys: Capture, name: str, words: str
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.onnx").mkdir()
+    out = tmp_path / name if name else tmp_path / "folder.onnx"
+    assert words in refused([str(source), *OPTIONS, "--clip", "--out", str(out)], capsys)
+
+
 def test_freeze_names_what_it_must_be_told_when_a_model_comes_alone(
     source: Path, tmp_path: Path, capsys: Capture
 ) -> None:

@@ -36,9 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write POLICY.onnx and say what it holds."""
     from toolchain.adopt import is_checkpoint
+    from toolchain.cli.output import check_output
     from toolchain.freeze import freeze
     from toolchain.network import read_policy
 
+    check_output(args.out, ".onnx")
     changes: Sequence[str] = ()
     if is_checkpoint(args.source):
         _refuse_claims(args)
