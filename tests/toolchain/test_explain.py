@@ -179,11 +179,11 @@ def test_onnxruntime_is_not_waited_for_when_nothing_is_explained(policy_file: Pa
         "import sys; from toolchain.cli.main import main; main(sys.argv[1:]); "
         "sys.exit('onnxruntime' in sys.modules)"
     )
-    words = ["compile", policy_file, "--out", tmp_path / "out"]
+    words = ["compile", str(policy_file), "--out", str(tmp_path / "out")]
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
 
 
-def test_name_from_the_file_is_shown_as_it_is_when_it_looks_like_markup(
+def test_name_from_the_file_commands_no_terminal_when_it_holds_codes(
     kit: Kit, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
@@ -191,7 +191,7 @@ def test_name_from_the_file_is_shown_as_it_is_when_it_looks_like_markup(
     path.write_bytes(kit.chain(6, 6).add("Tanh", name="[bold]/layer[0]\n\x1b[31m").clip().data())
     assert main(["compile", str(path), "--explain"]) == 0
     printed = capsys.readouterr().out
-    assert r"'[bold]/layer[0]\n\x1b[31m'" in printed
+    assert "/layer_0_" in printed
     assert "\x1b" not in printed
 
 

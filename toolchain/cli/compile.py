@@ -163,15 +163,11 @@ def _proof(proof: Proof | None) -> list[str]:
 
 
 def _network(title: str, nodes: Iterable[NodeFacts]) -> Table:
-    from rich.text import Text
-
     table = _table(title, "value", "operation", "takes", "width", "operations", "bytes", "node")
     table.add_row("0", "observation", style="dim")
     for node in nodes:
         takes, figures = " ".join(map(str, node.takes)), (node.width, node.operations, node.bytes)
-        # Text: a name from the file may hold what rich takes for markup.
-        name = Text(node.name if node.name.isprintable() else repr(node.name))
-        table.add_row(str(node.value), node.operation, takes, *(f"{f:,}" for f in figures), name)
+        table.add_row(str(node.value), node.operation, takes, *(f"{f:,}" for f in figures), node.name)
     return table
 
 
