@@ -46,8 +46,8 @@ class Pass:
 
 
 PASSES = (
-    Pass("fold constants", "what no observation changes, before a matrix", fold_constants),
     Pass("drop unread", "nodes, and rows of matrices, that cannot reach the output", drop_unread),
+    Pass("fold constants", "what no observation changes, before a matrix", fold_constants),
     Pass("drop identities", "what gives the value that it takes", drop_identities),
     Pass("share equal", "what is computed twice from the same values", share_equal),
     Pass("simplify slices", "slices of slices and of concats, concats of both", simplify_slices),
