@@ -224,7 +224,7 @@ def _stages(compiled: CompiledPolicy, built: int, seconds: tuple[float, float]) 
     made = f"{built} files compiled and linked" if built else "nothing changed"
     return (
         Stage("synthesis", f"trained earlier on aircraft {model.aircraft}", None),
-        Stage("optimization", f"{rewrites}; {saved} multiply-adds saved", seconds[0]),
+        Stage("optimization", f"{rewrites}; {saved} operations saved", seconds[0]),
         Stage("compilation", f"{len(compiled.plan.calls)} kernel calls in C; {made}", seconds[1]),
     )
 

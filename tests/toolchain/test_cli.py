@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from toolchain.blob import parse
 from toolchain.cli.main import main
 
 if TYPE_CHECKING:
@@ -37,13 +38,14 @@ def refused(arguments: list[str], capsys: Capture) -> str:
     return printed.err
 
 
-def test_compile_writes_both_files_when_the_policy_is_good(
+def test_compile_writes_all_files_when_the_policy_is_good(
     policy_file: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"
     assert main(["compile", str(policy_file), "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert sorted(path.name for path in out.iterdir()) == ["policy.c", "policy.h"]
+    assert sorted(path.name for path in out.iterdir()) == ["policy.blob", "policy.c", "policy.h"]
+    assert parse((out / "policy.blob").read_bytes()).weights.size == facts["weights"]
     header = (out / "policy.h").read_text()
     assert facts["weights"] >= 6 * 8 + 8 + 8 * 4 + 4
     assert re.search(rf"POLICY_WEIGHT_COUNT +{facts['weights']}$", header, re.MULTILINE)

@@ -28,7 +28,7 @@ FINDS = "what it finds"  # the one column that may wrap
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="gets policy.c and policy.h")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="gets policy.c, policy.h and policy.blob")
     parser.add_argument(
         "--explain",
         action="store_true",
@@ -38,15 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write DIR/policy.c and DIR/policy.h and say what they hold."""
+    """Write DIR/policy.c, DIR/policy.h and DIR/policy.blob and say what they hold."""
     from toolchain.cli.output import check_output
     from toolchain.compiler import compile_policy
-    from toolchain.files import write_text
+    from toolchain.files import write_bytes, write_text
     from toolchain.network import read_policy
 
     if args.out is None and not args.explain:
         raise NeuroflightError(
-            "--out is missing; expected a directory for policy.c and policy.h, or --explain to write nothing"
+            "--out is missing; expected a directory for what is compiled, or --explain to write nothing"
         )
     check_output(args.out and args.out / "policy.c", ".c")
     policy = read_policy(args.policy)
@@ -54,9 +54,14 @@ def run(args: argparse.Namespace) -> int:
     compiled = explanation.compiled if explanation else compile_policy(policy)
     files = {}
     if args.out is not None:
-        files = {"source": args.out / "policy.c", "header": args.out / "policy.h"}
+        files = {
+            "source": args.out / "policy.c",
+            "header": args.out / "policy.h",
+            "blob": args.out / "policy.blob",
+        }
         write_text(files["source"], compiled.emission.source)
         write_text(files["header"], compiled.emission.header)
+        write_bytes(files["blob"], compiled.emission.blob)
     if args.json:
         print(json.dumps(_document(compiled, explanation, files), indent=2))
         return 0
