@@ -176,7 +176,7 @@ def _lstm(cell: Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[
     return output * _tanh(c, exact), c
 
 
-LANES = 4  # partial sums of a LayerNorm: value i is added to lane i mod 4
+LANES = 4  # partial sums of a LayerNorm
 
 
 def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:
@@ -188,9 +188,12 @@ def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:
 
 
 def _sum(x: Float32, add: Callable[[Float32, Float32], Float32]) -> Float32:
+    """In LANES lanes by turns; what is left over goes to the first."""
+    whole = x.shape[1] - x.shape[1] % LANES
     lanes = [np.zeros(len(x), np.float32) for _ in range(LANES)]
     for index in range(x.shape[1]):
-        lanes[index % LANES] = add(x[:, index], lanes[index % LANES])
+        lane = index % LANES if index < whole else 0
+        lanes[lane] = add(x[:, index], lanes[lane])
     return ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3]))[:, None]
 
 

@@ -441,21 +441,42 @@ KERNEL void cell(const float *f, const float *c, const float *k, const float *g,
     }
 }
 
-/* y = (x - mean) / sqrt(variance + epsilon) scale + offset; value i is summed in lane i mod 4. */
+/* y = (x - mean) / sqrt(variance + epsilon) scale + offset. Sums run in 4 lanes; what is left over of a width that
+ * 4 does not divide goes to the first. */
 KERNEL void layer_norm(const float *w, const float *x, float *y, unsigned count, float share, float epsilon)
 {
-    float s[4] = { 0.0f, 0.0f, 0.0f, 0.0f };
-    for (unsigned i = 0; i < count; ++i)
-        s[i & 3] += x[i];
-    const float mean = ((s[0] + s[1]) + (s[2] + s[3])) * share;
-    s[0] = s[1] = s[2] = s[3] = 0.0f;
-    for (unsigned i = 0; i < count; ++i) {
-        y[i] = x[i] - mean;
-        s[i & 3] = __builtin_fmaf(y[i], y[i], s[i & 3]);
+    const unsigned lanes = count & ~3u, room = (count + 3) & ~3u;
+    float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, s3 = 0.0f;
+    for (unsigned i = 0; i < lanes; i += 4) {
+        s0 += x[i];
+        s1 += x[i + 1];
+        s2 += x[i + 2];
+        s3 += x[i + 3];
     }
-    const float inverse = 1.0f / __builtin_sqrtf(((s[0] + s[1]) + (s[2] + s[3])) * share + epsilon);
-    for (unsigned i = 0; i < count; ++i)
-        y[i] = __builtin_fmaf(y[i] * inverse, w[i], w[i + ((count + 3) & ~3u)]);
+    for (unsigned i = lanes; i < count; ++i)
+        s0 += x[i];
+    const float mean = ((s0 + s1) + (s2 + s3)) * share;
+    s0 = s1 = s2 = s3 = 0.0f;
+    for (unsigned i = 0; i < lanes; i += 4) {
+        const float d0 = x[i] - mean, d1 = x[i + 1] - mean, d2 = x[i + 2] - mean, d3 = x[i + 3] - mean;
+        s0 = __builtin_fmaf(d0, d0, s0);
+        s1 = __builtin_fmaf(d1, d1, s1);
+        s2 = __builtin_fmaf(d2, d2, s2);
+        s3 = __builtin_fmaf(d3, d3, s3);
+    }
+    for (unsigned i = lanes; i < count; ++i)
+        s0 = __builtin_fmaf(x[i] - mean, x[i] - mean, s0);
+    const float inverse = 1.0f / __builtin_sqrtf(((s0 + s1) + (s2 + s3)) * share + epsilon);
+    for (unsigned i = 0; i < room; i += 4) {
+        const float y0 = __builtin_fmaf((x[i] - mean) * inverse, w[i], w[i + room]);
+        const float y1 = __builtin_fmaf((x[i + 1] - mean) * inverse, w[i + 1], w[i + 1 + room]);
+        const float y2 = __builtin_fmaf((x[i + 2] - mean) * inverse, w[i + 2], w[i + 2 + room]);
+        const float y3 = __builtin_fmaf((x[i + 3] - mean) * inverse, w[i + 3], w[i + 3 + room]);
+        y[i] = y0;
+        y[i + 1] = y1;
+        y[i + 2] = y2;
+        y[i + 3] = y3;
+    }
 }
 
 KERNEL void copy(const float *x, float *y, unsigned count, int step)
