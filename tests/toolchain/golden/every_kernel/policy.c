@@ -5,7 +5,7 @@
  * Every rounding is written out: a sum starts from the bias and takes its inputs in ascending order, each by
  * one fused multiply-add. Compile with -ffp-contract=off (implied by -std=c11) and without -ffast-math. Kernels
  * for a Cortex-M7 are written for its registers; -DPOLICY_PORTABLE takes the C beside them, which gives the
- * same bits. */
+ * same bits. A Cortex-M4, which no macro tells from it, needs that. */
 #include "policy.h"
 
 #if defined(__ARM_ARCH_7EM__) && defined(__ARM_FEATURE_FMA) && !defined(POLICY_PORTABLE)
