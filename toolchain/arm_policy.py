@@ -13,7 +13,7 @@ from elftools.elf.elffile import ELFFile
 
 from toolchain.contract import DTCM, POLICY_WEIGHT_COUNT_MAX, Region
 from toolchain.cortex_m7 import CortexM7, Program
-from toolchain.emit import Emission
+from toolchain.emit import ARITHMETIC, Emission
 from toolchain.errors import BuildError
 from toolchain.files import write_text
 from toolchain.float32 import Float32
@@ -21,7 +21,6 @@ from toolchain.float32 import Float32
 COMPILER = "arm-none-eabi-gcc"
 PACKAGE = "gcc-arm-none-eabi"  # the system's package that brings it
 CORE = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard")
-ARITHMETIC = ("-ffp-contract=off", "-fno-math-errno")
 CODE, DATA = 0x00010000, 0x20000000  # where code with its constants and where variables are linked
 STATE_BYTES_MAX = DTCM.size  # of struct policy
 # Code, constants and variables on pages of their own, so that the emulator can protect them.
@@ -41,9 +40,7 @@ def build_policy_elf(emission: Emission, directory: Path, *options: str, optimiz
     write_text(directory / "policy.h", emission.header)
     write_text(directory / "policy.c", emission.source)
     program = directory / "policy.elf"
-    compile_arm(
-        "-std=c11", "-g", optimization, *ARITHMETIC, *options, *LINK, "policy.c", "-lgcc", out=program
-    )
+    compile_arm("-g", optimization, *ARITHMETIC, *options, *LINK, "policy.c", "-lgcc", out=program)
     return program
 
 

@@ -19,6 +19,8 @@ from toolchain.network import PolicyModel
 from toolchain.plan import Plan
 from toolchain.templating import render
 
+# What the C's arithmetic asks of a compiler: a product is fused with a sum only where the code says so.
+ARITHMETIC = ("-std=c11", "-ffp-contract=off", "-fno-math-errno")
 FLOATS_PER_LINE = 6
 MEMORIES = {"scratch": "v", "state": "h"}  # C's names for them in policy_step
 

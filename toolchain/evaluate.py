@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from toolchain.calls import LANES
 from toolchain.float32 import Float32, fma
 from toolchain.graph import Network
 from toolchain.lookup import EXPM1, TANH, apply
@@ -174,9 +175,6 @@ def _lstm(cell: Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[
     write, output, forget = gates[:, :units], gates[:, units : 2 * units], gates[:, 2 * units :]
     c = fma(forget, c, write * _tanh(sums[:, 3 * units :], exact))
     return output * _tanh(c, exact), c
-
-
-LANES = 4  # partial sums of a LayerNorm
 
 
 def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:

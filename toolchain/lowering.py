@@ -55,28 +55,21 @@ class Lowering:
         self._size = 0
         self._buffers = 0
         self._tables: dict[str, int] = {}
-        self._network = network
         for function, users in ((TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)), (EXPM1, (Elu,))):
             if any(isinstance(node.operation, users) for node in network.nodes):
                 self.functions.append(function)
                 self._tables[function.name] = self._store(function_part(function))
         entrance = self._new(network.inputs)
         self._emit("enter", entrance, (), network.inputs)
-        self._values = [entrance]
+        values = [entrance]
         for node in network.nodes[:-1]:
-            self._values.append(self._lower(node, [self._values[number] for number in node.inputs]))
+            values.append(self._lower(node, [values[number] for number in node.inputs]))
         door = network.nodes[-1]
         assert isinstance(door.operation, Clip), "a policy's last node is its Clip"
-        (value,) = (self._values[number] for number in door.inputs)
+        (value,) = (values[number] for number in door.inputs)
         if not self.table:
             self._store(np.zeros(LANES, np.float32))  # C has no empty array
-        call = Call(
-            "leave",
-            None,
-            (value.place,),
-            value.count,
-            constants=_bounds(door.operation),
-        )
+        call = Call("leave", None, (value.place,), value.count, constants=_bounds(door.operation))
         self.calls.append(PendingCall(call, None, (value.buffer,)))
 
     def _lower(self, node: Node, inputs: list[_Value]) -> _Value:

@@ -17,6 +17,7 @@ def function_part(lookup: Lookup) -> Float32:
 
 
 def lanes_part(values: Float32 | NDArray[np.float64]) -> Float32:
+    """Parameters of values, one each, padded to whole lanes."""
     room = np.zeros(padded(values.size), np.float32)
     room[: values.size] = values
     return room

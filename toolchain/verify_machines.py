@@ -20,6 +20,7 @@ import numpy as np
 
 from toolchain.compiler import CompiledPolicy
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT, SELFTEST_COUNT
+from toolchain.emit import ARITHMETIC
 from toolchain.errors import BuildError, PolicyError
 from toolchain.evaluate import advance, clear_state, evaluate
 from toolchain.files import write_text
@@ -30,7 +31,6 @@ from toolchain.templating import render
 if TYPE_CHECKING:
     import onnx
 
-CFLAGS = ("-std=c11", "-ffp-contract=off", "-fno-math-errno")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 ADDRESS, UNDEFINED = "ERROR: AddressSanitizer: ", ": runtime error: "  # what begins a sanitizer's report
 RUN_SECONDS_MAX = 600  # of one run of a program: beyond, it hangs
@@ -184,7 +184,7 @@ def open_host(policy: CompiledPolicy, directory: Path, compiler: str, *, sanitiz
     write_text(directory / "policy.h", policy.emission.header)
     write_text(directory / "policy.c", policy.emission.source)
     write_text(directory / "verify.c", render("verify.c.j2"))
-    options = [*CFLAGS, *(("-O1", *SANITIZERS) if sanitize else ("-O2",))]
+    options = [*ARITHMETIC, *(("-O1", *SANITIZERS) if sanitize else ("-O2",))]
     options += ["-mfma"] if platform.machine() in ("x86_64", "AMD64") else []
     program = directory / "verify"
     command = [compiler, *options, "policy.c", "verify.c", "-o", program.name]

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from toolchain.arm_policy import ARITHMETIC, CODE, DATA, compile_arm
+from toolchain.arm_policy import CODE, DATA, compile_arm
 from toolchain.cortex_m7 import CortexM7, load_program
+from toolchain.emit import ARITHMETIC
 from toolchain.errors import BuildError
 from toolchain.float32 import Float32
 from toolchain.graph import Network
@@ -63,7 +64,7 @@ def cost(network: Network, folder: Path, optimization: str, observations: Float3
 
     folder: where `generate` left model.c.
     """
-    flags = ("-std=c11", "-g", optimization, *ARITHMETIC, LINK)
+    flags = ("-g", optimization, *ARITHMETIC, LINK)
     compile_arm(*flags, "model.c", *LIBRARIES, out=folder / "model.elf")
     machine = CortexM7(load_program(folder / "model.elf"))
     observation, action = machine.allocate(4 * network.inputs), machine.allocate(4 * network.outputs)

@@ -15,17 +15,17 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from toolchain.arm_policy import ArmPolicy, build_policy_elf
+from toolchain.arm_policy import COMPILER, CORE, ArmPolicy, build_policy_elf
 from toolchain.compiler import CompiledPolicy, compile_policy
 from toolchain.cortex_m7 import load_program
+from toolchain.emit import ARITHMETIC
 from toolchain.network import parse_policy
 
 Float32 = NDArray[np.float32]
 
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-pedantic", "-Werror")
-HOST = ("gcc", "-std=c11", "-O2", "-mfma", "-ffp-contract=off", "-fno-math-errno", *WARNINGS)
-CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard")
-ARM = ("arm-none-eabi-gcc", "-std=c11", "-O2", *CORTEX_M7, "-ffp-contract=off", "-fno-math-errno", *WARNINGS)
+HOST = ("gcc", "-O2", "-mfma", *ARITHMETIC, *WARNINGS)
+ARM = (COMPILER, "-O2", *CORE, *ARITHMETIC, *WARNINGS)
 
 METADATA = {
     "neuroflight.version": "1",
