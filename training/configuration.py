@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
-from sim.world import COUNT_MAX
+from sim.mass import Vector
+from sim.world import Mount
 from toolchain.contract import CONTROL_RATES_HZ, ObservationBlock, observation_blocks
 from toolchain.errors import TrainingError
-from training.reward import TrackingReward
+from training.algorithm import Algorithm, PpoConfig
+from training.randomization import Randomization
+from training.reward import Reward, TrackingReward
 from training.task import PulseTask, Task
 
 # Raw observation values are brought to about unit size by these factors, folded into the first layer at
@@ -28,40 +32,58 @@ OBSERVATION_SCALES = {
 }
 ACTIVATIONS = ("relu", "tanh")
 SEED_MAX = 2**32 - 1
+IDLE_MAX = 0.5
+WIND_MAX = 30.0  # [m/s], a storm; nobody flies a small multirotor in more
 
 
 @dataclass(frozen=True)
 class OutputMap:
-    """Network output a to motor fraction: clip(scale a + offset, 0, 1); folded into the last layer."""
+    """Network output a to motor fraction: clip(scale a + offset, 0, 1); folded into the last layer.
+
+    With `squash` a = tanh(last sum), which stays in the frozen network.
+    """
 
     scale: float = 0.5
     offset: float = 0.5
+    squash: bool = False  # a is tanh of the network's last sum: bounded outputs, whose gradient never ends
 
     def bounds(self) -> tuple[float, float]:
         """Network outputs that make 0 and 1; what lies beyond changes nothing."""
         return -self.offset / self.scale, (1.0 - self.offset) / self.scale
 
-    def motors(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Motor fractions, float32, any shape."""
-        y = np.float32(self.scale) * output + np.float32(self.offset)
-        bounded: NDArray[np.float32] = np.clip(y, np.float32(0.0), np.float32(1.0))
-        return bounded
+    def asked(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What an output asks of the motors before it is clipped to 0..1, float32, any shape."""
+        asked: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
+        return asked
 
 
 @dataclass(frozen=True)
-class PpoConfig:
-    """PPO's knobs (Schulman et al. 2017; names as in Stable-Baselines3)."""
+class WorldConfig:
+    """Where the episodes take place."""
 
-    aircraft: int = 256
-    horizon: int = 128  # control steps an aircraft between updates
-    minibatch: int = 8192
-    epochs: int = 4
-    learning_rate: float = 7e-4  # annealed linearly to a tenth
-    discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
-    gae_lambda: float = 0.98  # rotors answer over 40 ms: credit must reach back as far
-    clip: float = 0.2
-    log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
-    smoothness: float = 0.45  # weight of the mean output's change under gyro noise, see smooth_ppo
+    mount: str = "centre"  # sim.world.Mount: turning about the centre of mass, on the rig, or free
+    gravity: bool | None = None  # None: in free flight only
+    noise: bool = True  # of gyro and accelerometer
+    wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes
+    gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
+    throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
+    throttle_share: float = 1.0  # of the episodes that have any
+    randomization: Randomization = field(default_factory=Randomization)
+
+    def refusals(self) -> Iterator[str]:
+        """What is no world, one line each."""
+        mounts = [mount.value for mount in Mount]
+        if self.mount not in mounts:
+            yield f"mount {self.mount!r}, expected one of: {', '.join(mounts)}"
+        if not all(abs(speed) <= WIND_MAX for speed in self.wind_m_s):
+            yield f"wind_m_s {list(self.wind_m_s)}, expected at most {WIND_MAX:g} m/s each way"
+        if not 0.0 <= self.gust_m_s <= WIND_MAX:
+            yield f"gust_m_s {self.gust_m_s}, expected 0 to {WIND_MAX:g} m/s"
+        if not 0.0 <= self.throttle_max <= 1.0:
+            yield f"throttle_max {self.throttle_max}, expected 0 to 1"
+        if not 0.0 <= self.throttle_share <= 1.0:
+            yield f"throttle_share {self.throttle_share}, expected 0 to 1"
+        yield from self.randomization.refusals()
 
 
 @dataclass(frozen=True)
@@ -75,26 +97,21 @@ class TrainingConfig:
     hidden: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     output: OutputMap = field(default_factory=OutputMap)
-    throttle_max: float = 0.0
+    idle: float = 0.0  # motor fraction that armed motors turn at without thrust; part of the policy
     task: Task = field(default_factory=PulseTask)
-    reward: TrackingReward = field(default_factory=TrackingReward)
-    ppo: PpoConfig = field(default_factory=PpoConfig)
+    reward: Reward = field(default_factory=TrackingReward)
+    world: WorldConfig = field(default_factory=WorldConfig)
+    algorithm: Algorithm = field(default_factory=PpoConfig)
+    checkpoint_steps: int = 1_000_000  # a checkpoint at the end of the leg that passes each multiple of it
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""
-        ppo = self.ppo
-        batch = ppo.aircraft * ppo.horizon
         demands = {
             f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}": (
                 self.control_rate_hz in CONTROL_RATES_HZ
             ),
-            f"{ppo.aircraft} aircraft, expected 1 to {COUNT_MAX}": 1 <= ppo.aircraft <= COUNT_MAX,
-            f"horizon {ppo.horizon}, expected 1 or more control steps": ppo.horizon >= 1,
-            f"minibatch {ppo.minibatch} does not divide the {batch} steps of a rollout "
-            f"({ppo.aircraft} aircraft x {ppo.horizon}); choose a divisor": (
-                ppo.minibatch > 0 and batch % ppo.minibatch == 0
-            ),
-            f"{self.steps} steps asked for, expected at least one rollout of {batch}": self.steps >= batch,
+            f"{self.steps} steps asked for, expected at least 1": self.steps >= 1,
+            f"checkpoint_steps {self.checkpoint_steps}, expected at least 1": self.checkpoint_steps >= 1,
             f"seed {self.seed}, expected 0 to {SEED_MAX}": 0 <= self.seed <= SEED_MAX,
             f"hidden layers {list(self.hidden)}, expected one or more widths of at least 1": (
                 len(self.hidden) > 0 and min(self.hidden) >= 1
@@ -102,11 +119,14 @@ class TrainingConfig:
             f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}": (
                 self.activation in ACTIVATIONS
             ),
-            f"throttle_max {self.throttle_max}, expected 0 to 1": 0.0 <= self.throttle_max <= 1.0,
+            f"idle {self.idle}, expected 0 to {IDLE_MAX}": 0.0 <= self.idle <= IDLE_MAX,
         }
         for refusal, met in demands.items():
             if not met:
                 raise TrainingError(refusal)
+        episode_steps = round(self.task.duration_s * self.control_rate_hz)
+        for refusal in (*self.world.refusals(), *self.algorithm.refusals(episode_steps)):
+            raise TrainingError(refusal)
         self.blocks()
 
     def blocks(self) -> tuple[ObservationBlock, ...]:
@@ -127,5 +147,13 @@ class TrainingConfig:
             "motors": aircraft.motor_count,
             "observation_scale": self.observation_scale(aircraft.motor_count),
             "filters": [],
-            **asdict(self),
+            **{field.name: _plain(getattr(self, field.name)) for field in fields(self)},
         }
+
+
+def _plain(value: object) -> Any:  # noqa: ANN401
+    """JSON data of a field; what comes in several kinds says which it is."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    kind = {"name": value.name} if hasattr(value, "name") else {}
+    return {**kind, **{field.name: _plain(getattr(value, field.name)) for field in fields(value)}}

@@ -70,8 +70,7 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise RuntimeError("step() on a closed environment; call reset() first")
         if not np.isfinite(action).all():
             raise ValueError(f"action {action} is not finite, expected motor fractions 0..1")
-        clipped = np.clip(np.asarray(action, np.float32), 0.0, 1.0)[None]
-        result = self._simulation.step(clipped)
+        result = self._simulation.step(np.asarray(action, np.float32)[None])
         info = self._info(self._simulation)
         return result.observation[0], float(result.reward[0]), False, bool(result.ended[0]), info
 
@@ -82,16 +81,7 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._simulation = None
 
     def _build(self, rng: np.random.Generator) -> AttitudeSimulation:
-        config = self._config
-        return AttitudeSimulation(
-            self._aircraft,
-            1,
-            blocks=config.blocks(),
-            control_rate_hz=config.control_rate_hz,
-            task=config.task,
-            reward=config.reward,
-            rng=rng,
-        )
+        return AttitudeSimulation(self._aircraft, 1, config=self._config, rng=rng)
 
     @staticmethod
     def _info(simulation: AttitudeSimulation) -> dict[str, Any]:

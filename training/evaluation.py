@@ -102,25 +102,24 @@ def record(
     and to do. The same seed gives every controller the same commands.
     """
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    command = task.draw(episodes, commands)
-    steps = round(task.duration_s * control_rate_hz)
+    wanted = task.episodes(episodes, commands, control_rate_hz)
+    steps = wanted.shape[1]
     thrust = np.full(episodes, throttle, np.float32)
-    wanted = np.empty((steps, episodes, 3), np.float32)
     flown = np.empty((steps, episodes, 3), np.float32)
     outputs = np.empty((steps, episodes, aircraft.motor_count), np.float32)
     twin = Twin(aircraft, episodes, rate_hz=control_rate_hz, mount=mount, noise=noise, rng=noise_rng)
     try:
         controller.reset()
         for k in range(steps):
-            setpoint = task.setpoint(command, np.full(episodes, k), control_rate_hz).astype(np.float32)
-            wanted[k], flown[k] = setpoint, twin.rate
+            setpoint = wanted[:, k]
+            flown[k] = twin.rate
             outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
             twin.step(motor_commands(y, thrust, idle))
             if progress is not None:
                 progress(k + 1, steps)
     finally:
         twin.close()
-    return Flights(_by_episode(wanted), _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
+    return Flights(wanted, _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
 
 
 def figures(flights: Flights) -> Evaluation:

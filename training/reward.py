@@ -1,11 +1,37 @@
-"""What a control step is worth. Pure functions over N aircraft."""
+"""What a control step is worth. Pure functions over N aircraft, each with a name and its source."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Outputs = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One control step of N aircraft, as a reward sees it."""
+
+    setpoint: Array  # (N, 3) [rad/s], asked for at the sample after the step
+    error: Array  # (N, 3) [rad/s], setpoint - true rate at the sample after the step
+    error_before: Array  # (N, 3) [rad/s], at the sample before it
+    action: Outputs  # (N, M), the controller's outputs of this step, 0..1
+    action_before: Outputs  # (N, M), of the step before; zeros on an episode's first
+    excess: Outputs  # (N, M), by how much the network asked for less than 0 or more than 1, >= 0
+
+
+class Reward(Protocol):
+    """A reward; frozen data, with a name in `REWARDS`."""
+
+    name: ClassVar[str]
+
+    def __call__(self, step: Transition) -> NDArray[np.float32]:
+        """Reward of the step, (N,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -19,15 +45,17 @@ class TrackingReward:
     is there for those who train without it.
     """
 
+    name: ClassVar[str] = "tracking"
     error: float = 1.0
     output: float = 0.6
     change: float = 0.0
 
-    def __call__(
-        self, rate_error: NDArray[np.floating], action: NDArray[np.floating], before: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """Reward (N,) of a step; rate_error (N, 3) [rad/s] true; action, before (N, M) in 0..1."""
-        tracking = np.abs(rate_error).sum(axis=1) / np.deg2rad(100.0)
-        change = np.abs(action - before).mean(axis=1)
-        reward = -self.error * tracking - self.output * action.mean(axis=1) - self.change * change
+    def __call__(self, step: Transition) -> NDArray[np.float32]:
+        """See Reward."""
+        tracking = np.abs(step.error).sum(axis=1) / np.deg2rad(100.0)
+        change = np.abs(step.action - step.action_before).mean(axis=1)
+        reward = -self.error * tracking - self.output * step.action.mean(axis=1) - self.change * change
         return np.asarray(reward, np.float32)
+
+
+REWARDS: dict[str, type[Reward]] = {reward.name: reward for reward in (TrackingReward,)}

@@ -16,9 +16,8 @@ from sim.motors import motor_commands
 from sim.observation import Observer
 from sim.twin import Twin
 from sim.world import Mount
-from toolchain.contract import IDLE_DEFAULT, ObservationBlock
-from training.reward import TrackingReward
-from training.task import Task
+from training.configuration import TrainingConfig
+from training.reward import Transition
 
 
 @dataclass(frozen=True)
@@ -38,28 +37,33 @@ class AttitudeSimulation:
         aircraft: Aircraft,
         count: int,
         *,
-        blocks: tuple[ObservationBlock, ...],
-        control_rate_hz: int,
-        task: Task,
-        reward: TrackingReward,
+        config: TrainingConfig,
         rng: np.random.Generator,
-        mount: Mount = Mount.CENTRE,
-        noise: bool = True,
-        throttle_max: float = 0.0,
     ) -> None:
+        """`config` says what is observed, asked for and rewarded, and where; `rng` is the only chance."""
         self.count = count
         self.motors = aircraft.motor_count
-        self.steps = round(task.duration_s * control_rate_hz)
-        self._rate_hz = control_rate_hz
-        self._task = task
-        self._reward = reward
+        self._task, self._reward, self._world = config.task, config.reward, config.world
+        self._rate_hz = config.control_rate_hz
+        self._idle = config.idle
         self._rng = rng
-        self._throttle_max = throttle_max
-        self._twin = Twin(aircraft, count, rate_hz=control_rate_hz, mount=mount, noise=noise, rng=rng)
-        self._observer = Observer(blocks, count, self.motors, control_rate_hz)
+        self.steps = round(self._task.duration_s * self._rate_hz)
+        self._twin = Twin(
+            aircraft,
+            count,
+            rate_hz=self._rate_hz,
+            mount=Mount(self._world.mount),
+            gravity=self._world.gravity,
+            noise=self._world.noise,
+            wind=self._world.wind_m_s,
+            gust=self._world.gust_m_s,
+            rng=rng,
+        )
+        self._observer = Observer(config.blocks(), count, self.motors, self._rate_hz)
         self.width = self._observer.width
+        self._everyone = np.arange(count)
         self._step = np.zeros(count, np.intp)
-        self._command = np.zeros((count, 3))
+        self._setpoints = np.zeros((count, self.steps, 3), np.float32)
         self._throttle = np.zeros(count, np.float32)
         self._action = np.zeros((count, self.motors), np.float32)
 
@@ -72,22 +76,33 @@ class AttitudeSimulation:
 
         stagger: spread the aircraft over the episode's clock, so that a batch always sees all of it.
         """
-        self._begin(np.arange(self.count))
+        self._begin(self._everyone)
         if stagger:
             self._step = self._rng.integers(0, self.steps, self.count)
         return self._observe(slice(None))
 
-    def step(self, action: NDArray[np.float32]) -> StepResult:
-        """Advance one control period with the controller's outputs (N, M) in 0..1.
+    def step(self, asked: NDArray[np.float32]) -> StepResult:
+        """Advance one control period with what the network asks of the motors, (N, M), clipped to 0..1.
 
         The observation of an aircraft whose episode ended is still that episode's last; call
         `restart` to begin its next one.
         """
-        self._twin.step(motor_commands(action, self._throttle, IDLE_DEFAULT))
+        action = np.clip(asked, np.float32(0.0), np.float32(1.0))
+        error_before = self.setpoint - self._twin.rate
+        self._twin.step(motor_commands(action, self._throttle, self._idle))
         before, self._action = self._action, action
         self._step += 1
-        error = self.setpoint - self._twin.rate
-        reward = self._reward(error, action, before)
+        setpoint = self.setpoint
+        reward = self._reward(
+            Transition(
+                setpoint=setpoint,
+                error=setpoint - self._twin.rate,
+                error_before=error_before,
+                action=action,
+                action_before=before,
+                excess=np.abs(asked - action),
+            )
+        )
         return StepResult(self._observe(slice(None)), reward, self._step >= self.steps)
 
     def restart(self, index: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -98,7 +113,8 @@ class AttitudeSimulation:
     @property
     def setpoint(self) -> NDArray[np.float64]:
         """Commanded rate of the present sample [rad/s], (N, 3)."""
-        return self._task.setpoint(self._command, self._step, self._rate_hz)
+        now = np.minimum(self._step, self.steps - 1)  # an episode's end asks for what its last step did
+        return self._setpoints[self._everyone, now].astype(np.float64)
 
     @property
     def rate(self) -> NDArray[np.float64]:
@@ -109,8 +125,10 @@ class AttitudeSimulation:
         self._twin.reset(index)
         self._observer.reset(index)
         self._step[index] = 0
-        self._command[index] = self._task.draw(len(index), self._rng)
-        self._throttle[index] = self._rng.uniform(0.0, self._throttle_max, len(index))
+        self._setpoints[index] = self._task.episodes(len(index), self._rng, self._rate_hz)
+        thrust = self._rng.uniform(0.0, self._world.throttle_max, len(index))
+        thrust[self._rng.random(len(index)) >= self._world.throttle_share] = 0.0
+        self._throttle[index] = thrust
         self._action[index] = 0.0
 
     def _observe(self, which: NDArray[np.intp] | slice) -> NDArray[np.float32]:

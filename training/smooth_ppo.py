@@ -7,6 +7,7 @@ hot: outputs that follow noise. Punishing sampled actions instead teaches PPO to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,13 @@ class SmoothPpo(PPO):
         observation_noise: NDArray[np.float32],
         smoothness: float,
         clip: float,
-        log_std: tuple[float, float],
+        log_std: Callable[[], float],
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
         """observation_noise: (n,), standard deviation of each scaled observation under gyro noise.
 
-        log_std: of the exploration, at the start and at the end; linear in between. Left to itself PPO
-        keeps so much of it that the mean output drifts: nothing in the reward can tell.
+        log_std: of the exploration, asked for before each update. Left to itself PPO keeps so much of it
+        that the mean output drifts: nothing in the reward can tell.
         """
         super().__init__(*args, **kwargs)
         self._log_std = log_std
@@ -48,8 +49,7 @@ class SmoothPpo(PPO):
         """Update the policy from the rollout buffer."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        start, end = self._log_std
-        self.policy.log_std.fill_(end + (start - end) * self._current_progress_remaining)
+        self.policy.log_std.fill_(self._log_std())
         for _ in range(self.n_epochs):
             for data in self.rollout_buffer.get(self.batch_size):
                 loss = self._loss(data)

@@ -1,163 +1,109 @@
-"""Synthesis: PPO in the twin, from a configuration to checkpoint.pt, policy.onnx and training.json."""
+"""Synthesis: learning in the twin, from a configuration to checkpoint.pt, policy.onnx and training.json."""
 
 from __future__ import annotations
 
 import json
 import platform
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback
 
 from sim.aircraft import Aircraft
 from toolchain.files import write_text
 from toolchain.freeze import freeze
-from training.checkpoint import save_checkpoint
+from training.checkpoint import Run, load_run, save_checkpoint
 from training.configuration import TrainingConfig
-from training.simulation import AttitudeSimulation
-from training.smooth_ppo import SmoothPpo
-from training.vector import AttitudeVecEnv
+from training.learner import Report
+from training.learners import learner
 
-MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
-CHECKPOINT_EVERY_S = 20.0  # wall time between checkpoints
+CHECKPOINT = "checkpoint.pt"
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands; given to the caller after every rollout and at the end."""
+    """Where a run stands; given to the caller after every update and at the end."""
 
     steps: int
     steps_wanted: int
-    seconds: float
-    reward: float  # mean of a control step in the last rollout
+    seconds: float  # of this run and those that it resumed
+    reward: float  # mean of a control step since the last report
+    figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names
+
+
+class Watcher:
+    """Told what happens in a run; this one does not listen."""
+
+    def progressed(self, progress: Progress) -> None:
+        """After every update."""
+
+    def checkpointed(self, progress: Progress, policy: dict[str, torch.Tensor]) -> None:
+        """After a checkpoint was kept; `policy`: its weights, by the names that freeze knows."""
 
 
 def train(
     aircraft: Aircraft,
     config: TrainingConfig,
     out: Path,
-    progress: Callable[[Progress], None] | None = None,
+    watcher: Watcher | None = None,
+    *,
+    resume: bool = False,
 ) -> Progress:
     """Train and write `out`/checkpoint.pt, policy.onnx and training.json.
 
-    A checkpoint is kept every 20 s. An interruption (KeyboardInterrupt) writes all three for the steps
-    done, then goes on its way.
+    A run is a row of legs. Each begins with new episodes and chance of its own, so that what is kept at a
+    leg's end is all that the next builds on: a resumed run gives the bytes of one that never stopped. An
+    interruption (KeyboardInterrupt) keeps the state of the last whole leg, then goes on its way.
+    Raises TrainingError if there is nothing to resume, or the configuration is another.
     """
     # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
     torch.set_num_threads(1)
-    env = vector_env(aircraft, config)
-    model = learner(aircraft, config, env)
+    watcher = watcher or Watcher()
     document = config.document(aircraft)
-    run = _Run(config.steps, progress, lambda: _save(out, model, document))
+    path = out / CHECKPOINT
+    run = load_run(path, document) if resume else None
+    model = learner(aircraft, config)
+    began, before, leg, kept = time.monotonic(), 0.0, 0, 0
+    if run is not None:
+        model.restore(run.learner)
+        leg, kept, before = run.leg, run.steps, _seconds(out)
+    state = Progress(model.steps, config.steps, before, 0.0)
+
+    def report(update: Report) -> None:
+        nonlocal state
+        passed = before + time.monotonic() - began
+        state = Progress(update.steps, config.steps, passed, update.reward, update.figures)
+        watcher.progressed(state)
+
     try:
-        model.learn(config.steps, callback=run)
+        while model.steps < config.steps:
+            model.learn(leg, report)
+            leg += 1
+            run = Run(leg, model.steps, deepcopy(model.policy()), deepcopy(model.state()))
+            if run.steps // config.checkpoint_steps > kept // config.checkpoint_steps:
+                save_checkpoint(path, document, run)
+                kept = run.steps
+                watcher.checkpointed(state, run.policy)
     finally:
-        if run.state.steps:
-            _save(out, model, document)
-            freeze(out / "checkpoint.pt", out / "policy.onnx")
-            write_text(out / "training.json", _record(document, run.state))
-        env.close()
-    return run.state
+        model.close()
+        if run is not None:
+            state = replace(state, steps=run.steps)
+            save_checkpoint(path, document, run)
+            freeze(path, out / "policy.onnx")
+            write_text(out / "training.json", _record(document, state))
+    return state
 
 
-def vector_env(aircraft: Aircraft, config: TrainingConfig) -> AttitudeVecEnv:
-    """The aircraft to learn on; `close()` when done."""
-    simulation = AttitudeSimulation(
-        aircraft,
-        config.ppo.aircraft,
-        blocks=config.blocks(),
-        control_rate_hz=config.control_rate_hz,
-        task=config.task,
-        reward=config.reward,
-        throttle_max=config.throttle_max,
-        rng=np.random.default_rng(config.seed),
-    )
-    return AttitudeVecEnv(simulation, config)
-
-
-def learner(aircraft: Aircraft, config: TrainingConfig, env: AttitudeVecEnv) -> SmoothPpo:
-    """A fresh PPO on `env`."""
-    ppo = config.ppo
-    return SmoothPpo(
-        "MlpPolicy",
-        env,
-        learning_rate=lambda left: ppo.learning_rate * (0.1 + 0.9 * left),
-        n_steps=ppo.horizon,
-        batch_size=ppo.minibatch,
-        n_epochs=ppo.epochs,
-        gamma=ppo.discount,
-        gae_lambda=ppo.gae_lambda,
-        clip=ppo.clip,
-        log_std=ppo.log_std,
-        policy_kwargs={
-            "net_arch": list(config.hidden),
-            "activation_fn": MODULES[config.activation],
-            "log_std_init": ppo.log_std[0],
-        },
-        seed=config.seed,
-        device="cpu",
-        observation_noise=observation_noise(aircraft, config),
-        smoothness=ppo.smoothness,
-    )
-
-
-def observation_noise(aircraft: Aircraft, config: TrainingConfig) -> NDArray[np.float32]:
-    """Standard deviation of each scaled observation under the gyro's noise alone, (n,)."""
-    gyro = np.array(aircraft.gyro.noise)
-    raw = {"rate": gyro, "rate_error": gyro, "rate_error_delta": np.sqrt(2.0) * gyro}
-    noise = [raw.get(b.name, np.zeros(b.count(aircraft.motor_count))) for b in config.blocks()]
-    scale = np.array(config.observation_scale(aircraft.motor_count))
-    scaled: NDArray[np.float64] = np.concatenate(noise) * scale
-    return scaled.astype(np.float32)
-
-
-class _Run(BaseCallback):
-    """Reports after each rollout and keeps a checkpoint now and then."""
-
-    def __init__(
-        self, wanted: int, report: Callable[[Progress], None] | None, save: Callable[[], None]
-    ) -> None:
-        super().__init__()
-        self.state = Progress(0, wanted, 0.0, 0.0)
-        self._report = report
-        self._save = save
-        self._began = self._saved = time.monotonic()
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        now = time.monotonic()
-        model = self.model
-        assert isinstance(model, SmoothPpo)
-        self.state = Progress(
-            steps=self.num_timesteps,
-            steps_wanted=self.state.steps_wanted,
-            seconds=now - self._began,
-            reward=float(model.rollout_buffer.rewards.mean()),
-        )
-        if self._report is not None:
-            self._report(self.state)
-        if now - self._saved > CHECKPOINT_EVERY_S:
-            self._save()
-            self._saved = now
-
-
-def _save(out: Path, model: SmoothPpo, document: dict[str, Any]) -> None:
-    save_checkpoint(
-        out / "checkpoint.pt",
-        document,
-        model.policy.state_dict(),
-        model.policy.optimizer.state_dict(),
-        {"steps": model.num_timesteps},
-    )
+def _seconds(out: Path) -> float:
+    """How long a run has taken so far, by its training.json; 0 where that cannot be told."""
+    try:
+        return float(json.loads((out / "training.json").read_text())["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0.0
 
 
 def _record(document: dict[str, Any], state: Progress) -> str:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from sim.response import BAND, FLOOR_DEG_S
 from sim.rotor import target_speed, thrust_and_torque
 from training.evaluation import Flights, record
 from training.evolution import Evolution
-from training.task import EpisodicTask, PulseTask, Task
+from training.task import EpisodicTask, PulseTask, Setpoints, Task
 from training.ultimate import RULES, Steps, Ultimate, ultimate
 
 Array = NDArray[np.float64]
@@ -165,6 +166,7 @@ def held_commands() -> Array:
 class Pulses:
     """The pulse task with these commands."""
 
+    name: ClassVar[str] = "pulse"
     commands: Array  # (N, 3) [rad/s]
     pulse: PulseTask
 
@@ -173,13 +175,9 @@ class Pulses:
         """See Task."""
         return self.pulse.duration_s
 
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
-        return self.commands
-
-    def setpoint(self, command: Array, step: NDArray[np.intp], rate_hz: int) -> Array:
-        """See Task."""
-        return self.pulse.setpoint(command, step, rate_hz)
+        return self.pulse.of(self.commands, rate_hz)
 
 
 class _IdlingPid:

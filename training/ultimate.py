@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from sim.pid import SCALE, Pid, mixer
 from toolchain.contract import AXES
 from toolchain.errors import TrainingError
 from training.evaluation import record
+from training.task import Setpoints, held
 
 Array = NDArray[np.float64]
 
@@ -53,16 +55,13 @@ class Ultimate:
 class Steps:
     """A step from rest for each aircraft, held to the end."""
 
+    name: ClassVar[str] = "steps"
     command: Array  # (N, 3) [rad/s]
     duration_s: float
 
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
-        return self.command
-
-    def setpoint(self, command: Array, step: NDArray[np.intp], rate_hz: int) -> Array:
-        """See Task."""
-        return command
+        return held(self.command, self.duration_s, rate_hz)
 
 
 def ultimate(aircraft: Aircraft, idle: float, control_rate_hz: int) -> tuple[Ultimate, Ultimate, Ultimate]:

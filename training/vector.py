@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from sim.aircraft import Aircraft
 from training.configuration import TrainingConfig
 from training.simulation import AttitudeSimulation
 
@@ -22,8 +23,10 @@ class AttitudeVecEnv(VecEnv):
     so that PPO bootstraps its value.
     """
 
-    def __init__(self, simulation: AttitudeSimulation, config: TrainingConfig) -> None:
-        self._simulation = simulation
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig, count: int) -> None:
+        """`count` aircraft; the first episodes are of the configuration's seed."""
+        self._aircraft, self._config = aircraft, config
+        self._simulation = simulation = self._build(count, np.random.default_rng(config.seed))
         self._scale = np.array(config.observation_scale(simulation.motors), np.float32)
         self._output = config.output
         self._action = np.zeros((simulation.count, simulation.motors), np.float32)
@@ -35,13 +38,18 @@ class AttitudeVecEnv(VecEnv):
             spaces.Box(*self._output.bounds(), (simulation.motors,), np.float32),
         )
 
+    def restart(self, rng: np.random.Generator) -> None:
+        """A new twin, whose only chance is `rng`; nothing of the past is left. Call `reset` next."""
+        self._simulation.close()
+        self._simulation = self._build(self.num_envs, rng)
+
     def reset(self) -> NDArray[np.float32]:
         """Begin everywhere, spread over the episode's clock."""
         return self._simulation.reset(stagger=True) * self._scale
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the network's outputs (N, M) for the next `step_wait`."""
-        self._action = self._output.motors(actions)
+        self._action = self._output.asked(actions)
 
     def step_wait(
         self,
@@ -57,6 +65,9 @@ class AttitudeVecEnv(VecEnv):
                 infos[i] = {"TimeLimit.truncated": True, "terminal_observation": observation[i].copy()}
             observation[index] = self._simulation.restart(index) * self._scale
         return observation, result.reward, result.ended, infos
+
+    def _build(self, count: int, rng: np.random.Generator) -> AttitudeSimulation:
+        return AttitudeSimulation(self._aircraft, count, config=self._config, rng=rng)
 
     def close(self) -> None:
         """Leave the physics client."""

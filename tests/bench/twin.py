@@ -21,7 +21,8 @@ import pybullet
 from sim.aircraft import load_aircraft
 from sim.twin import Twin
 from sim.world import Mount, World
-from training.configuration import PpoConfig, TrainingConfig
+from training.algorithm import PpoConfig
+from training.configuration import TrainingConfig
 from training.synthesis import train
 
 NF1 = load_aircraft("nf1")

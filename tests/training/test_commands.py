@@ -110,7 +110,7 @@ def test_evaluate_refuses_a_policy_for_another_number_of_motors(
     ("arguments", "message"),
     [
         (["train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
-        (["train", "--steps", "5", "--out", "OUT"], "expected at least one rollout"),
+        (["train", "--steps", "0", "--out", "OUT"], "0 steps asked for, expected at least 1"),
         (["train", "--seed", "-4", "--out", "OUT"], "seed -4"),
         (["train", "--out", "FILE"], "is no folder"),
         (["evaluate", "OUT/none.onnx"], "none.onnx"),

@@ -109,6 +109,6 @@ def test_figures_are_of_every_flight_when_there_are_many() -> None:
     assert flown.output.shape == (600, 500, 4)
     result = figures(flown)
     assert result.tracking.mae == pytest.approx(
-        np.rad2deg(np.abs(flown.setpoint)).mean(axis=(0, 1)), rel=1e-4
+        np.rad2deg(np.abs(flown.setpoint.astype(np.float64))).mean(axis=(0, 1)), rel=1e-4
     )
     assert result.effort_margin.output == pytest.approx(0.0, abs=1e-12)

@@ -9,12 +9,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
-from training.configuration import PpoConfig, TrainingConfig
-from training.synthesis import vector_env
+from training.algorithm import PpoConfig
+from training.configuration import TrainingConfig, WorldConfig
 from training.task import PulseTask
 from training.vector import AttitudeVecEnv
 
 NF1 = load_aircraft("nf1")
+SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=128)
 SHORT = PulseTask(idle_s=0.02, command_s=0.03, rest_s=0.02)
 Build = Callable[..., AttitudeVecEnv]
 
@@ -24,8 +25,7 @@ def build() -> Iterator[Build]:
     envs = []
 
     def make(**options: object) -> AttitudeVecEnv:
-        ppo = PpoConfig(aircraft=8, horizon=16, minibatch=128)
-        envs.append(vector_env(NF1, TrainingConfig(ppo=ppo, steps=1000, **options)))  # type: ignore[arg-type]
+        envs.append(AttitudeVecEnv(NF1, TrainingConfig(steps=1000, algorithm=SMALL, **options), 8))  # type: ignore[arg-type]
         return envs[-1]
 
     yield make
@@ -70,7 +70,7 @@ def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
 
 
 def test_observations_are_scaled_and_actions_mapped_as_the_configuration_says(build: Build) -> None:
-    env = build(observation="previous_action,throttle", throttle_max=0.5)
+    env = build(observation="previous_action,throttle", world=WorldConfig(throttle_max=0.5))
     env.reset()
     assert isinstance(env.action_space, spaces.Box)
     low, high = env.action_space.low, env.action_space.high

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.errors import TrainingError
     from training.configuration import TrainingConfig
     from training.synthesis import Progress as State
-    from training.synthesis import train
+    from training.synthesis import Watcher, train
 
     aircraft = load_aircraft(args.aircraft)
     config = TrainingConfig(steps=args.steps, seed=args.seed)
@@ -41,19 +41,15 @@ def run(args: argparse.Namespace) -> int:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console) as bar:
-        rollout = config.ppo.aircraft * config.ppo.horizon
-        total = -(-args.steps // rollout) * rollout  # whole rollouts
-        task = bar.add_task(f"training {aircraft.name}", total=total, figures="")
+        task = bar.add_task(f"training {aircraft.name}", total=args.steps, figures="")
 
-        def show(state: State) -> None:
-            speed = state.steps / state.seconds
-            bar.update(
-                task,
-                completed=state.steps,
-                figures=f"{speed:,.0f}/s · reward {state.reward:.3f}",
-            )
+        class Bar(Watcher):
+            def progressed(self, progress: State) -> None:
+                speed = progress.steps / progress.seconds
+                figures = f"{speed:,.0f}/s · reward {progress.reward:.3f}"
+                bar.update(task, completed=progress.steps, figures=figures)
 
-        state = train(aircraft, config, args.out, show)
+        state = train(aircraft, config, args.out, Bar())
     console.print(
         f"{state.steps:,} steps in {state.seconds:.0f} s ({state.steps / state.seconds:,.0f} a second); "
         f"{args.out / 'policy.onnx'}, checkpoint.pt and training.json beside it"

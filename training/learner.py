@@ -1,0 +1,47 @@
+"""What synthesis needs of an algorithm at work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a learner does; given out after every update."""
+
+    steps: int  # control steps so far, all aircraft together
+    reward: float  # mean of a control step since the last report; of a loss, its negative
+    figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names: "train/loss"
+
+
+class Learner(Protocol):
+    """An algorithm and its aircraft."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far, all aircraft together, those before a resumption included."""
+        ...
+
+    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+        """One leg, the `leg`-th from 0: new episodes, and chance that only seed and leg decide."""
+        ...
+
+    def policy(self) -> dict[str, torch.Tensor]:
+        """The deterministic policy's weights by the names that `toolchain.freeze` knows."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """All that the next leg builds on: plain containers, numbers, text and tensors."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become the learner whose `state` this was."""
+        ...
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        ...

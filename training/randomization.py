@@ -1,0 +1,59 @@
+"""Domain randomization: between which bounds the aircraft of an episode are drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.variation import Variation
+
+Range = tuple[float, float]
+SAME: Range = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Least and greatest value of each parameter, drawn for every episode; factors evenly in their log."""
+
+    mass: Range = SAME
+    inertia: Range = SAME
+    thrust: Range = SAME
+    torque: Range = SAME
+    speed: Range = SAME
+    lag: Range = SAME
+    noise: Range = SAME
+    delay_s: Range | None = None  # [s]; None: the aircraft's own
+    charge: Range | None = None  # 0..1; None: the bench supply
+
+    @property
+    def active(self) -> bool:
+        """Whether anything varies."""
+        return self != Randomization()
+
+    def refusals(self) -> Iterator[str]:
+        """Ranges that are none, one line each."""
+        for field in fields(self):
+            value: Range | None = getattr(self, field.name)
+            low_end, high_end = {"delay_s": (0.0, 0.1), "charge": (0.0, 1.0)}.get(field.name, (0.01, 100.0))
+            if value is not None and not low_end <= value[0] <= value[1] <= high_end:
+                yield (
+                    f"randomization {field.name} {list(value)}, expected [least, greatest] "
+                    f"within {low_end:g} to {high_end:g}"
+                )
+
+    def draw(self, count: int, rng: np.random.Generator, delay_s: float) -> Variation:
+        """`count` aircraft; delay_s: the aircraft's own."""
+
+        def factor(bounds: Range) -> NDArray[np.float64]:
+            return np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]), count))
+
+        delay = np.full(count, delay_s) if self.delay_s is None else rng.uniform(*self.delay_s, count)
+        charge = np.full(count, np.nan) if self.charge is None else rng.uniform(*self.charge, count)
+        factors = ("mass", "inertia", "thrust", "torque", "speed", "lag", "noise")
+        return Variation(
+            **{name: factor(getattr(self, name)) for name in factors}, delay_s=delay, charge=charge
+        )
