@@ -19,7 +19,7 @@ from sim.observation import limits
 from toolchain.errors import TrainingError
 from training.configuration import TrainingConfig
 from training.simulation import AttitudeSimulation
-from training.task import TASKS
+from training.tasks import TASKS
 
 
 class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

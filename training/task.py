@@ -15,7 +15,7 @@ Setpoints = NDArray[np.float32]  # (count, T, 3) [rad/s]
 
 
 class Task(Protocol):
-    """A kind of episode; frozen data, with a name in `TASKS`."""
+    """A kind of episode; frozen data, with a name in `training.tasks.TASKS`."""
 
     name: ClassVar[str]
 
@@ -91,9 +91,6 @@ class EnvelopeTask:
     def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
         """See Task."""
         return held(normal_commands(self.sigma_deg_s, count, rng), self.hold_s, rate_hz)
-
-
-TASKS: dict[str, type[Task]] = {task.name: task for task in (PulseTask, EpisodicTask, EnvelopeTask)}
 
 
 def held(commands: Array, seconds: float, rate_hz: int) -> Setpoints:

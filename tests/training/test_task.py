@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from training.task import TASKS, EnvelopeTask, EpisodicTask, PulseTask, normal_commands
+from training.task import EnvelopeTask, EpisodicTask, PulseTask, normal_commands
+from training.tasks import TASKS
 
 TASK = PulseTask()
 

@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.cli.output import check_output
     from toolchain.files import write_bytes
     from training.evaluation import figures, record
-    from training.task import TASKS as BUILDERS
+    from training.tasks import TASKS as BUILDERS
 
     _check(args)
     check_output(args.plot, ".png")
