@@ -60,7 +60,7 @@ def evaluate(
     task: Task | None = None,
     mount: Mount = Mount.CENTRE,
     noise: bool = True,
-    throttle: float = 0.0,
+    throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
@@ -92,14 +92,15 @@ def record(
     control_rate_hz: int,
     mount: Mount = Mount.CENTRE,
     noise: bool = True,
-    throttle: float = 0.0,
+    throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
-    controller: for `episodes` aircraft; seed: of commands and noise; progress: called with steps done
-    and to do. The same seed gives every controller the same commands.
+    controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
+    for all or (episodes,); progress: called with steps done and to do. The same seed gives every controller
+    the same commands.
     """
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     wanted = task.episodes(episodes, commands, control_rate_hz)
