@@ -1,6 +1,7 @@
 """The policy's input as the firmware computes it, for N aircraft at once.
 
-Blocks and their meaning are `toolchain.contract.OBSERVATION_BLOCKS`; values are float32.
+Blocks, terms and their meaning are those of `toolchain.contract`; values are float32, and every rounding is
+the firmware's.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ from toolchain.contract import (
     GYRO_FULL_SCALE_DEG_S,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
     RATE_FULL_STICK_DEG_S,
-    ObservationBlock,
+    ObservationTerm,
     observation_count,
 )
 
 Array = NDArray[np.float32]
+Which = NDArray[np.intp] | slice
 
 _RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)
 _ERROR_MAX = math.radians(RATE_FULL_STICK_DEG_S) + _RATE_MAX
+_ROTOR_SPEED_MAX = 10_000.0  # [rad/s], 95,000 rpm: no propeller holds that
 _LIMITS = {
     "rate": (-_RATE_MAX, _RATE_MAX),
     "rate_error": (-_ERROR_MAX, _ERROR_MAX),
@@ -29,53 +32,63 @@ _LIMITS = {
     "rate_error_integral": (-RATE_ERROR_INTEGRAL_LIMIT_RAD, RATE_ERROR_INTEGRAL_LIMIT_RAD),
     "previous_action": (0.0, 1.0),
     "throttle": (0.0, 1.0),
+    "rotor_speed": (0.0, _ROTOR_SPEED_MAX),
+    "gravity": (-1.0, 1.0),
 }
 
 
-def limits(blocks: tuple[ObservationBlock, ...], motors: int) -> tuple[Array, Array]:
+def limits(terms: tuple[ObservationTerm, ...], motors: int) -> tuple[Array, Array]:
     """Least and greatest value of each observation, (n,) each, raw units: gyro and sticks at their ends."""
-    pairs = [_LIMITS[block.name] for block in blocks for _ in range(block.count(motors))]
+    pairs = [_LIMITS[term.name] for term in terms for _ in range(term.count(motors))]
     low, high = np.array(pairs, np.float32).T
     return low, high
 
 
 class Observer:
-    """Builds observations (N, n) step by step; holds what blocks with memory need."""
+    """Builds observations (N, n) step by step; holds what terms with memory need."""
 
     def __init__(
-        self, blocks: tuple[ObservationBlock, ...], count: int, motors: int, control_rate_hz: int
+        self, terms: tuple[ObservationTerm, ...], count: int, motors: int, control_rate_hz: int
     ) -> None:
-        self._names = tuple(block.name for block in blocks)
+        self.names = frozenset(term.name for term in terms)  # of the blocks that `observe` must be given
+        self.width = observation_count(terms, motors)
+        self._terms = [_Term(term, count, motors, control_rate_hz) for term in terms]
         self._dt = np.float32(1.0 / control_rate_hz)
-        self.width = observation_count(blocks, motors)
         self._error = np.zeros((count, 3), np.float32)
         self._integral = np.zeros((count, 3), np.float32)
         self._fresh = np.ones(count, bool)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Forget the past of the aircraft of `index`, as arming does: their next delta is zero."""
+        """Forget the past of the aircraft of `index`, as arming does: their next step is the first."""
         self._fresh[index] = True
         self._integral[index] = 0.0
+        for term in self._terms:
+            term.reset(index)
 
     def observe(
         self,
-        which: NDArray[np.intp] | slice,
+        which: Which,
         setpoint: Array,
         rate: Array,
         previous_action: Array,
         throttle: Array,
+        *,
+        rotor_speed: Array | None = None,
+        gravity: Array | None = None,
     ) -> Array:
         """Observation (K, n) of this control step for the K aircraft of `which`, raw units.
 
-        setpoint, rate: (K, 3) [rad/s]; previous_action: (K, M); throttle: (K,). Call once a step.
+        setpoint, rate: (K, 3) [rad/s]; previous_action: (K, M); throttle: (K,); rotor_speed: (K, M)
+        [rad/s], gravity: (K, 3), unit vectors in body axes, for terms that are made of them. Call once a
+        step. Raises ValueError if one of these two is needed and not given.
         """
+        fresh = self._fresh[which, None]
         error = setpoint - rate
-        delta = np.where(self._fresh[which, None], np.float32(0.0), error - self._error[which])
+        delta = np.where(fresh, np.float32(0.0), error - self._error[which])
         limit = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD)
         integral = np.clip(self._integral[which] + error * self._dt, -limit, limit)
         self._error[which] = error
         self._integral[which] = integral
-        self._fresh[which] = False
         blocks = {
             "rate": rate,
             "rate_error": error,
@@ -83,5 +96,43 @@ class Observer:
             "rate_error_integral": integral,
             "previous_action": previous_action,
             "throttle": throttle[:, None],
+            "rotor_speed": rotor_speed,
+            "gravity": gravity,
         }
-        return np.concatenate([blocks[name] for name in self._names], axis=1)
+        seen = []
+        for term in self._terms:
+            value = blocks[term.name]
+            if value is None:
+                raise ValueError(f"observe needs {term.name}, got none")
+            seen.append(term.observe(which, fresh, value))
+        self._fresh[which] = False
+        return np.concatenate(seen, axis=1)
+
+
+class _Term:
+    """What a term remembers of N aircraft: the state of its low-pass, and values that wait to be old."""
+
+    def __init__(self, term: ObservationTerm, count: int, motors: int, control_rate_hz: int) -> None:
+        self.name = term.name
+        width = term.count(motors)
+        self._gain = np.float32(term.gain(control_rate_hz))
+        self._passed = None if term.cutoff_hz is None else np.zeros((count, width), np.float32)
+        self._waiting = np.zeros((term.age, count, width), np.float32)  # the newest first
+
+    def reset(self, index: NDArray[np.intp]) -> None:
+        """Forget the past of the aircraft of `index`."""
+        self._waiting[:, index] = 0.0
+
+    def observe(self, which: Which, fresh: NDArray[np.bool_], value: Array) -> Array:
+        """The term (K, width) of this step from its block's `value`; fresh: (K, 1), it is the first."""
+        if self._passed is not None:
+            passed = self._passed[which]
+            value = np.where(fresh, value, passed + self._gain * (value - passed))
+            self._passed[which] = value
+        waiting = self._waiting
+        if not len(waiting):
+            return value
+        oldest = waiting[-1, which].copy()
+        waiting[1:, which] = waiting[:-1, which]
+        waiting[0, which] = value
+        return oldest

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolchain import contract
-from toolchain.contract import ObservationBlock
+from toolchain.contract import ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.float32 import Float32
 from toolchain.network import AIRCRAFT_NAME, SHA256
@@ -35,7 +35,7 @@ class PolicyBlob:
     architecture_hash: int  # CRC-32 of all but the weights: toolchain.plan
     filters_hash: int  # of the gyro filter chain that it was trained behind: `filters_hash`
     control_rate_hz: int
-    blocks: tuple[ObservationBlock, ...]
+    blocks: tuple[ObservationTerm, ...]
     aircraft: str
     aircraft_sha256: str  # 64 hexadecimal digits
     policy_sha256: str  # of the ONNX file, 64 hexadecimal digits
@@ -104,7 +104,7 @@ def header_values(blob: PolicyBlob) -> dict[str, int | bytes]:
         "selftest_count": len(blob.selftest_observation),
         "selftest_steps": blob.selftest_steps,
         "observation_block_count": len(blob.blocks),
-        "observation_blocks": bytes(block.code for block in blob.blocks),
+        "observation_blocks": bytes(term.block.code for term in blob.blocks),
         "aircraft": blob.aircraft.encode("ascii"),
         "aircraft_sha256": bytes.fromhex(blob.aircraft_sha256),
         "policy_sha256": bytes.fromhex(blob.policy_sha256),
@@ -200,14 +200,14 @@ def _refuse_sizes(header: dict[str, int], length: int) -> None:
         )
 
 
-def _read_blocks(codes: bytes, count: int) -> tuple[ObservationBlock, ...]:
+def _read_blocks(codes: bytes, count: int) -> tuple[ObservationTerm, ...]:
     known = {block.code: block for block in contract.OBSERVATION_BLOCKS}
     if count > len(codes) or any(codes[count:]):
         raise PolicyError(f"the blob's {count} observation blocks are not those of its list; {MEND}")
     for code in codes[:count]:
         if code not in known:
             raise PolicyError(f"the blob's observation block {code} is unknown, known are {sorted(known)}")
-    return tuple(known[code] for code in codes[:count])
+    return tuple(ObservationTerm(known[code]) for code in codes[:count])
 
 
 def _refuse_unsayable(blob: PolicyBlob) -> None:
@@ -230,6 +230,11 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
         raise PolicyError(f"{rows} self-test vectors are no multiple of {blob.selftest_steps} steps")
     if widths != blob.observation_count:
         raise PolicyError(f"the policy takes {blob.observation_count} values, but its blocks make {widths}")
+    for term in blob.blocks:
+        if term.cutoff_hz is not None or term.age:
+            raise PolicyError(
+                f"the policy observes {term.text}, but no blob can say that; observe {term.name}"
+            )
     _refuse_names(blob)
     if not np.isfinite(blob.weights).all():
         count = int((~np.isfinite(blob.weights)).sum())

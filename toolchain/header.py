@@ -82,6 +82,7 @@ def render_contract() -> str:
         blocks=[
             {"name": block.name, "code": block.code, "width": int(block.width)}
             for block in contract.OBSERVATION_BLOCKS
+            if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from toolchain import contract
-from toolchain.contract import ObservationBlock
+from toolchain.contract import ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.graph import Network
 
@@ -33,7 +33,7 @@ FREEZE = (
 class PolicyModel:
     """A policy: a pure function of named observation blocks, to be called at its control rate."""
 
-    blocks: tuple[ObservationBlock, ...]
+    blocks: tuple[ObservationTerm, ...]
     control_rate_hz: int
     filters: tuple[object, ...]  # the gyro filter chain that the policy was trained behind
     aircraft: str
@@ -54,8 +54,8 @@ class PolicyModel:
 
     @property
     def observation(self) -> str:
-        """The names of the observation blocks, comma-separated, as in the metadata."""
-        return ",".join(block.name for block in self.blocks)
+        """The observation's terms, comma-separated, as in the metadata."""
+        return ",".join(term.text for term in self.blocks)
 
 
 def read_policy(path: Path) -> PolicyModel:

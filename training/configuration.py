@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim.aircraft import Aircraft
 from sim.mass import Vector
 from sim.world import Mount
-from toolchain.contract import CONTROL_RATES_HZ, ObservationBlock, observation_blocks
+from toolchain.contract import CONTROL_RATES_HZ, ObservationTerm, check_cutoffs, observation_blocks
 from toolchain.errors import TrainingError
 from training.algorithm import Algorithm, PpoConfig
 from training.randomization import Randomization
@@ -29,6 +29,8 @@ OBSERVATION_SCALES = {
     "rate_error_integral": 3.0,
     "previous_action": 1.0,
     "throttle": 1.0,
+    "rotor_speed": 0.001,
+    "gravity": 1.0,
 }
 ACTIVATIONS = ("relu", "tanh")
 SEED_MAX = 2**32 - 1
@@ -129,10 +131,12 @@ class TrainingConfig:
             raise TrainingError(refusal)
         self.blocks()
 
-    def blocks(self) -> tuple[ObservationBlock, ...]:
-        """The observation's blocks. Raises TrainingError naming an unknown one."""
+    def blocks(self) -> tuple[ObservationTerm, ...]:
+        """The observation's terms. Raises TrainingError naming one that is unknown or cannot be had."""
         try:
-            return observation_blocks(self.observation)
+            terms = observation_blocks(self.observation)
+            check_cutoffs(terms, self.control_rate_hz)
+            return terms
         except ValueError as error:
             raise TrainingError(f"observation {self.observation!r}: {error}") from error
 

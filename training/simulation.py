@@ -16,6 +16,8 @@ from sim.motors import motor_commands
 from sim.observation import Observer
 from sim.twin import Twin
 from sim.world import Mount
+from toolchain.contract import check_observation
+from toolchain.errors import TrainingError
 from training.configuration import TrainingConfig
 from training.reward import Transition
 
@@ -43,6 +45,11 @@ class AttitudeSimulation:
         """`config` says what is observed, asked for and rewarded, and where; `rng` is the only chance."""
         self.count = count
         self.motors = aircraft.motor_count
+        terms = config.blocks()
+        try:
+            check_observation(terms, self.motors)
+        except ValueError as error:
+            raise TrainingError(str(error)) from error
         self._task, self._reward, self._world = config.task, config.reward, config.world
         self._rate_hz = config.control_rate_hz
         self._idle = config.idle
@@ -59,7 +66,7 @@ class AttitudeSimulation:
             gust=self._world.gust_m_s,
             rng=rng,
         )
-        self._observer = Observer(config.blocks(), count, self.motors, self._rate_hz)
+        self._observer = Observer(terms, count, self.motors, self._rate_hz)
         self.width = self._observer.width
         self._everyone = np.arange(count)
         self._step = np.zeros(count, np.intp)
@@ -138,4 +145,15 @@ class AttitudeSimulation:
             quantised_rate(self._twin.gyro[which]),
             self._action[which],
             self._throttle[which],
+            **self._sensed(which),
         )
+
+    def _sensed(self, which: NDArray[np.intp] | slice) -> dict[str, NDArray[np.float32]]:
+        """What of the twin's own state is observed, float32."""
+        twin, names = self._twin, self._observer.names
+        sensed = {}
+        if "rotor_speed" in names:
+            sensed["rotor_speed"] = twin.rotor_speed[which].astype(np.float32)
+        if "gravity" in names:
+            sensed["gravity"] = -twin.rotation[which, 2].astype(np.float32)
+        return sensed

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolchain.contract import OBSERVATION_BLOCKS, observation_blocks, observation_count
 
-CODES = [block.code for block in OBSERVATION_BLOCKS]
+CODES = [block.code for block in OBSERVATION_BLOCKS if block.in_firmware]
 PERIOD_S = 1 / 1000
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, nam
     blocks = observation_blocks(names)
     columns = flight(50, 4, scale=2.0)
     expected = np.concatenate([defined(*columns)[block.name] for block in blocks], axis=1)
-    observation = Observation(puppet, [block.code for block in blocks], observation_count(blocks, 4))
+    observation = Observation(puppet, [term.block.code for term in blocks], observation_count(blocks, 4))
     for index, row in enumerate(zip(*columns, strict=True)):
         np.testing.assert_allclose(observation.step(*row), expected[index], atol=2e-5)
 
@@ -80,7 +80,7 @@ def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, nam
 @pytest.mark.parametrize("sign", [1, -1])
 def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: Any, sign: int) -> None:
     blocks = observation_blocks("rate_error_integral")
-    observation = Observation(puppet, [blocks[0].code], 3)
+    observation = Observation(puppet, [blocks[0].block.code], 3)
     still, error = np.zeros(3), np.array([10.0, 100.0, 1000.0])
     for _ in range(100):
         out = observation.step(still, sign * error, np.zeros(4), 0.0)
@@ -100,7 +100,7 @@ def test_the_past_is_forgotten_when_it_is_reset(puppet: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("codes", "width"), [([0], 3), ([7], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)]
+    ("codes", "width"), [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)]
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
     puppet: Any,

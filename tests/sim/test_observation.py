@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.observation import Observer, limits
-from toolchain.contract import OBSERVATION_BLOCKS, observation_blocks
+from toolchain.contract import OBSERVATION_BLOCKS, ObservationTerm, observation_blocks
 
 EVERYONE = slice(None)
 
@@ -54,7 +54,41 @@ def test_part_of_the_aircraft_can_be_observed_without_touching_the_others() -> N
 
 
 def test_limits_cover_every_block_of_the_contract() -> None:
-    low, high = limits(OBSERVATION_BLOCKS, 4)
+    low, high = limits(tuple(map(ObservationTerm, OBSERVATION_BLOCKS)), 4)
     assert len(low) == sum(block.count(4) for block in OBSERVATION_BLOCKS)
     assert (low < high).all()
     assert np.isfinite([low, high]).all()
+
+
+def test_low_pass_starts_at_its_first_value_and_follows_by_its_gain() -> None:
+    (term,) = observation_blocks("rate~15Hz")
+    gain = term.gain(1000)
+    assert gain == pytest.approx(1.0 - np.exp(-2 * np.pi * 15 / 1000), rel=1e-7)
+    observer = Observer((term,), 2, 4, 1000)
+    assert look(observer, 0.0, 3.0, 2)[:, 0].tolist() == [3.0, 3.0]
+    assert look(observer, 0.0, 5.0, 2)[:, 0] == pytest.approx([3.0 + 2.0 * gain] * 2, rel=1e-6)
+    observer.reset(np.array([1]))
+    assert look(observer, 0.0, 5.0, 2)[:, 0] == pytest.approx([5.0 - 2.0 * (1 - gain) ** 2, 5.0], rel=1e-6)
+
+
+def test_old_values_come_after_their_age_and_are_zero_before_the_reset() -> None:
+    observer = Observer(observation_blocks("rate@2,rate"), 2, 4, 1000)
+    seen = [look(observer, 0.0, value, 2)[0, [0, 3]].tolist() for value in (1.0, 2.0, 3.0, 4.0)]
+    assert seen == [[0, 1], [0, 2], [1, 3], [2, 4]]
+    observer.reset(np.array([1]))
+    assert [look(observer, 0.0, value, 2)[:, 0].tolist() for value in (5.0, 6.0, 7.0)] == [
+        [3, 0],
+        [4, 0],
+        [5, 5],
+    ]
+
+
+def test_rotor_speed_and_gravity_are_observed_when_given_and_missed_when_not() -> None:
+    observer = Observer(observation_blocks("gravity,rotor_speed"), 1, 4, 1000)
+    with pytest.raises(ValueError, match="needs gravity"):
+        look(observer, 0.0, 0.0)
+    one = np.zeros((1, 3), np.float32)
+    speed, down = np.array([[1, 2, 3, 4]], np.float32), np.array([[0, 0, -1]], np.float32)
+    throttle = np.zeros(1, np.float32)
+    seen = observer.observe(EVERYONE, one, one, speed, throttle, rotor_speed=speed, gravity=down)
+    assert seen[0].tolist() == [0, 0, -1, 1, 2, 3, 4]

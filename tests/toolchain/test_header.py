@@ -22,7 +22,7 @@ EXPRESSIONS = {
     "NF_FLASH_SECTORS_COUNT": 8,
     "NF_FLASH_SECTORS_4_SIZE": 64 * 1024,
     "NF_DTCM_ADDRESS": contract.DTCM.address,
-    "NF_OBSERVATION_BLOCK_COUNT": len(contract.OBSERVATION_BLOCKS),
+    "NF_OBSERVATION_BLOCK_COUNT": sum(block.in_firmware for block in contract.OBSERVATION_BLOCKS),
     "sizeof(struct nf_policy_blob_header)": 216,
     "NF_POLICY_BLOB_HEADER_BYTES": 216,
     "NF_POLICY_BLOB_MAGIC": int.from_bytes(b"NFPB", "little"),
@@ -42,7 +42,8 @@ def test_header_says_what_the_contract_does_when_c_reads_it(tmp_path: Path, comp
     (tmp_path / "nf_contract.h").write_text(render_contract())
     checks = "".join(f'_Static_assert({e} == {v}, "{e}");\n' for e, v in EXPRESSIONS.items())
     rates = ", ".join(str(rate) for rate in contract.GYRO_RATES_HZ)
-    widths = sum(block.code * block.width for block in contract.OBSERVATION_BLOCKS)
+    sources = [block for block in contract.OBSERVATION_BLOCKS if block.in_firmware]
+    widths = sum(block.code * block.width for block in sources)
     source = f"""
 #include "nf_contract.h"
 {checks}
