@@ -2,7 +2,9 @@
 TARGET   ?= MATEKF722
 POLICY   ?= training/policies/nf1/policy.onnx
 AIRCRAFT ?= nf1
-STEPS    ?= 8000000
+ALGORITHM ?=
+CONFIG   ?=
+STEPS    ?=
 SEED     ?= 1
 OUT      ?= runs/$(basename $(notdir $(AIRCRAFT)))-$(SEED)
 SCENARIO ?= pulses
@@ -42,8 +44,9 @@ firmware: setup arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
 host: setup ## the same firmware as a program of this machine
 	@$(RUN) build --target HOST --policy $(POLICY)
 
-train: setup ## a policy from the twin: AIRCRAFT=nf1 [STEPS=] [SEED=] [OUT=]
-	@$(RUN) train --aircraft $(AIRCRAFT) --steps $(STEPS) --seed $(SEED) --out $(OUT) $(ARGS)
+train: setup ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
+	@$(RUN) train --aircraft $(AIRCRAFT) $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
+	  --seed $(SEED) --out $(OUT) $(ARGS)
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
 	@$(RUN) fly --on $(ON) --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
