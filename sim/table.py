@@ -42,7 +42,7 @@ class Table:
     def error(self, key: str, message: str) -> NeuroflightError:
         """The exception that says what is wrong with `key`, for the caller to raise."""
         name = f"{self._path}{key}"
-        return self._error(f"{self._where}: {name if name.isprintable() else _shown(name)}: {message}")
+        return self._error(f"{self._where}: {name if name.isprintable() else shown(name)}: {message}")
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """A finite number in [low, high]."""
@@ -52,7 +52,7 @@ class Table:
         """A whole number in [low, high]."""
         value = self._get(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.error(key, f"got {_shown(value)}, expected a whole number from {low} to {high}")
+            raise self.error(key, f"got {shown(value)}, expected a whole number from {low} to {high}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -61,14 +61,14 @@ class Table:
         if value == default and key not in self._values:
             return str(value)
         if not isinstance(value, str) or not 1 <= len(value) <= TEXT_MAX or not value.isprintable():
-            raise self.error(key, f"got {_shown(value)}, expected one line of 1 to {TEXT_MAX} characters")
+            raise self.error(key, f"got {shown(value)}, expected one line of 1 to {TEXT_MAX} characters")
         return value
 
     def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
         """One of the words of `values`; returns what it stands for."""
         value = self._get(key, default)
         if not isinstance(value, str) or value not in values:
-            raise self.error(key, f"got {_shown(value)}, expected one of: {', '.join(values)}")
+            raise self.error(key, f"got {shown(value)}, expected one of: {', '.join(values)}")
         return values[value]
 
     def names(self) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ class Table:
             return default
         value = self._get(key, None)
         if not isinstance(value, list) or len(value) != 3:
-            raise self.error(key, f"got {_shown(value)}, expected a list of three numbers")
+            raise self.error(key, f"got {shown(value)}, expected a list of three numbers")
         x, y, z = (self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
         return (x, y, z)
 
@@ -104,7 +104,7 @@ class Table:
         """The table called `key`."""
         value = self._get(key, None)
         if not isinstance(value, dict):
-            raise self.error(key, f"got {_shown(value)}, expected a table [{self._path}{key}]")
+            raise self.error(key, f"got {shown(value)}, expected a table [{self._path}{key}]")
         return self._within(value, key)
 
     def tables(self, key: str, low: int, high: int) -> list[Table]:
@@ -134,13 +134,13 @@ class Table:
 
     def _number(self, key: str, value: object, low: float, high: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(key, f"got {_shown(value)}, expected a number")
+            raise self.error(key, f"got {shown(value)}, expected a number")
         if not low <= value <= high:  # NaN included
-            raise self.error(key, f"got {_shown(value)}, expected {low:g} to {high:g}")
+            raise self.error(key, f"got {shown(value)}, expected {low:g} to {high:g}")
         return float(value)
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
     """A value as a message shows it: on one line, and not all of it if it is long."""
     try:
         text = repr(value)
