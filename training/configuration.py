@@ -17,6 +17,7 @@ from toolchain.errors import TrainingError
 from training.algorithm import Algorithm, PpoConfig
 from training.randomization import Randomization
 from training.reward import Reward, TrackingReward
+from training.selection import Selection
 from training.task import PulseTask, Task
 
 # Raw observation values are brought to about unit size by these factors, folded into the first layer at
@@ -105,6 +106,7 @@ class TrainingConfig:
     world: WorldConfig = field(default_factory=WorldConfig)
     algorithm: Algorithm = field(default_factory=PpoConfig)
     checkpoint_steps: int = 1_000_000  # a checkpoint at the end of the leg that passes each multiple of it
+    selection: Selection = field(default_factory=Selection)  # which of them becomes policy.onnx
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""
@@ -127,7 +129,11 @@ class TrainingConfig:
             if not met:
                 raise TrainingError(refusal)
         episode_steps = round(self.task.duration_s * self.control_rate_hz)
-        for refusal in (*self.world.refusals(), *self.algorithm.refusals(episode_steps)):
+        for refusal in (
+            *self.world.refusals(),
+            *self.algorithm.refusals(episode_steps),
+            *self.selection.refusals(),
+        ):
             raise TrainingError(refusal)
         self.blocks()
 

@@ -1,0 +1,51 @@
+"""What the policy of a checkpoint did on the monitor's episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A figure over episodes."""
+
+    mean: float
+    least: float
+    greatest: float
+
+    @staticmethod
+    def of(values: ArrayLike) -> Spread:
+        """Of one value an episode."""
+        v = np.asarray(values, np.float64)
+        return Spread(float(v.mean()), float(v.min()), float(v.max()))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Figures of one checkpoint, each over the same few episodes."""
+
+    steps: int  # control steps trained
+    mae: Spread  # [deg/s], against the true rate, mean of the axes
+    mse: Spread  # [(deg/s)^2], likewise
+    output: Spread  # mean control output, fraction 0..1
+    change: Spread  # mean |y_t - y_(t-1)| over motors and 1 ms steps
+    reward: Spread  # the run's own, mean of a control step
+
+    def document(self) -> dict[str, Any]:
+        """As JSON data."""
+        return asdict(self)
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> Reading:
+        """The reading whose `document` this is. Raises KeyError, TypeError or ValueError if it is none."""
+        spreads = {
+            field.name: Spread(**{key: float(value) for key, value in document[field.name].items()})
+            for field in fields(Reading)
+            if field.name != "steps"
+        }
+        return Reading(steps=int(document["steps"]), **spreads)
