@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.response import ResponseFigures, hold, response_figures
+from sim.spectrum import components, smoothness
 from sim.trace import Trace
 from toolchain.contract import IDLE_DEFAULT
 
@@ -52,6 +53,7 @@ class Figures:
     tracking: Tracking  # against the true rate
     gyro_mae: Array  # (3,) [deg/s], against what the controller measured
     effort: Effort
+    smoothness: float  # Sm, see sim.spectrum; mean over the episodes
     response: ResponseFigures | None  # None where no command is held for a second
 
 
@@ -111,9 +113,12 @@ def figures(trace: Trace, episodes: int = 1, idle: float = IDLE_DEFAULT) -> Figu
         array.reshape(episodes, -1, 3) for array in (trace.setpoint, trace.rate, trace.gyro)
     )
     held = hold(setpoint, rate, step_s)
+    output = controller_output(trace.motors, trace.throttle, idle)
+    parts = components(output.reshape(episodes, -1, output.shape[1]), step_s)
     return Figures(
         tracking=tracking(setpoint, rate, step_s).mean(),
         gyro_mae=tracking(setpoint, gyro, step_s).mae.mean(axis=0),
-        effort=effort(controller_output(trace.motors, trace.throttle, idle), step_s),
+        effort=effort(output, step_s),
+        smoothness=float(smoothness(parts).mean()),
         response=response_figures(held) if held else None,
     )

@@ -117,6 +117,16 @@ def test_figures_begin_each_episode_at_zero_when_a_flight_has_many() -> None:
     assert whole.tracking.itae == pytest.approx(np.full(3, 2000 * 0.1495))
     assert parts.gyro_mae == pytest.approx(np.full(3, 3.0))
     assert (parts.effort.output, parts.effort.change) == (0.25, 0.0)
+    assert parts.smoothness == pytest.approx(0.0, abs=1e-12)
+
+
+def test_smoothness_is_the_mean_of_the_episodes_when_a_flight_has_many() -> None:
+    zeros = np.zeros((3000, 3))
+    flight = make_trace(zeros, zeros, zeros)
+    t = np.arange(1000) / 1000
+    flight.motors[:1000] += (0.1 * np.sin(2 * np.pi * 50 * t))[:, None]
+    # 2 / (500 * 1000) * 0.1 * 50 in one of three
+    assert figures(flight, episodes=3).smoothness == pytest.approx(2e-5 / 3)
 
 
 def test_figures_refuse_when_the_episodes_do_not_divide_the_flight() -> None:
