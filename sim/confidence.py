@@ -37,6 +37,13 @@ def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
     return Mean(mean, mean - margin, mean + margin, count.astype(np.int64))
 
 
+def paired(first: Array, second: Array) -> Mean:
+    """Mean of second - first (E,) with Student's t interval; pairs that lack a number (NaN) are left out."""
+    difference = second - first
+    known = np.isfinite(difference)
+    return mean_of(np.where(known, difference, 0.0), known)
+
+
 def share_of(hits: NDArray[np.bool_]) -> Mean:
     """Share of hits (E, ...), 0..1, with Wilson's interval, which has a width at 0 and at 1 too."""
     count = len(hits)

@@ -24,6 +24,7 @@ BAND = 0.10  # half width of the band, part of the initial error
 FLOOR_DEG_S = 5.0  # least half width of the band [deg/s]
 LATE_S = 0.50  # after the command: settled by then, or late
 LATER_S = 0.75
+STEADY_S = 1.50  # to hold steady: in the band from LATE_S to then, at every sample
 STAY_S = 0.10  # what must be left of the command when it settles: a rate that swings through has not settled
 HOLD_S = 1.0  # the shortest command these figures are taken of
 RISE = (0.1, 0.9)  # of the initial error
@@ -72,6 +73,8 @@ class Response:
     all_in_band_750: Array
     all_in_band_500_bare: Array
     all_in_band_750_bare: Array
+    steady: Mask  # (E,), all three axes in the band at every sample from LATE_S to STEADY_S, or to the end
+    steady_bare: Mask
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,8 @@ class ResponseFigures:
     all_in_band_750: Mean
     all_in_band_500_bare: Mean
     all_in_band_750_bare: Mean
+    steady: Mean  # likewise
+    steady_bare: Mean
 
 
 def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
@@ -147,7 +152,7 @@ def large(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Mask:
 
 def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
     """Figures of each axis of each episode."""
-    late, later = (round(s / held.step_s) for s in (LATE_S, LATER_S))
+    late, later, end = (round(s / held.step_s) for s in (LATE_S, LATER_S, STEADY_S))
     size = np.abs(held.initial)
     error = np.abs(held.error)
     inside, bare = in_band(held, floor_deg_s), in_band(held, 0.0)
@@ -174,15 +179,21 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         all_in_band_750=inside[:, later:].all(axis=2).mean(axis=1),
         all_in_band_500_bare=bare[:, late:].all(axis=2).mean(axis=1),
         all_in_band_750_bare=bare[:, later:].all(axis=2).mean(axis=1),
+        steady=np.asarray(inside[:, late:end].all(axis=(1, 2))),
+        steady_bare=np.asarray(bare[:, late:end].all(axis=(1, 2))),
     )
 
 
 def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
     """Means over the episodes with their 95 % confidence."""
-    each = response(held, floor_deg_s)
+    return mean_figures(response(held, floor_deg_s), floor_deg_s)
+
+
+def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
+    """Means of responses judged with that floor, with their 95 % confidence."""
     everyone = np.ones_like(each.large)
     return ResponseFigures(
-        episodes=len(held.error),
+        episodes=len(each.large),
         floor_deg_s=floor_deg_s,
         success=share_of(each.success),
         success_bare=share_of(each.success_bare),
@@ -201,6 +212,8 @@ def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
         all_in_band_750=mean_of(each.all_in_band_750, everyone[:, 0]),
         all_in_band_500_bare=mean_of(each.all_in_band_500_bare, everyone[:, 0]),
         all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0]),
+        steady=share_of(each.steady),
+        steady_bare=share_of(each.steady_bare),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.confidence import mean_of, share_of, student
+from sim.confidence import mean_of, paired, share_of, student
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,20 @@ def test_share_has_a_width_when_all_succeed() -> None:
     assert share.high[0] == 1.0
     assert share.high[1] == pytest.approx(1 - share.low[0])
     assert (share.low[2], share.high[2]) == pytest.approx((0.404, 0.596), abs=5e-4)
+
+
+def test_paired_difference_holds_the_true_one_when_drawn_again_and_again() -> None:
+    rng = np.random.default_rng(2)
+    hits = []
+    for _ in range(10_000):
+        command = rng.normal(0.0, 50.0, 12)  # what both share, and by far the most of either
+        difference = paired(command + rng.normal(0.0, 1.0, 12), command + rng.normal(0.5, 2.0, 12))
+        assert difference.high - difference.low < 20.0
+        hits.append(difference.low < 0.5 < difference.high)
+    assert np.mean(hits) == pytest.approx(0.95, abs=0.007)
+
+
+def test_paired_difference_is_of_whole_pairs_when_one_lacks_a_number() -> None:
+    difference = paired(np.array([1.0, np.nan, 5.0, 7.0]), np.array([2.0, 9.0, np.nan, 10.0]))
+    assert (float(difference.value), int(difference.count)) == (2.0, 2)
+    assert difference.high - 2.0 == pytest.approx(12.706)

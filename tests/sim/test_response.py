@@ -162,3 +162,20 @@ def test_band_share_is_over_time_when_averaged_over_episodes() -> None:
 def test_hold_refuses_when_shapes_do_not_fit() -> None:
     with pytest.raises(ValueError, match="expected equal"):
         hold(np.zeros((2, 5, 3)), np.zeros((2, 4, 3)), STEP_S)
+
+
+def test_steady_is_every_sample_of_every_axis_when_asked_for() -> None:
+    t = np.arange(2000)
+    command = np.tile([[100.0, -200.0, 30.0]], (5, 1))
+    rate = np.tile(command[:, None], (1, 2000, 1))
+    rate[1, t == 700, 1] = -179.0  # 21 off of 200, for one sample
+    rate[2, t == 700, 2] = 34.0  # beyond a tenth of 30, within 5 deg/s
+    rate[3, t == 499, 0] = rate[3, t == 1500, 0] = 0.0  # before and after what counts
+    rate[4, t == 1499, 0] = 89.0
+    rate[:, 0] = 0.0
+    each = response(held(rate, command))
+    assert each.steady.tolist() == [True, False, True, True, False]
+    assert each.steady_bare.tolist() == [True, False, False, True, False]
+    summary = response_figures(held(rate, command))
+    assert [float(share.value) for share in (summary.steady, summary.steady_bare)] == [0.6, 0.4]
+    assert summary.steady.low < 0.6 < summary.steady.high
