@@ -80,7 +80,7 @@ class EnvelopeTask:
     """From rest, one wide random command on all axes held (Koch 2019, chapter 5: the flight envelope)."""
 
     name: ClassVar[str] = "envelope"
-    hold_s: float = 1.0
+    hold_s: float = 1.5
     sigma_deg_s: float = 300.0  # commands are N(0, sigma) an axis, held within full stick
 
     @property
