@@ -14,7 +14,8 @@ from sim.controller import Controller
 from sim.imu import quantised_rate
 from sim.metrics import Effort, Tracking, effort, tracking
 from sim.motors import motor_commands
-from sim.response import Hold, ResponseFigures, hold, response_figures
+from sim.response import Hold, Response, ResponseFigures, hold, mean_figures, response
+from sim.spectrum import Spectrum, components, smoothness, spectrum
 from sim.twin import Twin
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT
@@ -37,6 +38,18 @@ class Flights:
         return hold(self.setpoint, self.rate, self.step_s)
 
 
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Figures of each of E episodes."""
+
+    tracking: Tracking  # (E, 3) each
+    output: NDArray[np.float64]  # (E,), mean output of the controller, fraction 0..1
+    change: NDArray[np.float64]  # (E,), mean |change| of an output in 1 ms
+    smoothness: NDArray[np.float64]  # (E,), Sm: see sim.spectrum
+    spectrum: Spectrum  # of all episodes
+    response: Response | None  # None where the task holds no command for a second
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Figures of a controller over `episodes` commands; errors are against the true rate."""
@@ -47,6 +60,9 @@ class Evaluation:
     worst_mae: float  # [deg/s], of the worst episode and axis
     effort: Effort
     effort_margin: Effort  # likewise
+    smoothness: float  # Sm: see sim.spectrum
+    smoothness_margin: float  # likewise
+    spectrum: Spectrum
     response: ResponseFigures | None  # None where the task holds no command for a second
 
 
@@ -125,25 +141,44 @@ def record(
 
 def figures(flights: Flights) -> Evaluation:
     """All figures of what was flown."""
+    return summary(scores(flights))
+
+
+def scores(flights: Flights) -> Scores:
+    """The figures of each episode."""
     episodes, step_s = len(flights.rate), flights.step_s
     chunks = [slice(start, start + CHUNK) for start in range(0, episodes, CHUNK)]
-    parts = [tracking(flights.setpoint[c], flights.rate[c], step_s) for c in chunks]
-    names = [field.name for field in fields(Tracking)]
-    errors = {name: _mean(np.concatenate([getattr(part, name) for part in parts])) for name in names}
+    errors = [tracking(flights.setpoint[c], flights.rate[c], step_s) for c in chunks]
     efforts = [effort(output, step_s) for output in flights.output]
-    output, change = (
-        _mean(np.array([e.output for e in efforts])),
-        _mean(np.array([e.change for e in efforts])),
-    )
+    parts = components(flights.output, step_s)
     held = flights.hold()
+    return Scores(
+        tracking=Tracking(
+            *(np.concatenate([getattr(part, field.name) for part in errors]) for field in fields(Tracking))
+        ),
+        output=np.array([item.output for item in efforts]),
+        change=np.array([item.change for item in efforts]),
+        smoothness=smoothness(parts),
+        spectrum=spectrum(parts),
+        response=response(held) if held else None,
+    )
+
+
+def summary(scores: Scores) -> Evaluation:
+    """Means over the episodes and how sure they are."""
+    errors = [_mean(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
+    output, change, rough = (_mean(each) for each in (scores.output, scores.change, scores.smoothness))
     return Evaluation(
-        episodes=episodes,
-        tracking=Tracking(**{name: mean.value for name, mean in errors.items()}),
-        tracking_margin=Tracking(**{name: mean.high - mean.value for name, mean in errors.items()}),
-        worst_mae=float(max(part.mae.max() for part in parts)),
+        episodes=len(scores.output),
+        tracking=Tracking(*(mean.value for mean in errors)),
+        tracking_margin=Tracking(*(mean.high - mean.value for mean in errors)),
+        worst_mae=float(scores.tracking.mae.max()),
         effort=Effort(float(output.value), float(change.value)),
         effort_margin=Effort(float(output.high - output.value), float(change.high - change.value)),
-        response=response_figures(held) if held else None,
+        smoothness=float(rough.value),
+        smoothness_margin=float(rough.high - rough.value),
+        spectrum=scores.spectrum,
+        response=mean_figures(scores.response) if scores.response else None,
     )
 
 
