@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
-from training.task import EnvelopeTask, EpisodicTask, PulseTask, Task
+from training.random_steps import RandomStepsTask
+from training.recorded import RecordedTask
+from training.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask, Task
 
-TASKS: dict[str, type[Task]] = {task.name: task for task in (PulseTask, EpisodicTask, EnvelopeTask)}
+TASKS: dict[str, type[Task]] = {
+    task.name: task
+    for task in (PulseTask, EpisodicTask, EnvelopeTask, ContinuousTask, RecordedTask, RandomStepsTask)
+}

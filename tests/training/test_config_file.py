@@ -142,7 +142,7 @@ def test_fields_of_a_kind_are_forgotten_when_an_override_names_another(tmp_path:
         (["world.throtle_max=1"], "world.throtle_max: unknown key; nearest: throttle_max, throttle_share"),
         (["zzz=1"], "zzz: unknown key; known here: steps, seed, observation"),
         (["foo.bar=1"], "override 'foo.bar=1': foo: unknown key; known here: steps"),
-        (["task.name=envelope", "task.idle_s=1"], "task.idle_s: unknown key; known here: hold_s"),
+        (["task.name=envelope", "task.idle_s=1"], "task.idle_s: unknown key; known here: distribution"),
         (["task=ballet"], "task.name: got 'ballet', expected one of: pulse, episodic, envelope"),
         (["reward.name=bribe"], "reward.name: got 'bribe', expected one of: tracking"),
         (["algorithm.name=magic"], "algorithm.name: got 'magic', expected one of: ppo"),
