@@ -57,16 +57,18 @@ class BatteryState:
         """Charge left, (N,): 1 is full, 0 is empty."""
         return np.asarray(1.0 - self.charge / self.battery.capacity)
 
-    def reset(self, index: NDArray[np.intp], charge: float) -> None:
+    def reset(self, index: NDArray[np.intp], charge: float | Array) -> None:
         """Packs of the aircraft of `index` at state of charge `charge`, 0..1, without load.
 
-        Raises ValueError on a charge that is not in 0..1 (NaN included).
+        charge: one for all, or one each, (len(index),). Raises ValueError where it is not in 0..1 (NaN
+        included).
         """
-        if not 0.0 <= charge <= 1.0:
+        left = np.full(len(index), charge)
+        if not ((left >= 0.0) & (left <= 1.0)).all():
             raise ValueError(f"battery charge is {charge}, expected 0 to 1")
-        self.charge[index] = (1.0 - charge) * self.battery.capacity
+        self.charge[index] = (1.0 - left) * self.battery.capacity
         self.current[index] = 0.0
-        self.voltage[index] = open_circuit_voltage(self.battery, np.array(charge))
+        self.voltage[index, 0] = open_circuit_voltage(self.battery, left)
 
     def step(self, power: Array, dt: float) -> None:
         """Draw `power` [W] for `dt` [s]: (N,), at the pack's terminals, motors and electronics together."""

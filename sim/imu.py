@@ -27,9 +27,18 @@ def draw_bias(noise: Gyro | Accelerometer, count: int, rng: np.random.Generator)
     return rng.normal(0.0, noise.bias, (count, 3))
 
 
-def measured_rate(rate: Array, bias: Array, noise: Gyro | Accelerometer, rng: np.random.Generator) -> Array:
-    """What an ideal converter would read, (N, 3): the true value with bias and white noise."""
-    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * np.array(noise.noise))
+def measured_rate(
+    rate: Array,
+    bias: Array,
+    noise: Gyro | Accelerometer,
+    rng: np.random.Generator,
+    factor: Array | float = 1.0,
+) -> Array:
+    """What an ideal converter would read, (N, 3): the true value with bias and `factor` times white noise.
+
+    factor: one for all or (N, 1).
+    """
+    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * (np.array(noise.noise) * factor))
 
 
 def counts(rate: Array) -> NDArray[np.int16]:
@@ -72,6 +81,7 @@ class _Sensor:
         self._settings = settings
         self._rng = rng
         self._bias = np.zeros((count, 3))
+        self._factor: Array | None = None  # of noise and bias, (N, 1); None: as the settings say
         self._amplitude = np.array(settings.vibration)
         self.vibrates = bool(self._amplitude.any())  # whether `measure` needs the rotors' phases
         bandwidth = settings.bandwidth_hz
@@ -82,8 +92,13 @@ class _Sensor:
 
     def reset(self, index: NDArray[np.intp]) -> None:
         """A new episode for the aircraft of `index`: their bias is drawn anew."""
-        self._bias[index] = draw_bias(self._settings, len(index), self._rng)
+        bias = draw_bias(self._settings, len(index), self._rng)
+        self._bias[index] = bias if self._factor is None else bias * self._factor[index]
         self._fresh[index] = True
+
+    def vary(self, factor: Array) -> None:
+        """White noise from now on, and bias from the next reset on, `factor` times the settings', (N,)."""
+        self._factor = factor[:, None]
 
     def _read(self, value: Array, phase: Array | None, speed: Array, speed_max: float, which: Which) -> Array:
         if self._follow is not None:
@@ -91,7 +106,8 @@ class _Sensor:
             value = lagged + self._follow * (value - lagged)
             self._lagged[which] = value
             self._fresh[which] = False
-        reading = measured_rate(value, self._bias[which], self._settings, self._rng)
+        factor = 1.0 if self._factor is None else self._factor[which]
+        reading = measured_rate(value, self._bias[which], self._settings, self._rng, factor)
         if self.vibrates:
             if phase is None:
                 raise ValueError("a sensor with vibration needs the rotors' phases, got none")

@@ -30,23 +30,28 @@ def target_speed(command: Array, propulsion: Propulsion, voltage: Array | None =
     return speed
 
 
-def next_speed(speed: Array, target: Array, dt: float, propulsion: Propulsion) -> Array:
+def next_speed(
+    speed: Array, target: Array, dt: float, propulsion: Propulsion, lag: Array | float = 1.0
+) -> Array:
     """Rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
 
+    lag: how many times as long the rotors take as `propulsion` says, (N, 1) or one for all: time passes so
+    much slower for them.
     TorqueResponse: I_r dw/dt = clamp(K (H(u) - w), -down, +up), exact while the clamp is away or holds
     throughout; source: facts of the published twin and Koch 2019, chapter 5. FirstOrderResponse: exact.
     """
     response = propulsion.response
+    passed = dt / lag
     away = target - speed
     if isinstance(response, TorqueResponse):
         inertia = propulsion.rotor_inertia
-        settle = -np.expm1(-response.gain / inertia * dt)
-        up = response.torque_up / inertia * dt
-        down = response.torque_down / inertia * dt
+        settle = -np.expm1(-response.gain / inertia * passed)
+        up = response.torque_up / inertia * passed
+        down = response.torque_down / inertia * passed
         change = np.minimum(np.maximum(settle * away, -down), up)
     else:
-        rise = -np.expm1(-dt / response.time_constant_up)
-        fall = -np.expm1(-dt / response.time_constant_down)
+        rise = -np.expm1(-passed / response.time_constant_up)
+        fall = -np.expm1(-passed / response.time_constant_down)
         change = np.where(away > 0, rise, fall) * away
     after: Array = np.maximum(speed + change, 0.0)
     return after
@@ -114,22 +119,41 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
 
 
 def rotor_wrench(
-    before: Array, after: Array, dt: float, velocity: Array, rate: Array, geometry: RotorGeometry
+    before: Array,
+    after: Array,
+    dt: float,
+    velocity: Array,
+    rate: Array,
+    geometry: RotorGeometry,
+    load_factor: Array | None = None,
 ) -> Array:
     """Wrench of all rotors on the aircraft over one step, (N, 6).
 
     before, after: rotor speeds (N, M) [rad/s] at the step's ends; velocity (N, 3) [m/s] of the centre of
     mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust, drag torque, reaction to rotor
     acceleration, gyroscopic moment, rotor drag and rolling moment.
+    load_factor: of the wrench of thrust and drag torque alone, (N, 6); see `load_factors`.
     """
     if geometry.square_wrench is not None:
         load = (after * after) @ geometry.square_wrench
     else:
         thrusts, torques = thrust_and_torque(after, geometry.propulsion)
         load = thrusts @ geometry.thrust_wrench + torques @ geometry.torque_wrench
+    if load_factor is not None:
+        load *= load_factor
     twist = np.concatenate([velocity, rate], axis=1)
     motion = (after[:, :, None] * twist[:, None, :]).reshape(len(after), -1)
     wrench: Array = (
         load + ((after - before) / dt) @ geometry.reaction_wrench + motion @ geometry.motion_wrench
     )
     return wrench
+
+
+def load_factors(thrust: Array, torque: Array) -> Array:
+    """Factors (N, 6) of the loads' wrench of aircraft whose thrust and torque ratio are so many times, (N,).
+
+    Rotors stand upright: thrust never yaws, and drag torque does nothing else.
+    """
+    factors = np.repeat(thrust[:, None], 6, axis=1)
+    factors[:, 5] *= torque
+    return factors

@@ -12,7 +12,15 @@ from sim.esc import Telemetry, telemetry
 from sim.imu import EVERYONE, AccelerometerModel, GyroModel, Which
 from sim.mass import Vector
 from sim.rotation import turned_back
-from sim.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed, thrust_and_torque
+from sim.rotor import (
+    load_factors,
+    next_speed,
+    rotor_geometry,
+    rotor_wrench,
+    target_speed,
+    thrust_and_torque,
+)
+from sim.variation import Variation
 from sim.world import Mount, World
 from toolchain.errors import AircraftError
 
@@ -42,6 +50,7 @@ class Twin:
         wind: Vector = CALM,
         gust: float = 0.0,
         ground: bool = False,
+        variation: Variation | None = None,
         rng: np.random.Generator,
     ) -> None:
         """Bring up `count` aircraft at rest.
@@ -49,7 +58,8 @@ class Twin:
         gravity: on in free flight unless given. noise: of gyro and accelerometer; without it they are ideal.
         charge: the battery's state of charge at the start, 0..1; None: the bench supply that the speed curve
         was measured with. wind: [m/s], world axes; gust: wind speed 20 feet above the ground that sets the
-        Dryden turbulence [m/s]. ground: the plane z = 0, free flight only.
+        Dryden turbulence [m/s]. ground: the plane z = 0, free flight only. variation: how each aircraft
+        differs from its file, the charge of its battery included; None: not at all, and then for good.
         Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
         """
         self.aircraft = aircraft
@@ -68,7 +78,16 @@ class Twin:
         self.rotor_speed = np.zeros(shape)
         self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes; where the centre is held, the rotors'
         self._battery = None if charge is None else _battery(aircraft, count)
-        self._charge = 0.0 if charge is None else charge
+        self._charge: float | Array = 0.0 if charge is None else charge
+        if variation is not None and (len(variation) != count or charge is not None):
+            raise ValueError(f"a variation of {len(variation)}, expected {count}, which also says the charge")
+        self._variation = variation
+        self._lag: float | Array = 1.0
+        self._mass: float | Array = aircraft.mass_properties.mass  # [kg], or (N, 1)
+        self._load: Array | None = None  # (N, 6), factors of the wrench of thrust and torque
+        self._faster: Array | None = None  # (N, 1), factor of the speed that a command settles at
+        self._delays: NDArray[np.intp] | None = None  # (N,) samples
+        self._supplied: NDArray[np.bool_] | None = None  # (N, 1), those on the bench supply beside batteries
         self._wind = None
         if any(wind) or gust:
             # A stream of its own: the sensors' noise is the same with and without wind.
@@ -84,6 +103,9 @@ class Twin:
         self._phase_rng = rng.spawn(1)[0]
         self.gyro = np.zeros((count, 3))
         self.accelerometer = np.zeros((count, 3))
+        self._everyone = np.arange(count)
+        if variation is not None:
+            self.vary(self._everyone, variation)
         self.reset()
 
     def close(self) -> None:
@@ -113,12 +135,42 @@ class Twin:
     @property
     def telemetry(self) -> Telemetry:
         """What the ESCs report of this sample; voltage and current are NaN on a supply of unknown voltage."""
+        voltage = np.full(self.count, self.aircraft.propulsion.supply_voltage or np.nan)
+        current = self._power(self.rotor_speed, self.rotor_speed) / voltage
         if self._battery is not None:
-            voltage, current = self._battery.voltage[:, 0], self._battery.current
-        else:
-            voltage = np.full(self.count, self.aircraft.propulsion.supply_voltage or np.nan)
-            current = self._power(self.rotor_speed, self.rotor_speed) / voltage
+            drained = slice(None) if self._supplied is None else ~self._supplied[:, 0]
+            voltage[drained] = self._battery.voltage[drained, 0]
+            current[drained] = self._battery.current[drained]
         return telemetry(self.rotor_speed, voltage, current, self.aircraft.esc)
+
+    @property
+    def variation(self) -> Variation | None:
+        """How each aircraft differs from its file; None: not at all."""
+        return self._variation
+
+    def vary(self, index: NDArray[np.intp], variation: Variation) -> None:
+        """Make the aircraft of `index` as `variation` (len(index)) says; to be followed by their `reset`.
+
+        Raises ValueError if the twin was made without a variation, AircraftError on a charge if the
+        aircraft has no battery.
+        """
+        if self._variation is None:
+            raise ValueError("this twin was made without a variation; give it one to begin with")
+        self._variation = everyone = self._variation.changed(index, variation)
+        self._lag = everyone.lag[:, None]
+        self._faster = everyone.speed[:, None]
+        self._mass = self.aircraft.mass_properties.mass * everyone.mass[:, None]
+        self._load = load_factors(everyone.thrust, everyone.torque)
+        self._world.vary(index, variation.mass, variation.inertia)
+        if self._gyro is not None:
+            self._gyro.vary(everyone.noise)
+        self._delays = np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp))
+        self._make_room(int(self._delays.max()))
+        supplied = np.isnan(everyone.charge)
+        if self._battery is None and not supplied.all():
+            self._battery = _battery(self.aircraft, self.count)
+        self._supplied = supplied[:, None] if supplied.any() else None
+        self._charge = np.where(supplied, 1.0, everyone.charge)
 
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
         """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.
@@ -135,7 +187,8 @@ class Twin:
         rests = GRAVITY if self._gravity and self.mount is not Mount.CENTRE else 0.0
         self.specific_force[index] = (0.0, 0.0, rests)  # held where it is
         if self._battery is not None:
-            self._battery.reset(index, self._charge)
+            charge = self._charge
+            self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
         if self._wind is not None:
             self._wind.reset(index)
         for sensor in (self._gyro, self._accelerometer):
@@ -155,16 +208,21 @@ class Twin:
         slots = len(self._commands)
         self._commands[self._sample % slots] = motors
         self._sample += 1
-        acting = self._commands[self._sample % slots]  # the oldest slot: `delay` samples before this one
+        if self._delays is None:
+            acting = self._commands[self._sample % slots]  # the oldest slot: `delay` samples before this one
+        else:
+            acting = self._commands[(self._sample - 1 - self._delays) % slots, self._everyone]
 
         world, dt, propulsion = self._world, self._dt, self.aircraft.propulsion
-        voltage = None if self._battery is None else self._battery.voltage
         before = self.rotor_speed
-        after = next_speed(before, target_speed(acting, propulsion, voltage), dt, propulsion)
+        target = target_speed(acting, propulsion, self._voltage())
+        if self._faster is not None:
+            target *= self._faster
+        after = next_speed(before, target, dt, propulsion, self._lag)
         if self._battery is not None:
             self._battery.step(self._power(before, after), dt)
         through_air = world.body_velocity if self._wind is None else self._met(self._wind)
-        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry)
+        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry, self._load)
         if self.mount is Mount.FREE:
             wrench[:, :3] += body_drag(through_air, self._drag_area)
         if self._phase is not None:
@@ -191,7 +249,7 @@ class Twin:
         world = self._world
         if self.mount is Mount.CENTRE:
             world.step(wrench)
-            self.specific_force = wrench[:, :3] / self.aircraft.mass_properties.mass
+            self.specific_force = wrench[:, :3] / self._mass
             return
         world.step(wrench)
         earlier, self._velocity = self._velocity, world.velocity
@@ -206,11 +264,30 @@ class Twin:
         wind.step(np.sqrt((through_air * through_air).sum(axis=1)))
         return turned_back(self._world.rotation, through_air)
 
+    def _voltage(self) -> Array | None:
+        """Of each aircraft's supply [V], (N, 1); None: all are on the bench supply."""
+        if self._battery is None or self._supplied is None:
+            return None if self._battery is None else self._battery.voltage
+        bench = np.float64(self.aircraft.propulsion.supply_voltage)  # known where there is a battery
+        return np.where(self._supplied, bench, self._battery.voltage)
+
+    def _make_room(self, delay: int) -> None:
+        """Let commands be kept for `delay` samples at least."""
+        old, last = self._commands, self._sample - 1
+        if delay < len(old):
+            return
+        self._commands = np.zeros((delay + 1, *old.shape[1:]))
+        ages = last - np.arange(len(old))
+        self._commands[ages % len(self._commands)] = old[ages % len(old)]
+
     def _power(self, before: Array, after: Array) -> Array:
         """What motors and electronics draw over a sample [W], (N,)."""
         propulsion, battery = self.aircraft.propulsion, self.aircraft.battery
         gained = propulsion.rotor_inertia * (after - before) * self.rate_hz
-        torque = thrust_and_torque(after, propulsion)[1] + gained
+        torque = thrust_and_torque(after, propulsion)[1]
+        if self._load is not None:
+            torque *= self._load[:, 5:]
+        torque += gained
         electronics = 0.0 if battery is None else battery.electronics_power
         drawn: Array = shaft_power(after, torque) / propulsion.efficiency + electronics
         return drawn

@@ -13,11 +13,14 @@ Which = NDArray[np.intp] | slice
 
 @dataclass(frozen=True, eq=False)
 class Variation:
-    """One value an aircraft, (N,) each; factors of what the file says unless a unit stands there."""
+    """One value an aircraft, (N,) each; factors of what the file says unless a unit stands there.
 
-    mass: Array
+    Raises ValueError on values that no aircraft can have.
+    """
+
+    mass: Array  # of the whole aircraft; its centre stays
     inertia: Array  # all moments of the whole aircraft about its centre of mass
-    thrust: Array  # of every rotor at the same speed
+    thrust: Array  # of every rotor at the same speed, and with it the drag torque
     torque: Array  # drag torque of every rotor at the same thrust
     speed: Array  # of every rotor at the same command
     lag: Array  # time that the rotors take: 2 answers half as fast
@@ -25,12 +28,41 @@ class Variation:
     delay_s: Array  # [s], command to rotor, rounded to whole samples, at least one
     charge: Array  # state of charge of the battery, 0..1; NaN: the bench supply
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot fly."""
+        shape = self.mass.shape
+        for field in fields(self):
+            values: Array = getattr(self, field.name)
+            if values.shape != shape or values.ndim != 1:
+                raise ValueError(f"variation {field.name} has shape {values.shape}, expected (N,) as mass")
+            if field.name == "charge":
+                fits, expected = ~((values < 0.0) | (values > 1.0)), "0 to 1, or NaN for the bench supply"
+            elif field.name in ("delay_s", "noise"):
+                fits, expected = np.isfinite(values) & (values >= 0.0), "0 or more"
+            else:
+                fits, expected = np.isfinite(values) & (values > 0.0), "above 0"
+            if not fits.all():
+                raise ValueError(f"variation {field.name} is {values[~fits][0]}, expected {expected}")
+
     @staticmethod
     def nominal(count: int, delay_s: float) -> Variation:
         """`count` aircraft as the file says, on the bench supply."""
         one = np.ones(count)
         return Variation(one, one, one, one, one, one, one, np.full(count, delay_s), np.full(count, np.nan))
 
+    def __len__(self) -> int:
+        """N, the number of aircraft."""
+        return len(self.mass)
+
     def at(self, which: Which) -> Variation:
         """Of the aircraft of `which` alone."""
         return Variation(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def changed(self, which: Which, other: Variation) -> Variation:
+        """With the aircraft of `which` as `other` says, one row each."""
+        columns = []
+        for field in fields(self):
+            column: Array = getattr(self, field.name).copy()
+            column[which] = getattr(other, field.name)
+            columns.append(column)
+        return Variation(*columns)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from itertools import chain
 from pathlib import Path
@@ -44,12 +45,23 @@ class Mount(Enum):
     FREE = "free"  # nothing
 
 
+@dataclass(frozen=True)
+class _Turning:
+    """Constant maps of a step from momenta and moments to rates, of one aircraft for all or of N."""
+
+    inertia: Array  # (..., 3, 3) [kg m^2], about the pivot
+    inverse: Array
+    half_push: Array  # (..., 3, 3), rate gained in half a step by a moment
+    half_gyro: Array  # (..., 9, 3), and by turning, from the products of two rates
+
+
 class World:
     """A pybullet client with `count` aircraft; state arrays are refreshed by `reset` and `step`.
 
     rate: (N, 3) [rad/s] body axes; rotation: (N, 3, 3) body to world; body_velocity: (N, 3) [m/s] of the
     centre of mass, body axes; momentum: (N, 3) [N m s] world axes, angular, about the centre of mass or, on
-    the rig, about the ball joint.
+    the rig, about the ball joint. An aircraft that `vary` made different turns and, off the rig, flies as
+    the file's does under its wrench over the factors; its momentum there is that of the file's.
     """
 
     def __init__(
@@ -82,7 +94,12 @@ class World:
             arm = properties.centre - np.array(aircraft.centre_of_thrust)
         self._arm = arm
         self._swing = cross_matrix(arm)  # rows: rate @ swing = rate x arm, -force @ swing = arm x force
-        self._maps(properties.inertia + properties.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm)), dt)
+        self._dt = dt
+        self._inertias = properties.inertia, self._mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        self._maps(self._inertias[0] + self._inertias[1])
+        self._factors: tuple[Array, Array] | None = None  # of mass and inertia, (N,) each
+        self._burden: Array | None = None  # (N, 6), the same beside a wrench; None on the rig
+        self._moments = moments  # [kg m^2], principal
 
         self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.setTimeStep(dt, self._client)
@@ -136,21 +153,52 @@ class World:
                 pybullet.resetBasePositionAndOrientation(body, origin, self._quaternion, self._client)
                 pybullet.resetBaseVelocity(body, (0.0, 0.0, 0.0), turning, self._client)
         self._inner_rate[which] = rates
-        self.momentum[which] = rates @ self._inertia  # body axes are world axes here
+        varied = self._turning.inertia.ndim == 3
+        inertia = self._turning.inertia[which] if varied else self._turning.inertia
+        self.momentum[which] = _times(rates, inertia)  # body axes are world axes here
         self._read_pose()
         self.rate[which] = rates
         self._velocity[which] = 0.0
         self.body_velocity[which] = rates @ self._swing
 
+    def vary(self, index: NDArray[np.intp], mass: Array, inertia: Array) -> None:
+        """Give the aircraft of `index` so many times the file's mass and moments of inertia, (len,) each.
+
+        The moments are those about the centre of mass, which stays. Resting aircraft only: `reset` them.
+        """
+        if self._factors is None:
+            self._factors = np.ones(len(self._bodies)), np.ones(len(self._bodies))
+        masses, inertias = self._factors
+        masses[index], inertias[index] = mass, inertia
+        if self.mount is Mount.RIG:
+            own, swung = self._inertias
+            self._turning = self._turning_of(inertias[:, None, None] * own + masses[:, None, None] * swung)
+            return
+        self._burden = np.repeat(np.stack([masses, inertias], axis=1), 3, axis=1)
+        if self._ground:  # it meets the bodies as they are
+            for i in index.tolist():
+                pybullet.changeDynamics(
+                    self._bodies[i],
+                    -1,
+                    mass=self._mass * masses[i],
+                    localInertiaDiagonal=(self._moments * inertias[i]).tolist(),
+                    physicsClientId=self._client,
+                )
+
     def step(self, wrench: Array) -> None:
         """Advance one time step under `wrench` (N, 6): body-axes force and moment at the centre of mass."""
         client, link, frame = self._client, self._link, self._frame
-        before, inner = self.rotation, self._inner_rate
+        before, inner, turning = self.rotation, self._inner_rate, self._turning
+        if self._burden is not None:
+            wrench = wrench / self._burden
         moment = self._moment(wrench)
         squares = _squares(np.concatenate([self.rate, inner]))
         count = len(inner)
-        middle = self.rate + moment @ self._half_push - squares[:count] @ self._half_gyro
+        middle = self.rate + _times(moment, turning.half_push) - _times(squares[:count], turning.half_gyro)
         asked = (middle - inner) @ self._rate_to_torque + squares[count:] @ self._gyro_torque
+        push = wrench[:, :3]
+        if self._ground and self._burden is not None:
+            asked, push = asked * self._burden[:, 3:], push * self._burden[:, :3]
         if self.mount is Mount.RIG:
             asked = turned(before, asked)
         apply_torque = pybullet.applyExternalTorque
@@ -158,7 +206,7 @@ class World:
             apply_torque(body, link, torque, frame, client)
         if self.mount is Mount.FREE:
             apply_force = pybullet.applyExternalForce
-            forces = (wrench[:, :3] @ self._axes).tolist()
+            forces = (push @ self._axes).tolist()
             for body, force in zip(self._bodies, forces, strict=True):
                 apply_force(body, link, force, _CENTRE, frame, client)
         pybullet.stepSimulation(client)
@@ -168,28 +216,27 @@ class World:
         self.momentum += turned(before + self.rotation, moment * self._half_step)
         if self.mount is Mount.FREE:
             self._read_motion()
-        self.rate = turned_back(self.rotation, self.momentum) @ self._inverse
+        self.rate = _times(turned_back(self.rotation, self.momentum), turning.inverse)
         if self.mount is Mount.RIG:
             self.body_velocity = self.rate @ self._swing
 
-    def _maps(self, inertia: Array, dt: float) -> None:
-        """Constant matrices of a step; `inertia` is about the pivot."""
-        self._inertia = inertia
-        self._inverse = np.linalg.inv(inertia)
-        self._half_step = 0.5 * dt
-        self._half_push = 0.5 * dt * self._inverse
-        # w x I w = squares(w) @ gyro
-        units = np.eye(3)
-        pairs = [np.cross(units[i], inertia @ units[j]) for i in range(3) for j in range(3)]
-        gyro = np.array(pairs)
-        self._half_gyro = gyro @ self._half_push
+    def _turning_of(self, inertia: Array) -> _Turning:
+        """Maps of `inertia` (..., 3, 3) about the pivot."""
+        inverse: Array = np.linalg.inv(inertia).astype(np.float64)
+        half_push = np.asarray(0.5 * self._dt * inverse)
+        return _Turning(inertia, inverse, half_push, _gyroscopic(inertia) @ half_push)
+
+    def _maps(self, inertia: Array) -> None:
+        """Constant matrices of a step; `inertia` is about the pivot, pybullet's own."""
+        self._turning = self._turning_of(inertia)
+        self._half_step = 0.5 * self._dt
         # pybullet takes a loose body's torque along its principal axes. A link it would turn by the attitude
         # of the step before, so the rig's torque is turned here.
         rig = self.mount is Mount.RIG
         self._frame = pybullet.WORLD_FRAME if rig else pybullet.LINK_FRAME
         along = np.eye(3) if rig else self._axes
-        self._rate_to_torque = inertia @ along / dt
-        self._gyro_torque = gyro @ along
+        self._rate_to_torque = inertia @ along / self._dt
+        self._gyro_torque = _gyroscopic(inertia) @ along
         # Body to world, nine numbers, from the squares of pybullet's quaternion.
         matrix = _matrix_of_squares() @ self._axes.T
         if rig:  # the joint's zero lies along the principal axes
@@ -202,7 +249,8 @@ class World:
         if self.mount is Mount.RIG:
             force = wrench[:, :3]
             if self._weight[2]:
-                force = force + self._weight @ self.rotation
+                weight = self._weight @ self.rotation
+                force = force + (weight if self._factors is None else weight * self._factors[0][:, None])
             moment = moment - force @ self._swing
         return moment
 
@@ -227,7 +275,7 @@ class World:
         self.body_velocity = turned_back(self.rotation, self._velocity)
         if self._ground:
             inner = turned_back(self.rotation, _rows([motion[1] for motion in motions], 3))
-            impulse = (inner - self._inner_rate) @ self._inertia
+            impulse = (inner - self._inner_rate) @ self._turning.inertia
             self.momentum += turned(self.rotation, impulse)
             self._inner_rate = inner
 
@@ -302,6 +350,19 @@ class World:
 def _squares(rows: Array) -> Array:
     """All products of two components of each row: (N, k) to (N, k^2)."""
     return (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
+
+
+def _times(rows: Array, matrix: Array) -> Array:
+    """Rows (N, k) times a matrix (k, 3), or each times its own of (N, k, 3)."""
+    times: Array = rows @ matrix if matrix.ndim == 2 else np.matmul(rows[:, None], matrix)[:, 0]
+    return times
+
+
+def _gyroscopic(inertia: Array) -> Array:
+    """Map (..., 9, 3) with w x I w = squares(w) @ map, of an inertia (..., 3, 3)."""
+    units = np.eye(3)
+    pairs: Array = np.einsum("ikc,...kj->...ijc", np.cross(units[:, None], units), inertia)
+    return pairs.reshape(*inertia.shape[:-2], 9, 3)
 
 
 def _matrix_of_squares() -> Array:
