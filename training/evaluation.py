@@ -17,6 +17,7 @@ from sim.motors import motor_commands
 from sim.response import Hold, Response, ResponseFigures, hold, mean_figures, response
 from sim.spectrum import Spectrum, components, smoothness, spectrum
 from sim.twin import Twin
+from sim.variation import Variation
 from sim.world import Mount
 from toolchain.contract import IDLE_DEFAULT
 from training.task import PulseTask, Task
@@ -110,13 +111,14 @@ def record(
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
+    variation: Variation | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
     controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
-    for all or (episodes,); progress: called with steps done and to do. The same seed gives every controller
-    the same commands.
+    for all or (episodes,); variation: how the aircraft differ from their file, `episodes` of them; progress:
+    called with steps done and to do. The same seed gives every controller the same commands.
     """
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     wanted = task.episodes(episodes, commands, control_rate_hz)
@@ -124,7 +126,15 @@ def record(
     thrust = np.full(episodes, throttle, np.float32)
     flown = np.empty((steps, episodes, 3), np.float32)
     outputs = np.empty((steps, episodes, aircraft.motor_count), np.float32)
-    twin = Twin(aircraft, episodes, rate_hz=control_rate_hz, mount=mount, noise=noise, rng=noise_rng)
+    twin = Twin(
+        aircraft,
+        episodes,
+        rate_hz=control_rate_hz,
+        mount=mount,
+        noise=noise,
+        variation=variation,
+        rng=noise_rng,
+    )
     try:
         controller.reset()
         for k in range(steps):

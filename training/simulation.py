@@ -15,6 +15,7 @@ from sim.imu import quantised_rate
 from sim.motors import motor_commands
 from sim.observation import Observer
 from sim.twin import Twin
+from sim.variation import Variation
 from sim.world import Mount
 from toolchain.contract import check_observation
 from toolchain.errors import TrainingError
@@ -53,6 +54,8 @@ class AttitudeSimulation:
         self._task, self._reward, self._world = config.task, config.reward, config.world
         self._rate_hz = config.control_rate_hz
         self._idle = config.idle
+        self._randomization = config.world.randomization
+        self._delay_s = aircraft.propulsion.delay
         self._rng = rng
         self.steps = round(self._task.duration_s * self._rate_hz)
         self._twin = Twin(
@@ -64,6 +67,7 @@ class AttitudeSimulation:
             noise=self._world.noise,
             wind=self._world.wind_m_s,
             gust=self._world.gust_m_s,
+            variation=self._drawn(count),
             rng=rng,
         )
         self._observer = Observer(terms, count, self.motors, self._rate_hz)
@@ -129,6 +133,9 @@ class AttitudeSimulation:
         return self._twin.rate
 
     def _begin(self, index: NDArray[np.intp]) -> None:
+        variation = self._drawn(len(index))
+        if variation is not None:
+            self._twin.vary(index, variation)
         self._twin.reset(index)
         self._observer.reset(index)
         self._step[index] = 0
@@ -137,6 +144,12 @@ class AttitudeSimulation:
         thrust[self._rng.random(len(index)) >= self._world.throttle_share] = 0.0
         self._throttle[index] = thrust
         self._action[index] = 0.0
+
+    def _drawn(self, count: int) -> Variation | None:
+        """Aircraft of new episodes; None: as the file says."""
+        if not self._randomization.active:
+            return None
+        return self._randomization.draw(count, self._rng, self._delay_s)
 
     def _observe(self, which: NDArray[np.intp] | slice) -> NDArray[np.float32]:
         return self._observer.observe(
