@@ -99,7 +99,8 @@ class AttitudeSimulation:
         `restart` to begin its next one.
         """
         action = np.clip(asked, np.float32(0.0), np.float32(1.0))
-        error_before = self.setpoint - self._twin.rate
+        setpoint_before = self.setpoint
+        error_before = setpoint_before - self._twin.rate
         self._twin.step(motor_commands(action, self._throttle, self._idle))
         before, self._action = self._action, action
         self._step += 1
@@ -107,11 +108,12 @@ class AttitudeSimulation:
         reward = self._reward(
             Transition(
                 setpoint=setpoint,
+                setpoint_before=setpoint_before,
                 error=setpoint - self._twin.rate,
                 error_before=error_before,
+                asked=asked,
                 action=action,
                 action_before=before,
-                excess=np.abs(asked - action),
             )
         )
         return StepResult(self._observe(slice(None)), reward, self._step >= self.steps)
