@@ -20,6 +20,7 @@ from sim.response import (
     large,
     progress,
 )
+from sim.spectrum_plot import Line, draw_spectra
 from toolchain.contract import AXES
 
 WINDOW_S = 1.0  # the most that is shown of a held command
@@ -28,8 +29,10 @@ SHADE = "#eef1f4"
 MUTED = "#57606a"
 
 
-def draw(held: Hold, figures: ResponseFigures, title: str) -> Figure:
-    """A panel for each axis with median, percentiles, rise and peak; below, who is in the band when."""
+def draw(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure:
+    """A panel for each axis with median, percentiles, rise and peak; below, who is in the band when, and
+    what the motors were asked for.
+    """
     figure = Figure(figsize=(12, 8), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
     figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 2))
@@ -47,7 +50,8 @@ def draw(held: Hold, figures: ResponseFigures, title: str) -> Figure:
     first.set_xlim(0, 1e3 * float(held.t[shown][-1] + held.step_s))
     first.set_ylim(-15, max(135.0, _top(part, enough)))
     first.legend(loc="lower right", frameon=False, fontsize=9, handlelength=1.6)
-    _draw_band(figure.add_subplot(grid[1, :]), held, figures, shown)
+    _draw_band(figure.add_subplot(grid[1, :2]), held, figures, shown)
+    draw_spectra(figure.add_subplot(grid[1, 2]), [line])
     return figure
 
 
@@ -103,12 +107,12 @@ def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: NDArray
         panel.plot(t, bare[:, axis], color=colour, lw=1.0, ls=(0, (1, 1.2)), zorder=2)
     for mark in (LATE_S, LATER_S):
         panel.axvline(1e3 * mark, color=MUTED, lw=0.9, ls=":")
-    panel.plot([], [], color=MUTED, lw=1.0, ls=(0, (1, 1.2)), label="without the floor")
+    panel.plot([], [], color=MUTED, lw=1.0, ls=(0, (1, 1.2)), label="no floor")
     panel.set_xlim(0, float(t[-1]) + 1e3 * held.step_s)
     panel.set_ylim(0, 104)
     panel.set_xlabel("time since the command, ms", color=INK)
     panel.set_ylabel("% of commands", color=INK)
-    dress(panel, f"within 10 % of the command, or {figures.floor_deg_s:g} deg/s")
+    dress(panel, f"within 10 % or {figures.floor_deg_s:g} deg/s")
     panel.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 0.99),
