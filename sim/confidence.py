@@ -38,10 +38,16 @@ def mean_of(values: Array, valid: NDArray[np.bool_]) -> Mean:
 
 
 def paired(first: Array, second: Array) -> Mean:
-    """Mean of second - first (E,) with Student's t interval; pairs that lack a number (NaN) are left out."""
-    difference = second - first
+    """Mean of second - first with Student's t interval.
+
+    first, second: (E,), or (E, A), of whose A differences each episode counts the mean. Pairs that lack a
+    number (NaN) are left out.
+    """
+    difference = (second - first).reshape(len(first), -1)
     known = np.isfinite(difference)
-    return mean_of(np.where(known, difference, 0.0), known)
+    count = known.sum(axis=1)
+    each = np.where(known, difference, 0.0).sum(axis=1) / np.maximum(count, 1)
+    return mean_of(each, count > 0)
 
 
 def share_of(hits: NDArray[np.bool_]) -> Mean:

@@ -1,4 +1,4 @@
-"""Who takes part in a comparison: a policy file or a PID of the aircraft, as a user names it."""
+"""Who flies under which conditions: policy files and PIDs of the aircraft, as a user names them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from pathlib import Path
 from sim.aircraft import Aircraft
 from sim.controller import Controller, PolicyController
 from sim.pid import aircraft_pid, pid_settings
-from toolchain.contract import IDLE_DEFAULT
+from sim.world import Mount
 from toolchain.errors import PolicyError
 from toolchain.network import read_policy
+from training.evaluation import Flights, record
+from training.task import Task
 
 PID = "pid"
 PID_RATE_HZ = 1000
@@ -34,7 +36,8 @@ class Contender:
         if "pid" in self.facts:
             return f"PID {self.facts['pid']}"
         path = Path(self.name)
-        return path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+        which = path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+        return f"policy {which}"
 
 
 def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> Contender:
@@ -65,6 +68,36 @@ def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> 
         name=name,
         build=lambda count: PolicyController(policy, count, exact=False),
         control_rate_hz=policy.control_rate_hz,
-        idle=IDLE_DEFAULT if idle is None else idle,
+        idle=policy.idle if idle is None else idle,
         facts={"policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
     )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What every contender flies alike."""
+
+    aircraft: Aircraft
+    task: Task
+    episodes: int
+    seed: int  # of commands, noise and bias
+    mount: Mount = Mount.CENTRE
+    noise: bool = True
+
+    def fly(
+        self, contender: Contender, throttle: float, progress: Callable[[int, int], None] | None = None
+    ) -> Flights:
+        """All episodes at once, with the pilot's thrust at `throttle`, 0..1; see `record`."""
+        return record(
+            contender.build(self.episodes),
+            self.aircraft,
+            self.task,
+            episodes=self.episodes,
+            seed=self.seed,
+            control_rate_hz=contender.control_rate_hz,
+            mount=self.mount,
+            noise=self.noise,
+            throttle=throttle,
+            idle=contender.idle,
+            progress=progress,
+        )

@@ -59,3 +59,11 @@ def test_paired_difference_is_of_whole_pairs_when_one_lacks_a_number() -> None:
     difference = paired(np.array([1.0, np.nan, 5.0, 7.0]), np.array([2.0, 9.0, np.nan, 10.0]))
     assert (float(difference.value), int(difference.count)) == (2.0, 2)
     assert difference.high - 2.0 == pytest.approx(12.706)
+
+
+def test_paired_difference_is_of_episodes_when_each_has_several() -> None:
+    first = np.zeros((4, 3))
+    second = np.array([[1.0, 2.0, 3.0], [np.nan, 4.0, 6.0], [np.nan] * 3, [5.0, 5.0, 5.0]])
+    difference = paired(first, second)
+    assert (float(difference.value), int(difference.count)) == (4.0, 3)
+    assert difference.high - 4.0 == pytest.approx(4.303 * np.std([2, 5, 5], ddof=1) / np.sqrt(3))
