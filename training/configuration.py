@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 from sim.aircraft import Aircraft
 from sim.mass import Vector
 from sim.world import Mount
-from toolchain.contract import CONTROL_RATES_HZ, ObservationTerm, check_cutoffs, observation_blocks
+from toolchain.contract import (
+    CONTROL_RATES_HZ,
+    ObservationTerm,
+    check_cutoffs,
+    check_observation,
+    observation_blocks,
+)
 from toolchain.errors import TrainingError
 from training.algorithm import Algorithm, PpoConfig
-from training.randomization import Randomization
+from training.randomization import SAME, Randomization
 from training.reward import Reward, TrackingReward
 from training.selection import Selection
 from training.task import PulseTask, Task
@@ -35,7 +41,12 @@ OBSERVATION_SCALES = {
 }
 ACTIVATIONS = ("relu", "tanh")
 SEED_MAX = 2**32 - 1
+STEPS_MAX = 10**12  # months of computing
+LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board holds far less
+EPISODE_STEPS_MAX = 1_000_000
+TABLE_STEPS_MAX = 64_000_000  # setpoints of all aircraft's episodes, kept in memory: 768 MB
 IDLE_MAX = 0.5
+SCALE_MIN, SCALE_MAX = 1e-3, 1e3  # of an output
 WIND_MAX = 30.0  # [m/s], a storm; nobody flies a small multirotor in more
 
 
@@ -49,6 +60,16 @@ class OutputMap:
     scale: float = 0.5
     offset: float = 0.5
     squash: bool = False  # a is tanh of the network's last sum: bounded outputs, whose gradient never ends
+
+    def refusals(self) -> Iterator[str]:
+        """What is no way to drive a motor, one line each."""
+        if not SCALE_MIN <= self.scale <= SCALE_MAX:
+            yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
+        if not abs(self.offset) <= SCALE_MAX:
+            yield f"output.offset {self.offset}, expected {-SCALE_MAX:g} to {SCALE_MAX:g}"
+        low, high = self.offset - self.scale, self.offset + self.scale
+        if self.squash and not (low < 1.0 and high > 0.0):
+            yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
 
     def bounds(self) -> tuple[float, float]:
         """Network outputs that make 0 and 1; what lies beyond changes nothing."""
@@ -86,6 +107,10 @@ class WorldConfig:
             yield f"throttle_max {self.throttle_max}, expected 0 to 1"
         if not 0.0 <= self.throttle_share <= 1.0:
             yield f"throttle_share {self.throttle_share}, expected 0 to 1"
+        if self.gravity and self.mount == Mount.CENTRE.value:
+            yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
+        if self.randomization.noise != SAME and not self.noise:
+            yield "randomization noise with noise = false, so nothing to vary; leave one of them out"
         yield from self.randomization.refusals()
 
 
@@ -110,32 +135,65 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""
-        demands = {
-            f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}": (
-                self.control_rate_hz in CONTROL_RATES_HZ
-            ),
-            f"{self.steps} steps asked for, expected at least 1": self.steps >= 1,
-            f"checkpoint_steps {self.checkpoint_steps}, expected at least 1": self.checkpoint_steps >= 1,
-            f"seed {self.seed}, expected 0 to {SEED_MAX}": 0 <= self.seed <= SEED_MAX,
-            f"hidden layers {list(self.hidden)}, expected one or more widths of at least 1": (
-                len(self.hidden) > 0 and min(self.hidden) >= 1
-            ),
-            f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}": (
-                self.activation in ACTIVATIONS
-            ),
-            f"idle {self.idle}, expected 0 to {IDLE_MAX}": 0.0 <= self.idle <= IDLE_MAX,
-        }
-        for refusal, met in demands.items():
-            if not met:
-                raise TrainingError(refusal)
-        episode_steps = round(self.task.duration_s * self.control_rate_hz)
-        for refusal in (
-            *self.world.refusals(),
-            *self.algorithm.refusals(episode_steps),
-            *self.selection.refusals(),
-        ):
+        for refusal in self._refusals():
             raise TrainingError(refusal)
         self.blocks()
+
+    def _refusals(self) -> Iterator[str]:
+        """What cannot be run, one line each."""
+        if not 1 <= self.steps <= STEPS_MAX:
+            yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
+        if self.checkpoint_steps < 1:
+            yield f"checkpoint_steps {self.checkpoint_steps}, expected at least 1"
+        if not 0 <= self.seed <= SEED_MAX:
+            yield f"seed {self.seed}, expected 0 to {SEED_MAX}"
+        if self.control_rate_hz not in CONTROL_RATES_HZ:
+            yield f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}"
+        if not 1 <= len(self.hidden) <= LAYERS_MAX or not all(1 <= w <= WIDTH_MAX for w in self.hidden):
+            yield (
+                f"hidden layers {list(self.hidden)}, expected 1 to {LAYERS_MAX} widths of at least 1 and at "
+                f"most {WIDTH_MAX}"
+            )
+        if self.activation not in ACTIVATIONS:
+            yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"
+        if not 0.0 <= self.idle <= IDLE_MAX:
+            yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
+        yield from self.output.refusals()
+        episode_steps = round(self.task.duration_s * self.control_rate_hz)
+        if not 2 <= episode_steps <= EPISODE_STEPS_MAX:
+            yield (
+                f"an episode of task {self.task.name} is {self.task.duration_s:g} s, {episode_steps} control "
+                f"steps; expected 2 to {EPISODE_STEPS_MAX}"
+            )
+        yield from self.world.refusals()
+        yield from self.algorithm.refusals(episode_steps)
+        table = self.algorithm.aircraft * episode_steps
+        if table > TABLE_STEPS_MAX:
+            yield (
+                f"{self.algorithm.aircraft} aircraft with episodes of {episode_steps} control steps make "
+                f"{table} setpoints, expected at most {TABLE_STEPS_MAX}; shorten the task or fly fewer"
+            )
+        yield from self.selection.refusals()
+
+    def check(self, aircraft: Aircraft) -> None:
+        """Refuse what this aircraft cannot be trained with. Raises TrainingError."""
+        where = f"aircraft {aircraft.name}"
+        try:
+            check_observation(self.blocks(), aircraft.motor_count)
+        except ValueError as error:
+            raise TrainingError(f"{where}: {error}") from error
+        varied = self.world.randomization
+        battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
+        if varied.charge is not None and (battery is None or supply is None):
+            lacks = "[battery] table" if battery is None else "propulsion.supply_voltage_v"
+            raise TrainingError(
+                f"{where} has no {lacks}, so randomization charge has nothing to vary; leave it out"
+            )
+        gyro = aircraft.gyro
+        if varied.noise != SAME and not (gyro.bias or any((*gyro.noise, *gyro.vibration))):
+            raise TrainingError(
+                f"{where} has an ideal gyro, so randomization noise has nothing to vary; leave it out"
+            )
 
     def blocks(self) -> tuple[ObservationTerm, ...]:
         """The observation's terms. Raises TrainingError naming one that is unknown or cannot be had."""
@@ -151,7 +209,11 @@ class TrainingConfig:
         return [OBSERVATION_SCALES[b.name] for b in self.blocks() for _ in range(b.count(motors))]
 
     def document(self, aircraft: Aircraft) -> dict[str, Any]:
-        """The run as JSON data, with what `toolchain.freeze` needs to rebuild the network."""
+        """The run as JSON data, with what `toolchain.freeze` needs to rebuild the network.
+
+        Raises TrainingError if the aircraft cannot be trained with this, see `check`.
+        """
+        self.check(aircraft)
         return {
             "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
             "motors": aircraft.motor_count,
@@ -162,8 +224,11 @@ class TrainingConfig:
 
 
 def _plain(value: object) -> Any:  # noqa: ANN401
-    """JSON data of a field; what comes in several kinds says which it is."""
+    """JSON data of a field; what comes in several kinds says which it is. Derived fields are left out."""
     if not is_dataclass(value) or isinstance(value, type):
         return value
     kind = {"name": value.name} if hasattr(value, "name") else {}
-    return {**kind, **{field.name: _plain(getattr(value, field.name)) for field in fields(value)}}
+    return {
+        **kind,
+        **{field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.init},
+    }

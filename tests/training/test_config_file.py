@@ -116,10 +116,10 @@ def test_every_recipe_is_read_and_its_document_repeats_it(name: str, tmp_path: P
         ),
         (["seed=2", "seed=3"], replace(TrainingConfig(), seed=3)),
         (
-            ["world.randomization.lag=[1, 2]", "world.gravity=true", "world.randomization={mass=[0.9,1.1]}"],
+            ["world.randomization.lag=[1, 2]", "world.gravity=false", "world.randomization={mass=[0.9,1.1]}"],
             replace(
                 TrainingConfig(),
-                world=WorldConfig(gravity=True, randomization=Randomization(mass=(0.9, 1.1), lag=(1.0, 2.0))),
+                world=WorldConfig(gravity=False, randomization=Randomization(mass=(0.9, 1.1), lag=(1.0, 2.0))),
             ),
         ),
         (["world.randomization.delay_s=none"], TrainingConfig()),
