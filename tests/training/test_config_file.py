@@ -116,10 +116,10 @@ def test_every_recipe_is_read_and_its_document_repeats_it(name: str, tmp_path: P
         ),
         (["seed=2", "seed=3"], replace(TrainingConfig(), seed=3)),
         (
-            ["world.randomization.lag=[1, 2]", "world.gravity=false", "world.randomization={mass=[0.9,1.1]}"],
+            ["world.randomization.lag=[1,2]", "world.gravity=false", "world.randomization={mass=[0.9,1.1]}"],
             replace(
                 TrainingConfig(),
-                world=WorldConfig(gravity=False, randomization=Randomization(mass=(0.9, 1.1), lag=(1.0, 2.0))),
+                world=WorldConfig(gravity=False, randomization=Randomization(mass=(0.9, 1.1), lag=(1, 2))),
             ),
         ),
         (["world.randomization.delay_s=none"], TrainingConfig()),
@@ -164,7 +164,7 @@ def test_fields_of_a_kind_are_forgotten_when_an_override_names_another(tmp_path:
         (["world.randomization.mass=0.5"], "mass: got 0.5, expected a list"),
         (["world.randomization.mass=[2, 1]"], "randomization mass [2.0, 1.0], expected [least, greatest]"),
         (["algorithm.log_std=['a', 0]"], "0]\": algorithm.log_std[0]: got 'a'"),
-        (["hidden=[64, 0]"], "hidden layers [64, 0], expected one or more widths of at least 1"),
+        (["hidden=[64, 0]"], "hidden layers [64, 0], expected 1 to 8 widths of at least 1"),
         (["observation=rate_eror"], "unknown observation block 'rate_eror'"),
         (["activation=1"], "activation: got 1, expected one line of at most 200 characters"),
         (["algorithm.horizon=5000"], "horizon 5000, expected 1 to the 4500 control steps of an episode"),

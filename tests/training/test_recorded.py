@@ -1,5 +1,6 @@
 """Pieces of a pilot's recorded commands as episodes, and recordings that are none."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sim.aircraft import load_aircraft
 from sim.trace import Trace, save_trace
 from toolchain.errors import TrainingError
 from training.config_file import load_config
@@ -64,12 +66,17 @@ def test_episodes_are_the_flights_own_steps_when_it_is_a_trace(tmp_path: Path) -
         assert np.array_equal(episode, flown[first : first + 500])
 
 
-def test_a_configuration_keeps_the_recordings_hash_and_refuses_another_file(ramp: Path) -> None:
+def test_a_configuration_keeps_the_recordings_hash_and_refuses_another_file(
+    ramp: Path, tmp_path: Path
+) -> None:
     config = load_config(None, ["task.name=recorded", f"task.file={ramp}", "task.length_s=1"])
     task = config.task
     assert isinstance(task, RecordedTask)
     assert len(task.sha256) == 64
     assert replace(task, length_s=2.0).sha256 == task.sha256
+    record = tmp_path / "training.json"
+    record.write_text(json.dumps({"config": config.document(load_aircraft("nf1"))}))
+    assert load_config(record) == config
     ramp.write_text(ramp.read_text().replace(", 7", ", 8"))
     with pytest.raises(TrainingError, match=f"expected {task.sha256}: it is another recording"):
         replace(task)
