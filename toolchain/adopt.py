@@ -37,6 +37,7 @@ class PolicyClaims:
     aircraft: str
     aircraft_sha256: str
     motors: int
+    idle: float = contract.IDLE_DEFAULT  # motor fraction without thrust that it was trained with
 
 
 def is_checkpoint(path: Path) -> bool:
@@ -189,6 +190,7 @@ def _describe(model: onnx.ModelProto, claims: PolicyClaims, source_sha256: str) 
         contract.META_OBSERVATION: claims.observation,
         contract.META_CONTROL_RATE: str(claims.control_rate_hz),
         contract.META_FILTERS: claims.filters,
+        contract.META_IDLE: repr(claims.idle),
         contract.META_AIRCRAFT: claims.aircraft,
         contract.META_AIRCRAFT_SHA256: claims.aircraft_sha256,
         contract.META_TRAINING: json.dumps(training, sort_keys=True, separators=(",", ":")),

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolchain import contract
-from toolchain.contract import ObservationTerm
+from toolchain.contract import ObservationBlock, ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.float32 import Float32
 from toolchain.network import AIRCRAFT_NAME, SHA256
@@ -27,6 +27,15 @@ U16_MAX, U32_MAX = 0xFFFF, 0xFFFFFFFF
 MEND = "write it again with `neuroflight compile`"
 
 
+@dataclass(frozen=True)
+class BlobTerm:
+    """A term of the observation as the firmware computes it: the low-pass by its gain, not by its cutoff."""
+
+    block: ObservationBlock
+    age: int  # control steps
+    gain: float  # exactly a float32, above 0 and below 1; 0: no low-pass
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyBlob:
     """What a policy blob says. Counts are those of the arrays."""
@@ -35,10 +44,11 @@ class PolicyBlob:
     architecture_hash: int  # CRC-32 of all but the weights: toolchain.plan
     filters_hash: int  # of the gyro filter chain that it was trained behind: `filters_hash`
     control_rate_hz: int
-    blocks: tuple[ObservationTerm, ...]
+    terms: tuple[BlobTerm, ...]  # of the observation, in order: `blob_terms`
     aircraft: str
     aircraft_sha256: str  # 64 hexadecimal digits
     policy_sha256: str  # of the ONNX file, 64 hexadecimal digits
+    idle: float  # motor fraction without thrust, 0 to 0.5, exactly a float32
     weights: Float32  # (weight count,), finite: the whole table that policy_init takes
     selftest_observation: Float32  # (T, observation count); may hold NaN and infinities
     selftest_action: Float32  # (T, action count), the exact answers, in [0, 1]
@@ -64,6 +74,11 @@ class PolicyBlob:
         return int(self.selftest_action.shape[1])
 
 
+def blob_terms(terms: Sequence[ObservationTerm], control_rate_hz: int) -> tuple[BlobTerm, ...]:
+    """`terms` as a policy of this control rate has them computed."""
+    return tuple(BlobTerm(term.block, term.age, term.gain(control_rate_hz)) for term in terms)
+
+
 def filters_hash(filters: Sequence[object]) -> int:
     """CRC-32 of the gyro filter chain of a policy's metadata, as JSON without blanks and with sorted keys."""
     return zlib.crc32(json.dumps(list(filters), separators=(",", ":"), sort_keys=True).encode())
@@ -83,7 +98,7 @@ def pack(blob: PolicyBlob) -> bytes:
     return body + CRC.pack(zlib.crc32(body))
 
 
-def header_values(blob: PolicyBlob) -> dict[str, int | bytes]:
+def header_values(blob: PolicyBlob) -> dict[str, int | float | bytes]:
     """The value of each field of the header, in the header's order; arrays end where the rest is zero."""
     weight_bytes = FLOAT.itemsize * blob.weights.size
     selftest_bytes = FLOAT.itemsize * (blob.selftest_observation.size + blob.selftest_action.size)
@@ -103,12 +118,14 @@ def header_values(blob: PolicyBlob) -> dict[str, int | bytes]:
         "selftest_offset": HEADER.size + weight_bytes,
         "selftest_count": len(blob.selftest_observation),
         "selftest_steps": blob.selftest_steps,
-        "observation_block_count": len(blob.blocks),
-        "observation_blocks": bytes(term.block.code for term in blob.blocks),
+        "observation_term_count": len(blob.terms),
+        "observation_blocks": bytes(term.block.code for term in blob.terms),
+        "observation_ages": bytes(term.age for term in blob.terms),
+        "observation_gains": np.array([term.gain for term in blob.terms], FLOAT).tobytes(),
         "aircraft": blob.aircraft.encode("ascii"),
         "aircraft_sha256": bytes.fromhex(blob.aircraft_sha256),
         "policy_sha256": bytes.fromhex(blob.policy_sha256),
-        "reserved": 0,
+        "idle": blob.idle,
     }
 
 
@@ -118,7 +135,7 @@ def parse(data: bytes) -> PolicyBlob:
     Checked in this order: length, magic, layout version, sizes, CRC, then what the fields say. No length
     in the data is believed before it is held against the data.
     """
-    header, texts = _read_header(data)
+    header, arrays, idle = _read_header(data)
     _refuse_sizes(header, len(data))
     (told,) = CRC.unpack_from(data, len(data) - CRC.size)
     if (found := zlib.crc32(data[: -CRC.size])) != told:
@@ -131,17 +148,16 @@ def parse(data: bytes) -> PolicyBlob:
         architecture_hash=header["architecture_hash"],
         filters_hash=header["filters_hash"],
         control_rate_hz=header["control_rate_hz"],
-        blocks=_read_blocks(texts["observation_blocks"], header["observation_block_count"]),
-        aircraft=texts["aircraft"].rstrip(b"\0").decode("ascii", "replace"),
-        aircraft_sha256=texts["aircraft_sha256"].hex(),
-        policy_sha256=texts["policy_sha256"].hex(),
+        terms=_read_terms(arrays, header["observation_term_count"]),
+        aircraft=arrays["aircraft"].rstrip(b"\0").decode("ascii", "replace"),
+        aircraft_sha256=arrays["aircraft_sha256"].hex(),
+        policy_sha256=arrays["policy_sha256"].hex(),
+        idle=idle,
         weights=weights,
         selftest_observation=observation.reshape(rows, n),
         selftest_action=action.reshape(rows, m),
         selftest_steps=header["selftest_steps"],
     )
-    if header["reserved"]:
-        raise PolicyError(f"the blob's reserved field is {header['reserved']}, expected 0; {MEND}")
     _refuse_unsayable(blob)
     return blob
 
@@ -157,8 +173,8 @@ def _architecture(blob: PolicyBlob) -> tuple[int, ...]:
     )
 
 
-def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes]]:
-    """The header's numbers and its arrays; proven is only that the layout is the one known here."""
+def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes], float]:
+    """The header's whole numbers, arrays and idle; proven is only that the layout is the known one."""
     if len(data) < HEADER.size + CRC.size:
         raise PolicyError(
             f"the blob is {len(data)} bytes, expected at least {HEADER.size + CRC.size}; is it a policy blob?"
@@ -173,7 +189,8 @@ def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes]]:
             f"the blob has layout version {values['layout']}, expected {contract.POLICY_BLOB_LAYOUT}; {MEND}"
         )
     numbers = {name: value for name, value in values.items() if isinstance(value, int)}
-    return numbers, {name: value for name, value in values.items() if isinstance(value, bytes)}
+    arrays = {name: value for name, value in values.items() if isinstance(value, bytes)}
+    return numbers, arrays, float(values["idle"])
 
 
 def _float_count(header: dict[str, int]) -> int:
@@ -200,19 +217,23 @@ def _refuse_sizes(header: dict[str, int], length: int) -> None:
         )
 
 
-def _read_blocks(codes: bytes, count: int) -> tuple[ObservationTerm, ...]:
+def _read_terms(arrays: dict[str, bytes], count: int) -> tuple[BlobTerm, ...]:
     known = {block.code: block for block in contract.OBSERVATION_BLOCKS}
-    if count > len(codes) or any(codes[count:]):
-        raise PolicyError(f"the blob's {count} observation blocks are not those of its list; {MEND}")
+    codes, ages = arrays["observation_blocks"], arrays["observation_ages"]
+    gains = np.frombuffer(arrays["observation_gains"], FLOAT).tolist()
+    if count > len(codes) or any(codes[count:]) or any(ages[count:]) or any(gains[count:]):
+        raise PolicyError(f"the blob's {count} observation terms are not those of its lists; {MEND}")
     for code in codes[:count]:
         if code not in known:
             raise PolicyError(f"the blob's observation block {code} is unknown, known are {sorted(known)}")
-    return tuple(ObservationTerm(known[code]) for code in codes[:count])
+    rows = zip(codes[:count], ages, gains, strict=False)
+    return tuple(BlobTerm(known[code], age, gain) for code, age, gain in rows)
 
 
 def _refuse_unsayable(blob: PolicyBlob) -> None:
     """Raise PolicyError naming the first value that the layout has no room for or that cannot be flown."""
-    rows, widths = len(blob.selftest_observation), contract.observation_count(blob.blocks, blob.action_count)
+    rows = len(blob.selftest_observation)
+    widths = sum(term.block.count(blob.action_count) for term in blob.terms)
     for name, value, low, high in (
         ("sequence number", blob.sequence, 0, U32_MAX),
         ("architecture hash", blob.architecture_hash, 0, U32_MAX),
@@ -220,7 +241,7 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
         ("control rate", blob.control_rate_hz, 1, U32_MAX),
         ("number of observed values", blob.observation_count, 1, U16_MAX),
         ("number of actions", blob.action_count, 1, U16_MAX),
-        ("number of observation blocks", len(blob.blocks), 1, contract.POLICY_BLOB_BLOCKS_MAX),
+        ("number of observation terms", len(blob.terms), 1, contract.OBSERVATION_TERMS_MAX),
         ("number of self-test vectors", rows, 1, U16_MAX),
         ("number of self-test steps", blob.selftest_steps, 1, rows),
     ):
@@ -230,11 +251,18 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
         raise PolicyError(f"{rows} self-test vectors are no multiple of {blob.selftest_steps} steps")
     if widths != blob.observation_count:
         raise PolicyError(f"the policy takes {blob.observation_count} values, but its blocks make {widths}")
-    for term in blob.blocks:
-        if term.cutoff_hz is not None or term.age:
+    for term in blob.terms:
+        if not 0 <= term.age <= contract.OBSERVATION_AGE_MAX:
+            most = contract.OBSERVATION_AGE_MAX
             raise PolicyError(
-                f"the policy observes {term.text}, but no blob can say that; observe {term.name}"
+                f"the policy observes {term.block.name} {term.age} steps old, expected 0 to {most}"
             )
+        if not 0.0 <= term.gain < 1.0:
+            raise PolicyError(
+                f"the policy's low-pass of {term.block.name} has the gain {term.gain}, expected 0 to 1"
+            )
+    if not 0.0 <= blob.idle <= contract.IDLE_MAX:
+        raise PolicyError(f"the policy's idle is {blob.idle}, expected 0 to {contract.IDLE_MAX}")
     _refuse_names(blob)
     if not np.isfinite(blob.weights).all():
         count = int((~np.isfinite(blob.weights)).sum())

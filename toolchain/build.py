@@ -136,11 +136,15 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy drives {policy.action_count} motors, {target.name} has {target.motors}; "
             "train it for an aircraft with as many"
         )
-    if policy.observation_count > contract.OBSERVATION_COUNT_MAX:
+    if lacking := [term.name for term in policy.blocks if not term.block.in_firmware]:
         raise PolicyError(
-            f"the policy observes {policy.observation_count} values, "
-            f"the firmware offers at most {contract.OBSERVATION_COUNT_MAX}; train it on fewer blocks"
+            f"the policy observes {lacking[0]}, which the firmware has no source for; "
+            "train it on other blocks"
         )
+    try:
+        contract.check_observation(policy.blocks, target.motors)
+    except ValueError as error:
+        raise PolicyError(f"the policy cannot be flown: {error}") from error
     if policy.control_rate_hz not in rates:
         raise PolicyError(
             f"the policy runs at {policy.control_rate_hz} Hz, "
@@ -237,6 +241,7 @@ def _facts(compiled: CompiledPolicy, file: Path) -> PolicyFacts:
         network=model.network.text,
         observation=model.observation,
         control_rate_hz=model.control_rate_hz,
+        idle=model.idle,
         weights=int(compiled.plan.table.size),
         architecture_hash=f"{compiled.plan.architecture_hash:08x}",
         aircraft=model.aircraft,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolchain.blob import PolicyBlob, filters_hash
+import numpy as np
+
+from toolchain.blob import PolicyBlob, blob_terms, filters_hash
 from toolchain.emit import Emission, emit
 from toolchain.graph import Network
 from toolchain.network import PolicyModel
@@ -42,10 +44,11 @@ def compile_network(
         architecture_hash=plan.architecture_hash,
         filters_hash=filters_hash(policy.filters),
         control_rate_hz=policy.control_rate_hz,
-        blocks=policy.blocks,
+        terms=blob_terms(policy.blocks, policy.control_rate_hz),
         aircraft=policy.aircraft,
         aircraft_sha256=policy.aircraft_sha256,
         policy_sha256=policy.source_sha256,
+        idle=float(np.float32(policy.idle)),
         weights=plan.table,
         selftest_observation=observation,
         selftest_action=action,

@@ -53,7 +53,10 @@ RECEIVER_LOST_MS = 400  # silence after which the motors stop
 DSHOT_STOP = 0
 DSHOT_MIN, DSHOT_MAX = 48, 2047  # 1..47 are commands, never sent by the control path
 DSHOT_SPAN = DSHOT_MAX - DSHOT_MIN  # value = 48 + (uint16)(1999 u + 0.5)
-IDLE_DEFAULT = 0.0  # u' = idle + (1 - idle) u; the twin knows the same number
+# u' = idle + (1 - idle) u: the fraction that an armed motor turns at without thrust. A policy is trained with
+# its own, which it brings along.
+IDLE_DEFAULT = 0.0  # of policies that do not tell
+IDLE_MAX = 0.5
 
 # --- Simulator link (Betaflight's wire format, little-endian, loopback) ----------------------
 SIM_STATE_PORT, SIM_RECEIVER_PORT = 9003, 9004
@@ -230,6 +233,7 @@ META_VERSION = "neuroflight.version"
 META_OBSERVATION = "neuroflight.observation"
 META_CONTROL_RATE = "neuroflight.control_rate_hz"
 META_FILTERS = "neuroflight.filters"
+META_IDLE = "neuroflight.idle"  # absent: IDLE_DEFAULT
 META_AIRCRAFT = "neuroflight.aircraft"
 META_AIRCRAFT_SHA256 = "neuroflight.aircraft_sha256"
 META_TRAINING = "neuroflight.training"
@@ -240,8 +244,7 @@ SELFTEST_COUNT = 16
 # header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
 # behind the one before without a gap, all little-endian.
 POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
-POLICY_BLOB_LAYOUT = 1
-POLICY_BLOB_BLOCKS_MAX = OBSERVATION_COUNT_MAX  # a block holds one value at least
+POLICY_BLOB_LAYOUT = 2
 POLICY_BLOB_AIRCRAFT_BYTES = 32
 POLICY_BLOB_CRC_BYTES = 4
 POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter
@@ -260,8 +263,9 @@ class HeaderField:
 
     @property
     def format(self) -> str:
-        """The field for `struct`; arrays are of single bytes."""
-        return f"{self.count}s" if self.count > 1 else {"uint16_t": "H", "uint32_t": "I"}[self.c_type]
+        """The field for `struct`; an array counts as its bytes."""
+        code = {"char": "B", "uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f"}[self.c_type]
+        return f"{self.count * struct.calcsize(code)}s" if self.count > 1 else code
 
 
 POLICY_BLOB_FIELDS = (
@@ -280,12 +284,14 @@ POLICY_BLOB_FIELDS = (
     HeaderField("uint32_t", "selftest_offset", "bytes", "of the observations; the actions follow them"),
     HeaderField("uint16_t", "selftest_count", "rows", "of observations and of actions, at least 1"),
     HeaderField("uint16_t", "selftest_steps", "rows", "from one policy_init to the next; divides the count"),
-    HeaderField("uint32_t", "observation_block_count", "", "used entries of the next field, at least 1"),
-    HeaderField("uint8_t", "observation_blocks", "", "codes in order, then 0", POLICY_BLOB_BLOCKS_MAX),
+    HeaderField("uint32_t", "observation_term_count", "", "used entries of the next three, at least 1"),
+    HeaderField("uint8_t", "observation_blocks", "", "codes in order, then 0", OBSERVATION_TERMS_MAX),
+    HeaderField("uint8_t", "observation_ages", "steps", "of each term, then 0", OBSERVATION_TERMS_MAX),
+    HeaderField("float", "observation_gains", "", "of each low-pass, 0: none", OBSERVATION_TERMS_MAX),
     HeaderField("char", "aircraft", "", "ASCII, then 0; a name may fill it", POLICY_BLOB_AIRCRAFT_BYTES),
     HeaderField("uint8_t", "aircraft_sha256", "", "of the aircraft trained for", SHA256_BYTES),
     HeaderField("uint8_t", "policy_sha256", "", "of the ONNX file", SHA256_BYTES),
-    HeaderField("uint32_t", "reserved", "", "0"),
+    HeaderField("float", "idle", "", "motor fraction at zero thrust, 0 to 0.5"),
 )
 POLICY_BLOB_HEADER_FORMAT = "<" + "".join(field.format for field in POLICY_BLOB_FIELDS)
 

@@ -60,7 +60,7 @@ def emit(policy: PolicyModel, plan: Plan, blob: PolicyBlob) -> Emission:
         "low": literal(low),
         "high": literal(high),
         "blob_fields": fields,
-        "header": header_values(blob),
+        "header": header_literals(blob),
         "parts": list(_parts(blob, fields[-1].offset + fields[-1].size)),
         "weights": list(_lines(blob.weights)),
         "selftest_observation": [list(_lines(row)) for row in blob.selftest_observation],
@@ -68,6 +68,12 @@ def emit(policy: PolicyModel, plan: Plan, blob: PolicyBlob) -> Emission:
         "crc32": int.from_bytes(data[-4:], "little"),
     }
     return Emission(render("policy.c.j2", **values), render("policy.h.j2", **values), data)
+
+
+def header_literals(blob: PolicyBlob) -> dict[str, int | float | bytes | str]:
+    """The blob's header for the macros of templates/blob_header.j2: its floats as C writes them."""
+    gains = ", ".join(literal(term.gain) for term in blob.terms)
+    return {**header_values(blob), "observation_gains": gains, "idle": literal(blob.idle)}
 
 
 def literal(value: float | np.float32) -> str:

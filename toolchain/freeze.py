@@ -43,6 +43,8 @@ class FrozenConfig:
     activation: str
     output_scale: float  # motor fraction = clip(output_scale * action + output_offset, 0, 1)
     output_offset: float
+    squash: bool  # the network's last sum goes through tanh before scale and offset
+    idle: float  # motor fraction without thrust that the policy is trained with
     motors: int
 
 
@@ -119,6 +121,17 @@ def to_onnx(
             operator = ACTIVATIONS[frozen.activation]
             nodes.append(helper.make_node(operator, [value], [f"hidden{index}"], name=f"activation{index}"))
             value = f"hidden{index}"
+    if frozen.squash:
+        tensors += [
+            numpy_helper.from_array(_float32(np.array([number]), f"output {name}"), name)
+            for name, number in (("scale", frozen.output_scale), ("offset", frozen.output_offset))
+        ]
+        nodes += [
+            helper.make_node("Tanh", [value], ["bounded"], name="squash"),
+            helper.make_node("Mul", ["bounded", "scale"], ["scaled"], name="scale"),
+            helper.make_node("Add", ["scaled", "offset"], ["asked"], name="offset"),
+        ]
+        value = "asked"
     tensors += [numpy_helper.from_array(np.array(v, np.float32), n) for n, v in (("low", 0), ("high", 1))]
     nodes.append(helper.make_node("Clip", [value, "low", "high"], [contract.POLICY_OUTPUT], name="clip"))
     shapes = ((contract.POLICY_INPUT, layers[0][0].shape[1]), (contract.POLICY_OUTPUT, frozen.motors))
@@ -148,6 +161,8 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
             activation=str(config["activation"]),
             output_scale=float(config["output"]["scale"]),
             output_offset=float(config["output"]["offset"]),
+            squash=bool(config["output"].get("squash", False)),
+            idle=float(config.get("idle", contract.IDLE_DEFAULT)),
             motors=int(config["motors"]),
         )
         blocks = contract.observation_blocks(frozen.observation)
@@ -185,6 +200,8 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
 def _folded(frozen: FrozenConfig, layers: list[tuple[Matrix, Matrix]]) -> list[tuple[Matrix, Matrix]]:
     weight, bias = layers[0]
     layers = [(weight * np.array(frozen.observation_scale), bias), *layers[1:]]
+    if frozen.squash:
+        return layers
     weight, bias = layers[-1]
     return [*layers[:-1], (weight * frozen.output_scale, bias * frozen.output_scale + frozen.output_offset)]
 
@@ -205,6 +222,7 @@ def _metadata(frozen: FrozenConfig, config: Mapping[str, Any], progress: Mapping
         contract.META_OBSERVATION: frozen.observation,
         contract.META_CONTROL_RATE: str(frozen.control_rate_hz),
         contract.META_FILTERS: _json(frozen.filters),
+        contract.META_IDLE: repr(frozen.idle),
         contract.META_AIRCRAFT: frozen.aircraft,
         contract.META_AIRCRAFT_SHA256: frozen.aircraft_sha256,
         contract.META_TRAINING: _json(_training(config, progress)),
@@ -220,7 +238,7 @@ def _training(config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[st
     return {
         key: value
         for key, value in {**config, **counts}.items()
-        if key not in ("aircraft", "observation", "control_rate_hz", "filters") and _is_small(value)
+        if key not in ("aircraft", "observation", "control_rate_hz", "filters", "idle") and _is_small(value)
     }
 
 

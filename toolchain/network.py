@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 AIRCRAFT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into C: no quotes, no escapes
 SHA256 = re.compile(r"[0-9a-f]{64}")
+IDLE = re.compile(r"[0-9]{1,3}(\.[0-9]{1,20})?(e-[0-9]{1,2})?")
 FREEZE = (
     "add them with `neuroflight freeze MODEL.onnx --observation BLOCKS --rate HZ --aircraft NAME "
     "--out POLICY.onnx`"
@@ -41,6 +42,7 @@ class PolicyModel:
     training: Mapping[str, object]  # what is known about its training, for people
     source_sha256: str  # of the ONNX file
     network: Network  # ends with a Clip within [0, 1]
+    idle: float = contract.IDLE_DEFAULT  # motor fraction without thrust that it was trained with
 
     @property
     def observation_count(self) -> int:
@@ -115,6 +117,10 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
     rate = _value(metadata, contract.META_CONTROL_RATE)
     if not re.fullmatch("[1-9][0-9]{0,5}", rate):
         raise _wrong(contract.META_CONTROL_RATE, rate, "a whole number of hertz")
+    try:
+        contract.check_cutoffs(blocks, int(rate))
+    except ValueError as error:
+        raise PolicyError(f"{contract.META_OBSERVATION}: {error}") from error
     aircraft = _value(metadata, contract.META_AIRCRAFT)
     if not AIRCRAFT_NAME.fullmatch(aircraft):
         raise _wrong(contract.META_AIRCRAFT, aircraft, "at most 32 letters, digits, dots and dashes")
@@ -135,7 +141,15 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
         training=_json(metadata, contract.META_TRAINING, dict),
         source_sha256=sha256,
         network=network,
+        idle=_idle(metadata),
     )
+
+
+def _idle(metadata: Mapping[str, str]) -> float:
+    text = metadata.get(contract.META_IDLE, str(contract.IDLE_DEFAULT))
+    if not IDLE.fullmatch(text) or not 0.0 <= float(text) <= contract.IDLE_MAX:
+        raise _wrong(contract.META_IDLE, text, f"a motor fraction of 0 to {contract.IDLE_MAX}")
+    return float(text)
 
 
 def _value(metadata: Mapping[str, str], key: str) -> str:

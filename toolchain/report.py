@@ -32,6 +32,7 @@ class PolicyFacts:
     network: str
     observation: str
     control_rate_hz: int
+    idle: float
     weights: int
     architecture_hash: str
     aircraft: str

@@ -16,7 +16,7 @@
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {
-	struct firmware_config config;  /* gyro rate, alignment, idle */
+	struct firmware_config config;  /* gyro rate, alignment */
 	struct msp_identity identity;   /* its strings live as long as the program */
 	uint32_t cycles_hz;             /* what hal_cycles counts in a second */
 };

@@ -76,6 +76,12 @@ static void report(struct firmware *fw)
 
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config)
 {
+	static const struct observation_terms terms = {
+		.blocks = policy_observation_blocks,
+		.ages = policy_observation_ages,
+		.gains = policy_observation_gains,
+		.count = POLICY_OBSERVATION_TERM_COUNT,
+	};
 	enum nf_err err = check_rates(config->gyro_rate_hz);
 	if (err != NF_OK)
 		return err;
@@ -88,10 +94,9 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
 	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment)) != NF_OK)
 		return err;
-	if ((err = mixer_init(&fw->mixer, config->idle)) != NF_OK)
+	if ((err = mixer_init(&fw->mixer, POLICY_IDLE)) != NF_OK)
 		return err;
-	if ((err = observation_init(&fw->observation, policy_observation_blocks, POLICY_OBSERVATION_BLOCK_COUNT,
-				    POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
+	if ((err = observation_init(&fw->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
 				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
 		return err;
 	sbus_reset(&fw->sbus);

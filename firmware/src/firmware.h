@@ -22,7 +22,6 @@
 
 struct firmware_config {
 	unsigned gyro_rate_hz;          /* 1000, 2000, 4000 or 8000, a multiple of POLICY_CONTROL_RATE_HZ */
-	float idle;                     /* motor fraction at zero thrust, [0, 1) */
 	enum board_alignment alignment;
 };
 

@@ -7,7 +7,7 @@ enum nf_err {
 	NF_ERR_GYRO_RATE = -1,   /* gyro rate unknown, or no multiple of the policy's control rate */
 	NF_ERR_ALIGNMENT = -2,   /* no such gyro alignment */
 	NF_ERR_IDLE = -3,        /* idle outside [0, 1) */
-	NF_ERR_OBSERVATION = -4, /* the policy asks for a block that this core does not compute */
+	NF_ERR_OBSERVATION = -4, /* the policy asks for a term that this core does not compute */
 	NF_ERR_POLICY = -5,      /* the self-test vectors do not come out bit for bit */
 
 	/* A policy blob, in the order of the checks. */
@@ -19,6 +19,7 @@ enum nf_err {
 	NF_ERR_BLOB_RATE = -11,         /* trained for another control rate */
 	NF_ERR_BLOB_FILTERS = -12,      /* trained behind other gyro filters */
 	NF_ERR_BLOB_ARCHITECTURE = -13, /* weights for other code */
+	NF_ERR_BLOB_IDLE = -14,         /* an idle that no policy is trained with */
 };
 
 #endif

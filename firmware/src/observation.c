@@ -1,5 +1,7 @@
 #include "observation.h"
 
+#include <string.h>
+
 #include "limit.h"
 
 /* Each writes one block and returns the end of it. */
@@ -48,7 +50,8 @@ static float *write_throttle(const struct observation *o, const struct observati
 	return put(&input->throttle, 1, out);
 }
 
-/* One row a block of the contract, at its code; a block without a writer does not compile. */
+/* One row for each of the contract's blocks that this core has a source for, at its code; one without a writer
+ * does not compile. */
 static const struct block {
 	block_writer *write;
 	size_t width; /* 0: one value a motor */
@@ -58,24 +61,34 @@ static const struct block {
 #undef ROW
 };
 
-enum nf_err observation_init(struct observation *o, const unsigned char *blocks, size_t block_count,
-			     size_t motor_count, size_t width, unsigned control_rate_hz)
+/* The block's values, 0 for a code that is none. */
+static size_t block_width(unsigned char code, size_t motor_count)
 {
-	size_t sum = 0;
+	if (code >= sizeof table / sizeof table[0] || !table[code].write)
+		return 0;
+	return table[code].width ? table[code].width : motor_count;
+}
 
-	for (size_t i = 0; i < block_count; i++) {
-		if (blocks[i] >= sizeof table / sizeof table[0] || !table[blocks[i]].write)
-			return NF_ERR_OBSERVATION;
-		sum += table[blocks[i]].width ? table[blocks[i]].width : motor_count;
-	}
-	if (sum != width)
+enum nf_err observation_init(struct observation *o, const struct observation_terms *terms, size_t motor_count,
+			     size_t width, unsigned control_rate_hz)
+{
+	size_t sum = 0, remembered = 0;
+
+	if (terms->count > NF_OBSERVATION_TERMS_MAX)
 		return NF_ERR_OBSERVATION;
-	*o = (struct observation){
-		.blocks = blocks,
-		.block_count = block_count,
-		.motor_count = motor_count,
-		.period_s = 1.0f / (float)control_rate_hz,
-	};
+	for (size_t i = 0; i < terms->count; i++) {
+		const size_t values = block_width(terms->blocks[i], motor_count);
+		if (values == 0 || terms->ages[i] > NF_OBSERVATION_AGE_MAX ||
+		    !(terms->gains[i] >= 0.0f && terms->gains[i] < 1.0f))
+			return NF_ERR_OBSERVATION;
+		sum += values;
+		remembered += values * (terms->ages[i] + (terms->gains[i] > 0.0f ? 1u : 0u));
+	}
+	if (sum != width || remembered > NF_OBSERVATION_MEMORY_MAX)
+		return NF_ERR_OBSERVATION;
+	o->terms = *terms;
+	o->motor_count = motor_count;
+	o->period_s = 1.0f / (float)control_rate_hz;
 	observation_reset(o);
 	return NF_OK;
 }
@@ -88,6 +101,8 @@ void observation_reset(struct observation *o)
 		o->delta[i] = 0.0f;
 		o->integral[i] = 0.0f;
 	}
+	memset(o->memory, 0, sizeof o->memory);
+	memset(o->turns, 0, sizeof o->turns);
 }
 
 static void update(struct observation *o, const struct observation_input *input)
@@ -99,12 +114,49 @@ static void update(struct observation *o, const struct observation_input *input)
 				       NF_RATE_ERROR_INTEGRAL_LIMIT_RAD);
 		o->error[i] = error;
 	}
-	o->first = false;
+}
+
+/* Replaces the values from `out` to `end` by their low-pass, whose state is `state`. */
+static void pass(float *state, float gain, bool first, float *out, const float *end)
+{
+	for (; out < end; out++, state++) {
+		*state = first ? *out : *state + gain * (*out - *state);
+		*out = *state;
+	}
+}
+
+/* Puts the values from `out` to `end` where the oldest in the line wait, and takes those out. */
+static void exchange(float *oldest, float *out, const float *end)
+{
+	for (; out < end; out++, oldest++) {
+		const float old = *oldest;
+		*oldest = *out;
+		*out = old;
+	}
 }
 
 void observation_step(struct observation *o, const struct observation_input *input, float out[])
 {
+	const struct observation_terms *const terms = &o->terms;
+	float *memory = o->memory;
+
 	update(o, input);
-	for (size_t i = 0; i < o->block_count; i++)
-		out = table[o->blocks[i]].write(o, input, out);
+	for (size_t i = 0; i < terms->count; i++) {
+		const unsigned age = terms->ages[i];
+		const float gain = terms->gains[i];
+		float *const end = table[terms->blocks[i]].write(o, input, out);
+		const size_t width = (size_t)(end - out);
+
+		if (gain > 0.0f) {
+			pass(memory, gain, o->first, out, end);
+			memory += width;
+		}
+		if (age > 0) {
+			exchange(memory + o->turns[i] * width, out, end);
+			o->turns[i] = (unsigned char)(o->turns[i] + 1u == age ? 0u : o->turns[i] + 1u);
+			memory += age * width;
+		}
+		out = end;
+	}
+	o->first = false;
 }

@@ -70,6 +70,18 @@ static bool same_architecture(const struct nf_policy_blob_header *header,
 	       header->action_count == running->action_count;
 }
 
+/* Is it at least 0 and at most NF_IDLE_MAX? By its bits: positive numbers are in order, whatever is negative or
+ * no number lies above them. */
+static bool idles(const struct nf_policy_blob_header *header)
+{
+	static const float most = NF_IDLE_MAX;
+	uint32_t bits, most_bits;
+
+	memcpy(&bits, &header->idle, sizeof bits);
+	memcpy(&most_bits, &most, sizeof most_bits);
+	return bits <= most_bits;
+}
+
 enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running)
 {
 	struct nf_policy_blob_header header; /* a copy: a slot may begin at any address */
@@ -92,5 +104,7 @@ enum nf_err policy_blob_check(const void *bytes, size_t size, const struct polic
 		return NF_ERR_BLOB_FILTERS;
 	if (!same_architecture(&header, running))
 		return NF_ERR_BLOB_ARCHITECTURE;
+	if (!idles(&header))
+		return NF_ERR_BLOB_IDLE;
 	return NF_OK;
 }

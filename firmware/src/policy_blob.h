@@ -19,10 +19,10 @@ struct policy_blob_identity {
 
 /* Judges the blob that begins at `bytes`, of any alignment and any value; `size` [bytes] is all that may be
  * read there, and may be more than the blob. Returns NF_OK, or the first of these that is wrong:
- * NF_ERR_BLOB_SHORT, _MAGIC, _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE.
+ * NF_ERR_BLOB_SHORT, _MAGIC, _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
  *
  * NF_OK: the blob is whole and ends within `size`; its weights are weight_count floats behind the header, its
- * self-test follows them and is yet to be replayed. Integers only; about 12 cycles a byte of the blob, 3 ms for
+ * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it. Integers only; about 12 cycles a byte of the blob, 3 ms for
  * the largest at 216 MHz: for boot and background, not for an interrupt. */
 enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running);
 

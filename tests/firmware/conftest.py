@@ -145,12 +145,10 @@ def frame_of(*, frame_lost: bool = False, failsafe: bool = False, **channels_us:
 class Bench:
     """A firmware of its own, flown sample by sample."""
 
-    def __init__(
-        self, core: Core, gyro_hz: int = 1000, *, idle: float = 0.0, alignment: int = 0, expect: int = SUCCESS
-    ) -> None:
+    def __init__(self, core: Core, gyro_hz: int = 1000, *, alignment: int = 0, expect: int = SUCCESS) -> None:
         self.core, self.gyro_hz = core, gyro_hz
         self.fw = core.new("struct firmware *")
-        config = core.new("struct firmware_config *", (gyro_hz, idle, alignment))
+        config = core.new("struct firmware_config *", (gyro_hz, alignment))
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect
         self._dshot = core.new("uint16_t[8]")

@@ -1,4 +1,4 @@
-"""observation.c: every block of the contract, against its definition in numpy."""
+"""observation.c: every block against its definition in numpy, every term against the twin's bits."""
 
 from __future__ import annotations
 
@@ -8,22 +8,58 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from toolchain.contract import OBSERVATION_BLOCKS, observation_blocks, observation_count
+from sim.observation import Observer
+from toolchain.contract import (
+    OBSERVATION_AGE_MAX,
+    OBSERVATION_BLOCKS,
+    OBSERVATION_COUNT_MAX,
+    OBSERVATION_MEMORY_MAX,
+    OBSERVATION_TERMS_MAX,
+    observation_blocks,
+    observation_count,
+)
 
-CODES = [block.code for block in OBSERVATION_BLOCKS if block.in_firmware]
+BLOCKS = [block for block in OBSERVATION_BLOCKS if block.in_firmware]
+EVERY_BLOCK = ",".join(block.name for block in BLOCKS)
 PERIOD_S = 1 / 1000
 Array = NDArray[np.float64]
+Row = tuple[Array, Array, Array, float]  # rate, setpoint, action, throttle
 
 
 class Observation:
-    def __init__(self, core: Any, codes: list[int], width: int, motors: int = 4, expect: int = 0) -> None:
+    """An observation in C."""
+
+    def __init__(
+        self,
+        core: Any,
+        codes: list[int],
+        width: int,
+        ages: list[int] | None = None,
+        gains: list[float] | None = None,
+        motors: int = 4,
+        rate_hz: int = 1000,
+        expect: int = 0,
+    ) -> None:
         self.core, self.lib = core, core.lib
         self.self = core.new("struct observation *")
-        self._codes = core.new("unsigned char[]", codes)
-        self._out = core.new("float[64]")
+        none = [0] * len(codes)
+        self._arrays = (
+            core.new("unsigned char[]", codes),
+            core.new("unsigned char[]", ages or none),
+            core.new("float[]", gains or none),
+        )
+        terms = core.new("struct observation_terms *", (*self._arrays, len(codes)))
+        self._out = core.new("float[]", OBSERVATION_COUNT_MAX)
         self._width = width
-        error = self.lib.observation_init(self.self, self._codes, len(codes), motors, width, 1000)
-        assert error == expect
+        assert self.lib.observation_init(self.self, terms, motors, width, rate_hz) == expect
+
+    @classmethod
+    def of(cls, core: Any, text: str, motors: int = 4, rate_hz: int = 1000) -> Observation:
+        """The observation that a policy asks for in `text`."""
+        terms = observation_blocks(text)
+        codes, ages = [term.block.code for term in terms], [term.age for term in terms]
+        gains = [term.gain(rate_hz) for term in terms]
+        return cls(core, codes, observation_count(terms, motors), ages, gains, motors, rate_hz)
 
     def step(self, rate: Array, setpoint: Array, action: Array, throttle: float) -> Array:
         arrays = [self.core.new("float[]", values.tolist()) for values in (rate, setpoint, action)]
@@ -58,29 +94,28 @@ def defined(rate: Array, setpoint: Array, action: Array, throttle: Array) -> dic
     }
 
 
+# --- Blocks -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("motors", [4, 6])
 def test_blocks_are_as_defined_when_all_are_asked_for(puppet: Any, motors: int) -> None:
     columns = flight(200, motors, scale=2.0)
     expected = np.concatenate(list(defined(*columns).values()), axis=1)
-    observation = Observation(puppet, CODES, expected.shape[1], motors)
+    observation = Observation.of(puppet, EVERY_BLOCK, motors)
     for index, row in enumerate(zip(*columns, strict=True)):
         np.testing.assert_allclose(observation.step(*row), expected[index], atol=2e-5)
 
 
 @pytest.mark.parametrize("names", ["rate_error,rate_error_delta", "throttle,rate", "previous_action"])
 def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, names: str) -> None:
-    blocks = observation_blocks(names)
     columns = flight(50, 4, scale=2.0)
-    expected = np.concatenate([defined(*columns)[block.name] for block in blocks], axis=1)
-    observation = Observation(puppet, [term.block.code for term in blocks], observation_count(blocks, 4))
+    expected = np.concatenate([defined(*columns)[name] for name in names.split(",")], axis=1)
+    observation = Observation.of(puppet, names)
     for index, row in enumerate(zip(*columns, strict=True)):
         np.testing.assert_allclose(observation.step(*row), expected[index], atol=2e-5)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: Any, sign: int) -> None:
-    blocks = observation_blocks("rate_error_integral")
-    observation = Observation(puppet, [blocks[0].block.code], 3)
+    observation = Observation.of(puppet, "rate_error_integral")
     still, error = np.zeros(3), np.array([10.0, 100.0, 1000.0])
     for _ in range(100):
         out = observation.step(still, sign * error, np.zeros(4), 0.0)
@@ -89,18 +124,83 @@ def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: 
     np.testing.assert_allclose(out, sign * np.array([0.59, 0.5, -0.4]), atol=1e-6)
 
 
-def test_the_past_is_forgotten_when_it_is_reset(puppet: Any) -> None:
-    used, fresh = (Observation(puppet, CODES, 17) for _ in range(2))
-    first, *later = list(zip(*flight(20, 4, scale=5.0), strict=True))
-    for row in later:
+# --- Terms ------------------------------------------------------------------------------------
+def test_a_low_pass_is_as_defined_when_it_starts_and_goes_on(puppet: Any) -> None:
+    rates = flight(300, 4, scale=2.0)[0]
+    observation = Observation.of(puppet, "rate~15Hz")
+    gain, expected = 1 - np.exp(-2 * np.pi * 15 * PERIOD_S), rates[0]
+    for rate in rates:
+        expected = expected + gain * (rate - expected)
+        np.testing.assert_allclose(observation.step(rate, np.zeros(3), np.zeros(4), 0.0), expected, atol=1e-5)
+
+
+def test_old_values_are_those_of_their_step_and_zero_when_there_was_none(puppet: Any) -> None:
+    columns = flight(100, 4, scale=2.0)
+    observation = Observation.of(puppet, "rate@1,previous_action@16,throttle@3,rate@2")
+    rate, _, action, throttle = columns
+    for index, row in enumerate(zip(*columns, strict=True)):
+
+        def ago(values: Array, steps: int, now: int = index) -> Array:
+            return np.atleast_1d(values[now - steps] if now >= steps else 0 * values[0])
+
+        expected = [ago(rate, 1), ago(action, 16), ago(throttle, 3), ago(rate, 2)]
+        assert observation.step(*row).tolist() == np.concatenate(expected).tolist()
+
+
+def random_terms(rng: np.random.Generator, motors: int, rate_hz: int) -> str:
+    """Terms that an observation has room for, one of which is low-passed and old at least."""
+    texts = ["rate_error~15Hz@2"]
+    width, remembered = 3, 9
+    for _ in range(30):
+        block = BLOCKS[rng.integers(len(BLOCKS))]
+        age = int(rng.integers(0, OBSERVATION_AGE_MAX + 1)) * int(rng.random() < 0.4)
+        passed = bool(rng.random() < 0.5)
+        width += block.count(motors)
+        remembered += block.count(motors) * (age + passed)
+        if width > OBSERVATION_COUNT_MAX or remembered > OBSERVATION_MEMORY_MAX:
+            break
+        cutoff = f"~{rate_hz * 10 ** rng.uniform(-4, -0.31):.3f}Hz" if passed else ""
+        texts.append(block.name + cutoff + (f"@{age}" if age else ""))
+    return ",".join(texts)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_c_gives_the_twins_bits_when_terms_are_random(puppet: Any, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motors, rate_hz = int(rng.choice([4, 6, 8])), int(rng.choice([1000, 2000, 4000]))
+    text = random_terms(rng, motors, rate_hz)
+    compiled = Observation.of(puppet, text, motors, rate_hz)
+    observer = Observer(observation_blocks(text), 1, motors, rate_hz)
+    rows = list(zip(*flight(400 + seed, motors, scale=10 ** rng.uniform(-2, 1.5)), strict=True))
+    seen = set()
+    for index, row in enumerate(rows):
+        if index > 0 and rng.random() < 0.02:
+            compiled.lib.observation_reset(compiled.self)
+            observer.reset(np.arange(1))
+        rate, setpoint, action, throttle = (np.atleast_1d(np.float32(values)) for values in row)
+        expected = observer.observe(slice(None), setpoint[None], rate[None], action[None], throttle)
+        given = np.float32(compiled.step(*row))
+        assert given.tobytes() == expected[0].tobytes(), f"{text}, step {index}"
+        seen.add(given.tobytes())
+    assert len(seen) > 300, "the observation must have moved"
+
+
+# --- The past ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("text", [EVERY_BLOCK, "rate_error_delta~30Hz@2,throttle~5Hz,previous_action@7"])
+def test_the_past_is_forgotten_when_it_is_reset(puppet: Any, text: str) -> None:
+    used, fresh = (Observation.of(puppet, text) for _ in range(2))
+    rows = list(zip(*flight(40, 4, scale=5.0), strict=True))
+    for row in rows[20:]:
         used.step(*row)
     puppet.lib.observation_reset(used.self)
-    assert used.step(*first).tolist() == fresh.step(*first).tolist()
-    assert used.step(*later[0]).tolist() == fresh.step(*later[0]).tolist()
+    for row in rows[:20]:
+        assert used.step(*row).tolist() == fresh.step(*row).tolist()
 
 
+# --- Refusals ---------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("codes", "width"), [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)]
+    ("codes", "width"),
+    [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
     puppet: Any,
@@ -108,3 +208,30 @@ def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
     width: int,
 ) -> None:
     Observation(puppet, codes, width, expect=puppet.lib.NF_ERR_OBSERVATION)
+
+
+@pytest.mark.parametrize(
+    ("count", "age", "gain"),
+    [
+        (1, OBSERVATION_AGE_MAX + 1, 0.0),
+        (1, 255, 0.0),
+        (1, 0, 1.0),
+        (1, 0, -0.1),
+        (1, 0, float("nan")),
+        (OBSERVATION_TERMS_MAX + 1, 0, 0.0),
+        (OBSERVATION_TERMS_MAX, 8, 0.5),  # 9 floats each: 288
+    ],
+)
+def test_init_refuses_when_a_term_is_out_of_bounds(puppet: Any, count: int, age: int, gain: float) -> None:
+    """Of `count` throttles, each so old and so low-passed."""
+    error = puppet.lib.NF_ERR_OBSERVATION
+    Observation(puppet, [6] * count, count, [age] * count, [gain] * count, expect=error)
+
+
+def test_init_takes_terms_when_they_fill_the_memory(puppet: Any) -> None:
+    count = OBSERVATION_TERMS_MAX
+    observation = Observation(puppet, [6] * count, count, [7] * count, [0.5] * count)
+    assert count * 8 == OBSERVATION_MEMORY_MAX
+    for _ in range(7):
+        assert observation.step(np.zeros(3), np.zeros(3), np.zeros(4), 0.75).tolist() == [0.0] * count
+    assert observation.step(np.zeros(3), np.zeros(3), np.zeros(4), 0.0).tolist() == [0.75] * count

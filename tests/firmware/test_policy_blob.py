@@ -12,22 +12,24 @@ import numpy as np
 import pytest
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, pack, parse
+from toolchain.blob import PolicyBlob, blob_terms, pack, parse
 from toolchain.errors import PolicyError
 from toolchain.header import blob_header_fields
 
 Check = Callable[..., int]
-SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE = 0, *range(-6, -14, -1)
+SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)
+HEADER_BYTES = 344
 
 BLOB = PolicyBlob(
     sequence=3,
     architecture_hash=0x89ABCDEF,
     filters_hash=contract.POLICY_FILTERS_NONE,
     control_rate_hz=1000,
-    blocks=contract.observation_blocks("rate_error,rate_error_delta"),
+    terms=blob_terms(contract.observation_blocks("rate_error,rate~15Hz@2"), 1000),
     aircraft="nf1",
     aircraft_sha256="0f" * 32,
     policy_sha256="a1" * 32,
+    idle=0.25,
     weights=np.linspace(-1, 1, 21, dtype=np.float32),
     selftest_observation=np.linspace(-9, 9, 24, dtype=np.float32).reshape(4, 6),
     selftest_action=np.linspace(0, 1, 16, dtype=np.float32).reshape(4, 4),
@@ -89,6 +91,8 @@ def test_a_blob_is_taken_when_the_slot_is_longer(check: Check) -> None:
         {"weights": -BLOB.weights},
         {"aircraft": "A" * 32, "aircraft_sha256": "c3" * 32, "policy_sha256": "d4" * 32},
         {"selftest_steps": 4},
+        {"idle": 0.0},
+        {"idle": 0.5},
         {"selftest_observation": np.ones((1, 6), np.float32), "selftest_action": np.ones((1, 4), np.float32)}
         | {"selftest_steps": 1},
     ],
@@ -120,7 +124,7 @@ def test_a_blob_is_refused_when_any_byte_is_another(check: Check) -> None:
 
 
 def test_a_blob_is_refused_when_it_brings_no_selftest(check: Check) -> None:
-    body = GOOD[: 216 + 4 * 21] + bytes(4)
+    body = GOOD[: HEADER_BYTES + 4 * 21] + bytes(4)
     total = struct.pack("<I", len(body))
     without = body[:8] + total + body[12:44] + bytes(2) + body[46:]
     assert check(sealed(without)) == SIZE
@@ -128,13 +132,13 @@ def test_a_blob_is_refused_when_it_brings_no_selftest(check: Check) -> None:
 
 def test_a_blob_is_refused_when_it_is_cut_anywhere(check: Check) -> None:
     for length in range(len(GOOD)):
-        assert check(GOOD, size=length) == (SHORT if length < 216 + 4 else SIZE), length
+        assert check(GOOD, size=length) == (SHORT if length < HEADER_BYTES + 4 else SIZE), length
 
 
 def test_bytes_are_refused_when_they_are_random(check: Check) -> None:
     rng = np.random.default_rng(5)
     for _ in range(3000):
-        noise = rng.integers(0, 256, rng.integers(0, 600), np.uint8).tobytes()
+        noise = rng.integers(0, 256, rng.integers(0, 900), np.uint8).tobytes()
         keep = int(rng.integers(0, 60))
         assert check(GOOD[:keep] + noise) < 0
 
@@ -149,7 +153,7 @@ def test_nothing_is_read_as_a_blob_when_a_slot_is_erased_or_cleared(check: Check
     [
         ("magic", b"NFPX", MAGIC),
         ("layout", b"\0\0", LAYOUT),
-        ("layout", b"\2\0", LAYOUT),
+        ("layout", b"\1\0", LAYOUT),
         ("header_bytes", b"\xd0\0", SIZE),
         ("weight_offset", b"\xdc\0\0\0", SIZE),
         ("selftest_offset", b"\xff\xff\xff\xff", SIZE),
@@ -166,6 +170,11 @@ def test_nothing_is_read_as_a_blob_when_a_slot_is_erased_or_cleared(check: Check
         ("control_rate_hz", b"\xd0\7\0\0", RATE),
         ("filters_hash", b"\0\0\0\0", FILTERS),
         ("architecture_hash", b"\0\0\0\0", ARCHITECTURE),
+        ("idle", struct.pack("<f", 0.50000006), IDLE),
+        ("idle", struct.pack("<f", -1e-45), IDLE),
+        ("idle", struct.pack("<f", -0.0), IDLE),
+        ("idle", struct.pack("<f", float("nan")), IDLE),
+        ("idle", struct.pack("<f", float("inf")), IDLE),
         ("observation_count", b"\4\0\6\0", ARCHITECTURE),  # as many floats a row, otherwise divided
     ],
 )
@@ -208,7 +217,7 @@ def test_c_and_python_agree_when_sizes_lie(check: Check) -> None:
     for _ in range(3000):
         data = bytearray(GOOD)
         for _ in range(int(rng.integers(1, 3))):
-            data[int(rng.integers(0, at("observation_block_count")))] ^= 1 << int(rng.integers(8))
+            data[int(rng.integers(0, at("observation_term_count")))] ^= 1 << int(rng.integers(8))
         lie = sealed(bytes(data))
         error = check(lie)
         if error == SUCCESS:

@@ -17,7 +17,7 @@ from toolchain.cortex_m7 import CortexM7, load_program
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the board
 TRACE_BYTES = 34 + 2 * 4  # struct control_trace up to the last motor; without pointers, so equal on both
-GYRO_HZ, IDLE, CW180 = 1000, 0.03, 2
+GYRO_HZ, CW180 = 1000, 2
 BOOT_STEPS, FLIGHT_STEPS = 1010, 400
 
 
@@ -28,8 +28,8 @@ class Board:
         self._core = CortexM7(load_program(image), MEMORY)
         self.firmware = self._core.allocate(FIRMWARE_BYTES)
         self._argument, self._out = self._core.allocate(64), self._core.allocate(8)
-        # unsigned, float, enum: AAPCS gives a small enum one byte, the others are its padding.
-        config = GYRO_HZ.to_bytes(4, "little") + np.float32(IDLE).tobytes() + CW180.to_bytes(4, "little")
+        # unsigned, enum: AAPCS gives a small enum one byte, the others are its padding.
+        config = GYRO_HZ.to_bytes(4, "little") + CW180.to_bytes(4, "little")
         self._core.write(self._argument, config)
         assert self._core.call("firmware_init", self.firmware, self._argument) == 0
 
@@ -49,7 +49,7 @@ class Host:
     def __init__(self, core: Any) -> None:
         self._core = core
         self.firmware = core.new("struct firmware *")
-        config = core.new("struct firmware_config *", (GYRO_HZ, IDLE, CW180))
+        config = core.new("struct firmware_config *", (GYRO_HZ, CW180))
         assert core.lib.firmware_init(self.firmware, config) == 0
         self._dshot = core.new("uint16_t[4]")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, pack
+from toolchain.blob import PolicyBlob, blob_terms, pack
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "firmware" / "src"
@@ -37,10 +37,11 @@ SMALLEST_BLOB = PolicyBlob(
     architecture_hash=1,
     filters_hash=contract.POLICY_FILTERS_NONE,
     control_rate_hz=1000,
-    blocks=contract.observation_blocks("throttle"),
+    terms=blob_terms(contract.observation_blocks("throttle"), 1000),
     aircraft="nf1",
     aircraft_sha256="0" * 64,
     policy_sha256="0" * 64,
+    idle=0.0,
     weights=np.ones(1, np.float32),
     selftest_observation=np.zeros((1, 1), np.float32),
     selftest_action=np.zeros((1, 1), np.float32),
@@ -72,7 +73,7 @@ def pieces(seed: int, sbus: Callable[..., bytes]) -> list[bytes]:
 @pytest.mark.parametrize("seed", range(3))
 def test_no_sanitizer_speaks_when_bytes_are_wild(feed: Path, sbus: Callable[..., bytes], seed: int) -> None:
     given = pieces(seed, sbus)
-    stream = b"".join(bytes([len(piece)]) + piece for piece in given)
+    stream = b"".join(len(piece).to_bytes(2, "little") + piece for piece in given)
     done = subprocess.run([str(feed)], input=stream, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
     samples, replies, _ = map(int, done.stdout.split())
@@ -94,12 +95,12 @@ def test_no_sanitizer_speaks_when_blobs_are_cut_damaged_or_lie(feed: Path) -> No
             damaged = good[:index] + bytes([value]) + good[index + 1 :]
             given += [damaged, resealed(damaged)]
     for _ in range(2000):
-        noise = bytearray(good[:4] + b"\x01\x00" + rng.integers(0, 256, len(good) - 6, np.uint8).tobytes())
+        noise = bytearray(good[:6] + rng.integers(0, 256, len(good) - 6, np.uint8).tobytes())
         for offset in range(6, 52):  # most sizes as they should be, so that the others are reached
             if rng.random() < 0.95:
                 noise[offset] = good[offset]
         given.append(resealed(bytes(noise)))
-    stream = b"".join(bytes([len(piece)]) + piece for piece in given)
+    stream = b"".join(len(piece).to_bytes(2, "little") + piece for piece in given)
     done = subprocess.run([str(feed)], input=stream, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
     samples, _, blobs = map(int, done.stdout.split())

@@ -96,7 +96,7 @@ def test_metadata_are_replaced_when_the_model_has_some(kit: Kit) -> None:
     assert not changes
     kept = {entry.key: entry.value for entry in onnx.load_from_string(data).metadata_props}
     assert (kept["trainer"], kept["neuroflight.aircraft_sha256"]) == ("another", "ab" * 32)
-    assert len(kept) == 8
+    assert len(kept) == 9
 
 
 def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -105,6 +105,13 @@ def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Pat
     document = json.loads(capsys.readouterr().out)
     assert document["policy_sha256"] == read_policy(out).source_sha256
     assert len(document["changes"]) == 5
+    assert document["idle"] == read_policy(out).idle == 0.0
+
+
+def test_policy_has_the_idle_that_it_is_frozen_with(source: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "policy.onnx"
+    assert main(["freeze", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
+    assert read_policy(out).idle == 0.23
 
 
 @pytest.mark.parametrize(("name", "words"), [("", "is a directory"), ("file/policy.onnx", "is no directory")])
@@ -129,6 +136,8 @@ REFUSED = {
     "unknown observation block 'altitude'": {"--observation": "altitude"},
     "neuroflight.control_rate_hz is '-5'": {"--rate": "-5"},
     "neuroflight.filters is '{}', expected a JSON list": {"--filters": "{}"},
+    "--idle 0.6, expected 0 to 0.5": {"--idle": "0.6"},
+    "--idle nan, expected 0 to 0.5": {"--idle": "nan"},
     "drives 4 motors, aircraft hexa has 6": {"--aircraft": "hexa"},
     "no such file": {"--aircraft": "absent"},
 }

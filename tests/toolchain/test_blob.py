@@ -16,34 +16,51 @@ import numpy as np
 import pytest
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, filters_hash, header_values, pack, parse, same_architecture
+from toolchain.blob import (
+    PolicyBlob,
+    blob_terms,
+    filters_hash,
+    header_values,
+    pack,
+    parse,
+    same_architecture,
+)
+from toolchain.emit import header_literals
 from toolchain.errors import PolicyError
 from toolchain.header import blob_header_fields
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "policy-blob.md"
-HEADER_BYTES = 216
+HEADER_BYTES = 344
 WEIGHTS = np.array([1.5, -0.0, 1e-45, 3.4028235e38, -2.0], np.float32)
 OBSERVATION = np.array([[0, np.nan, np.inf, -np.inf, 1e-45, -0.0], [1, 2, 3, 4, 5, 6]], np.float32)
 ACTION = np.array([[0, 1, 0.5, 1e-45], [0.25, 0.75, 1, 0]], np.float32)
+
+
+def terms(text: str) -> Any:
+    """The terms in `text` at 1 kHz."""
+    return blob_terms(contract.observation_blocks(text), 1000)
+
+
 BLOB = PolicyBlob(
     sequence=7,
     architecture_hash=0x89ABCDEF,
     filters_hash=contract.POLICY_FILTERS_NONE,
     control_rate_hz=1000,
-    blocks=contract.observation_blocks("rate_error,rate_error_delta"),
+    terms=terms("rate_error,rate_error_delta~15Hz@3"),
     aircraft="nf1",
     aircraft_sha256="0f" * 32,
     policy_sha256="a1" * 32,
+    idle=0.25,
     weights=WEIGHTS,
     selftest_observation=OBSERVATION,
     selftest_action=ACTION,
     selftest_steps=2,
 )
-# The first bytes of layout version 1, by hand. Changing them means another layout version.
+# The first bytes of layout version 2, by hand. Changing them means another layout version.
 NUMBERS = struct.pack(
     "<4sHHIIIIIHHIIIHHI",
     b"NFPB",
-    1,
+    2,
     HEADER_BYTES,
     HEADER_BYTES + 4 * (5 + 12 + 8) + 4,
     7,
@@ -59,7 +76,10 @@ NUMBERS = struct.pack(
     2,
     2,
 )
-NAMES = bytes([2, 3]).ljust(64, b"\0") + b"nf1".ljust(32, b"\0") + b"\x0f" * 32 + b"\xa1" * 32 + bytes(4)
+TERMS = bytes([2, 3]).ljust(32, b"\0") + bytes([0, 3]).ljust(32, b"\0") + bytes(4)
+TERMS += struct.pack("<f", 1 - np.exp(-2 * np.pi * 15 / 1000)).ljust(4 * 31, b"\0")
+NAMES = b"nf1".ljust(32, b"\0") + b"\x0f" * 32 + b"\xa1" * 32
+REST = TERMS + NAMES + struct.pack("<f", 0.25)
 
 
 def at(name: str) -> int:
@@ -91,13 +111,13 @@ def same(a: PolicyBlob, b: PolicyBlob) -> bool:
 
 
 # --- Bytes out, bytes in ----------------------------------------------------------------------
-def test_bytes_are_those_of_layout_one_when_packed() -> None:
+def test_bytes_are_those_of_layout_two_when_packed() -> None:
     data = pack(BLOB)
     floats = WEIGHTS.tobytes() + OBSERVATION.tobytes() + ACTION.tobytes()
     assert data[:52] == NUMBERS
-    assert data[52:HEADER_BYTES] == NAMES
+    assert data[52:HEADER_BYTES] == REST
     assert data[HEADER_BYTES:-4] == floats
-    assert data[-4:] == struct.pack("<I", zlib.crc32(NUMBERS + NAMES + floats))
+    assert data[-4:] == struct.pack("<I", zlib.crc32(NUMBERS + REST + floats))
 
 
 def test_nothing_is_lost_when_packed_and_parsed() -> None:
@@ -113,15 +133,17 @@ def test_nothing_is_lost_when_packed_and_parsed() -> None:
         {"sequence": 0xFFFFFFFF, "architecture_hash": 0, "filters_hash": 0xFFFFFFFF},
         {"control_rate_hz": 8000},
         {"aircraft": "A" * 32},
+        {"idle": 0.0},
+        {"idle": 0.5},
         {"selftest_steps": 1},
         {"weights": np.zeros(0, np.float32)},
         {"weights": np.linspace(-1, 1, 12288, dtype=np.float32)},
         {
-            "blocks": contract.observation_blocks(",".join(["throttle"] * 64)),
-            "selftest_observation": np.ones((2, 64), np.float32),
+            "terms": terms(",".join(["throttle~499.999Hz@16"] * 32)),
+            "selftest_observation": np.ones((2, 32), np.float32),
         },
         {
-            "blocks": contract.observation_blocks("previous_action"),
+            "terms": terms("rotor_speed"),
             "selftest_observation": ACTION,
         },
     ],
@@ -174,14 +196,14 @@ def test_a_blob_is_refused_when_cut_or_longer() -> None:
     for length in range(len(data)):
         text = refusal(lambda length=length: parse(data[:length]))  # type: ignore[misc]
         assert f"is {length} bytes, expected" in text
-    assert "is 321 bytes, expected 320 by its header" in refusal(lambda: parse(data + b"\0"))
+    assert "is 449 bytes, expected 448 by its header" in refusal(lambda: parse(data + b"\0"))
 
 
 def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     rng = np.random.default_rng(3)
     data = pack(BLOB)
     for _ in range(3000):
-        noise = rng.integers(0, 256, rng.integers(0, 500), np.uint8).tobytes()
+        noise = rng.integers(0, 256, rng.integers(0, 700), np.uint8).tobytes()
         keep = int(rng.integers(0, 60))
         refusal(lambda noise=noise, keep=keep: parse(sealed(data[:keep] + noise)))  # type: ignore[misc]
 
@@ -190,30 +212,47 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     ("name", "value", "text"),
     [
         ("magic", b"NFPX", r"begins with b'NFPX', expected b'NFPB'; is it a policy blob\?"),
-        ("layout", b"\x02\x00", "layout version 2, expected 1"),
-        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 216"),
-        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 320 by its counts"),
-        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 216"),
-        ("weight_count", b"\xff" * 4, "selftest_offset is 236, expected 17179869396"),
-        ("weight_count", b"\x04\0\0\0", "selftest_offset is 236, expected 232"),
-        ("selftest_offset", b"\xed\0\0\0", "selftest_offset is 237, expected 236"),
-        ("selftest_count", b"\xff\xff", "total_bytes is 320, expected"),
-        ("observation_count", b"\x05\x00", "total_bytes is 320, expected"),
-        ("action_count", b"\x00\x00", "total_bytes is 320, expected"),
+        ("layout", b"\x01\x00", "layout version 1, expected 2"),
+        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 344"),
+        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 448 by its counts"),
+        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 344"),
+        ("weight_count", b"\xff" * 4, "selftest_offset is 364, expected 17179869524"),
+        ("weight_count", b"\x04\0\0\0", "selftest_offset is 364, expected 360"),
+        ("selftest_offset", b"\x6d\1\0\0", "selftest_offset is 365, expected 364"),
+        ("selftest_count", b"\xff\xff", "total_bytes is 448, expected"),
+        ("observation_count", b"\x05\x00", "total_bytes is 448, expected"),
+        ("action_count", b"\x00\x00", "total_bytes is 448, expected"),
         ("selftest_steps", b"\0\0", "self-test steps is 0, expected 1 to 2"),
         ("selftest_steps", b"\3\0", "self-test steps is 3, expected 1 to 2"),
         ("control_rate_hz", b"\0" * 4, "control rate is 0, expected 1 to"),
-        ("observation_block_count", b"\1\0\0\0", "1 observation blocks are not those of its list"),
-        ("observation_block_count", b"\x41\0\0\0", "65 observation blocks are not those of its list"),
-        ("observation_block_count", b"\xff" * 4, "4294967295 observation blocks are not"),
-        ("observation_block_count", b"\3\0\0\0", "observation block 0 is unknown, known are"),
+        ("observation_term_count", b"\1\0\0\0", "1 observation terms are not those of its lists"),
+        ("observation_term_count", b"\x21\0\0\0", "33 observation terms are not those of its lists"),
+        ("observation_term_count", b"\xff" * 4, "4294967295 observation terms are not"),
+        ("observation_term_count", b"\3\0\0\0", "observation block 0 is unknown, known are"),
         ("observation_blocks", b"\x02\x09", "observation block 9 is unknown, known are"),
         ("observation_blocks", b"\x02\x06", "takes 6 values, but its blocks make 4"),
         ("aircraft", b"n\0f", "aircraft is 'n.x00f', expected at most 32 letters"),
         ("aircraft", b'"; ', "expected at most 32 letters"),
         ("aircraft", b"\xff", "expected at most 32 letters"),
         ("aircraft", b"\0\0\0", "aircraft is '', expected"),
-        ("reserved", b"\1\0\0\0", "reserved field is 1, expected 0"),
+        ("observation_ages", b"\0\3\1", "2 observation terms are not those of its lists"),
+        ("observation_ages", b"\0\x11", "rate_error_delta 17 steps old, expected 0 to 16"),
+        (
+            "observation_gains",
+            struct.pack("<3f", 0, 0, 0.5),
+            "2 observation terms are not those of its lists",
+        ),
+        ("observation_gains", struct.pack("<3f", 0, 0, np.nan), "2 observation terms are not those of its"),
+        (
+            "observation_gains",
+            struct.pack("<2f", 0, 1),
+            "low-pass of rate_error_delta has the gain 1.0, expected",
+        ),
+        ("observation_gains", struct.pack("<f", -0.5), "low-pass of rate_error has the gain -0.5, expected"),
+        ("observation_gains", struct.pack("<f", np.nan), "low-pass of rate_error has the gain nan, expected"),
+        ("idle", struct.pack("<f", np.nan), "idle is nan, expected 0 to 0.5"),
+        ("idle", struct.pack("<f", 0.75), "idle is 0.75, expected 0 to 0.5"),
+        ("idle", struct.pack("<f", -0.25), "idle is -0.25, expected 0 to 0.5"),
     ],
 )
 def test_a_blob_is_refused_in_its_words_when_a_field_lies(name: str, value: bytes, text: str) -> None:
@@ -236,13 +275,13 @@ def test_a_blob_is_refused_in_its_words_when_a_field_lies(name: str, value: byte
         ({"aircraft": "ünf"}, "at most 32 letters"),
         ({"policy_sha256": "a1" * 31}, "SHA-256 of the policy is .*, expected 64 hexadecimal digits"),
         ({"aircraft_sha256": "A1" * 32}, "SHA-256 of the aircraft is"),
-        ({"blocks": contract.observation_blocks("rate_error")}, "takes 6 values, but its blocks make 3"),
+        ({"terms": terms("rate_error")}, "takes 6 values, but its blocks make 3"),
         (
             {
-                "blocks": contract.observation_blocks(",".join(["throttle"] * 65)),
-                "selftest_observation": np.ones((2, 65), np.float32),
+                "terms": terms(",".join(["throttle"] * 33)),
+                "selftest_observation": np.ones((2, 33), np.float32),
             },
-            "number of observation blocks is 65, expected 1 to 64",
+            "number of observation terms is 33, expected 1 to 32",
         ),
         (
             {
@@ -276,7 +315,7 @@ def test_a_blob_is_not_made_when_its_arrays_do_not_belong_together() -> None:
 
 # --- What may be exchanged --------------------------------------------------------------------
 def test_blobs_are_of_one_architecture_when_only_values_differ() -> None:
-    other = replace(BLOB, sequence=8, weights=-WEIGHTS, aircraft="iris", policy_sha256="b2" * 32)
+    other = replace(BLOB, sequence=8, weights=-WEIGHTS, aircraft="iris", policy_sha256="b2" * 32, idle=0.0)
     assert same_architecture(BLOB, other)
 
 
@@ -315,7 +354,7 @@ def test_compiled_in_bytes_are_the_packed_ones_when_c_writes_them(
     blob = replace(BLOB, selftest_observation=np.ones((2, 6), np.float32), aircraft="A-b.c_" + "9" * 26)
     macros: Any = MACROS.get_template("blob_header.j2").module
     head = macros.struct("header", blob_header_fields())
-    initial = macros.initializer(blob_header_fields(), header_values(blob))
+    initial = macros.initializer(blob_header_fields(), header_literals(blob))
     weights, observation, action = (
         ", ".join(f"{float(value).hex()}f" for value in array.ravel())
         for array in (blob.weights, blob.selftest_observation, blob.selftest_action)

@@ -103,6 +103,18 @@ def wide(kit: Kit) -> Chain:
     return chain
 
 
+def remembering(kit: Kit) -> Chain:
+    chain = kit.mlp((18, 8, 4))
+    chain.metadata["neuroflight.observation"] = ",".join(["rate@16"] * 6)
+    return chain
+
+
+def sighted(kit: Kit) -> Chain:
+    chain = kit.mlp((6, 8, 4))
+    chain.metadata["neuroflight.observation"] = "rate,gravity@1"
+    return chain
+
+
 def large(kit: Kit) -> Chain:
     return kit.mlp((6, 100, 111, 4))
 
@@ -115,7 +127,9 @@ MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (six_motors, "the policy drives 6 motors, MATEKF722 has 4"),
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
     (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
-    (wide, "the policy observes 66 values, the firmware offers at most 64"),
+    (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
+    (remembering, "the policy cannot be flown: the observation remembers 288 values, expected at most 256"),
+    (sighted, "the policy observes gravity, which the firmware has no source for; train it on other blocks"),
     (large, "weights, 748 more than the board's 12288"),
     (broad, "the policy works on 1200 floats, 176 more than the board's 1024"),
 ]

@@ -98,7 +98,7 @@ def every_kernel() -> PolicyModel:
         Node(Clip(0.0, 1.0), (16,)),
     ]
     return PolicyModel(
-        blocks=observation_blocks("rate_error"),
+        blocks=observation_blocks("rate_error~15Hz@2"),
         control_rate_hz=1000,
         filters=(),
         aircraft="nf1",
@@ -106,6 +106,7 @@ def every_kernel() -> PolicyModel:
         training={},
         source_sha256="5a" * 32,
         network=Network(3, tuple(nodes)),
+        idle=0.25,
     )
 
 

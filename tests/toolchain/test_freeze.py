@@ -99,6 +99,24 @@ def test_policy_does_what_the_trained_one_did_when_frozen(
     assert policy.network.text == f"6-32-16-4 {name}"
 
 
+def test_policy_squashes_its_last_sum_when_the_trained_one_did(state: dict[str, torch.Tensor]) -> None:
+    output = {"scale": 0.75, "offset": 0.375, "squash": True}
+    policy = parse_policy(to_onnx(configuration(output=output), state))
+    raw = np.random.default_rng(0).normal(size=(1000, 6)).astype(np.float32)
+    hidden = torch.from_numpy(raw * np.array(SCALE, np.float32))
+    for name in ("mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net"):
+        layer = torch.nn.functional.linear(hidden, state[f"{name}.weight"], state[f"{name}.bias"])
+        hidden = torch.tanh(layer)
+    expected = np.clip(0.75 * hidden.numpy() + 0.375, 0, 1)
+    assert np.ptp(expected) > 0.05
+    np.testing.assert_allclose(evaluate(policy.network, raw), expected, rtol=0, atol=3e-6)
+
+
+def test_policy_has_the_idle_that_it_was_trained_with(state: dict[str, torch.Tensor]) -> None:
+    assert parse_policy(to_onnx(configuration(idle=0.23), state)).idle == 0.23
+    assert parse_policy(to_onnx(configuration(), state)).idle == 0.0
+
+
 def test_file_holds_the_policy_only_when_frozen(state: dict[str, torch.Tensor]) -> None:
     data = to_onnx(configuration(), state)
     assert len(data) < 4 * 4868 + 2500
@@ -132,6 +150,8 @@ BAD_CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "lacks the tensor 'mlp_extractor.policy_net.4.weight'": {"hidden": [64, 64, 64]},
     "neuroflight.aircraft is 'n f/1'": {"aircraft": {"name": "n f/1", "sha256": "ab" * 32}},
     "configuration is damaged": {"motors": "four"},
+    "neuroflight.idle is '0.75', expected a motor fraction of 0 to 0.5": {"idle": 0.75},
+    "unknown observation block 'rate error'": {"observation": "rate error"},
     "weights of layer 0 hold NaN or infinite values": {"observation_scale": [1e300] * 6},
 }
 

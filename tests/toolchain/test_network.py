@@ -50,7 +50,25 @@ def test_policy_tells_what_it_is_when_it_is_read(kit: Kit, tmp_path: Path) -> No
     assert (policy.observation_count, policy.action_count) == (6, 4)
     assert (policy.control_rate_hz, policy.filters, policy.aircraft) == (1000, (), "nf1")
     assert policy.training == {"steps": 7}
+    assert policy.idle == 0.0
     assert policy.source_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("text", "idle"), [("0", 0.0), ("0.0", 0.0), ("0.23", 0.23), ("5e-2", 0.05), ("0.5", 0.5)]
+)
+def test_policy_has_the_idle_that_its_metadata_tell(kit: Kit, text: str, idle: float) -> None:
+    chain = kit.mlp()
+    chain.metadata["neuroflight.idle"] = text
+    assert parse_policy(chain.data()).idle == idle
+
+
+def test_policy_has_the_terms_that_its_metadata_tell(kit: Kit) -> None:
+    chain = kit.mlp()
+    chain.metadata["neuroflight.observation"] = "rate_error@2,rate~15.0Hz"
+    policy = parse_policy(chain.data())
+    assert policy.observation == "rate_error@2,rate~15Hz"
+    assert [(term.cutoff_hz, term.age) for term in policy.blocks] == [(None, 2), (15.0, 0)]
 
 
 def plain(kit: Kit) -> tuple[Chain, np.random.Generator]:
@@ -225,7 +243,9 @@ def test_policy_is_refused_when_nothing_bounds_its_output(kit: Kit) -> None:
     )
 
 
-@pytest.mark.parametrize("key", sorted(k for k in vars(contract) if k.startswith("META_")))
+@pytest.mark.parametrize(
+    "key", sorted(k for k in vars(contract) if k.startswith("META_") and k != "META_IDLE")
+)
 def test_policy_is_refused_when_a_key_of_its_metadata_is_missing(kit: Kit, key: str) -> None:
     chain = kit.mlp()
     del chain.metadata[getattr(contract, key)]
@@ -241,6 +261,13 @@ def test_policy_is_refused_when_a_key_of_its_metadata_is_missing(kit: Kit, key: 
         ("control_rate_hz", "-1000"),
         ("filters", "{}"),
         ("filters", "["),
+        ("observation", "rate_error@17,rate"),
+        ("idle", ""),
+        ("idle", "0.51"),
+        ("idle", "-0.1"),
+        ("idle", "nan"),
+        ("idle", "1e-999999999"),
+        ("idle", "0" * 100_000),
         ("aircraft", '"; system("rm") /*'),
         ("aircraft", ""),
         ("aircraft_sha256", "abc"),
@@ -254,6 +281,15 @@ def test_policy_is_refused_by_key_when_its_metadata_make_no_sense(kit: Kit, key:
     message = refusal(chain.data())
     assert message.startswith(f"neuroflight.{key} is ")
     assert len(message) < 400
+
+
+def test_policy_is_refused_when_a_low_pass_is_none_at_its_rate(kit: Kit) -> None:
+    chain = kit.mlp()
+    chain.metadata["neuroflight.observation"] = "rate_error,rate~500Hz"
+    message = refusal(chain.data())
+    assert message.startswith(
+        "neuroflight.observation: observation 'rate~500Hz': a low-pass at 500 Hz, expected"
+    )
 
 
 def test_policy_is_refused_when_its_blocks_make_another_width(kit: Kit) -> None:

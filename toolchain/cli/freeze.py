@@ -28,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=int, metavar="HZ", help="control rate it was trained at")
     parser.add_argument("--aircraft", metavar="NAME|FILE", help="shipped name or .toml it was trained for")
     parser.add_argument("--filters", metavar="JSON", help="gyro filters it was trained behind; default: []")
+    parser.add_argument(
+        "--idle",
+        type=float,
+        metavar="U",
+        help="motor fraction without thrust it was trained with; default: 0",
+    )
     parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a line")
@@ -57,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
             "observation": policy.observation,
             "control_rate_hz": policy.control_rate_hz,
             "filters": policy.filters,
+            "idle": policy.idle,
             "aircraft": policy.aircraft,
             "aircraft_sha256": policy.aircraft_sha256,
             "changes": list(changes),
@@ -78,6 +85,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--rate": args.rate,
         "--aircraft": args.aircraft,
         "--filters": args.filters,
+        "--idle": args.idle,
         "--output": args.output,
         "--clip": args.clip or None,
     }
@@ -88,14 +96,15 @@ def _refuse_claims(args: argparse.Namespace) -> None:
 
     if given := [name for name, value in _claims(args).items() if value is not None]:
         raise PolicyError(
-            f"{args.source} is a checkpoint, which knows its own observation, rate, filters and aircraft; "
-            f"leave out {', '.join(given)}"
+            f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle and "
+            f"aircraft; leave out {', '.join(given)}"
         )
 
 
 def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from sim.aircraft import load_aircraft
     from toolchain.adopt import PolicyClaims, adopt
+    from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
 
     needed = ("--observation", "--rate", "--aircraft")
@@ -104,6 +113,8 @@ def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
             f"{args.source} is an ONNX model, of which freeze must be told {', '.join(missing)} "
             "(a checkpoint of `neuroflight train` knows them)"
         )
+    if args.idle is not None and not 0.0 <= args.idle <= IDLE_MAX:
+        raise PolicyError(f"--idle {args.idle}, expected 0 to {IDLE_MAX}")
     aircraft = load_aircraft(args.aircraft)
     claims = PolicyClaims(
         observation=args.observation,
@@ -112,5 +123,6 @@ def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         aircraft=aircraft.name,
         aircraft_sha256=aircraft.sha256,
         motors=aircraft.motor_count,
+        idle=IDLE_DEFAULT if args.idle is None else args.idle,
     )
     return adopt(args.source, args.out, claims, clip=args.clip, output=args.output)

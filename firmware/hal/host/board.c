@@ -11,7 +11,6 @@ struct firmware_config host_config(unsigned gyro_rate_hz)
 {
 	return (struct firmware_config){
 		.gyro_rate_hz = gyro_rate_hz,
-		.idle = NF_IDLE_DEFAULT,
 		.alignment = ALIGN_CW180,
 	};
 }

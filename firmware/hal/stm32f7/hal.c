@@ -36,7 +36,6 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 
 	info->config = (struct firmware_config){
 		.gyro_rate_hz = gyro_rate_hz,
-		.idle = NF_IDLE_DEFAULT,
 		.alignment = BOARD_GYRO_ALIGNMENT,
 	};
 	info->cycles_hz = CLOCK_CORE_HZ;

@@ -9,7 +9,8 @@
 #define POLICY_ARCHITECTURE_HASH 0x01234567u
 #define POLICY_SELFTEST_COUNT 3
 #define POLICY_SELFTEST_STEPS 1
-#define POLICY_OBSERVATION_BLOCK_COUNT 6
+#define POLICY_OBSERVATION_TERM_COUNT 6
+#define POLICY_IDLE 0.0f
 #define POLICY_NAME "puppet"
 #define POLICY_SHA256 "00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210"
 
@@ -22,7 +23,9 @@ extern float puppet_observation[POLICY_OBSERVATION_COUNT];
 extern unsigned puppet_inits;
 extern unsigned puppet_steps;
 
-extern const unsigned char policy_observation_blocks[POLICY_OBSERVATION_BLOCK_COUNT];
+extern const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT];
+extern const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT];
+extern const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT];
 extern const float policy_weights[POLICY_WEIGHT_COUNT];
 extern const float policy_selftest_observation[POLICY_SELFTEST_COUNT][POLICY_OBSERVATION_COUNT];
 extern const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];

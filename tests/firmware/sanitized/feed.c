@@ -1,6 +1,7 @@
 /* Feeds standard input to everything of the core that reads bytes or counts, under the sanitizers.
- * Input: pieces of a length byte and as many bytes; each goes to the receiver, the MSP server, the gyro and the
- * check of policy blobs. Output: how many pieces, how many with MSP replies, how many good blobs. */
+ * Input: pieces of a length (two bytes, the lower one first) and as many bytes; each goes to the receiver, the
+ * MSP server, the gyro and the check of policy blobs. Output: how many pieces, how many with MSP replies, how many
+ * good blobs. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,7 +26,8 @@ int main(void)
 	if (!fw || firmware_init(fw, &config) != NF_OK)
 		return 2;
 	msp_init(&msp, &identity);
-	for (int length; (length = getchar()) != EOF;) {
+	for (int low, high; (low = getchar()) != EOF && (high = getchar()) != EOF;) {
+		const int length = low | high << 8;
 		/* Exact sizes on the heap, so that one byte too far is seen. */
 		uint8_t *bytes = malloc((size_t)length + 1), *reply = malloc((size_t)length * 4 + 1);
 		uint8_t *slot = malloc((size_t)length + 1);

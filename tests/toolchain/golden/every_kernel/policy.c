@@ -555,47 +555,55 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
         action[i] = bound_above(bound_below((v + 8)[i] + poison, 0x0p+0f), 0x1p+0f);
 }
 
-const unsigned char policy_observation_blocks[POLICY_OBSERVATION_BLOCK_COUNT] = {
+const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT] = {
     2,
+};
+const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT] = {
+    2,
+};
+const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT] = {
+    0x1.7067d2p-4f,
 };
 
 /* The parts of the blob that have names of their own lie inside it. */
 #define POLICY_PART(name, offset, bytes)                                            \
     __asm__(".globl " #name "\n\t.type " #name ", %object\n\t"                      \
             ".set " #name ", policy_blob + " #offset "\n\t.size " #name ", " #bytes)
-POLICY_PART(policy_weights, 216, 5584);
-POLICY_PART(policy_selftest_observation, 5800, 192);
-POLICY_PART(policy_selftest_action, 5992, 256);
-_Static_assert(offsetof(struct policy_blob, weights) == 216, "weights");
+POLICY_PART(policy_weights, 344, 5584);
+POLICY_PART(policy_selftest_observation, 5928, 192);
+POLICY_PART(policy_selftest_action, 6120, 256);
+_Static_assert(offsetof(struct policy_blob, weights) == 344, "weights");
 _Static_assert(sizeof policy_blob.weights == 5584, "weights");
-_Static_assert(offsetof(struct policy_blob, selftest_observation) == 5800, "selftest_observation");
+_Static_assert(offsetof(struct policy_blob, selftest_observation) == 5928, "selftest_observation");
 _Static_assert(sizeof policy_blob.selftest_observation == 192, "selftest_observation");
-_Static_assert(offsetof(struct policy_blob, selftest_action) == 5992, "selftest_action");
+_Static_assert(offsetof(struct policy_blob, selftest_action) == 6120, "selftest_action");
 _Static_assert(sizeof policy_blob.selftest_action == 256, "selftest_action");
 
 _Alignas(8) const struct policy_blob policy_blob = {
     .header = {
         .magic = 0x4250464Eu,
-        .layout = 1,
-        .header_bytes = 216,
-        .total_bytes = 6252,
+        .layout = 2,
+        .header_bytes = 344,
+        .total_bytes = 6380,
         .sequence = 0,
-        .architecture_hash = 0xB8709843u,
+        .architecture_hash = 0xD33EE7ACu,
         .filters_hash = 0x0D4CBB29u,
         .control_rate_hz = 1000,
         .observation_count = 3,
         .action_count = 4,
-        .weight_offset = 216,
+        .weight_offset = 344,
         .weight_count = 1396,
-        .selftest_offset = 5800,
+        .selftest_offset = 5928,
         .selftest_count = 16,
         .selftest_steps = 16,
-        .observation_block_count = 1,
+        .observation_term_count = 1,
         .observation_blocks = { 2 },
+        .observation_ages = { 2 },
+        .observation_gains = { 0x1.7067d2p-4f },
         .aircraft = { 'n', 'f', '1' },
         .aircraft_sha256 = { 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0 },
         .policy_sha256 = { 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90 },
-        .reserved = 0,
+        .idle = 0x1p-2f,
     },
     .weights = {
         -0x1.1cp+3f, 0x1.1cp+3f, 0x1.8p+19f, 0x0p+0f, 0x1p+0f, 0x0p+0f,
@@ -868,5 +876,5 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.1b929ap-2f, 0x1.10aaa8p-2f, 0x1.08033ep-2f, 0x1.023584p-2f },
         { 0x1.28e25p-2f, 0x1.196c24p-2f, 0x1.0cc5acp-2f, 0x1.03e52ep-2f },
     },
-    .crc32 = 0x67274F5Au,
+    .crc32 = 0x3B936D0Bu,
 };

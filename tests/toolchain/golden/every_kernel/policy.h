@@ -13,11 +13,12 @@
 #define POLICY_CONTROL_RATE_HZ 1000
 /* CRC-32 over operations, activations, shapes, table layout, observation blocks, rate and filters: tables of
  * policies with the same hash may be exchanged. */
-#define POLICY_ARCHITECTURE_HASH 0xB8709843u
+#define POLICY_ARCHITECTURE_HASH 0xD33EE7ACu
 #define POLICY_FILTERS_HASH 0x0D4CBB29u /* of the gyro filter chain it was trained behind */
 #define POLICY_SELFTEST_COUNT 16
 #define POLICY_SELFTEST_STEPS 16 /* vectors from one policy_init to the next */
-#define POLICY_OBSERVATION_BLOCK_COUNT 1
+#define POLICY_OBSERVATION_TERM_COUNT 1
+#define POLICY_IDLE 0x1p-2f /* motor fraction of armed motors at zero thrust that it was trained with */
 #define POLICY_STATE_COUNT 12
 #define POLICY_SCRATCH_COUNT 60
 #define POLICY_NAME "nf1"
@@ -46,12 +47,14 @@ struct policy_blob_header {
     uint32_t selftest_offset; /* bytes: of the observations; the actions follow them */
     uint16_t selftest_count; /* rows: of observations and of actions, at least 1 */
     uint16_t selftest_steps; /* rows: from one policy_init to the next; divides the count */
-    uint32_t observation_block_count; /* used entries of the next field, at least 1 */
-    uint8_t observation_blocks[64]; /* codes in order, then 0 */
+    uint32_t observation_term_count; /* used entries of the next three, at least 1 */
+    uint8_t observation_blocks[32]; /* codes in order, then 0 */
+    uint8_t observation_ages[32]; /* steps: of each term, then 0 */
+    float observation_gains[32]; /* 1: of each low-pass, 0: none */
     char aircraft[32]; /* ASCII, then 0; a name may fill it */
     uint8_t aircraft_sha256[32]; /* of the aircraft trained for */
     uint8_t policy_sha256[32]; /* of the ONNX file */
-    uint32_t reserved; /* 0 */
+    float idle; /* 1: motor fraction at zero thrust, 0 to 0.5 */
 };
 _Static_assert(offsetof(struct policy_blob_header, magic) == 0, "magic");
 _Static_assert(offsetof(struct policy_blob_header, layout) == 4, "layout");
@@ -68,13 +71,15 @@ _Static_assert(offsetof(struct policy_blob_header, weight_count) == 36, "weight_
 _Static_assert(offsetof(struct policy_blob_header, selftest_offset) == 40, "selftest_offset");
 _Static_assert(offsetof(struct policy_blob_header, selftest_count) == 44, "selftest_count");
 _Static_assert(offsetof(struct policy_blob_header, selftest_steps) == 46, "selftest_steps");
-_Static_assert(offsetof(struct policy_blob_header, observation_block_count) == 48, "observation_block_count");
+_Static_assert(offsetof(struct policy_blob_header, observation_term_count) == 48, "observation_term_count");
 _Static_assert(offsetof(struct policy_blob_header, observation_blocks) == 52, "observation_blocks");
-_Static_assert(offsetof(struct policy_blob_header, aircraft) == 116, "aircraft");
-_Static_assert(offsetof(struct policy_blob_header, aircraft_sha256) == 148, "aircraft_sha256");
-_Static_assert(offsetof(struct policy_blob_header, policy_sha256) == 180, "policy_sha256");
-_Static_assert(offsetof(struct policy_blob_header, reserved) == 212, "reserved");
-_Static_assert(sizeof(struct policy_blob_header) == 216, "policy_blob_header");
+_Static_assert(offsetof(struct policy_blob_header, observation_ages) == 84, "observation_ages");
+_Static_assert(offsetof(struct policy_blob_header, observation_gains) == 116, "observation_gains");
+_Static_assert(offsetof(struct policy_blob_header, aircraft) == 244, "aircraft");
+_Static_assert(offsetof(struct policy_blob_header, aircraft_sha256) == 276, "aircraft_sha256");
+_Static_assert(offsetof(struct policy_blob_header, policy_sha256) == 308, "policy_sha256");
+_Static_assert(offsetof(struct policy_blob_header, idle) == 340, "idle");
+_Static_assert(sizeof(struct policy_blob_header) == 344, "policy_blob_header");
 
 /* The policy in the layout that a policy slot holds, CRC-32 over all before it at the end. */
 struct policy_blob {
@@ -86,8 +91,11 @@ struct policy_blob {
 };
 extern const struct policy_blob policy_blob;
 
-/* What the observation is made of, in order: rate_error. */
-extern const unsigned char policy_observation_blocks[POLICY_OBSERVATION_BLOCK_COUNT];
+/* What the observation is made of, in order: rate_error~15Hz@2.
+ * The code of each term's block, its age in control steps, and the gain a of its low-pass y += a (x - y); 0: none. */
+extern const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT];
+extern const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT];
+extern const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT];
 /* Parts of policy_blob: the weights, and observations with the exact actions that policy_step must give for
  * them, one after the other from policy_init on, with the compiled-in weights. */
 extern const float policy_weights[POLICY_WEIGHT_COUNT];

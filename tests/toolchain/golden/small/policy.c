@@ -270,47 +270,55 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
         action[i] = bound_above(bound_below(v[i] + poison, 0x0p+0f), 0x1p+0f);
 }
 
-const unsigned char policy_observation_blocks[POLICY_OBSERVATION_BLOCK_COUNT] = {
+const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT] = {
     2,
+};
+const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT] = {
+    0,
+};
+const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT] = {
+    0x0p+0f,
 };
 
 /* The parts of the blob that have names of their own lie inside it. */
 #define POLICY_PART(name, offset, bytes)                                            \
     __asm__(".globl " #name "\n\t.type " #name ", %object\n\t"                      \
             ".set " #name ", policy_blob + " #offset "\n\t.size " #name ", " #bytes)
-POLICY_PART(policy_weights, 216, 2720);
-POLICY_PART(policy_selftest_observation, 2936, 192);
-POLICY_PART(policy_selftest_action, 3128, 256);
-_Static_assert(offsetof(struct policy_blob, weights) == 216, "weights");
+POLICY_PART(policy_weights, 344, 2720);
+POLICY_PART(policy_selftest_observation, 3064, 192);
+POLICY_PART(policy_selftest_action, 3256, 256);
+_Static_assert(offsetof(struct policy_blob, weights) == 344, "weights");
 _Static_assert(sizeof policy_blob.weights == 2720, "weights");
-_Static_assert(offsetof(struct policy_blob, selftest_observation) == 2936, "selftest_observation");
+_Static_assert(offsetof(struct policy_blob, selftest_observation) == 3064, "selftest_observation");
 _Static_assert(sizeof policy_blob.selftest_observation == 192, "selftest_observation");
-_Static_assert(offsetof(struct policy_blob, selftest_action) == 3128, "selftest_action");
+_Static_assert(offsetof(struct policy_blob, selftest_action) == 3256, "selftest_action");
 _Static_assert(sizeof policy_blob.selftest_action == 256, "selftest_action");
 
 _Alignas(8) const struct policy_blob policy_blob = {
     .header = {
         .magic = 0x4250464Eu,
-        .layout = 1,
-        .header_bytes = 216,
-        .total_bytes = 3388,
+        .layout = 2,
+        .header_bytes = 344,
+        .total_bytes = 3516,
         .sequence = 0,
         .architecture_hash = 0xF6C02DD4u,
         .filters_hash = 0x0D4CBB29u,
         .control_rate_hz = 1000,
         .observation_count = 3,
         .action_count = 4,
-        .weight_offset = 216,
+        .weight_offset = 344,
         .weight_count = 680,
-        .selftest_offset = 2936,
+        .selftest_offset = 3064,
         .selftest_count = 16,
         .selftest_steps = 1,
-        .observation_block_count = 1,
+        .observation_term_count = 1,
         .observation_blocks = { 2 },
+        .observation_ages = { 0 },
+        .observation_gains = { 0x0p+0f },
         .aircraft = { 'n', 'f', '1' },
         .aircraft_sha256 = { 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0 },
         .policy_sha256 = { 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90 },
-        .reserved = 0,
+        .idle = 0x0p+0f,
     },
     .weights = {
         -0x1.1cp+3f, 0x1.1cp+3f, 0x1.8p+19f, 0x0p+0f, 0x1p+0f, 0x0p+0f,
@@ -464,5 +472,5 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.3c85a6p-2f, 0x1.19ceb8p-3f, 0x0p+0f, 0x0p+0f },
         { 0x1.99c368p-1f, 0x1p+0f, 0x1p+0f, 0x1p+0f },
     },
-    .crc32 = 0xD6AFABEEu,
+    .crc32 = 0x4851064Du,
 };
