@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -52,6 +53,28 @@ class Watcher:
 
     def monitored(self, reading: Reading) -> None:
         """After the monitor has flown the policy of a checkpoint."""
+
+
+class Watchers(Watcher):
+    """Tells several."""
+
+    def __init__(self, watchers: Sequence[Watcher]) -> None:
+        self._watchers = watchers
+
+    def progressed(self, progress: Progress) -> None:
+        """See Watcher."""
+        for watcher in self._watchers:
+            watcher.progressed(progress)
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Watcher."""
+        for watcher in self._watchers:
+            watcher.checkpointed(progress, policy)
+
+    def monitored(self, reading: Reading) -> None:
+        """See Watcher."""
+        for watcher in self._watchers:
+            watcher.monitored(reading)
 
 
 def train(

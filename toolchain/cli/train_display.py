@@ -1,0 +1,75 @@
+"""How a training run is shown while it goes on: on stderr, as a bar or, in a log, as a line a checkpoint."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from training.reading import Reading
+from training.synthesis import Progress as State
+from training.synthesis import Watcher
+
+
+class Display(Watcher):
+    """A context manager, told what happens in one run."""
+
+    def __init__(self, name: str, steps: int, done: int = 0) -> None:
+        """name: of the run; steps: that it is to have, `done` of them before."""
+        self._console = Console(stderr=True)
+        self._name = name
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=16),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f}{task.fields[speed]}"),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns)
+        self._task = self._bar.add_task(name, total=steps, completed=done, speed="")
+        self._first: State | None = None  # since when the speed is taken
+        self._reward, self._reading = "", ""
+        self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Display:
+        if self._console.is_terminal:
+            self._live.update(self._bar)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live.is_started:
+            self._live.stop()
+
+    def progressed(self, progress: State) -> None:
+        """See Watcher."""
+        self._first = self._first or progress
+        steps, seconds = progress.steps - self._first.steps, progress.seconds - self._first.seconds
+        speed = f" · {steps / seconds:,.0f}/s" if seconds > 0 else ""
+        self._reward = f"reward {progress.reward:.3f}"
+        self._bar.update(self._task, completed=progress.steps, speed=speed)
+        self._show()
+
+    def monitored(self, reading: Reading) -> None:
+        """See Watcher."""
+        self._reading = f"at {reading.steps:,} steps: {figures(reading)}"
+        if self._console.is_terminal:
+            self._show()
+        else:
+            self._console.print(f"{self._name}, {self._reading}", highlight=False, soft_wrap=True)
+
+    def _show(self) -> None:
+        line = "  ".join(part for part in (self._reward, self._reading) if part)
+        self._live.update(Group(self._bar, Text(line, style="dim")))
+
+
+def figures(reading: Reading) -> str:
+    """The figures that matter, in one line."""
+    return (
+        f"MAE {reading.mae.mean:.2f} deg/s, ū {reading.output.mean:.3f}, |Δu| {reading.change.mean:.4f}, "
+        f"reward {reading.reward.mean:.3f}"
+    )
