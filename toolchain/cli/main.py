@@ -24,6 +24,7 @@ COMMANDS = {
     "timing": "count what a policy takes on the board: instructions, predicted cycles, memory",
     "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
+    "sweep": "train many policies at once and show which of them nothing beats",
     "tune-pid": "find the gains of a PID for an aircraft in its twin",
     "evaluate": "measure a policy or the PID on unseen commands",
     "compare": "hold policies and PIDs against each other on the same unseen commands",
