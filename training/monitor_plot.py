@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from sim.report import FLIGHT_COLOURS, GRID, INK, MOTOR_COLOURS, dress
+from sim.report import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress
 from toolchain.errors import TrainingError
 from training.reading import Reading
 
@@ -84,7 +84,7 @@ def draw(runs: Sequence[Monitored], best: str, title: str) -> Figure:
     for panel in (change, reward):
         panel.set_xlabel(word, color=INK)
         panel.set_xlim(0, 1.03 * last / unit)
-    _legend(mae, runs)
+    _legend(figure, runs)
     return figure
 
 
@@ -106,7 +106,7 @@ def _draw_run(
             panel.scatter(steps[index], mean[index], s=46, facecolor=face, edgecolor=INK, lw=1.2, zorder=5)
 
 
-def _legend(panel: Axes, runs: Sequence[Monitored]) -> None:
+def _legend(figure: Figure, runs: Sequence[Monitored]) -> None:
     handles = [
         Line2D([], [], color=_colour(number), lw=1.5, label=run.name) for number, run in enumerate(runs)
     ]
@@ -114,7 +114,7 @@ def _legend(panel: Axes, runs: Sequence[Monitored]) -> None:
     for face, label in marks if len(runs) > 1 else marks[:1]:
         mark = Line2D([], [], marker="o", ls="", ms=6, markerfacecolor=face, markeredgecolor=INK, label=label)
         handles.append(mark)
-    panel.legend(handles=handles, loc="upper right", fontsize=9, facecolor="white", edgecolor=GRID)
+    figure.legend(handles=handles, loc="outside lower left", ncols=8, frameon=False, fontsize=9)
 
 
 def _colour(number: int) -> str:

@@ -205,7 +205,7 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
     if any(run.readings for run in runs):
         task = flown(planned[0].config).task.name
-        title = f"{aircraft.name}: monitor, {EPISODES} episodes of {task} a checkpoint"
+        title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
         write_bytes(out / PLOT, png(draw(runs, f"seed {best}", title)))
 
 
