@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolchain.contract import RATE_FULL_STICK_DEG_S
-from training.task import Setpoints
+from training.limits import check_limits
+from training.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
 
 Counts = NDArray[np.float64]  # (count, T)
 
@@ -37,6 +38,24 @@ class RandomStepsTask:
     start_s: float = 0.06  # until the rotors turn; not counted
     transient_s: float = 0.15  # after each change
     transient_share: float = 0.0667  # of the whole that transients count together
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        share, length = (0.0, 1.0), (HOLD_MIN_S, LENGTH_MAX_S)
+        check_limits(
+            f"task {self.name}",
+            self,
+            length_s=length,
+            hold_least_s=length,
+            hold_mean_s=(self.hold_least_s, LENGTH_MAX_S),
+            sigma_deg_s=(0.0, RATE_FULL_STICK_DEG_S),
+            wide_share=share,
+            wide_factor=(1.0, 100.0),
+            wide_weight=(0.0, 100.0),
+            start_s=(0.0, self.length_s),
+            transient_s=(0.0, LENGTH_MAX_S),
+            transient_share=share,
+        )
 
     @property
     def duration_s(self) -> float:

@@ -27,7 +27,6 @@ from sim.observation import Observer
 from sim.twin import Twin
 from sim.variation import Variation
 from sim.world import Mount
-from toolchain.contract import check_observation
 from toolchain.errors import TrainingError
 from training.configuration import TrainingConfig
 from training.learner import Report
@@ -52,10 +51,6 @@ class PathwiseLearner:
         for refusal in _refusals(config):
             raise TrainingError(refusal)
         self._terms = config.blocks()
-        try:
-            check_observation(self._terms, aircraft.motor_count)
-        except ValueError as error:
-            raise TrainingError(str(error)) from error
         self._aircraft, self._config, self._pathwise = aircraft, config, pathwise
         self._scale = np.array(config.observation_scale(aircraft.motor_count), np.float32)
         self._batch_steps = pathwise.aircraft * round(config.task.duration_s * config.control_rate_hz)

@@ -82,9 +82,9 @@ class Network:
 
         The latter are what `gradient` needs: (N, outputs) of each layer, in order.
         """
-        sums: Array = np.float32(self.map.scale) * asked
+        sums = np.multiply(asked, self.map.scale, dtype=np.float32)
         if self.map.squash:
-            sums = sums * (np.float32(1.0) - np.square(passed.output))
+            sums *= np.float32(1.0) - np.square(passed.output)
         all_sums: list[Array] = [sums]
         for layer, hidden in zip(self.layers[:0:-1], passed.hidden[::-1], strict=True):
             slope = np.float32(1.0) - hidden * hidden if self.activation == "tanh" else hidden > 0.0
