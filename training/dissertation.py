@@ -10,6 +10,15 @@ Known = tuple[float | None, float | None, float | None]  # None: there was nothi
 
 
 @dataclass(frozen=True)
+class Difference:
+    """What a controller's figure has more than another's on the same commands."""
+
+    value: float
+    margin: float  # half width of its 95 % confidence interval
+    significant: bool  # whether that leaves zero out
+
+
+@dataclass(frozen=True)
 class Row:
     """One controller on one task, as the page of results has it; what is not known is missing or None."""
 
@@ -19,8 +28,11 @@ class Row:
     mae_margin: Axes | None = None
     output: float | None = None
     change: float | None = None
+    smoothness: float | None = None  # Sm
     response: Mapping[str, Known] = field(default_factory=dict)
-    in_band: Mapping[str, float] = field(default_factory=dict)  # % of the time, over all axes
+    in_band: Mapping[str, float] = field(default_factory=dict)  # % of time or commands, over all axes
+    against: str = ""  # label of the row that differences are to
+    difference: Mapping[str, Difference] = field(default_factory=dict)
     printed: bool = False  # in the dissertation, with the digits it has there
 
 

@@ -1,130 +1,50 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is what `evaluate --json`, `fly --json` or `stability --json` printed. What kind it is follows
-from its keys, what table it belongs to from its task and aircraft; nothing depends on a file's name but the
-order of rows.
+A stored result is what `compare`, `evaluate`, `fly` or `stability` printed with --json, or the training.json
+of a run. What kind it is follows from its keys, what table it belongs to from its task and aircraft; nothing
+depends on a file's name but the order of rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 
-from training.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Known, Row
+from training.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Difference, Known, Row
+from training.results_rows import ALL_AXES, STEADY, SUMS, compared_rows, digests, evaluated_row, flown_rows
 from training.stored import Stored
 
-SUMS = ("iae", "ise", "itae", "itse")
-RESPONSES = (  # of a row: figure, factor to what is printed
-    ("success", 100.0),
-    ("success_bare", 100.0),
-    ("failure", 1.0),
-    ("rise_ms", 1.0),
-    ("peak", 1.0),
-    ("error", 1.0),
-    ("stability", 1.0),
-    ("in_band_500", 100.0),
-    ("in_band_750", 100.0),
-    ("in_band_500_bare", 100.0),
-    ("in_band_750_bare", 100.0),
-)
-ALL_AXES = ("in_band_500", "in_band_500_bare", "in_band_750", "in_band_750_bare")
-SHIPPED = "training/policies/"
+GOOD_DEG_S = 5.0  # mean error of a policy that flies
 
 
 def render(results: Sequence[Stored]) -> str:
     """The page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[Row]] = {}
-    drifts = []
+    drifts, runs = [], []
     for stored in results:
-        if "runs" in stored.document:
+        if stored.has("runs"):
             drifts.append(stored)
-        elif "flights" in stored.document:
-            tables.setdefault(("pulse", stored.text("aircraft")), []).extend(_flown_rows(stored))
-        elif "task" in stored.document:
+        elif stored.has("config"):
+            runs.append(stored)
+        elif stored.has("flights"):
+            tables.setdefault(("pulse", stored.text("aircraft")), []).extend(flown_rows(stored))
+        elif stored.has("task"):
             task = stored.text("task")
             if task not in SECTIONS:
                 raise stored.error("task", task, f"one of {', '.join(SECTIONS)}")
-            tables.setdefault((task, stored.text("aircraft")), []).append(_evaluated_row(stored))
+            rows = compared_rows(stored) if stored.has("comparison") else [evaluated_row(stored)]
+            tables.setdefault((task, stored.text("aircraft")), []).extend(rows)
         else:
-            raise stored.error("task", "nothing", "what evaluate, fly or stability printed with --json")
+            raise stored.error("task", "nothing", "what a command printed with --json, or a training.json")
     blocks = [HEAD]
     for task, section in SECTIONS.items():
         for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
             printed = PRINTED[task] if aircraft == PRINTED_AIRCRAFT[task] else ()
             blocks.append(section(aircraft, [*rows, *printed]))
+    if runs:
+        blocks.append(_training_section(runs))
     blocks += [_drift_section(stored) for stored in drifts]
     blocks.append(_sources(results))
     return "\n\n".join(blocks) + "\n"
-
-
-def _evaluated_row(stored: Stored) -> Row:
-    name = stored.text("controller")
-    label = f"PID `{stored.text('pid')}`" if "pid" in stored.document else _policy_label(name)
-    conditions = []
-    if not stored.get("noise"):
-        conditions.append("no noise")
-    if "--delay" in stored.text("command"):
-        conditions.append(f"delay {1e3 * stored.number('delay_s'):g} ms")
-    if stored.text("mount") != "centre":
-        conditions.append(f"mount {stored.text('mount')}")
-    if stored.number("throttle"):
-        conditions.append(f"throttle {stored.number('throttle'):g}")
-    return Row(
-        label=", ".join([label, *conditions]),
-        episodes=int(stored.number("episodes")),
-        tracking={name: stored.axes(name) for name in ("mae", "mse", *SUMS)},
-        mae_margin=stored.axes("margin_95", "mae"),
-        output=stored.number("output"),
-        change=stored.number("change"),
-        response=_response(stored, "response"),
-        in_band=_all_axes(stored, "response"),
-    )
-
-
-def _policy_label(path: str) -> str:
-    return f"shipped policy ({Path(path).parent.name})" if path.startswith(SHIPPED) else f"policy `{path}`"
-
-
-def _flown_rows(stored: Stored) -> list[Row]:
-    if stored.text("scenario") != "pulses":
-        raise stored.error(
-            "scenario", stored.text("scenario"), "pulses, the only flight the page has a table for"
-        )
-    on = stored.text("on")
-    firmware = "Betaflight, default PID (SITL)" if on == "betaflight" else f"policy in the firmware ({on})"
-    flights = stored.get("flights")
-    if not isinstance(flights, dict):
-        raise stored.error("flights", flights, "an object")
-    return [
-        Row(
-            label=firmware if name == "firmware" else f"{name}, same gyro rate and commands as the row above",
-            episodes=int(stored.number("episodes")),
-            tracking={key: stored.axes("flights", name, "tracking", key) for key in ("mae", "mse", *SUMS)},
-            output=stored.number("flights", name, "effort", "output"),
-            change=stored.number("flights", name, "effort", "change"),
-            response=_response(stored, "flights", name, "response"),
-            in_band=_all_axes(stored, "flights", name, "response"),
-        )
-        for name in flights
-    ]
-
-
-def _response(stored: Stored, *path: str) -> dict[str, Known]:
-    if stored.get(*path) is None:
-        return {}
-    found: dict[str, Known] = {}
-    for name, factor in RESPONSES:
-        values, counts = stored.axes(*path, name, "value"), stored.axes(*path, name, "count")
-        roll, pitch, yaw = (factor * v if count else None for v, count in zip(values, counts, strict=True))
-        found[name] = (roll, pitch, yaw)
-    return found
-
-
-def _all_axes(stored: Stored, *path: str) -> dict[str, float]:
-    """Share of the time [%] in which all axes are in the band."""
-    if stored.get(*path) is None:
-        return {}
-    return {name: 100 * stored.number(*path, f"all_{name}", "value") for name in ALL_AXES}
 
 
 def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
@@ -138,6 +58,7 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
             f"{sum(row.tracking['mse']) / 3:.0f}",
             _number(row.output, 2 if row.printed else 3),
             _number(row.change, 2 if row.printed else 4),
+            "" if row.smoothness is None else f"{1e6 * row.smoothness:.0f}",
         )
         for row in rows
     ]
@@ -154,12 +75,14 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
     ]
     parts = [
         f"## Pulses, {aircraft}\n\n{ABOUT_PULSES}",
-        _table(("", "commands", "MAE", "mean", "MSE", "mean", "ū", "abs Δu"), errors),
+        _table(("", "commands", "MAE", "mean", "MSE", "mean", "ū", "abs Δu", "Sm, 1e-6"), errors),
         _table(("", "IAE", "ISE", "ITAE", "ITSE"), sums),
     ]
     if answers:
         headings = ("success", "bare", "rise, ms", "peak, %", "in band after 500 ms", "bare")
         parts.append(_table(("", *headings), answers))
+    columns = (("mae", "MAE", 1, 2), ("mse", "MSE", 1, 1), ("output", "ū", 1, 4), ("change", "abs Δu", 1, 5))
+    parts += _differences(rows, (*columns, ("smoothness", "Sm, 1e-6", 1e6, 1)))
     return "\n\n".join(parts)
 
 
@@ -183,16 +106,76 @@ def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
         (
             row.label,
             str(row.episodes),
-            *(_number(row.in_band.get(name), 0 if row.printed else 1) for name in ALL_AXES),
+            *(_number(row.in_band.get(name), 0 if row.printed else 1) for name in (*STEADY, *ALL_AXES)),
         )
         for row in rows
     ]
     apart = [(row.label, *(_figure(row, name, 1) for name in ALL_AXES)) for row in rows if row.response]
     headings = ("after 500 ms", "bare", "after 750 ms", "bare")
     parts = [f"## Flight envelope, {aircraft}\n\n{ABOUT_ENVELOPE}"]
-    parts.append(_table(("all axes at once, % of the time", "setpoints", *headings), together))
+    strict = ("every sample", "bare")
+    parts.append(_table(("all axes at once, %", "setpoints", *strict, *headings), together))
     parts.append(_table(("each axis, % of the time", *headings), apart))
+    parts += _differences(
+        rows,
+        (("steady", "every sample, %", 100, 1), ("steady_bare", "bare, %", 100, 1), ("mae", "MAE", 1, 2)),
+    )
     return "\n\n".join(parts)
+
+
+def _differences(rows: Sequence[Row], columns: Sequence[tuple[str, str, float, int]]) -> list[str]:
+    """A table of paired differences, if there are any; columns: figure, heading, factor, digits."""
+    body = [
+        (
+            f"{row.label} less {row.against}",
+            *(_change(row.difference.get(name), factor, digits) for name, _, factor, digits in columns),
+        )
+        for row in rows
+        if row.difference
+    ]
+    return [_table(("", *(heading for _, heading, _, _ in columns)), body)] if body else []
+
+
+def _change(difference: Difference | None, factor: float, digits: int) -> str:
+    if difference is None:
+        return ""
+    value, margin = factor * difference.value, factor * difference.margin
+    return f"{'' if difference.significant else '≈ '}{value:+,.{digits}f} ± {margin:,.{digits}f}"
+
+
+def _training_section(runs: Sequence[Stored]) -> str:
+    """How long runs took; of monitored ones what they came to."""
+    body = []
+    for run in runs:
+        seconds, steps = run.number("seconds"), run.number("steps")
+        readings = run.get("monitor") if run.has("monitor") else []
+        if not isinstance(readings, list) or not all(isinstance(reading, dict) for reading in readings):
+            raise run.error("monitor", readings, "a list of readings")
+        seen = [Stored(f"{run.name}: monitor[{n}]", reading) for n, reading in enumerate(readings)]
+        good = [r.number("steps") for r in seen if r.number("mae", "mean") < GOOD_DEG_S]
+        chosen = run.has("chosen", "steps")
+        body.append(
+            (
+                f"{run.text('config', 'algorithm', 'name')}, {run.text('config', 'aircraft', 'name')}, "
+                f"`{run.text('config', 'observation')}`, seed {run.number('config', 'seed'):g}",
+                f"{steps / 1e6:.1f}",
+                f"{seconds:.0f}",
+                f"{run.number('steps_per_second'):,.0f}",
+                f"{seconds * good[0] / steps:.0f}" if good else "",
+                f"{run.number('chosen', 'steps') / 1e6:.1f}" if chosen else "",
+                f"{run.number('chosen', 'mae', 'mean'):.2f}" if chosen else "",
+            )
+        )
+    headings = (
+        "run",
+        "M steps",
+        "seconds",
+        "steps/s",
+        "below 5 deg/s after, s",
+        "chosen at, M steps",
+        "MAE there",
+    )
+    return f"## Training\n\n{ABOUT_TRAINING}\n\n{_table(headings, body)}"
 
 
 def _drift_section(stored: Stored) -> str:
@@ -215,10 +198,7 @@ def _drift_section(stored: Stored) -> str:
 def _sources(results: Sequence[Stored]) -> str:
     body = []
     for stored in results:
-        digests = [f"{stored.text('aircraft')} `{stored.text('aircraft_sha256')[:12]}`"]
-        if "policy_sha256" in stored.document:
-            digests.append(f"policy `{stored.text('policy_sha256')[:12]}`")
-        body.append((f"`{stored.name}`", f"`{_command(stored)}`", ", ".join(digests)))
+        body.append((f"`{stored.name}`", f"`{_command(stored)}`", ", ".join(digests(stored))))
     table = _table(("file", "command", "SHA-256"), body, align="---")
     return f"## What made these figures\n\n{ABOUT_SOURCES}\n\n{table}"
 
@@ -271,16 +251,24 @@ on other commands drawn alike."""
 ABOUT_PULSES = """Half a second of rest, a command from N(0, 100 deg/s) on all axes held for 2 s, 2 s of
 rest. ± is 95 % confidence of the mean over commands. IAE to ITSE are sums over 1 ms samples divided by the
 episode's seconds; ū is the mean output of the controller before throttle mix and idle, abs Δu its mean
-change in 1 ms. The dissertation prints MAE without decimals; its means here are those of its IAE."""
+change in 1 ms, Sm how much of it is fast: the mean over the components of an episode's spectrum of amplitude
+times frequency in parts of half the sampling rate (Mysore et al. 2021). The dissertation prints MAE without
+decimals; its means here are those of its IAE. Rows of one comparison flew the same commands: differences are
+taken command by command, and ≈ marks those that 95 % confidence does not tell from none."""
 ABOUT_EPISODIC = """From rest, a command uniform within ±300 deg/s on all axes, held for 1 s. Success is the
 share [%] of commands whose error comes to stay within 10 % of the initial one, or within 5 deg/s where that
 is wider; bare is without that floor. Failure is the mean error after 500 ms of those that do not, rise the
 time from 10 to 90 % of the command, peak the largest rate, each without commands below 5 deg/s (- where
 none is left); error is the sum of the error over 1 ms samples [rad/s], stability the slope of the rate
 after 500 ms [deg/s²]."""
-ABOUT_ENVELOPE = """From rest, a setpoint from N(0, 300 deg/s) on all axes, held for 1 s: the share of time
-[%] within 10 % of it, or within 5 deg/s where that is wider; bare is without that floor. The dissertation
-does not say whether its share is of each axis or of all at once; the stricter reading stands beside it."""
+ABOUT_ENVELOPE = """From rest, a setpoint from N(0, 300 deg/s) on all axes, held for 1.5 s. Every sample is
+the share of setpoints [%] whose error stays within 10 % of them, or within 5 deg/s where that is wider, on
+all axes and at each sample from 0.5 to 1.5 s; bare is without that floor. The other shares are of time. The
+dissertation does not say whether its share is of each axis or of all at once; the stricter reading stands
+beside it."""
+ABOUT_TRAINING = """From the first step to the last file on the machine that made the policies, two cores of
+it at most. A monitor flies each checkpoint on five commands that no figure above is taken of: when their mean
+error first was below 5 deg/s, which checkpoint its rule chose, and its error there."""
 ABOUT_DRIFT = """The airframe and each propeller as links of their own, joined by hinges; all {combinations}
 combinations of motors on and off from rest, free, up to {limit} deg/s. Drift is how far a propeller's
 distance from the airframe changes. The twin itself is one rigid body: nothing in it can drift, and it keeps

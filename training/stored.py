@@ -1,9 +1,10 @@
-"""Stored results: what `evaluate --json`, `fly --json` or `stability --json` printed, read with suspicion."""
+"""Stored results: what commands printed with --json, read with suspicion."""
 
 from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from training.dissertation import Axes
 
 FILE_BYTES_MAX = 4 << 20
 FILES_MAX = 200
+COMMANDS = "commands.txt"  # in a folder of results: a line NAME.json neuroflight COMMAND... for each
 
 
 class ResultsError(NeuroflightError):
@@ -42,6 +44,15 @@ class Stored:
                 raise self.error(".".join(path[:depth]), "nothing", "a value")
             value = value[key]
         return value
+
+    def has(self, *path: str) -> bool:
+        """Whether anything stands at a path of keys."""
+        value: Any = self.document
+        for key in path:
+            if not isinstance(value, dict) or key not in value:
+                return False
+            value = value[key]
+        return True
 
     def number(self, *path: str) -> float:
         """A finite number at a path."""
@@ -87,3 +98,33 @@ def read_results(folder: Path) -> list[Stored]:
             raise ResultsError(f"{path}: holds a {type(document).__name__}, expected an object; make it anew")
         results.append(Stored(path.name, document))
     return results
+
+
+def read_commands(folder: Path) -> dict[str, list[str]]:
+    """The command that makes each file of a folder of results: words after `neuroflight`, without --json.
+
+    They stand in its commands.txt, a line a file; # begins a remark. Raises ResultsError naming a line that
+    is none.
+    """
+    path = folder / COMMANDS
+    if not path.is_file():
+        raise ResultsError(
+            f"{path}: not there; write a line `NAME.json neuroflight COMMAND...` for each file"
+        )
+    if path.stat().st_size > FILE_BYTES_MAX:
+        raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+    found: dict[str, list[str]] = {}
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+        where = f"{path}: line {number}"
+        try:
+            name, program, *words = shlex.split(line, comments=True) or ("", "neuroflight")
+        except ValueError:
+            name, program, words = line, "", []
+        if not name and not words:
+            continue
+        if program != "neuroflight" or not words or not name.endswith(".json") or Path(name).name != name:
+            raise ResultsError(f"{where}: {line[:60]!r}, expected NAME.json neuroflight COMMAND...")
+        if name in found:
+            raise ResultsError(f"{where}: {name} for a second time, expected each file once")
+        found[name] = words
+    return found

@@ -12,7 +12,7 @@ import pytest
 from sim.aircraft import load_aircraft
 from toolchain.cli.main import main
 from training.results import render
-from training.stored import ResultsError, Stored, read_results
+from training.stored import ResultsError, Stored, read_commands, read_results
 
 Capture = pytest.CaptureFixture[str]
 Document = dict[str, Any]
@@ -50,6 +50,46 @@ def evaluated(controller: str, task: str = "pulse", aircraft: str = "nf1", **mor
         "output": 0.1234,
         "change": 0.01234,
         "response": response(0.875),
+    } | more
+
+
+def compared(*entries: Document) -> Document:
+    """What `compare --json` prints, as far as the page reads it; differences to the first."""
+    own = {
+        *("controller", "pid", "policy_sha256", "throttle", "idle", "response", "output", "change"),
+        *("mae", "mse", "iae", "ise", "itae", "itse", "margin_95", "smoothness", "difference"),
+    }
+    first = entries[0]
+    return {key: value for key, value in first.items() if key not in own} | {
+        "command": "neuroflight compare",
+        "comparison": [{key: value for key, value in entry.items() if key in own} for entry in entries],
+    }
+
+
+def difference(value: float, low: float, high: float) -> Document:
+    """One figure of `difference`."""
+    return {"value": value, "low": low, "high": high, "significant": low > 0 or high < 0}
+
+
+def trained(**more: Any) -> Document:
+    """What a monitored run leaves in training.json, as far as the page reads it."""
+    readings = [
+        {"steps": steps, "mae": {"mean": mae, "least": 0.0, "greatest": 9.0}}
+        for steps, mae in ((1_000_000, 8.0), (2_000_000, 4.0), (4_000_000, 4.9))
+    ]
+    return {
+        "config": {
+            "aircraft": {"name": "nf1", "sha256": "ab" * 32},
+            "algorithm": {"name": "ppo"},
+            "observation": "rate_error",
+            "seed": 3,
+        },
+        "steps": 4_000_000,
+        "seconds": 80.0,
+        "steps_per_second": 50_000,
+        "command": "neuroflight train",
+        "chosen": readings[1],
+        "monitor": readings,
     } | more
 
 
@@ -101,6 +141,7 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
         "2",
         "0.123",
         "0.0123",
+        "",
     ]
     assert row(text, "dissertation, PID") == [
         "100",
@@ -110,6 +151,7 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
         "368",
         "0.03",
         "0.04",
+        "",
     ]
     assert row(text, "dissertation, PID", 1)[0] == "4,773 / 4,941 / 3,829"
     assert row(text, "PID `tuned`", 2)[0] == "87.5 / 87.5 / 87.5"
@@ -128,6 +170,8 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
         ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
         ({"controller": "training/policies/nf1/policy.onnx"}, "shipped policy (nf1)"),
         ({"controller": "mine.onnx"}, "policy `mine.onnx`"),
+        ({"controller": "runs/iris/ppo-m1/policy.onnx"}, "policy `ppo-m1`"),
+        ({"pid": "a", "idle": 0.23, "throttle": 0.3}, "PID `a`, idle 0.23, throttle 0.3"),
     ],
 )
 def test_row_says_how_it_was_flown_when_that_is_not_the_usual(more: Document, label: str) -> None:
@@ -164,9 +208,45 @@ def test_episodic_rows_stand_beside_the_dissertations_when_flown_on_the_iris() -
 
 def test_envelope_has_both_readings_when_flown() -> None:
     text = page(evaluated("pid", "envelope", pid="tuned"))
-    assert row(text, "PID `tuned`") == ["1000", "87.5", "87.5", "87.5", "87.5"]
+    assert row(text, "PID `tuned`") == ["1000", "", "", "87.5", "87.5", "87.5", "87.5"]
     assert row(text, "PID `tuned`", 1)[0] == "87.5 / 87.5 / 87.5"
-    assert row(text, "dissertation, policy") == ["1000", "72", "", "76", ""]
+    assert row(text, "dissertation, policy") == ["1000", "", "", "72", "", "76", ""]
+
+
+def test_envelope_has_the_strict_share_when_it_was_taken() -> None:
+    strict = {"steady": {"value": 0.8125, "count": 9}, "steady_bare": {"value": 0.5, "count": 9}}
+    text = page(evaluated("pid", "envelope", pid="tuned") | {"response": response(0.875) | strict})
+    assert row(text, "PID `tuned`")[:3] == ["1000", "81.2", "50.0"]
+
+
+def test_comparison_gives_a_row_each_and_their_differences() -> None:
+    differences = {"mae": difference(-0.25, -0.375, -0.125), "output": difference(0.5, -1.5, 2.5)}
+    text = page(
+        compared(
+            evaluated("pid", pid="tuned", idle=0.23, smoothness=1.5e-4),
+            evaluated("a/policy.onnx", idle=0.25, smoothness=5e-5, difference=differences),
+            evaluated("pid", pid="tuned", idle=0.23, throttle=0.3),
+            evaluated("b.onnx", throttle=0.3, difference=differences, policy_sha256="cd" * 32),
+        )
+    )
+    assert row(text, "PID `tuned`, idle 0.23")[-1] == "150"
+    assert row(text, "policy `a`, idle 0.25")[-1] == "50"
+    assert row(text, "policy `a`, idle 0.25 less PID `tuned`, idle 0.23") == [
+        "-0.25 ± 0.12",
+        "",
+        "≈ +0.5000 ± 2.0000",
+        "",
+        "",
+    ]
+    assert row(text, "policy `b.onnx`, throttle 0.3 less PID `tuned`, idle 0.23, throttle 0.3")
+    assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
+
+
+def test_runs_tell_their_speed_and_when_they_flew() -> None:
+    text = page(evaluated("pid", pid="a"), trained(), trained(chosen=None, monitor=[]))
+    assert row(text, "ppo, nf1, `rate_error`, seed 3") == ["4.0", "80", "50,000", "40", "2.0", "4.00"]
+    assert row(text, "ppo, nf1, `rate_error`, seed 3", 1) == ["4.0", "80", "50,000", "", "", ""]
+    assert row(text, "`1.json`") == ["`neuroflight train`", "nf1 `abababababab`"]
 
 
 def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> None:
@@ -198,7 +278,13 @@ def without(key: str) -> Callable[[Document], Document]:
         (lambda d: d | {"task": "loop"}, "task: got 'loop', expected one of pulse, episodic, envelope"),
         (lambda d: d | {"aircraft": "a\nb"}, "aircraft: got 'a\\nb', expected a line of text"),
         (lambda d: d | {"response": {"success": 1}}, "response.success.value"),
-        (without("task"), "what evaluate, fly or stability printed"),
+        (without("task"), "what a command printed with --json"),
+        (lambda d: compared(d) | {"comparison": 3}, "comparison: got '3', expected a list of controllers"),
+        (lambda d: compared(d, without("mae")(d)), "comparison[1]: mae: got 'nothing'"),
+        (lambda d: compared(d, d | {"difference": {"mae": {"low": 1}}}), "difference.mae.high"),
+        (lambda d: trained(monitor=3), "monitor: got '3', expected a list of readings"),
+        (lambda d: trained(monitor=[{"steps": 1}]), "monitor[0]: mae: got 'nothing'"),
+        (lambda d: trained(seconds=None), "seconds: got 'None', expected a finite number"),
         (lambda d: flown("PID") | {"scenario": "flip"}, "scenario: got 'flip'"),
         (lambda d: flown("PID") | {"flights": 3}, "flights: got '3'"),
         (lambda d: drifted() | {"runs": [1]}, "expected a list of runs"),
@@ -210,6 +296,7 @@ def test_page_is_refused_when_a_file_is_damaged(damage: Callable[[Document], Doc
         page(damage(evaluated("pid", pid="tuned")))
     assert message in str(caught.value)
     assert str(caught.value).startswith("0.json: ")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +341,7 @@ def test_page_takes_what_the_commands_print(tmp_path: Path, capsys: Capture) -> 
     commands = {
         "a": ["evaluate", "pid:published", "--episodes", "2", "--no-noise"],
         "b": ["evaluate", "pid:published", "--task", "episodic", "--episodes", "2"],
-        "c": ["evaluate", "pid:published", "--task", "envelope", "--episodes", "2"],
+        "c": ["compare", "pid:tuned", "pid:published", "--task", "envelope", "--episodes", "2"],
         "d": ["stability", "--steps-ms", "2"],
     }
     for name, words in commands.items():
@@ -275,3 +362,52 @@ def test_shipped_page_is_what_the_stored_figures_give_when_checked(capsys: Captu
     assert main(["results", "--check"]) == 0
     assert (ROOT / "docs" / "results.md").is_file()
     assert "up to date" in capsys.readouterr().out
+
+
+def command_file(folder: Path, *lines: str) -> None:
+    (folder / "commands.txt").write_text("# file and command\n\n" + "\n".join(lines) + "\n")
+
+
+def test_again_repeats_the_commands_of_the_folder(tmp_path: Path, capsys: Capture) -> None:
+    fly = "neuroflight evaluate pid:published --task envelope --seed 3 --episodes"
+    command_file(tmp_path, f"a.json {fly} 2", f"b.json {fly} 0")
+    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again"]
+    assert main([*words, "a.json"]) == 0
+    assert json.loads((tmp_path / "a.json").read_text())["episodes"] == 2
+    assert "PID `published`" in (tmp_path / "a.md").read_text()
+    (tmp_path / "b.json").write_text("as it was")
+    capsys.readouterr()
+    assert main([*words, "b.json"]) == 1
+    captured = capsys.readouterr()
+    assert "b.json: `neuroflight evaluate" in captured.err
+    assert "--episodes 0, expected 1 to" in captured.err
+    assert captured.err.count("\n") == 1
+    assert (tmp_path / "b.json").read_text() == "as it was"
+
+
+@pytest.mark.parametrize(
+    ("lines", "names", "message"),
+    [
+        (["a.json rm -r x"], [], "line 3: 'a.json rm -r x', expected NAME.json neuroflight COMMAND"),
+        (["../a.json neuroflight evaluate pid"], [], "line 3: '../a.json"),
+        (["a.txt neuroflight evaluate pid"], [], "line 3: 'a.txt"),
+        (["a.json neuroflight evaluate 'pid"], [], 'line 3: "a.json neuroflight evaluate \'pid"'),
+        (["a.json neuroflight evaluate pid"] * 2, [], "line 4: a.json for a second time"),
+        (["a.json neuroflight evaluate pid"], ["b.json"], "b.json: not there, expected one of: a.json"),
+    ],
+)
+def test_again_refuses_in_one_line_when_the_commands_make_no_sense(
+    lines: list[str], names: list[str], message: str, tmp_path: Path, capsys: Capture
+) -> None:
+    command_file(tmp_path, *lines)
+    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again", *names]
+    assert main(words) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["commands.txt"]
+
+
+def test_every_shipped_file_can_be_made_again() -> None:
+    folder = ROOT / "docs" / "results"
+    assert {path.name for path in folder.glob("*.json")} == set(read_commands(folder))
