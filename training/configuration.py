@@ -20,7 +20,7 @@ from toolchain.contract import (
     observation_blocks,
 )
 from toolchain.errors import TrainingError
-from training.algorithm import Algorithm, PpoConfig
+from training.algorithm import Algorithm, OffPolicyConfig, PpoConfig
 from training.randomization import SAME, Randomization
 from training.reward import Reward, TrackingReward
 from training.selection import Selection
@@ -159,6 +159,8 @@ class TrainingConfig:
         if not 0.0 <= self.idle <= IDLE_MAX:
             yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
         yield from self.output.refusals()
+        if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig):
+            yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
         episode_steps = round(self.task.duration_s * self.control_rate_hz)
         if not 2 <= episode_steps <= EPISODE_STEPS_MAX:
             yield (

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from sim.aircraft import Aircraft
 from toolchain.errors import TrainingError
-from training.algorithm import PpoConfig
+from training.algorithm import OffPolicyConfig, PpoConfig, TrpoConfig
 from training.configuration import TrainingConfig
 from training.learner import Learner
+from training.pathwise.configuration import PathwiseConfig
 
 
 def learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
@@ -16,4 +17,16 @@ def learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
             from training.ppo import PpoLearner
 
             return PpoLearner(aircraft, config, ppo)
+        case TrpoConfig() as trpo:
+            from training.trpo import TrpoLearner
+
+            return TrpoLearner(aircraft, config, trpo)
+        case OffPolicyConfig() as knobs:
+            from training.off_policy import OffPolicyLearner
+
+            return OffPolicyLearner(aircraft, config, knobs)
+        case PathwiseConfig() as pathwise:
+            from training.pathwise.learner import PathwiseLearner
+
+            return PathwiseLearner(aircraft, config, pathwise)
     raise TrainingError(f"algorithm {config.algorithm.name!r} has no learner")

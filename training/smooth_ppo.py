@@ -1,25 +1,60 @@
-"""PPO with smoothness of the mean output in the policy's loss.
+"""PPO with smoothness of the mean output in the policy's loss, actor and critic learning side by side.
 
-After CAPS (Mysore et al. 2021), spatial term: an observation and the same one under fresh gyro noise
-should give the same output. The noise is the gyro's own, so what is punished is exactly what makes motors
-hot: outputs that follow noise. Punishing sampled actions instead teaches PPO to hide behind the clip.
+After CAPS (Mysore et al. 2021). Spatial term: an observation and the same one under fresh gyro noise should
+give the same output. The noise is the gyro's own, so what is punished is exactly what makes motors hot:
+outputs that follow noise. Temporal term: so should an observation and the one that followed it. Punishing
+sampled actions instead teaches PPO to hide behind the clip.
+
+Actor and critic share no weight. Each has its own optimizer and its own clipped gradient, so neither's
+update depends on when the other's happens, and each may have a thread of its own: torch gives up the
+interpreter's lock inside its kernels.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import explained_variance
+from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
+
+ADAM_EPS = 1e-5  # Stable-Baselines3's for PPO
+LOG_SQRT_2_PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """Weights of the mean output's change, squared and summed over motors, in the policy's loss."""
+
+    spatial: float  # under gyro noise
+    temporal: float  # from a control step to the next
+    observation_noise: NDArray[np.float32]  # (n,), standard deviation of each scaled observation
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A rollout's steps, one after the other: those of the first aircraft, of the second, ..."""
+
+    observations: torch.Tensor  # (S, n), scaled
+    actions: torch.Tensor  # (S, M), network outputs as they were drawn
+    log_prob: torch.Tensor  # (S,), of them when they were drawn
+    advantages: torch.Tensor  # (S,)
+    returns: torch.Tensor  # (S,)
+    followed: torch.Tensor  # (S,) 1 where the next row is the same episode's next step, else 0
 
 
 class SmoothPpo(PPO):
-    """Stable-Baselines3's PPO, its `train` with one term more.
+    """Stable-Baselines3's PPO with another `train`, and a `collect_rollouts` that asks the critic once.
 
     The clip range is constant, and exploration follows a schedule, so there is no entropy term.
     """
@@ -27,57 +62,155 @@ class SmoothPpo(PPO):
     def __init__(
         self,
         *args: Any,  # noqa: ANN401 - PPO's own
-        observation_noise: NDArray[np.float32],
-        smoothness: float,
+        smoothness: Smoothness,
         clip: float,
         log_std: Callable[[], float],
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
-        """observation_noise: (n,), standard deviation of each scaled observation under gyro noise.
+        """log_std: of the exploration, asked for before each update.
 
-        log_std: of the exploration, asked for before each update. Left to itself PPO keeps so much of it
-        that the mean output drifts: nothing in the reward can tell.
+        Left to itself PPO keeps so much of it that the mean output drifts: nothing in the reward can tell.
         """
         super().__init__(*args, **kwargs)
         self._log_std = log_std
         self.policy.log_std.requires_grad_(False)
-        self._noise = torch.as_tensor(observation_noise)
         self._smoothness = smoothness
+        self._noise = torch.as_tensor(smoothness.observation_noise)
         self._clip = clip
+        layers = self.policy.mlp_extractor
+        self.actor = torch.nn.Sequential(*layers.policy_net, self.policy.action_net)
+        self.critic = torch.nn.Sequential(*layers.value_net, self.policy.value_net)
+        rate = self.lr_schedule(1.0)
+        self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), rate, eps=ADAM_EPS)
+        self.critic_optimizer = torch.optim.Adam(self.critic.parameters(), rate, eps=ADAM_EPS)
+        self._beside = ThreadPoolExecutor(1, "critic", initializer=torch.set_num_threads, initargs=(1,))
+
+    def collect_rollouts(
+        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
+    ) -> bool:
+        """Fly n_rollout_steps with drawn outputs. Returns whether the callback wants to go on."""
+        observation = self._last_obs
+        assert isinstance(observation, np.ndarray)
+        buffer, std = rollout_buffer, float(self.policy.log_std.detach().exp()[0])
+        buffer.reset()
+        callback.on_rollout_start()
+        chance = torch.randn(buffer.actions.shape)
+        buffer.log_probs[:] = -(0.5 * chance.square() + math.log(std) + LOG_SQRT_2_PI).sum(dim=2).numpy()
+        drawn = (chance * std).numpy()
+        ends: list[tuple[int, int, NDArray[np.float32]]] = []  # step, aircraft, its last observation
+        for step in range(n_rollout_steps):
+            with torch.no_grad():
+                action = self.actor(torch.from_numpy(observation)).numpy() + drawn[step]
+            buffer.observations[step] = observation
+            buffer.actions[step] = action
+            buffer.episode_starts[step] = self._last_episode_starts
+            following, rewards, ended, infos = env.step(action)
+            assert isinstance(following, np.ndarray)
+            observation = following
+            buffer.rewards[step] = rewards
+            for who in np.flatnonzero(ended).tolist():
+                ends.append((step, who, infos[who]["terminal_observation"]))
+            self._last_obs, self._last_episode_starts = observation, ended
+            self.num_timesteps += env.num_envs
+            callback.update_locals(locals())
+            if not callback.on_step():
+                return False
+        buffer.pos, buffer.full = n_rollout_steps, True
+        buffer.values[:] = self._values(buffer.observations)
+        if ends:  # an episode's end is one of its clock: what would have followed is the critic's guess
+            steps, whose, last = zip(*ends, strict=True)
+            buffer.rewards[list(steps), list(whose)] += self.gamma * self._values(np.stack(last))
+        buffer.compute_returns_and_advantage(torch.from_numpy(self._values(observation)), ended)
+        callback.update_locals(locals())
+        callback.on_rollout_end()
+        return True
 
     def train(self) -> None:
-        """Update the policy from the rollout buffer."""
-        self.policy.set_training_mode(True)
-        self._update_learning_rate(self.policy.optimizer)
+        """Update actor and critic from the rollout buffer."""
+        self._update_learning_rate([self.actor_optimizer, self.critic_optimizer])
+        rollout = self._rollout()
+        count = len(rollout.observations)
+        orders = torch.cat([torch.randperm(count) for _ in range(self.n_epochs)])
+        batches = list(torch.split(orders, self.batch_size))
+        fit = self._beside.submit(self._fit_critic, rollout, batches)
+        change = self._fit_actor(rollout, batches)
+        value_loss = fit.result()
         self.policy.log_std.fill_(self._log_std())
-        for _ in range(self.n_epochs):
-            for data in self.rollout_buffer.get(self.batch_size):
-                loss = self._loss(data)
-                self.policy.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
-                self.policy.optimizer.step()
-            self._n_updates += 1
+        self._n_updates += self.n_epochs
         buffer = self.rollout_buffer
-        self.logger.record(
-            "train/explained_variance", explained_variance(buffer.values.flatten(), buffer.returns.flatten())
-        )
+        explained = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
+        self.logger.record("train/explained_variance", explained)
+        self.logger.record("train/value_loss", value_loss)
+        self.logger.record("train/output_change", change)
         self.logger.record("train/std", float(self.policy.log_std.detach().exp().mean()))
 
-    def _loss(self, data: Any) -> torch.Tensor:  # noqa: ANN401 - a named tuple of the rollout buffer
-        clip = self._clip
-        values, log_prob, _ = self.policy.evaluate_actions(data.observations, data.actions)
-        advantages = (data.advantages - data.advantages.mean()) / (data.advantages.std() + 1e-8)
-        ratio = torch.exp(log_prob - data.old_log_prob)
-        surrogate = torch.min(advantages * ratio, advantages * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value_loss = functional.mse_loss(data.returns, values.flatten())
-        disturbed = data.observations + torch.randn_like(data.observations) * self._noise
-        change = self._mean(disturbed) - self._mean(data.observations)
-        loss: torch.Tensor = (
-            -surrogate + self.vf_coef * value_loss + self._smoothness * change.square().sum(dim=1).mean()
+    def _rollout(self) -> Rollout:
+        buffer = self.rollout_buffer
+        followed = np.zeros_like(buffer.episode_starts)
+        followed[:-1] = 1.0 - buffer.episode_starts[1:]
+
+        def rows(values: NDArray[np.float32]) -> torch.Tensor:
+            return torch.from_numpy(buffer.swap_and_flatten(values))
+
+        return Rollout(
+            rows(buffer.observations),
+            rows(buffer.actions),
+            rows(buffer.log_probs)[:, 0],
+            rows(buffer.advantages)[:, 0],
+            rows(buffer.returns)[:, 0],
+            rows(followed)[:, 0],
         )
+
+    def _fit_actor(self, rollout: Rollout, batches: list[torch.Tensor]) -> float:
+        change = torch.zeros(())
+        for batch in batches:
+            mean = self.actor(rollout.observations[batch])
+            change = self._change(rollout, batch, mean)
+            loss = change - self._surrogate(rollout, batch, mean)
+            self._descend(loss, self.actor, self.actor_optimizer)
+        return float(change.detach())
+
+    def _fit_critic(self, rollout: Rollout, batches: list[torch.Tensor]) -> float:
+        loss = torch.zeros(())
+        for batch in batches:
+            values = self.critic(rollout.observations[batch])[:, 0]
+            loss = functional.mse_loss(values, rollout.returns[batch])
+            self._descend(loss, self.critic, self.critic_optimizer)
+        return float(loss.detach())
+
+    def _surrogate(self, rollout: Rollout, batch: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
+        away = (rollout.actions[batch] - mean) * torch.exp(-self.policy.log_std)
+        log_prob = -(0.5 * away.square() + self.policy.log_std + LOG_SQRT_2_PI).sum(dim=1)
+        advantages = rollout.advantages[batch]
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        ratio = torch.exp(log_prob - rollout.log_prob[batch])
+        clipped = ratio.clamp(1 - self._clip, 1 + self._clip)
+        return torch.min(advantages * ratio, advantages * clipped).mean()
+
+    def _change(self, rollout: Rollout, batch: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
+        """Both terms, weighted; of half of the batch, which is shuffled: a fair sample."""
+        half = batch[: (len(batch) + 1) // 2]
+        mean, loss = mean[: len(half)], torch.zeros(())
+        if self._smoothness.spatial:
+            observations = rollout.observations[half]
+            disturbed = self.actor(observations + torch.randn_like(observations) * self._noise)
+            loss = loss + self._smoothness.spatial * (disturbed - mean).square().sum(dim=1).mean()
+        if self._smoothness.temporal:
+            following = (half + 1).clamp(max=len(rollout.observations) - 1)
+            change = (self.actor(rollout.observations[following]) - mean).square().sum(dim=1)
+            loss = loss + self._smoothness.temporal * (change * rollout.followed[half]).mean()
         return loss
 
-    def _mean(self, observation: torch.Tensor) -> torch.Tensor:
-        output: torch.Tensor = self.policy.action_net(self.policy.mlp_extractor.forward_actor(observation))
-        return output
+    def _descend(
+        self, loss: torch.Tensor, network: torch.nn.Module, optimizer: torch.optim.Optimizer
+    ) -> None:
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(network.parameters(), self.max_grad_norm)
+        optimizer.step()
+
+    def _values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What the critic makes of observations (..., n); (...)."""
+        with torch.no_grad():
+            values: NDArray[np.float32] = self.critic(torch.from_numpy(observations))[..., 0].numpy()
+        return values

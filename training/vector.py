@@ -12,15 +12,21 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from sim.aircraft import Aircraft
+from training.algorithm import OffPolicyConfig
 from training.configuration import TrainingConfig
 from training.simulation import AttitudeSimulation
+
+# SB3 clips what a policy without a bound asks for to the action space, and wants that finite. The clip that
+# counts is the simulation's, which tells the reward by how much; this one is beyond any network in use.
+OUTPUT_MAX = 1e3
 
 
 class AttitudeVecEnv(VecEnv):
     """N aircraft behind SB3's vector interface. Observations are scaled, actions are the network's.
 
-    An episode ends only by its clock: every end is reported as a truncation with its last observation,
-    so that PPO bootstraps its value.
+    Off-policy actors end in tanh, so theirs lie in -1..1; those of the others have no bound, and with
+    `OutputMap.squash` go through tanh here. An episode ends only by its clock: every end is reported as a
+    truncation with its last observation, so that its value is bootstrapped.
     """
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, count: int) -> None:
@@ -29,13 +35,16 @@ class AttitudeVecEnv(VecEnv):
         self._simulation = simulation = self._build(count, np.random.default_rng(config.seed))
         self._scale = np.array(config.observation_scale(simulation.motors), np.float32)
         self._output = config.output
+        bounded = isinstance(config.algorithm, OffPolicyConfig)
+        self._squash = config.output.squash and not bounded
+        limit = 1.0 if bounded else OUTPUT_MAX
         self._action = np.zeros((simulation.count, simulation.motors), np.float32)
         self._infos: list[dict[str, Any]] = [{} for _ in range(simulation.count)]
         self.render_mode = None
         super().__init__(
             simulation.count,
             spaces.Box(-np.inf, np.inf, (simulation.width,), np.float32),
-            spaces.Box(*self._output.bounds(), (simulation.motors,), np.float32),
+            spaces.Box(-limit, limit, (simulation.motors,), np.float32),
         )
 
     def restart(self, rng: np.random.Generator) -> None:
@@ -49,7 +58,7 @@ class AttitudeVecEnv(VecEnv):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the network's outputs (N, M) for the next `step_wait`."""
-        self._action = self._output.asked(actions)
+        self._action = self._output.asked(np.tanh(actions) if self._squash else actions)
 
     def step_wait(
         self,
