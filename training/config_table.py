@@ -66,7 +66,7 @@ class ConfigReader:
 
     def _value(self, kind: Any, value: object, path: str, default: object = MISSING) -> object:  # noqa: ANN401
         if kind in REGISTRIES:
-            return self._named(REGISTRIES[kind], value, path, default)
+            return self.named(REGISTRIES[kind], value, path, default)
         if is_dataclass(kind):
             return self.table(kind, value, path)  # type: ignore[arg-type]
         origin, inside = get_origin(kind), get_args(kind)
@@ -83,8 +83,13 @@ class ConfigReader:
             return self._tuple(inside, value, path)
         return self._plain(kind, value, path)
 
-    def _named(self, registry: Mapping[str, type[Any]], value: object, path: str, default: object) -> object:
-        """A table whose `name` says what it is, or that name alone."""
+    def named(
+        self, registry: Mapping[str, type[Any]], value: object, path: str, default: object = None
+    ) -> Any:  # noqa: ANN401 - what the registry holds
+        """What a table describes whose `name` says what it is, or that name alone.
+
+        default: its kind is that of a table without a name.
+        """
         values = {NAME: value} if isinstance(value, str) else value
         if not isinstance(values, Mapping):
             raise self.error(path, f"got {shown(value)}, expected a table with a name, or the name alone")

@@ -1,11 +1,30 @@
-"""One aircraft as a Gymnasium environment.
+"""One aircraft as a Gymnasium environment, for any library that speaks Gymnasium.
 
 `import training`, then `gymnasium.make("neuroflight/Attitude-v0", aircraft="nf1", task="pulse")`; or let
-Gymnasium import it: `gymnasium.make("training:neuroflight/Attitude-v0")`.
+Gymnasium import it: `gymnasium.make("training:neuroflight/Attitude-v0")`. A stock learner on it:
+
+    import gymnasium
+    import numpy as np
+    from stable_baselines3 import PPO
+    from training.reward import TrackingReward
+
+    env = gymnasium.make(
+        "training:neuroflight/Attitude-v0",
+        aircraft="nf1",
+        task={"name": "pulse", "sigma_deg_s": 60},
+        reward=TrackingReward(change=0.2),
+        observation="rate_error,rate_error_delta,previous_action",
+    )
+    env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))  # as most learners expect
+    PPO("MlpPolicy", env).learn(100_000)
+
+With `config`, a recipe, a file or a TrainingConfig, all of it comes from there, the world included.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +35,24 @@ from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from sim.observation import limits
-from toolchain.errors import TrainingError
+from training.algorithm import PpoConfig
+from training.config_file import load_config
+from training.config_table import ConfigReader
 from training.configuration import TrainingConfig
+from training.reward import REWARDS, Reward
 from training.simulation import AttitudeSimulation
+from training.task import Task
 from training.tasks import TASKS
+
+Named = str | Mapping[str, Any]  # a name, or a table with a name and fields
+OTHERS = PpoConfig(aircraft=1, horizon=1, minibatch=1)  # the learner is not the environment's matter
 
 
 class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Track rate commands with one aircraft.
 
-    Observation: the blocks of `observation`, raw units (rad/s, rad, fractions), float32 (n,).
-    Action: motor fractions 0..1 before the throttle mix, float32 (M,).
+    Observation: the terms of `observation`, raw units (rad/s, rad, fractions), float32 (n,).
+    Action: motor fractions 0..1 before the throttle mix, float32 (M,); what lies beyond is clipped.
     Ends only by its clock, as a truncation. `info` holds `setpoint` and `rate`, (3,) [rad/s].
     """
 
@@ -35,16 +61,27 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(
         self,
         aircraft: str | Path = "nf1",
-        task: str = "pulse",
-        observation: str = "rate_error,rate_error_delta",
-        control_rate_hz: int = 1000,
+        task: Named | Task | None = None,
+        reward: Named | Reward | None = None,
+        observation: str | None = None,
+        control_rate_hz: int | None = None,
+        config: str | Path | TrainingConfig | None = None,
     ) -> None:
-        if task not in TASKS:
-            raise TrainingError(f"task {task!r}, expected one of: {', '.join(TASKS)}")
+        """aircraft: shipped name or file; the others stand in place of what `config` says.
+
+        Raises AircraftError or TrainingError, one line, on what cannot be flown.
+        """
+        given = {
+            "task": _named(TASKS, "task", task),
+            "reward": _named(REWARDS, "reward", reward),
+            "observation": observation,
+            "control_rate_hz": control_rate_hz,
+        }
+        base = config if isinstance(config, TrainingConfig) else load_config(config)
+        changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        self._config = replace(base, algorithm=OTHERS, **changes)
         self._aircraft = load_aircraft(aircraft)
-        self._config = TrainingConfig(
-            observation=observation, control_rate_hz=control_rate_hz, task=TASKS[task]()
-        )
+        self._config.check(self._aircraft)
         self._simulation: AttitudeSimulation | None = self._build(np.random.default_rng())
         self.observation_space = spaces.Box(
             *limits(self._config.blocks(), self._aircraft.motor_count), dtype=np.float32
@@ -86,3 +123,10 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     @staticmethod
     def _info(simulation: AttitudeSimulation) -> dict[str, Any]:
         return {"setpoint": simulation.setpoint[0], "rate": simulation.rate[0].copy()}
+
+
+def _named(registry: Mapping[str, type[Any]], what: str, value: object) -> object:
+    """What a name or a table stands for; anything else is what it is."""
+    if isinstance(value, str | Mapping):
+        return ConfigReader("environment", {}).named(registry, value, what)
+    return value
