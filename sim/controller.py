@@ -12,6 +12,8 @@ from toolchain.evaluate import advance, clear_state
 from toolchain.network import PolicyModel
 from toolchain.passes import optimize
 
+SENSED = frozenset({"rotor_speed", "gravity"})  # blocks that no step of a Controller is given
+
 
 class Controller(Protocol):
     """N rate controllers of aircraft with M motors, stepped together at the control rate."""
@@ -44,6 +46,8 @@ class PolicyController:
         self._everyone = np.arange(count)
         self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
         self._action = np.zeros((count, policy.action_count), np.float32)
+        self._sensed: dict[str, NDArray[np.float32]] = {}
+        self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
 
     def reset(self) -> None:
         """Forget the past: deltas, the previous action and recurrent state of the next step are zero."""
@@ -51,10 +55,22 @@ class PolicyController:
         self._action[:] = 0.0
         self._state = clear_state(self._network, len(self._everyone))
 
+    def sense(self, rotor_speed: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        """Tell what the next step may observe of the aircraft beside the gyro.
+
+        rotor_speed: (N, M) [rad/s]; rotation: (N, 3, 3), matrices from body to world.
+        """
+        self._sensed = {
+            "rotor_speed": rotor_speed.astype(np.float32),
+            "gravity": -rotation[:, 2].astype(np.float32),
+        }
+
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """See Controller."""
-        observation = self._observer.observe(slice(None), setpoint, gyro, self._action, throttle)
+        observation = self._observer.observe(
+            slice(None), setpoint, gyro, self._action, throttle, **self._sensed
+        )
         self._action, self._state = advance(self._network, observation, self._state, exact=self._exact)
         return self._action

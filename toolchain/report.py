@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from toolchain.contract import IDLE_MAX
 from toolchain.cycles import CORE_HZ
+from toolchain.errors import BuildError
 from toolchain.image import MemoryUse, Section
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+REPORT_BYTES_MAX = 1 << 20
 TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
 
 
@@ -66,6 +72,29 @@ class BuildReport:
     def document(self) -> dict[str, object]:
         """The content of report.json."""
         return asdict(self)
+
+
+def built_idle(product: Path) -> float:
+    """Idle of the policy inside `product`, a file of a build, by the report.json beside it.
+
+    Raises BuildError, one line, where that cannot be told, or tells of another file.
+    """
+    path = product.with_name("report.json")
+    try:
+        if (size := path.stat().st_size) > REPORT_BYTES_MAX:
+            raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
+        report = json.loads(path.read_bytes())
+        known = {str(file["sha256"]) for file in report["files"]}
+        idle = float(report["policy"]["idle"])
+    except OSError as error:
+        raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BuildError(f"{path} does not tell the idle of the policy; build {product.name} anew") from error
+    if not 0.0 <= idle <= IDLE_MAX:
+        raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")
+    if hashlib.sha256(product.read_bytes()).hexdigest() not in known:
+        raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
+    return idle
 
 
 def print_report(report: BuildReport, console: Console) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
 from sim.confidence import Mean, mean_of
-from sim.controller import Controller
+from sim.controller import Controller, PolicyController
 from sim.imu import quantised_rate
 from sim.metrics import Effort, Tracking, effort, tracking
 from sim.motors import motor_commands
@@ -140,6 +140,8 @@ def record(
         for k in range(steps):
             setpoint = wanted[:, k]
             flown[k] = twin.rate
+            if isinstance(controller, PolicyController) and controller.senses:
+                controller.sense(twin.rotor_speed, twin.rotation)
             outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
             twin.step(motor_commands(y, thrust, idle))
             if progress is not None:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ, IDLE_DEFAULT
+from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -167,13 +167,18 @@ def _open(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
     """What `--on` names."""
     from sim.host_port import HostPort
     from sim.reference_port import ReferencePort
+    from toolchain.report import built_idle
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
-    build = args.build or BUILD
-    if args.on == "host":
-        return _Entry("firmware", HostPort(build / "neuroflight", args.gyro_hz), IDLE_DEFAULT)
-    return _Entry("firmware", ReferencePort(build / "libneuroflight.so", args.gyro_hz), IDLE_DEFAULT)
+    name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
+    product = (args.build or BUILD) / name
+    port: FirmwarePort = kind(product, args.gyro_hz)
+    try:
+        return _Entry("firmware", port, built_idle(product))
+    except NeuroflightError:
+        port.close()
+        raise
 
 
 def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:

@@ -1,0 +1,153 @@
+"""A policy of low-passed and old observations with an idle of its own, squashed, from freeze to flight."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.aircraft import load_aircraft
+from sim.controller import PolicyController
+from sim.controller_port import ControllerPort
+from sim.host_port import HostPort
+from sim.reference_port import ReferencePort
+from sim.scenario import Scenario, Segment
+from sim.trace import Trace
+from toolchain.build import build
+from toolchain.cli.main import main
+from toolchain.contract import observation_blocks, observation_count
+from toolchain.freeze import to_onnx
+from toolchain.network import read_policy
+
+Flown = Callable[..., Trace]
+ROOT = Path(__file__).resolve().parents[2]
+IDLE = 0.23
+GYRO_HZ = 1000
+TERMS = (
+    "rate_error,rate_error_integral,rate,rate~15Hz,rate_error_delta~80Hz@1,"
+    "previous_action~40Hz@2,throttle@16,throttle~5Hz,rate_error@1"
+)
+BUSY = Scenario(
+    "busy",
+    tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(5)),
+)
+
+
+def frozen(observation: str) -> bytes:
+    """A policy.onnx of random weights, too gentle to turn the aircraft faster than its gyro can tell."""
+    rng = np.random.default_rng(8)
+    inputs = observation_count(observation_blocks(observation), 4)
+    state = {}
+    for name, outputs, width, size in (
+        ("mlp_extractor.policy_net.0", 16, inputs, 1.0),
+        ("mlp_extractor.policy_net.2", 16, 16, 1.0),
+        ("action_net", 4, 16, 0.1),
+    ):
+        state[f"{name}.weight"] = rng.normal(0, size * width**-0.5, (outputs, width)).astype(np.float32)
+        state[f"{name}.bias"] = rng.normal(0, 0.1 * size, outputs).astype(np.float32)
+    aircraft = load_aircraft("nf1")
+    config = {
+        "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
+        "observation": observation,
+        "observation_scale": [0.5] * inputs,
+        "control_rate_hz": 1000,
+        "filters": [],
+        "hidden": [16, 16],
+        "activation": "tanh",
+        "output": {"scale": 0.5, "offset": 0.4, "squash": True},
+        "idle": IDLE,
+        "motors": 4,
+    }
+    return to_onnx(config, state)
+
+
+class Recorder(PolicyController):
+    """A policy's controller that keeps what it answered."""
+
+    def __init__(self, policy: Path) -> None:
+        super().__init__(read_policy(policy))
+        self.outputs: list[NDArray[np.float32]] = []
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        self.outputs.append(super().step(setpoint, gyro, throttle))
+        return self.outputs[-1]
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("terms") / "policy.onnx"
+    path.write_bytes(frozen(TERMS))
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(policy: Path) -> Path:
+    """The host's build around `policy`."""
+    build("HOST", policy, ROOT, policy.parent)
+    return policy.parent / "HOST"
+
+
+def test_python_library_and_program_fly_the_same_bits_when_terms_have_a_past(
+    policy: Path, folder: Path, flown: Flown
+) -> None:
+    controller = Recorder(policy)
+    in_python = flown(ControllerPort(controller, 4, GYRO_HZ, idle=IDLE), BUSY)
+    assert flown(ReferencePort(folder / "libneuroflight.so", GYRO_HZ), BUSY).same(in_python)
+    assert flown(HostPort(folder / "neuroflight", GYRO_HZ), BUSY).same(in_python)
+    assert len(np.unique(np.array(controller.outputs), axis=0)) > 400, "the policy must have moved"
+    assert in_python.motors.min() >= IDLE - 0.5 / 1999
+
+
+def test_fly_tells_the_policys_own_output_when_it_has_an_idle(
+    policy: Path, folder: Path, flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "steps.toml"
+    segments = [(120, -80, 40, 0.3), (-200, 60, 0, 0.0), (0, 0, 0, 0.6)]
+    scenario.write_text(
+        "".join(
+            f"[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [{a}, {b}, {c}]\nthrottle = {throttle}\n"
+            for a, b, c, throttle in segments
+        )
+    )
+    arguments = ["--scenario", str(scenario), "--build", str(folder), "--gyro-hz", str(GYRO_HZ), "--json"]
+    assert main(["fly", "--on", "reference", *arguments]) == 0
+    told = json.loads(capsys.readouterr().out)["flights"]["firmware"]["effort"]
+    controller = Recorder(policy)
+    steps = tuple(Segment(0.1, (a, b, c), throttle) for a, b, c, throttle in segments)
+    flown(ControllerPort(controller, 4, GYRO_HZ, idle=IDLE), Scenario("steps", steps))
+    y = np.concatenate(controller.outputs).astype(float)
+    assert told["output"] == pytest.approx(y.mean(), abs=1e-4)  # DShot's rounding
+    assert told["change"] == pytest.approx(np.abs(np.diff(y, axis=0)).mean(), abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (None, "cannot read"),
+        ("{}", "does not tell the idle of the policy"),
+        ("[" * 100_000, "does not tell the idle of the policy"),
+        ('{"policy": {"idle": 0.7}, "files": []}', "the policy's idle is 0.7, expected 0 to 0.5"),
+        ('{"policy": {"idle": 0.1}, "files": []}', "is the report of another build than libneuroflight.so"),
+        (" " * (1 << 20) + "{}", "expected at most 1048576"),
+    ],
+    ids=["absent", "empty", "deep", "out of range", "of another build", "large"],
+)
+def test_fly_refuses_a_build_when_its_report_does_not_tell_the_idle(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str | None, words: str
+) -> None:
+    (tmp_path / "libneuroflight.so").write_bytes((folder / "libneuroflight.so").read_bytes())
+    if damage is not None:
+        (tmp_path / "report.json").write_text(damage)
+    assert (
+        main(["fly", "--on", "reference", "--build", str(tmp_path), "--trace", str(tmp_path / "a.npz")]) == 1
+    )
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "a.npz").exists()
