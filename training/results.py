@@ -1,28 +1,31 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is what `compare`, `evaluate`, `fly` or `stability` printed with --json, or the training.json
-of a run. What kind it is follows from its keys, what table it belongs to from its task and aircraft; nothing
-depends on a file's name but the order of rows.
+A stored result is what `compare`, `evaluate`, `robustness`, `fly` or `stability` printed with --json, or the
+training.json of a run. What kind it is follows from its keys, what table it belongs to from its task and
+aircraft; nothing depends on a file's name but the order of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
-from training.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Difference, Known, Row
+from training.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Difference, Row
+from training.markdown import axes, number, table
+from training.results_robustness import robustness_section
 from training.results_rows import ALL_AXES, STEADY, SUMS, compared_rows, digests, evaluated_row, flown_rows
+from training.results_training import training_section
 from training.stored import Stored
-
-GOOD_DEG_S = 5.0  # mean error of a policy that flies
 
 
 def render(results: Sequence[Stored]) -> str:
     """The page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[Row]] = {}
-    drifts, runs = [], []
+    drifts, runs, robust = [], [], []
     for stored in results:
         if stored.has("runs"):
             drifts.append(stored)
+        elif stored.has("robustness"):
+            robust.append(stored)
         elif stored.has("config"):
             runs.append(stored)
         elif stored.has("flights"):
@@ -40,8 +43,9 @@ def render(results: Sequence[Stored]) -> str:
         for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
             printed = PRINTED[task] if aircraft == PRINTED_AIRCRAFT[task] else ()
             blocks.append(section(aircraft, [*rows, *printed]))
+    blocks += [robustness_section(stored) for stored in robust]
     if runs:
-        blocks.append(_training_section(runs))
+        blocks.append(training_section(runs))
     blocks += [_drift_section(stored) for stored in drifts]
     blocks.append(_sources(results))
     return "\n\n".join(blocks) + "\n"
@@ -54,15 +58,15 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
             str(row.episodes),
             _margins(row),
             f"{_mean_mae(row):.2f}",
-            _axes(row.tracking["mse"], 0),
+            axes(row.tracking["mse"], 0),
             f"{sum(row.tracking['mse']) / 3:.0f}",
-            _number(row.output, 2 if row.printed else 3),
-            _number(row.change, 2 if row.printed else 4),
+            number(row.output, 2 if row.printed else 3),
+            number(row.change, 2 if row.printed else 4),
             "" if row.smoothness is None else f"{1e6 * row.smoothness:.0f}",
         )
         for row in rows
     ]
-    sums = [(row.label, *(_axes(row.tracking[name], 0) for name in SUMS)) for row in rows]
+    sums = [(row.label, *(axes(row.tracking[name], 0) for name in SUMS)) for row in rows]
     answers = [
         (
             row.label,
@@ -75,12 +79,12 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
     ]
     parts = [
         f"## Pulses, {aircraft}\n\n{ABOUT_PULSES}",
-        _table(("", "commands", "MAE", "mean", "MSE", "mean", "ū", "abs Δu", "Sm, 1e-6"), errors),
-        _table(("", "IAE", "ISE", "ITAE", "ITSE"), sums),
+        table(("", "commands", "MAE", "mean", "MSE", "mean", "ū", "abs Δu", "Sm, 1e-6"), errors),
+        table(("", "IAE", "ISE", "ITAE", "ITSE"), sums),
     ]
     if answers:
         headings = ("success", "bare", "rise, ms", "peak, %", "in band after 500 ms", "bare")
-        parts.append(_table(("", *headings), answers))
+        parts.append(table(("", *headings), answers))
     columns = (("mae", "MAE", 1, 2), ("mse", "MSE", 1, 1), ("output", "ū", 1, 4), ("change", "abs Δu", 1, 5))
     parts += _differences(rows, (*columns, ("smoothness", "Sm, 1e-6", 1e6, 1)))
     return "\n\n".join(parts)
@@ -98,7 +102,7 @@ def _episodic_section(aircraft: str, rows: Sequence[Row]) -> str:
     )
     headings = ("commands", "success", "bare", "failure, %", "rise, ms", "peak, %", "error", "stability")
     body = [(row.label, str(row.episodes), *(_figure(row, *column) for column in columns)) for row in rows]
-    return f"## Episodic task, {aircraft}\n\n{ABOUT_EPISODIC}\n\n{_table(('', *headings), body)}"
+    return f"## Episodic task, {aircraft}\n\n{ABOUT_EPISODIC}\n\n{table(('', *headings), body)}"
 
 
 def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
@@ -106,7 +110,7 @@ def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
         (
             row.label,
             str(row.episodes),
-            *(_number(row.in_band.get(name), 0 if row.printed else 1) for name in (*STEADY, *ALL_AXES)),
+            *(number(row.in_band.get(name), 0 if row.printed else 1) for name in (*STEADY, *ALL_AXES)),
         )
         for row in rows
     ]
@@ -114,8 +118,8 @@ def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
     headings = ("after 500 ms", "bare", "after 750 ms", "bare")
     parts = [f"## Flight envelope, {aircraft}\n\n{ABOUT_ENVELOPE}"]
     strict = ("every sample", "bare")
-    parts.append(_table(("all axes at once, %", "setpoints", *strict, *headings), together))
-    parts.append(_table(("each axis, % of the time", *headings), apart))
+    parts.append(table(("all axes at once, %", "setpoints", *strict, *headings), together))
+    parts.append(table(("each axis, % of the time", *headings), apart))
     parts += _differences(
         rows,
         (("steady", "every sample, %", 100, 1), ("steady_bare", "bare, %", 100, 1), ("mae", "MAE", 1, 2)),
@@ -133,7 +137,7 @@ def _differences(rows: Sequence[Row], columns: Sequence[tuple[str, str, float, i
         for row in rows
         if row.difference
     ]
-    return [_table(("", *(heading for _, heading, _, _ in columns)), body)] if body else []
+    return [table(("", *(heading for _, heading, _, _ in columns)), body)] if body else []
 
 
 def _change(difference: Difference | None, factor: float, digits: int) -> str:
@@ -143,64 +147,25 @@ def _change(difference: Difference | None, factor: float, digits: int) -> str:
     return f"{'' if difference.significant else '≈ '}{value:+,.{digits}f} ± {margin:,.{digits}f}"
 
 
-def _training_section(runs: Sequence[Stored]) -> str:
-    """How long runs took; of monitored ones what they came to."""
-    body = []
-    for run in runs:
-        seconds, steps = run.number("seconds"), run.number("steps")
-        readings = run.get("monitor") if run.has("monitor") else []
-        if not isinstance(readings, list) or not all(isinstance(reading, dict) for reading in readings):
-            raise run.error("monitor", readings, "a list of readings")
-        seen = [Stored(f"{run.name}: monitor[{n}]", reading) for n, reading in enumerate(readings)]
-        good = [r.number("steps") for r in seen if r.number("mae", "mean") < GOOD_DEG_S]
-        chosen = run.has("chosen", "steps")
-        body.append(
-            (
-                f"{run.text('config', 'algorithm', 'name')}, {run.text('config', 'aircraft', 'name')}, "
-                f"`{run.text('config', 'observation')}`, seed {run.number('config', 'seed'):g}",
-                f"{steps / 1e6:.1f}",
-                f"{seconds:.0f}",
-                f"{run.number('steps_per_second'):,.0f}",
-                f"{seconds * good[0] / steps:.0f}" if good else "",
-                f"{run.number('chosen', 'steps') / 1e6:.1f}" if chosen else "",
-                f"{run.number('chosen', 'mae', 'mean'):.2f}" if chosen else "",
-            )
-        )
-    headings = (
-        "run",
-        "M steps",
-        "seconds",
-        "steps/s",
-        "below 5 deg/s after, s",
-        "chosen at, M steps",
-        "MAE there",
-    )
-    return f"## Training\n\n{ABOUT_TRAINING}\n\n{_table(headings, body)}"
-
-
 def _drift_section(stored: Stored) -> str:
-    runs = stored.get("runs")
-    if not isinstance(runs, list) or not runs or not all(isinstance(run, dict) for run in runs):
-        raise stored.error("runs", runs, "a list of runs")
     body = []
-    for number, entry in enumerate(runs):
-        run = Stored(f"{stored.name}: runs[{number}]", entry)
+    for run in stored.entries("runs"):
         formulation, step = run.text("formulation"), run.number("step_ms")
         printed = PRINTED_DRIFT_MM.get(step) if formulation == "maximal" else 0.0
-        body.append((formulation, f"{step:g}", f"{1e3 * run.number('drift_m'):.2g}", _number(printed, 0)))
+        body.append((formulation, f"{step:g}", f"{1e3 * run.number('drift_m'):.2g}", number(printed, 0)))
     headings = ("coordinates", "step, ms", "largest drift, mm", "dissertation, mm")
     about = ABOUT_DRIFT.format(
         combinations=f"{stored.number('combinations'):.0f}", limit=f"{stored.number('rate_limit_deg_s'):.0f}"
     )
-    return f"## Stability of the simulation, {stored.text('aircraft')}\n\n{about}\n\n{_table(headings, body)}"
+    return f"## Stability of the simulation, {stored.text('aircraft')}\n\n{about}\n\n{table(headings, body)}"
 
 
 def _sources(results: Sequence[Stored]) -> str:
     body = []
     for stored in results:
         body.append((f"`{stored.name}`", f"`{_command(stored)}`", ", ".join(digests(stored))))
-    table = _table(("file", "command", "SHA-256"), body, align="---")
-    return f"## What made these figures\n\n{ABOUT_SOURCES}\n\n{table}"
+    sources = table(("file", "command", "SHA-256"), body, align="---")
+    return f"## What made these figures\n\n{ABOUT_SOURCES}\n\n{sources}"
 
 
 def _command(stored: Stored) -> str:
@@ -219,26 +184,13 @@ def _mean_mae(row: Row) -> float:
 
 def _margins(row: Row) -> str:
     if row.mae_margin is None:
-        return _axes(row.tracking["mae"], 0 if row.printed else 2)
+        return axes(row.tracking["mae"], 0 if row.printed else 2)
     pairs = zip(row.tracking["mae"], row.mae_margin, strict=True)
     return " / ".join(f"{value:.2f} ± {margin:.2f}" for value, margin in pairs)
 
 
 def _figure(row: Row, name: str, digits: int) -> str:
-    return _axes(row.response[name], digits) if name in row.response else ""
-
-
-def _axes(values: Known, digits: int) -> str:
-    return " / ".join("-" if value is None else _number(value, digits) for value in values)
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:,.{digits}f}"
-
-
-def _table(heading: Sequence[str], rows: Iterable[Sequence[str]], align: str = "---:") -> str:
-    lines = [heading, ["---", *[align] * (len(heading) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)
+    return axes(row.response[name], digits) if name in row.response else ""
 
 
 HEAD = """# Results
@@ -266,9 +218,6 @@ the share of setpoints [%] whose error stays within 10 % of them, or within 5 de
 all axes and at each sample from 0.5 to 1.5 s; bare is without that floor. The other shares are of time. The
 dissertation does not say whether its share is of each axis or of all at once; the stricter reading stands
 beside it."""
-ABOUT_TRAINING = """From the first step to the last file on the machine that made the policies, two cores of
-it at most. A monitor flies each checkpoint on five commands that no figure above is taken of: when their mean
-error first was below 5 deg/s, which checkpoint its rule chose, and its error there."""
 ABOUT_DRIFT = """The airframe and each propeller as links of their own, joined by hinges; all {combinations}
 combinations of motors on and off from rest, free, up to {limit} deg/s. Drift is how far a propeller's
 distance from the airframe changes. The twin itself is one rigid body: nothing in it can drift, and it keeps

@@ -25,29 +25,23 @@ RESPONSES = (  # of a row: figure, factor to what is printed
 ALL_AXES = ("in_band_500", "in_band_500_bare", "in_band_750", "in_band_750_bare")
 STEADY = ("steady", "steady_bare")
 DIFFERENCES = ("mae", "mse", "output", "change", "smoothness", *STEADY)
+ENTRIES = (("comparison",), ("robustness", "controllers"))  # where a file names several controllers
 SHIPPED = "training/policies/"
 
 
 def compared_rows(stored: Stored) -> list[Row]:
     """Of what `compare --json` printed: a row for each controller and throttle."""
-    entries = stored.get("comparison")
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise stored.error("comparison", entries, "a list of controllers")
     shared = {key: value for key, value in stored.document.items() if key != "comparison"}
     rows: list[Row] = []
-    for number, entry in enumerate(entries):
-        first = rows[-1].against or rows[-1].label if rows and "difference" in entry else ""
-        rows.append(evaluated_row(Stored(f"{stored.name}: comparison[{number}]", shared | entry), first))
+    for entry in stored.entries("comparison"):
+        first = rows[-1].against or rows[-1].label if rows and entry.has("difference") else ""
+        rows.append(evaluated_row(Stored(entry.name, shared | dict(entry.document)), first))
     return rows
 
 
 def evaluated_row(stored: Stored, against: str = "") -> Row:
     """Of what `evaluate --json` printed, or one controller of a comparison, whose first is `against`."""
-    name = stored.text("controller")
-    label = f"PID `{stored.text('pid')}`" if "pid" in stored.document else _policy_label(name)
     conditions = []
-    if stored.has("idle") and stored.number("idle"):
-        conditions.append(f"idle {stored.number('idle'):g}")
     if not stored.get("noise"):
         conditions.append("no noise")
     if "--delay" in stored.text("command"):
@@ -57,7 +51,7 @@ def evaluated_row(stored: Stored, against: str = "") -> Row:
     if stored.number("throttle"):
         conditions.append(f"throttle {stored.number('throttle'):g}")
     return Row(
-        label=", ".join([label, *conditions]),
+        label=", ".join([controller_label(stored), *conditions]),
         episodes=int(stored.number("episodes")),
         tracking={name: stored.axes(name) for name in ("mae", "mse", *SUMS)},
         mae_margin=stored.axes("margin_95", "mae"),
@@ -103,17 +97,23 @@ def flown_rows(stored: Stored) -> list[Row]:
     ]
 
 
+def controller_label(stored: Stored) -> str:
+    """Who flew: a PID by its name, a policy by its place, and the idle where there is one."""
+    name = stored.text("controller")
+    label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
+    idle = stored.number("idle") if stored.has("idle") else 0.0
+    return f"{label}, idle {idle:g}" if idle else label
+
+
 def digests(stored: Stored) -> Sequence[str]:
     """What identifies the aircraft and the policies behind a file."""
     if stored.has("config"):
         name, sha256 = (stored.text("config", "aircraft", key) for key in ("name", "sha256"))
         return [f"{name} `{sha256[:12]}`"]
     found = [f"{stored.text('aircraft')} `{stored.text('aircraft_sha256')[:12]}`"]
-    entries = [stored.document, *(stored.document.get("comparison") or [])]
-    for number, entry in enumerate(entries):
-        if isinstance(entry, dict) and "policy_sha256" in entry:
-            where = stored.name if not number else f"{stored.name}: comparison[{number - 1}]"
-            found.append(f"policy `{Stored(where, entry).text('policy_sha256')[:12]}`")
+    for entry in (stored, *(each for path in ENTRIES if stored.has(*path) for each in stored.entries(*path))):
+        if entry.has("policy_sha256"):
+            found.append(f"policy `{entry.text('policy_sha256')[:12]}`")
     return list(dict.fromkeys(found))
 
 

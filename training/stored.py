@@ -54,6 +54,14 @@ class Stored:
             value = value[key]
         return True
 
+    def entries(self, *path: str) -> list[Stored]:
+        """The objects of the list at a path, one at least."""
+        value = self.get(*path)
+        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
+            raise self.error(".".join(path), value, "a list of objects")
+        where = f"{self.name}: {'.'.join(path)}"
+        return [Stored(f"{where}[{number}]", item) for number, item in enumerate(value)]
+
     def number(self, *path: str) -> float:
         """A finite number at a path."""
         value = self.get(*path)

@@ -93,6 +93,45 @@ def trained(**more: Any) -> Document:
     } | more
 
 
+def robust(*controllers: Document) -> Document:
+    """What `robustness --json` prints, as far as the page reads it."""
+    return {
+        "command": "neuroflight robustness",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "robustness": {
+            "throttle_max": 0.8,
+            "episodes": 200,
+            "draws": 100,
+            "commands_per_draw": 5,
+            "divergence": "it tumbles",
+            "bars": {"case": 2.0, "median": 1.5, "high": 2.5},
+            "high_quantile": 0.95,
+            "controllers": list(controllers),
+        },
+    }
+
+
+def bore(**more: Any) -> Document:
+    """One controller of it."""
+
+    def case(ratio: float, diverged: int = 0) -> Document:
+        mean = {"value": 1.75, "low": 1.5, "high": 2.0}
+        return {"mae": mean, "ratio": {k: ratio / 1.75 * v for k, v in mean.items()}, "diverged": diverged}
+
+    return {
+        "controller": "pid",
+        "pid": "tuned",
+        "idle": 0.23,
+        "cases": {"nominal": case(1.0), "mass x 0.8": case(1.75), "delay 6 ms": case(3.5, 2)},
+        "joint": {
+            "median": {"value": 1.25, "low": 1.0, "high": 1.5},
+            "high": {"value": 2.75, "low": 2.5, "high": 3.0},
+            "diverged": 3,
+        },
+    } | more
+
+
 def flown(*names: str) -> Document:
     """What `fly --json` prints, as far as the page reads it."""
     sums = {name: [1.25, 1.5, 1.75] for name in ("mae", "mse", "iae", "ise", "itae", "itse")}
@@ -242,6 +281,20 @@ def test_comparison_gives_a_row_each_and_their_differences() -> None:
     assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
 
 
+def test_robustness_has_a_column_each_and_marks_what_misses_its_bar() -> None:
+    text = page(robust(bore(), bore(policy_sha256="cd" * 32, joint=None)))
+    assert "|  | at most | PID `tuned`, idle 0.23 | PID `tuned`, idle 0.23 |" in text
+    assert row(text, "nominal, MAE, deg/s") == ["", "1.75 ± 0.25", "1.75 ± 0.25"]
+    assert row(text, "mass x 0.8") == ["2", "1.75 ± 0.25", "1.75 ± 0.25"]
+    assert row(text, "delay 6 ms") == ["2", *["**3.50** ± 0.50, 2 diverged"] * 2]
+    assert "all at once" not in text.split("## What made")[0].split("| nominal")[1]
+    assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
+    alone = page(robust(bore()))
+    assert row(alone, "all at once, median") == ["1.5", "1.25 (1.00 to 1.50)"]
+    assert row(alone, "all at once, 95th percentile") == ["2.5", "**2.75** (2.50 to 3.00)"]
+    assert row(alone, "all at once, diverged") == ["0", "3"]
+
+
 def test_runs_tell_their_speed_and_when_they_flew() -> None:
     text = page(evaluated("pid", pid="a"), trained(), trained(chosen=None, monitor=[]))
     assert row(text, "ppo, nf1, `rate_error`, seed 3") == ["4.0", "80", "50,000", "40", "2.0", "4.00"]
@@ -279,15 +332,21 @@ def without(key: str) -> Callable[[Document], Document]:
         (lambda d: d | {"aircraft": "a\nb"}, "aircraft: got 'a\\nb', expected a line of text"),
         (lambda d: d | {"response": {"success": 1}}, "response.success.value"),
         (without("task"), "what a command printed with --json"),
-        (lambda d: compared(d) | {"comparison": 3}, "comparison: got '3', expected a list of controllers"),
+        (lambda d: compared(d) | {"comparison": 3}, "comparison: got '3', expected a list of objects"),
         (lambda d: compared(d, without("mae")(d)), "comparison[1]: mae: got 'nothing'"),
         (lambda d: compared(d, d | {"difference": {"mae": {"low": 1}}}), "difference.mae.high"),
-        (lambda d: trained(monitor=3), "monitor: got '3', expected a list of readings"),
+        (lambda d: robust(), "robustness.controllers: got '[]', expected a list of objects"),
+        (lambda d: robust(bore(cases={})), "robustness.controllers[0]: cases: got '{}'"),
+        (
+            lambda d: robust(bore(), bore(cases={"nominal": {}})),
+            "robustness.controllers[1]: cases.nominal.mae",
+        ),
+        (lambda d: trained(monitor=3), "monitor: got '3', expected a list of objects"),
         (lambda d: trained(monitor=[{"steps": 1}]), "monitor[0]: mae: got 'nothing'"),
         (lambda d: trained(seconds=None), "seconds: got 'None', expected a finite number"),
         (lambda d: flown("PID") | {"scenario": "flip"}, "scenario: got 'flip'"),
         (lambda d: flown("PID") | {"flights": 3}, "flights: got '3'"),
-        (lambda d: drifted() | {"runs": [1]}, "expected a list of runs"),
+        (lambda d: drifted() | {"runs": [1]}, "expected a list of objects"),
         (lambda d: drifted() | {"runs": [{"formulation": "reduced"}]}, "runs[0]: step_ms"),
     ],
 )
