@@ -28,6 +28,7 @@ COMMANDS = {
     "tune-pid": "find the gains of a PID for an aircraft in its twin",
     "evaluate": "measure a policy or the PID on unseen commands",
     "compare": "hold policies and PIDs against each other on the same unseen commands",
+    "robustness": "measure what controllers make of an aircraft that is not as its file says",
     "dyno": "measure a rotor on a simulated dynamometer, or fit one to a real one's log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",

@@ -1,0 +1,134 @@
+"""What robustness looks like: every case's ratio as a dot, and how the draws of all parameters spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import NullFormatter, ScalarFormatter
+
+from sim.report import INK, MOTOR_COLOURS, dress
+from sim.response_plot import MUTED, SHADE
+from training.robustness import (
+    CASE_RATIO_MAX,
+    HIGH,
+    HIGH_RATIO_MAX,
+    MEDIAN_RATIO_MAX,
+    Robustness,
+)
+
+RATIO_MIN, RATIO_MAX = 0.5, 20.0  # what is drawn; what lies beyond stands at the edge
+TICKS = (0.5, 0.7, 1, 1.5, 2, 2.5, 3, 5, 10, 20)
+SPREAD = 0.5  # part of a row that the dots of all controllers take
+
+
+def draw(results: Sequence[Robustness], title: str) -> Figure:
+    """Ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
+    drawn = any(result.joint for result in results)
+    rows = len(results[0].cases)
+    height = 1.6 + 0.3 * rows + (3.2 if drawn else 0.0)
+    figure = Figure(figsize=(12, height), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    ratios = (0.3 * rows, 2.6) if drawn else (1,)
+    grid = figure.add_gridspec(len(ratios), 3, height_ratios=ratios)
+    cases = figure.add_subplot(grid[0, :2])
+    _draw_ratios(cases, results)
+    _draw_changes(figure.add_subplot(grid[0, 2], sharey=cases), results)
+    if drawn:
+        _draw_joint(figure.add_subplot(grid[1, :]), results)
+    return figure
+
+
+def _places(results: Sequence[Robustness], number: int) -> np.ndarray:
+    """Height of each row's dot of one controller."""
+    rows = np.arange(len(results[0].cases), dtype=np.float64)
+    middle = (len(results) - 1) / 2
+    return rows + SPREAD * (number - middle) / max(len(results), 2)
+
+
+def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
+    top = max(float(each.ratio.high) for result in results for each in result.cases)
+    panel.axvline(1.0, color=MUTED, lw=0.9)
+    panel.axvline(CASE_RATIO_MAX, color=INK, lw=1.1, ls=(0, (4, 2)))
+    for number, result in enumerate(results):
+        y = _places(results, number)
+        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        low, value, high = (
+            np.clip([float(getattr(each.ratio, part)) for each in result.cases], RATIO_MIN, RATIO_MAX)
+            for part in ("low", "value", "high")
+        )
+        label = f"{result.contender.label}, nominal {float(result.cases[0].mae.value):.2f} deg/s"
+        panel.hlines(y, low, high, color=colour, lw=1.4, alpha=0.6)
+        panel.plot(value, y, ls="none", marker="o", ms=6, color=colour, label=label, zorder=3)
+        lost = [n for n, each in enumerate(result.cases) if each.diverged]
+        panel.plot(value[lost], y[lost], ls="none", marker="x", ms=9, mew=1.6, color=INK, zorder=4)
+    names = [each.case.name for each in results[0].cases]
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.4, -0.6)
+    for row in range(0, len(names), 2):
+        panel.axhspan(row - 0.5, row + 0.5, color=SHADE, alpha=0.6, lw=0, zorder=0)
+    _scale(panel, max(2.4, min(RATIO_MAX, 1.1 * top)))
+    panel.set_xlabel("MAE, as a multiple of the nominal aircraft's", color=INK)
+    dress(panel, "one parameter away from the file")
+    panel.legend(loc="lower right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
+
+
+def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
+    for number, result in enumerate(results):
+        changes = [each.change for each in result.cases]
+        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        panel.plot(changes, _places(results, number), ls="none", marker="o", ms=6, color=colour, zorder=3)
+    for row in range(0, len(results[0].cases), 2):
+        panel.axhspan(row - 0.5, row + 0.5, color=SHADE, alpha=0.6, lw=0, zorder=0)
+    panel.set_xlim(left=0.0)
+    panel.set_xlabel("mean |Δu| in 1 ms", color=INK)
+    dress(panel, "work of the motors")
+    panel.tick_params(labelleft=False)
+
+
+def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
+    """Share of the draws whose ratio is at most so much."""
+    top = 2.6
+    for number, result in enumerate(results):
+        joint = result.joint
+        if joint is None:
+            continue
+        ratios = np.clip(np.sort(joint.ratios), RATIO_MIN, RATIO_MAX)
+        share = 100 * np.arange(1, len(ratios) + 1) / len(ratios)
+        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        lost = f", {joint.diverged} diverged" if joint.diverged else ""
+        label = (
+            f"{result.contender.label}: median {float(joint.median.value):.2f}, "
+            f"95 % within {float(joint.high.value):.2f}{lost}"
+        )
+        panel.step(ratios, share, where="post", color=colour, lw=1.8, label=label)
+        top = max(top, 1.1 * float(ratios[-1]))
+    for bar, share_at in ((MEDIAN_RATIO_MAX, 50.0), (HIGH_RATIO_MAX, 100 * HIGH)):
+        panel.plot([bar], [share_at], marker="<", ms=9, color=INK, zorder=4)
+        panel.annotate(
+            f"{share_at:g} % within {bar:g}",
+            (bar, share_at),
+            xytext=(9, -4),
+            textcoords="offset points",
+            fontsize=9,
+            color=INK,
+        )
+    panel.axvline(1.0, color=MUTED, lw=0.9)
+    panel.set_ylim(0, 104)
+    _scale(panel, min(RATIO_MAX, top))
+    panel.set_xlabel("MAE of a draw, as a multiple of the nominal aircraft's on the same commands", color=INK)
+    panel.set_ylabel("% of draws", color=INK)
+    count = max(len(result.joint.ratios) for result in results if result.joint)
+    dress(panel, f"all parameters drawn at once, {count} aircraft")
+    panel.legend(loc="lower right", frameon=False, fontsize=9)
+
+
+def _scale(panel: Axes, top: float) -> None:
+    panel.set_xscale("log")
+    panel.set_xlim(RATIO_MIN, top)
+    panel.set_xticks([tick for tick in TICKS if tick <= top])
+    panel.xaxis.set_major_formatter(ScalarFormatter())
+    panel.xaxis.set_minor_formatter(NullFormatter())
