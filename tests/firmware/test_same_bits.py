@@ -10,8 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, Region
+from sim.observation import Observer
+from toolchain.contract import (
+    DTCM,
+    FLASH_BASE,
+    FLASH_BYTES,
+    ITCM,
+    SRAM1,
+    SRAM2,
+    Region,
+    observation_blocks,
+    observation_count,
+)
 from toolchain.cortex_m7 import CortexM7, load_program
 
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
@@ -19,6 +31,11 @@ FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the
 TRACE_BYTES = 34 + 2 * 4  # struct control_trace up to the last motor; without pointers, so equal on both
 GYRO_HZ, CW180 = 1000, 2
 BOOT_STEPS, FLIGHT_STEPS = 1010, 400
+OBSERVATION_BYTES = 2048  # struct observation has some 1100
+TERMS = (
+    "rate_error,rate_error_integral,rate,rate~15Hz,rate_error_delta~80Hz@1,previous_action~40Hz@2,"
+    "throttle@16,throttle~5Hz@3,rate@7,previous_action"
+)
 
 
 class Board:
@@ -92,3 +109,58 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         values.add(ours[0])
         assert (ours[0] != bytes(8)) == flying, f"armed from step {BOOT_STEPS} on, and only then: {step}"
     assert len(values) > FLIGHT_STEPS / 2, "the outputs must have moved"
+
+
+class BoardObservation:
+    """observation.c of the image, set up for `text` as observation_init would."""
+
+    def __init__(self, image: Path, text: str) -> None:
+        self._core = core = CortexM7(load_program(image), MEMORY)
+        terms = observation_blocks(text)
+        self._width = observation_count(terms, 4)
+        lists = (
+            bytes(term.block.code for term in terms),
+            bytes(term.age for term in terms),
+            np.array([term.gain(1000) for term in terms], "<f4").tobytes(),
+        )
+        self._self, self._input = core.allocate(OBSERVATION_BYTES), core.allocate(16)
+        self._values, self._out = core.allocate(4 * 10), core.allocate(4 * 64)
+        # struct observation up to its period: the terms' three lists and their count, motors, seconds.
+        head = b"".join(self._kept(data).to_bytes(4, "little") for data in lists)
+        head += len(terms).to_bytes(4, "little") + (4).to_bytes(4, "little") + np.float32(1e-3).tobytes()
+        core.write(self._self, head)
+        self.reset()
+
+    def _kept(self, data: bytes) -> int:
+        address = self._core.allocate(len(data))
+        self._core.write(address, data)
+        return address
+
+    def reset(self) -> None:
+        self._core.call("observation_reset", self._self)
+
+    def step(self, values: NDArray[np.float32], throttle: NDArray[np.float32]) -> bytes:
+        """values: rate, setpoint and previous action, (10,); throttle: (1,)."""
+        self._core.write(self._values, values.tobytes())
+        places = np.array([self._values, self._values + 12, self._values + 24], "<u4")
+        self._core.write(self._input, places.tobytes() + throttle.tobytes())
+        self._core.call("observation_step", self._self, self._input, self._out)
+        return self._core.read(self._out, 4 * self._width)
+
+
+def test_the_boards_observation_is_the_twins_bits_when_its_terms_have_a_past(board_image: Path) -> None:
+    compiled = BoardObservation(board_image, TERMS)
+    observer = Observer(observation_blocks(TERMS), 1, 4, 1000)
+    rng = np.random.default_rng(32)
+    seen = set()
+    for step in range(400):
+        if step in (100, 101, 250):
+            compiled.reset()
+            observer.reset(np.arange(1))
+        values = (rng.normal(size=10) * 10 ** rng.uniform(-3, 1.5)).astype(np.float32)
+        throttle = rng.random(1, np.float32)
+        rate, setpoint, action = np.split(values[None], [3, 6], axis=1)
+        expected = observer.observe(slice(None), setpoint, rate, action, throttle)
+        assert compiled.step(values, throttle) == expected[0].tobytes(), f"step {step}"
+        seen.add(expected[0].tobytes())
+    assert len(seen) == 400
