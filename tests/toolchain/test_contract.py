@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from toolchain.contract import (
+    OBSERVATION_BLOCKS,
+    Width,
     check_cutoffs,
     check_observation,
     observation_blocks,
     observation_count,
     observation_memory,
 )
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "policies.md"
 
 
 @pytest.mark.parametrize(
@@ -89,3 +94,16 @@ def test_an_observation_is_refused_when_it_is_too_large(text: str, words: str) -
     with pytest.raises(ValueError, match=words):
         check_observation(observation_blocks(text), 4)
     check_observation(observation_blocks(",".join(text.split(",")[1:-4])), 4)
+
+
+def test_the_page_says_what_the_contract_does_when_read() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (\d|a motor each) \| (\S+) \| (.*) \|$", PAGE.read_text(), re.M)
+    assert rows == [
+        (
+            block.name,
+            "a motor each" if block.width is Width.MOTORS else str(int(block.width)),
+            block.unit,
+            block.meaning,
+        )
+        for block in OBSERVATION_BLOCKS
+    ]
