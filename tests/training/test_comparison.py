@@ -16,6 +16,7 @@ from sim.spectrum import Spectrum
 from toolchain.cli.main import main
 from toolchain.errors import AircraftError, PolicyError
 from training.comparison import curves, differences, document, enter, means, significant
+from training.comparison_plot import draw
 from training.contender import Conditions, Contender, load_contender
 from training.evaluation import Flights, Scores, scores
 from training.task import EnvelopeTask, PulseTask
@@ -127,6 +128,29 @@ def test_curves_are_percentiles_over_the_commands() -> None:
     assert drawn.step_t[-1] < 0.6
 
 
+def test_plot_has_a_line_for_each_in_every_panel() -> None:
+    flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
+    entries = [enter(load_contender(name, NF1), flown, 0.0) for name in ("pid:tuned", "pid:published")]
+    panels = draw(entries, "title").axes
+    assert [panel.get_title(loc="left").split(",")[0] for panel in panels] == [
+        *("roll", "pitch", "yaw"),
+        *("error", "spectrum of the motors"),
+    ]
+    for panel in panels:
+        lines = [line for line in panel.lines if not str(line.get_label()).startswith("_")]
+        assert [str(line.get_label()).split(",")[0] for line in lines] == ["PID tuned", "PID published"]
+    drawn = np.asarray(panels[3].lines[0].get_ydata())
+    assert drawn == pytest.approx(np.maximum(entries[0].curves.error[1], 0.1))
+    spectrum = np.asarray(panels[4].lines[1].get_ydata())
+    assert spectrum == pytest.approx(100 * entries[1].evaluation.spectrum.amplitude)
+
+
+def test_plot_has_no_responses_when_no_command_is_held() -> None:
+    flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=0.1, rest_s=0.0), episodes=2, seed=2)
+    panels = draw([enter(constant(0.1), flown, 0.0)], "title").axes
+    assert len(panels) == 2
+
+
 def test_contender_is_known_by_a_short_name(shipped_policy: Path) -> None:
     assert load_contender("pid", NF1).label == "PID tuned"
     policy = load_contender(str(shipped_policy), NF1)
@@ -152,11 +176,11 @@ def test_compare_prints_figures_differences_and_json(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "140")
     plot = tmp_path / "plot.png"
-    words = ["compare", "pid:tuned", str(shipped_policy), "--task", "envelope", "--episodes", "4"]
+    words = ["compare", "pid:tuned", str(shipped_policy), "--task", "episodic", "--episodes", "4"]
     assert main([*words, "--throttle", "0", "0.3", "--plot", str(plot), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["command"] == (
-        "neuroflight compare pid:tuned policy.onnx --aircraft nf1 --task envelope --episodes 4 --seed 0 "
+        "neuroflight compare pid:tuned policy.onnx --aircraft nf1 --task episodic --episodes 4 --seed 0 "
         "--throttle 0 0.3"
     )
     assert [(entry["controller"], entry["throttle"]) for entry in told["comparison"]] == [
