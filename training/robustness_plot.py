@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 from sim.report import INK, MOTOR_COLOURS, dress
 from sim.response_plot import MUTED, SHADE
@@ -22,6 +22,7 @@ from training.robustness import (
 
 RATIO_MIN, RATIO_MAX = 0.5, 20.0  # what is drawn; what lies beyond stands at the edge
 TICKS = (0.5, 0.7, 1, 1.5, 2, 2.5, 3, 5, 10, 20)
+CHANGE_MIN = 1e-5  # what is drawn of |delta u|
 SPREAD = 0.5  # part of a row that the dots of all controllers take
 
 
@@ -29,13 +30,16 @@ def draw(results: Sequence[Robustness], title: str) -> Figure:
     """Ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
     drawn = any(result.joint for result in results)
     rows = len(results[0].cases)
-    height = 1.6 + 0.3 * rows + (3.2 if drawn else 0.0)
+    height = 1.9 + 0.3 * rows + (3.2 if drawn else 0.0)
     figure = Figure(figsize=(12, height), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
     figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
     ratios = (0.3 * rows, 2.6) if drawn else (1,)
     grid = figure.add_gridspec(len(ratios), 3, height_ratios=ratios)
     cases = figure.add_subplot(grid[0, :2])
     _draw_ratios(cases, results)
+    # Below everything: a dot may stand anywhere.
+    handles, labels = cases.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=4, frameon=False, fontsize=9)
     _draw_changes(figure.add_subplot(grid[0, 2], sharey=cases), results)
     if drawn:
         _draw_joint(figure.add_subplot(grid[1, :]), results)
@@ -52,7 +56,9 @@ def _places(results: Sequence[Robustness], number: int) -> np.ndarray:
 def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
     top = max(float(each.ratio.high) for result in results for each in result.cases)
     panel.axvline(1.0, color=MUTED, lw=0.9)
-    panel.axvline(CASE_RATIO_MAX, color=INK, lw=1.1, ls=(0, (4, 2)))
+    bar = f"at most {CASE_RATIO_MAX:g}"
+    panel.axvline(CASE_RATIO_MAX, color=INK, lw=1.1, ls=(0, (4, 2)), label=bar)
+    lost_some = False
     for number, result in enumerate(results):
         y = _places(results, number)
         colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
@@ -62,9 +68,14 @@ def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
         )
         label = f"{result.contender.label}, nominal {float(result.cases[0].mae.value):.2f} deg/s"
         panel.hlines(y, low, high, color=colour, lw=1.4, alpha=0.6)
-        panel.plot(value, y, ls="none", marker="o", ms=6, color=colour, label=label, zorder=3)
+        panel.plot(value, y, ls="none", marker="o", ms=6, color=colour, label=label, zorder=3, clip_on=False)
         lost = [n for n, each in enumerate(result.cases) if each.diverged]
-        panel.plot(value[lost], y[lost], ls="none", marker="x", ms=9, mew=1.6, color=INK, zorder=4)
+        panel.plot(
+            value[lost], y[lost], ls="none", marker="x", ms=9, mew=1.6, color=INK, zorder=4, clip_on=False
+        )
+        lost_some = lost_some or bool(lost)
+    if lost_some:
+        panel.plot([], [], ls="none", marker="x", ms=8, mew=1.6, color=INK, label="some episodes diverged")
     names = [each.case.name for each in results[0].cases]
     panel.set_yticks(range(len(names)), names)
     panel.set_ylim(len(names) - 0.4, -0.6)
@@ -73,7 +84,6 @@ def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
     _scale(panel, max(2.4, min(RATIO_MAX, 1.1 * top)))
     panel.set_xlabel("MAE, as a multiple of the nominal aircraft's", color=INK)
     dress(panel, "one parameter away from the file")
-    panel.legend(loc="lower right", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
 
 
 def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
@@ -83,7 +93,12 @@ def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
         panel.plot(changes, _places(results, number), ls="none", marker="o", ms=6, color=colour, zorder=3)
     for row in range(0, len(results[0].cases), 2):
         panel.axhspan(row - 0.5, row + 0.5, color=SHADE, alpha=0.6, lw=0, zorder=0)
-    panel.set_xlim(left=0.0)
+    every = [each.change for result in results for each in result.cases]
+    low, high = max(CHANGE_MIN, 0.8 * min(every)), max(2 * CHANGE_MIN, 1.25 * max(every))
+    panel.set_xscale("log")
+    panel.set_xlim(low, high)
+    ticks = [digit * 10.0**power for power in range(-5, 1) for digit in (1, 2, 5)]
+    _ticks(panel, [tick for tick in ticks if low <= tick <= high])
     panel.set_xlabel("mean |Δu| in 1 ms", color=INK)
     dress(panel, "work of the motors")
     panel.tick_params(labelleft=False)
@@ -129,6 +144,10 @@ def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
 def _scale(panel: Axes, top: float) -> None:
     panel.set_xscale("log")
     panel.set_xlim(RATIO_MIN, top)
-    panel.set_xticks([tick for tick in TICKS if tick <= top])
-    panel.xaxis.set_major_formatter(ScalarFormatter())
-    panel.xaxis.set_minor_formatter(NullFormatter())
+    _ticks(panel, [tick for tick in TICKS if tick <= top])
+
+
+def _ticks(panel: Axes, ticks: Sequence[float]) -> None:
+    panel.set_xticks(ticks)
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.xaxis.set_minor_locator(NullLocator())

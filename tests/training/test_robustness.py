@@ -132,7 +132,7 @@ def test_a_quantile_knows_how_sure_it_is(q: float, true: float) -> None:
     assert np.mean([each.value for each in intervals]) == pytest.approx(true, rel=0.05)
     assert all(each.low <= each.value <= each.high for each in intervals)
     few = quantile_of(np.array([3.0, 1.0, 2.0]), q)
-    assert (few.low, few.high) == (1.0, 3.0) or q > 0.5
+    assert float(few.high) == 3.0
 
 
 def test_prints_a_table_and_the_same_as_json(
