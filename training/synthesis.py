@@ -105,6 +105,7 @@ def train(
     run, watched = load_run(out / CHECKPOINT, document) if resume else (None, Watched())
     results = _Results(out, config, document, command, monitor is not None)
     model = learner(aircraft, config)
+    _tidy(out)
     began, before, leg, marked = time.monotonic(), 0.0, 0, 0
     if run is not None:
         model.restore(run.learner)
@@ -155,6 +156,13 @@ def train(
     return replace(state, steps=run.steps, chosen=watched.best)
 
 
+def _tidy(out: Path) -> None:
+    """Remove what a run that was killed in the middle of writing left beside its results."""
+    for name in RESULTS:
+        for aside in out.glob(f".{name}.*"):
+            aside.unlink()
+
+
 def _due(steps: int, marked: int, config: TrainingConfig) -> bool:
     """Whether the end of a leg at `steps` is a checkpoint, the last one before it being at `marked`."""
     passed = steps // config.checkpoint_steps > marked // config.checkpoint_steps
@@ -201,12 +209,12 @@ class _Results:
 
     def _record(self, run: Run, watched: Watched, seconds: float) -> dict[str, Any]:
         """What was asked for, what was done, with which tools."""
-        best = watched.best
+        best, seconds = watched.best, round(seconds, 1)
         return {
             "config": self.document,
             "steps": run.steps,
             "complete": run.steps >= self.config.steps and not watched.pending,
-            "seconds": round(seconds, 1),
+            "seconds": seconds,
             "steps_per_second": round(run.steps / seconds) if seconds else None,
             "command": self.command,
             "python": platform.python_version(),
