@@ -15,6 +15,21 @@ from training.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
 Counts = NDArray[np.float64]  # (count, T)
 
 
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """What each control step counts, beside the others."""
+
+    error: Counts  # in the mean absolute error
+    square: Counts  # in the mean squared error
+    effort: Counts  # in the mean output and change
+
+    @staticmethod
+    def alike(count: int, steps: int) -> Counted:
+        """Every step of `count` episodes the same."""
+        one = np.ones((count, steps))
+        return Counted(one, one, one)
+
+
 @dataclass(frozen=True)
 class RandomStepsTask:
     """Rest, a random command on all axes, rest again, and so on; each holds for a random time.
@@ -24,7 +39,9 @@ class RandomStepsTask:
     tells anything about what is left of it.
 
     `batch` also says what each control step counts, so that a short episode that is full of changes asks for
-    the same as a long one: with the values below, as a pulse of 4.5 s with its two changes.
+    the same as a long one: with the values below, as a pulse of 4.5 s with its two changes. Of wide episodes
+    only what is held counts, and no effort: how large commands are reached is the motors' affair, and what it
+    takes to hold them shall not be saved.
     """
 
     name: ClassVar[str] = "random-steps"
@@ -34,7 +51,7 @@ class RandomStepsTask:
     sigma_deg_s: float = 100.0  # commands are N(0, sigma) an axis, held within full stick
     wide_share: float = 0.0  # of the episodes whose commands are `wide_factor` times as large
     wide_factor: float = 3.0
-    wide_weight: float = 0.11  # what such an episode counts; errors grow with their command
+    wide_weight: float = 0.5  # what a control step that holds such a command counts
     start_s: float = 0.06  # until the rotors turn; not counted
     transient_s: float = 0.15  # after each change
     transient_share: float = 0.0667  # of the whole that transients count together
@@ -66,8 +83,8 @@ class RandomStepsTask:
         """See Task."""
         return self._steps(count, rng, rate_hz, exact=False)[0]
 
-    def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, Counts]:
-        """Setpoints as `episodes`, and what each control step counts, (count, T), in mean about 1.
+    def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, Counted]:
+        """Setpoints as `episodes`, and what each control step counts.
 
         The commands have sigma exactly, which takes the luck of the draw out of a batch's errors.
         """
@@ -83,8 +100,9 @@ class RandomStepsTask:
         counts = np.zeros((count, steps))
         for part, share in ((transient, self.transient_share), (held, 1.0 - self.transient_share)):
             counts[part] = share * count * steps / max(1, part.sum())
-        counts[wide] *= self.wide_weight
-        return setpoints, counts
+        usual = ~wide[:, None]
+        error = np.where(usual | held, counts, 0.0) * np.where(usual, 1.0, self.wide_weight)
+        return setpoints, Counted(error, usual * counts, usual * counts)
 
     def _steps(
         self, count: int, rng: np.random.Generator, rate_hz: int, *, exact: bool

@@ -51,24 +51,30 @@ def test_commands_of_a_batch_have_sigma_exactly_when_none_is_wide() -> None:
 
 def test_counts_give_transients_their_share_when_a_batch_is_weighed() -> None:
     task = RandomStepsTask(start_s=0.06, transient_s=0.15, transient_share=0.2)
-    setpoints, counts = task.batch(64, np.random.default_rng(4), RATE_HZ)
+    setpoints, counted = task.batch(64, np.random.default_rng(4), RATE_HZ)
+    counts = counted.error
     transient = np.zeros(counts.shape, bool)
     for row, setpoint in zip(transient, setpoints, strict=True):
         for change in changes(setpoint):
             row[change : change + 150] = True
     transient[:, :60] = False
     assert not counts[:, :60].any()
-    assert counts.mean() == pytest.approx(1.0)
     assert counts[transient].sum() / counts.sum() == pytest.approx(0.2)
 
 
-def test_wide_episodes_are_larger_and_count_less_when_there_are_any() -> None:
-    task = RandomStepsTask(wide_share=0.5, wide_factor=4.0, wide_weight=0.1, transient_share=0.5)
-    setpoints, counts = task.batch(400, np.random.default_rng(5), RATE_HZ)
-    light = counts.max(axis=1) < 0.5 * counts.max()
-    size = [np.sqrt(np.square(setpoints[which][:, -1]).mean()) for which in (light, ~light)]
-    assert light.mean() == pytest.approx(0.5, abs=0.08)
+def test_wide_episodes_count_where_they_hold_and_never_their_effort_when_there_are_any() -> None:
+    task = RandomStepsTask(wide_share=0.5, wide_factor=4.0, wide_weight=0.3)
+    setpoints, counted = task.batch(400, np.random.default_rng(5), RATE_HZ)
+    wide = ~counted.effort.any(axis=1)
+    size = [np.sqrt(np.square(setpoints[which][:, -1]).mean()) for which in (wide, ~wide)]
+    assert wide.mean() == pytest.approx(0.5, abs=0.08)
     assert size[0] / size[1] == pytest.approx(4.0, rel=0.15)
+    assert not counted.square[wide].any()
+    assert np.array_equal(counted.error[~wide], counted.effort[~wide])
+    for setpoint, counts in zip(setpoints[wide], counted.error[wide], strict=True):
+        assert not any(counts[change : change + 150].any() for change in changes(setpoint))
+    held = [counted.error[which, 60:100].max() for which in (wide, ~wide)]  # before any change
+    assert held[0] / held[1] == pytest.approx(0.3)
 
 
 def test_commands_stay_within_full_stick_when_they_are_wide() -> None:

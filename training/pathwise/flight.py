@@ -13,6 +13,7 @@ from sim.observation import Observer
 from sim.twin import Twin
 from sim.variation import Variation
 from training.pathwise.network import Network, Passed
+from training.random_steps import Counted
 
 Array = NDArray[np.float32]
 
@@ -22,7 +23,7 @@ class Batch:
     """Episodes of T control steps for B aircraft, before they are flown."""
 
     setpoint: Array  # (T, B, 3) [rad/s]
-    counts: NDArray[np.float64]  # (T, B), what each control step counts, in mean about 1
+    counted: Counted  # (B, T), what each control step counts
     throttle: Array  # (B,), the pilot's thrust
     variation: Variation  # of the B aircraft
 

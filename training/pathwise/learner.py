@@ -36,7 +36,7 @@ from training.pathwise.flight import Batch, fly
 from training.pathwise.gradient import gradient
 from training.pathwise.loss import Figures, Weights, blame
 from training.pathwise.network import Network
-from training.random_steps import RandomStepsTask
+from training.random_steps import Counted, RandomStepsTask
 
 Floats = NDArray[np.float32]
 
@@ -98,15 +98,15 @@ class PathwiseLearner:
         config, world, count = self._config, self._config.world, self._pathwise.aircraft
         task, rate_hz = config.task, config.control_rate_hz
         if isinstance(task, RandomStepsTask):
-            setpoint, counts = task.batch(count, rng, rate_hz)
+            setpoint, counted = task.batch(count, rng, rate_hz)
         else:
             setpoint = task.episodes(count, rng, rate_hz)
-            counts = np.ones(setpoint.shape[:2])
+            counted = Counted.alike(*setpoint.shape[:2])
         throttle = rng.uniform(0.0, world.throttle_max, count)
         throttle[rng.random(count) >= world.throttle_share] = 0.0
         return Batch(
             setpoint=np.ascontiguousarray(setpoint.swapaxes(0, 1)),
-            counts=np.ascontiguousarray(counts.T),
+            counted=counted,
             throttle=throttle.astype(np.float32),
             variation=world.randomization.draw(count, rng, self._aircraft.propulsion.delay),
         )

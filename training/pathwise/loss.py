@@ -47,19 +47,25 @@ class Blame:
 
 def blame(flight: Flight, batch: Batch, weights: Weights) -> tuple[Figures, Blame]:
     """Figures of what was flown against the true rate, and the loss's derivatives."""
-    steps, count, motors = flight.action.shape
+    motors = flight.action.shape[2]
     error = np.rad2deg(batch.setpoint - flight.rate)
     action = flight.action.astype(np.float64)
     change = np.diff(action, axis=0)
-    share = batch.counts[:, :, None] / (steps * count)
-    an_axis, a_motor = share / 3, share / motors
+
+    def share(counts: Array, parts: int) -> Array:
+        """What each of `parts` axes or motors counts in a mean, (T, B, 1)."""
+        shares: Array = counts.T[:, :, None] / max(counts.sum() * parts, 1.0)
+        return shares
+
+    absolute, square = share(batch.counted.error, 3), share(batch.counted.square, 3)
+    a_motor = share(batch.counted.effort, motors)
     figures = Figures(
-        mae=float((an_axis * np.abs(error)).sum()),
-        mse=float((an_axis * np.square(error)).sum()),
+        mae=float((absolute * np.abs(error)).sum()),
+        mse=float((square * np.square(error)).sum()),
         output=float((a_motor * action).sum()),
         change=float((a_motor[1:] * np.abs(change)).sum()),
     )
-    by_rate = -np.rad2deg(1.0) * an_axis * (np.sign(error) + 2.0 * weights.square * error)
+    by_rate = -np.rad2deg(1.0) * (absolute * np.sign(error) + 2.0 * weights.square * square * error)
     by_action = np.repeat(weights.output * a_motor, motors, axis=2)
     by_change = weights.change * a_motor[1:] * np.sign(change)
     by_action[1:] += by_change

@@ -19,6 +19,7 @@ from training.pathwise.flight import Batch, Flight, fly
 from training.pathwise.gradient import gradient
 from training.pathwise.loss import Figures, Weights, blame
 from training.pathwise.network import Network
+from training.random_steps import Counted
 
 Floats = NDArray[np.float32]
 STEPS, RATE_HZ, IDLE = 120, 1000, 0.2
@@ -52,7 +53,7 @@ class Case:
         setpoint[30:] = rng.normal(0.0, 1.5, (count, 3))
         self.batch = Batch(
             setpoint=setpoint,
-            counts=rng.uniform(0.5, 1.5, (STEPS, count)),
+            counted=Counted(*rng.uniform(0.5, 1.5, (3, count, STEPS))),
             throttle=np.array([0.0, 0.3, 0.0, 0.6], np.float32),
             variation=Variation.nominal(count, self.aircraft.propulsion.delay),
         )
