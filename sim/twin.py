@@ -62,6 +62,10 @@ class Twin:
         differs from its file, the charge of its battery included; None: not at all, and then for good.
         Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
         """
+        if variation is not None and len(variation) != count:
+            raise ValueError(f"a variation of {len(variation)} aircraft, expected {count}")
+        if variation is not None and charge is not None:
+            raise ValueError(f"charge {charge} and a variation, which says the charge: expected one of them")
         self.aircraft = aircraft
         self.count = count
         self.rate_hz = rate_hz
@@ -79,8 +83,6 @@ class Twin:
         self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes; where the centre is held, the rotors'
         self._battery = None if charge is None else _battery(aircraft, count)
         self._charge: float | Array = 0.0 if charge is None else charge
-        if variation is not None and (len(variation) != count or charge is not None):
-            raise ValueError(f"a variation of {len(variation)}, expected {count}, which also says the charge")
         self._variation = variation
         self._lag: float | Array = 1.0
         self._mass: float | Array = aircraft.mass_properties.mass  # [kg], or (N, 1)
