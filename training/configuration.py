@@ -71,10 +71,6 @@ class OutputMap:
         if self.squash and not (low < 1.0 and high > 0.0):
             yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
 
-    def bounds(self) -> tuple[float, float]:
-        """Network outputs that make 0 and 1; what lies beyond changes nothing."""
-        return -self.offset / self.scale, (1.0 - self.offset) / self.scale
-
     def asked(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
         """What an output asks of the motors before it is clipped to 0..1, float32, any shape."""
         asked: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
