@@ -50,7 +50,7 @@ class Observer:
     def __init__(
         self, terms: tuple[ObservationTerm, ...], count: int, motors: int, control_rate_hz: int
     ) -> None:
-        self.names = frozenset(term.name for term in terms)  # of the blocks that `observe` must be given
+        self.names = frozenset(term.name for term in terms)  # of the blocks that are observed
         self.width = observation_count(terms, motors)
         self._terms = [_Term(term, count, motors, control_rate_hz) for term in terms]
         self._dt = np.float32(1.0 / control_rate_hz)
@@ -82,30 +82,34 @@ class Observer:
         [rad/s], gravity: (K, 3), unit vectors in body axes, for terms that are made of them. Call once a
         step. Raises ValueError if one of these two is needed and not given.
         """
-        fresh = self._fresh[which, None]
+        first = self._fresh[which, None]
+        fresh = first if first.any() else None
         error = setpoint - rate
-        delta = np.where(fresh, np.float32(0.0), error - self._error[which])
-        limit = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD)
-        integral = np.clip(self._integral[which] + error * self._dt, -limit, limit)
-        self._error[which] = error
-        self._integral[which] = integral
         blocks = {
             "rate": rate,
             "rate_error": error,
-            "rate_error_delta": delta,
-            "rate_error_integral": integral,
             "previous_action": previous_action,
             "throttle": throttle[:, None],
             "rotor_speed": rotor_speed,
             "gravity": gravity,
         }
+        if "rate_error_delta" in self.names:
+            delta = error - self._error[which]
+            blocks["rate_error_delta"] = delta if fresh is None else np.where(fresh, np.float32(0.0), delta)
+            self._error[which] = error
+        if "rate_error_integral" in self.names:
+            limit = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD)
+            grown = self._integral[which] + error * self._dt
+            blocks["rate_error_integral"] = integral = np.minimum(np.maximum(grown, -limit), limit)
+            self._integral[which] = integral
         seen = []
         for term in self._terms:
             value = blocks[term.name]
             if value is None:
                 raise ValueError(f"observe needs {term.name}, got none")
             seen.append(term.observe(which, fresh, value))
-        self._fresh[which] = False
+        if fresh is not None:
+            self._fresh[which] = False
         return np.concatenate(seen, axis=1)
 
 
@@ -123,11 +127,15 @@ class _Term:
         """Forget the past of the aircraft of `index`."""
         self._waiting[:, index] = 0.0
 
-    def observe(self, which: Which, fresh: NDArray[np.bool_], value: Array) -> Array:
-        """The term (K, width) of this step from its block's `value`; fresh: (K, 1), it is the first."""
+    def observe(self, which: Which, fresh: NDArray[np.bool_] | None, value: Array) -> Array:
+        """The term (K, width) of this step from its block's `value`.
+
+        fresh: (K, 1), whether this step is the first; None: of no aircraft.
+        """
         if self._passed is not None:
             passed = self._passed[which]
-            value = np.where(fresh, value, passed + self._gain * (value - passed))
+            followed = passed + self._gain * (value - passed)
+            value = followed if fresh is None else np.where(fresh, value, followed)
             self._passed[which] = value
         waiting = self._waiting
         if not len(waiting):
