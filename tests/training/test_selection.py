@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim.aircraft import load_aircraft
@@ -85,10 +86,10 @@ def test_the_plot_has_a_panel_a_figure_and_marks_what_was_chosen() -> None:
     figure = draw(runs, "seed 1", "three seeds")
     assert len(figure.axes) == 4
     tracking = figure.axes[0]
-    assert [list(line.get_xdata()) for line in tracking.lines] == [[1.0, 2.0], [1.0]]
-    marked = [tuple(mark.get_offsets()[0]) for mark in tracking.collections if len(mark.get_offsets()) == 1]
-    assert (2.0, 2.0) in marked
-    assert (1.0, 4.0) in marked
+    assert [np.asarray(line.get_xdata()).tolist() for line in tracking.lines] == [[1.0, 2.0], [1.0]]
+    offsets = [np.asarray(mark.get_offsets()).tolist() for mark in tracking.collections]
+    assert [[2.0, 2.0]] in offsets
+    assert [[1.0, 4.0]] in offsets
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
         "seed 1",
         "seed 2",

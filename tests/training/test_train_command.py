@@ -71,7 +71,9 @@ def test_the_chosen_checkpoint_is_what_freeze_makes_of_the_file(tmp_path: Path, 
 
 def _tensorboard(folder: Path) -> set[str]:
     """Names of the scalars in a folder's event files."""
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    from tensorboard.backend.event_processing.event_accumulator import (  # type: ignore[import-untyped]
+        EventAccumulator,
+    )
 
     events = EventAccumulator(str(folder))
     events.Reload()
