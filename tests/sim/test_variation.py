@@ -220,11 +220,11 @@ def test_lag_stretches_the_time_that_the_rotors_take(aircraft: Aircraft) -> None
     lag = np.array([0.5, 1.0, 2.0])
     three = twin(varied(3, lag=lag), aircraft=aircraft, rate_hz=4000)
     motors = aircraft.motor_count
-    for _ in range(2800):
+    for _ in range(4000):
         three.step(np.full((3, motors), 0.30))
     start = three.rotor_speed[:, 0].copy()
     speeds = []
-    for _ in range(2800):
+    for _ in range(4000):
         three.step(np.full((3, motors), 0.301))
         speeds.append(three.rotor_speed[:, 0].copy())
     three.close()
