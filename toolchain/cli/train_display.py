@@ -50,7 +50,7 @@ class Display(Watcher):
         self._first = self._first or progress
         steps, seconds = progress.steps - self._first.steps, progress.seconds - self._first.seconds
         speed = f" · {steps / seconds:,.0f}/s" if seconds > 0 else ""
-        self._reward = f"reward {progress.reward:.3f}"
+        self._reward = f"training reward {progress.reward:.3f}"
         self._bar.update(self._task, completed=progress.steps, speed=speed)
         self._show()
 
@@ -63,7 +63,7 @@ class Display(Watcher):
             self._console.print(f"{self._name}, {self._reading}", highlight=False, soft_wrap=True)
 
     def _show(self) -> None:
-        line = "  ".join(part for part in (self._reward, self._reading) if part)
+        line = " · ".join(part for part in (self._reward, self._reading) if part)
         self._live.update(Group(self._bar, Text(line, style="dim")))
 
 
