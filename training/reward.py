@@ -88,7 +88,7 @@ class NormalizedReward:
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
         error = np.abs(step.error).sum(axis=1) / (3.0 * np.deg2rad(self.rate_max_deg_s))
-        return -np.minimum(error, 1.0).astype(np.float32)
+        return np.asarray(-np.minimum(error, 1.0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -200,4 +200,4 @@ REWARDS: dict[str, type[Reward]] = {
 def in_band(step: Transition, share: float, floor_deg_s: float) -> NDArray[np.bool_]:
     """Where the error of each axis is at most `share` of its command, or the floor if that is more, (N,)."""
     band = np.maximum(share * np.abs(step.setpoint), np.deg2rad(floor_deg_s))
-    return (np.abs(step.error) <= band).all(axis=1)
+    return np.asarray((np.abs(step.error) <= band).all(axis=1))
