@@ -44,4 +44,5 @@ def training_section(runs: Sequence[Stored]) -> str:
 
 ABOUT_TRAINING = """From the first step to the last file on the machine that made the policies, two cores of
 it at most. A monitor flies each checkpoint on five commands that no figure above is taken of: when their mean
-error first was below 5 deg/s (at the run's mean speed), which checkpoint its rule chose, and its error there."""
+error first was below 5 deg/s, at the run's mean speed, which checkpoint its rule chose, and its error
+there."""
