@@ -36,8 +36,9 @@ def draw(found: Sequence[Configuration], title: str, validation: Validation) -> 
     colours = {c.number: _colour(c, scale) for c in found}
     names = {c.number: str(place) for place, c in enumerate(found, 1)}
     _draw_front(panel, found)
-    for configuration in found:
-        _draw_configuration(panel, configuration, names[configuration.number], colours[configuration.number])
+    for layer, configuration in enumerate(sorted(found, key=lambda c: c.front)):
+        name, colour = names[configuration.number], colours[configuration.number]
+        _draw_configuration(panel, configuration, name, colour, 4.0 + layer / len(found))
     throttle = f", throttle {validation.throttle:g}" if validation.throttle else ""
     dress(panel, f"{validation.episodes} commands of {validation.task}, seed {validation.seed}{throttle}")
     panel.set_xlabel("mean |Δu| in 1 ms, % of the range", color=INK)
@@ -72,7 +73,7 @@ def _draw_front(panel: Axes, found: Sequence[Configuration]) -> None:
     panel.step(x, y, where="post", color=FRONT, lw=1.0, ls=(0, (4, 2)), zorder=1)
 
 
-def _draw_configuration(panel: Axes, found: Configuration, name: str, colour: str) -> None:
+def _draw_configuration(panel: Axes, found: Configuration, name: str, colour: str, zorder: float) -> None:
     x, y = 1e2 * found.change.mean, found.mae.mean
     for run in found.runs:
         if run.outcome and len(found.runs) > 1:
@@ -80,8 +81,10 @@ def _draw_configuration(panel: Axes, found: Configuration, name: str, colour: st
             panel.plot([x, seed[0]], [y, seed[1]], color=colour, lw=0.9, alpha=0.7, zorder=2)
             panel.scatter(*seed, s=14, color=colour, lw=0, zorder=3)
     edge, width = (FRONT, 2.0) if found.front else ("white", 0.8)
-    panel.scatter([x], [y], s=230, color=colour, edgecolor=edge, lw=width, zorder=4)
-    panel.annotate(name, (x, y), ha="center", va="center", color="white", fontsize=8, zorder=5, weight="bold")
+    panel.scatter([x], [y], s=230, color=colour, edgecolor=edge, lw=width, zorder=zorder)
+    panel.annotate(
+        name, (x, y), ha="center", va="center", color="white", fontsize=8, zorder=zorder, weight="bold"
+    )
 
 
 def _legend(panel: Axes, found: Sequence[Configuration]) -> None:

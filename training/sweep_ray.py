@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from sim.aircraft import Aircraft
 from toolchain.errors import NeuroflightError, TrainingError
+from training.checkpoint import Policy
 from training.sweep import Trial, Validation
 from training.sweep_trial import run_trial
 from training.synthesis import Progress, Watcher
@@ -25,13 +26,19 @@ if TYPE_CHECKING:
     from ray.tune.experiment import Trial as RayTrial
 
 FAILURES_MAX = 3  # times that a run is begun again after its worker died
+STARTS_MAX = 3  # attempts to begin a session
 REPORT_S = 1.0  # between two reports of a run
 OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; what is sent are configurations
 STOP = "stop"  # a file of this name in the sweep's folder: runs keep their last leg and end
+LOOPBACK = "127.0.0.1"
 RAY = ".ray"  # Ray's own folder in the sweep's, while it works
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 # Read by Ray while it is imported. Without the first, a session of one machine listens on every interface.
-LOCAL = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **THREADS}
+LOCAL = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    "RAY_prestart_worker_first_driver": "0",  # workers that no run will use
+    **THREADS,
+}
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
@@ -77,26 +84,40 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
         yield
         return
     common: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if address:
+        threads = {"env_vars": THREADS}
+        _start(f"no Ray cluster at --address {address}", address=address, runtime_env=threads, **common)
+    else:
+        _start(
+            "Ray does not start",
+            address="local",
+            num_cpus=cpus,
+            num_gpus=0,
+            include_dashboard=False,
+            object_store_memory=OBJECT_STORE_BYTES,
+            **common,
+        )
     try:
-        if address:
-            ray.init(address=address, runtime_env={"env_vars": THREADS}, **common)
-        else:
-            ray.init(
-                address="local",
-                num_cpus=cpus,
-                num_gpus=0,
-                include_dashboard=False,
-                object_store_memory=OBJECT_STORE_BYTES,
-                **common,
-            )
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        line = " ".join(str(error).split())
-        where = f"no Ray cluster answers at --address {address}" if address else "Ray does not start here"
-        raise TrainingError(f"{where}: {line}") from error
-    try:
+        if not address and any(node["NodeManagerAddress"] != LOOPBACK for node in ray.nodes()):  # type: ignore[no-untyped-call]
+            raise RuntimeError("ray was imported before its session was prepared: it would listen everywhere")
         yield
     finally:
         ray.shutdown()
+
+
+def _start(wrong: str, **options: Any) -> None:  # noqa: ANN401 - of ray.init
+    """Begin a session. Ray gives its own processes 30 s, which a busy machine may exceed."""
+    import ray
+
+    for attempt in range(1, STARTS_MAX + 1):
+        try:
+            ray.init(**options)
+            return
+        except Exception as error:  # Ray raises plain ones
+            ray.shutdown()
+            if attempt == STARTS_MAX or isinstance(error, ConnectionError | ValueError):
+                line = " ".join(str(error).split())
+                raise TrainingError(f"{wrong}: {line}") from error
 
 
 @dataclass(frozen=True)
@@ -145,20 +166,28 @@ def clear_stop(out: Path) -> None:
 
 
 class _Reporter(Watcher):
-    """Sends progress to the driver and ends the run when it is asked to."""
+    """Sends progress to the driver, every checkpoint at once, and ends the run when it is asked to."""
 
     def __init__(self, stop: Path) -> None:
         self._stop = stop
         self._next = time.monotonic()
 
     def progressed(self, progress: Progress) -> None:
-        from ray import tune
-
+        """See Watcher. Raises KeyboardInterrupt if the sweep is to stop."""
         if self._stop.exists():
             raise KeyboardInterrupt
         if time.monotonic() >= self._next:
-            tune.report({"steps": progress.steps, "reward": progress.reward})
-            self._next = time.monotonic() + REPORT_S
+            self._report(progress)
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Watcher."""
+        self._report(progress)
+
+    def _report(self, progress: Progress) -> None:
+        from ray import tune
+
+        tune.report({"steps": progress.steps, "reward": progress.reward})
+        self._next = time.monotonic() + REPORT_S
 
 
 def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
