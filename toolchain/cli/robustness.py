@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(_document(args, plan, results), indent=2))
     else:
         # A table that would be cropped is worth more than a narrow screen.
-        _print(title, results, Console(width=max(Console().width, COLUMN * (len(results) + 1))))
+        _print(title, plan, results, Console(width=max(Console().width, COLUMN * (len(results) + 1))))
     return 0
 
 
@@ -178,9 +178,10 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
     }
 
 
-def _print(title: str, results: Sequence[Robustness], console: Console) -> None:
+def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Console) -> None:
     from rich.table import Table
 
+    from sim.world import Mount
     from training.robustness import (
         CASE_RATIO_MAX,
         DIVERGENCE,
@@ -228,9 +229,10 @@ def _print(title: str, results: Sequence[Robustness], console: Console) -> None:
         shares = [f"{each.diverged} (≤ {100 * each.diverged_share.high:.1f} %)" for each in drawn]
         table.add_row("diverged of the draws", "0", *_paired(shares, None))
     console.print(table, markup=False)
+    held = " Held at its centre, an aircraft's mass has no part." if plan.mount is Mount.CENTRE else ""
     console.print(
         f"Ratios of MAE to the nominal aircraft's on the same commands, with 95 % confidence; ! misses its "
-        f"bar. Divergence: {DIVERGENCE}.",
+        f"bar. Divergence: {DIVERGENCE}.{held}",
         style="dim",
         markup=False,
     )
