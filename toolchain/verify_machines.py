@@ -130,6 +130,7 @@ def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
         function = {"tanh": torch.tanh, "relu": torch.relu}[config["activation"]]
         scale = torch.tensor(config["observation_scale"], dtype=torch.float32)
         factor, offset = float(config["output"]["scale"]), float(config["output"]["offset"])
+        squash = bool(config["output"].get("squash", False))
         names = [f"mlp_extractor.policy_net.{2 * index}" for index in range(len(config["hidden"]))]
         layers = [
             (torch.from_numpy(state[f"{name}.weight"]), torch.from_numpy(state[f"{name}.bias"]))
@@ -143,7 +144,8 @@ def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
             x = torch.from_numpy(observation) * scale
             for weight, bias in layers[:-1]:
                 x = function(torch.nn.functional.linear(x, weight, bias))
-            x = torch.nn.functional.linear(x, *layers[-1]) * factor + offset
+            x = torch.nn.functional.linear(x, *layers[-1])
+            x = (torch.tanh(x) if squash else x) * factor + offset
             return np.asarray(x.clip(0, 1).numpy(), np.float32)
 
     try:

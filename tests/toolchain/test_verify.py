@@ -272,7 +272,7 @@ def test_state_is_named_when_it_does_not_stay_finite(
     assert (found.machine, found.law) == ("evaluator", "state")
 
 
-def checkpoint(path: Path, seed: int = 0) -> Path:
+def checkpoint(path: Path, seed: int = 0, *, squash: bool = False) -> Path:
     """A small network as training leaves it, in `path`, with the policy frozen from it beside."""
     generator = torch.Generator().manual_seed(seed)
     shapes = {
@@ -292,7 +292,7 @@ def checkpoint(path: Path, seed: int = 0) -> Path:
         "filters": [],
         "hidden": [8, 5],
         "activation": "tanh",
-        "output": {"scale": 0.5, "offset": 0.5},
+        "output": {"scale": 0.5, "offset": 0.5, "squash": squash},
         "motors": 4,
     }
     content = {"format": CHECKPOINT_FORMAT, "version": CHECKPOINT_VERSION, "config": json.dumps(config)}
@@ -302,8 +302,12 @@ def checkpoint(path: Path, seed: int = 0) -> Path:
     return path
 
 
-def test_torch_agrees_when_the_policy_was_frozen_from_the_checkpoint(kit: Kit, tmp_path: Path) -> None:
-    own, other = checkpoint(tmp_path / "a" / "checkpoint.pt"), checkpoint(tmp_path / "b" / "checkpoint.pt", 1)
+@pytest.mark.parametrize("squash", [False, True])
+def test_torch_agrees_when_the_policy_was_frozen_from_the_checkpoint(
+    kit: Kit, tmp_path: Path, squash: bool
+) -> None:
+    own = checkpoint(tmp_path / "a" / "checkpoint.pt", squash=squash)
+    other = checkpoint(tmp_path / "b" / "checkpoint.pt", 1, squash=squash)
     data = own.with_name("policy.onnx").read_bytes()
     compiled = kit.compiled(data)
     assert seen_on(("torch", "evaluator"), compiled, data, tmp_path, own).verdict == "holds"
