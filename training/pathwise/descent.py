@@ -17,7 +17,6 @@ Floats = NDArray[np.float32]
 MOMENTUM, SPREAD = 0.9, 0.99  # Adam's decays; few updates are made, so the second is short
 MEMORY = 0.9  # of the running means that limits are held against
 WEIGHT_MIN, WEIGHT_MAX = 0.02, 5000.0  # [deg/s] of an adapted weight
-UPDATES_BEFORE_ADAPTION = 30  # until a policy flies at all
 SLOPE = 3.0  # of an adaption, over how far a mean is from its limit, relative
 
 
@@ -65,11 +64,11 @@ def descended(state: State, found: list[Floats], rate: float, pathwise: Pathwise
     )
 
 
-def adapted(state: State, figures: Figures, pathwise: PathwiseConfig) -> State:
-    """With weights that push means above their limit down, and let means below it up."""
+def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: bool) -> State:
+    """With `figures` in the running means and, if `adapting`, weights that draw these to their limits."""
     running = figures if state.figures is None else _blended(state.figures, figures)
     weights = state.weights
-    if state.updates > UPDATES_BEFORE_ADAPTION:
+    if adapting:
         weights = replace(
             weights,
             output=_held(weights.output, running.output, pathwise.output_limit, pathwise.adaption),

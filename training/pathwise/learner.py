@@ -124,7 +124,9 @@ class PathwiseLearner:
         found = gradient(
             flight, batch, blamed, state.network, self._scale, self._terms, model, aircraft.gyro, config.idle
         )
-        self._state = adapted(descended(state, found, self._rate(), self._pathwise), figures, self._pathwise)
+        adapting = state.updates >= self._pathwise.adaption_start * self._updates
+        state = descended(state, found, self._rate(), self._pathwise)
+        self._state = adapted(state, figures, self._pathwise, adapting)
         return figures
 
     def _rate(self) -> float:
