@@ -11,6 +11,7 @@ import copy
 import json
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,7 @@ def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise TrainingError(f"{where}: not UTF-8 at byte {error.start}; save it as UTF-8 text") from error
     try:
-        document = tomllib.loads(text) if suffix == ".toml" else json.loads(text)
+        document = tomllib.loads(text) if suffix == ".toml" else json.loads(text, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
         raise TrainingError(f"{where}: not {suffix[1:].upper()}: {_line(error)}") from error
     if suffix == ".json" and isinstance(document, dict) and isinstance(document.get("config"), dict):
@@ -102,6 +103,15 @@ def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise TrainingError(f"{where}: got {shown(document)}, expected keys and values")
     return document
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object. Raises ValueError where a key stands twice, as TOML does."""
+    values = dict(pairs)
+    if len(values) != len(pairs):
+        [(key, _)] = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"{shown(key)} stands twice")
+    return values
 
 
 def _line(error: Exception) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
 from sim.mass import Vector
+from sim.table import shown
 from sim.world import Mount
 from toolchain.contract import (
     CONTROL_RATES_HZ,
@@ -147,8 +148,8 @@ class TrainingConfig:
             yield f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}"
         if not 1 <= len(self.hidden) <= LAYERS_MAX or not all(1 <= w <= WIDTH_MAX for w in self.hidden):
             yield (
-                f"hidden layers {list(self.hidden)}, expected 1 to {LAYERS_MAX} widths of at least 1 and at "
-                f"most {WIDTH_MAX}"
+                f"hidden layers {shown(list(self.hidden))}, expected 1 to {LAYERS_MAX} widths of at least 1 "
+                f"and at most {WIDTH_MAX}"
             )
         if self.activation not in ACTIVATIONS:
             yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"

@@ -193,6 +193,7 @@ def test_what_is_no_configuration_is_refused_in_one_line(overrides: list[str], m
     [
         ("a.toml", b"steps = ", "a.toml: not TOML: Invalid value"),
         ("a.json", b"{", "a.json: not JSON: "),
+        ("a.json", b'{"seed": 1, "seed": 2}', "a.json: not JSON: 'seed' stands twice"),
         ("a.json", b"[1]", "a.json: got [1], expected keys and values"),
         ("a.json", b"[" * 100_000, "a.json: not JSON: "),
         ("a.json", b'{"idle": NaN}', "a.json: idle: got nan, expected a finite number"),
