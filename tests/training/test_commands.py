@@ -16,7 +16,8 @@ def test_train_writes_its_results_and_does_not_replace_them_unasked(tmp_path: Pa
     assert main(arguments) == 0
     assert "32,768 steps" in capsys.readouterr().out
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert set(made) == {"checkpoint.pt", "policy.onnx", "training.json"}
+    results = {"checkpoint.pt", "policy.onnx", "training.json"}
+    assert set(made) == {*results, "monitor.json", "monitor.png"}
     assert json.loads(made["training.json"])["command"] == (
         "neuroflight train --aircraft nf1 --steps 32768 --seed 3"
     )

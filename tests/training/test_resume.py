@@ -68,7 +68,13 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "stop"), [("ppo", signal.SIGINT), ("ppo", signal.SIGKILL), ("pathwise", signal.SIGINT)]
+    ("algorithm", "stop"),
+    [
+        ("ppo", signal.SIGINT),
+        ("pathwise", signal.SIGKILL),
+        pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.prove),
+        pytest.param("pathwise", signal.SIGINT, marks=pytest.mark.prove),
+    ],
 )
 def test_the_bytes_are_those_of_an_undisturbed_run_when_it_was_stopped_and_resumed(
     algorithm: str, stop: signal.Signals, undisturbed: Callable[[str], Path], tmp_path: Path

@@ -60,11 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train while showing how it goes, then say what came of it."""
     from sim.aircraft import load_aircraft
-    from training.seeds import keep_best, plan, read_record
 
     aircraft = load_aircraft(args.aircraft)
     config = _config(args, aircraft)
     _check_folder(args.out)
+
+    from training.seeds import keep_best, plan, read_record  # torch, which takes seconds
+
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
     if args.force:
         _remove_events(planned)
