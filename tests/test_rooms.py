@@ -58,7 +58,9 @@ def test_module_imports_only_rooms_below_when_it_is_no_command(path: Path) -> No
 @pytest.mark.parametrize("path", COMMANDS, ids=lambda p: p.name)
 def test_command_joins_rooms_only_inside_functions_when_it_is_imported(path: Path) -> None:
     top = ast.Module(at_import(ast.parse(path.read_text())), [])
-    assert set(imported(top)) <= GROUND
+    # What commands share is held to the same law by a case of its own.
+    joined = {name for name in imported(top) if not name.startswith("toolchain.cli.")}
+    assert joined <= GROUND
 
 
 @pytest.mark.parametrize("name", ["contract", "errors", "files"])
