@@ -27,7 +27,7 @@ class OffPolicyLearner(Sb3Learner):
     _model: OffPolicyAlgorithm
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, knobs: OffPolicyConfig) -> None:
-        super().__init__(aircraft, config)
+        super().__init__(aircraft, config, knobs.discount)
         common: dict[str, Any] = {
             "learning_rate": self._annealed(knobs.learning_rate),
             "buffer_size": knobs.buffer,

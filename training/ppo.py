@@ -19,7 +19,7 @@ class PpoLearner(Sb3Learner):
     _model: SmoothPpo
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, ppo: PpoConfig) -> None:
-        super().__init__(aircraft, config)
+        super().__init__(aircraft, config, ppo.discount)
         first, last = ppo.log_std
         self._model = SmoothPpo(
             "MlpPolicy",

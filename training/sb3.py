@@ -17,6 +17,7 @@ from training.learner import Report
 from training.vector import AttitudeVecEnv
 
 MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+REWARD_SCALE_MIN = 1e-4
 REPORT_STEPS = 4096  # control steps, all aircraft together, from a report to the next at least
 
 
@@ -25,10 +26,14 @@ class Sb3Learner:
 
     _model: BaseAlgorithm
 
-    def __init__(self, aircraft: Aircraft, config: TrainingConfig) -> None:
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig, discount: float) -> None:
         self._config = config
         self.part = 0.0  # of the run that is over
-        self._env = AttitudeVecEnv(aircraft, config, config.algorithm.aircraft)
+        # A value is then a mean reward, whatever the horizon: something that a critic of small weights can
+        # say at once, where a sum over a hundred steps takes it a million to grow up to.
+        self._reward_scale = max(1.0 - discount, REWARD_SCALE_MIN)
+        count = config.algorithm.aircraft
+        self._env = AttitudeVecEnv(aircraft, config, count, reward_scale=self._reward_scale)
 
     @property
     def steps(self) -> int:
@@ -50,7 +55,7 @@ class Sb3Learner:
             self.part = min(1.0, update.steps / self._config.steps)
             report(update)
 
-        model.learn(steps, callback=_Reporter(reported), reset_num_timesteps=False)
+        model.learn(steps, callback=_Reporter(reported, self._reward_scale), reset_num_timesteps=False)
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
@@ -95,9 +100,9 @@ class Sb3Learner:
 class _Reporter(BaseCallback):
     """Reports after rollouts, with the mean reward of a control step since the last report."""
 
-    def __init__(self, report: Callable[[Report], None]) -> None:
+    def __init__(self, report: Callable[[Report], None], reward_scale: float) -> None:
         super().__init__()
-        self._report = report
+        self._report, self._reward_scale = report, reward_scale
         self._sum, self._count = 0.0, 0
 
     def _on_step(self) -> bool:
@@ -111,5 +116,5 @@ class _Reporter(BaseCallback):
         if self._count < REPORT_STEPS and model.num_timesteps < model._total_timesteps:
             return
         figures = {name: float(value) for name, value in model.logger.name_to_value.items()}
-        self._report(Report(self.num_timesteps, self._sum / self._count, figures))
+        self._report(Report(self.num_timesteps, self._sum / self._count / self._reward_scale, figures))
         self._sum, self._count = 0.0, 0

@@ -17,7 +17,7 @@ class TrpoLearner(Sb3Learner):
     _model: TRPO
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, trpo: TrpoConfig) -> None:
-        super().__init__(aircraft, config)
+        super().__init__(aircraft, config, trpo.discount)
         self._model = TRPO(
             "MlpPolicy",
             self._env,

@@ -29,8 +29,11 @@ class AttitudeVecEnv(VecEnv):
     truncation with its last observation, so that its value is bootstrapped.
     """
 
-    def __init__(self, aircraft: Aircraft, config: TrainingConfig, count: int) -> None:
-        """`count` aircraft; the first episodes are of the configuration's seed."""
+    def __init__(
+        self, aircraft: Aircraft, config: TrainingConfig, count: int, *, reward_scale: float = 1.0
+    ) -> None:
+        """`count` aircraft; the first episodes are of the configuration's seed. Rewards are scaled."""
+        self._reward_scale = np.float32(reward_scale)
         self._aircraft, self._config = aircraft, config
         self._simulation = simulation = self._build(count, np.random.default_rng(config.seed))
         self._scale = np.array(config.observation_scale(simulation.motors), np.float32)
@@ -73,7 +76,7 @@ class AttitudeVecEnv(VecEnv):
             for i in index:
                 infos[i] = {"TimeLimit.truncated": True, "terminal_observation": observation[i].copy()}
             observation[index] = self._simulation.restart(index) * self._scale
-        return observation, result.reward, result.ended, infos
+        return observation, result.reward * self._reward_scale, result.ended, infos
 
     def _build(self, count: int, rng: np.random.Generator) -> AttitudeSimulation:
         return AttitudeSimulation(self._aircraft, count, config=self._config, rng=rng)
