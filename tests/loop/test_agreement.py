@@ -11,9 +11,7 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 from sim.observation import Observer
 from sim.reference_port import ReferencePort
@@ -51,20 +49,18 @@ def observations(reference_library: Path, shipped_policy: Path, flown: Callable[
 
 
 def through_torch(checkpoint: Path, observation: Float32) -> Float32:
-    """The trained actor itself, with the scaling and mapping that training put around it."""
+    """The trained network itself, with the scaling and mapping that training put around it."""
     document = torch.load(checkpoint, weights_only=True)
-    config = json.loads(document["config"])
-    actor = ActorCriticPolicy(
-        spaces.Box(-np.inf, np.inf, (observation.shape[1],)),
-        spaces.Box(-1.0, 1.0, (config["motors"],)),
-        lambda _: 0.0,
-        net_arch=config["hidden"],
-        activation_fn=torch.nn.Tanh,
-    )
-    actor.load_state_dict(document["state_dict"])
-    scale = torch.tensor(config["observation_scale"], dtype=torch.float32)
+    config, state = json.loads(document["config"]), document["state_dict"]
+    activation = {"tanh": torch.nn.functional.tanh, "relu": torch.nn.functional.relu}[config["activation"]]
+    x = torch.as_tensor(observation) * torch.tensor(config["observation_scale"], dtype=torch.float32)
     with torch.no_grad():
-        mean = actor.get_distribution(torch.as_tensor(observation) * scale).mode()
+        for layer in range(len(config["hidden"])):
+            name = f"mlp_extractor.policy_net.{2 * layer}"
+            x = activation(torch.nn.functional.linear(x, state[f"{name}.weight"], state[f"{name}.bias"]))
+        mean = torch.nn.functional.linear(x, state["action_net.weight"], state["action_net.bias"])
+        if config["output"].get("squash"):
+            mean = torch.nn.functional.tanh(mean)
     mapped: Float32 = (config["output"]["scale"] * mean + config["output"]["offset"]).clamp(0, 1).numpy()
     return mapped
 

@@ -14,6 +14,7 @@ from sim.metrics import Figures, figures
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment, load_scenario
 from sim.trace import Trace
+from toolchain.network import read_policy
 
 Flown = Callable[..., Trace]
 MAE_MAX_DEG_S = 6.0  # average of the axes, against the true rate
@@ -27,28 +28,34 @@ def passes(result: Figures) -> bool:
     return float(result.tracking.mae.mean()) <= MAE_MAX_DEG_S and result.effort.change <= CHANGE_MAX
 
 
+@pytest.fixture(scope="module")
+def idle(shipped_policy: Path) -> float:
+    """The idle that the shipped policy flies with."""
+    return read_policy(shipped_policy).idle
+
+
 def test_the_policy_clears_the_bar_when_it_flies_a_hundred_unseen_commands(
-    reference_library: Path, flown: Flown
+    reference_library: Path, flown: Flown, idle: float
 ) -> None:
     scenario = load_scenario("pulses", SEED, count=100)
     trace = flown(ReferencePort(reference_library, 1000), scenario)
     assert (trace.dshot > 0).all()
-    assert passes(figures(trace, scenario.episodes()))
+    assert passes(figures(trace, scenario.episodes(), idle))
 
 
 def test_the_policy_clears_the_bar_when_flown_over_sockets_at_the_boards_gyro_rate(
-    host_program: Path, flown: Flown
+    host_program: Path, flown: Flown, idle: float
 ) -> None:
     scenario = load_scenario("pulses", SEED + 1, count=6)
-    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes()))
+    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes(), idle))
 
 
 @pytest.mark.prove
 def test_the_policy_clears_the_bar_when_a_hundred_commands_are_flown_over_sockets(
-    host_program: Path, flown: Flown
+    host_program: Path, flown: Flown, idle: float
 ) -> None:
     scenario = load_scenario("pulses", SEED + 2, count=100)
-    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes()))
+    assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes(), idle))
 
 
 def test_the_policy_misses_the_bar_when_motors_two_and_three_are_swapped(

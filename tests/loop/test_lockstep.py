@@ -48,5 +48,5 @@ def test_the_toolchains_evaluator_flies_the_compiled_policys_bits_when_behind_th
     shipped_policy: Path, reference_library: Path, flown: Flown
 ) -> None:
     policy = read_policy(shipped_policy)
-    in_python = ControllerPort(PolicyController(policy), policy.action_count)
+    in_python = ControllerPort(PolicyController(policy), policy.action_count, idle=policy.idle)
     assert flown(in_python, BUSY).same(flown(ReferencePort(reference_library), BUSY))

@@ -20,7 +20,7 @@ from toolchain.errors import BuildError
 from toolchain.evaluate import evaluate
 from toolchain.graph import chain
 from toolchain.mca import find_pricer
-from toolchain.network import PolicyModel
+from toolchain.network import PolicyModel, read_policy
 from toolchain.operations import (
     Clip,
     Elu,
@@ -181,11 +181,15 @@ def test_emulated_policy_gives_the_evaluators_bits_when_its_table_is_replaced(
         np.testing.assert_array_equal(arm.actions(observation).view(np.uint32), expected.view(np.uint32))
 
 
-def test_step_inside_the_image_is_counted_when_it_was_linked_for_the_board(board_image: Path) -> None:
+def test_step_inside_the_image_is_counted_when_it_was_linked_for_the_board(
+    board_image: Path, shipped_policy: Path
+) -> None:
     memory = (ITCM, DTCM, Region("flash", FLASH_BASE, FLASH_BYTES))
-    cost = step_cost(ArmPolicy(load_program(board_image), 6, 4, memory), mixed_observations(9, 6))
+    network = read_policy(shipped_policy).network
+    policy = ArmPolicy(load_program(board_image), network.inputs, network.outputs, memory)
+    cost = step_cost(policy, mixed_observations(9, network.inputs))
     assert len(cost.routes) == 1
-    assert cost.instructions[0] > 4736
+    assert cost.instructions[0] > network.multiply_adds
     assert any(block.instructions[0].address < ITCM.size for block in cost.worst.blocks)
 
 
@@ -197,7 +201,7 @@ def test_command_prints_one_document_when_asked_for_json(
     document = json.loads(out)
     assert err == ""
     assert document["observations"] == 12
-    assert document["multiply_accumulates"] == 4736
+    assert document["multiply_accumulates"] == read_policy(shipped_policy).network.multiply_adds
     counted = sum(block["times"] * block["instructions"] for block in document["blocks"])
     assert counted == document["instructions"]["worst"]
     if find_pricer():
@@ -212,7 +216,7 @@ def test_command_prints_a_table_when_a_person_asks(
     assert main(["timing", str(shipped_policy), "--inputs", "3", "--blocks"]) == 0
     out = capsys.readouterr().out
     for words in (
-        "6-64-64-4 tanh at 1000 Hz",
+        f"{read_policy(shipped_policy).network.text} at 1000 Hz",
         "instructions",
         "stack, bytes",
         "3 observations, all on one route",
