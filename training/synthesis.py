@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
@@ -42,37 +42,53 @@ class Progress:
     chosen: Reading | None = None  # of the policy that would be kept now
 
 
-class Watcher:
-    """Told what happens in a run; this one does not listen."""
+class Listener(Protocol):
+    """Told what happens in a run."""
 
     def progressed(self, progress: Progress) -> None:
         """After every update."""
+        ...
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
         """After a checkpoint was kept; `policy`: the latest weights, by the names that freeze knows."""
+        ...
 
     def monitored(self, reading: Reading) -> None:
         """After the monitor has flown the policy of a checkpoint."""
+        ...
 
 
-class Watchers(Watcher):
+class Watcher:
+    """A listener that does not listen, to begin one's own with."""
+
+    def progressed(self, progress: Progress) -> None:
+        """See Listener."""
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Listener."""
+
+    def monitored(self, reading: Reading) -> None:
+        """See Listener."""
+
+
+class Watchers:
     """Tells several."""
 
-    def __init__(self, watchers: Sequence[Watcher]) -> None:
+    def __init__(self, watchers: Sequence[Listener]) -> None:
         self._watchers = watchers
 
     def progressed(self, progress: Progress) -> None:
-        """See Watcher."""
+        """See Listener."""
         for watcher in self._watchers:
             watcher.progressed(progress)
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Watcher."""
+        """See Listener."""
         for watcher in self._watchers:
             watcher.checkpointed(progress, policy)
 
     def monitored(self, reading: Reading) -> None:
-        """See Watcher."""
+        """See Listener."""
         for watcher in self._watchers:
             watcher.monitored(reading)
 
@@ -81,7 +97,7 @@ def train(
     aircraft: Aircraft,
     config: TrainingConfig,
     out: Path,
-    watcher: Watcher | None = None,
+    watcher: Listener | None = None,
     *,
     resume: bool = False,
     monitor: Monitor | None = None,

@@ -21,14 +21,14 @@ class TensorBoard(Watcher):
         self._writer: SummaryWriter | None = None  # made with the first figure
 
     def progressed(self, progress: Progress) -> None:
-        """See Watcher."""
+        """See Listener."""
         self._add("train/reward", progress.reward, progress.steps)
         for name, value in progress.figures.items():
             self._add(name, value, progress.steps)
         self._add("time/seconds", progress.seconds, progress.steps)
 
     def monitored(self, reading: Reading) -> None:
-        """See Watcher."""
+        """See Listener."""
         for field in fields(reading):
             spread = getattr(reading, field.name)
             if isinstance(spread, Spread):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sim.aircraft import Aircraft
     from training.configuration import TrainingConfig
     from training.seeds import Planned
-    from training.synthesis import Progress, Watcher
+    from training.synthesis import Listener, Progress
 
 DEFAULT_RECIPE = "default"
 PLOT, BOARD = "monitor.png", "tensorboard"
@@ -136,7 +136,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
         display = stack.enter_context(
             Display(f"{aircraft.name}, seed {config.seed}", config.steps, item.done or 0)
         )
-        watchers: list[Watcher] = [display]
+        watchers: list[Listener] = [display]
         if args.tensorboard:
             from training.tensorboard import TensorBoard
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from training.reading import Reading
-from training.synthesis import Progress as State
-from training.synthesis import Watcher
+if TYPE_CHECKING:
+    import torch
+
+    from training.reading import Reading
+    from training.synthesis import Progress as State
 
 
-class Display(Watcher):
-    """A context manager, told what happens in one run."""
+class Display:
+    """A context manager, told what happens in one run: a Listener."""
 
     def __init__(self, name: str, steps: int, done: int = 0) -> None:
         """name: of the run; steps: that it is to have, `done` of them before."""
@@ -46,7 +49,7 @@ class Display(Watcher):
             self._live.stop()
 
     def progressed(self, progress: State) -> None:
-        """See Watcher."""
+        """See Listener."""
         self._first = self._first or progress
         steps, seconds = progress.steps - self._first.steps, progress.seconds - self._first.seconds
         speed = f" · {steps / seconds:,.0f}/s" if seconds > 0 else ""
@@ -54,8 +57,11 @@ class Display(Watcher):
         self._bar.update(self._task, completed=progress.steps, speed=speed)
         self._show()
 
+    def checkpointed(self, progress: State, policy: dict[str, torch.Tensor]) -> None:
+        """See Listener."""
+
     def monitored(self, reading: Reading) -> None:
-        """See Watcher."""
+        """See Listener."""
         self._reading = f"at {reading.steps:,} steps: {figures(reading)}"
         if self._console.is_terminal:
             self._show()
