@@ -130,6 +130,8 @@ def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
             textcoords="offset points",
             fontsize=9,
             color=INK,
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
+            zorder=4,
         )
     panel.axvline(1.0, color=MUTED, lw=0.9)
     panel.set_ylim(0, 104)
