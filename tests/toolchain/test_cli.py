@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from toolchain.blob import parse
-from toolchain.cli.main import main
+from toolchain.cli.main import THREADS, main
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
@@ -105,3 +106,20 @@ def test_ends_quietly_when_its_reader_goes_away() -> None:
     process.stderr.close()
     assert process.wait() == 1
     assert words == ""
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("2", "2")])
+def test_small_matrices_stay_on_one_thread_unless_the_user_says_otherwise(
+    given: str | None, expected: str
+) -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in THREADS}
+    if given is not None:
+        environment["OPENBLAS_NUM_THREADS"] = given
+    asks = (
+        "import sys, os, toolchain.cli.main as cli; assert 'numpy' not in sys.modules; "
+        "cli.main(['aircraft', 'check', 'nf1', '--json']); "
+        "print(os.environ['OPENBLAS_NUM_THREADS'], file=sys.stderr)"
+    )
+    program = [sys.executable, "-c", asks]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr.splitlines()[-1] == expected

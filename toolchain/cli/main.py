@@ -37,6 +37,9 @@ COMMANDS = {
     "aircraft": "check and draw an aircraft file",
     "msp": "ask a running firmware over MSP",
 }
+# Matrices here are small: a second thread gains little, loses twenty times as much to a busy neighbour, and
+# may round otherwise than the first alone, so that a seed would no longer say what a run gives.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -53,6 +56,8 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
+    for name in THREADS:  # read by numpy and torch when they are first imported, which no command has done yet
+        os.environ.setdefault(name, "1")
     args = parser().parse_args(argv)
     try:
         code = int(args.run(args))
