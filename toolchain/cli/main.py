@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
-    for name in THREADS:  # read by numpy and torch when they are first imported, which no command has done yet
+    for name in THREADS:  # numpy and torch read them when they are first imported, in a command's run
         os.environ.setdefault(name, "1")
     args = parser().parse_args(argv)
     try:
