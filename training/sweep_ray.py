@@ -7,6 +7,7 @@ import io
 import logging
 import os
 import shutil
+import socket
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 FAILURES_MAX = 3  # times that a run is begun again after its worker died
 STARTS_MAX = 3  # attempts to begin a session
+REACH_S = 5.0  # for a cluster to take a connection
 REPORT_S = 1.0  # between two reports of a run
 OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; what is sent are configurations
 STOP = "stop"  # a file of this name in the sweep's folder: runs keep their last leg and end
@@ -85,10 +87,13 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
         return
     common: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if address:
-        threads = {"env_vars": THREADS}
-        _start(f"no Ray cluster at --address {address}", address=address, runtime_env=threads, **common)
+        _check_address(address)
+        _start(
+            1, f"no Ray cluster at {address}", address=address, runtime_env={"env_vars": THREADS}, **common
+        )
     else:
         _start(
+            STARTS_MAX,
             "Ray does not start",
             address="local",
             num_cpus=cpus,
@@ -105,17 +110,34 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
         ray.shutdown()
 
 
-def _start(wrong: str, **options: Any) -> None:  # noqa: ANN401 - of ray.init
+def _check_address(address: str) -> None:
+    """Refuse in seconds what Ray would try to reach for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        with socket.create_connection((host, int(port)), REACH_S):
+            return
+    except (ValueError, OverflowError) as error:
+        raise TrainingError(f"--address {address}, expected HOST:PORT, ray://HOST:PORT or auto") from error
+    except OSError as error:
+        raise TrainingError(
+            f"nothing answers at --address {address} ({error.strerror or error}); begin a cluster there with "
+            f"`ray start --head`, or leave --address out to use this machine"
+        ) from error
+
+
+def _start(attempts: int, wrong: str, **options: Any) -> None:  # noqa: ANN401 - of ray.init
     """Begin a session. Ray gives its own processes 30 s, which a busy machine may exceed."""
     import ray
 
-    for attempt in range(1, STARTS_MAX + 1):
+    for left in reversed(range(attempts)):
         try:
             ray.init(**options)
             return
         except Exception as error:  # Ray raises plain ones
             ray.shutdown()
-            if attempt == STARTS_MAX or isinstance(error, ConnectionError | ValueError):
+            if not left:
                 line = " ".join(str(error).split())
                 raise TrainingError(f"{wrong}: {line}") from error
 

@@ -138,6 +138,11 @@ def test_another_sweep_is_refused_when_it_is_resumed(
     [
         (["--cpus", "0"], "--cpus 0, expected 1 to"),
         (["--out", "{file}"], "is no folder; give the name of one"),
+        (["--address", "cluster"], "--address cluster, expected HOST:PORT"),
+        (
+            ["--address", "127.0.0.1:1"],
+            "nothing answers at --address 127.0.0.1:1 (Connection refused); begin",
+        ),
     ],
 )
 def test_options_are_refused_in_one_line_when_they_make_no_sweep(
@@ -150,7 +155,7 @@ def test_options_are_refused_in_one_line_when_they_make_no_sweep(
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.out == ""
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out" / "trials").exists()
 
 
 def test_how_to_install_is_said_when_ray_is_missing(
