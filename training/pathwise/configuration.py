@@ -30,7 +30,7 @@ class PathwiseConfig:
     change: float = 15.0  # [deg/s], weight of the mean change in a control step, likewise
     change_limit: float | None = 0.0095
     adaption: float = 0.01  # most that an update changes such a weight by, relative
-    adaption_start: float = 0.4  # part of the run before it; an early policy keeps no limit
+    adaption_start: float = 0.1  # part of the run before it; an early policy keeps no limit
     start_output: float = 0.1  # motor fraction that an untrained policy asks for
     gradient_max: float = 1.0  # a longer gradient is cut to this length
     leg_steps: int = 500_000  # see Algorithm; rounded up to whole updates
