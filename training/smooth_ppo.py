@@ -5,6 +5,9 @@ give the same output. The noise is the gyro's own, so what is punished is exactl
 outputs that follow noise. Temporal term: so should an observation and the one that followed it. Punishing
 sampled actions instead teaches PPO to hide behind the clip.
 
+The critic says values in units of their spread, about their mean (van Hasselt et al. 2016, PopArt): an
+aircraft that cannot yet fly earns a hundred times less than one that can, and both are to be told well.
+
 Actor and critic share no weight. Each has its own optimizer and its own clipped gradient, so neither's
 update depends on when the other's happens, and each may have a thread of its own: torch gives up the
 interpreter's lock inside its kernels.
@@ -29,6 +32,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
 ADAM_EPS = 1e-5  # Stable-Baselines3's for PPO
+VALUE_SPREAD_MIN = 1e-6
 LOG_SQRT_2_PI = 0.5 * math.log(2.0 * math.pi)
 
 
@@ -80,6 +84,9 @@ class SmoothPpo(PPO):
         layers = self.policy.mlp_extractor
         self.actor = torch.nn.Sequential(*layers.policy_net, self.policy.action_net)
         self.critic = torch.nn.Sequential(*layers.value_net, self.policy.value_net)
+        self._value_mean, self._value_spread = torch.zeros(()), torch.ones(())
+        self.policy.register_buffer("value_mean", self._value_mean)  # and so kept with the networks
+        self.policy.register_buffer("value_spread", self._value_spread)
         rate = self.lr_schedule(1.0)
         self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), rate, eps=ADAM_EPS)
         self.critic_optimizer = torch.optim.Adam(self.critic.parameters(), rate, eps=ADAM_EPS)
@@ -129,6 +136,7 @@ class SmoothPpo(PPO):
         """Update actor and critic from the rollout buffer."""
         self._update_learning_rate([self.actor_optimizer, self.critic_optimizer])
         rollout = self._rollout()
+        self._rescale_values(rollout.returns)
         count = len(rollout.observations)
         orders = torch.cat([torch.randperm(count) for _ in range(self.n_epochs)])
         batches = list(torch.split(orders, self.batch_size))
@@ -170,11 +178,24 @@ class SmoothPpo(PPO):
             self._descend(loss, self.actor, self.actor_optimizer)
         return float(change.detach())
 
+    def _rescale_values(self, returns: torch.Tensor) -> None:
+        """New mean and spread, and a last layer with which the critic says what it said before."""
+        last = self.critic[-1]
+        assert isinstance(last, torch.nn.Linear)
+        mean, spread = returns.mean(), returns.std() + VALUE_SPREAD_MIN
+        with torch.no_grad():
+            ratio = self._value_spread / spread
+            last.bias.copy_(last.bias * ratio + (self._value_mean - mean) / spread)
+            last.weight.mul_(ratio)
+            self._value_mean.copy_(mean)
+            self._value_spread.copy_(spread)
+
     def _fit_critic(self, rollout: Rollout, batches: list[torch.Tensor]) -> float:
         loss = torch.zeros(())
+        returns = (rollout.returns - self._value_mean) / self._value_spread
         for batch in batches:
             values = self.critic(rollout.observations[batch])[:, 0]
-            loss = functional.mse_loss(values, rollout.returns[batch])
+            loss = functional.mse_loss(values, returns[batch])
             self._descend(loss, self.critic, self.critic_optimizer)
         return float(loss.detach())
 
@@ -212,5 +233,6 @@ class SmoothPpo(PPO):
     def _values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """What the critic makes of observations (..., n); (...)."""
         with torch.no_grad():
-            values: NDArray[np.float32] = self.critic(torch.from_numpy(observations))[..., 0].numpy()
-        return values
+            values = self.critic(torch.from_numpy(observations))[..., 0]
+            found: NDArray[np.float32] = (values * self._value_spread + self._value_mean).numpy()
+        return found

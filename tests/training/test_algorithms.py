@@ -148,6 +148,8 @@ def test_an_episodes_end_is_bootstrapped_when_it_is_one_of_the_clock(algorithm: 
         with torch.no_grad():
             if isinstance(algorithm, OffPolicyConfig):
                 value = model.critic(observation, model.actor(observation))[0]
+            elif isinstance(algorithm, PpoConfig):
+                value = model._values(observation.numpy())
             else:
                 value = model.policy.predict_values(observation)
     assert -0.12 < float(value.mean()) < -0.085
