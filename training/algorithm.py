@@ -46,8 +46,8 @@ class PpoConfig:
     name: ClassVar[str] = "ppo"
     aircraft: int = 256
     horizon: int = 128  # control steps an aircraft between updates
-    minibatch: int = 8192
-    epochs: int = 4
+    minibatch: int = 4096
+    epochs: int = 3
     learning_rate: float = 7e-4  # annealed linearly to a tenth
     discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
     gae_lambda: float = 0.98  # rotors answer over 40 ms: credit must reach back as far

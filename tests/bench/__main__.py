@@ -16,13 +16,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tests.bench", description="speed and cost, in one run")
     parser.add_argument("--only", nargs="+", choices=SUBJECTS, default=SUBJECTS, metavar="|".join(SUBJECTS))
     parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of the twin")
-    parser.add_argument("--steps", type=int, default=2_000_000, help="of training")
+    parser.add_argument("--steps", type=int, default=1_000_000, help="to take training's speed with")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="S", help="of training")
     parser.add_argument("--inputs", type=int, default=10_000, help="of each compiled network")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     document: dict[str, Any] = {}
-    if {"twin", "training"} & set(args.only):
-        document |= measure_flights(args)
+    if "twin" in args.only:
+        document |= measure_twin(args)
+    if "training" in args.only:
+        document |= measure_training(args)
     if "compiler" in args.only:
         document |= measure_compiler(args)
     if args.json:
@@ -30,18 +33,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def measure_flights(args: argparse.Namespace) -> dict[str, Any]:
-    """Aircraft steps a second of the twin and of training."""
-    from tests.bench.twin import training_speed, twin_speeds
+def measure_twin(args: argparse.Namespace) -> dict[str, Any]:
+    """Aircraft steps a second of the twin."""
+    from tests.bench.twin import twin_speeds
 
-    speeds = twin_speeds(args.seconds) if "twin" in args.only else []
-    if "training" in args.only:
-        speeds.append(training_speed(args.steps, args.seconds))
+    speeds = twin_speeds(args.seconds)
     if not args.json:
         print(f"{'aircraft steps a second':44}{'':>10}  of bare pybullet on the same mount")
         for speed in speeds:
             print(f"{speed.name:44}{speed.value:>10,.0f}  {speed.value / speed.floor:.2f}")
     return {"aircraft_steps_a_second": {speed.name: round(speed.value) for speed in speeds}}
+
+
+def measure_training(args: argparse.Namespace) -> dict[str, Any]:
+    """Steps a second of training, and what a minute of it comes to, seed by seed."""
+    from tests.bench.twin import learning
+
+    rows = []
+    for seed in args.seeds:
+        row = learning(args.steps, args.seconds, seed)
+        rows.append({"seed": seed, **asdict(row)})
+        if not args.json:
+            print(
+                f"PPO, seed {seed}: {row.steps_a_second:,.0f} steps a second, {row.of_the_twin:.2f} of the "
+                f"twin alone; {row.steps_in_a_minute:,} in {row.seconds:.0f} s: "
+                f"MAE {row.mae_deg_s:.2f} deg/s, at worst {row.worst_mae_deg_s:.1f}, on unseen pulses"
+            )
+    return {"training": rows}
 
 
 def measure_compiler(args: argparse.Namespace) -> dict[str, Any]:

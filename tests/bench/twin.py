@@ -19,15 +19,20 @@ import numpy as np
 import pybullet
 
 from sim.aircraft import load_aircraft
+from sim.controller import PolicyController
 from sim.twin import Twin
 from sim.world import Mount, World
+from toolchain.network import read_policy
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig
+from training.evaluation import evaluate
 from training.synthesis import train
 
 NF1 = load_aircraft("nf1")
 LEARNING = PpoConfig().aircraft
 ROUNDS = 5
+MINUTE_S = 57.0  # of learning; the rest is for what comes before and after
+UNSEEN, UNSEEN_SEED = 200, 20002  # pulses that the policy of a minute is told by
 
 
 @dataclass
@@ -143,12 +148,36 @@ def twin_speeds(seconds: float) -> list[Speed]:
     return [Speed(f"{s.name}, {s.aircraft} aircraft", s.best, floor[s.mount]) for s in subjects]
 
 
-def training_speed(steps: int, seconds: float) -> Speed:
-    """`neuroflight train`, learning, checkpoints and all. seconds: for bare pybullet."""
+@dataclass(frozen=True)
+class Learning:
+    """What `neuroflight train` does with PPO, checkpoints and all."""
+
+    steps_a_second: float  # end to end
+    of_the_twin: float  # that, beside the twin alone with as many aircraft
+    steps_in_a_minute: int
+    seconds: float  # that they took
+    mae_deg_s: float  # mean over axes of the policy that they made, on unseen pulses
+    worst_mae_deg_s: float  # of a command and axis
+
+
+def learning(steps: int, seconds: float, seed: int) -> Learning:
+    """PPO on the NF1's pulses. steps: to take the speed with; seconds: for the twin alone."""
     with ExitStack() as stack:
-        floor = bare(64, Mount.CENTRE, stack)
+        alone = twin(LEARNING, Mount.CENTRE, stack)
         for _ in range(ROUNDS):
-            floor.time(seconds / ROUNDS)
+            alone.time(seconds / ROUNDS)
     with tempfile.TemporaryDirectory() as folder:
-        state = train(NF1, TrainingConfig(steps=steps), Path(folder))
-    return Speed(f"training, {LEARNING} aircraft", state.steps / state.seconds, floor.best)
+        state = train(NF1, TrainingConfig(steps=steps, seed=seed), Path(folder))
+    speed = state.steps / state.seconds
+    with tempfile.TemporaryDirectory() as folder:
+        minute = train(NF1, TrainingConfig(steps=int(MINUTE_S * speed), seed=seed), Path(folder))
+        policy = PolicyController(read_policy(Path(folder) / "policy.onnx"), UNSEEN, exact=False)
+    result = evaluate(policy, NF1, episodes=UNSEEN, seed=UNSEEN_SEED, control_rate_hz=1000)
+    return Learning(
+        steps_a_second=speed,
+        of_the_twin=speed / alone.best,
+        steps_in_a_minute=minute.steps,
+        seconds=minute.seconds,
+        mae_deg_s=float(result.tracking.mae.mean()),
+        worst_mae_deg_s=result.worst_mae,
+    )
