@@ -130,9 +130,9 @@ def test_a_run_goes_on_as_if_it_had_never_stopped_when_resumed(name: str) -> Non
 @pytest.mark.parametrize(
     "algorithm",
     [
-        PpoConfig(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=12),
+        PpoConfig(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=30),
         TrpoConfig(32, 8, minibatch=128, learning_rate=1e-2, discount=0.8, leg=12),
-        DdpgConfig(**{**FEW, "leg": 200}, discount=0.8, tau=0.2, learning_rate=3e-3),
+        DdpgConfig(**{**FEW, "leg": 400}, discount=0.8, tau=0.5, learning_rate=1e-2),
     ],
     ids=lambda algorithm: algorithm.name,
 )

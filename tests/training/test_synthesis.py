@@ -118,10 +118,12 @@ def test_every_block_of_the_contract_has_a_scale() -> None:
     assert set(OBSERVATION_SCALES) == {block.name for block in OBSERVATION_BLOCKS}
 
 
-def test_smoothness_in_the_loss_makes_outputs_deaf_to_gyro_noise(tmp_path: Path) -> None:
+@pytest.mark.parametrize("term", ["smoothness_spatial", "smoothness_temporal"])
+def test_smoothness_in_the_loss_makes_outputs_deaf_to_gyro_noise(term: str, tmp_path: Path) -> None:
     changes = []
+    calm: dict[str, Any] = {"smoothness_spatial": 0.0, "smoothness_temporal": 0.0}
     for name, smoothness in (("without", 0.0), ("with", 20.0)):
-        ppo = PpoConfig(aircraft=16, horizon=64, minibatch=256, smoothness_spatial=smoothness)
+        ppo = PpoConfig(aircraft=16, horizon=64, minibatch=256, **{**calm, term: smoothness})
         train(NF1, TrainingConfig(steps=40 * 1024, algorithm=ppo), tmp_path / name)
         controller = PolicyController(read_policy(tmp_path / name / "policy.onnx"), 4, exact=False)
         still = np.zeros((4, 3), np.float32)

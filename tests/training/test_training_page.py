@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from training.algorithm import DdpgConfig, PpoConfig, SacConfig, Td3Config, TrpoConfig
 from training.config_file import load_config
 from training.configuration import OutputMap, TrainingConfig, WorldConfig
 from training.randomization import Randomization
@@ -19,6 +20,7 @@ KINDS = (
     *(TrainingConfig, OutputMap, WorldConfig, Randomization),
     *(PulseTask, EpisodicTask, EnvelopeTask, ContinuousTask),
     *(TrackingReward, NormalizedReward, CalmReward, ProgressReward),
+    *(PpoConfig, TrpoConfig, DdpgConfig, Td3Config, SacConfig),
 )
 
 

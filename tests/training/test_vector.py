@@ -1,7 +1,8 @@
 """Many aircraft behind Stable-Baselines3's interface."""
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from training.algorithm import PpoConfig
-from training.configuration import TrainingConfig, WorldConfig
+from training.configuration import OutputMap, TrainingConfig, WorldConfig
+from training.reward import Transition
 from training.task import PulseTask
 from training.vector import AttitudeVecEnv
 
@@ -90,3 +92,31 @@ def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
         rows.append([advance(env, np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
     assert np.array_equal(rows[0], rows[1])
     assert not np.array_equal(rows[0], rows[2])
+
+
+@dataclass(frozen=True)
+class Excess:
+    """What was asked for beyond the motors' range."""
+
+    name: ClassVar[str] = "excess"
+
+    def __call__(self, step: Transition) -> NDArray[np.float32]:
+        """Of each aircraft, over motors."""
+        excess: NDArray[np.float32] = np.abs(step.asked - step.action).sum(axis=1)
+        return excess
+
+
+def test_a_reward_sees_what_the_policy_asks_for_when_it_is_beyond_the_motors(build: Build) -> None:
+    env = build(reward=Excess())
+    env.reset()
+    asked = np.tile(np.array([3.0, -3.0, 0.0, 1.0], np.float32), (8, 1))  # fractions 2, -1, 0.5 and 1
+    assert isinstance(env.action_space, spaces.Box)
+    asked = np.clip(asked, env.action_space.low, env.action_space.high)  # as Stable-Baselines3 does
+    assert advance(env, asked)[1] == pytest.approx(np.full(8, 2.0))
+
+
+def test_outputs_keep_within_the_map_when_squashed(build: Build) -> None:
+    env = build(observation="previous_action", output=OutputMap(scale=0.3, offset=0.4, squash=True))
+    env.reset()
+    seen = advance(env, np.tile(np.array([100.0, -100.0, 0.0, 0.5], np.float32), (8, 1)))[0]
+    assert seen[0] == pytest.approx([0.7, 0.1, 0.4, 0.4 + 0.3 * 0.46211716])  # tanh(0.5)
