@@ -53,7 +53,8 @@ class PpoConfig:
     gae_lambda: float = 0.98  # rotors answer over 40 ms: credit must reach back as far
     clip: float = 0.2
     log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
-    smoothness_spatial: float = 0.45  # weight of the mean output's change under gyro noise, see smooth_ppo
+    hold: int = 8  # control steps that a draw of it stands
+    smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
     smoothness_temporal: float = 0.0  # of its change from a control step to the next
     leg: int = 16  # rollouts
 
@@ -64,7 +65,7 @@ class PpoConfig:
 
     def refusals(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from _refused_counts(self, ("horizon", "minibatch", "epochs", "leg"))
+        yield from _refused_counts(self, ("horizon", "minibatch", "epochs", "hold", "leg"))
         yield from _refused_numbers(self, positive=("learning_rate", "clip"))
         yield from _refused_shares(self, ("discount", "gae_lambda"))
         yield from _refused_numbers(self, not_negative=("smoothness_spatial", "smoothness_temporal"))

@@ -31,6 +31,7 @@ class PpoLearner(Sb3Learner):
             gamma=ppo.discount,
             gae_lambda=ppo.gae_lambda,
             clip=ppo.clip,
+            hold=ppo.hold,
             log_std=lambda: first + (last - first) * self.part,
             policy_kwargs={
                 "net_arch": list(config.hidden),

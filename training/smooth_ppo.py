@@ -69,14 +69,17 @@ class SmoothPpo(PPO):
         smoothness: Smoothness,
         clip: float,
         log_std: Callable[[], float],
+        hold: int,
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
         """log_std: of the exploration, asked for before each update.
 
         Left to itself PPO keeps so much of it that the mean output drifts: nothing in the reward can tell.
+        hold: control steps that a draw stands. Rotors hardly answer to what is gone after a millisecond; a
+        draw that stands is felt, and each of its steps is credited with what the rest of it brought.
         """
         super().__init__(*args, **kwargs)
-        self._log_std = log_std
+        self._log_std, self._hold = log_std, hold
         self.policy.log_std.requires_grad_(False)
         self._smoothness = smoothness
         self._noise = torch.as_tensor(smoothness.observation_noise)
@@ -101,7 +104,8 @@ class SmoothPpo(PPO):
         buffer, std = rollout_buffer, float(self.policy.log_std.detach().exp()[0])
         buffer.reset()
         callback.on_rollout_start()
-        chance = torch.randn(buffer.actions.shape)
+        draws = torch.randn(-(-n_rollout_steps // self._hold), *buffer.actions.shape[1:])
+        chance = draws.repeat_interleave(self._hold, dim=0)[:n_rollout_steps]
         buffer.log_probs[:] = -(0.5 * chance.square() + math.log(std) + LOG_SQRT_2_PI).sum(dim=2).numpy()
         drawn = (chance * std).numpy()
         ends: list[tuple[int, int, NDArray[np.float32]]] = []  # step, aircraft, its last observation
