@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from sim.report import INK, MOTOR_COLOURS, dress
@@ -23,6 +22,8 @@ from training.robustness import (
 RATIO_MIN, RATIO_MAX = 0.5, 20.0  # what is drawn; what lies beyond stands at the edge
 TICKS = (0.5, 0.7, 1, 1.5, 2, 2.5, 3, 5, 10, 20)
 CHANGE_MIN = 1e-5  # what is drawn of |delta u|
+WIDTH, MARGIN, HEAD, ROW, GAP, JOINT = 12.0, 1.6, 0.85, 0.3, 1.05, 2.6  # [in], of figure and panels
+LEGEND_COLUMNS = 4
 SPREAD = 0.5  # part of a row that the dots of all controllers take
 
 
@@ -30,19 +31,26 @@ def draw(results: Sequence[Robustness], title: str) -> Figure:
     """Ratios of the cases, their |delta u| beside them, and below the distribution of the draws."""
     drawn = any(result.joint for result in results)
     rows = len(results[0].cases)
-    height = 1.9 + 0.3 * rows + (3.2 if drawn else 0.0)
-    figure = Figure(figsize=(12, height), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
-    ratios = (0.3 * rows, 2.6) if drawn else (1,)
-    grid = figure.add_gridspec(len(ratios), 3, height_ratios=ratios)
-    cases = figure.add_subplot(grid[0, :2])
+    lines = 1 + (len(results) + 1) // LEGEND_COLUMNS
+    below = (GAP + JOINT if drawn else 0.0) + GAP + 0.2 * lines
+    height = HEAD + ROW * rows + below
+    figure = Figure(figsize=(WIDTH, height))
+    figure.suptitle(
+        title, x=0.01, y=1 - 0.12 / height, ha="left", va="top", fontsize=15, fontweight="bold", color=INK
+    )
+
+    def place(left: float, right: float, top: float, tall: float) -> tuple[float, float, float, float]:
+        """Left, bottom, width, height in parts of the figure, of a panel in inches from left and top."""
+        return left / WIDTH, 1 - (top + tall) / height, (right - left) / WIDTH, tall / height
+
+    cases = figure.add_axes(place(MARGIN, 8.3, HEAD, ROW * rows))
     _draw_ratios(cases, results)
     # Below everything: a dot may stand anywhere.
     handles, labels = cases.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower left", ncols=4, frameon=False, fontsize=9)
-    _draw_changes(figure.add_subplot(grid[0, 2], sharey=cases), results)
+    figure.legend(handles, labels, loc="lower left", ncols=LEGEND_COLUMNS, frameon=False, fontsize=9)
+    _draw_changes(figure.add_axes(place(8.6, WIDTH - 0.2, HEAD, ROW * rows), sharey=cases), results)
     if drawn:
-        _draw_joint(figure.add_subplot(grid[1, :]), results)
+        _draw_joint(figure.add_axes(place(MARGIN, WIDTH - 0.2, HEAD + ROW * rows + GAP, JOINT)), results)
     return figure
 
 

@@ -12,14 +12,15 @@ Capture = pytest.CaptureFixture[str]
 
 
 def test_train_writes_its_results_and_does_not_replace_them_unasked(tmp_path: Path, capsys: Capture) -> None:
-    arguments = ["train", "--aircraft", "nf1", "--steps", "32768", "--seed", "3", "--out", str(tmp_path)]
+    arguments = ["train", "--aircraft", "nf1", "--algorithm", "ppo", "--steps", "32768", "--seed", "3"]
+    arguments += ["--out", str(tmp_path)]
     assert main(arguments) == 0
     assert "32,768 steps" in capsys.readouterr().out
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     results = {"checkpoint.pt", "policy.onnx", "training.json"}
     assert set(made) == {*results, "monitor.json", "monitor.png"}
     assert json.loads(made["training.json"])["command"] == (
-        "neuroflight train --aircraft nf1 --steps 32768 --seed 3"
+        "neuroflight train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
     )
     assert main(arguments) == 1
     assert "already holds a checkpoint" in capsys.readouterr().err

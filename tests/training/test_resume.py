@@ -32,7 +32,7 @@ RUNS = {  # eight legs each, a checkpoint every second
 STOPPED_AT = 0.7  # of the run: within the sixth leg
 # The command in a process that sends itself a signal when it has come that far.
 SCRIPT = """
-import os, sys
+import os, signal, sys
 from toolchain.cli import train_display
 from toolchain.cli.main import main
 
@@ -43,6 +43,7 @@ class Stopped(train_display.Display):
             os.kill(os.getpid(), SIGNAL)
 
 train_display.Display = Stopped
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs begin without it
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
 """

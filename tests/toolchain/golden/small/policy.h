@@ -11,7 +11,7 @@
 #define POLICY_ACTION_COUNT 4
 #define POLICY_WEIGHT_COUNT 680
 #define POLICY_CONTROL_RATE_HZ 1000
-/* CRC-32 over operations, activations, shapes, table layout, observation blocks, rate and filters: tables of
+/* CRC-32 over operations, activations, shapes, table layout, observation terms, rate and filters: tables of
  * policies with the same hash may be exchanged. */
 #define POLICY_ARCHITECTURE_HASH 0xF6C02DD4u
 #define POLICY_FILTERS_HASH 0x0D4CBB29u /* of the gyro filter chain it was trained behind */
@@ -48,11 +48,11 @@ struct policy_blob_header {
     uint32_t observation_term_count; /* used entries of the next three, at least 1 */
     uint8_t observation_blocks[32]; /* codes in order, then 0 */
     uint8_t observation_ages[32]; /* steps: of each term, then 0 */
-    float observation_gains[32]; /* 1: of each low-pass, 0: none */
+    float observation_gains[32]; /* of each low-pass, 0: none */
     char aircraft[32]; /* ASCII, then 0; a name may fill it */
     uint8_t aircraft_sha256[32]; /* of the aircraft trained for */
     uint8_t policy_sha256[32]; /* of the ONNX file */
-    float idle; /* 1: motor fraction at zero thrust, 0 to 0.5 */
+    float idle; /* motor fraction at zero thrust, 0 to 0.5 */
 };
 _Static_assert(offsetof(struct policy_blob_header, magic) == 0, "magic");
 _Static_assert(offsetof(struct policy_blob_header, layout) == 4, "layout");
