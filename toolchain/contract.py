@@ -31,10 +31,13 @@ GYRO_COUNTS = 32768  # counts at full scale: 16.384 LSB per deg/s
 # --- Pilot's sticks --------------------------------------------------------------------------
 CHANNEL_COUNT = 16
 CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_ARM = range(5)
+CHANNEL_PID, CHANNEL_BEEPER = 5, 6
 CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
 ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
+PID_ON_US = 1700  # at or above this the PID flies
+BEEPER_ON_US = 1700
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
-RATE_FULL_STICK_DEG_S = 1000  # linear rates; no deadband, expo or interpolation yet
+RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
 SBUS_FRAME_BYTES = 25
@@ -47,7 +50,13 @@ CALIBRATION_MS = 1000  # length of the still gyro average
 CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
 CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
 RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
-RECEIVER_LOST_MS = 400  # silence after which the motors stop
+RECEIVER_LOST_MS = 400  # silence after which the configured failsafe stage begins
+RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
+GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
+GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
+DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
+HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
+MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends
 
 # --- Motor outputs ---------------------------------------------------------------------------
 DSHOT_STOP = 0
@@ -319,7 +328,22 @@ class Msp(IntEnum):
     ANALOG = 110
     STATUS_EX = 150
     UID = 160
+    SET_RAW_RC = 200  # sticks, where the receiver is MSP
+    SET_MOTOR = 214  # motor test, once MOTOR_TEST has opened it
+    EEPROM_WRITE = 250  # settings to flash
     POLICY_INFO = 0x4E01  # v2, ours: what the compiled-in policy is
+    TASKS = 0x4E02  # v2, ours: rate, worst, best, mean and misses of each task
+    FAULTS = 0x4E03  # v2, ours: the record of the last fault; with a payload: it is acknowledged
+    SAFETY = 0x4E04  # v2, ours: flight state, causes of the last stop and of the last change to the PID
+    SETTING_INFO = 0x4E10  # v2, ours: name, unit, range, default of one setting, by index
+    SETTING_GET = 0x4E11  # v2, ours: value of one setting, by index
+    SETTING_SET = 0x4E12  # v2, ours: one setting, by index; flown from the next boot on
+    MOTOR_TEST = 0x4E20  # v2, ours: opens or closes the motor test
+    DSHOT_COMMAND = 0x4E21  # v2, ours: beep, direction; disarmed only
+    POLICY_SLOT_BEGIN = 0x4E30  # v2, ours: erases the slot that is not flown
+    POLICY_SLOT_WRITE = 0x4E31  # v2, ours: offset and bytes
+    POLICY_SLOT_END = 0x4E32  # v2, ours: checks the blob; flown from the next boot on
+    REBOOT = 68
 
 
 MSP_PROTOCOL_VERSION = 0
@@ -331,7 +355,20 @@ VERSION = (0, 1, 0)
 CRC8_DVB_S2_POLY = 0xD5
 
 
-# --- Reasons that forbid arming (bit field, shown by MSP STATUS_EX) ---------------------------
+# --- Safety ----------------------------------------------------------------------------------
+class FlightState(IntEnum):
+    """What the firmware is doing; firmware/src/safety.c has the transitions."""
+
+    BOOT = 0
+    CALIBRATING = 1
+    DISARMED = 2
+    ARMED = 3
+    FAILSAFE_HOLD = 4  # armed, the receiver silent: rates centred, throttle kept
+    FAILSAFE_DROP = 5  # the configured stage: motors stopped, or a descent that ends so
+    CRASHED = 6  # motors stopped until the switch has been off
+    FAULT = 7  # motors stopped until the next boot
+
+
 class ArmingReason(IntEnum):
     """Bit number of each reason that keeps the motors stopped."""
 
@@ -340,7 +377,159 @@ class ArmingReason(IntEnum):
     RECEIVER_LOST = 2
     THROTTLE_HIGH = 3
     SWITCH_NOT_CYCLED = 4
-    POLICY_BAD = 5
+    POLICY_BAD = 5  # and the switch chooses the policy
+    GYRO_BAD = 6  # stuck, saturated, silent or no number
+    NOT_LEVEL = 7  # tilted beyond the limit, or the attitude is not known
+    BATTERY_UNKNOWN = 8
+    FAULT = 9  # a fault record that nobody acknowledged
+    CRASHED = 10
+    MOTOR_TEST = 11
+    STORING = 12  # flash is being erased or written
+    PID_MISSING = 13  # the switch chooses a PID that is not built in
+
+
+class StopCause(IntEnum):
+    """Why the motors stopped last."""
+
+    NONE = 0
+    SWITCH = 1
+    RECEIVER = 2
+    GYRO_INVALID = 3
+    GYRO_STUCK = 4
+    GYRO_SATURATED = 5
+    GYRO_SILENT = 6
+    CRASH = 7
+    RUNAWAY = 8
+    NO_CONTROLLER = 9  # the policy was refused in flight and no PID is built in
+
+
+class FallbackCause(IntEnum):
+    """Why the PID flies instead of the policy."""
+
+    NONE = 0
+    SWITCH = 1  # the pilot's
+    POLICY_OUTPUT = 2  # NaN or out of range
+    DEADLINE = 3
+
+
+class GyroHealth(IntEnum):
+    """What is wrong with the gyro's samples."""
+
+    GOOD = 0
+    INVALID = 1  # the transfer failed or the value is no rate
+    STUCK = 2
+    SATURATED = 3
+    SILENT = 4
+
+
+# --- Settings --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Setting:
+    """One number that a pilot may change: kept in flash, flown from the next boot on."""
+
+    name: str
+    kind: str  # "uint32_t" or "float"; four bytes either way
+    low: float
+    high: float
+    default: float
+    unit: str
+    meaning: str
+    choices: tuple[str, ...] = ()  # names of 0, 1, ...
+
+
+def _choice(name: str, default: str, choices: tuple[str, ...], meaning: str) -> Setting:
+    return Setting(name, "uint32_t", 0, len(choices) - 1, choices.index(default), "", meaning, choices)
+
+
+def _whole(name: str, low: int, high: int, default: int, unit: str, meaning: str) -> Setting:
+    return Setting(name, "uint32_t", low, high, default, unit, meaning)
+
+
+def _number(name: str, low: float, high: float, default: float, unit: str, meaning: str) -> Setting:
+    return Setting(name, "float", low, high, default, unit, meaning)
+
+
+class FilterKind(IntEnum):
+    """A stage of the gyro's filter chain."""
+
+    NONE = 0
+    PT1 = 1
+    PT2 = 2
+    PT3 = 3
+    BIQUAD = 4  # low-pass of second order
+    NOTCH = 5
+
+
+_SWITCH = ("off", "on")
+_FILTERS = tuple(kind.name.lower() for kind in FilterKind)
+FILTER_STAGES = 4
+SETTINGS = (
+    _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "one of GYRO_RATES_HZ"),
+    _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
+    _whole("gyro_stuck_ms", 0, 1000, GYRO_BAD_MS, "ms", "the same sample for longer is a fault; 0: never"),
+    *(
+        setting
+        for stage in range(1, FILTER_STAGES + 1)
+        for setting in (
+            _choice(f"filter{stage}_kind", "none", _FILTERS, "of the gyro's filter chain, in order"),
+            _number(f"filter{stage}_hz", 1.0, 4000.0, 100.0, "Hz", "cutoff, or centre of the notch"),
+            _number(f"filter{stage}_q", 0.1, 100.0, 0.70710678, "1", "quality of biquad and notch"),
+        )
+    ),
+    _whole("dynamic_notch_count", 0, 3, 0, "notches", "that follow the peaks of each axis; 0: none"),
+    _number("dynamic_notch_low_hz", 30.0, 1000.0, 100.0, "Hz", "lowest centre"),
+    _number("dynamic_notch_high_hz", 60.0, 2000.0, 600.0, "Hz", "highest centre"),
+    _number("dynamic_notch_q", 0.5, 20.0, 3.0, "1", "quality"),
+    _choice("receiver_protocol", "sbus", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
+    *(
+        _whole(f"map_{name}", 0, CHANNEL_COUNT - 1, channel, "channel", f"of the receiver that is {name}")
+        for name, channel in (
+            ("roll", CHANNEL_ROLL),
+            ("pitch", CHANNEL_PITCH),
+            ("throttle", CHANNEL_THROTTLE),
+            ("yaw", CHANNEL_YAW),
+            ("arm", CHANNEL_ARM),
+            ("pid", CHANNEL_PID),
+            ("beeper", CHANNEL_BEEPER),
+        )
+    ),
+    _choice("rates_style", "actual", ("actual", "betaflight"), "what the nine numbers below mean"),
+    *(
+        setting
+        for axis in AXES
+        for setting in (
+            _number(
+                f"{axis}_rate",
+                0.01,
+                1000.0,
+                1000.0,
+                "deg/s",
+                "actual: slope at the centre; betaflight: RC rate",
+            ),
+            _number(
+                f"{axis}_max", 0.0, 1998.0, 1000.0, "deg/s", "actual: at full stick; betaflight: super rate"
+            ),
+            _number(f"{axis}_expo", 0.0, 1.0, 0.0, "1", "0: none"),
+        )
+    ),
+    _whole("deadband_us", 0, 100, 0, "us", "of roll and pitch"),
+    _whole("yaw_deadband_us", 0, 100, 0, "us", "of yaw"),
+    _choice("interpolation", "off", _SWITCH, "a ramp between two receiver frames"),
+    _choice("failsafe_stage", "drop", ("drop", "descend"), "after the hold"),
+    _number("failsafe_throttle", 0.0, 1.0, 0.2, "1", "while descending"),
+    _whole("failsafe_descend_ms", 0, 60_000, 3000, "ms", "then the motors stop"),
+    _number("level_limit_deg", 0.0, 180.0, 25.0, "deg", "tilt that arming allows; 0: any, known or not"),
+    _number("motor_limit", 0.1, 1.0, 1.0, "1", "largest motor fraction"),
+    _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
+    _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
+    _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),
+    _number("battery_scale", 1.0, 100.0, 11.0, "1", "volts at the pack for one at the pin"),
+    _number("current_scale", 1.0, 1000.0, 17.9, "mV/A", "of the sensor"),
+    _number("battery_warn_v", 2.5, 4.4, 3.5, "V", "a cell: warning"),
+    _number("battery_low_v", 2.5, 4.4, 3.3, "V", "a cell: land now"),
+    _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
+    _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
+)
 
 
 # --- MATEKF722: memory and flash map ----------------------------------------------------------

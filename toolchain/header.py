@@ -20,7 +20,7 @@ from toolchain.templating import render
 
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing.
 PYTHON_ONLY = ("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_")
-TABLES = ("POLICY_BLOB_FIELDS",)  # rendered as a struct
+TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS")  # rendered as structs
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,29 @@ def render_contract() -> str:
             if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
+        settings=[
+            {
+                "name": setting.name,
+                "kind": setting.kind,
+                "limits": ", ".join(
+                    _number(setting, value) for value in (setting.low, setting.high, setting.default)
+                ),
+                "unit": setting.unit,
+                "comment": f"{setting.unit}: {setting.meaning}" if setting.unit else setting.meaning,
+            }
+            for setting in contract.SETTINGS
+        ],
+        choices=[
+            (f"{setting.name}_{choice}".upper(), value)
+            for setting in contract.SETTINGS
+            if setting.choices[:2] != ("off", "on") and not setting.name.startswith("filter")
+            for value, choice in enumerate(setting.choices)
+        ],
     )
+
+
+def _number(setting: contract.Setting, value: float) -> str:
+    return _literal(float(value)) if setting.kind == "float" else _literal(int(value))
 
 
 def _constants() -> Iterator[tuple[str, object]]:
@@ -134,7 +156,12 @@ def _enumerations() -> tuple[Enumeration, ...]:
     return (
         Enumeration("nf_observation", "Codes of the observation blocks, with unit and meaning.", observation),
         _enumeration("nf_msp", "NF_MSP", contract.Msp),
+        _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState),
         _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason),
+        _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause),
+        _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause),
+        _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth),
+        _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 
 

@@ -5,10 +5,13 @@
 #ifndef NF_HAL_H
 #define NF_HAL_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
+#include "fault_record.h"
 #include "firmware.h"
+#include "imu.h"
 #include "msp.h"
 
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
@@ -16,17 +19,30 @@
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {
-	struct firmware_config config;  /* gyro rate, alignment */
+	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
+	unsigned gyro_rate_hz;          /* 0: as set; another: asked for on this start, whatever the settings say */
 	struct msp_identity identity;   /* its strings live as long as the program */
 	uint32_t cycles_hz;             /* what hal_cycles counts in a second */
+};
+
+/* Raw measurements of the battery; what they mean is set by the pilot. */
+struct power_sample {
+	uint16_t volts_mv;    /* at the pin */
+	uint16_t amps_mv;     /* at the pin */
+	bool valid;
 };
 
 struct hal_handlers {
 	void *context;
 	/* Each gyro sample, chip axes, in order, none twice. Board: from the gyro interrupt, which nothing
 	 * of the core preempts. Calls the hal_*_read and hal_*_write functions below before it returns. */
-	void (*sample)(void *context, const int16_t counts[3]);
-	/* Bytes from an MSP peer; returns how many reply bytes to send. Background, below `sample`. */
+	void (*sample)(void *context, const struct imu_sample *sample);
+	/* No sample came for NF_GYRO_BAD_MS. Same context as `sample`; called again each time as long passes. */
+	void (*gyro_silent)(void *context);
+	/* Everything that can wait, a little at a time. Below `sample`; called again and again, and at least
+	 * once between two samples when the processor has time. */
+	void (*background)(void *context);
+	/* Bytes from an MSP peer; returns how many reply bytes to send. Same context as `background`. */
 	size_t (*msp)(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity);
 	/* A new MSP peer: a request half read from the last one is void. Same context as `msp`. */
 	void (*msp_reset)(void *context);
@@ -37,26 +53,55 @@ struct hal_handlers {
  * always HAL_RUN, also when the gyro does not answer: without samples nothing arms and MSP still tells why. */
 int hal_init(int argc, char **argv, struct hal_info *info);
 
-/* Runs the handlers. Board: never returns. Host: returns the program's exit code. */
-int hal_run(const struct hal_handlers *handlers);
+/* Runs the handlers with gyro rate, receiver and motor protocol as in `settings`, which outlive the program.
+ * Board: never returns. Host: returns the program's exit code. */
+int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings);
 
-/* The core cannot fly with hal_info: say so where this chip can (host: one line on stderr; board: LED),
- * motors stopped. Board: never returns. Host: returns the program's exit code. */
+/* The core cannot fly with hal_info and the settings: say so where this chip can (host: one line on stderr;
+ * board: LED), motors stopped. Board: never returns. Host: returns the program's exit code. */
 int hal_refuse(enum nf_err why);
 
 /* Receiver bytes since the last call, oldest first, at most `capacity` (the rest stays). Never waits.
  * Called from `sample`, once at the start of each control step. */
 size_t hal_receiver_read(uint8_t *bytes, size_t capacity);
 
-/* DShot values (11 bits, motor order, 0 stops) from `sample`, every gyro sample, held between control steps.
- * The chip sends them as frames (dshot_frame of dshot.h) or packets. Never waits: if the last frame is still
- * on the wire, this one is dropped. */
-void hal_motors_write(const uint16_t dshot[], size_t count);
+/* DShot values (11 bits, motor order, 0 stops) from `sample` or `gyro_silent`, every gyro sample, held between
+ * control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as frames
+ * (dshot_frame of dshot.h) or packets. Never waits: if the last frame is still on the wire, this one is dropped. */
+void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry);
 
 /* The control step just done, from `sample`, after hal_motors_write. A chip without a trace does nothing. */
 void hal_trace_write(const struct control_trace *trace);
 
 /* A free-running counter, wrapping at 2^32. Only measures; no decision of the core depends on it. */
 uint32_t hal_cycles(void);
+
+/* Did the control step that took `cycles` miss its deadline, the next control step's sample? From `sample`.
+ * Host: only where a power packet says so, as the simulator's clock does not run meanwhile. */
+bool hal_deadline_missed(uint32_t cycles);
+
+/* The battery's last measurement. Never waits. */
+void hal_power_read(struct power_sample *power);
+
+/* Beeper and LED. */
+void hal_beeper(bool on);
+void hal_led(bool on);
+
+/* Keeps the watchdog content; without it the board resets within a second. From `background` only. */
+void hal_watchdog_feed(void);
+
+/* Flash, by the addresses of the contract's flash map. Reading is memory. Erasing sets a sector's bits, programming
+ * clears bits and takes whole 4-byte words at multiples of 4; both wait, keep the watchdog content, stop samples
+ * meanwhile, and return whether flash then holds what was asked for. Only disarmed: the caller's duty. */
+const uint8_t *hal_flash_at(uint32_t address);
+bool hal_flash_erase(unsigned sector);
+bool hal_flash_program(uint32_t address, const void *words, size_t bytes);
+
+/* What a fault before this boot left behind, if one did. hal_fault_clear forgets it. */
+bool hal_fault_take(struct fault_record *record);
+void hal_fault_clear(void);
+
+/* Starts anew, motors stopped. Board: never returns. Host: ends the program with success when hal_run returns. */
+void hal_reset(void);
 
 #endif

@@ -204,11 +204,11 @@ static void tick(struct firmware *fw)
 	receiver_tick(&fw->receiver);
 }
 
-void firmware_sample(struct firmware *fw, const int16_t counts[3], uint16_t dshot[POLICY_ACTION_COUNT])
+void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT])
 {
 	float rate[3];
 
-	gyro_step(&fw->gyro, counts, rate);
+	gyro_step(&fw->gyro, sample->gyro, rate);
 	if (firmware_control_due(fw)) {
 		control_step(fw, rate);
 		fence();

@@ -11,6 +11,7 @@
 
 #include "arming.h"
 #include "gyro.h"
+#include "imu.h"
 #include "mixer.h"
 #include "nf_contract.h"
 #include "nf_err.h"
@@ -23,6 +24,7 @@
 struct firmware_config {
 	unsigned gyro_rate_hz;          /* 1000, 2000, 4000 or 8000, a multiple of POLICY_CONTROL_RATE_HZ */
 	enum board_alignment alignment;
+	const struct nf_settings *settings; /* must outlive the firmware */
 };
 
 struct firmware {
@@ -59,7 +61,7 @@ bool firmware_control_due(const struct firmware *fw);
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count);
 
 /* One gyro sample (chip axes). Writes the DShot value of each motor; between control steps they are held. */
-void firmware_sample(struct firmware *fw, const int16_t counts[3], uint16_t dshot[POLICY_ACTION_COUNT]);
+void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT]);
 
 /* The last control step. Same context as firmware_sample. */
 const struct control_trace *firmware_trace(const struct firmware *fw);

@@ -133,7 +133,7 @@ static void put_status(struct writer *w, const struct source *s)
 static void put_arming(struct writer *w, const struct source *s)
 {
 	put_u8(w, 0); /* no flight modes beyond the first 32 */
-	put_u8(w, NF_ARMING_REASON_POLICY_BAD + 1);
+	put_u8(w, NF_ARMING_REASON_PID_MISSING + 1);
 	put_u32(w, s->status->arming_reasons);
 	put_u8(w, 0);  /* no restart needed */
 	put_u16(w, 0); /* core temperature: not measured */

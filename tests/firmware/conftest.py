@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
 PUPPET = Path(__file__).parent / "puppet"
 HEADERS = (
-    *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h"),
+    *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h", "settings.h"),
     *("hal/host/convert.h", "hal/host/reference.h"),
 )
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types
@@ -148,7 +148,9 @@ class Bench:
     def __init__(self, core: Core, gyro_hz: int = 1000, *, alignment: int = 0, expect: int = SUCCESS) -> None:
         self.core, self.gyro_hz = core, gyro_hz
         self.fw = core.new("struct firmware *")
-        config = core.new("struct firmware_config *", (gyro_hz, alignment))
+        self.settings = core.new("struct nf_settings *")
+        core.lib.settings_default(self.settings)
+        config = core.new("struct firmware_config *", (gyro_hz, alignment, self.settings))
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect
         self._dshot = core.new("uint16_t[8]")
@@ -164,7 +166,8 @@ class Bench:
 
     def sample(self) -> list[int]:
         """One gyro sample; returns the DShot values."""
-        self.core.lib.firmware_sample(self.fw, self.counts, self._dshot)
+        sample = self.core.new("struct imu_sample *", (self.counts, (0, 0, 0), 0, True))
+        self.core.lib.firmware_sample(self.fw, sample, self._dshot)
         return list(self._dshot)[: self.trace.motor_count]
 
     def run(self, ms: float, *, every_ms: int | None = 10, **channels_us: int) -> list[int]:

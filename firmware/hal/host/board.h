@@ -7,7 +7,7 @@
 
 extern const struct msp_identity host_identity;
 
-/* What firmware_init takes on this board. */
-struct firmware_config host_config(unsigned gyro_rate_hz);
+/* How the chip that the host pretends to have is turned. */
+#define HOST_GYRO_ALIGNMENT ALIGN_CW180
 
 #endif

@@ -23,7 +23,7 @@ static struct host {
 	struct msp_tcp tcp;
 	struct receiver_line line;
 	enum board_alignment alignment;
-	int16_t counts[3];           /* the last gyro sample */
+	struct imu_sample sample;    /* the last one */
 	unsigned long held;          /* samples repeated because a rate was NaN */
 	uint16_t dshot[NF_MOTOR_COUNT_MAX];
 	size_t motor_count;
@@ -70,11 +70,12 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 		return 1;
 	}
 	*info = (struct hal_info){
-		.config = host_config(host.options.gyro_hz),
+		.alignment = HOST_GYRO_ALIGNMENT,
+		.gyro_rate_hz = host.options.gyro_hz,
 		.identity = host_identity,
 		.cycles_hz = 1000000000u,
 	};
-	host.alignment = info->config.alignment;
+	host.alignment = info->alignment;
 	return HAL_RUN;
 }
 
@@ -90,9 +91,11 @@ static void step(const struct hal_handlers *handlers)
 	while (link_take_receiver(&host.link, channels_us))
 		receiver_line_put(&host.line, channels_us);
 	link_drain_power(&host.link);
-	if (!convert_rates(rates_frd, host.alignment, host.counts))
+	if (!convert_rates(rates_frd, host.alignment, host.sample.gyro))
 		host.held++;
-	handlers->sample(handlers->context, host.counts);
+	host.sample.valid = true;
+	handlers->sample(handlers->context, &host.sample);
+	handlers->background(handlers->context);
 	link_send_motors(&host.link, host.dshot, host.motor_count);
 }
 
@@ -111,8 +114,9 @@ static void say_what_was_wrong(void)
 		fprintf(stderr, "neuroflight: %lu gyro samples were NaN, the one before was repeated\n", host.held);
 }
 
-int hal_run(const struct hal_handlers *handlers)
+int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
+	(void)settings;
 	int code = 0;
 
 	say_ready();
@@ -167,8 +171,9 @@ size_t hal_receiver_read(uint8_t *bytes, size_t capacity)
 	return receiver_line_take(&host.line, bytes, capacity);
 }
 
-void hal_motors_write(const uint16_t dshot[], size_t count)
+void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 {
+	(void)telemetry;
 	host.motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
 	memcpy(host.dshot, dshot, host.motor_count * sizeof dshot[0]);
 }
@@ -184,4 +189,62 @@ uint32_t hal_cycles(void)
 
 	clock_gettime(CLOCK_MONOTONIC, &now);
 	return (uint32_t)now.tv_sec * 1000000000u + (uint32_t)now.tv_nsec;
+}
+
+bool hal_deadline_missed(uint32_t cycles)
+{
+	(void)cycles;
+	return false;
+}
+
+void hal_power_read(struct power_sample *power)
+{
+	*power = (struct power_sample){ 0 };
+}
+
+void hal_beeper(bool on)
+{
+	(void)on;
+}
+
+void hal_led(bool on)
+{
+	(void)on;
+}
+
+void hal_watchdog_feed(void)
+{
+}
+
+const uint8_t *hal_flash_at(uint32_t address)
+{
+	return (const uint8_t *)0 + 0 * address;
+}
+
+bool hal_flash_erase(unsigned sector)
+{
+	(void)sector;
+	return false;
+}
+
+bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
+{
+	(void)address;
+	(void)words;
+	(void)bytes;
+	return false;
+}
+
+bool hal_fault_take(struct fault_record *record)
+{
+	(void)record;
+	return false;
+}
+
+void hal_fault_clear(void)
+{
+}
+
+void hal_reset(void)
+{
 }

@@ -7,12 +7,14 @@
 #include "hal/host/convert.h"
 #include "hal/host/receiver_line.h"
 #include "msp.h"
+#include "settings.h"
 
 struct reference {
 	struct firmware firmware;
 	struct msp msp;
 	enum board_alignment alignment;
-	int16_t counts[3]; /* the last sample, repeated where a rate is NaN */
+	struct nf_settings settings;
+	struct imu_sample sample; /* the last one, its rates repeated where one is NaN */
 	struct receiver_line line;
 };
 _Static_assert(_Alignof(struct reference) <= 8, "callers align to 8");
@@ -25,9 +27,14 @@ size_t reference_size(void)
 int reference_init(void *self, unsigned gyro_hz)
 {
 	struct reference *r = self;
-	const struct firmware_config config = host_config(gyro_hz);
+	const struct firmware_config config = {
+		.gyro_rate_hz = gyro_hz,
+		.alignment = HOST_GYRO_ALIGNMENT,
+		.settings = &r->settings,
+	};
 
 	memset(r, 0, sizeof *r);
+	settings_default(&r->settings);
 	r->alignment = config.alignment;
 	msp_init(&r->msp, &host_identity);
 	return firmware_init(&r->firmware, &config);
@@ -44,12 +51,13 @@ void reference_sample(void *self, const double rates_frd[3], uint16_t dshot[])
 {
 	struct reference *r = self;
 
-	convert_rates(rates_frd, r->alignment, r->counts);
+	convert_rates(rates_frd, r->alignment, r->sample.gyro);
+	r->sample.valid = true;
 	if (firmware_control_due(&r->firmware)) {
 		uint8_t bytes[sizeof r->line.bytes];
 		firmware_receive(&r->firmware, bytes, receiver_line_take(&r->line, bytes, sizeof bytes));
 	}
-	firmware_sample(&r->firmware, r->counts, dshot);
+	firmware_sample(&r->firmware, &r->sample, dshot);
 }
 
 void reference_trace(const void *self, struct reference_trace *out)

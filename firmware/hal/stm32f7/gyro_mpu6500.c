@@ -186,15 +186,15 @@ static int16_t big_endian(const volatile uint8_t *bytes)
 
 void gyro_sample_handler(void)
 {
-	int16_t counts[3];
+	struct imu_sample sample = { 0 };
 
 	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
 	interrupts_disable();
-	const bool complete = dma_complete(DMA_GYRO_RX);
+	const bool complete = sample.valid = dma_complete(DMA_GYRO_RX);
 	end_transfer();
 	for (uint32_t axis = 0; axis < 3u; ++axis)
-		counts[axis] = big_endian(gyro_response + COUNTS_OFFSET + 2u * axis);
+		sample.gyro[axis] = big_endian(gyro_response + COUNTS_OFFSET + 2u * axis);
 	interrupts_enable();
 	if (complete)
-		gyro.handlers->sample(gyro.handlers->context, counts);
+		gyro.handlers->sample(gyro.handlers->context, &sample);
 }

@@ -16,7 +16,6 @@ _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives four
 
 /* Set by hal_init, used by hal_run. */
 static bool gyro_good;
-static unsigned gyro_rate_hz;
 
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
@@ -32,12 +31,9 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	receiver_sbus_start();
 	msp_uart_start();
 	gyro_good = gyro_start();
-	gyro_rate_hz = NF_GYRO_RATE_DEFAULT_HZ;
 
-	info->config = (struct firmware_config){
-		.gyro_rate_hz = gyro_rate_hz,
-		.alignment = BOARD_GYRO_ALIGNMENT,
-	};
+	info->alignment = BOARD_GYRO_ALIGNMENT;
+	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
 	info->identity = (struct msp_identity){
 		.board = BOARD_ID,
@@ -58,13 +54,14 @@ static void rest(void)
 	interrupts_enable();
 }
 
-int hal_run(const struct hal_handlers *handlers)
+int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
 	const enum led_code code = gyro_good ? LED_RUNNING : LED_NO_GYRO;
 
 	if (gyro_good)
-		gyro_run(handlers, gyro_rate_hz);
+		gyro_run(handlers, settings->gyro_rate_hz);
 	for (;;) {
+		handlers->background(handlers->context);
 		msp_uart_serve(handlers);
 		gpio_write(BOARD_LED0, !led_lit(code, time_ms()));
 		rest();
@@ -82,8 +79,9 @@ size_t hal_receiver_read(uint8_t *bytes, size_t capacity)
 	return receiver_sbus_read(bytes, capacity);
 }
 
-void hal_motors_write(const uint16_t dshot[], size_t count)
+void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 {
+	(void)telemetry;
 	motors_write(dshot, count);
 }
 
@@ -96,4 +94,62 @@ void hal_trace_write(const struct control_trace *trace)
 uint32_t hal_cycles(void)
 {
 	return time_cycles();
+}
+
+bool hal_deadline_missed(uint32_t cycles)
+{
+	(void)cycles;
+	return false;
+}
+
+void hal_power_read(struct power_sample *power)
+{
+	*power = (struct power_sample){ 0 };
+}
+
+void hal_beeper(bool on)
+{
+	(void)on;
+}
+
+void hal_led(bool on)
+{
+	(void)on;
+}
+
+void hal_watchdog_feed(void)
+{
+}
+
+const uint8_t *hal_flash_at(uint32_t address)
+{
+	return (const uint8_t *)address;
+}
+
+bool hal_flash_erase(unsigned sector)
+{
+	(void)sector;
+	return false;
+}
+
+bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
+{
+	(void)address;
+	(void)words;
+	(void)bytes;
+	return false;
+}
+
+bool hal_fault_take(struct fault_record *record)
+{
+	(void)record;
+	return false;
+}
+
+void hal_fault_clear(void)
+{
+}
+
+void hal_reset(void)
+{
 }
