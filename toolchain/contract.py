@@ -412,6 +412,17 @@ class FallbackCause(IntEnum):
     DEADLINE = 3
 
 
+class Task(IntEnum):
+    """What the processor is measured at."""
+
+    GYRO = 0  # a gyro sample that is no control step
+    CONTROL = 1  # one that is, from the interrupt to the motors' frame
+    BATTERY = 2
+    ALERT = 3
+    STORAGE = 4
+    MSP = 5
+
+
 class GyroHealth(IntEnum):
     """What is wrong with the gyro's samples."""
 

@@ -27,6 +27,24 @@ struct firmware_status {
 	uint16_t load_percent;                 /* longest gyro sample so far against the gyro period; main.c's */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */
+	bool pid_built_in;                     /* there is a PID to fall back on */
+	bool pid_flies;                        /* it flies, or would if armed now */
+	uint8_t state;                         /* enum nf_flight_state */
+	uint8_t stop_cause;                    /* enum nf_stop_cause: why the motors stopped last */
+	uint8_t fallback_cause;                /* enum nf_fallback_cause: why the PID took over last */
+	uint8_t gyro_health;                   /* enum nf_gyro_health */
+	uint8_t receiver_quality;              /* % */
+	bool attitude_known;
+	float attitude_deg[3];                 /* roll, pitch, yaw as attitude_euler_deg tells; 0 until known */
+	float accel_g[3];                      /* body axes */
+	float temperature_deg_c;               /* of the gyro */
+	float idle;                            /* motor fraction at zero thrust, of the controller that flies */
+	/* The background's, filled in by main.c. */
+	float volts, amps;                     /* of the battery, filtered */
+	float drawn_mah;
+	float sag_v;                           /* how far the load pulls the battery down */
+	uint8_t cells;                         /* 0: not known */
+	uint8_t battery_level;                 /* enum battery_level */
 };
 
 #endif
