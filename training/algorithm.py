@@ -145,11 +145,13 @@ class DdpgConfig(OffPolicyConfig):
 
     name: ClassVar[str] = "ddpg"
     noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
+    hold: int = 8  # control steps that a draw of it stands
 
     def refusals(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
         yield from super().refusals(episode_steps)
         yield from _refused_noise(self.noise)
+        yield from _refused_counts(self, ("hold",))
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ class Td3Config(OffPolicyConfig):
 
     name: ClassVar[str] = "td3"
     noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
+    hold: int = 8  # control steps that a draw of it stands
     policy_delay: int = 2  # updates of the critics for one of the actor
     target_noise: float = 0.1  # of the target's output
     target_noise_clip: float = 0.2
@@ -166,7 +169,7 @@ class Td3Config(OffPolicyConfig):
         """See Algorithm."""
         yield from super().refusals(episode_steps)
         yield from _refused_noise(self.noise)
-        yield from _refused_counts(self, ("policy_delay",))
+        yield from _refused_counts(self, ("policy_delay", "hold"))
         yield from _refused_numbers(self, positive=("target_noise",), not_negative=("target_noise_clip",))
 
 

@@ -29,7 +29,7 @@ from training.task import PulseTask, Task
 
 # Raw observation values are brought to about unit size by these factors, folded into the first layer at
 # freeze. Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of
-# about 2 deg/s (0.03 rad/s) a step.
+# about 2 deg/s (0.03 rad/s) a step. Rotors steer by differences of some hundred rad/s.
 OBSERVATION_SCALES = {
     "rate": 0.3,
     "rate_error": 0.3,
@@ -37,7 +37,7 @@ OBSERVATION_SCALES = {
     "rate_error_integral": 3.0,
     "previous_action": 1.0,
     "throttle": 1.0,
-    "rotor_speed": 0.001,
+    "rotor_speed": 0.004,
     "gravity": 1.0,
 }
 ACTIVATIONS = ("relu", "tanh")

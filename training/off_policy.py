@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from sim.aircraft import Aircraft
 from training.algorithm import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
 from training.configuration import TrainingConfig
+from training.learner import Report
 from training.sb3 import MODULES, Sb3Learner
 
 REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -47,12 +48,12 @@ class OffPolicyLearner(Sb3Learner):
         }
         match knobs:
             case DdpgConfig():
-                self._model = DDPG("MlpPolicy", self._env, action_noise=self._noise(knobs.noise), **common)
+                self._model = DDPG("MlpPolicy", self._env, action_noise=self._noise(knobs), **common)
             case Td3Config():
                 self._model = TD3(
                     "MlpPolicy",
                     self._env,
-                    action_noise=self._noise(knobs.noise),
+                    action_noise=self._noise(knobs),
                     policy_delay=knobs.policy_delay,
                     target_policy_noise=knobs.target_noise,
                     target_noise_clip=knobs.target_noise_clip,
@@ -61,6 +62,12 @@ class OffPolicyLearner(Sb3Learner):
             case SacConfig():
                 target = knobs.target_entropy * aircraft.motor_count
                 self._model = SAC("MlpPolicy", self._env, target_entropy=target, **common)
+
+    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+        """See Learner."""
+        if isinstance(noise := self._model.action_noise, _FadingNoise):
+            noise.restart()
+        super().learn(leg, report)
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
@@ -119,23 +126,34 @@ class OffPolicyLearner(Sb3Learner):
             optimizers.append(model.ent_coef_optimizer)
         return optimizers
 
-    def _noise(self, deviation: tuple[float, float]) -> VectorizedActionNoise:
+    def _noise(self, knobs: DdpgConfig | Td3Config) -> _FadingNoise:
         shape = self._env.action_space.shape
         assert shape is not None
-        return _FadingNoise(self, deviation, (self._env.num_envs, *shape))
+        return _FadingNoise(self, knobs.noise, knobs.hold, (self._env.num_envs, *shape))
 
 
 class _FadingNoise(VectorizedActionNoise):
     """Normal noise of all aircraft at once; its deviation goes from the first value to the last in a run."""
 
-    def __init__(self, learner: Sb3Learner, deviation: tuple[float, float], shape: tuple[int, ...]) -> None:
-        self._learner, self._deviation, self._shape = learner, deviation, shape
+    def __init__(
+        self, learner: Sb3Learner, deviation: tuple[float, float], hold: int, shape: tuple[int, ...]
+    ) -> None:
+        self._learner, self._deviation, self._hold = learner, deviation, hold
+        self._drawn = np.zeros(shape, np.float32)
+        self._step = 0  # since the leg began
+
+    def restart(self) -> None:
+        """A new leg: the next call draws anew."""
+        self._step = 0
 
     def reset(self, indices: Iterable[int] | None = None) -> None:
-        """Nothing is remembered from a step to the next."""
+        """An episode ends in the middle of a draw like any other step."""
 
     def __call__(self) -> NDArray[np.float32]:
         """Of all aircraft (N, M), from numpy's global generator as all of Stable-Baselines3's chance."""
-        first, last = self._deviation
-        deviation = first + (last - first) * self._learner.part
-        return np.random.normal(0.0, deviation, self._shape).astype(np.float32)
+        if self._step % self._hold == 0:
+            first, last = self._deviation
+            deviation = first + (last - first) * self._learner.part
+            self._drawn = np.random.normal(0.0, deviation, self._drawn.shape).astype(np.float32)
+        self._step += 1
+        return self._drawn

@@ -47,27 +47,33 @@ class Reward(Protocol):
 class TrackingReward:
     """Follow the command, with motors slow and calm.
 
-    r = -error Σ|e| / 100 deg/s - output ȳ - change mean|Δy|, over axes and motors.
+    r = -error Σ|e| / 100 deg/s - settle Σ min(|e| / 10 deg/s, 1) - output ȳ - change mean|Δy|, over axes
+    and motors.
     The absolute error (not its square) keeps pulling when the error is small, which is what the
     figures of merit measure. Δy is of the sampled outputs, which exploration dominates: smoothness of
     the mean output is asked for in the policy's loss instead (see `training.smooth_ppo`), and `change`
-    is there for those who train without it.
+    is there for those who train without it. `settle` counts the axes that have not arrived: where
+    commands are large and the way there long, |e| alone hardly tells 2 deg/s at the end from 10.
     """
 
     name: ClassVar[str] = "tracking"
     error: float = 1.0
+    settle: float = 0.0
     output: float = 0.6
     change: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse weights that are none."""
-        check_limits(f"reward {self.name}", self, error=WEIGHT, output=WEIGHT, change=WEIGHT)
+        check_limits(f"reward {self.name}", self, error=WEIGHT, settle=WEIGHT, output=WEIGHT, change=WEIGHT)
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
-        tracking = np.abs(step.error).sum(axis=1) / np.deg2rad(100.0)
+        error = np.abs(step.error)
+        tracking = self.error * error.sum(axis=1) / np.deg2rad(100.0)
+        if self.settle:
+            tracking += self.settle * np.minimum(error / np.deg2rad(10.0), 1.0).sum(axis=1)
         change = np.abs(step.action - step.action_before).mean(axis=1)
-        reward = -self.error * tracking - self.output * step.action.mean(axis=1) - self.change * change
+        reward = -tracking - self.output * step.action.mean(axis=1) - self.change * change
         return np.asarray(reward, np.float32)
 
 

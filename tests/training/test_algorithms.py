@@ -1,6 +1,7 @@
 """The algorithms as learners: what they freeze to, how they go on, how they see an episode's end."""
 
 import io
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -153,6 +154,20 @@ def test_an_episodes_end_is_bootstrapped_when_it_is_one_of_the_clock(algorithm: 
             else:
                 value = model.policy.predict_values(observation)
     assert -0.12 < float(value.mean()) < -0.085
+
+
+@pytest.mark.parametrize("name", ["ddpg", "td3"])
+def test_a_draw_of_noise_stands_for_some_steps_and_begins_anew_with_a_leg(name: str) -> None:
+    algorithm = replace(OFF_POLICY[name], hold=3)  # type: ignore[type-var]
+    config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=algorithm, output=SQUASHED, task=SHORT)
+    with learning(config) as trained:
+        noise: Any = trained._model.action_noise
+        noise.restart()
+        drawn = [noise().copy() for _ in range(7)]
+        noise.restart()
+        drawn.append(noise().copy())
+    changed = [bool((before != after).all()) for before, after in itertools.pairwise(drawn)]
+    assert changed == [False, False, True, False, False, True, True]
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)

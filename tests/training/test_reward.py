@@ -54,6 +54,12 @@ def test_the_tracking_reward_is_its_formula() -> None:
     assert seen == pytest.approx(expected, rel=1e-6)
 
 
+def test_an_axis_that_has_not_arrived_costs_the_same_however_far_it_is_when_settling_counts() -> None:
+    settle = TrackingReward(error=0.0, settle=0.5, output=0.0)
+    assert worth(settle, error=[5.0, 0.0, 0.0]) == pytest.approx(-0.25, rel=1e-6)
+    assert worth(settle, error=[-10.0, 20.0, 300.0]) == pytest.approx(-1.5, rel=1e-6)
+
+
 def test_less_error_less_output_and_less_change_are_each_worth_more_when_tracking() -> None:
     base = worth(REWARD, error=[30.0, 30.0, 30.0])
     assert worth(REWARD, error=[15.0, 15.0, 15.0]) > base

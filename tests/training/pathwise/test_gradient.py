@@ -111,4 +111,5 @@ def test_gradient_is_the_slope_of_the_loss_when_flights_are_repeated(name: str, 
     found = case.gradient()
     for part in range(len(found)):
         direction, slope = only(found, part)
-        assert case.slope(direction, 2e-3) == pytest.approx(slope, rel=0.01)
+        # Short: a racer's rotor speeds drive the first layer far up its curve.
+        assert case.slope(direction, 4e-4) == pytest.approx(slope, rel=0.01)
