@@ -31,9 +31,9 @@ _GPIO = "MODER OTYPER OSPEEDR PUPDR BSRR AFRL AFRH"
 _DMA = "LISR HISR LIFCR HIFCR SCR SNDTR SPAR SM0AR"
 _USART = "CR1 CR2 CR3 BRR ISR ICR RDR TDR"
 _IN_USE = {
-    "FLASH": "ACR",
+    "FLASH": "ACR KEYR SR CR OPTCR",
     "PWR": "CR1 CSR1",
-    "RCC": "CR PLLCFGR CFGR AHB1ENR APB1ENR APB2ENR",
+    "RCC": "CR PLLCFGR CFGR CIR AHB1ENR APB1ENR APB2ENR CSR",
     "GPIOA": _GPIO,
     "GPIOB": _GPIO,
     "GPIOC": _GPIO,
@@ -41,14 +41,26 @@ _IN_USE = {
     "DMA1": _DMA,
     "DMA2": _DMA,
     "EXTI": "IMR RTSR PR",
+    "TIM1": "CR1 CR2 DIER EGR CCMR1 CCER CNT PSC ARR CCR BDTR",
+    "TIM3": "CR1 DIER EGR CCMR2 CCER CNT PSC ARR CCR",
     "TIM8": "CR1 DIER EGR CCMR1 CCMR2 CCER CNT PSC ARR CCR BDTR DCR DMAR",
+    "ADC1": "SR CR1 CR2 SMPR1 SQR1 SQR3 DR",
+    "ADC_Common": "CCR",
+    "IWDG": "KR PR RLR SR",
+    "DBGMCU": "APB1FZ",
     "SPI1": "CR1 CR2 SR DR",
     "USART1": _USART,
     "USART2": _USART,
 }
-_STREAMS = {"DMA1": ("5",), "DMA2": ("1", "2", "3", "5", "7")}  # of the DMA controllers' eight
+_STREAMS = {"DMA1": ("2", "5"), "DMA2": ("0", "1", "2", "3", "5", "6", "7")}  # of the controllers' eight
 _FAMILIES = re.compile(r"(GPIO|DMA|TIM|SPI|USART)[A-Z0-9]+")  # instances that share their registers' names
-_NAMES = {"CCMR1_Output": "CCMR1", "CCMR2_Output": "CCMR2"}  # the vendor's split, not the manual's
+# The vendor's names where they are not the manual's.
+_NAMES = {
+    "CCMR1_Output": "CCMR1",
+    "CCMR2_Output": "CCMR2",
+    "APB1_FZ": "APB1FZ",
+    "ADC_Common": "ADC",
+}
 _CORE_BASE = 0xE0000000  # private peripheral bus (ARMv7-M B3.1)
 _ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w"}
 
@@ -164,7 +176,7 @@ def _peripheral(name: str, named: dict[str, ET.Element]) -> Iterator[Register]:
         raise BuildError(f"register description: no peripheral {name}; is it the STM32F7x2's?")
     own = named[name]
     described = named[own.attrib["derivedFrom"]] if "derivedFrom" in own.attrib else own
-    family = match.group(1) if (match := _FAMILIES.fullmatch(name)) else name
+    family = match.group(1) if (match := _FAMILIES.fullmatch(name)) else _NAMES.get(name, name)
     wanted = _IN_USE[name].split()
     missing = set(wanted)
     base = _number(own, "baseAddress")
@@ -175,7 +187,7 @@ def _peripheral(name: str, named: dict[str, ET.Element]) -> Iterator[Register]:
         missing.discard(register)
         yield Register(
             name=f"{family}_{register}",
-            instance=name,
+            instance=_NAMES.get(name, name),
             index=index,
             address=base + offset,
             access=_ACCESS.get(node.findtext("access", ""), "rw"),

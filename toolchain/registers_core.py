@@ -28,7 +28,9 @@ CORE_REGISTERS: tuple[tuple[str, str, str, int, str, int | None, str, str], ...]
         ("NVIC_IPR", "NVIC", str(i), 0xE000E400 + 4 * i, "rw", 0, "ARMv7-M B3.4.9", "")
         for i in (2, 14)  # of interrupts 9 and 58
     ),
+    ("SCB_ICSR", "SCB", "", 0xE000ED04, "rw", 0, "ARMv7-M B3.2.4", "VECTACTIVE@0+9"),
     ("SCB_VTOR", "SCB", "", 0xE000ED08, "rw", None, "ARMv7-M B3.2.5", ""),
+    ("SCB_AIRCR", "SCB", "", 0xE000ED0C, "rw", 0xFA050000, "ARMv7-M B3.2.6", "SYSRESETREQ@2 VECTKEY@16+16"),
     (
         "SCB_CCR",
         "SCB",
@@ -52,6 +54,10 @@ CORE_REGISTERS: tuple[tuple[str, str, str, int, str, int | None, str, str], ...]
         " USGFAULTPENDED@12 MEMFAULTPENDED@13 BUSFAULTPENDED@14 SVCALLPENDED@15"
         " MEMFAULTENA@16 BUSFAULTENA@17 USGFAULTENA@18",
     ),
+    ("SCB_CFSR", "SCB", "", 0xE000ED28, "rw", 0, "ARMv7-M B3.2.15", ""),
+    ("SCB_HFSR", "SCB", "", 0xE000ED2C, "rw", 0, "ARMv7-M B3.2.16", ""),
+    ("SCB_MMFAR", "SCB", "", 0xE000ED34, "rw", None, "ARMv7-M B3.2.18", ""),
+    ("SCB_BFAR", "SCB", "", 0xE000ED38, "rw", None, "ARMv7-M B3.2.19", ""),
     # 8 KB data cache: 64 sets, 4 ways, 32-byte lines; as read with CSSELR 0.
     (
         "SCB_CCSIDR",
@@ -80,6 +86,7 @@ CORE_REGISTERS: tuple[tuple[str, str, str, int, str, int | None, str, str], ...]
     ),
     ("SCB_ICIALLU", "SCB", "", 0xE000EF50, "w", None, "ARMv7-M B3.2.26", ""),
     ("SCB_DCISW", "SCB", "", 0xE000EF60, "w", None, "ARMv7-M B3.2.26", ""),
+    ("SCB_DCCISW", "SCB", "", 0xE000EF74, "w", None, "ARMv7-M B3.2.26", ""),
     ("DCB_DEMCR", "DCB", "", 0xE000EDFC, "rw", 0, "ARMv7-M C1.6.5", "TRCENA@24"),
     ("DWT_CTRL", "DWT", "", 0xE0001000, "rw", 0x40000000, "ARMv7-M C1.8.7", "CYCCNTENA@0 NUMCOMP@28+4:r"),
     ("DWT_CYCCNT", "DWT", "", 0xE0001004, "rw", None, "ARMv7-M C1.8.8", "CYCCNT@0+32"),

@@ -187,7 +187,7 @@ def test_another_file_is_refused_and_nothing_written_when_extracting(
 
 
 def test_a_missing_register_is_named_when_extracting(tmp_path: Path) -> None:
-    register = "<register><name>KEYR</name><addressOffset>0x4</addressOffset></register>"
+    register = "<register><name>OPTKEYR</name><addressOffset>0x8</addressOffset></register>"
     flash = f"<name>FLASH</name><baseAddress>0x1000</baseAddress><registers>{register}</registers>"
     svd = tmp_path / "some.svd"
     svd.write_text(f"<device><peripherals><peripheral>{flash}</peripheral></peripherals></device>")

@@ -26,6 +26,25 @@
 #define FLASH_ACR_LATENCY BITS(0, 4)
 #define FLASH_ACR_PRFTEN BIT(8)
 #define FLASH_ACR_ARTEN BIT(9)
+#define FLASH_ACR_ARTRST BIT(11)
+#define FLASH_KEYR REGISTER(0x40023C04u)
+#define FLASH_SR REGISTER(0x40023C0Cu)
+#define FLASH_SR_EOP BIT(0)
+#define FLASH_SR_OPERR BIT(1)
+#define FLASH_SR_WRPERR BIT(4)
+#define FLASH_SR_PGAERR BIT(5)
+#define FLASH_SR_PGPERR BIT(6)
+#define FLASH_SR_ERSERR BIT(7)
+#define FLASH_SR_BSY BIT(16)
+#define FLASH_CR REGISTER(0x40023C10u)
+#define FLASH_CR_PG BIT(0)
+#define FLASH_CR_SER BIT(1)
+#define FLASH_CR_SNB BITS(3, 4)
+#define FLASH_CR_PSIZE BITS(8, 2)
+#define FLASH_CR_STRT BIT(16)
+#define FLASH_CR_LOCK BIT(31)
+#define FLASH_OPTCR REGISTER(0x40023C14u)
+#define FLASH_OPTCR_BOR_LEV BITS(2, 2)
 
 /* --- Power controller (RM0431 chapter 4) --------------------------------------------------- */
 #define PWR_CR1 REGISTER(0x40007000u)
@@ -57,6 +76,8 @@
 #define RCC_CFGR_HPRE BITS(4, 4)
 #define RCC_CFGR_PPRE1 BITS(10, 3)
 #define RCC_CFGR_PPRE2 BITS(13, 3)
+#define RCC_CIR REGISTER(0x4002380Cu)
+#define RCC_CIR_CSSF BIT(7)
 #define RCC_AHB1ENR REGISTER(0x40023830u)
 #define RCC_AHB1ENR_GPIOAEN BIT(0)
 #define RCC_AHB1ENR_GPIOBEN BIT(1)
@@ -64,13 +85,21 @@
 #define RCC_AHB1ENR_DMA1EN BIT(21)
 #define RCC_AHB1ENR_DMA2EN BIT(22)
 #define RCC_APB1ENR REGISTER(0x40023840u)
+#define RCC_APB1ENR_TIM3EN BIT(1)
 #define RCC_APB1ENR_USART2EN BIT(17)
 #define RCC_APB1ENR_PWREN BIT(28)
 #define RCC_APB2ENR REGISTER(0x40023844u)
+#define RCC_APB2ENR_TIM1EN BIT(0)
 #define RCC_APB2ENR_TIM8EN BIT(1)
 #define RCC_APB2ENR_USART1EN BIT(4)
+#define RCC_APB2ENR_ADC1EN BIT(8)
 #define RCC_APB2ENR_SPI1EN BIT(12)
 #define RCC_APB2ENR_SYSCFGEN BIT(14)
+#define RCC_CSR REGISTER(0x40023874u)
+#define RCC_CSR_RMVF BIT(24)
+#define RCC_CSR_BORRSTF BIT(25)
+#define RCC_CSR_PORRSTF BIT(27)
+#define RCC_CSR_WDGRSTF BIT(29)
 
 /* --- General-purpose I/Os (RM0431 chapter 6); two, one or four bits a pin ------------------- */
 #define GPIOA 0x40020000u
@@ -128,13 +157,51 @@
 #define EXTI_PR REGISTER(0x40013C14u)
 #define EXTI_PR_PR3 BIT(3)
 
-/* --- Advanced-control timers (RM0431 chapter TIM1/TIM8) ------------------------------------ */
+/* --- Analog-to-digital converter (RM0431 chapter ADC); ADC_CCR is common to all three ------- */
+#define ADC1_SR REGISTER(0x40012000u)
+#define ADC1_SR_OVR BIT(5)
+#define ADC1_CR2 REGISTER(0x40012008u)
+#define ADC1_CR2_ADON BIT(0)
+#define ADC1_CR2_CONT BIT(1)
+#define ADC1_CR2_DMA BIT(8)
+#define ADC1_CR2_DDS BIT(9)
+#define ADC1_CR2_SWSTART BIT(30)
+#define ADC1_CR1 REGISTER(0x40012004u)
+#define ADC1_CR1_SCAN BIT(8)
+#define ADC1_SMPR1 REGISTER(0x4001200Cu)
+#define ADC1_SMPR1_SMP10 BITS(0, 3)
+#define ADC1_SMPR1_SMP14 BITS(12, 3)
+#define ADC1_SQR1 REGISTER(0x4001202Cu)
+#define ADC1_SQR1_L BITS(20, 4)
+#define ADC1_SQR3 REGISTER(0x40012034u)
+#define ADC1_SQR3_SQ1 BITS(0, 5)
+#define ADC1_SQR3_SQ2 BITS(5, 5)
+#define ADC1_DR REGISTER(0x4001204Cu)
+#define ADC_CCR REGISTER(0x40012304u)
+#define ADC_CCR_ADCPRE BITS(16, 2)
+
+/* --- Independent watchdog (RM0431 chapter IWDG) -------------------------------------------- */
+#define IWDG_KR REGISTER(0x40003000u)
+#define IWDG_PR REGISTER(0x40003004u)
+#define IWDG_PR_PR BITS(0, 3)
+#define IWDG_RLR REGISTER(0x40003008u)
+#define IWDG_RLR_RL BITS(0, 12)
+#define IWDG_SR REGISTER(0x4000300Cu)
+#define IWDG_SR_PVU BIT(0)
+#define IWDG_SR_RVU BIT(1)
+
+/* --- Timers (RM0431 chapters TIM1/TIM8 and TIM2 to TIM5) ------------------------------------ */
+#define TIM1 0x40010000u
+#define TIM3 0x40000400u
 #define TIM8 0x40010400u
 #define TIM_CR1(timer) REGISTER((timer) + 0x00u)
 #define TIM_CR1_CEN BIT(0)
 #define TIM_CR1_ARPE BIT(7)
+#define TIM_CR2(timer) REGISTER((timer) + 0x04u)
+#define TIM_CR2_CCDS BIT(3)
 #define TIM_DIER(timer) REGISTER((timer) + 0x0Cu)
 #define TIM_DIER_UDE BIT(8)
+#define TIM_DIER_CC1DE BIT(9)
 #define TIM_EGR(timer) REGISTER((timer) + 0x14u)
 #define TIM_EGR_UG BIT(0)
 #define TIM_CCMR1(timer) REGISTER((timer) + 0x18u)
@@ -225,7 +292,12 @@
 #define NVIC_IPR(word) REGISTER(0xE000E400u + 4u * (word))  /* 4 interrupts a word */
 
 /* --- System control block (ARMv7-M B3.2), caches (B3.2, Cortex-M7 TRM 4.4) ----------------- */
+#define SCB_ICSR REGISTER(0xE000ED04u)
+#define SCB_ICSR_VECTACTIVE BITS(0, 9)
 #define SCB_VTOR REGISTER(0xE000ED08u)
+#define SCB_AIRCR REGISTER(0xE000ED0Cu)
+#define SCB_AIRCR_SYSRESETREQ BIT(2)
+#define SCB_AIRCR_VECTKEY BITS(16, 16)
 #define SCB_CCR REGISTER(0xE000ED14u)
 #define SCB_CCR_UNALIGN_TRP BIT(3)
 #define SCB_CCR_DIV_0_TRP BIT(4)
@@ -237,6 +309,10 @@
 #define SCB_SHCSR_MEMFAULTENA BIT(16)
 #define SCB_SHCSR_BUSFAULTENA BIT(17)
 #define SCB_SHCSR_USGFAULTENA BIT(18)
+#define SCB_CFSR REGISTER(0xE000ED28u)
+#define SCB_HFSR REGISTER(0xE000ED2Cu)
+#define SCB_MMFAR REGISTER(0xE000ED34u)
+#define SCB_BFAR REGISTER(0xE000ED38u)
 #define SCB_CCSIDR REGISTER(0xE000ED80u)
 #define SCB_CCSIDR_ASSOCIATIVITY BITS(3, 10)
 #define SCB_CCSIDR_NUMSETS BITS(13, 15)
@@ -246,6 +322,7 @@
 #define SCB_CPACR_CP11 BITS(22, 2)
 #define SCB_ICIALLU REGISTER(0xE000EF50u)
 #define SCB_DCISW REGISTER(0xE000EF60u)
+#define SCB_DCCISW REGISTER(0xE000EF74u)
 
 /* --- Memory protection unit (ARMv7-M B3.5) ------------------------------------------------- */
 #define MPU_CTRL REGISTER(0xE000ED94u)
@@ -265,6 +342,10 @@
 #define DWT_CTRL_CYCCNTENA BIT(0)
 #define DWT_CYCCNT REGISTER(0xE0001004u)
 #define DWT_LAR REGISTER(0xE0001FB0u)
+
+/* --- Debug: what stands still while a debugger halts the core (RM0431 chapter DBGMCU) ------- */
+#define DBGMCU_APB1FZ REGISTER(0xE0042008u)
+#define DBGMCU_APB1FZ_DBG_IWDG_STOP BIT(12)
 
 /* --- Device electronic signature (RM0431 chapter of that name): 96 bits in three words ------ */
 #define SIGNATURE_UID(word) REGISTER(0x1FF07A10u + 4u * (word))
