@@ -33,6 +33,7 @@ CHANNEL_COUNT = 16
 CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_ARM = range(5)
 CHANNEL_PID, CHANNEL_BEEPER = 5, 6
 CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
+CHANNEL_VALID_MIN_US, CHANNEL_VALID_MAX_US = 750, 2250  # no pulse of a receiver lies outside
 ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
 PID_ON_US = 1700  # at or above this the PID flies
 BEEPER_ON_US = 1700
@@ -43,6 +44,11 @@ RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or 
 SBUS_FRAME_BYTES = 25
 SBUS_HEADER, SBUS_FOOTER = 0x0F, 0x00
 SBUS_FLAG_FRAME_LOST, SBUS_FLAG_FAILSAFE = 0x04, 0x08
+
+# CRSF: sync, length of what follows, type, payload, CRC-8/DVB-S2 over type and payload; channels as in SBUS.
+CRSF_SYNC = 0xC8
+CRSF_FRAME_BYTES_MAX = 64
+CRSF_TYPE_LINK, CRSF_TYPE_CHANNELS = 0x14, 0x16
 
 # --- Arming and failsafe, in milliseconds of gyro samples ------------------------------------
 BOOT_GRACE_MS = 1000  # no arming before this
@@ -55,6 +61,13 @@ RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link coun
 GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
 GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
+# A crash: for so long an axis turns this much other than asked for, while the controller already asks for all that
+# a motor can give. The longest of our own flights, a flip at 720 deg/s, stays above half of that error for 60 ms.
+CRASH_ERROR_DEG_S = 500.0
+CRASH_OUTPUT = 0.95  # a motor fraction of the controller, before the throttle
+CRASH_MS = 250
+RUNAWAY_WINDOW_MS = 1000  # of flight: a motor or propeller in the wrong place shows at once
+RUNAWAY_MS = 100  # as above, and the error is larger at the end than at the beginning
 HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
 MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends
 
@@ -421,6 +434,22 @@ class Task(IntEnum):
     ALERT = 3
     STORAGE = 4
     MSP = 5
+
+
+class Refusal(IntEnum):
+    """Why a request that would change something is refused."""
+
+    NONE = 0
+    ARMED = 1  # or under test; only with the motors stopped
+    PAYLOAD = 2  # of a length or with a value that the command does not take
+    INDEX = 3  # there is none of that number
+    RANGE = 4  # beyond a setting's limits, or no number
+    CONFLICT = 5  # settings that do not go together
+    FLASH = 6  # did not take what was written
+    ORDER = 7  # not what comes next: a policy slot is begun, written from its beginning, ended
+    BLOB = 8  # the policy is not one for this image
+    SEQUENCE = 9  # of the policy is not above those before
+    ABSENT = 10  # this build has no such thing
 
 
 class GyroHealth(IntEnum):
