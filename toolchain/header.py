@@ -162,6 +162,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause),
         _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth),
         _enumeration("nf_task", "NF_TASK", contract.Task),
+        _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 

@@ -30,6 +30,7 @@ FIRMWARE = ROOT / "firmware"
 PUPPET = Path(__file__).parent / "puppet"
 HEADERS = (
     *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h", "settings.h"),
+    *("crc32.h", "flash.h", "settings_store.h", "hal/host/flash_model.h"),
     *("hal/host/convert.h", "hal/host/reference.h"),
 )
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types

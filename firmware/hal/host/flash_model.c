@@ -1,0 +1,145 @@
+#include "hal/host/flash_model.h"
+
+#include <string.h>
+
+static const struct region {
+	uint32_t address;
+	uint32_t size;
+} sectors[NF_FLASH_SECTORS_COUNT] = {
+#define SECTOR(i) { NF_FLASH_SECTORS_##i##_ADDRESS, NF_FLASH_SECTORS_##i##_SIZE }
+	SECTOR(0), SECTOR(1), SECTOR(2), SECTOR(3), SECTOR(4), SECTOR(5), SECTOR(6), SECTOR(7),
+};
+
+void flash_model_init(struct flash_model *model, uint8_t *bytes)
+{
+	*model = (struct flash_model){ .bytes = bytes, .cut_at = FLASH_MODEL_NEVER, .random = 1 };
+}
+
+void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut, uint32_t seed)
+{
+	model->cut_at = model->operations + at;
+	model->cut = cut;
+	model->random = seed ? seed : 1;
+}
+
+/* Marsaglia's xorshift with the triple 13, 17, 5. */
+static uint32_t draw(struct flash_model *model)
+{
+	uint32_t x = model->random;
+
+	x ^= x << 13;
+	x ^= x >> 17;
+	x ^= x << 5;
+	model->random = x;
+	return x;
+}
+
+/* What an interrupted operation leaves of a word. */
+static uint32_t torn(struct flash_model *model, uint32_t before, uint32_t after)
+{
+	const uint32_t chance = draw(model);
+
+	switch (model->cut) {
+	case FLASH_CUT_AFTER:
+		return after;
+	case FLASH_CUT_BETWEEN:
+		return (before & chance) | (after & ~chance);
+	case FLASH_CUT_WORDS:
+		return chance >> 31 ? before : after;
+	case FLASH_CUT_NOISE:
+		return chance;
+	case FLASH_CUT_BEFORE:
+	case FLASH_CUT_COUNT:
+		break;
+	}
+	return before;
+}
+
+/* Counts an operation. Returns whether there is power for the whole of it; *now says that it is interrupted. */
+static bool powered(struct flash_model *model, bool *now)
+{
+	*now = !model->dark && model->operations == model->cut_at;
+	if (*now)
+		model->dark = true;
+	model->operations++;
+	return !model->dark;
+}
+
+static void change(struct flash_model *model, uint32_t offset, uint32_t after, bool cut)
+{
+	uint32_t word;
+
+	memcpy(&word, model->bytes + offset, sizeof word);
+	word = cut ? torn(model, word, after) : after;
+	memcpy(model->bytes + offset, &word, sizeof word);
+}
+
+const uint8_t *flash_model_at(const struct flash_model *model, uint32_t address)
+{
+	const uint32_t offset = address - NF_FLASH_BASE;
+
+	return offset < NF_FLASH_BYTES ? model->bytes + offset : NULL;
+}
+
+bool flash_model_erase(struct flash_model *model, unsigned sector)
+{
+	bool cut;
+
+	if (sector >= NF_FLASH_SECTORS_COUNT)
+		return false;
+	const bool whole = powered(model, &cut);
+	const uint32_t begin = sectors[sector].address - NF_FLASH_BASE;
+	if (whole || cut)
+		for (uint32_t at = 0; at < sectors[sector].size; at += FLASH_WORD_BYTES)
+			change(model, begin + at, FLASH_ERASED, cut);
+	return whole;
+}
+
+/* Returns whether the word is then `wanted`. */
+static bool program_word(struct flash_model *model, uint32_t offset, uint32_t wanted)
+{
+	uint32_t before;
+	bool cut;
+
+	memcpy(&before, model->bytes + offset, sizeof before);
+	const bool whole = powered(model, &cut);
+	if (whole || cut)
+		change(model, offset, before & wanted, cut);
+	return whole && (before & wanted) == wanted;
+}
+
+bool flash_model_program(struct flash_model *model, uint32_t address, const void *words, size_t bytes)
+{
+	const uint32_t offset = address - NF_FLASH_BASE;
+	bool good = true;
+
+	if (offset % FLASH_WORD_BYTES || bytes % FLASH_WORD_BYTES || offset > NF_FLASH_BYTES ||
+	    bytes > NF_FLASH_BYTES - offset)
+		return false;
+	for (uint32_t at = 0; at < bytes; at += FLASH_WORD_BYTES) {
+		uint32_t wanted;
+		memcpy(&wanted, (const uint8_t *)words + at, sizeof wanted);
+		good &= program_word(model, offset + at, wanted);
+	}
+	return good;
+}
+
+static const uint8_t *at(void *context, uint32_t address)
+{
+	return flash_model_at(context, address);
+}
+
+static bool erase(void *context, unsigned sector)
+{
+	return flash_model_erase(context, sector);
+}
+
+static bool program(void *context, uint32_t address, const void *words, size_t bytes)
+{
+	return flash_model_program(context, address, words, bytes);
+}
+
+struct flash flash_model_interface(struct flash_model *model)
+{
+	return (struct flash){ .context = model, .at = at, .erase = erase, .program = program };
+}

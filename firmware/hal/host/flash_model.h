@@ -1,0 +1,48 @@
+/* A model of the board's flash: erasing sets a sector's bits, programming clears bits, a word at a time, and power
+ * may go at any operation. No file and no system call; flash_file.h keeps one across runs. */
+#ifndef HOST_FLASH_MODEL_H
+#define HOST_FLASH_MODEL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "flash.h"
+#include "nf_contract.h"
+
+#define FLASH_MODEL_NEVER UINT32_MAX /* the cut that does not come */
+
+/* What a cut leaves of each word that the interrupted operation was about. */
+enum flash_cut {
+	FLASH_CUT_BEFORE,  /* as it was: the operation had not begun */
+	FLASH_CUT_AFTER,   /* as asked for: only what would have come next is missing */
+	FLASH_CUT_BETWEEN, /* each bit that was to change did or did not */
+	FLASH_CUT_WORDS,   /* some words done, others not */
+	FLASH_CUT_NOISE,   /* any bits */
+	FLASH_CUT_COUNT,
+};
+
+struct flash_model {
+	uint8_t *bytes;       /* NF_FLASH_BYTES, 8-byte aligned; outlive the model */
+	uint32_t operations;  /* so far: each erase and each programmed word, also those that failed */
+	uint32_t cut_at;      /* number of the operation that power goes at, 0 the first; FLASH_MODEL_NEVER */
+	enum flash_cut cut;
+	uint32_t random;      /* what arbitrary bits are made of; any value but 0 */
+	bool dark;            /* power has gone: nothing happens any more */
+};
+
+/* A model over `bytes` as they are, power on, no cut to come. */
+void flash_model_init(struct flash_model *model, uint8_t *bytes);
+
+/* Power will go at the operation `at` from here, 0 being the next. `seed`: of the bits it leaves. */
+void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut, uint32_t seed);
+
+/* As in flash.h; NULL and false where flash does not reach. */
+const uint8_t *flash_model_at(const struct flash_model *model, uint32_t address);
+bool flash_model_erase(struct flash_model *model, unsigned sector);
+bool flash_model_program(struct flash_model *model, uint32_t address, const void *words, size_t bytes);
+
+/* `model` for the core; it must outlive what it is handed to. */
+struct flash flash_model_interface(struct flash_model *model);
+
+#endif
