@@ -32,14 +32,14 @@ static bool tested(const struct nf_policy_blob_header *header)
 	       header->selftest_count % header->selftest_steps == 0;
 }
 
-/* Do the last of `total` bytes say the CRC of those before? */
-static bool whole(const uint8_t *blob, size_t total)
+/* Do the last of its `total` bytes say the CRC of those before? `magic` stands for the first four. */
+static bool whole(uint32_t magic, const uint8_t *blob, size_t total)
 {
 	const size_t checked = total - NF_POLICY_BLOB_CRC_BYTES;
 	uint32_t told;
 
 	memcpy(&told, blob + checked, sizeof told);
-	return crc32_more(0, blob, checked) == told;
+	return crc32_more(crc32_more(0, &magic, sizeof magic), blob + sizeof magic, checked - sizeof magic) == told;
 }
 
 /* The counts stand beside the hash because tables are copied by them: no collision may write past an array. */
@@ -64,20 +64,21 @@ static bool idles(const struct nf_policy_blob_header *header)
 	return bits <= most_bits;
 }
 
-enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running)
+enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
+				     const struct policy_blob_identity *running)
 {
 	struct nf_policy_blob_header header; /* a copy: a slot may begin at any address */
 
 	if (size < sizeof header + NF_POLICY_BLOB_CRC_BYTES)
 		return NF_ERR_BLOB_SHORT;
 	memcpy(&header, bytes, sizeof header);
-	if (header.magic != NF_POLICY_BLOB_MAGIC)
+	if (magic != NF_POLICY_BLOB_MAGIC)
 		return NF_ERR_BLOB_MAGIC;
 	if (header.layout != NF_POLICY_BLOB_LAYOUT)
 		return NF_ERR_BLOB_LAYOUT;
 	if (!sized(&header, size) || !tested(&header))
 		return NF_ERR_BLOB_SIZE;
-	if (!whole(bytes, header.total_bytes))
+	if (!whole(magic, bytes, header.total_bytes))
 		return NF_ERR_BLOB_CRC;
 	/* Before the architecture, whose hash covers both: the answer should name what to mend. */
 	if (header.control_rate_hz != running->control_rate_hz)
@@ -89,4 +90,13 @@ enum nf_err policy_blob_check(const void *bytes, size_t size, const struct polic
 	if (!idles(&header))
 		return NF_ERR_BLOB_IDLE;
 	return NF_OK;
+}
+
+enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running)
+{
+	uint32_t magic = 0;
+
+	if (size >= sizeof magic)
+		memcpy(&magic, bytes, sizeof magic);
+	return policy_blob_check_behind(magic, bytes, size, running);
 }

@@ -22,8 +22,13 @@ struct policy_blob_identity {
  * NF_ERR_BLOB_SHORT, _MAGIC, _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
  *
  * NF_OK: the blob is whole and ends within `size`; its weights are weight_count floats behind the header, its
- * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it. Integers only; about 12 cycles a byte of the blob, 3 ms for
- * the largest at 216 MHz: for boot and background, not for an interrupt. */
+ * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it.
+ * Integers only; about 12 cycles a byte of the blob, 3 ms for the largest at 216 MHz: for boot and background, not
+ * for an interrupt. */
 enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running);
+
+/* The same, as if the first word at `bytes` were `magic`: of a blob whose first word is not written yet. */
+enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
+				     const struct policy_blob_identity *running);
 
 #endif

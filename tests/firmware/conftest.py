@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import select
-import shutil
 import signal
 import socket
 import struct
@@ -18,10 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cffi import FFI
 
 from toolchain import contract
+from toolchain.blob import PolicyBlob, blob_terms, pack
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
 from toolchain.header import render_contract
 
@@ -30,7 +31,7 @@ FIRMWARE = ROOT / "firmware"
 PUPPET = Path(__file__).parent / "puppet"
 HEADERS = (
     *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h", "settings.h"),
-    *("crc32.h", "flash.h", "settings_store.h", "hal/host/flash_model.h"),
+    *("crc32.h", "flash.h", "settings_store.h", "policy_slots.h", "fault_log.h", "hal/host/flash_model.h"),
     *("hal/host/convert.h", "hal/host/reference.h"),
 )
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types
@@ -69,13 +70,36 @@ def load(library: Path, generated: Path, scratch: Path) -> Core:
     return Core(ffi, ffi.dlopen(str(library)))
 
 
+def puppet_blob(motors: int = 4) -> PolicyBlob:
+    """The puppet as its compiled-in blob says it: strings loose in the self-test."""
+    blocks = "rate,rate_error,rate_error_delta,rate_error_integral,previous_action,throttle"
+    return PolicyBlob(
+        sequence=0,
+        architecture_hash=0x01234567,
+        filters_hash=contract.POLICY_FILTERS_NONE,
+        control_rate_hz=1000,
+        terms=blob_terms(contract.observation_blocks(blocks), 1000),
+        aircraft="puppet",
+        aircraft_sha256="5a" * 32,
+        policy_sha256="00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210",
+        idle=0.0,
+        weights=np.array([1.0, -2.0], np.float32),
+        selftest_observation=np.zeros((3, 13 + motors), np.float32),
+        selftest_action=np.zeros((3, motors), np.float32),
+        selftest_steps=1,
+    )
+
+
 def make_puppet(scratch: Path, motors: int) -> Path:
     """Builds the host target around the puppet policy; returns the build directory."""
     generated, build = scratch / "generated", scratch / "build"
     generated.mkdir(parents=True)
     (generated / "nf_contract.h").write_text(render_contract())
-    shutil.copy(PUPPET / "policy.c", generated)
-    (generated / "policy.h").write_text((PUPPET / "policy.h").read_text().replace("@MOTORS@", str(motors)))
+    blob = pack(puppet_blob(motors))
+    for name in ("policy.c", "policy.h"):
+        text = (PUPPET / name).read_text().replace("@MOTORS@", str(motors))
+        text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
+        (generated / name).write_text(text)
     make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", f"GENERATED={generated}", f"BUILD={build}"]
     done = subprocess.run(make, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ unsigned puppet_steps;
 const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT] = { 1, 2, 3, 4, 5, 6 };
 const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT];
 const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT];
+_Alignas(8) const struct policy_blob policy_blob = { { @BLOB@ } };
 const float policy_weights[POLICY_WEIGHT_COUNT] = { 1.0f, -2.0f };
 const float policy_selftest_observation[POLICY_SELFTEST_COUNT][POLICY_OBSERVATION_COUNT];
 const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];

@@ -7,6 +7,7 @@
 #define POLICY_WEIGHT_COUNT 2
 #define POLICY_CONTROL_RATE_HZ 1000
 #define POLICY_ARCHITECTURE_HASH 0x01234567u
+#define POLICY_FILTERS_HASH 0x0D4CBB29u
 #define POLICY_SELFTEST_COUNT 3
 #define POLICY_SELFTEST_STEPS 1
 #define POLICY_OBSERVATION_TERM_COUNT 6
@@ -17,6 +18,12 @@
 struct policy {
 	const float *weights;
 };
+
+/* The policy as a blob, its self-test included. */
+struct policy_blob {
+	unsigned char bytes[@BLOB_BYTES@];
+};
+extern const struct policy_blob policy_blob;
 
 extern float puppet_action[POLICY_ACTION_COUNT];
 extern float puppet_observation[POLICY_OBSERVATION_COUNT];
