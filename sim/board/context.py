@@ -1,0 +1,172 @@
+"""The seam between the engine and the peripherals of the emulated board.
+
+A peripheral is a class over a window of the address space. It gets a `Context` when it is made, and through
+it time, interrupts, memory and the way to say that the image did what a board does not forgive.
+
+    class Watchdog:
+        def __init__(self, context: Context) -> None:
+            self._context = context
+            self._missed = context.alarm("iwdg", self._miss)
+
+        def write(self, offset: int, size: int, value: int) -> None:
+            self._missed.set(context.cycle + period)
+
+Time is the count of cycles of a 216 MHz clock since power-up, a whole number that never goes back, whatever
+the core's own clock is at that moment. Everything is repeatable: a peripheral keeps no other time, and no
+randomness but from a seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NoReturn, Protocol
+
+from toolchain.errors import NeuroflightError
+
+TIME_HZ = 216_000_000  # of `Context.cycle`
+
+
+class BoardError(NeuroflightError):
+    """The image did something that the chip does not do, does not allow or does not forgive.
+
+    The message ends in the place: program counter, function, file and line.
+    """
+
+
+class Peripheral(Protocol):
+    """Registers behind a window of addresses.
+
+    Offsets count bytes from the window's base, sizes are 1, 2 or 4 bytes, values are unsigned. An access is
+    never unaligned (the engine has refused it). Each access happens once, at its exact cycle.
+    """
+
+    def read(self, offset: int, size: int) -> int:
+        """What the program reads; side effects of reading included."""
+        ...
+
+    def write(self, offset: int, size: int, value: int) -> None:
+        """What the program writes."""
+        ...
+
+    def reset(self) -> None:
+        """As after a system reset. Alarms are cancelled and interrupt lines lowered by the engine before."""
+        ...
+
+    def state(self) -> Any:  # noqa: ANN401 - each peripheral's own
+        """All that changes, as plain picklable values; alarms and interrupt lines are the engine's."""
+        ...
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        """Make `state()`'s value the state again, silently: no interrupt, no alarm, no request."""
+        ...
+
+
+class Alarm(Protocol):
+    """Something that happens once at a stated time. Snapshots keep it by its name."""
+
+    @property
+    def due(self) -> int | None:
+        """The cycle it is set for; None: not set."""
+        ...
+
+    def set(self, cycle: int) -> None:
+        """Call back at `cycle`, instead of any time set before; at once after this instruction if passed."""
+        ...
+
+    def cancel(self) -> None:
+        """Do not call back."""
+        ...
+
+
+class Context(Protocol):
+    """What the engine offers to peripherals. Valid from a peripheral's constructor on."""
+
+    @property
+    def cycle(self) -> int:
+        """The time now, in cycles of 216 MHz; inside an access: the time of that access."""
+        ...
+
+    def alarm(self, name: str, callback: Callable[[], None]) -> Alarm:
+        """An alarm, not yet set. `name` is unique on the board ("usart1.tx"). Make it in the constructor.
+
+        At one cycle alarms go off in the order in which they were made.
+        """
+        ...
+
+    def irq(self, number: int, asserted: bool) -> None:
+        """The level of interrupt line `number` (0..103, as in the vendor's table) is now `asserted`.
+
+        Keep it asserted as long as flag and enable are; the handler runs again if it leaves them so.
+        """
+        ...
+
+    def nmi(self) -> None:
+        """The non-maskable interrupt (clock security system)."""
+        ...
+
+    def dma_request(self, controller: int, stream: int, channel: int, asserted: bool = True) -> None:
+        """The request line that is wired to `channel` of `stream` of DMA `controller` (1 or 2).
+
+        Keep it asserted while data is wanted or waits; the controller takes it as often as it can serve it.
+        Goes to what `serve_dma` named.
+        """
+        ...
+
+    def serve_dma(self, controller: int, callback: Callable[[int, int, bool], None]) -> None:
+        """DMA `controller` takes its requests by `callback(stream, channel, asserted)`."""
+        ...
+
+    def load(self, address: int, size: int) -> int:
+        """What a bus master (DMA) reads at `address`: memory or, of 1, 2 or 4 bytes, a peripheral."""
+        ...
+
+    def store(self, address: int, size: int, value: int) -> None:
+        """What a bus master writes: RAM or a peripheral. Fails on flash and where nothing is."""
+        ...
+
+    def memory(self, address: int, size: int) -> bytes:
+        """Bytes of flash, RAM or system memory, without side effect."""
+        ...
+
+    def set_memory(self, address: int, data: bytes) -> None:
+        """Change flash (as its controller does), RAM or system memory; translated code of it is dropped."""
+        ...
+
+    def data_cache_on(self) -> bool:
+        """Whether SCB_CCR.DC is set: DMA must then keep out of SRAM1 and SRAM2."""
+        ...
+
+    def core_clock(self, hz: int) -> None:
+        """The core (and DWT, SysTick) runs at `hz` from now on. After reset: 16 MHz."""
+        ...
+
+    def flash_busy(self, until: int | None) -> None:
+        """The flash bank is busy until cycle `until` (None: no longer): fetches from it stall."""
+        ...
+
+    def system_reset(self, cause: str) -> None:
+        """The chip resets after this instruction. `cause`: "software", "iwdg", "pin", "power"."""
+        ...
+
+    def on_system_reset(self, callback: Callable[[str], None]) -> None:
+        """`callback(cause)` runs at every reset before peripherals reset; RCC notes the cause for its CSR."""
+        ...
+
+    def note(self, message: str) -> None:
+        """For the report, with cycle and place; the program goes on. Equal messages are counted."""
+        ...
+
+    def fail(self, message: str) -> NoReturn:
+        """Raise BoardError: `message` and the place. `message` names what, got and expected."""
+        ...
+
+
+class Bus(Protocol):
+    """Where peripherals are attached; the engine is one."""
+
+    def attach(self, base: int, size: int, peripheral: Peripheral, name: str) -> None:
+        """`peripheral` answers at `base` to `base + size - 1`, both 1 KiB aligned. `name`: "USART1".
+
+        Raises ValueError where another one answers already.
+        """
+        ...
