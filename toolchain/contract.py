@@ -27,6 +27,11 @@ CONTROL_RATES_HZ = (1000, 2000, 4000)
 # --- Gyro ------------------------------------------------------------------------------------
 GYRO_FULL_SCALE_DEG_S = 2000  # +-2000 deg/s over int16
 GYRO_COUNTS = 32768  # counts at full scale: 16.384 LSB per deg/s
+GYRO_SATURATED_COUNTS = 32760  # from here on to either side the rate may be any
+GYRO_BANDWIDTH_HZ = 250.0  # of MPU6500 and ICM20689 with DLPF_CFG 0
+ACCEL_FULL_SCALE_G = 16  # +-16 g over int16
+ACCEL_COUNTS = 32768
+GRAVITY = 9.80665  # [m/s^2], the standard one
 
 # --- Pilot's sticks --------------------------------------------------------------------------
 CHANNEL_COUNT = 16

@@ -92,7 +92,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->gap_after = config->gyro_rate_hz * SBUS_GAP_MS / 1000u;
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
-	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment)) != NF_OK)
+	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, 0)) != NF_OK)
 		return err;
 	if ((err = mixer_init(&fw->mixer, POLICY_IDLE)) != NF_OK)
 		return err;
@@ -208,7 +208,7 @@ void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 {
 	float rate[3];
 
-	gyro_step(&fw->gyro, sample->gyro, rate);
+	gyro_step(&fw->gyro, sample, rate);
 	if (firmware_control_due(fw)) {
 		control_step(fw, rate);
 		fence();

