@@ -3,11 +3,8 @@
 #include <string.h>
 
 #include "dshot.h"
-#include "rates.h"
 
 #define REASON_IF(condition, name) ((condition) ? 1u << NF_ARMING_REASON_##name : 0u)
-/* Longer than any pause between two bytes of a frame, shorter than the one between two frames. */
-#define SBUS_GAP_MS 2u
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
@@ -89,18 +86,17 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	memset(fw, 0, sizeof *fw);
 	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
 	fw->grace_left = config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u;
-	fw->gap_after = config->gyro_rate_hz * SBUS_GAP_MS / 1000u;
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
 	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, 0)) != NF_OK)
 		return err;
-	if ((err = mixer_init(&fw->mixer, POLICY_IDLE)) != NF_OK)
+	if ((err = mixer_init(&fw->mixer, config->settings, POLICY_IDLE)) != NF_OK)
 		return err;
 	if ((err = observation_init(&fw->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
 				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
 		return err;
-	sbus_reset(&fw->sbus);
-	receiver_init(&fw->receiver, config->gyro_rate_hz);
+	receiver_init(&fw->receiver, config->settings, config->gyro_rate_hz);
+	rates_init(&fw->rates, config->settings);
 	arming_init(&fw->arming);
 	memcpy(fw->weights, policy_weights, sizeof fw->weights);
 	fw->policy_good = selftest(&fw->policy, fw->weights);
@@ -126,20 +122,9 @@ static void update_arming(struct firmware *fw)
 
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
-	struct sbus_frame frame;
-
-	/* SBUS frames are told apart by the silence between them: what began before one does not go on. */
-	if (fw->silent >= fw->gap_after)
-		sbus_reset(&fw->sbus);
-	if (count > 0)
-		fw->silent = 0;
-	for (size_t i = 0; i < count; i++) {
-		if (!sbus_push(&fw->sbus, bytes[i], &frame))
-			continue;
-		/* Arming sees each frame, so that no "off" is lost behind an "on" of the same step. */
-		receiver_frame(&fw->receiver, &frame);
+	/* Arming sees each frame, so that no "off" is lost behind an "on" of the same step. */
+	while (receiver_push(&fw->receiver, &bytes, &count))
 		update_arming(fw);
-	}
 }
 
 /* Is this what the policy may answer? Any NaN says no. */
@@ -177,7 +162,7 @@ static void control_step(struct firmware *fw, const float rate[3])
 	float output[POLICY_ACTION_COUNT];
 
 	receiver_channels(&fw->receiver, channels_us);
-	rates_setpoint(channels_us, trace->setpoint);
+	rates_setpoint(&fw->rates, channels_us, trace->setpoint);
 	trace->throttle = rates_throttle(channels_us);
 	memcpy(trace->gyro, rate, sizeof trace->gyro);
 
@@ -199,8 +184,6 @@ static void tick(struct firmware *fw)
 	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
 	if (fw->grace_left > 0)
 		fw->grace_left--;
-	if (fw->silent < fw->gap_after)
-		fw->silent++;
 	receiver_tick(&fw->receiver);
 }
 

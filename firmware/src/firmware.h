@@ -17,8 +17,8 @@
 #include "nf_err.h"
 #include "observation.h"
 #include "policy.h"
+#include "rates.h"
 #include "receiver.h"
-#include "sbus.h"
 #include "status.h"
 
 struct firmware_config {
@@ -31,8 +31,8 @@ struct firmware {
 	_Alignas(8) float weights[POLICY_WEIGHT_COUNT]; /* the policy's working copy: DTCM on the board */
 	struct policy policy;
 	struct gyro gyro;
-	struct sbus sbus;
 	struct receiver receiver;
+	struct rates rates;
 	struct arming arming;
 	struct observation observation;
 	struct mixer mixer;
@@ -40,8 +40,6 @@ struct firmware {
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */
 	uint32_t control_steps;         /* since boot */
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
-	uint32_t silent;                /* gyro samples since the last receiver byte, at most gap_after */
-	uint32_t gap_after;             /* gyro samples of silence that end an SBUS frame */
 	float action[POLICY_ACTION_COUNT]; /* the policy's last output */
 	bool policy_good;               /* cleared for good by a failed self-test or a refused output */
 	struct firmware_status status;  /* written at control steps only */
@@ -56,7 +54,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 /* Is the next sample a control step? The first one is. */
 bool firmware_control_due(const struct firmware *fw);
 
-/* Receiver bytes (SBUS), any number of any value; called once before each control step's sample,
+/* Receiver bytes, any number of any value; called once before each control step's sample,
  * with count 0 when the line was silent. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count);
 

@@ -1,31 +1,20 @@
 #include "sbus.h"
 
-#define CHANNEL_BITS 11u
+#include "channels.h"
+
 #define FLAGS (NF_SBUS_FRAME_BYTES - 2)
 #define FOOTER (NF_SBUS_FRAME_BYTES - 1)
 #define FLAGS_UNUSED 0xF0u /* always 0 in a true frame */
-_Static_assert(1 + NF_CHANNEL_COUNT * CHANNEL_BITS / 8 == FLAGS, "header, channels, flags, footer");
+_Static_assert(1 + CHANNELS_PACKED_BYTES == FLAGS, "header, channels, flags, footer");
 
 void sbus_reset(struct sbus *sbus)
 {
 	sbus->count = 0;
 }
 
-/* Channels are packed least significant bit first, from the byte behind the header on. */
 static void decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *frame)
 {
-	const uint8_t *next = bytes + 1;
-	uint32_t bits = 0;
-	unsigned held = 0;
-
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++) {
-		for (; held < CHANNEL_BITS; held += 8)
-			bits |= (uint32_t)*next++ << held;
-		const uint32_t value = bits & ((1u << CHANNEL_BITS) - 1);
-		frame->channels_us[i] = (uint16_t)(880u + (5u * value + 4u) / 8u);
-		bits >>= CHANNEL_BITS;
-		held -= CHANNEL_BITS;
-	}
+	channels_unpack(bytes + 1, frame->channels_us);
 	frame->frame_lost = bytes[FLAGS] & NF_SBUS_FLAG_FRAME_LOST;
 	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
 }

@@ -41,7 +41,7 @@ def test_weights_are_the_firmwares_own_copy_when_the_policy_runs(bench: Make, pu
 
 def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:
     b = bench(4000)
-    b.fw.mixer.idle = 0.05
+    assert puppet.lib.mixer_set_idle(puppet.ffi.addressof(b.fw, "mixer"), 0.05) == 0
     b.arm()
     puppet.lib.puppet_action = [0.0, 0.25, 0.5, 0.125]
     values = b.run(20, arm=2000, throttle=1400)
@@ -112,9 +112,9 @@ def test_the_policy_does_not_run_when_disarmed(bench: Make, puppet: Any) -> None
 
 def test_status_is_that_of_the_last_control_step_when_asked(bench: Make) -> None:
     b = bench(2000)
-    b.run(30, c0=1234, throttle=1500)
+    b.run(230, c0=1234, throttle=1500)
     status = b.status
-    assert status.trace.step == b.trace.step == 29
+    assert status.trace.step == b.trace.step == 229
     assert status.channels_us[CHANNEL_ROLL] == 1234
     assert status.channels_us[CHANNEL_YAW] == 1500
     assert (status.receiver_good, status.policy_good) == (True, True)
@@ -127,6 +127,7 @@ def test_receiver_frames_are_whole_when_their_bytes_come_over_several_steps(
     bench: Make, sbus: Callable[..., bytes]
 ) -> None:
     b = bench(1000)
+    b.run(200)
     frame = sbus([992] * 4 + [172] * 12)
     for first in range(0, 25, 8):  # 8 bytes a millisecond at 100 kbaud
         assert not b.status.receiver_good
@@ -139,6 +140,7 @@ def test_half_a_frame_is_forgotten_when_the_line_falls_silent(
     bench: Make, sbus: Callable[..., bytes]
 ) -> None:
     b = bench(1000)
+    b.run(200)
     frame = sbus([992] * 16)
     b.send(frame[:10])
     b.sample()

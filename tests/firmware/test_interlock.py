@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, ArmingReason
+from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, RECEIVER_RECOVERY_MS, ArmingReason
 
 Make = Callable[..., Any]
 Frame = Callable[..., bytes]
@@ -174,7 +174,7 @@ def test_motors_stop_and_stay_stopped_when_the_receiver_is_lost_at_a_random_mome
         b.sample()
     assert not b.armed
     assert b.reasons & reasons(ArmingReason.RECEIVER_LOST)
-    assert b.run(int(rng.integers(1, 500)), arm=2000) == STOPPED
+    assert b.run(RECEIVER_RECOVERY_MS + int(rng.integers(20, 500)), arm=2000) == STOPPED
     assert b.reasons == reasons(ArmingReason.SWITCH_NOT_CYCLED)
     b.run(20)
     b.run(20, arm=2000)
@@ -267,13 +267,13 @@ def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_rand
     b.run(1001)
     off_seen, was_armed, armed_steps, silent = True, False, 0, 0
     throttle, switch = 1000, 1000
-    for step in range(12000):
+    for step in range(24000):
         if rng.random() < 0.02:
             switch = int(rng.choice([1000, 1699, 1700, 2000]))
         if rng.random() < 0.02:
             throttle = int(rng.choice([1000, 1050, 1051, 1600]))
         silent_now = step % 1500 > 1000 and seed > 0
-        failsafe = not silent_now and rng.random() < 0.002
+        failsafe = not silent_now and rng.random() < 0.001
         if silent_now:
             b.send(b"")
             silent += 1

@@ -10,11 +10,21 @@ import pytest
 EPSILON = float(np.finfo(np.float32).eps)
 
 
-def mix(core: Any, action: Any, throttle: float, idle: float = 0.0) -> np.ndarray:  # type: ignore[type-arg]
-    mixer, out = core.new("struct mixer *"), core.new("float[4]")
-    assert core.lib.mixer_init(mixer, idle) == 0
+def make(core: Any, idle: float = 0.0, **changed: float) -> Any:
+    """A mixer with these settings."""
+    values = core.new("struct nf_settings *")
+    core.lib.settings_default(values)
+    for name, value in changed.items():
+        setattr(values, name, value)
+    mixer = core.new("struct mixer *")
+    assert core.lib.mixer_init(mixer, values, idle) == 0
+    return mixer
+
+
+def mix(core: Any, action: Any, throttle: float, idle: float = 0.0, **changed: float) -> np.ndarray:  # type: ignore[type-arg]
+    mixer, out = make(core, idle, **changed), core.new("float[8]")
     core.lib.mixer_step(mixer, list(action), throttle, out)
-    return np.array(list(out))
+    return np.array(list(out)[: len(action)])
 
 
 def actions(count: int) -> np.ndarray:  # type: ignore[type-arg]
@@ -56,6 +66,53 @@ def test_outputs_lie_between_idle_and_one_when_idle_is_set(puppet: Any, idle: fl
         np.testing.assert_allclose(output, idle + (1 - idle) * mix(puppet, action, 0.3), atol=2 * EPSILON)
 
 
+# --- What the pilot sets ----------------------------------------------------------------------
+@pytest.mark.parametrize("idle", [0.0, 0.23, 0.5])
+def test_no_bit_changes_when_the_limit_is_one(puppet: Any, idle: float) -> None:
+    """Against the mix as it stands in the design, in float32."""
+    one, low = np.float32(1), np.float32(idle)
+    for action in actions(200):
+        mixed = np.clip(np.float32(0.3) * (one - action.max()) + action, 0, one)
+        expected = low + (one - low) * mixed
+        assert mix(puppet, action, 0.3, idle).astype(np.float32).tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.75, 1.0])
+def test_outputs_end_at_the_limit_when_the_motors_are_limited(puppet: Any, limit: float) -> None:
+    for action in actions(100):
+        output = mix(puppet, action, 1.0, 0.23, motor_limit=limit)
+        assert output.max() == pytest.approx(limit, abs=2 * EPSILON)
+        assert output.min() >= np.float32(0.23) - EPSILON
+        np.testing.assert_allclose(output, 0.23 + (limit - 0.23) * mix(puppet, action, 1.0), atol=4 * EPSILON)
+
+
+def test_all_motors_turn_at_the_limit_when_it_is_below_the_idle(puppet: Any) -> None:
+    for action in actions(20):
+        assert set(mix(puppet, action, 0.6, 0.23, motor_limit=0.1).tolist()) == {float(np.float32(0.1))}
+
+
+def test_the_idle_is_the_new_controllers_when_it_takes_over(puppet: Any) -> None:
+    mixer, out = make(puppet, 0.1, motor_limit=0.8), puppet.new("float[4]")
+    assert puppet.lib.mixer_set_idle(mixer, 0.3) == 0
+    puppet.lib.mixer_step(mixer, [0.0, 1.0, 0.5, 0.25], 0.0, out)
+    np.testing.assert_allclose(list(out), [0.3, 0.8, 0.55, 0.425], atol=2 * EPSILON)
+
+
+@pytest.mark.parametrize(("us", "stops"), [(880, True), (1050, True), (1051, False), (2000, False)])
+def test_motors_stand_still_when_the_pilot_wants_so_and_the_throttle_is_low(
+    puppet: Any, us: int, stops: bool
+) -> None:
+    throttle = puppet.lib.rates_throttle([us] * 16)
+    assert puppet.lib.mixer_stops(make(puppet, motor_stop=1), throttle) is stops
+    assert not puppet.lib.mixer_stops(make(puppet), throttle)
+
+
 @pytest.mark.parametrize("idle", [-0.01, 1.0, 2.0, float("nan"), float("inf")])
-def test_init_refuses_when_idle_is_out_of_range(puppet: Any, idle: float) -> None:
-    assert puppet.lib.mixer_init(puppet.new("struct mixer *"), idle) == puppet.lib.NF_ERR_IDLE
+def test_an_idle_is_refused_and_the_last_one_kept_when_it_is_out_of_range(puppet: Any, idle: float) -> None:
+    values = puppet.new("struct nf_settings *")
+    puppet.lib.settings_default(values)
+    assert puppet.lib.mixer_init(puppet.new("struct mixer *"), values, idle) == puppet.lib.NF_ERR_IDLE
+    mixer, out = make(puppet, 0.2), puppet.new("float[4]")
+    assert puppet.lib.mixer_set_idle(mixer, idle) == puppet.lib.NF_ERR_IDLE
+    puppet.lib.mixer_step(mixer, [0.0] * 4, 0.0, out)
+    assert list(out) == pytest.approx([0.2] * 4)

@@ -1,9 +1,11 @@
-"""receiver.c: how long a silence is endured, in gyro samples, and what is flown meanwhile."""
+"""receiver.c: frames of any protocol to channels, and what is flown while they stay away."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 from toolchain.contract import (
@@ -12,27 +14,58 @@ from toolchain.contract import (
     CHANNEL_THROTTLE,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
+    RECEIVER_RECOVERY_MS,
 )
 
+Frame = Callable[..., bytes]
 FLOWN = [1100 + 50 * index for index in range(CHANNEL_COUNT)]
 HELD = [1500, 1500, FLOWN[2], 1500, *FLOWN[4:]]  # rates centred; throttle and switches as they were
 LOST = [1500, 1500, 1000, 1500, *[1000] * 12]
+SBUS, CRSF, MSP = range(3)
+VALUE_OF_US = {880 + (5 * value + 4) // 8: value for value in range(2048)}
 
 
 class Receiver:
-    def __init__(self, core: Any, rate_hz: int = 1000) -> None:
-        self.lib, self.core = core.lib, core
+    """A receiver fed with SBUS frames unless told otherwise."""
+
+    def __init__(self, core: Any, sbus: Frame, rate_hz: int = 1000, **changed: int) -> None:
+        self.lib, self.core, self.sbus, self.rate_hz = core.lib, core, sbus, rate_hz
         self.self = core.new("struct receiver *")
-        self.lib.receiver_init(self.self, rate_hz)
+        values = core.new("struct nf_settings *")
+        core.lib.settings_default(values)
+        for name, value in changed.items():
+            setattr(values, name, value)
+        core.lib.receiver_init(self.self, values, rate_hz)
+
+    def push(self, data: bytes) -> list[list[int]]:
+        """The channels as they are flown after each frame."""
+        buffer = self.core.new("uint8_t[]", data)
+        bytes_, count = self.core.new("const uint8_t **", buffer), self.core.new("size_t *", len(data))
+        seen = []
+        while self.lib.receiver_push(self.self, bytes_, count):
+            seen.append(self.channels())
+        assert count[0] == 0 and bytes_[0] - buffer == len(data)
+        return seen
 
     def frame(self, channels: list[int] = FLOWN, frame_lost: bool = False, failsafe: bool = False) -> None:
-        self.lib.receiver_frame(
-            self.self, self.core.new("struct sbus_frame *", (channels, frame_lost, failsafe))
-        )
+        values = [VALUE_OF_US[us] for us in channels]
+        assert len(self.push(self.sbus(values, frame_lost=frame_lost, failsafe=failsafe))) == 1
 
     def tick(self, samples: int) -> None:
         for _ in range(samples):
             self.lib.receiver_tick(self.self)
+
+    def run(self, ms: int, every_ms: int = 10, **frame: Any) -> None:
+        """Frames every `every_ms`, the first at once."""
+        for elapsed in range(ms):
+            if elapsed % every_ms == 0:
+                self.frame(**frame)
+            self.tick(self.rate_hz // 1000)
+
+    def recover(self) -> None:
+        """As long as a lost link needs, and a last frame."""
+        self.run(RECEIVER_RECOVERY_MS)
+        self.frame()
 
     def link(self) -> int:
         return int(self.lib.receiver_link(self.self))
@@ -42,12 +75,24 @@ class Receiver:
         self.lib.receiver_channels(self.self, out)
         return list(out)
 
+    def quality(self) -> int:
+        return int(self.lib.receiver_quality(self.self))
 
+
+@pytest.fixture
+def make(puppet: Any, sbus: Frame) -> Callable[..., Receiver]:
+    return lambda *args, **kwargs: Receiver(puppet, sbus, *args, **kwargs)
+
+
+Make = Callable[..., Receiver]
+
+
+# --- The link ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
-def test_link_is_held_and_then_lost_when_silence_lasts(puppet: Any, rate_hz: int) -> None:
-    lib, receiver = puppet.lib, Receiver(puppet, rate_hz)
+def test_link_is_held_and_then_lost_when_silence_lasts(make: Make, puppet: Any, rate_hz: int) -> None:
+    lib, receiver = puppet.lib, make(rate_hz)
     hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, RECEIVER_LOST_MS))
-    receiver.frame()
+    receiver.recover()
     receiver.tick(hold - 1)
     assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_GOOD, FLOWN)
     receiver.tick(1)
@@ -58,25 +103,79 @@ def test_link_is_held_and_then_lost_when_silence_lasts(puppet: Any, rate_hz: int
     assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_LOST, LOST)
     receiver.tick(10)
     assert receiver.link() == lib.RECEIVER_LOST
+
+
+def test_link_is_good_again_at_once_when_it_was_only_held(make: Make, puppet: Any) -> None:
+    receiver = make()
+    receiver.recover()
+    receiver.tick(RECEIVER_LOST_MS - 1)
+    assert receiver.link() == puppet.lib.RECEIVER_HOLD
     receiver.frame()
-    assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_GOOD, FLOWN)
+    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_GOOD, FLOWN)
 
 
-def test_link_is_lost_when_nothing_was_ever_heard(puppet: Any) -> None:
-    receiver = Receiver(puppet)
+@pytest.mark.parametrize("rate_hz", [1000, 8000])
+@pytest.mark.parametrize("before", ["boot", "silence", "failsafe"])
+def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
+    make: Make, puppet: Any, rate_hz: int, before: str
+) -> None:
+    receiver = make(rate_hz)
+    if before != "boot":
+        receiver.recover()
+    if before == "silence":
+        receiver.tick(RECEIVER_LOST_MS * rate_hz // 1000)
+    if before == "failsafe":
+        receiver.frame(failsafe=True)
+    receiver.run(RECEIVER_RECOVERY_MS - 1)
+    receiver.tick(rate_hz // 1000 - 1)
+    receiver.frame()
+    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    receiver.tick(1)
+    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    receiver.frame()
+    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_GOOD, FLOWN)
+
+
+@pytest.mark.parametrize("setback", ["gap", "failsafe"])
+def test_recovery_begins_anew_when_it_is_set_back(make: Make, puppet: Any, setback: str) -> None:
+    receiver = make()
+    receiver.run(RECEIVER_RECOVERY_MS - 10)
+    if setback == "failsafe":
+        receiver.frame(failsafe=True)
+    else:
+        receiver.tick(RECEIVER_HOLD_MS)
+    receiver.run(RECEIVER_RECOVERY_MS)
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    receiver.frame()
+    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+
+
+def test_link_never_recovers_when_frames_are_rare_or_repeated(make: Make, puppet: Any) -> None:
+    rare, repeated = make(), make()
+    rare.run(3000, every_ms=RECEIVER_HOLD_MS + 1)
+    assert rare.link() == puppet.lib.RECEIVER_LOST
+    repeated.frame()
+    repeated.run(3000, frame_lost=True)
+    assert repeated.link() == puppet.lib.RECEIVER_LOST
+
+
+def test_link_is_lost_when_nothing_was_ever_heard(make: Make, puppet: Any) -> None:
+    receiver = make()
+    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    receiver.tick(5000)
     assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
 
 
-def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(puppet: Any) -> None:
-    receiver = Receiver(puppet)
-    receiver.frame()
+def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(make: Make, puppet: Any) -> None:
+    receiver = make()
+    receiver.recover()
     receiver.frame(failsafe=True)
     assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
 
 
-def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(puppet: Any) -> None:
-    receiver = Receiver(puppet)
-    receiver.frame()
+def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Make, puppet: Any) -> None:
+    receiver = make()
+    receiver.recover()
     for _ in range(RECEIVER_HOLD_MS):
         receiver.frame([2000] * CHANNEL_COUNT, frame_lost=True)
         assert receiver.channels() == FLOWN
@@ -84,3 +183,213 @@ def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(puppet: A
     assert receiver.link() == puppet.lib.RECEIVER_HOLD
     assert receiver.channels()[CHANNEL_THROTTLE] == FLOWN[CHANNEL_THROTTLE]
     assert receiver.channels()[CHANNEL_ARM] == FLOWN[CHANNEL_ARM]
+
+
+# --- Bytes ------------------------------------------------------------------------------------
+def test_every_frame_is_seen_when_several_come_at_once(make: Make, sbus: Frame) -> None:
+    receiver = make()
+    receiver.recover()
+    values = [[992] * CHANNEL_COUNT for _ in range(3)]
+    for index, arm in enumerate((1792, 192, 1792)):
+        values[index][CHANNEL_ARM] = arm
+    seen = receiver.push(b"\x55".join(map(sbus, values)))
+    assert [channels[CHANNEL_ARM] for channels in seen] == [2000, 1000, 2000]
+
+
+def test_half_a_frame_is_forgotten_when_the_line_falls_silent(make: Make, sbus: Frame) -> None:
+    receiver, data = make(4000), sbus([992] * CHANNEL_COUNT)
+    for gap, frames in ((7, 1), (8, 0)):  # 2 ms of 4 kHz
+        receiver.push(data[:10])
+        receiver.tick(gap)
+        assert len(receiver.push(data[10:])) == frames
+        receiver.tick(20)
+
+
+def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(make: Make, puppet: Any, sbus: Frame) -> None:
+    receiver = make(receiver_protocol=MSP)
+    assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
+    receiver.tick(50)
+    assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+
+
+# --- The map ----------------------------------------------------------------------------------
+def test_channels_are_mapped_when_the_pilot_says_so(make: Make) -> None:
+    names = ("roll", "pitch", "throttle", "yaw", "arm", "pid", "beeper")
+    wire = (3, 2, 0, 1, 9, 15, 4)
+    receiver = make(**{f"map_{name}": channel for name, channel in zip(names, wire, strict=True)})
+    receiver.recover()
+    assert receiver.channels() == [FLOWN[channel] for channel in wire] + FLOWN[7:]
+    receiver.tick(RECEIVER_HOLD_MS)
+    assert receiver.channels()[:4] == [1500, 1500, FLOWN[0], 1500]
+
+
+# --- MSP --------------------------------------------------------------------------------------
+def test_channels_come_over_msp_when_that_is_the_protocol(make: Make, puppet: Any) -> None:
+    receiver = make(receiver_protocol=MSP, map_arm=7)
+    for _ in range(RECEIVER_RECOVERY_MS + 1):
+        assert puppet.lib.receiver_msp(receiver.self, FLOWN)
+        receiver.tick(1)
+    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+    assert receiver.channels() == [*FLOWN[:4], FLOWN[7], *FLOWN[5:]]
+
+
+@pytest.mark.parametrize("us", [0, 749, 2251, 65535])
+@pytest.mark.parametrize("channel", [0, 15])
+def test_channels_over_msp_are_refused_when_one_is_none(
+    make: Make, puppet: Any, us: int, channel: int
+) -> None:
+    receiver = make(receiver_protocol=MSP)
+    wrong = list(FLOWN)
+    wrong[channel] = us
+    for _ in range(2 * RECEIVER_RECOVERY_MS):
+        assert not puppet.lib.receiver_msp(receiver.self, wrong)
+        receiver.tick(1)
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+
+
+@pytest.mark.parametrize("protocol", [SBUS, CRSF])
+def test_channels_over_msp_are_refused_when_another_receiver_is_set(
+    make: Make, puppet: Any, protocol: int
+) -> None:
+    receiver = make(receiver_protocol=protocol)
+    assert not puppet.lib.receiver_msp(receiver.self, FLOWN)
+    receiver.tick(RECEIVER_RECOVERY_MS)
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+
+
+# --- Interpolation ----------------------------------------------------------------------------
+def sticks_at(us: int) -> list[int]:
+    return [us] * CHANNEL_COUNT
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 4000])
+def test_sticks_ramp_over_a_frame_interval_when_interpolated(make: Make, rate_hz: int) -> None:
+    receiver = make(rate_hz, interpolation=1)
+    receiver.run(400, every_ms=10, channels=sticks_at(1200))
+    assert receiver.channels() == sticks_at(1200)
+    receiver.frame(sticks_at(1800))
+    for step in range(10 * rate_hz // 1000 + 5):
+        expected = min(1200 + 60_000 * step / rate_hz, 1800)
+        roll, pitch, throttle, yaw, *others = receiver.channels()
+        assert roll == pitch == yaw
+        assert abs(roll - expected) <= 1
+        assert {throttle, *others} == {1800}
+        receiver.tick(1)
+    assert receiver.channels()[0] == 1800
+
+
+def test_ramps_join_when_a_frame_comes_early(make: Make) -> None:
+    receiver = make(interpolation=1)
+    receiver.run(400, every_ms=10, channels=sticks_at(1000))
+    receiver.frame(sticks_at(2000))
+    receiver.tick(5)
+    assert receiver.channels()[0] == 1500
+    receiver.frame(sticks_at(1000))
+    assert receiver.channels()[0] == 1500
+    receiver.tick(1)
+    assert receiver.channels()[0] == 1400, "the interval is now the 5 ms between the last two"
+    receiver.frame(sticks_at(1000))
+    receiver.tick(5)
+    assert receiver.channels()[0] == 1000
+
+
+def test_marked_frames_keep_the_beat_when_interpolated(make: Make) -> None:
+    receiver = make(interpolation=1)
+    receiver.run(400, every_ms=10, channels=sticks_at(1000))
+    receiver.frame(frame_lost=True)
+    receiver.tick(10)
+    receiver.frame(sticks_at(2000))
+    receiver.tick(5)
+    assert receiver.channels()[0] == 1500
+
+
+def test_sticks_start_from_the_centre_when_the_link_was_held(make: Make) -> None:
+    receiver = make(interpolation=1)
+    receiver.run(400, every_ms=10, channels=sticks_at(2000))
+    receiver.tick(RECEIVER_HOLD_MS)
+    receiver.frame(sticks_at(2000))
+    assert receiver.channels()[0] == 1500
+    receiver.tick(5)
+    assert receiver.channels()[0] == 1750, "the silence was no interval"
+
+
+def test_sticks_jump_when_there_is_no_interval_yet(make: Make) -> None:
+    receiver = make(interpolation=1, receiver_protocol=SBUS)
+    receiver.frame(sticks_at(1800))
+    receiver.frame(sticks_at(1200))
+    receiver.tick(RECEIVER_HOLD_MS - 1)
+    assert receiver.self.interval == 0
+
+
+def test_sticks_stay_as_sent_when_interpolation_is_off(make: Make) -> None:
+    receiver = make()
+    receiver.run(400, every_ms=10, channels=sticks_at(1000))
+    receiver.frame(sticks_at(2000))
+    assert receiver.channels() == sticks_at(2000)
+
+
+# --- Quality ----------------------------------------------------------------------------------
+def test_quality_is_full_when_every_frame_comes(make: Make) -> None:
+    receiver = make()
+    receiver.run(3000, every_ms=9)
+    assert receiver.quality() >= 99
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_quality_is_the_share_that_came_when_every_fourth_is_missing(make: Make, marked: bool) -> None:
+    receiver = make()
+    receiver.run(2000)
+    for index in range(200):
+        if index % 4 != 0:
+            receiver.frame()
+        elif marked:
+            receiver.frame(frame_lost=True)
+        receiver.tick(10)
+    assert receiver.quality() == pytest.approx(75, abs=1)
+
+
+def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(make: Make) -> None:
+    receiver = make()
+    receiver.run(2000)
+    receiver.tick(RECEIVER_LOST_MS - 20)
+    assert 55 <= receiver.quality() <= 75
+    receiver.tick(10)
+    assert receiver.quality() == 0
+
+
+def test_quality_is_judged_by_the_new_beat_when_a_slower_receiver_returns(make: Make) -> None:
+    receiver = make()
+    receiver.run(2000, every_ms=5)
+    receiver.tick(RECEIVER_LOST_MS)
+    receiver.run(2000, every_ms=20)
+    assert receiver.quality() == 100
+
+
+def test_quality_counts_no_further_when_frames_pour_in(make: Make, puppet: Any) -> None:
+    receiver = make(receiver_protocol=MSP)
+    for _ in range(3):
+        for _ in range(70_000):
+            puppet.lib.receiver_msp(receiver.self, FLOWN)
+        receiver.tick(100)
+    assert receiver.quality() == 100
+
+
+# --- Any bytes --------------------------------------------------------------------------------
+@pytest.mark.parametrize("protocol", [SBUS, CRSF])
+def test_channels_stay_in_range_when_bytes_are_random(make: Make, sbus: Frame, protocol: int) -> None:
+    rng = np.random.default_rng(protocol)
+    receiver = make(receiver_protocol=protocol, interpolation=1)
+    frames = 0
+    for _ in range(3000):
+        data = rng.integers(0, 256, rng.integers(1, 80), np.uint8)
+        data[rng.random(len(data)) < 0.3] = (0x0F, 0xC8)[protocol]
+        data[rng.random(len(data)) < 0.3] = 0x00
+        seen = receiver.push(
+            data.tobytes() if rng.random() < 0.5 else sbus(rng.integers(0, 2048, 16).tolist())
+        )
+        frames += len(seen)
+        receiver.tick(int(rng.integers(0, 12)))
+        for channels in [*seen, receiver.channels()]:
+            assert min(channels) >= 880 and max(channels) <= 2159
+    assert frames > 100 or protocol == CRSF

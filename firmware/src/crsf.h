@@ -1,0 +1,39 @@
+/* CRSF: bytes in, frames out. Survives any bytes.
+ *
+ * A frame is sync, length, type, payload, CRC-8/DVB-S2 over type and payload; the length counts from the type to
+ * the CRC. Of its many types two matter here, the others are read over. */
+#ifndef NF_CRSF_H
+#define NF_CRSF_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+struct crsf {
+	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
+	uint8_t count;
+};
+
+enum crsf_kind {
+	CRSF_CHANNELS, /* sticks: `channels_us` */
+	CRSF_LINK,     /* link statistics: `quality` */
+};
+
+struct crsf_frame {
+	enum crsf_kind kind;
+	uint16_t channels_us[NF_CHANNEL_COUNT]; /* 880..2159 us */
+	uint8_t quality;                        /* of the uplink, 0..100 % */
+};
+
+/* Empty. Also called when the line has been silent for longer than a gap inside a frame can be. */
+void crsf_reset(struct crsf *crsf);
+
+/* Takes one byte. After it, and before the next, crsf_take must be called until it returns false. */
+void crsf_put(struct crsf *crsf, uint8_t byte);
+
+/* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several:
+ * when what looked like a frame turns out to be none, the search goes on behind its first byte. */
+bool crsf_take(struct crsf *crsf, struct crsf_frame *frame);
+
+#endif
