@@ -8,7 +8,8 @@
 #define CLOCK_CORE_HZ 216000000u
 #define CLOCK_APB1_HZ 54000000u
 #define CLOCK_APB2_HZ 108000000u
-#define CLOCK_TIM8_HZ 216000000u /* twice APB2, because APB2 is divided (RM0431 5.2) */
+#define CLOCK_TIM8_HZ 216000000u /* TIM1's too: twice APB2, because APB2 is divided (RM0431 5.2) */
+#define CLOCK_TIM3_HZ 108000000u /* twice APB1, likewise */
 
 /* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the
  * NMI). Needs time_cycles_start. False: some step never got ready, and the core runs from HSI. */

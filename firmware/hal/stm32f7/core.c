@@ -7,7 +7,7 @@ static const struct forbidden {
 	uint32_t address;
 	uint32_t log2_size;
 } forbidden[] = {
-	{0x00000000u, 8},  /* null pointers: the first 256 bytes of ITCM, which the linker leaves empty */
+	{0x00000000u, 9},  /* null pointers: the first 512 bytes of ITCM, which the linker leaves empty */
 	/* No external memory on this board; a speculative read there may stall the bus for good. */
 	{0x60000000u, 29},
 	{0x80000000u, 29},
@@ -34,9 +34,9 @@ static void enable_instruction_cache(void)
 	barrier_instructions();
 }
 
-/* The cache's contents are undefined after power-up: every line is invalidated before it may answer.
- * DCISW: way from bit 31 down, set from bit 5 up (32-byte lines; Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
-static void enable_data_cache(void)
+/* Asks for every line of the data cache. DCISW and its like: way from bit 31 down, set from bit 5 up (32-byte lines;
+ * Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
+static void for_each_line(volatile uint32_t *operation)
 {
 	SCB_CSSELR = 0; /* level 1, data */
 	barrier();
@@ -47,9 +47,22 @@ static void enable_data_cache(void)
 
 	for (uint32_t set = 0; set <= last_set; ++set)
 		for (uint32_t way = 0; way <= last_way; ++way)
-			SCB_DCISW = way << way_shift | set << 5;
+			*operation = way << way_shift | set << 5;
 	barrier();
+}
+
+/* The cache's contents are undefined after power-up: every line is invalidated before it may answer. */
+static void enable_data_cache(void)
+{
+	for_each_line(&SCB_DCISW);
 	SCB_CCR |= SCB_CCR_DC;
+	barrier_instructions();
+}
+
+void core_clean_caches(void)
+{
+	for_each_line(&SCB_DCCISW);
+	SCB_ICIALLU = 0;
 	barrier_instructions();
 }
 

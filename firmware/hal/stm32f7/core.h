@@ -8,17 +8,19 @@
  * both UARTs receive by circular DMA, motor frames and replies are sent by DMA and polled.
  *
  *   priority             who                        how often      how long
- *   PRIORITY_FAULT       all faults, clock failure  never          for ever, motors stopped
+ *   PRIORITY_FAULT       all faults, clock failure  never          to the reset, motors stopped
  *   PRIORITY_GYRO_EDGE   EXTI3, data-ready          8 kHz          < 2 us: starts a read every n-th edge
  *   PRIORITY_SAMPLE      DMA2 stream 2, read done   gyro rate      the control path, < 1 gyro period
- *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds
- *   (thread)             MSP, LED, sleep            the rest
- */
+ *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds; a silent gyro's step
+ *   (thread)             background, MSP, sleep     the rest
+ *
+ * Samples and the tick share a priority, so that neither interrupts the other: both may step the core. Erasing and
+ * programming flash mask all of it but faults. */
 enum priority {
 	PRIORITY_FAULT = 0,
 	PRIORITY_GYRO_EDGE = 1,
 	PRIORITY_SAMPLE = 2,
-	PRIORITY_TICK = 15,
+	PRIORITY_TICK = PRIORITY_SAMPLE,
 };
 
 /* Normal memory (DMA buffers) and device registers are not ordered against each other without it. */
@@ -46,6 +48,10 @@ static inline void interrupts_enable(void)
 /* Faults by name instead of one hard fault; traps on division by zero and unaligned access; null page and
  * the empty external memory closed; both caches on. Interrupts off or not yet enabled. */
 void core_start(void);
+
+/* What was written goes to memory; nothing of it is believed any more, instructions neither. Runs from ITCM, any
+ * context. */
+void core_clean_caches(void);
 
 /* Sets the priority, then enables interrupt `irq` (IRQ_...). */
 void interrupt_enable(uint32_t irq, enum priority priority);

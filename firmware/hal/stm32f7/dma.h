@@ -21,7 +21,10 @@ struct dma_stream {
 };
 
 /* Who uses what (RM0431 8.3.3). */
+#define DMA_POWER ((struct dma_stream){DMA2, 0, 0})       /* ADC1 */
 #define DMA_MOTORS ((struct dma_stream){DMA2, 1, 7})      /* TIM8_UP */
+#define DMA_MOTOR_5 ((struct dma_stream){DMA1, 2, 5})     /* TIM3_UP */
+#define DMA_MOTOR_6 ((struct dma_stream){DMA2, 6, 0})     /* TIM1_CH1 */
 #define DMA_GYRO_RX ((struct dma_stream){DMA2, 2, 3})     /* SPI1_RX */
 #define DMA_GYRO_TX ((struct dma_stream){DMA2, 3, 3})     /* SPI1_TX */
 #define DMA_MSP_RX ((struct dma_stream){DMA2, 5, 4})      /* USART1_RX */
@@ -30,7 +33,7 @@ struct dma_stream {
 
 /* Values of DMA_SCR fields. */
 enum dma_direction { DMA_FROM_PERIPHERAL = 0, DMA_TO_PERIPHERAL = 1 };
-enum dma_width { DMA_BYTE = 0, DMA_WORD = 2 };
+enum dma_width { DMA_BYTE = 0, DMA_HALF_WORD = 1, DMA_WORD = 2 };
 enum dma_urgency { DMA_LOW = 0, DMA_MEDIUM = 1, DMA_HIGH = 2, DMA_VERY_HIGH = 3 };
 
 #define DMA_DISABLE_LIMIT 2160u /* cycles, 10 us: a stream ends after the transfer on the bus */

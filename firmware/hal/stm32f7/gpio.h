@@ -13,7 +13,7 @@ struct pin {
 };
 
 /* Values of the GPIO registers' two-bit fields (RM0431 chapter 6). */
-enum gpio_mode { GPIO_INPUT = 0, GPIO_OUTPUT = 1, GPIO_ALTERNATE = 2 };
+enum gpio_mode { GPIO_INPUT = 0, GPIO_OUTPUT = 1, GPIO_ALTERNATE = 2, GPIO_ANALOG = 3 };
 enum gpio_pull { GPIO_FLOATING = 0, GPIO_PULL_UP = 1, GPIO_PULL_DOWN = 2 };
 enum gpio_speed { GPIO_SLOW = 0, GPIO_MEDIUM = 1, GPIO_FAST = 2 };
 

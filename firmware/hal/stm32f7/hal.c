@@ -3,36 +3,44 @@
 
 #include "clock.h"
 #include "core.h"
-#include "gyro_mpu6500.h"
+#include "fault.h"
+#include "flash_memory.h"
+#include "gyro_chip.h"
+#include "handlers.h"
 #include "motors.h"
 #include "msp_uart.h"
 #include "nf_contract.h"
-#include "receiver_sbus.h"
+#include "power.h"
+#include "receiver_line.h"
 #include "stop.h"
 #include "targets/MATEKF722/board.h"
 #include "time.h"
+#include "watchdog.h"
 
-_Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives four motors");
+_Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
-/* Set by hal_init, used by hal_run. */
-static bool gyro_good;
+#define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
 
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	(void)argc;
 	(void)argv;
 	core_start();
+	fault_start();
 	if (!time_cycles_start() || !clock_start())
 		stop(LED_NO_CLOCK);
 	clock_peripherals();
 	motors_start();
-	gpio_output(BOARD_LED0, true);
+	watchdog_start();
+	gpio_output(BOARD_LED0, false); /* active low: lit */
+	gpio_output(BOARD_BEEPER, false);
 	time_tick_start();
-	receiver_sbus_start();
 	msp_uart_start();
-	gyro_good = gyro_start();
+	power_start();
+	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
+	(void)gyro_start(&info->alignment);        /* the core hears of its silence */
+	watchdog_feed();
 
-	info->alignment = BOARD_GYRO_ALIGNMENT;
 	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
 	info->identity = (struct msp_identity){
@@ -56,14 +64,12 @@ static void rest(void)
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
-	const enum led_code code = gyro_good ? LED_RUNNING : LED_NO_GYRO;
-
-	if (gyro_good)
-		gyro_run(handlers, settings->gyro_rate_hz);
+	receiver_line_start(settings->receiver_protocol);
+	motors_run(settings->motor_protocol, POLICY_ACTION_COUNT);
+	gyro_run(handlers, settings->gyro_rate_hz);
 	for (;;) {
 		handlers->background(handlers->context);
 		msp_uart_serve(handlers);
-		gpio_write(BOARD_LED0, !led_lit(code, time_ms()));
 		rest();
 	}
 }
@@ -74,21 +80,26 @@ int hal_refuse(enum nf_err why)
 	stop(LED_REFUSED);
 }
 
+void tick_handler(void)
+{
+	time_tick();
+	gyro_tick();
+}
+
 size_t hal_receiver_read(uint8_t *bytes, size_t capacity)
 {
-	return receiver_sbus_read(bytes, capacity);
+	return receiver_line_read(bytes, capacity);
 }
 
 void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 {
-	(void)telemetry;
-	motors_write(dshot, count);
+	motors_write(dshot, count, telemetry);
 }
 
 /* Traces leave the board by a log, which this target does not keep yet; MSP shows the last step. */
 void hal_trace_write(const struct control_trace *trace)
 {
-	(void)trace;
+	fault_note_steps(trace->step);
 }
 
 uint32_t hal_cycles(void)
@@ -98,27 +109,27 @@ uint32_t hal_cycles(void)
 
 bool hal_deadline_missed(uint32_t cycles)
 {
-	(void)cycles;
-	return false;
+	return cycles > CONTROL_CYCLES;
 }
 
 void hal_power_read(struct power_sample *power)
 {
-	*power = (struct power_sample){ 0 };
+	power_read(power);
 }
 
 void hal_beeper(bool on)
 {
-	(void)on;
+	gpio_write(BOARD_BEEPER, on);
 }
 
 void hal_led(bool on)
 {
-	(void)on;
+	gpio_write(BOARD_LED0, !on);
 }
 
 void hal_watchdog_feed(void)
 {
+	watchdog_feed();
 }
 
 const uint8_t *hal_flash_at(uint32_t address)
@@ -128,28 +139,25 @@ const uint8_t *hal_flash_at(uint32_t address)
 
 bool hal_flash_erase(unsigned sector)
 {
-	(void)sector;
-	return false;
+	return flash_memory_erase(sector);
 }
 
 bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
 {
-	(void)address;
-	(void)words;
-	(void)bytes;
-	return false;
+	return flash_memory_program(address, words, bytes);
 }
 
 bool hal_fault_take(struct fault_record *record)
 {
-	(void)record;
-	return false;
+	return fault_take(record);
 }
 
 void hal_fault_clear(void)
 {
+	fault_clear();
 }
 
 void hal_reset(void)
 {
+	fault_reset();
 }

@@ -3,76 +3,180 @@
 #include "clock.h"
 #include "dma.h"
 #include "dshot.h"
+#include "fault.h"
+#include "nf_contract.h"
 #include "registers.h"
 #include "targets/MATEKF722/board.h"
-
-/* DShot600: a bit is 1/600 ms; a 0 is high for 37.5 % of it, a 1 for 75 %. */
-#define BIT_TICKS (CLOCK_TIM8_HZ / 600000u)
-#define ZERO_TICKS (BIT_TICKS * 3u / 8u)
-#define ONE_TICKS (BIT_TICKS * 3u / 4u)
-_Static_assert(BIT_TICKS == 360u && ZERO_TICKS == 135u && ONE_TICKS == 270u, "DShot600 at 216 MHz");
 
 #define FRAME_BITS 16u
 /* What DMA writes takes effect one bit later (preload), so the first trailing slot ends the last bit with a
  * low line; the second keeps it low for a whole bit before the stream can be seen as free. */
 #define SLOTS (FRAME_BITS + 2u)
+
+#define AF_TIM1 1u
+#define AF_TIM3 2u
 #define AF_TIM8 3u
 
-enum { PWM_MODE_1 = 6 };               /* TIM_CCMR OCxM: high while the counter is below the compare value */
+enum { PWM_MODE_1 = 6 };                  /* TIM_CCMR OCxM: high while the counter is below the compare value */
 enum { CCR1_INDEX = 13, BURST_OF_4 = 3 }; /* TIM_DCR: CCR1 is the 13th word, 4 transfers a burst */
-_Static_assert(BOARD_MOTOR_COUNT == BURST_OF_4 + 1, "one burst feeds all motors");
 
-/* Compare values of each bit, motors side by side as the burst wants them. The trailing slots stay 0. */
-static DMA_BUFFER uint32_t motor_slots[SLOTS][BOARD_MOTOR_COUNT];
+static const struct output {
+	struct pin pin;
+	uint32_t function;
+} outputs[] = {
+	{BOARD_MOTOR_1, AF_TIM8}, {BOARD_MOTOR_2, AF_TIM8}, {BOARD_MOTOR_3, AF_TIM8},
+	{BOARD_MOTOR_4, AF_TIM8}, {BOARD_MOTOR_5, AF_TIM3}, {BOARD_MOTOR_6, AF_TIM1},
+};
+#define OUTPUT_COUNT (sizeof outputs / sizeof outputs[0])
+_Static_assert(OUTPUT_COUNT == BOARD_MOTOR_COUNT, "one pin a motor");
+
+/* Pulse widths, bit by bit, as DMA moves them: four motors side by side for the burst, then one alone. The
+ * trailing slots stay 0. */
+#define BURST_WIDTH 4u
+static DMA_BUFFER uint32_t motor_slots[SLOTS * BURST_WIDTH];
+static DMA_BUFFER uint32_t motor_5_slots[SLOTS];
+static DMA_BUFFER uint32_t motor_6_slots[SLOTS];
+
+/* A timer and the motors that it drives. */
+static const struct bank {
+	uint32_t timer;
+	uint32_t clock_hz;
+	uint32_t first;              /* motor, by index */
+	uint32_t width;              /* motors */
+	struct dma_stream stream;
+	volatile uint32_t *target;   /* where DMA writes */
+	uint32_t request;            /* TIM_DIER: asks for DMA at every bit's begin */
+	uint32_t *slots;             /* SLOTS times `width` */
+	uint32_t ccmr1, ccmr2, ccer; /* compare channels in use */
+	bool advanced;               /* has a main output switch */
+} banks[] = {
+	{
+		.timer = TIM8, .clock_hz = CLOCK_TIM8_HZ, .first = 0, .width = BURST_WIDTH,
+		.stream = DMA_MOTORS, .target = &TIM_DMAR(TIM8), .request = TIM_DIER_UDE, .slots = motor_slots,
+		.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE |
+			 FIELD(TIM_CCMR1_OC2M, PWM_MODE_1) | TIM_CCMR1_OC2PE,
+		.ccmr2 = FIELD(TIM_CCMR2_OC3M, PWM_MODE_1) | TIM_CCMR2_OC3PE |
+			 FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,
+		.ccer = TIM_CCER_CC1E | TIM_CCER_CC2E | TIM_CCER_CC3E | TIM_CCER_CC4E,
+		.advanced = true,
+	},
+	{
+		.timer = TIM3, .clock_hz = CLOCK_TIM3_HZ, .first = 4, .width = 1,
+		.stream = DMA_MOTOR_5, .target = &TIM_CCR(TIM3, 4), .request = TIM_DIER_UDE, .slots = motor_5_slots,
+		.ccmr2 = FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,
+		.ccer = TIM_CCER_CC4E,
+	},
+	{
+		/* TIM1's update request comes by the stream of the MSP line; its channel's, moved to the update by
+		 * CCDS, has a free one. */
+		.timer = TIM1, .clock_hz = CLOCK_TIM8_HZ, .first = 5, .width = 1,
+		.stream = DMA_MOTOR_6, .target = &TIM_CCR(TIM1, 1), .request = TIM_DIER_CC1DE, .slots = motor_6_slots,
+		.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE,
+		.ccer = TIM_CCER_CC1E,
+		.advanced = true,
+	},
+};
+#define BANK_COUNT (sizeof banks / sizeof banks[0])
+
+static const uint32_t bits_a_second[] = {
+	[NF_MOTOR_PROTOCOL_DSHOT300] = 300000,
+	[NF_MOTOR_PROTOCOL_DSHOT600] = 600000,
+};
+
+/* Set by motors_run. */
+static uint32_t banks_in_use;
+static struct {
+	uint32_t zero, one; /* ticks that a bit is high: 37.5 % and 75 % of it */
+} pulses[BANK_COUNT];
 
 void motors_start(void)
 {
-	for (uint32_t i = 0; i < BOARD_MOTOR_COUNT; ++i)
-		gpio_alternate(BOARD_MOTOR(i), AF_TIM8, GPIO_PULL_DOWN, GPIO_MEDIUM);
+	for (size_t i = 0; i < OUTPUT_COUNT; ++i)
+		gpio_output(outputs[i].pin, false);
+}
 
-	TIM_PSC(TIM8) = 0;
-	TIM_ARR(TIM8) = BIT_TICKS - 1u;
-	for (uint32_t channel = 1; channel <= BOARD_MOTOR_COUNT; ++channel)
-		TIM_CCR(TIM8, channel) = 0;
-	TIM_CCMR1(TIM8) = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE | FIELD(TIM_CCMR1_OC2M, PWM_MODE_1) |
-			  TIM_CCMR1_OC2PE;
-	TIM_CCMR2(TIM8) = FIELD(TIM_CCMR2_OC3M, PWM_MODE_1) | TIM_CCMR2_OC3PE | FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) |
-			  TIM_CCMR2_OC4PE;
-	TIM_DCR(TIM8) = FIELD(TIM_DCR_DBL, BURST_OF_4) | FIELD(TIM_DCR_DBA, CCR1_INDEX);
-	TIM_EGR(TIM8) = TIM_EGR_UG; /* the preloaded values take effect */
-	TIM_CCER(TIM8) = TIM_CCER_CC1E | TIM_CCER_CC2E | TIM_CCER_CC3E | TIM_CCER_CC4E;
-	TIM_BDTR(TIM8) |= TIM_BDTR_MOE;
-	TIM_CR1(TIM8) = TIM_CR1_ARPE | TIM_CR1_CEN;
-	dma_setup(DMA_MOTORS, &TIM_DMAR(TIM8), DMA_TO_PERIPHERAL, DMA_WORD, DMA_VERY_HIGH, 0);
+static void start_bank(const struct bank *bank, uint32_t bit_ticks)
+{
+	TIM_PSC(bank->timer) = 0;
+	TIM_ARR(bank->timer) = bit_ticks - 1u;
+	for (uint32_t channel = 1; channel <= 4u; ++channel)
+		TIM_CCR(bank->timer, channel) = 0;
+	if (bank->ccmr1 != 0u)
+		TIM_CCMR1(bank->timer) = bank->ccmr1;
+	if (bank->ccmr2 != 0u)
+		TIM_CCMR2(bank->timer) = bank->ccmr2;
+	if (bank->width == BURST_WIDTH)
+		TIM_DCR(bank->timer) = FIELD(TIM_DCR_DBL, BURST_OF_4) | FIELD(TIM_DCR_DBA, CCR1_INDEX);
+	if (bank->request != TIM_DIER_UDE)
+		TIM_CR2(bank->timer) = TIM_CR2_CCDS;
+	TIM_EGR(bank->timer) = TIM_EGR_UG; /* the preloaded values take effect */
+	TIM_CCER(bank->timer) = bank->ccer;
+	if (bank->advanced)
+		TIM_BDTR(bank->timer) |= TIM_BDTR_MOE;
+	TIM_CR1(bank->timer) = TIM_CR1_ARPE | TIM_CR1_CEN;
+	dma_setup(bank->stream, bank->target, DMA_TO_PERIPHERAL, DMA_WORD, DMA_VERY_HIGH, 0);
+}
+
+void motors_run(uint32_t protocol, size_t count)
+{
+	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= OUTPUT_COUNT);
+	uint32_t used = 0;
+
+	for (; used < BANK_COUNT && banks[used].first < count; ++used) {
+		const uint32_t ticks = banks[used].clock_hz / bits_a_second[protocol];
+
+		pulses[used].zero = ticks * 3u / 8u;
+		pulses[used].one = ticks * 3u / 4u;
+		start_bank(&banks[used], ticks);
+	}
+	for (size_t i = 0; i < count; ++i)
+		gpio_alternate(outputs[i].pin, outputs[i].function, GPIO_PULL_DOWN, GPIO_MEDIUM);
+	barrier();
+	banks_in_use = used;
 }
 
 bool motors_busy(void)
 {
-	return dma_busy(DMA_MOTORS);
+	bool busy = false;
+
+	for (uint32_t i = 0; i < banks_in_use; ++i)
+		busy |= dma_busy(banks[i].stream);
+	return busy;
 }
 
-void motors_write(const uint16_t dshot[], size_t count)
+/* No request may straddle an update, or motors of one bank would get a bit later than the others: requests are
+ * off while the stream starts, and the counter begins a bit (the lines are low, so nothing shows). */
+static void send(const struct bank *bank)
+{
+	TIM_DIER(bank->timer) &= ~bank->request;
+	TIM_CNT(bank->timer) = 0;
+	dma_start(bank->stream, bank->slots, SLOTS * bank->width);
+	TIM_DIER(bank->timer) |= bank->request;
+}
+
+void motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 {
 	if (motors_busy())
 		return;
-	for (uint32_t motor = 0; motor < BOARD_MOTOR_COUNT && motor < count; ++motor) {
-		const uint32_t frame = dshot_frame(dshot[motor], false);
+	for (uint32_t i = 0; i < banks_in_use; ++i) {
+		const struct bank *const bank = &banks[i];
 
-		for (uint32_t bit = 0; bit < FRAME_BITS; ++bit)
-			motor_slots[bit][motor] = (frame >> (FRAME_BITS - 1u - bit) & 1u) != 0u ? ONE_TICKS : ZERO_TICKS;
+		for (uint32_t motor = 0; motor < bank->width; ++motor) {
+			const uint32_t index = bank->first + motor;
+			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry);
+
+			for (uint32_t bit = 0; bit < FRAME_BITS; ++bit) {
+				const bool high = (frame >> (FRAME_BITS - 1u - bit) & 1u) != 0u;
+				bank->slots[bit * bank->width + motor] = high ? pulses[i].one : pulses[i].zero;
+			}
+		}
+		send(bank);
 	}
-	/* No request may straddle an update, or two motors would get a bit later than the others: requests are
-	 * off while the stream starts, and the counter begins a bit (the lines are low, so nothing shows). */
-	TIM_DIER(TIM8) &= ~TIM_DIER_UDE;
-	TIM_CNT(TIM8) = 0;
-	dma_start(DMA_MOTORS, motor_slots, SLOTS * BOARD_MOTOR_COUNT);
-	TIM_DIER(TIM8) |= TIM_DIER_UDE;
 }
 
 void motors_force_low(void)
 {
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOCEN;
+	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN;
 	(void)RCC_AHB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
-	for (uint32_t i = 0; i < BOARD_MOTOR_COUNT; ++i)
-		gpio_output(BOARD_MOTOR(i), false);
+	motors_start();
 }

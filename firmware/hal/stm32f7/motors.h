@@ -1,4 +1,4 @@
-/* Motors 1..4: DShot600 on TIM8 by burst DMA. */
+/* Motors 1..6 by DShot: DMA writes a bit's pulse widths to the timers at each bit's begin. */
 #ifndef STM32F7_MOTORS_H
 #define STM32F7_MOTORS_H
 
@@ -6,17 +6,22 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Lines low, timer running, no frame. */
+/* All motor lines driven low. First of all. */
 void motors_start(void);
 
-/* Sends one frame to every motor at once (26.7 us); missing values leave their line low. Dropped while the
- * last frame is still on the wire. From the sample handler only. */
-void motors_write(const uint16_t dshot[], size_t count);
+/* Timers running, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `count`: motors in use, at most
+ * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motors_start. */
+void motors_run(uint32_t protocol, size_t count);
 
-/* Does DMA still read the frame? */
+/* Sends one frame to every motor in use (26.7 us with DShot600), with or without the telemetry bit; missing
+ * values send a stop. Dropped while the last frame is still on the wire, and before motors_run. From the sample
+ * handler or the tick only. */
+void motors_write(const uint16_t dshot[], size_t count, bool telemetry);
+
+/* Does DMA still read a frame? */
 bool motors_busy(void);
 
-/* Takes the pins from the timer and drives them low, from any state of the chip. */
+/* Takes the pins from the timers and drives them low, from any state of the chip. */
 void motors_force_low(void);
 
 #endif

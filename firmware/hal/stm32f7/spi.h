@@ -9,6 +9,7 @@
 /* Divider of APB2's 108 MHz: 2 << value (SPI_CR1 BR). */
 enum spi_speed {
 	SPI_13M5 = 2,  /* 13.5 MHz */
+	SPI_6M75 = 3,  /* 6.75 MHz */
 	SPI_844K = 6,  /* 0.84 MHz */
 };
 

@@ -7,9 +7,9 @@
 #include "stop.h"
 
 /* Linker script: where each part lies in flash (load) and where it runs; all word-aligned. */
-extern const uint32_t vectors[];
 extern const uint32_t itcm_load[], data_load[];
 extern uint32_t itcm_start[], itcm_end[], data_start[], data_end[], bss_start[], bss_end[];
+extern uint32_t sram_bss_start[], sram_bss_end[];
 
 int main(int argc, char **argv);
 
@@ -19,19 +19,26 @@ static void copy(uint32_t *to, const uint32_t *end, const uint32_t *from)
 		*to++ = *from++;
 }
 
+static void clear(uint32_t *from, const uint32_t *end)
+{
+	while (from != end)
+		*from++ = 0;
+}
+
 /* Runs on the stack that the boot part loaded. No floating-point instruction may come before CPACR is set;
  * built with general registers only (target.mk). */
 void reset_handler(void)
 {
-	interrupts_disable();
-	SCB_VTOR = (uint32_t)vectors;
+	interrupts_disable(); /* the boot part has pointed VTOR to the bank's own copy of the table */
 	SCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */
 	barrier_instructions();
 
 	copy(itcm_start, itcm_end, itcm_load);
 	copy(data_start, data_end, data_load);
-	for (uint32_t *word = bss_start; word != bss_end; ++word)
-		*word = 0;
+	clear(bss_start, bss_end);
+	clear(sram_bss_start, sram_bss_end);
+	barrier_instructions();
+	SCB_VTOR = (uint32_t)itcm_start; /* its first part is the vector table */
 	barrier_instructions();
 
 	interrupts_enable();

@@ -1,18 +1,20 @@
 #include "stop.h"
 
+#include <stdbool.h>
+#include <stdint.h>
+
 #include "clock.h"
 #include "core.h"
-#include "handlers.h"
 #include "motors.h"
 #include "registers.h"
 #include "targets/MATEKF722/board.h"
+#include "watchdog.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
 #define PAUSE_MS 900u
 
-_Noreturn void fault_stop(void);
-
-bool led_lit(enum led_code code, uint32_t ms)
+/* Is the LED lit at this time of its pattern? */
+static bool led_lit(enum led_code code, uint32_t ms)
 {
 	const uint32_t flashes = (uint32_t)code * 2u * FLASH_MS;
 	const uint32_t now = ms % (flashes + PAUSE_MS);
@@ -38,21 +40,7 @@ _Noreturn void stop(enum led_code code)
 	gpio_output(BOARD_LED0, true);
 	for (uint32_t ms = 0;; ++ms) {
 		gpio_write(BOARD_LED0, !led_lit(code, ms));
+		watchdog_feed();
 		burn_millisecond();
 	}
-}
-
-_Noreturn void fault_stop(void)
-{
-	stop(LED_FAULT);
-}
-
-/* The stack may be what overflowed, so it begins anew; nothing ever returns to the old one. */
-__attribute__((naked)) void fault_handler(void)
-{
-	__asm volatile("cpsid i\n\t"
-		       "ldr r0, =stack_top\n\t"
-		       "msr msp, r0\n\t"
-		       "b fault_stop\n\t"
-		       ".ltorg");
 }

@@ -2,9 +2,8 @@
 
 #include "clock.h"
 #include "core.h"
-#include "handlers.h"
 
-static volatile uint32_t milliseconds_passed; /* written by tick_handler alone */
+static volatile uint32_t milliseconds_passed; /* written by time_tick alone */
 
 bool time_cycles_start(void)
 {
@@ -39,7 +38,7 @@ uint32_t time_ms(void)
 	return milliseconds_passed;
 }
 
-void tick_handler(void)
+void time_tick(void)
 {
 	++milliseconds_passed;
 }

@@ -35,6 +35,9 @@ void time_delay_ms(uint32_t milliseconds);
 /* Starts the millisecond interrupt; the core runs at 216 MHz from here on. */
 void time_tick_start(void);
 
+/* A millisecond has passed. From its interrupt. */
+void time_tick(void);
+
 /* Milliseconds since time_tick_start, wraps at 2^32. */
 uint32_t time_ms(void);
 

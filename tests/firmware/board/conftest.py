@@ -28,7 +28,7 @@ from unicorn.arm_const import (
 )
 
 from toolchain.compiler import compile_policy
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, observation_blocks
+from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, observation_blocks
 from toolchain.graph import chain
 from toolchain.header import render_contract
 from toolchain.network import PolicyModel
@@ -54,8 +54,8 @@ FOLLOWS = {
 CLOCK_OF = {
     **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABC"},
     **{f"DMA{number}": ("RCC_AHB1ENR", f"DMA{number}EN") for number in (1, 2)},
-    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "USART2")},
-    **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM8", "USART1", "SPI1", "SYSCFG")},
+    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "TIM3", "USART2")},
+    **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM1", "TIM8", "ADC1", "USART1", "SPI1", "SYSCFG")},
 }
 
 
@@ -148,7 +148,7 @@ class Sketch:
         self.uc = processor()
         for base, size in (
             *((FLASH_ALIAS, FLASH_BYTES), (FLASH_BASE, FLASH_BYTES)),
-            *((ITCM.address, ITCM.size), (DTCM.address, DTCM.size)),
+            *((ram.address, ram.size) for ram in (ITCM, DTCM, SRAM1)),
             *((0x1FF07000, 0x1000), (0x40000000, 0x80000), (0xE0000000, 0x100000)),
         ):
             self.uc.mem_map(base, size)
@@ -157,7 +157,7 @@ class Sketch:
             if segment["p_filesz"]:
                 self.uc.mem_write(segment["p_paddr"], segment.data())
         self.uc.mem_write(FLASH_ALIAS, bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
-        for ram in (ITCM, DTCM):
+        for ram in (ITCM, DTCM, SRAM1):
             self.uc.mem_write(ram.address, bytes([GARBAGE]) * ram.size)
         for register in table.registers:
             self.poke(register.address, register.reset or 0)

@@ -11,18 +11,18 @@ from unicorn.arm_const import UC_ARM_REG_R1
 
 from toolchain.registers import Register
 
-TRANSFER_BYTES = 7  # address byte and three axes
-GYRO_XOUT_H, READ = 0x43, 0x80
+TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro
+ACCEL_XOUT_H, READ = 0x3B, 0x80
 ZERO, ONE = 135, 270  # ticks that a DShot bit is high, of 360
 DMA2 = 0x40026400
 RX_DONE = 1 << 21  # DMA_LISR TCIF2
 CHIP_SELECT = 2  # of port C, active low
 
 
-class Mpu6500:
-    """The chip at the other end of SPI1: registers, byte by byte. Notes what breaks its rules."""
+class Chip:
+    """The gyro chip at the other end of SPI1: registers, byte by byte. Notes what breaks its rules."""
 
-    def __init__(self, sketch: Any, identity: int = 0x70) -> None:
+    def __init__(self, sketch: Any, identity: int) -> None:
         self.sketch = sketch
         self.registers = {0x75: identity}
         self.written: list[tuple[int, int]] = []
@@ -64,11 +64,12 @@ class Mpu6500:
 class Flight:
     """The image in its background loop, with the gyro's and the DMA's part played by hand."""
 
-    def __init__(self, sketch: Any, symbols: dict[str, int]) -> None:
+    def __init__(self, sketch: Any, symbols: dict[str, int], identity: int = 0x70) -> None:
         self.sketch, self.symbols = sketch, symbols
-        self.chip = Mpu6500(sketch)
+        self.chip = Chip(sketch, identity)
         sketch.run(symbols["msp_uart_serve"])
-        self.counts: list[tuple[int, ...]] = []
+        self.samples: list[tuple[Any, ...]] = []
+        self.silences = 0
         sketch.on_code = self._on_code
 
     def edge(self) -> bool:
@@ -76,9 +77,11 @@ class Flight:
         self.sketch.call(self.symbols["gyro_edge_handler"])
         return bool(self.stream(2, "SCR") & 1)
 
-    def finish_read(self, counts: tuple[int, int, int]) -> None:
-        """DMA has moved the seven bytes."""
-        self.sketch.uc.mem_write(self.stream(2, "SM0AR"), struct.pack(">B3h", 0, *counts))
+    def finish_read(
+        self, gyro: tuple[int, int, int], accel: tuple[int, int, int] = (0, 0, 0), temperature: int = 0
+    ) -> None:
+        """DMA has moved the bytes."""
+        self.sketch.uc.mem_write(self.stream(2, "SM0AR"), struct.pack(">B7h", 0, *accel, temperature, *gyro))
         for stream in (2, 3):
             self._end(stream)
         self.sketch.poke(DMA2, RX_DONE)
@@ -108,7 +111,15 @@ class Flight:
     def _on_code(self, address: int) -> None:
         if address == self.symbols["on_sample"] & ~1:
             at = self.sketch.uc.reg_read(UC_ARM_REG_R1)
-            self.counts.append(struct.unpack("<3h", self.sketch.uc.mem_read(at, 6)))
+            words = struct.unpack("<7h?", self.sketch.uc.mem_read(at, 15))  # struct imu_sample
+            self.samples.append((words[:3], words[3:6], words[6], words[7]))
+        if address == self.symbols["on_gyro_silent"] & ~1:
+            self.silences += 1
+
+    @property
+    def counts(self) -> list[tuple[int, ...]]:
+        """The gyro's of each sample."""
+        return [gyro for gyro, *_ in self.samples]
 
 
 @pytest.fixture
@@ -120,6 +131,7 @@ def test_the_gyro_is_set_up_slowly_and_runs_fast_when_it_answers(flight: Flight)
     kept = flight.chip.registers
     assert flight.chip.written[0] == (0x6B, 0x80)  # reset first
     assert kept[0x1B] == 0x18 and kept[0x1A] == 0  # 2000 deg/s, 8 kHz
+    assert kept[0x1C] == 0x18 and kept[0x1D] == 2  # 16 g, about 95 Hz
     assert kept[0x6B] == 1 and kept[0x6C] == 0 and kept[0x6A] == 0x10 and kept[0x38] == 1
     assert flight.chip.broken_rules == []
     assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 13.5e6
@@ -131,13 +143,47 @@ def test_the_gyro_is_set_up_slowly_and_runs_fast_when_it_answers(flight: Flight)
     assert flight.sketch.sins == []
 
 
+def test_an_icm20689_is_read_more_slowly_when_it_answers(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0x98)
+    assert flight.chip.registers[0x68] == 3  # SIGNAL_PATH_RESET: it has no bit for the gyro
+    assert flight.chip.broken_rules == []
+    assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 6.75e6
+    assert flight.edge()
+    flight.finish_read((1, 2, 3))
+    flight.take_sample()
+    assert flight.counts == [(1, 2, 3)]
+
+
+def test_the_board_says_how_its_chip_is_turned_when_it_is_known(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    for identity, alignment in ((0x70, 2), (0x98, 1)):  # CW180, CW90
+        flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity)
+        assert flight.sketch.peek(symbols["info"]) == alignment  # main's struct hal_info begins with it
+
+
 def test_another_chip_is_not_flown_when_it_answers(
     make_sketch: Callable[..., Any], symbols: dict[str, int]
 ) -> None:
+    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0x68)  # an MPU6000
+    assert flight.sketch.field("EXTI_IMR", "IM3") == 0
+    assert 0x1B not in flight.chip.registers
+
+
+def test_a_chip_that_does_not_keep_a_setting_is_not_flown_when_configured(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
     sketch = make_sketch(cycles_a_read=2000)
-    Mpu6500(sketch, identity=0x98)  # an ICM20689
+    chip = Chip(sketch, 0x70)
+
+    class Forgetful(dict[int, int]):
+        def __setitem__(self, address: int, value: int) -> None:
+            super().__setitem__(address, 0 if address == 0x1B else value)
+
+    chip.registers = Forgetful(chip.registers)
     sketch.run(symbols["msp_uart_serve"])
-    assert symbols["gyro_run"] & ~1 not in sketch.seen
     assert sketch.field("EXTI_IMR", "IM3") == 0
 
 
@@ -156,7 +202,7 @@ def test_counts_reach_the_core_and_a_stop_frame_the_motors_when_a_sample_is_read
     assert flight.edge()
     assert flight.stream(2, "SNDTR") == flight.stream(3, "SNDTR") == TRANSFER_BYTES
     assert flight.stream(2, "SPAR") == flight.stream(3, "SPAR") == 0x4001300C
-    assert flight.sketch.uc.mem_read(flight.stream(3, "SM0AR"), 1)[0] == GYRO_XOUT_H | READ
+    assert flight.sketch.uc.mem_read(flight.stream(3, "SM0AR"), 1)[0] == ACCEL_XOUT_H | READ
     flight.finish_read((1, -2, -32768))
     flight.take_sample()
     assert flight.counts == [(1, -2, -32768)]
@@ -169,25 +215,50 @@ def test_counts_reach_the_core_and_a_stop_frame_the_motors_when_a_sample_is_read
     assert flight.sketch.sins == []
 
 
-def test_a_frame_carries_value_and_checksum_bit_by_bit_when_motors_are_written(flight: Flight) -> None:
-    values = (48, 1046, 2047, 0)
-    flight.sketch.uc.mem_write(0x2000F000, struct.pack("<4H", *values))
-    flight.sketch.call_with(flight.symbols["motors_write"], 0x2000F000, 4)
-    for value, ticks in zip(values, flight.frames(), strict=True):
-        data = value << 1
-        frame = data << 4 | (data ^ data >> 4 ^ data >> 8) & 15
-        assert ticks == [ONE if frame >> bit & 1 else ZERO for bit in reversed(range(16))] + [0, 0]
+def test_all_that_the_chip_says_reaches_the_core_when_a_sample_is_read(flight: Flight) -> None:
+    flight.edge()
+    flight.finish_read((1, -2, 3), (-2048, 5, 32767), -700)
+    flight.take_sample()
+    assert flight.samples == [((1, -2, 3), (-2048, 5, 32767), -700, True)]
 
 
-def test_a_new_frame_is_dropped_when_the_last_is_on_the_wire(flight: Flight) -> None:
-    flight.sketch.uc.mem_write(0x2000F000, struct.pack("<8H", 2047, 2047, 2047, 2047, 0, 0, 0, 0))
-    flight.sketch.call_with(flight.symbols["motors_write"], 0x2000F000, 4)
-    first = flight.frames()
-    flight.sketch.call_with(flight.symbols["motors_write"], 0x2000F008, 4)
-    assert flight.frames() == first
-    flight.finish_frame()
-    flight.sketch.call_with(flight.symbols["motors_write"], 0x2000F008, 4)
-    assert flight.frames() == [[ZERO] * 16 + [0, 0]] * 4
+def test_a_sample_is_marked_invalid_when_the_bus_fails(flight: Flight) -> None:
+    flight.edge()
+    for stream in (2, 3):
+        flight._end(stream)  # by an error: the transfer-complete flag stays down
+    flight.take_sample()
+    assert [valid for *_, valid in flight.samples] == [False]
+
+
+def test_the_core_hears_of_silence_each_time_it_lasts_10_ms(flight: Flight) -> None:
+    def ticks(count: int) -> int:
+        for _ in range(count):
+            flight.sketch.call(flight.symbols["tick_handler"])
+        return flight.silences
+
+    assert ticks(9) == 0
+    flight.edge()
+    flight.finish_read((0, 0, 0))
+    flight.take_sample()
+    assert ticks(9) == 0
+    assert ticks(1) == 1
+    assert ticks(9) == 1
+    assert ticks(11) == 3
+    assert flight.sketch.sins == []
+
+
+def test_silence_is_told_when_there_never_was_a_chip(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0)
+    for _ in range(10):
+        flight.sketch.call(symbols["tick_handler"])
+    assert flight.silences == 1
+
+
+def test_tick_and_sample_cannot_interrupt_each_other_when_set_up(flight: Flight) -> None:
+    sample = flight.sketch.peek(0xE000E400 + 4 * (58 // 4)) >> 8 * (58 % 4) & 0xFF
+    assert flight.sketch.field("SCB_SHPR3", "PRI_15") == sample == 0x20
 
 
 def test_a_read_not_yet_taken_is_left_alone_when_the_control_path_is_late(flight: Flight) -> None:

@@ -37,15 +37,15 @@ def board(make_sketch: Callable[..., Any], symbols: dict[str, int]) -> Any:
 
 @pytest.fixture
 def sbus(board: Any, symbols: dict[str, int]) -> Line:
-    return Line(board, symbols["sbus_ring_bytes"], DMA1_S5NDTR)
+    return Line(board, symbols["receiver_ring_bytes"], DMA1_S5NDTR)
 
 
 @pytest.fixture
 def read(board: Any, symbols: dict[str, int]) -> Callable[..., bytes]:
-    """Calls receiver_sbus_read."""
+    """Calls receiver_line_read."""
 
     def take(capacity: int = RING_BYTES) -> bytes:
-        count = board.call_with(symbols["receiver_sbus_read"], SCRATCH, capacity)
+        count = board.call_with(symbols["receiver_line_read"], SCRATCH, capacity)
         return bytes(board.uc.mem_read(SCRATCH, count))
 
     return take

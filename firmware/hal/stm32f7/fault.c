@@ -1,0 +1,186 @@
+#include "fault.h"
+
+#include <stddef.h>
+
+#include "core.h"
+#include "handlers.h"
+#include "motors.h"
+#include "registers.h"
+#include "stop.h"
+
+#define NOTE_MAGIC 0x544C4146u /* "FALT" */
+/* A board that faults before anybody can ask it would start anew for ever: after so many in a row that nobody
+ * took, it rests and shows them. */
+#define FAULTS_IN_A_ROW_MAX 3u
+
+enum { EXCEPTION_NMI = 2 };            /* SCB_ICSR VECTACTIVE: the clock's, as nothing else raises it */
+enum { RESET_KEY = 0x05FA };           /* SCB_AIRCR VECTKEY */
+#define FRAME_BYTES 32u                /* what every exception stacks last: r0..r3, r12, lr, pc, psr */
+
+/* Linker script. */
+extern uint32_t dtcm_start[], stack_top[];
+
+_Noreturn void fault_stop(const uint32_t *frame);
+
+/* Outlives every reset but not the loss of power; what it holds then fails the checksum. */
+static struct note {
+	uint32_t magic;
+	uint32_t in_a_row;
+	struct fault_record record;
+	uint32_t checksum;
+} note __attribute__((section(".noinit")));
+
+static uint32_t last_steps __attribute__((section(".noinit"))); /* of the control path, this boot's or the last's */
+
+/* Set by fault_start. */
+static uint32_t reset_flags;       /* RCC_CSR as it was */
+static uint32_t steps_before_reset;
+
+/* Each word turned by its place: words that change places or are all alike show. */
+static uint32_t checksum(const struct note *n)
+{
+	const uint32_t *const words = (const uint32_t *)(const void *)n;
+	uint32_t sum = NOTE_MAGIC;
+
+	for (uint32_t i = 0; i < offsetof(struct note, checksum) / sizeof(uint32_t); ++i)
+		sum = (sum << 5 | sum >> 27) ^ words[i];
+	return sum;
+}
+_Static_assert(sizeof(struct fault_record) % sizeof(uint32_t) == 0, "the checksum takes words");
+
+static bool noted(void)
+{
+	return note.magic == NOTE_MAGIC && note.checksum == checksum(&note);
+}
+
+void fault_start(void)
+{
+	reset_flags = RCC_CSR;
+	RCC_CSR |= RCC_CSR_RMVF;
+	steps_before_reset = last_steps;
+	last_steps = 0;
+}
+
+void fault_note_steps(uint32_t steps)
+{
+	last_steps = steps;
+}
+
+/* The chip's own word: a reset that no code of ours asked for. Power-on sets all flags of the supply. */
+static uint32_t kind_of_reset(void)
+{
+	if ((reset_flags & RCC_CSR_WDGRSTF) != 0u)
+		return FAULT_WATCHDOG;
+	if ((reset_flags & (RCC_CSR_BORRSTF | RCC_CSR_PORRSTF)) == RCC_CSR_BORRSTF)
+		return FAULT_BROWN_OUT;
+	return FAULT_NONE;
+}
+
+bool fault_take(struct fault_record *record)
+{
+	if (noted()) {
+		*record = note.record;
+		return true;
+	}
+	const uint32_t kind = kind_of_reset();
+	if (kind == FAULT_NONE)
+		return false;
+	*record = (struct fault_record){.kind = kind, .uptime_steps = steps_before_reset};
+	return true;
+}
+
+void fault_clear(void)
+{
+	note.magic = 0;
+	reset_flags = 0;
+}
+
+static _Noreturn void reset(void)
+{
+	barrier();
+	SCB_AIRCR = FIELD(SCB_AIRCR_VECTKEY, RESET_KEY) | SCB_AIRCR_SYSRESETREQ;
+	barrier();
+	for (;;)
+		;
+}
+
+_Noreturn void fault_reset(void)
+{
+	interrupts_disable();
+	motors_force_low();
+	reset();
+}
+
+/* Keeps `record` and starts anew, or rests. */
+static _Noreturn void keep(struct fault_record *record)
+{
+	const uint32_t before = noted() ? note.in_a_row : 0u;
+
+	record->uptime_steps = last_steps;
+	note.magic = NOTE_MAGIC;
+	note.in_a_row = before + 1u;
+	note.record = *record;
+	note.checksum = checksum(&note);
+	if (note.in_a_row >= FAULTS_IN_A_ROW_MAX)
+		stop(LED_FAULT);
+	reset();
+}
+
+_Noreturn void fault_assert_failed(const char *file, uint32_t line)
+{
+	interrupts_disable();
+	motors_force_low();
+	struct fault_record record = {.kind = FAULT_ASSERT, .line = line};
+
+	for (size_t i = 0; i + 1u < sizeof record.file && file[i] != '\0'; ++i)
+		record.file[i] = file[i];
+	keep(&record);
+}
+
+static void copy_frame(struct fault_record *record, const uint32_t *frame)
+{
+	for (uint32_t i = 0; i < 4u; ++i)
+		record->r[i] = frame[i];
+	record->r12 = frame[4];
+	record->lr = frame[5];
+	record->pc = frame[6];
+	record->psr = frame[7];
+}
+
+/* `frame`: where the exception stacked its registers, anything at all after a stack overflow. */
+_Noreturn void fault_stop(const uint32_t *frame)
+{
+	motors_force_low();
+	const uint32_t exception = VALUE(SCB_ICSR_VECTACTIVE, SCB_ICSR);
+	const uint32_t at = (uint32_t)frame;
+	struct fault_record record = {
+		.kind = exception == EXCEPTION_NMI ? FAULT_CLOCK : FAULT_HARD,
+		.cfsr = SCB_CFSR,
+		.hfsr = SCB_HFSR,
+		.mmfar = SCB_MMFAR,
+		.bfar = SCB_BFAR,
+		.sp = at,
+		.line = exception,
+	};
+
+	if (at >= (uint32_t)dtcm_start && at <= (uint32_t)stack_top - FRAME_BYTES && at % sizeof(uint32_t) == 0u)
+		copy_frame(&record, frame);
+	keep(&record);
+}
+
+/* The stack may be what overflowed: outside its bounds, or with too little left, it begins anew. Inside them it
+ * goes on below the frame, which it must not overwrite. */
+__attribute__((naked)) void fault_handler(void)
+{
+	__asm volatile("cpsid i\n\t"
+		       "mov r0, sp\n\t"
+		       "ldr r1, =dtcm_start + 512\n\t" /* fault_stop takes less */
+		       "ldr r2, =stack_top\n\t"
+		       "cmp r0, r1\n\t"
+		       "blo 1f\n\t"
+		       "cmp r0, r2\n\t"
+		       "bls 2f\n"
+		       "1:\tmov sp, r2\n"
+		       "2:\tb fault_stop\n\t"
+		       ".ltorg");
+}

@@ -1,0 +1,37 @@
+/* What stops the program: processor faults, failed assertions, a lost clock. Motors low first, then a record that
+ * outlives the reset, then the reset. */
+#ifndef STM32F7_FAULT_H
+#define STM32F7_FAULT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "hal/hal.h"
+
+/* Our own mistake, not the world's: ends here. Any context. */
+#define HAL_ASSERT(condition)                                                        \
+	do {                                                                         \
+		if (!(condition))                                                    \
+			fault_assert_failed(__FILE__ + FAULT_FILE_SKIPPED, __LINE__); \
+	} while (0)
+
+/* Of a path only the end is kept. */
+#define FAULT_FILE_SKIPPED (sizeof __FILE__ > FAULT_FILE_BYTES ? sizeof __FILE__ - FAULT_FILE_BYTES : 0u)
+
+/* `file`: at most FAULT_FILE_BYTES with its 0. */
+_Noreturn void fault_assert_failed(const char *file, uint32_t line);
+
+/* Reads why the chip was reset and forgets it for the next time. First of all. */
+void fault_start(void);
+
+/* As hal_fault_take and hal_fault_clear. */
+bool fault_take(struct fault_record *record);
+void fault_clear(void);
+
+/* Control steps since boot, for the record. From the sample handler. */
+void fault_note_steps(uint32_t steps);
+
+/* Motors low, then the chip starts anew. */
+_Noreturn void fault_reset(void);
+
+#endif

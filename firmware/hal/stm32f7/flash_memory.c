@@ -1,0 +1,153 @@
+#include "flash_memory.h"
+
+#include "clock.h"
+#include "core.h"
+#include "nf_contract.h"
+#include "registers.h"
+#include "time.h"
+#include "watchdog.h"
+
+/* FLASH_KEYR (RM0431 3.3.5). */
+#define KEY_1 0x45670123u
+#define KEY_2 0xCDEF89ABu
+
+enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
+#define ERASED 0xFFFFFFFFu
+#define ERRORS                                                                                          \
+	(FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
+
+/* Waits are counted in looks at the register, each of more than four cycles: the cycle counter may wrap before a
+ * sector is erased. The data sheet's longest times are 31 ms a kilobyte and 0.1 ms a word. */
+#define ERASE_LOOKS_A_KILOBYTE (CLOCK_CORE_HZ / 100u)
+#define WORD_LOOKS (CLOCK_CORE_HZ / 1000u)
+
+/* The sectors of the contract's map that hold no code. */
+static const struct sector {
+	uint32_t address, size;
+} sectors[NF_FLASH_SECTORS_COUNT] = {
+	[1] = {NF_FLASH_SECTORS_1_ADDRESS, NF_FLASH_SECTORS_1_SIZE},
+	[2] = {NF_FLASH_SECTORS_2_ADDRESS, NF_FLASH_SECTORS_2_SIZE},
+	[3] = {NF_FLASH_SECTORS_3_ADDRESS, NF_FLASH_SECTORS_3_SIZE},
+	[4] = {NF_FLASH_SECTORS_4_ADDRESS, NF_FLASH_SECTORS_4_SIZE},
+	[7] = {NF_FLASH_SECTORS_7_ADDRESS, NF_FLASH_SECTORS_7_SIZE},
+};
+
+/* Does all of it lie in one of them? */
+static bool storable(uint32_t address, size_t bytes)
+{
+	for (size_t i = 0; i < NF_FLASH_SECTORS_COUNT; ++i)
+		if (address >= sectors[i].address && bytes <= sectors[i].size &&
+		    address - sectors[i].address <= sectors[i].size - bytes)
+			return sectors[i].size != 0u;
+	return false;
+}
+
+static void unlock(void)
+{
+	if ((FLASH_CR & FLASH_CR_LOCK) == 0u)
+		return;
+	FLASH_KEYR = KEY_1;
+	FLASH_KEYR = KEY_2;
+}
+
+/* Waits for the operation under way, the watchdog content. */
+static bool rested(uint32_t looks)
+{
+	while ((FLASH_SR & FLASH_SR_BSY) != 0u) {
+		if (looks-- == 0u)
+			return false;
+		watchdog_feed();
+	}
+	return true;
+}
+
+static bool succeeded(uint32_t looks)
+{
+	return rested(looks) && (FLASH_SR & ERRORS) == 0u;
+}
+
+/* What the caches hold of flash is the past. Other lines that were written go to memory first. */
+static void forget_cached(void)
+{
+	FLASH_ACR &= ~FLASH_ACR_ARTEN;
+	FLASH_ACR |= FLASH_ACR_ARTRST;
+	FLASH_ACR &= ~FLASH_ACR_ARTRST;
+	FLASH_ACR |= FLASH_ACR_ARTEN;
+	core_clean_caches();
+}
+
+/* From here to `end` nothing reads flash and nothing interrupts: neither code nor vectors nor tables. */
+static bool begin(void)
+{
+	interrupts_disable();
+	unlock();
+	const bool ready = rested(WORD_LOOKS);
+	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
+	return ready;
+}
+
+static void end(void)
+{
+	FLASH_CR = FLASH_CR_LOCK;
+	forget_cached();
+	interrupts_enable();
+}
+
+/* `size`: of the sector [bytes]. */
+static bool erase(unsigned sector, uint32_t size)
+{
+	bool good = begin();
+
+	if (good) {
+		FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_SER | FIELD(FLASH_CR_SNB, sector);
+		FLASH_CR |= FLASH_CR_STRT;
+		barrier();
+		good = succeeded(size / 1024u * ERASE_LOOKS_A_KILOBYTE);
+	}
+	end();
+	return good;
+}
+
+static bool program(uint32_t address, const uint32_t *words, size_t count)
+{
+	bool good = begin();
+
+	FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_PG;
+	for (size_t i = 0; good && i < count; ++i) {
+		REGISTER(address + sizeof(uint32_t) * i) = words[i];
+		barrier(); /* one word at a time reaches flash */
+		good = succeeded(WORD_LOOKS);
+	}
+	end();
+	return good;
+}
+
+bool flash_memory_erase(unsigned sector)
+{
+	if (sector >= NF_FLASH_SECTORS_COUNT || sectors[sector].size == 0u)
+		return false;
+	const uint32_t address = sectors[sector].address, size = sectors[sector].size;
+
+	if (!erase(sector, size))
+		return false;
+	for (uint32_t offset = 0; offset < size; offset += sizeof(uint32_t))
+		if (REGISTER(address + offset) != ERASED)
+			return false;
+	return true;
+}
+
+bool flash_memory_program(uint32_t address, const void *words, size_t bytes)
+{
+	const uint32_t *const from = words;
+	const size_t count = bytes / sizeof(uint32_t);
+
+	if (address % sizeof(uint32_t) != 0u || bytes % sizeof(uint32_t) != 0u ||
+	    (uint32_t)words % sizeof(uint32_t) != 0u || !storable(address, bytes))
+		return false;
+	if (!program(address, from, count))
+		return false;
+	for (size_t i = 0; i < count; ++i)
+		if (REGISTER(address + sizeof(uint32_t) * i) != from[i])
+			return false;
+	return true;
+}

@@ -1,0 +1,245 @@
+#include "gyro_chip.h"
+
+#include "core.h"
+#include "dma.h"
+#include "fault.h"
+#include "handlers.h"
+#include "nf_contract.h"
+#include "registers.h"
+#include "spi.h"
+#include "targets/MATEKF722/board.h"
+#include "time.h"
+
+#define AF_SPI1 5u
+#define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */
+
+/* MPU-6500 register map and descriptions (RM-MPU-6500A-00), section 4; the ICM-20689 (DS-000143) has the same
+ * registers there. */
+enum chip_register {
+	SMPLRT_DIV = 0x19,
+	CONFIG = 0x1A,
+	GYRO_CONFIG = 0x1B,
+	ACCEL_CONFIG = 0x1C,
+	ACCEL_CONFIG2 = 0x1D,
+	INT_PIN_CFG = 0x37,
+	INT_ENABLE = 0x38,
+	ACCEL_XOUT_H = 0x3B, /* then temperature and gyro, two bytes each, the upper one first */
+	SIGNAL_PATH_RESET = 0x68,
+	USER_CTRL = 0x6A,
+	PWR_MGMT_1 = 0x6B,
+	PWR_MGMT_2 = 0x6C,
+	WHO_AM_I = 0x75,
+};
+#define READ 0x80u
+#define DEVICE_RESET 0x80u /* PWR_MGMT_1 */
+#define RESET_MS 100u      /* of the chip, and again of its signal paths */
+
+/* What the chips differ in. */
+static const struct chip {
+	uint8_t identity;    /* WHO_AM_I */
+	uint8_t reset_paths; /* SIGNAL_PATH_RESET: all there are */
+	enum spi_speed speed;/* of data; registers take 1 MHz */
+	enum board_alignment alignment;
+} chips[] = {
+	{0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT},  /* 20 MHz at most */
+	{0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT}, /* 8 MHz at most */
+};
+
+/* Written in this order, each read back; the same numbers for both chips. */
+static const struct setting {
+	uint8_t address;
+	uint8_t value;
+} settings[] = {
+	{PWR_MGMT_1, 0x01},    /* awake, clock from the gyro's PLL */
+	{USER_CTRL, 0x10},     /* SPI only */
+	{PWR_MGMT_2, 0x00},    /* all axes on */
+	{SMPLRT_DIV, 0x00},
+	{CONFIG, 0x00},        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz */
+	{GYRO_CONFIG, 0x18},   /* +-2000 deg/s, FCHOICE_B 0 */
+	{ACCEL_CONFIG, 0x18},  /* +-16 g */
+	{ACCEL_CONFIG2, 0x02}, /* 1 kHz, bandwidth about 95 Hz: attitude asks for gravity, not for vibration */
+	{INT_PIN_CFG, 0x00},   /* active high, push-pull, 50 us pulse */
+	{INT_ENABLE, 0x01},    /* data ready */
+};
+
+#define AXES 3u
+#define ACCEL_OFFSET 1u /* behind the address byte */
+#define TEMPERATURE_OFFSET 7u
+#define GYRO_OFFSET 9u
+#define TRANSFER_BYTES 15u
+
+static DMA_BUFFER uint8_t gyro_request[TRANSFER_BYTES];
+static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
+
+/* Between gyro_run, the edge handler, the sample handler and the tick. */
+static struct {
+	const struct chip *chip; /* NULL: none that we know */
+	const struct hal_handlers *handlers; /* NULL before gyro_run */
+	uint32_t divider;        /* edges a sample */
+	uint32_t until_read;     /* edges until the next read; the edge handler's alone */
+	uint32_t silent_ms;      /* since the last sample; sample handler and tick, which share a priority */
+	volatile bool reading;   /* a transfer was started and not yet taken */
+} gyro;
+
+static bool transfer(uint8_t *bytes, size_t count)
+{
+	gpio_write(BOARD_GYRO_CS, false);
+	const bool moved = spi_exchange(bytes, count);
+	gpio_write(BOARD_GYRO_CS, true);
+	return moved;
+}
+
+static bool read_register(uint8_t address, uint8_t *value)
+{
+	uint8_t bytes[2] = {(uint8_t)(address | READ), 0};
+	const bool moved = transfer(bytes, sizeof bytes);
+
+	*value = bytes[1];
+	return moved;
+}
+
+static bool write_register(uint8_t address, uint8_t value)
+{
+	uint8_t bytes[2] = {address, value};
+
+	return transfer(bytes, sizeof bytes);
+}
+
+/* The chip that answers; NULL: none, or one that this driver does not know. */
+static const struct chip *identify(void)
+{
+	uint8_t identity;
+
+	if (!read_register(WHO_AM_I, &identity))
+		return NULL;
+	for (size_t i = 0; i < sizeof chips / sizeof chips[0]; ++i)
+		if (chips[i].identity == identity)
+			return &chips[i];
+	return NULL;
+}
+
+static bool configure(void)
+{
+	for (size_t i = 0; i < sizeof settings / sizeof settings[0]; ++i) {
+		uint8_t kept;
+
+		if (!write_register(settings[i].address, settings[i].value) ||
+		    !read_register(settings[i].address, &kept) || kept != settings[i].value)
+			return false;
+	}
+	return true;
+}
+
+bool gyro_start(enum board_alignment *alignment)
+{
+	gpio_output(BOARD_GYRO_CS, true);
+	gpio_input(BOARD_GYRO_READY, GPIO_PULL_DOWN);
+	/* The pull-up keeps the clock at its rest level while the SPI is off (RM0431 SPI, clock polarity). */
+	gpio_alternate(BOARD_GYRO_SCK, AF_SPI1, GPIO_PULL_UP, GPIO_FAST);
+	gpio_alternate(BOARD_GYRO_MISO, AF_SPI1, GPIO_PULL_UP, GPIO_FAST);
+	gpio_alternate(BOARD_GYRO_MOSI, AF_SPI1, GPIO_FLOATING, GPIO_FAST);
+	spi_configure(SPI_844K);
+
+	if (!write_register(PWR_MGMT_1, DEVICE_RESET))
+		return false;
+	time_delay_ms(RESET_MS);
+	const struct chip *const chip = identify();
+	if (chip == NULL || !write_register(SIGNAL_PATH_RESET, chip->reset_paths))
+		return false;
+	time_delay_ms(RESET_MS);
+	if (!configure())
+		return false;
+	gyro.chip = chip;
+	*alignment = chip->alignment;
+	return true;
+}
+
+void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
+{
+	HAL_ASSERT(rate_hz != 0u && NF_GYRO_EDGE_RATE_HZ % rate_hz == 0u);
+	gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;
+	gyro.until_read = 1;
+	gyro.reading = false;
+	gyro_request[0] = ACCEL_XOUT_H | READ;
+	barrier();
+	gyro.handlers = handlers; /* from here on the tick watches */
+	if (gyro.chip == NULL)
+		return;
+
+	spi_configure(gyro.chip->speed);
+	spi_dma_setup();
+	interrupt_enable(IRQ_DMA2_STREAM2, PRIORITY_SAMPLE);
+
+	SYSCFG_EXTICR1 = (SYSCFG_EXTICR1 & ~SYSCFG_EXTICR1_EXTI3) | FIELD(SYSCFG_EXTICR1_EXTI3, EXTI_PORT_C);
+	EXTI_RTSR |= EXTI_RTSR_TR3;
+	EXTI_PR = EXTI_PR_PR3;
+	EXTI_IMR |= EXTI_IMR_IM3;
+	interrupt_enable(IRQ_EXTI3, PRIORITY_GYRO_EDGE);
+}
+
+bool gyro_busy(void)
+{
+	return dma_busy(DMA_GYRO_TX);
+}
+
+void gyro_tick(void)
+{
+	if (gyro.handlers == NULL || ++gyro.silent_ms < NF_GYRO_BAD_MS)
+		return;
+	gyro.silent_ms = 0;
+	gyro.handlers->gyro_silent(gyro.handlers->context);
+}
+
+static void end_transfer(void)
+{
+	(void)spi_finish(); /* a stream that is still stuck makes the next spi_start refuse, and samples stop */
+	gpio_write(BOARD_GYRO_CS, true);
+	gyro.reading = false;
+}
+
+static void start_transfer(void)
+{
+	gyro.reading = true;
+	gpio_write(BOARD_GYRO_CS, false);
+	if (!spi_start(gyro_request, gyro_response, TRANSFER_BYTES))
+		end_transfer();
+}
+
+/* Samples only ever come from the chip. If edges or transfers stop, the tick says so; if it stops too, so do
+ * motor frames, and the ESCs stop their motors by themselves. */
+void gyro_edge_handler(void)
+{
+	EXTI_PR = EXTI_PR_PR3;
+	barrier(); /* cleared before the handler can return, or it would run twice */
+	if (--gyro.until_read != 0u)
+		return;
+	gyro.until_read = gyro.divider;
+	if (gyro.reading && dma_complete(DMA_GYRO_RX))
+		return; /* read but not yet taken: the control path is late, and this sample is lost */
+	if (gyro.reading)
+		end_transfer(); /* a read takes 9 or 18 us: this one is stuck */
+	start_transfer();
+}
+
+static int16_t big_endian(const volatile uint8_t *bytes)
+{
+	return (int16_t)(uint16_t)(bytes[0] << 8 | bytes[1]);
+}
+
+void gyro_sample_handler(void)
+{
+	struct imu_sample sample;
+
+	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
+	interrupts_disable();
+	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
+	end_transfer();
+	for (uint32_t axis = 0; axis < AXES; ++axis) {
+		sample.accel[axis] = big_endian(gyro_response + ACCEL_OFFSET + 2u * axis);
+		sample.gyro[axis] = big_endian(gyro_response + GYRO_OFFSET + 2u * axis);
+	}
+	sample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);
+	interrupts_enable();
+	gyro.silent_ms = 0;
+	gyro.handlers->sample(gyro.handlers->context, &sample);
+}

@@ -1,0 +1,13 @@
+/* Battery voltage and current at their pins: ADC1 converts both all the time, DMA keeps the last of them. */
+#ifndef STM32F7_POWER_H
+#define STM32F7_POWER_H
+
+#include "hal/hal.h"
+
+void power_start(void);
+
+/* The mean of the last 1.2 ms. Invalid where conversions have not filled that since the last call. Background
+ * only. */
+void power_read(struct power_sample *power);
+
+#endif

@@ -1,0 +1,15 @@
+/* The receiver's line on USART2: SBUS (inverted, 100 kbaud, 8E2) or CRSF (420 kbaud, 8N1). */
+#ifndef STM32F7_RECEIVER_LINE_H
+#define STM32F7_RECEIVER_LINE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* `protocol`: NF_RECEIVER_PROTOCOL_...; the line rests for one that does not come by it. */
+void receiver_line_start(uint32_t protocol);
+
+/* Bytes since the last call, at most `capacity`. SBUS has no checksum, so there a parity or framing error throws
+ * away what came with it and the rest of its frame. From the sample handler only. */
+size_t receiver_line_read(uint8_t *bytes, size_t capacity);
+
+#endif

@@ -1,0 +1,30 @@
+#include "watchdog.h"
+
+#include <stdbool.h>
+
+#include "clock.h"
+#include "time.h"
+
+/* Values of IWDG_KR (RM0431 IWDG). */
+#define START 0xCCCCu
+#define UNLOCK 0x5555u
+
+/* LSI is 32 kHz, somewhere from 17 to 47 (data sheet): 0.34 to 0.94 s. */
+enum { DIVIDE_BY_32 = 3 }; /* IWDG_PR */
+#define LSI_HZ 32000u
+#define TIMEOUT_MS 500u
+#define RELOAD (LSI_HZ / 32u * TIMEOUT_MS / 1000u)
+
+#define UPDATE_LIMIT (CLOCK_CORE_HZ / 1000u * 20u) /* 20 ms: an update takes five of its prescaled cycles */
+
+void watchdog_start(void)
+{
+	DBGMCU_APB1FZ |= DBGMCU_APB1FZ_DBG_IWDG_STOP;
+	IWDG_KR = START;
+	IWDG_KR = UNLOCK;
+	IWDG_PR = FIELD(IWDG_PR_PR, DIVIDE_BY_32);
+	IWDG_RLR = FIELD(IWDG_RLR_RL, RELOAD);
+	/* Should the update not end, the watchdog runs with what it has: 0.5 s too, by its reset values. */
+	(void)time_wait(&IWDG_SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, UPDATE_LIMIT);
+	watchdog_feed();
+}

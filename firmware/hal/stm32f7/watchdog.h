@@ -1,0 +1,18 @@
+/* The independent watchdog: resets the board when nobody feeds it for half a second. It has a clock of its own. */
+#ifndef STM32F7_WATCHDOG_H
+#define STM32F7_WATCHDOG_H
+
+#include "registers.h"
+
+#define WATCHDOG_FEED 0xAAAAu /* IWDG_KR (RM0431 IWDG) */
+
+/* From here on until the next reset. While a debugger halts the core it waits. */
+void watchdog_start(void);
+
+/* Harmless before watchdog_start. Any context. */
+static inline void watchdog_feed(void)
+{
+	IWDG_KR = WATCHDOG_FEED;
+}
+
+#endif
