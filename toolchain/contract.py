@@ -66,20 +66,42 @@ RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link coun
 GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
 GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
-# A crash: for so long an axis turns this much other than asked for, while the controller already asks for all that
-# a motor can give. The longest of our own flights, a flip at 720 deg/s, stays above half of that error for 60 ms.
+# A crash: for so long an axis turns this much other than asked for, while the controller already asks for nearly
+# all that a motor can give. A flip at 720 deg/s, the hardest of our own flights, has both for some 50 ms.
 CRASH_ERROR_DEG_S = 500.0
 CRASH_OUTPUT = 0.95  # a motor fraction of the controller, before the throttle
 CRASH_MS = 250
-RUNAWAY_WINDOW_MS = 1000  # of flight: a motor or propeller in the wrong place shows at once
-RUNAWAY_MS = 100  # as above, and the error is larger at the end than at the beginning
+RUNAWAY_WINDOW_MS = 1000  # after arming: a motor or propeller in the wrong place shows at once
+RUNAWAY_MS = 100  # as in a crash, and at the end the error is larger than at the beginning
 HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
-MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends
+MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends; arming waits as long after it
+MOTOR_TEST_MAGIC = 0x5453544D  # "MTST": opens it; 0 closes it
+MOTOR_TEST_MAX = 0.5  # motor fraction: shows direction, order and balance at a quarter of the thrust
+MOTOR_TEST_SUM_MAX = 1.0  # of all motors: the NF1 hovers at four times 0.27
 
 # --- Motor outputs ---------------------------------------------------------------------------
 DSHOT_STOP = 0
 DSHOT_MIN, DSHOT_MAX = 48, 2047  # 1..47 are commands, never sent by the control path
 DSHOT_SPAN = DSHOT_MAX - DSHOT_MIN  # value = 48 + (uint16)(1999 u + 0.5)
+DSHOT_ALL_MOTORS = 255  # where a command may name one
+
+
+class DshotCommand(IntEnum):
+    """Commands to a motor's controller; all others are refused."""
+
+    STOP = 0  # ends what is under way
+    BEACON_1 = 1
+    BEACON_2 = 2
+    BEACON_3 = 3
+    BEACON_4 = 4
+    BEACON_5 = 5
+    DIRECTION_1 = 7  # as the motor is wired
+    DIRECTION_2 = 8
+    SAVE = 12  # what direction was told last
+    DIRECTION_NORMAL = 20  # as the controller is set up
+    DIRECTION_REVERSED = 21
+
+
 # u' = idle + (1 - idle) u: the fraction that an armed motor turns at without thrust. A policy is trained with
 # its own, which it brings along.
 IDLE_DEFAULT = 0.0  # of policies that do not tell
@@ -344,6 +366,7 @@ class Msp(IntEnum):
     RC = 105
     ATTITUDE = 108
     ANALOG = 110
+    BATTERY_STATE = 130
     STATUS_EX = 150
     UID = 160
     SET_RAW_RC = 200  # sticks, where the receiver is MSP

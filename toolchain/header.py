@@ -156,6 +156,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
     return (
         Enumeration("nf_observation", "Codes of the observation blocks, with unit and meaning.", observation),
         _enumeration("nf_msp", "NF_MSP", contract.Msp),
+        _enumeration("nf_dshot_command", "NF_DSHOT_COMMAND", contract.DshotCommand),
         _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState),
         _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason),
         _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause),

@@ -1,0 +1,43 @@
+/* Alert: what beeper and LED tell, as rhythms. */
+#ifndef NF_ALERT_H
+#define NF_ALERT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* What may hold, the most urgent first. Of those that hold, the first with a rhythm for an output plays on it. */
+enum alert_condition {
+	ALERT_FAULT,         /* something is broken: the LED flashes as often as its number says */
+	ALERT_CRASHED,
+	ALERT_FIND_ME,       /* the pilot's beeper switch */
+	ALERT_RECEIVER_LOST, /* after it was heard */
+	ALERT_BATTERY_LOW,
+	ALERT_BATTERY_WARN,
+	ALERT_CALIBRATING,
+	ALERT_ARMED,
+	ALERT_DISARMED,
+	ALERT_CONDITION_COUNT,
+};
+
+enum alert_output {
+	ALERT_BEEPER,
+	ALERT_LED,
+	ALERT_OUTPUT_COUNT,
+};
+
+struct alert {
+	uint8_t playing[ALERT_OUTPUT_COUNT]; /* enum alert_condition, ALERT_CONDITION_COUNT: silence */
+	uint32_t since_ms[ALERT_OUTPUT_COUNT];
+};
+
+struct alert_state {
+	bool beeper, led;
+};
+
+void alert_init(struct alert *alert);
+
+/* Beeper and LED at `ms` since any moment, wrapping. conditions: bit field of enum alert_condition; flashes: of a
+ * fault, 0 counts as 1. A rhythm begins when its condition is the first to play. */
+struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms);
+
+#endif

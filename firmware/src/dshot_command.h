@@ -1,0 +1,38 @@
+/* DShot commands: values 1..47 tell a motor's controller something. Only with the motors stopped, and only those of
+ * enum nf_dshot_command. A command is a sequence on the wire: stops, the command as often as the controllers want to
+ * hear it, stops for as long as they are busy with it. */
+#ifndef NF_DSHOT_COMMAND_H
+#define NF_DSHOT_COMMAND_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+struct dshot_command {
+	volatile uint32_t asked;  /* motors and command, 0: nothing; written by whoever asks, taken by the step */
+	volatile uint32_t left;   /* gyro samples of the sequence, 0: none is under way */
+	uint32_t from, until;     /* the command is sent while `left` is in [until, from) */
+	uint8_t command;          /* enum nf_dshot_command */
+	uint8_t motors;           /* bit field of those that are told */
+	uint8_t motor_count;
+	uint32_t gyro_rate_hz;
+};
+
+/* motor_count at most NF_MOTOR_COUNT_MAX. */
+void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count);
+
+/* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS). `stopped`: the
+ * motors are, and not under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD
+ * for what is no command of ours, INDEX for no such motor, ARMED, ORDER while another is under way. */
+enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped);
+
+/* One gyro sample, in the interrupt: while a sequence is under way, writes each motor's value. Returns the telemetry
+ * bit that these frames need. Not `stopped`: the sequence is over and `dshot` left alone. */
+bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[]);
+
+/* Is one asked for or under way? Until it is over nothing should arm. */
+bool dshot_command_busy(const struct dshot_command *self);
+
+#endif
