@@ -72,6 +72,8 @@ class Twin:
         self.mount = mount
         self._dt = 1.0 / rate_hz
         self._gravity = gravity if gravity is not None else mount is Mount.FREE
+        # Specific force at rest, upwards [m/s^2]: of a rig in the Earth's field even if that does not pull.
+        self._field = GRAVITY if mount is Mount.RIG or (self._gravity and mount is Mount.FREE) else 0.0
         self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground)
         self._geometry = rotor_geometry(aircraft)
         self._speed_max = aircraft.propulsion.speed_max
@@ -104,7 +106,8 @@ class Twin:
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self._phase_rng = rng.spawn(1)[0]
         self.gyro = np.zeros((count, 3))
-        self.accelerometer = np.zeros((count, 3))
+        self._acceleration = np.zeros((count, 3))  # [m/s^2], read off the centre
+        self._support = np.tile([0.0, 0.0, GRAVITY], (count, 1))  # [m/s^2], world axes
         self._everyone = np.arange(count)
         if variation is not None:
             self.vary(self._everyone, variation)
@@ -133,6 +136,18 @@ class Twin:
     def position(self) -> Array:
         """Position of the centre of mass [m], world axes, (N, 3)."""
         return self._world.position
+
+    @property
+    def accelerometer(self) -> Array:
+        """What the accelerometers tell of this sample [m/s^2], (N, 3), body axes.
+
+        A mount holds the aircraft in the Earth's field, whether that pulls at it or not: on the rig the
+        accelerometer feels it beside the swinging, and held at its centre, where nothing else can move it,
+        feels it alone and without noise.
+        """
+        if self.mount is Mount.CENTRE:
+            return turned_back(self._world.rotation, self._support)
+        return self._acceleration
 
     @property
     def telemetry(self) -> Telemetry:
@@ -186,8 +201,7 @@ class Twin:
             self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())
         self._velocity = self._world.velocity
-        rests = GRAVITY if self._gravity and self.mount is not Mount.CENTRE else 0.0
-        self.specific_force[index] = (0.0, 0.0, rests)  # held where it is
+        self.specific_force[index] = (0.0, 0.0, self._field)  # held where it is
         if self._battery is not None:
             charge = self._charge
             self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
@@ -242,9 +256,9 @@ class Twin:
         gyro = rate if self._gyro is None else self._gyro.measure(rate, *rotors)
         acceleration = force if meter is None else meter.measure(force, *rotors)
         if which is EVERYONE:
-            self.gyro, self.accelerometer = gyro, acceleration
+            self.gyro, self._acceleration = gyro, acceleration
         else:
-            self.gyro[which], self.accelerometer[which] = gyro, acceleration
+            self.gyro[which], self._acceleration[which] = gyro, acceleration
 
     def _move(self, wrench: Array) -> None:
         """Advance the world, and find the specific force from what became of the velocity."""
@@ -256,8 +270,7 @@ class Twin:
         world.step(wrench)
         earlier, self._velocity = self._velocity, world.velocity
         gained = (self._velocity - earlier) * self.rate_hz
-        if self._gravity:
-            gained[:, 2] += GRAVITY
+        gained[:, 2] += self._field
         self.specific_force = turned_back(world.rotation, gained)
 
     def _met(self, wind: Wind) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft import Battery, Body, load_aircraft
+from sim.aircraft import GRAVITY, Battery, Body, load_aircraft
 from sim.rotor import target_speed, thrust_and_torque
 from sim.twin import Twin
 from sim.world import Mount
@@ -228,6 +228,39 @@ def test_specific_force_is_what_an_accelerometer_feels() -> None:
     assert forces[0] == pytest.approx([0.0, 0.0, 0.27], abs=0.02)  # drag of 2.9 m/s: 0.10 N on 0.391 kg
     assert forces[1] == pytest.approx([0.0, 0.0, 9.80665], abs=0.02)
     assert forces[2] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-3)
+
+
+@pytest.mark.parametrize("mount", [Mount.CENTRE, Mount.RIG])
+@pytest.mark.parametrize("gravity", [False, True])
+def test_a_held_accelerometer_feels_its_support_upwards_whatever_gravity_turns(
+    mount: Mount, gravity: bool
+) -> None:
+    aircraft = twin(2, noise=False, mount=mount, gravity=gravity)
+    assert aircraft.accelerometer == pytest.approx(np.tile([0.0, 0.0, GRAVITY], (2, 1)))
+    turning = np.array([[0.3, 0.3, 0.32, 0.32], [0.3, 0.32, 0.3, 0.32]])
+    for _ in range(400):
+        aircraft.step(turning)
+    felt, upwards = aircraft.accelerometer.copy(), aircraft.rotation[:, 2].copy()
+    aircraft.reset(np.array([0]))
+    again = aircraft.accelerometer.copy()
+    aircraft.close()
+    assert np.degrees(np.arccos(upwards[:, 2])).min() > 20, "it must have turned"
+    swinging = 0.0 if mount is Mount.CENTRE else 1.0  # [m/s^2], of the centre of mass below the rig's joint
+    assert np.abs(felt - GRAVITY * upwards).max() <= swinging + 1e-12
+    assert again[0] == pytest.approx([0.0, 0.0, GRAVITY])
+    assert np.array_equal(again[1], felt[1])
+
+
+def test_a_free_accelerometer_feels_the_rotors_alone_when_gravity_is_off() -> None:
+    drifting = twin(noise=False, mount=Mount.FREE, gravity=False)
+    at_rest = drifting.accelerometer.copy()
+    for _ in range(500):
+        drifting.step(np.full((1, 4), 0.4))
+    felt, pushed = drifting.accelerometer.copy(), drifting.specific_force.copy()
+    drifting.close()
+    assert not at_rest.any()
+    assert np.array_equal(felt, pushed)
+    assert felt[0, 2] > 1.0
 
 
 def test_turning_on_the_rig_pulls_the_centre_of_mass_inwards() -> None:
