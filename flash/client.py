@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flash import messages
+from flash import messages, requests
 from flash.messages import ApiVersion, BoardInfo, BuildInfo, PolicyInfo
 from flash.msp import Corrupt, Decoder, Direction, Message, encode, request
 from flash.transport import Transport
@@ -52,7 +52,7 @@ class Client:
             answer = self._answer(command, self._clock() + timeout, failures)
             if answer is not None:
                 if answer.direction is Direction.ERROR:
-                    raise self._refused(command)
+                    raise self._refused(command, answer.payload)
                 return answer.payload
         raise self._no_answer(command, timeout, 1 + retries, failures, self._decoder.skipped - skipped)
 
@@ -72,7 +72,9 @@ class Client:
                     return event
         return None
 
-    def _refused(self, command: Msp) -> LinkError:
+    def _refused(self, command: Msp, payload: bytes) -> LinkError:
+        if why := requests.refusal(payload):
+            return LinkError(f"{self._transport.name}: the firmware refuses MSP {command.name}: {why}")
         return LinkError(
             f"{self._transport.name}: the firmware refuses MSP {command.name} ({command:d}), "
             "expected a reply; it does not know it: bring it and this tool to the same version"

@@ -1,18 +1,19 @@
 """What the replies say: payload bytes in, frozen dataclasses out.
 
-Layouts are those of Betaflight's MSP at API 1.46, little-endian; POLICY_INFO is this project's own.
-MSP grows at a payload's end, so bytes after the known ones are ignored and missing ones refused.
+Layouts are those of Betaflight's MSP at API 1.46, little-endian; POLICY_INFO and those of flash/records.py
+are this project's own. MSP grows at a payload's end, so bytes after the known ones are ignored and missing
+ones refused.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from enum import IntEnum
 
+from flash import records, requests
+from flash.payload import Reader
 from toolchain.contract import MSP_MODE_ARMED, ArmingReason, Msp
-from toolchain.errors import LinkError
 
 
 @dataclass(frozen=True)
@@ -104,9 +105,38 @@ class Analog:
     current_a: float
 
 
+class BatteryLevel(IntEnum):
+    """How full the battery is, as the ecosystem numbers it."""
+
+    GOOD = 0
+    WARNING = 1
+    CRITICAL = 2
+    ABSENT = 3  # or its cells are not known
+
+
+@dataclass(frozen=True)
+class BatteryState:
+    """The battery alone."""
+
+    cells: int  # 0: not known
+    level: BatteryLevel
+    voltage_v: float
+    drawn_mah: int
+    current_a: float
+
+
+class PolicySource(IntEnum):
+    """Where the policy that flies came from."""
+
+    SLOT_A = 0
+    SLOT_B = 1
+    COMPILED_IN = 2
+    NONE = 3  # no policy is good
+
+
 @dataclass(frozen=True)
 class PolicyInfo:
-    """The policy that is compiled into the firmware, and the rates it runs at."""
+    """The policy that the firmware flies, and the rates it runs at."""
 
     name: str  # the aircraft it was trained on
     sha256: str  # of policy.onnx, 64 hexadecimal digits
@@ -117,67 +147,30 @@ class PolicyInfo:
     control_rate_hz: int
     gyro_rate_hz: int
     good: bool  # its self-test passed and no output was refused since; False keeps the motors stopped
-
-
-class _Reader:
-    """Takes fields off the front of a payload; a payload that ends too early is a LinkError."""
-
-    def __init__(self, command: Msp, payload: bytes) -> None:
-        self.command = command
-        self.payload = payload
-        self.at = 0
-
-    def bytes(self, count: int) -> bytes:
-        """The next `count` bytes."""
-        end = self.at + count
-        if end > len(self.payload):
-            raise LinkError(
-                f"MSP {self.command.name} reply has {len(self.payload)} bytes, expected at least {end}; "
-                "the firmware speaks another layout: bring it and this tool to the same version"
-            )
-        field = self.payload[self.at : end]
-        self.at = end
-        return field
-
-    def fields(self, layout: str) -> tuple[Any, ...]:
-        """The next fields, of the struct format `layout` without its byte order."""
-        form = struct.Struct("<" + layout)
-        return form.unpack(self.bytes(form.size))
-
-    def text(self, count: int) -> str:
-        """The next `count` bytes as text; whatever is not printable ASCII shows as `?`."""
-        characters = self.bytes(count).rstrip(b"\0").decode("latin-1")
-        return "".join(c if " " <= c <= "~" else "?" for c in characters)
-
-    def counted_text(self) -> str:
-        """A text behind a byte that gives its length."""
-        (count,) = self.fields("B")
-        return self.text(count)
-
-    def shorts(self) -> tuple[int, ...]:
-        """All the rest as u16."""
-        rest = len(self.payload) - self.at
-        return self.fields(f"{(rest + 1) // 2}H")  # an odd byte lacks its other half: refused
+    idle: float  # motor fraction at zero thrust
+    source: PolicySource
+    sequence: int  # of its blob, 0: compiled in
+    found: tuple[int, ...]  # at boot in slot A, slot B and compiled in: 0 good, else firmware/src/nf_err.h
 
 
 def api_version(payload: bytes) -> ApiVersion:
     """Decode API_VERSION."""
-    return ApiVersion(*_Reader(Msp.API_VERSION, payload).fields("3B"))
+    return ApiVersion(*Reader(Msp.API_VERSION, payload).fields("3B"))
 
 
 def fc_variant(payload: bytes) -> str:
     """Decode FC_VARIANT: four characters, this project's are contract.MSP_VARIANT."""
-    return _Reader(Msp.FC_VARIANT, payload).text(4)
+    return Reader(Msp.FC_VARIANT, payload).text(4)
 
 
 def fc_version(payload: bytes) -> str:
     """Decode FC_VERSION, as `major.minor.patch`."""
-    return ".".join(str(part) for part in _Reader(Msp.FC_VERSION, payload).fields("3B"))
+    return ".".join(str(part) for part in Reader(Msp.FC_VERSION, payload).fields("3B"))
 
 
 def board_info(payload: bytes) -> BoardInfo:
     """Decode BOARD_INFO up to the manufacturer; signature, MCU and bus counts are passed over."""
-    reader = _Reader(Msp.BOARD_INFO, payload)
+    reader = Reader(Msp.BOARD_INFO, payload)
     identifier = reader.text(4)
     hardware_revision, _board_type, _capabilities = reader.fields("HBB")
     target, name, manufacturer = (reader.counted_text() for _ in range(3))
@@ -186,23 +179,23 @@ def board_info(payload: bytes) -> BoardInfo:
 
 def build_info(payload: bytes) -> BuildInfo:
     """Decode BUILD_INFO."""
-    reader = _Reader(Msp.BUILD_INFO, payload)
+    reader = Reader(Msp.BUILD_INFO, payload)
     return BuildInfo(date=reader.text(11), time=reader.text(8), revision=reader.text(7))
 
 
 def name(payload: bytes) -> str:
     """Decode NAME, the name that the pilot gave the aircraft; may be empty."""
-    return _Reader(Msp.NAME, payload).text(len(payload))
+    return Reader(Msp.NAME, payload).text(len(payload))
 
 
 def status(payload: bytes) -> Status:
     """Decode STATUS."""
-    return Status(*_Reader(Msp.STATUS, payload).fields("HHHIBH"))
+    return Status(*Reader(Msp.STATUS, payload).fields("HHHIBH"))
 
 
 def status_ex(payload: bytes) -> StatusEx:
     """Decode STATUS_EX."""
-    reader = _Reader(Msp.STATUS_EX, payload)
+    reader = Reader(Msp.STATUS_EX, payload)
     status = Status(*reader.fields("HHHIBH"))
     _profiles, _rate_profile, further_mode_bytes = reader.fields("BBB")
     reader.bytes(further_mode_bytes & 0x0F)  # flight modes 32 and up
@@ -223,45 +216,49 @@ def bit_names(flags: int) -> tuple[str, ...]:
 
 def uid(payload: bytes) -> str:
     """Decode UID: the chip's 96-bit number as 24 hexadecimal digits, in the ecosystem's word order."""
-    return "".join(f"{word:08x}" for word in _Reader(Msp.UID, payload).fields("3I"))
+    return "".join(f"{word:08x}" for word in Reader(Msp.UID, payload).fields("3I"))
 
 
 def rc(payload: bytes) -> tuple[int, ...]:
     """Decode RC: channels in microseconds, in the order roll, pitch, yaw, throttle, aux 1.."""
-    return _Reader(Msp.RC, payload).shorts()
+    return Reader(Msp.RC, payload).shorts()
 
 
 def motor(payload: bytes) -> tuple[int, ...]:
     """Decode MOTOR: outputs in 1000..2000, motor order; 0 for a motor that is not there."""
-    return _Reader(Msp.MOTOR, payload).shorts()
+    return Reader(Msp.MOTOR, payload).shorts()
 
 
 def raw_imu(payload: bytes) -> RawImu:
     """Decode RAW_IMU."""
-    counts = _Reader(Msp.RAW_IMU, payload).fields("9h")
+    counts = Reader(Msp.RAW_IMU, payload).fields("9h")
     return RawImu(acceleration=counts[0:3], gyro=counts[3:6], magnetometer=counts[6:9])
 
 
 def attitude(payload: bytes) -> Attitude:
     """Decode ATTITUDE."""
-    roll_decidegrees, pitch_decidegrees, heading = _Reader(Msp.ATTITUDE, payload).fields("3h")
+    roll_decidegrees, pitch_decidegrees, heading = Reader(Msp.ATTITUDE, payload).fields("3h")
     return Attitude(roll_decidegrees / 10, pitch_decidegrees / 10, float(heading))
 
 
 def analog(payload: bytes) -> Analog:
     """Decode ANALOG; of its two voltages the finer one."""
-    _decivolts, drawn_mah, rssi, centiamps, centivolts = _Reader(Msp.ANALOG, payload).fields("BHHhH")
+    _decivolts, drawn_mah, rssi, centiamps, centivolts = Reader(Msp.ANALOG, payload).fields("BHHhH")
     return Analog(centivolts / 100, drawn_mah, rssi, centiamps / 100)
 
 
 def policy_info(payload: bytes) -> PolicyInfo:
     """Decode POLICY_INFO."""
-    reader = _Reader(Msp.POLICY_INFO, payload)
+    reader = Reader(Msp.POLICY_INFO, payload)
     architecture_hash, observations, actions, weights = reader.fields("IHHI")
     control_rate_hz, gyro_rate_hz, good = reader.fields("HHB")
+    name, sha256 = reader.counted_text(), reader.bytes(32).hex()
+    (idle,) = reader.fields("f")
+    source = reader.one_of(PolicySource)
+    sequence, *found = reader.fields("I3b")
     return PolicyInfo(
-        name=reader.counted_text(),
-        sha256=reader.bytes(32).hex(),
+        name=name,
+        sha256=sha256,
         architecture_hash=architecture_hash,
         observation_count=observations,
         action_count=actions,
@@ -269,7 +266,20 @@ def policy_info(payload: bytes) -> PolicyInfo:
         control_rate_hz=control_rate_hz,
         gyro_rate_hz=gyro_rate_hz,
         good=bool(good),
+        idle=idle,
+        source=source,
+        sequence=sequence,
+        found=tuple(found),
     )
+
+
+def battery_state(payload: bytes) -> BatteryState:
+    """Decode BATTERY_STATE; of its two voltages the finer one."""
+    reader = Reader(Msp.BATTERY_STATE, payload)
+    cells, _capacity, _decivolts, drawn_mah, centiamps = reader.fields("BHBHh")
+    level = reader.one_of(BatteryLevel)
+    (centivolts,) = reader.fields("H")
+    return BatteryState(cells, level, centivolts / 100, drawn_mah, centiamps / 100)
 
 
 DECODERS: dict[Msp, Callable[[bytes], object]] = {
@@ -287,5 +297,12 @@ DECODERS: dict[Msp, Callable[[bytes], object]] = {
     Msp.RAW_IMU: raw_imu,
     Msp.ATTITUDE: attitude,
     Msp.ANALOG: analog,
+    Msp.BATTERY_STATE: battery_state,
     Msp.POLICY_INFO: policy_info,
+    Msp.SAFETY: records.safety,
+    Msp.TASKS: records.tasks,
+    Msp.FAULTS: records.faults,
+    Msp.SETTING_INFO: requests.setting_info,
+    Msp.SETTING_GET: requests.setting_value,
+    Msp.POLICY_SLOT_BEGIN: requests.slot_begun,
 }

@@ -2,13 +2,16 @@
 
 #include <stdbool.h>
 
+#include "crc8.h"
+#include "msp_commands.h"
 #include "msp_replies.h"
 #include "nf_contract.h"
 
 #define JUMBO 255u        /* the v1 size that announces a 16-bit one */
 #define FRAME_V1_BYTES 6u /* around a payload: "$M>", size, command, checksum */
 #define FRAME_V2_BYTES 9u /* "$X>", flags, command, size, checksum */
-_Static_assert(MSP_REPLY_MAX < JUMBO, "no reply of this server needs a jumbo frame");
+#define REPLY_MAX 240u    /* bytes of a reply's payload */
+_Static_assert(REPLY_MAX < JUMBO, "no reply of this server needs a jumbo frame");
 
 /* Named for the byte that is awaited. */
 enum msp_state {
@@ -34,23 +37,19 @@ void msp_init(struct msp *msp, const struct msp_identity *identity)
 	msp_reset(msp);
 }
 
+void msp_offer(struct msp *msp, const struct msp_services *services)
+{
+	msp->services = services;
+}
+
 void msp_reset(struct msp *msp)
 {
 	msp->state = MSP_DOLLAR;
 }
 
-static uint8_t crc8_dvb_s2(uint8_t crc, uint8_t byte)
-{
-	unsigned c = crc ^ byte;
-
-	for (int bit = 0; bit < 8; bit++)
-		c = c & 0x80u ? c << 1 ^ NF_CRC8_DVB_S2_POLY : c << 1;
-	return (uint8_t)c;
-}
-
 static uint8_t checksum_step(unsigned version, uint8_t checksum, uint8_t byte)
 {
-	return version == 1 ? checksum ^ byte : crc8_dvb_s2(checksum, byte);
+	return version == 1 ? checksum ^ byte : crc8(checksum, &byte, 1);
 }
 
 /* The state behind a complete header. A size that no request can have is noise: wait for the next '$'. */
@@ -58,7 +57,7 @@ static enum msp_state behind_header(struct msp *msp)
 {
 	if (msp->size > NF_MSP_PAYLOAD_MAX)
 		return MSP_DOLLAR;
-	msp->remaining = msp->size;
+	msp->received = 0;
 	return msp->size > 0 ? MSP_PAYLOAD : MSP_CHECKSUM;
 }
 
@@ -114,7 +113,8 @@ static bool push(struct msp *msp, uint8_t byte)
 		msp->state = (uint8_t)behind_header(msp);
 		break;
 	case MSP_PAYLOAD:
-		if (--msp->remaining == 0)
+		msp->payload[msp->received++] = byte;
+		if (msp->received == msp->size)
 			msp->state = MSP_CHECKSUM;
 		break;
 	case MSP_CHECKSUM: /* dealt with above */
@@ -123,12 +123,26 @@ static bool push(struct msp *msp, uint8_t byte)
 	return false;
 }
 
+/* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
+static bool carry_out(const struct msp *msp, const struct firmware_status *status, struct msp_writer *payload)
+{
+	const struct policy_slots *slots = msp->services ? msp->services->slots : NULL;
+	enum nf_refusal refusal;
+
+	if (msp_reply(msp->command, msp->identity, status, slots, payload))
+		return false;
+	return !msp->services ||
+	       !msp_command(msp->services, status, msp->command, msp->payload, msp->size, payload, &refusal) ||
+	       refusal != NF_REFUSAL_NONE;
+}
+
 /* Writes the reply to the request just read; 0 bytes if it does not fit. */
 static size_t answer(const struct msp *msp, const struct firmware_status *status, uint8_t *reply, size_t capacity)
 {
-	uint8_t payload[MSP_REPLY_MAX];
-	const int result = msp_reply(msp->command, msp->identity, status, payload);
-	const size_t size = result < 0 ? 0 : (size_t)result;
+	uint8_t payload[REPLY_MAX];
+	struct msp_writer writer = { payload, payload + sizeof payload };
+	const bool refused = carry_out(msp, status, &writer);
+	const size_t size = (size_t)(writer.at - payload);
 	const size_t header_end = msp->version == 1 ? FRAME_V1_BYTES - 1 : FRAME_V2_BYTES - 1;
 	size_t n = 0;
 
@@ -136,7 +150,7 @@ static size_t answer(const struct msp *msp, const struct firmware_status *status
 		return 0;
 	reply[n++] = '$';
 	reply[n++] = msp->version == 1 ? 'M' : 'X';
-	reply[n++] = result < 0 ? '!' : '>';
+	reply[n++] = refused ? '!' : '>';
 	const size_t checked_from = n;
 	if (msp->version == 1) {
 		reply[n++] = (uint8_t)size;

@@ -1,11 +1,14 @@
-/* MSP server, v1 and v2, read-only: bytes in, reply bytes out. Knows no port. */
+/* MSP server, v1 and v2: bytes in, reply bytes out. Knows no port. */
 #ifndef NF_MSP_H
 #define NF_MSP_H
 
 #include <stddef.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
 #include "status.h"
+
+struct msp_services;
 
 /* Who answers: constant for a board. */
 struct msp_identity {
@@ -15,19 +18,24 @@ struct msp_identity {
 	uint32_t unique_id[3];
 };
 
-/* The request being read. Only its checksum is kept, not its payload: no command here takes one. */
+/* The request being read. */
 struct msp {
 	const struct msp_identity *identity;
+	const struct msp_services *services; /* NULL: only commands that read are served */
 	uint8_t state;           /* enum msp_state of msp.c */
 	uint8_t version;         /* 1 or 2 */
 	uint8_t checksum;
 	uint16_t command;
 	uint16_t size;           /* of the payload */
-	uint16_t remaining;      /* payload bytes still to come */
+	uint16_t received;       /* bytes of it */
+	_Alignas(4) uint8_t payload[NF_MSP_PAYLOAD_MAX];
 };
 
-/* `identity` must outlive the server. */
+/* Serves commands that read. `identity` must outlive the server. */
 void msp_init(struct msp *msp, const struct msp_identity *identity);
+
+/* From now on serves those of msp_commands.h too. `services` must outlive the server. */
+void msp_offer(struct msp *msp, const struct msp_services *services);
 
 /* Forgets a half-read request: a new peer is on the line. */
 void msp_reset(struct msp *msp);

@@ -1,15 +1,17 @@
-/* What each MSP command is answered with. Layouts are the ecosystem's at API 1.46, little-endian. */
+/* What each MSP command that only reads is answered with. Layouts are the ecosystem's at API 1.46, little-endian. */
 #ifndef NF_MSP_REPLIES_H
 #define NF_MSP_REPLIES_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "msp.h"
+#include "msp_payload.h"
+#include "policy_slots.h"
 
-#define MSP_REPLY_MAX 160
-
-/* Writes the payload that answers `command`. Returns its length, or -1 for a command that is unknown. */
-int msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *status,
-	      uint8_t payload[MSP_REPLY_MAX]);
+/* Writes the payload that answers `command`. `slots` NULL: the policy is the compiled-in one. Returns false if the
+ * command is none of these. */
+bool msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *status,
+	       const struct policy_slots *slots, struct msp_writer *reply);
 
 #endif

@@ -32,6 +32,7 @@ PUPPET = Path(__file__).parent / "puppet"
 HEADERS = (
     *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h", "settings.h"),
     *("crc32.h", "flash.h", "settings_store.h", "policy_slots.h", "fault_log.h", "hal/host/flash_model.h"),
+    *("msp_payload.h", "msp_commands.h"),
     *("nf_math.h", "gyro.h", "filters.h", "attitude.h", "battery.h"),
     *("hal/host/convert.h", "hal/host/reference.h"),
 )

@@ -15,6 +15,7 @@ import serial
 from yamspy import MSPy
 
 from flash.client import Client, Info, read_info
+from flash.messages import DECODERS
 from flash.msp import Decoder, Direction, Message, Version, encode
 from flash.transport import open_transport
 from toolchain.cli.main import main
@@ -196,11 +197,15 @@ def test_yamspy_reads_sticks_and_motors_when_it_asks_the_host_program(
     assert heard.SENSOR_DATA["gyroscope"] == [0, 0, 0]
 
 
+# Answered only where the program offers more than reading; or they need a payload.
+NEED_SERVICES = {Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET, Msp.POLICY_SLOT_BEGIN}
+
+
 def test_both_versions_get_the_same_answer_when_the_contract_names_the_command(host: Host) -> None:
     host.fly(1, STICKS_DOWN)
     line = open_transport(host.port)
     client, decoder = Client(line), Decoder()
-    for command in Msp:
+    for command in sorted(set(DECODERS) - NEED_SERVICES):
         line.write(encode(Message(Version.V2, Direction.REQUEST, command)))
         heard = decoder.feed(line.read(5.0))
         assert heard == [Message(Version.V2, Direction.REPLY, command, client.request(command, retries=0))]
@@ -213,7 +218,9 @@ def test_a_command_that_would_write_is_refused_when_sent(host: Host) -> None:
     for command in (11, 68, 200, 202, 214, 250):  # set name, reboot, set raw RC, set PID, set motor, save
         for version in Version:
             line.write(encode(Message(version, Direction.REQUEST, command, bytes(8))))
-            assert decoder.feed(line.read(5.0)) == [Message(version, Direction.ERROR, command)]
+            (answer,) = decoder.feed(line.read(5.0))
+            assert isinstance(answer, Message)
+            assert (answer.direction, answer.command) == (Direction.ERROR, command)
     line.close()
 
 

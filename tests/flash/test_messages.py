@@ -7,10 +7,24 @@ import struct
 import pytest
 from yamspy import MSPy
 
-from flash import messages
-from flash.messages import DECODERS, Analog, ApiVersion, Attitude, BoardInfo, BuildInfo, PolicyInfo, RawImu
+from flash import messages, records
+from flash.messages import (
+    DECODERS,
+    Analog,
+    ApiVersion,
+    Attitude,
+    BatteryLevel,
+    BatteryState,
+    BoardInfo,
+    BuildInfo,
+    PolicyInfo,
+    PolicySource,
+    RawImu,
+)
 from flash.msp import Direction, Message, Version, encode
-from toolchain.contract import ArmingReason, Msp
+from flash.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
+from flash.requests import SettingInfo
+from toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, Msp, StopCause, Task
 from toolchain.errors import LinkError
 
 BOARD = (
@@ -27,7 +41,22 @@ RAW_IMU = struct.pack("<9h", 1, -2, 2048, 164, -32768, 32767, 7, 8, -9)
 POLICY = (
     b"\xef\xbe\xad\xde" + b"\x06\x00" + b"\x04\x00" + b"\x04\x13\x00\x00" + b"\xe8\x03" + b"\xa0\x0f"
     + b"\x01" + b"\x03nf1" + bytes(range(32))
+    + b"\x00\x00\x80\x3e" + b"\x01" + b"\x07\x00\x00\x00" + b"\xf6\x00\x00"
 )  # fmt: skip
+BATTERY = b"\x04" + b"\x14\x05" + b"\xa8" + b"\x7b\x00" + b"\x85\xff" + b"\x01" + b"\x8e\x06"
+SAFETY = (
+    b"\x06" + b"\x07" + b"\x03" + b"\x02" + b"\x40\x04\x00\x00" + b"\x01\x01\x00" + b"\x57" + b"\x2e\xfb"
+    + b"\x00\x00\x00\x3e"
+)  # fmt: skip
+TASKS = struct.pack("<IB", 216_000_000, 2) + struct.pack("<H5I", 3000, 9, 0, 500, 300, 400) + struct.pack(
+    "<H5I", 1000, 3, 1, 16000, 15000, 15500
+)  # fmt: skip
+FAULT_WORDS = range(0x100, 0x100 + 13)
+FAULTS = (
+    struct.pack("<IBII", 12, 1, 11, 2) + struct.pack("<13I", *FAULT_WORDS) + struct.pack("<I", 345)
+    + b"src/gyro.c".ljust(24, b"\0") + struct.pack("<I", 60_000)
+)  # fmt: skip
+SETTING = struct.pack("<HBfff", 67, 1, 0.5, 20.0, 3.0) + b"\x0fdynamic_notch_q" + b"\x011"
 PAYLOADS = {
     Msp.API_VERSION: b"\x00\x01\x2e",
     Msp.FC_VARIANT: b"NRFL",
@@ -43,7 +72,19 @@ PAYLOADS = {
     Msp.RAW_IMU: RAW_IMU,
     Msp.ATTITUDE: struct.pack("<3h", -450, 123, 271),
     Msp.ANALOG: ANALOG,
+    Msp.BATTERY_STATE: BATTERY,
     Msp.POLICY_INFO: POLICY,
+    Msp.SAFETY: SAFETY,
+    Msp.TASKS: TASKS,
+    Msp.FAULTS: FAULTS,
+    Msp.SETTING_INFO: SETTING,
+    Msp.SETTING_GET: b"\x00\xa0\x0f\x00\x00",
+    Msp.POLICY_SLOT_BEGIN: b"\x08\x00\x00\x00",
+}
+# Replies of these say nothing but that it is done.
+SILENT = {
+    *(Msp.SET_RAW_RC, Msp.SET_MOTOR, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.SETTING_SET, Msp.EEPROM_WRITE),
+    *(Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.REBOOT),
 }
 # How many leading bytes each layout needs; NAME, RC and MOTOR are as long as they are.
 NEEDED = {
@@ -58,12 +99,19 @@ NEEDED = {
     Msp.RAW_IMU: 18,
     Msp.ATTITUDE: 6,
     Msp.ANALOG: 9,
-    Msp.POLICY_INFO: 53,
+    Msp.BATTERY_STATE: 11,
+    Msp.POLICY_INFO: 65,
+    Msp.SAFETY: 18,
+    Msp.TASKS: 49,
+    Msp.FAULTS: 97,
+    Msp.SETTING_INFO: 33,
+    Msp.SETTING_GET: 5,
+    Msp.POLICY_SLOT_BEGIN: 4,
 }
 
 
 def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
-    assert set(DECODERS) == set(PAYLOADS) == set(Msp)
+    assert set(DECODERS) == set(PAYLOADS) == set(Msp) - SILENT
 
 
 @pytest.mark.parametrize(
@@ -83,8 +131,54 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
         (Msp.ANALOG, Analog(voltage_v=16.78, drawn_mah=123, rssi=1023, current_a=-1.23)),
         (
             Msp.POLICY_INFO,
-            PolicyInfo("nf1", bytes(range(32)).hex(), 0xDEADBEEF, 6, 4, 4868, 1000, 4000, True),
+            PolicyInfo(
+                *("nf1", bytes(range(32)).hex(), 0xDEADBEEF, 6, 4, 4868, 1000, 4000, True),
+                *(0.25, PolicySource.SLOT_B, 7, (-10, 0, 0)),
+            ),
         ),
+        (
+            Msp.BATTERY_STATE,
+            BatteryState(4, BatteryLevel.WARNING, voltage_v=16.78, drawn_mah=123, current_a=-1.23),
+        ),
+        (
+            Msp.SAFETY,
+            Safety(
+                state=FlightState.CRASHED,
+                stop_cause=StopCause.CRASH,
+                fallback_cause=FallbackCause.DEADLINE,
+                gyro_health=GyroHealth.STUCK,
+                arming_flags=1 << ArmingReason.CRASHED | 1 << ArmingReason.GYRO_BAD,
+                policy_good=True,
+                pid_built_in=True,
+                pid_flies=False,
+                receiver_percent=87,
+                temperature_deg_c=-12.34,
+                idle=0.125,
+            ),
+        ),
+        (
+            Msp.TASKS,
+            Tasks(
+                216_000_000,
+                (
+                    TaskLoad(Task.GYRO, 3000, 9, 0, 500, 300, 400),
+                    TaskLoad(Task.CONTROL, 1000, 3, 1, 16000, 15000, 15500),
+                ),
+            ),
+        ),
+        (
+            Msp.FAULTS,
+            Faults(
+                12,
+                Fault(
+                    *(11, FaultKind.ASSERT, dict(zip(FAULT_REGISTERS, FAULT_WORDS, strict=True))),
+                    *("src/gyro.c", 345, 60_000),
+                ),
+            ),
+        ),
+        (Msp.SETTING_INFO, SettingInfo(67, "dynamic_notch_q", "1", 0.5, 20.0, 3.0, whole=False)),
+        (Msp.SETTING_GET, 4000),
+        (Msp.POLICY_SLOT_BEGIN, 8),
     ],
 )
 def test_fields_have_their_values_when_the_layout_is_written_by_hand(command: Msp, meaning: object) -> None:
@@ -123,7 +217,7 @@ def test_reply_is_refused_when_one_byte_short(command: Msp) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("command", [command for command in Msp if command is not Msp.NAME])
+@pytest.mark.parametrize("command", sorted(set(PAYLOADS) - {Msp.NAME}))
 def test_only_link_errors_come_when_a_reply_is_cut_anywhere(command: Msp) -> None:
     refused = 0
     for end in range(len(PAYLOADS[command])):
@@ -147,7 +241,7 @@ def test_text_is_safe_to_print_when_it_holds_control_bytes() -> None:
 @pytest.fixture
 def heard(yamspy_peer: MSPy) -> MSPy:
     """yamspy after it has read every reply of PAYLOADS that the ecosystem knows."""
-    for command in sorted(set(Msp) - {Msp.POLICY_INFO}):
+    for command in sorted(command for command in PAYLOADS if command < 255):
         yamspy_peer.conn.incoming = encode(Message(Version.V1, Direction.REPLY, command, PAYLOADS[command]))
         assert yamspy_peer.process_recv_data(yamspy_peer.receive_msg()) >= 0
     return yamspy_peer
@@ -180,3 +274,27 @@ def test_yamspy_reads_the_same_state_when_given_the_same_bytes(heard: MSPy) -> N
     assert heard.ANALOG["voltage"] == analog.voltage_v
     assert heard.ANALOG["amperage"] == analog.current_a
     assert (heard.ANALOG["mAhdrawn"], heard.ANALOG["rssi"]) == (analog.drawn_mah, analog.rssi)
+
+
+# --- Ours --------------------------------------------------------------------------------------
+def test_no_fault_is_told_when_none_is_pending() -> None:
+    assert records.faults(b"\x05\x00\x00\x00\x00") == Faults(5, None)
+
+
+def test_tasks_without_a_name_are_left_out_when_a_firmware_has_more() -> None:
+    row = struct.pack("<H5I", 1, 2, 3, 4, 5, 6)
+    many = records.tasks(struct.pack("<IB", 1, len(Task) + 2) + row * (len(Task) + 2))
+    assert [load.task for load in many.loads] == list(Task)
+
+
+def test_variability_is_the_window_over_the_worst_when_a_task_ran() -> None:
+    gyro, control = records.tasks(TASKS).loads
+    assert (gyro.variability, control.variability) == (0.4, 0.0625)
+    assert TaskLoad(Task.MSP, 0, 0, 0, 0, 0, 0).variability == 0.0
+
+
+@pytest.mark.parametrize(("command", "at"), [(Msp.SAFETY, 0), (Msp.FAULTS, 9), (Msp.POLICY_INFO, 57)])
+def test_a_name_that_no_table_has_is_refused_when_a_firmware_is_newer(command: Msp, at: int) -> None:
+    payload = PAYLOADS[command][:at] + b"\x63" + PAYLOADS[command][at + 1 :]
+    with pytest.raises(LinkError, match=rf"{command.name} reply names \w+ 99, expected 0, 1, 2"):
+        DECODERS[command](payload)

@@ -1,0 +1,153 @@
+"""What a request says: the payloads of commands that take one, and why a firmware refuses.
+
+A value that the command cannot take is a ValueError, before anything is sent; limits of settings are the
+firmware's business. Layouts beyond SET_RAW_RC, SET_MOTOR and REBOOT are this project's own.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flash.payload import Reader
+from toolchain.contract import (
+    CHANNEL_COUNT,
+    CHANNEL_MAX_US,
+    CHANNEL_MIN_US,
+    MOTOR_COUNT_MAX,
+    MSP_PAYLOAD_MAX,
+    Msp,
+    Refusal,
+)
+
+ALL_MOTORS = 0xFF  # as the motor of DSHOT_COMMAND
+SLOT_HEADER_BYTES = 4  # before the blob's bytes in POLICY_SLOT_WRITE
+SLOT_BYTES_MAX = MSP_PAYLOAD_MAX - SLOT_HEADER_BYTES
+WORD_BYTES = 4
+STORING = frozenset(  # commands that wait for the flash
+    {
+        *(Msp.EEPROM_WRITE, Msp.FAULTS),
+        *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
+    }
+)
+REASONS = {
+    Refusal.ARMED: "the motors are armed or under test; disarm first",
+    Refusal.PAYLOAD: "the request has a length or a value that the command does not take",
+    Refusal.INDEX: "there is none of that number",
+    Refusal.RANGE: "the value is beyond the setting's limits",
+    Refusal.CONFLICT: "setting {detail} and those beside it do not go together",
+    Refusal.FLASH: "flash did not take it; what was stored before still holds",
+    Refusal.ORDER: "a policy slot is begun, then written in order, then ended",
+    Refusal.BLOB: "the policy is none for this firmware (error {detail} of nf_err.h)",
+    Refusal.SEQUENCE: "the policy's sequence number is not above those already there",
+    Refusal.ABSENT: "this firmware or its settings have no such thing",
+}
+
+
+@dataclass(frozen=True)
+class SettingInfo:
+    """What a firmware tells about one of its settings."""
+
+    count: int  # settings in all
+    name: str
+    unit: str
+    low: float  # both limits may be taken
+    high: float
+    default: float
+    whole: bool  # only whole numbers
+
+
+def _within(what: str, value: int, low: int, high: int) -> int:
+    if not low <= value <= high:
+        raise ValueError(f"{what} {value}, expected {low}..{high}")
+    return value
+
+
+def set_raw_rc(channels_us: Sequence[int]) -> bytes:
+    """Encode SET_RAW_RC: channels in the order roll, pitch, yaw, throttle, aux 1.."""
+    count = _within("channel count", len(channels_us), 4, CHANNEL_COUNT)
+    return struct.pack(f"<{count}H", *(_within("channel [us]", us, 0, 0xFFFF) for us in channels_us))
+
+
+def set_motor(values_us: Sequence[int]) -> bytes:
+    """Encode SET_MOTOR: 1000 (stopped) to 2000 each, in motor order."""
+    count = _within("motor count", len(values_us), 1, MOTOR_COUNT_MAX)
+    values = (_within("motor [us]", us, CHANNEL_MIN_US, CHANNEL_MAX_US) for us in values_us)
+    return struct.pack(f"<{count}H", *values)
+
+
+def motor_test(magic: int) -> bytes:
+    """Encode MOTOR_TEST: the right magic opens it, another closes it."""
+    return struct.pack("<I", _within("magic", magic, 0, 0xFFFFFFFF))
+
+
+def dshot_command(command: int, motor: int = ALL_MOTORS) -> bytes:
+    """Encode DSHOT_COMMAND for the motor of that index, or for all."""
+    if motor != ALL_MOTORS:
+        _within("motor", motor, 0, MOTOR_COUNT_MAX - 1)
+    return struct.pack("<BB", motor, _within("DShot command", command, 0, 47))
+
+
+def setting_index(index: int) -> bytes:
+    """Encode SETTING_INFO and SETTING_GET."""
+    return struct.pack("<H", _within("setting", index, 0, 0xFFFF))
+
+
+def setting_set(index: int, value: float, whole: bool) -> bytes:
+    """Encode SETTING_SET; `whole` as SETTING_INFO tells it."""
+    if not whole:
+        return setting_index(index) + struct.pack("<f", value)
+    if value != int(value):
+        raise ValueError(f"setting {index} got {value:g}, expected a whole number")
+    return setting_index(index) + struct.pack("<I", _within(f"setting {index}", int(value), 0, 0xFFFFFFFF))
+
+
+def acknowledge(boot: int) -> bytes:
+    """Encode FAULTS with a payload: the fault that this boot found has been read."""
+    return struct.pack("<I", _within("boot", boot, 0, 0xFFFFFFFF))
+
+
+def slot_begin(total: int) -> bytes:
+    """Encode POLICY_SLOT_BEGIN for a blob of `total` bytes."""
+    return struct.pack("<I", _within("size", total, 0, 0xFFFFFFFF))
+
+
+def slot_write(offset: int, data: bytes) -> bytes:
+    """Encode POLICY_SLOT_WRITE of `data`, which stands at `offset` of the blob."""
+    _within("number of bytes", len(data), WORD_BYTES, SLOT_BYTES_MAX)
+    if offset % WORD_BYTES or len(data) % WORD_BYTES:
+        raise ValueError(f"{len(data)} bytes at {offset}, expected multiples of {WORD_BYTES}")
+    return struct.pack("<I", _within("offset", offset, 0, 0xFFFFFFFF)) + data
+
+
+def slot_begun(payload: bytes) -> int:
+    """Decode the reply to POLICY_SLOT_BEGIN: the least sequence number that the blob may have."""
+    (sequence,) = Reader(Msp.POLICY_SLOT_BEGIN, payload).fields("I")
+    return int(sequence)
+
+
+def setting_info(payload: bytes) -> SettingInfo:
+    """Decode SETTING_INFO."""
+    reader = Reader(Msp.SETTING_INFO, payload)
+    count, kind = reader.fields("HB")
+    low, high, default = reader.fields("3f" if kind else "3I")
+    name, unit = reader.counted_text(), reader.counted_text()
+    return SettingInfo(count, name, unit, low, high, default, whole=not kind)
+
+
+def setting_value(payload: bytes) -> float:
+    """Decode SETTING_GET; a float's value is exactly the firmware's float32."""
+    reader = Reader(Msp.SETTING_GET, payload)
+    (kind,) = reader.fields("B")
+    (value,) = reader.fields("f" if kind else "I")
+    return float(value) if kind else int(value)
+
+
+def refusal(payload: bytes) -> str:
+    """What the payload of a refused request says, for people; empty where it says nothing."""
+    if len(payload) != struct.calcsize("<Bh"):
+        return ""
+    reason, detail = struct.unpack("<Bh", payload)
+    known = {int(reason): text for reason, text in REASONS.items()}
+    return known.get(reason, f"reason {reason}, which this tool does not know").format(detail=detail)
