@@ -20,7 +20,7 @@ static void listen(struct dynamic_notch *d)
 	d->found = 0;
 	d->loudest = 0.0f;
 	d->hann = 1.0f;
-	d->hann_before = 0.5f * d->hann_step;
+	d->hann_before = 0.5f * d->step;
 	for (int i = 0; i < NOTCH_BINS; i++)
 		d->s1[i] = d->s2[i] = 0.0f;
 }
@@ -39,13 +39,12 @@ void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *setti
 		.damping = 1.0f / settings->dynamic_notch_q,
 		.low_turns = low_hz / rate_hz,
 	};
-	/* Whole samples: neighbouring bins are one turn a window apart, as the refinement wants them. */
+	/* Whole samples, and neighbouring bins one turn a window apart: so the refinement wants them. */
 	d->spacing = 1.0f / (float)d->window;
 	d->first = 2.0f * nf_cos_turns(d->low_turns);
 	d->step = 2.0f * nf_cos_turns(d->spacing);
 	d->before = 2.0f * nf_cos_turns(d->low_turns > d->spacing ? d->low_turns - d->spacing :
 								   d->spacing - d->low_turns);
-	d->hann_step = d->step;
 	for (int axis = 0; axis < 3; axis++)
 		for (int i = 0; i < NOTCH_MAX; i++)
 			d->notch[axis][i] = section_at(0.0f, d->damping);
@@ -57,7 +56,7 @@ void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *setti
 static void feed(struct dynamic_notch *d, float in)
 {
 	const float weighted = in * (1.0f - d->hann);
-	const float hann = d->hann_step * d->hann - d->hann_before;
+	const float hann = d->step * d->hann - d->hann_before;
 	float before = d->before, coefficient = d->first;
 
 	d->hann_before = d->hann;

@@ -25,7 +25,7 @@ struct dynamic_notch {
 	float damping;           /* 1 / Q */
 	float low_turns, spacing; /* of the first bin and from bin to bin [turns a sample] */
 	float first, step, before; /* 2 cos of the first bin, of the spacing, of a bin before the first */
-	float hann_step, hann, hann_before; /* 2 cos of a turn a window; cos at this sample and at the one before */
+	float hann, hann_before; /* cos of the turn that the window is, at this sample and at the one before */
 	float loudest;           /* power of the largest peak of this window */
 	float s1[NOTCH_BINS], s2[NOTCH_BINS]; /* Goertzel's memory; once read, s1 are powers */
 	struct section notch[3][NOTCH_MAX];

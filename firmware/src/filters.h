@@ -17,9 +17,11 @@
 struct filter_stage {
 	uint8_t order;           /* of a PTn; 0: of second order */
 	uint8_t notch;           /* of those of second order: 1 a notch, 0 a low-pass */
-	float gain;              /* a of a PTn */
-	struct section section;
-	float damping;           /* 1 / Q */
+	float damping;           /* 1 / Q of those of second order */
+	union {
+		float gain;      /* a of a PTn */
+		struct section section;
+	};
 };
 
 union filter_memory {
