@@ -34,6 +34,7 @@ HEADERS = (
     *("crc32.h", "flash.h", "settings_store.h", "policy_slots.h", "fault_log.h", "hal/host/flash_model.h"),
     *("msp_payload.h", "msp_commands.h"),
     *("nf_math.h", "gyro.h", "filters.h", "attitude.h", "battery.h"),
+    *("crc8.h", "dshot_command.h", "motor_test.h", "alert.h"),
     *("hal/host/convert.h", "hal/host/reference.h"),
 )
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types

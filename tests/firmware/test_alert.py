@@ -1,0 +1,115 @@
+"""alert.c: what is heard and seen, slot by slot."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+import pytest
+
+SLOT_MS = 50
+NAMES = (
+    *("FAULT", "CRASHED", "FIND_ME", "RECEIVER_LOST", "BATTERY_LOW"),
+    *("BATTERY_WARN", "CALIBRATING", "ARMED", "DISARMED"),
+)
+BEEPS = {"CRASHED", "FIND_ME", "RECEIVER_LOST", "BATTERY_LOW", "BATTERY_WARN", "ARMED", "DISARMED"}
+ONCE = {"ARMED", "DISARMED"}
+
+
+class Alert:
+    def __init__(self, core: Any) -> None:
+        self.lib, self.self = core.lib, core.new("struct alert *")
+        self.lib.alert_init(self.self)
+
+    def step(self, ms: int, *names: str, flashes: int = 0) -> tuple[bool, bool]:
+        conditions = sum(1 << getattr(self.lib, f"ALERT_{name}") for name in names)
+        state = self.lib.alert_step(self.self, conditions, flashes, ms & 0xFFFFFFFF)
+        return state.beeper, state.led
+
+    def play(
+        self, *names: str, start: int = 0, slots: int = 200, every_ms: int = SLOT_MS, flashes: int = 0
+    ) -> tuple[str, str]:
+        """Beeper and LED as texts, a character a step."""
+        seen = [self.step(start + every_ms * index, *names, flashes=flashes) for index in range(slots)]
+        beeper, led = ("".join(".#"[state[output]] for state in seen) for output in range(2))
+        return beeper, led
+
+
+@pytest.fixture
+def alert(puppet: Any) -> Alert:
+    return Alert(puppet)
+
+
+def test_nothing_is_heard_and_seen_when_nothing_holds(alert: Alert) -> None:
+    assert alert.play() == ("." * 200, "." * 200)
+
+
+def test_the_order_is_that_of_urgency_when_named(alert: Alert) -> None:
+    values = [getattr(alert.lib, f"ALERT_{name}") for name in NAMES]
+    assert values == list(range(alert.lib.ALERT_CONDITION_COUNT))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rhythm_plays_at_once_and_goes_on_when_its_condition_holds(puppet: Any, name: str) -> None:
+    beeper, led = Alert(puppet).play(name)
+    if name in BEEPS:
+        assert beeper[0] == "#"
+        assert ("#" in beeper[100:]) is (name not in ONCE)
+    else:
+        assert set(beeper) == {"."}
+    if name != "BATTERY_WARN":
+        assert led[0] == led[100:].strip(".")[:1] == "#"
+
+
+def test_rhythms_can_be_told_apart_when_heard_or_seen(puppet: Any) -> None:
+    heard = [Alert(puppet).play(name)[0] for name in NAMES if name in BEEPS]
+    seen = [Alert(puppet).play(name)[1] for name in NAMES if name not in ("BATTERY_WARN", "FAULT")]
+    assert len(set(heard)) == len(heard)
+    assert len(set(seen)) == len(seen)
+
+
+@pytest.mark.parametrize("flashes", [0, 1, 2, 5, 9])
+def test_a_fault_flashes_its_number_when_it_holds(alert: Alert, flashes: int) -> None:
+    beeper, led = alert.play("FAULT", "ARMED", flashes=flashes, slots=400)
+    assert "#" not in beeper[4:], "a fault leaves the beeper to others"
+    rounds = [text for text in led.strip(".").split("." * 10) if text.strip(".")]
+    counts = [text.count("#") for text in rounds[:-1]]
+    assert set(counts) == {max(flashes, 1)}
+    assert len(counts) > 5
+    assert max(len(list(run)) for value, run in groupby(led) if value == "#") == 1
+
+
+@pytest.mark.parametrize("urgent", range(len(NAMES)))
+def test_the_most_urgent_plays_when_several_hold(puppet: Any, urgent: int) -> None:
+    for other in range(urgent + 1, len(NAMES)):
+        both = Alert(puppet).play(NAMES[urgent], NAMES[other])
+        alone = Alert(puppet).play(NAMES[urgent])
+        less = Alert(puppet).play(NAMES[other])
+        assert both[0] == (alone if NAMES[urgent] in BEEPS else less)[0]
+        assert both[1] == (less if NAMES[urgent] == "BATTERY_WARN" else alone)[1]
+
+
+def test_a_rhythm_begins_anew_when_its_condition_returns(alert: Alert) -> None:
+    begin = alert.play("DISARMED", slots=10)
+    assert begin[0] == "#..#......"
+    assert alert.play("DISARMED", slots=10, start=500)[0] == "." * 10, "told once"
+    assert alert.play("ARMED", slots=10, start=1000)[0] == "####......"
+    assert alert.play("DISARMED", slots=10, start=1500)[0] == begin[0]
+
+
+def test_a_rhythm_goes_on_when_a_less_urgent_condition_comes_or_goes(alert: Alert) -> None:
+    alone = Alert.play(alert, "RECEIVER_LOST", slots=40)
+    alert.lib.alert_init(alert.self)
+    first = alert.play("RECEIVER_LOST", slots=3)
+    second = alert.play("RECEIVER_LOST", "BATTERY_LOW", "ARMED", start=150, slots=37)
+    assert (first[0] + second[0], first[1] + second[1]) == alone
+
+
+def test_the_rhythm_is_the_same_when_steps_come_at_another_rate(puppet: Any) -> None:
+    slow, fast = Alert(puppet).play("CRASHED"), Alert(puppet).play("CRASHED", slots=1000, every_ms=10)
+    assert slow == (fast[0][::5], fast[1][::5])
+    assert max(len(list(run)) for _, run in groupby(fast[0])) >= 5
+
+
+def test_a_rhythm_goes_on_when_the_milliseconds_wrap(puppet: Any) -> None:
+    assert Alert(puppet).play("FIND_ME", start=2**32 - 1000) == Alert(puppet).play("FIND_ME")
