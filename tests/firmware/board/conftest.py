@@ -45,6 +45,9 @@ STEPS_MAX = 20_000_000
 ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
 RETURN = FLASH_BASE + 0x3F00  # an address that no code uses, where `call` ends
 
+CHIP_READ = 0x80  # of a register's address on the gyro chip's bus
+CHIP_SELECT = 2  # of port C, active low
+
 # Ready bit <- enable bit, in the same or a neighbouring register.
 FOLLOWS = {
     "RCC_CR": (("HSIRDY", "RCC_CR", "HSION"), ("HSERDY", "RCC_CR", "HSEON"), ("PLLRDY", "RCC_CR", "PLLON")),
@@ -136,11 +139,13 @@ class Sketch:
         dead: frozenset[str] = frozenset(),
         cycles_a_read: int = 20000,
     ) -> None:
+        self._made_of = elf, table
         self.by_address = {r.address: r for r in table.registers}
         self.by_name = {(r.name, r.instance): r for r in table.registers}
         self.dead = dead
         self.cycles, self.cycles_a_read = 0, cycles_a_read
         self.sins: list[str] = []
+        self.resets = 0  # asked for by software
         self.seen: set[int] = set()  # addresses of executed instructions
         self.on_code: Callable[[int], None] = self.seen.add
         self.on_write: Callable[[Register, int], None] = lambda register, value: None
@@ -159,11 +164,25 @@ class Sketch:
         self.uc.mem_write(FLASH_ALIAS, bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
         for ram in (ITCM, DTCM, SRAM1):
             self.uc.mem_write(ram.address, bytes([GARBAGE]) * ram.size)
-        for register in table.registers:
-            self.poke(register.address, register.reset or 0)
+        self.reset_registers()
         self.uc.hook_add(UC_HOOK_MEM_READ, self._read, begin=0x40000000, end=0xFFFFFFFF)
         self.uc.hook_add(UC_HOOK_MEM_WRITE, self._write, begin=0x40000000, end=0xFFFFFFFF)
         self.uc.hook_add(UC_HOOK_CODE, lambda uc, address, size, data: self.on_code(address))
+
+    def reset_registers(self) -> None:
+        """As after a reset; memory keeps what it holds."""
+        for register in self.by_address.values():
+            self.poke(register.address, register.reset or 0)
+
+    def copy(self) -> Sketch:
+        """Another board, whose memory and stack are as this one's: for calls of functions."""
+        other = Sketch(*self._made_of, self.dead, self.cycles_a_read)
+        for begin, end, _ in self.uc.mem_regions():
+            other.uc.mem_write(begin, bytes(self.uc.mem_read(begin, end - begin + 1)))
+        other.uc.reg_write(UC_ARM_REG_SP, self.uc.reg_read(UC_ARM_REG_SP))
+        other.cycles, other.seen = self.cycles, set(self.seen)
+        other.on_code = other.seen.add
+        return other
 
     def peek(self, address: int) -> int:
         return int(struct.unpack("<I", self.uc.mem_read(address, 4))[0])
@@ -185,6 +204,7 @@ class Sketch:
         """From reset, `steps` instructions at most."""
         stack, reset = struct.unpack("<II", self.uc.mem_read(FLASH_ALIAS, 8))
         self.uc.reg_write(UC_ARM_REG_SP, stack)
+        self.uc.ctl_flush_tb()  # what an earlier run translated does not know this one's end
         self.uc.emu_start(reset, until & ~1, count=steps)
 
     def call(self, function: int) -> None:
@@ -192,6 +212,16 @@ class Sketch:
         self.uc.reg_write(UC_ARM_REG_LR, RETURN | 1)
         self.uc.emu_start(function | 1, RETURN, count=STEPS_MAX)
         assert self.uc.reg_read(UC_ARM_REG_PC) == RETURN, hex(self.uc.reg_read(UC_ARM_REG_PC))
+
+    def call_to_reset(self, function: int, *arguments: int, stack: int | None = None) -> None:
+        """Call a function of the image that ends in a reset; `stack`: with this stack pointer."""
+        for register, value in zip(ARGUMENTS, arguments, strict=False):
+            self.uc.reg_write(register, value)
+        if stack is not None:
+            self.uc.reg_write(UC_ARM_REG_SP, stack)
+        before = self.resets
+        self.uc.emu_start(function | 1, RETURN, count=STEPS_MAX)
+        assert self.resets == before + 1, hex(self.uc.reg_read(UC_ARM_REG_PC))
 
     def call_with(self, function: int, *arguments: int) -> int:
         """Call a function of the image with up to four integers; returns its result."""
@@ -228,13 +258,72 @@ class Sketch:
                 f"{register.name} of {register.instance} = 0x{value & 0xFFFFFFFF:08X}: reserved bits"
             )
         self.on_write(register, value & 0xFFFFFFFF)
+        if register.name == "SCB_AIRCR" and value & 0xFFFFFFFF == 0x05FA0004:  # key and SYSRESETREQ
+            self.resets += 1
+            self.uc.emu_stop()
 
     def _mind_clock(self, instance: str) -> None:
         if instance in CLOCK_OF and not self.field(*CLOCK_OF[instance]):
             self.sins.append(f"{instance} used without its clock")
 
 
+class Chip:
+    """The gyro chip at the other end of SPI1: registers, byte by byte. Notes what breaks its rules."""
+
+    def __init__(self, sketch: Sketch, identity: int) -> None:
+        self.sketch = sketch
+        self.registers = {0x75: identity}
+        self.written: list[tuple[int, int]] = []
+        self.broken_rules: list[str] = []
+        self._bytes: list[int] = []
+        self._selected = self._full = False
+        self._answer = 0
+        sketch.on_write, sketch.on_read = self._on_write, self._on_read
+
+    def _on_write(self, register: Register, value: int) -> None:
+        if register.name == "GPIO_BSRR" and register.instance == "GPIOC":
+            if value >> 16 >> CHIP_SELECT & 1:
+                self._selected, self._bytes = True, []
+            elif value >> CHIP_SELECT & 1:
+                self._selected = False
+        if register.name != "SPI_DR":
+            return
+        if not self._selected:
+            self.broken_rules.append("a byte without chip select")
+        if 108e6 / (2 << self.sketch.field("SPI_CR1", "BR", "SPI1")) > 1e6:
+            self.broken_rules.append("a register faster than 1 MHz")
+        self._bytes.append(value)
+        if len(self._bytes) > 1:
+            address = self._bytes[0] & ~CHIP_READ
+            self._answer = self.registers.get(address, 0)
+            if not self._bytes[0] & CHIP_READ:
+                self.written.append((address, value))
+                self.registers[address] = value
+        self._full = True
+
+    def _on_read(self, register: Register) -> None:
+        if register.name == "SPI_SR":
+            self.sketch.poke(register.address, 2 | self._full)  # TXE, RXNE
+        if register.name == "SPI_DR":
+            self.sketch.poke(register.address, self._answer)
+            self._full = False
+
+
+@pytest.fixture(scope="session")
+def make_chip() -> Callable[..., Chip]:
+    """Puts a gyro chip of some identity onto a sketch's SPI bus."""
+    return Chip
+
+
 @pytest.fixture(scope="session")
 def make_sketch(elf: ELFFile, registers: RegisterTable) -> Callable[..., Sketch]:
     """Makes a board with the image in its flash; `dead` names ready bits that never come true."""
     return lambda **options: Sketch(elf, registers, **options)
+
+
+@pytest.fixture(scope="session")
+def make_booted(make_sketch: Callable[..., Sketch], symbols: dict[str, int]) -> Callable[[], Sketch]:
+    """Makes boards without a gyro chip in their background loop; reset and start-up ran once for all."""
+    first = make_sketch()
+    first.run(symbols["msp_uart_serve"])
+    return first.copy

@@ -27,7 +27,6 @@ class Motors:
 
     def __init__(self, sketch: Any, symbols: dict[str, int], protocol: int, count: int) -> None:
         self.sketch, self.symbols = sketch, symbols
-        sketch.run(symbols["msp_uart_serve"])
         sketch.call_with(symbols["motors_start"])
         sketch.call_with(symbols["motors_run"], protocol, count)
 
@@ -68,8 +67,8 @@ def frame_of(value: int, telemetry: bool = False) -> list[bool]:
 
 
 @pytest.fixture
-def motors(make_sketch: Callable[..., Any], symbols: dict[str, int]) -> Callable[..., Motors]:
-    return lambda protocol=DSHOT600, count=4: Motors(make_sketch(), symbols, protocol, count)
+def motors(make_booted: Callable[[], Any], symbols: dict[str, int]) -> Callable[..., Motors]:
+    return lambda protocol=DSHOT600, count=4: Motors(make_booted(), symbols, protocol, count)
 
 
 @pytest.mark.parametrize(("protocol", "longer"), [(DSHOT600, 1), (DSHOT300, 2)])

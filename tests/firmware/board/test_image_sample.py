@@ -9,64 +9,18 @@ from typing import Any
 import pytest
 from unicorn.arm_const import UC_ARM_REG_R1
 
-from toolchain.registers import Register
-
 TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro
 ACCEL_XOUT_H, READ = 0x3B, 0x80
 ZERO, ONE = 135, 270  # ticks that a DShot bit is high, of 360
 DMA2 = 0x40026400
 RX_DONE = 1 << 21  # DMA_LISR TCIF2
-CHIP_SELECT = 2  # of port C, active low
-
-
-class Chip:
-    """The gyro chip at the other end of SPI1: registers, byte by byte. Notes what breaks its rules."""
-
-    def __init__(self, sketch: Any, identity: int) -> None:
-        self.sketch = sketch
-        self.registers = {0x75: identity}
-        self.written: list[tuple[int, int]] = []
-        self.broken_rules: list[str] = []
-        self._bytes: list[int] = []
-        self._selected = self._full = False
-        self._answer = 0
-        sketch.on_write, sketch.on_read = self._on_write, self._on_read
-
-    def _on_write(self, register: Register, value: int) -> None:
-        if register.name == "GPIO_BSRR" and register.instance == "GPIOC":
-            if value >> 16 >> CHIP_SELECT & 1:
-                self._selected, self._bytes = True, []
-            elif value >> CHIP_SELECT & 1:
-                self._selected = False
-        if register.name != "SPI_DR":
-            return
-        if not self._selected:
-            self.broken_rules.append("a byte without chip select")
-        if 108e6 / (2 << self.sketch.field("SPI_CR1", "BR", "SPI1")) > 1e6:
-            self.broken_rules.append("a register faster than 1 MHz")
-        self._bytes.append(value)
-        if len(self._bytes) > 1:
-            address = self._bytes[0] & ~READ
-            self._answer = self.registers.get(address, 0)
-            if not self._bytes[0] & READ:
-                self.written.append((address, value))
-                self.registers[address] = value
-        self._full = True
-
-    def _on_read(self, register: Register) -> None:
-        if register.name == "SPI_SR":
-            self.sketch.poke(register.address, 2 | self._full)  # TXE, RXNE
-        if register.name == "SPI_DR":
-            self.sketch.poke(register.address, self._answer)
-            self._full = False
 
 
 class Flight:
     """The image in its background loop, with the gyro's and the DMA's part played by hand."""
 
-    def __init__(self, sketch: Any, symbols: dict[str, int], identity: int = 0x70) -> None:
-        self.sketch, self.symbols = sketch, symbols
-        self.chip = Chip(sketch, identity)
+    def __init__(self, sketch: Any, symbols: dict[str, int], chip: Any) -> None:
+        self.sketch, self.symbols, self.chip = sketch, symbols, chip
         sketch.run(symbols["msp_uart_serve"])
         self.samples: list[tuple[Any, ...]] = []
         self.silences = 0
@@ -123,8 +77,21 @@ class Flight:
 
 
 @pytest.fixture
-def flight(make_sketch: Callable[..., Any], symbols: dict[str, int]) -> Flight:
-    return Flight(make_sketch(cycles_a_read=2000), symbols)
+def board_with(
+    make_sketch: Callable[..., Any], make_chip: Callable[..., Any], symbols: dict[str, int]
+) -> Callable[[int], Flight]:
+    """Makes flights of a board whose gyro chip has some identity."""
+
+    def make(identity: int) -> Flight:
+        sketch = make_sketch(cycles_a_read=2000)
+        return Flight(sketch, symbols, make_chip(sketch, identity))
+
+    return make
+
+
+@pytest.fixture
+def flight(board_with: Callable[[int], Flight]) -> Flight:
+    return board_with(0x70)
 
 
 def test_the_gyro_is_set_up_slowly_and_runs_fast_when_it_answers(flight: Flight) -> None:
@@ -143,10 +110,8 @@ def test_the_gyro_is_set_up_slowly_and_runs_fast_when_it_answers(flight: Flight)
     assert flight.sketch.sins == []
 
 
-def test_an_icm20689_is_read_more_slowly_when_it_answers(
-    make_sketch: Callable[..., Any], symbols: dict[str, int]
-) -> None:
-    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0x98)
+def test_an_icm20689_is_read_more_slowly_when_it_answers(board_with: Callable[[int], Flight]) -> None:
+    flight = board_with(0x98)
     assert flight.chip.registers[0x68] == 3  # SIGNAL_PATH_RESET: it has no bit for the gyro
     assert flight.chip.broken_rules == []
     assert 108e6 / (2 << flight.sketch.field("SPI_CR1", "BR", "SPI1")) == 6.75e6
@@ -156,32 +121,28 @@ def test_an_icm20689_is_read_more_slowly_when_it_answers(
     assert flight.counts == [(1, 2, 3)]
 
 
+@pytest.mark.parametrize(("identity", "alignment"), [(0x70, 2), (0x98, 1)])  # CW180, CW90
 def test_the_board_says_how_its_chip_is_turned_when_it_is_known(
-    make_sketch: Callable[..., Any], symbols: dict[str, int]
+    identity: int, alignment: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
 ) -> None:
-    for identity, alignment in ((0x70, 2), (0x98, 1)):  # CW180, CW90
-        flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity)
-        assert flight.sketch.peek(symbols["info"]) == alignment  # main's struct hal_info begins with it
+    assert board_with(identity).sketch.peek(symbols["info"]) == alignment  # struct hal_info begins with it
 
 
-def test_another_chip_is_not_flown_when_it_answers(
-    make_sketch: Callable[..., Any], symbols: dict[str, int]
-) -> None:
-    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0x68)  # an MPU6000
+def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[[int], Flight]) -> None:
+    flight = board_with(0x68)  # an MPU6000
     assert flight.sketch.field("EXTI_IMR", "IM3") == 0
     assert 0x1B not in flight.chip.registers
 
 
 def test_a_chip_that_does_not_keep_a_setting_is_not_flown_when_configured(
-    make_sketch: Callable[..., Any], symbols: dict[str, int]
+    make_sketch: Callable[..., Any], make_chip: Callable[..., Any], symbols: dict[str, int]
 ) -> None:
-    sketch = make_sketch(cycles_a_read=2000)
-    chip = Chip(sketch, 0x70)
-
     class Forgetful(dict[int, int]):
         def __setitem__(self, address: int, value: int) -> None:
             super().__setitem__(address, 0 if address == 0x1B else value)
 
+    sketch = make_sketch(cycles_a_read=2000)
+    chip = make_chip(sketch, 0x70)
     chip.registers = Forgetful(chip.registers)
     sketch.run(symbols["msp_uart_serve"])
     assert sketch.field("EXTI_IMR", "IM3") == 0
@@ -247,12 +208,10 @@ def test_the_core_hears_of_silence_each_time_it_lasts_10_ms(flight: Flight) -> N
     assert flight.sketch.sins == []
 
 
-def test_silence_is_told_when_there_never_was_a_chip(
-    make_sketch: Callable[..., Any], symbols: dict[str, int]
-) -> None:
-    flight = Flight(make_sketch(cycles_a_read=2000), symbols, identity=0)
+def test_silence_is_told_when_there_never_was_a_chip(board_with: Callable[[int], Flight]) -> None:
+    flight = board_with(0)
     for _ in range(10):
-        flight.sketch.call(symbols["tick_handler"])
+        flight.sketch.call(flight.symbols["tick_handler"])
     assert flight.silences == 1
 
 

@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 from elftools.elf.elffile import ELFFile
-from unicorn.arm_const import UC_ARM_REG_CONTROL, UC_ARM_REG_SP
+from unicorn.arm_const import UC_ARM_REG_CONTROL, UC_ARM_REG_R0, UC_ARM_REG_SP
 
 from toolchain.contract import DTCM, FLASH_BANK_A
 from toolchain.registers import Register
 
 MakeSketch = Callable[..., Any]
+DELAY_BYTES = 64  # time_delay_ms is shorter
 STEPS_TO_STOP = 200_000  # start-up and the longest time-out take a third of it
 
 
@@ -82,6 +83,30 @@ def test_the_board_serves_without_a_gyro_when_nothing_answers(sketch: Any, symbo
     assert sketch.peek(0x40026428) & 1 == 0
     # Baud rates: APB2 / 938 = 115139, APB1 / 540 = 100000.
     assert (sketch.peek(0x4001100C), sketch.peek(0x4000440C)) == (938, 540)
+
+
+def test_the_board_is_ready_within_a_second_when_switched_on(
+    make_sketch: MakeSketch, make_chip: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    """Without the gyro's calibration: the waits for its chip, and ten cycles for each other instruction."""
+    sketch = make_sketch(cycles_a_read=20000)
+    make_chip(sketch, 0x70)
+    delay = symbols["time_delay_ms"] & ~1
+    waits_ms: list[int] = []
+    executed = 0
+
+    def on_code(address: int) -> None:
+        nonlocal executed
+        executed += not delay <= address < delay + DELAY_BYTES
+        if address == delay:
+            waits_ms.append(sketch.uc.reg_read(UC_ARM_REG_R0))
+
+    sketch.on_code = on_code
+    sketch.run(symbols["msp_uart_serve"])
+    assert waits_ms == [100, 100]
+    assert executed > 10_000
+    print(f"{executed:,} instructions beside {sum(waits_ms)} ms of waiting")
+    assert sum(waits_ms) / 1000 + 10 * executed / 216e6 < 1.0
 
 
 @pytest.mark.parametrize("dead", ["HSERDY", "PLLRDY", "ODRDY", "ODSWRDY", "SWS"])

@@ -10,6 +10,7 @@ import pytest
 RING_BYTES = 256
 SCRATCH = 0x2000F000  # DTCM that the image does not use
 USART1_ISR, USART2_ISR = 0x4001101C, 0x4000441C
+CRSF, MSP = 1, 2  # the setting receiver_protocol
 PARITY, FRAMING, IDLE = 1 << 0, 1 << 1, 1 << 4
 DMA1_S5NDTR, DMA2_S5NDTR = 0x4002608C, 0x4002648C
 DMA2_S7CR, DMA2_S7NDTR, DMA2_S7M0AR = 0x400264B8, 0x400264BC, 0x400264C4
@@ -29,10 +30,8 @@ class Line:
 
 
 @pytest.fixture
-def board(make_sketch: Callable[..., Any], symbols: dict[str, int]) -> Any:
-    sketch = make_sketch()
-    sketch.run(symbols["msp_uart_serve"])
-    return sketch
+def board(make_booted: Callable[[], Any]) -> Any:
+    return make_booted()
 
 
 @pytest.fixture
@@ -58,6 +57,40 @@ def test_the_receiver_line_is_inverted_8e2_when_set_up(board: Any) -> None:
     assert board.field("USART_CR2", "STOP", "USART2") == 2  # two stop bits
     assert board.field("USART_CR2", "RXINV", "USART2") == 1
     assert board.field("DMA_SCR", "CIRC", "DMA1") == 1
+
+
+def test_the_line_is_plain_and_fast_when_the_receiver_speaks_crsf(
+    board: Any, symbols: dict[str, int]
+) -> None:
+    board.call_with(symbols["receiver_line_start"], CRSF)
+    for name in ("M0", "PCE", "TE"):
+        assert board.field("USART_CR1", name, "USART2") == 0
+    assert board.field("USART_CR1", "RE", "USART2") == board.field("USART_CR1", "UE", "USART2") == 1
+    assert board.field("USART_CR2", "STOP", "USART2") == board.field("USART_CR2", "RXINV", "USART2") == 0
+    assert 54e6 / board.field("USART_BRR", "BRR", "USART2") == pytest.approx(420e3, rel=0.01)
+    assert board.peek(0x4002000C) >> 6 & 3 == 1  # PA3 pulled up: the line rests high
+    assert board.sins == []
+
+
+def test_no_byte_is_lost_when_crsf_breaks_one(
+    board: Any, sbus: Line, read: Callable[..., bytes], symbols: dict[str, int]
+) -> None:
+    """Its frames have a checksum, which knows better which one is broken."""
+    board.call_with(symbols["receiver_line_start"], CRSF)
+    board.poke(USART2_ISR, FRAMING)
+    sbus.send(b"frame")
+    assert read() == b"frame"
+
+
+def test_the_line_rests_when_the_receiver_speaks_msp(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    board = make_sketch()
+    board.run(symbols["receiver_line_start"])
+    assert board.call_with(symbols["receiver_line_start"], MSP) is not None
+    assert board.field("USART_CR1", "UE", "USART2") == 0
+    Line(board, symbols["receiver_ring_bytes"], DMA1_S5NDTR).send(b"noise")
+    assert board.call_with(symbols["receiver_line_read"], SCRATCH, RING_BYTES) == 0
 
 
 def test_bytes_come_once_and_in_order_when_the_ring_wraps(sbus: Line, read: Callable[..., bytes]) -> None:
