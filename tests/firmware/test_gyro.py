@@ -1,4 +1,4 @@
-"""gyro.c: counts to body rates and the still calibration."""
+"""gyro.c: counts to body rates, the still calibration, and which samples are believed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CALIBRATION_MS
+from toolchain.contract import CALIBRATION_MS, GYRO_BAD_MS, GYRO_RATES_HZ, GyroHealth
 
 LSB_RAD_S = math.radians(2000) / 32768
 CLOCKWISE_DEG = (0, 90, 180, 270)  # in the order of enum board_alignment
@@ -120,3 +120,248 @@ def test_sums_do_not_overflow_when_counts_are_extreme(
 def test_init_refuses_when_the_alignment_is_unknown(puppet: Any) -> None:
     gyro = puppet.new("struct gyro *")
     assert puppet.lib.gyro_init(gyro, 1000, 4, 0) == puppet.lib.NF_ERR_ALIGNMENT
+
+
+# --- What is believed -----------------------------------------------------------------------------
+GOOD, INVALID = GyroHealth.GOOD, GyroHealth.INVALID
+STUCK, SATURATED = GyroHealth.STUCK, GyroHealth.SATURATED
+MOST = 32759  # counts: the largest that are no saturation
+
+
+class Chip:
+    """A gyro of its own and the samples it gets."""
+
+    def __init__(self, core: Any, rate_hz: int = 1000, *, stuck_ms: int = 0, alignment: int = 0) -> None:
+        self._core = core
+        self.rate_hz = rate_hz
+        self.struct = core.new("struct gyro *")
+        assert core.lib.gyro_init(self.struct, rate_hz, alignment, stuck_ms) == 0
+        self._out = core.new("float[3]")
+
+    def feed(
+        self,
+        counts: Any = (0, 0, 0),
+        *,
+        accel: Any = (0, 0, 2048),
+        temperature: int = 100,
+        valid: bool = True,
+        times: int = 1,
+    ) -> GyroHealth:
+        """So many samples; returns the health after the last."""
+        sample = self._core.new("struct imu_sample *", (counts, accel, temperature, valid))
+        for _ in range(times):
+            health = self._core.lib.gyro_step(self.struct, sample, self._out)
+        assert self.struct.health == health
+        return GyroHealth(health)
+
+    def samples(self, ms: int) -> int:
+        return self.rate_hz * ms // 1000
+
+    @property
+    def counts(self) -> list[int]:
+        """What the rates are in counts, bias added."""
+        return [round((r + b) / LSB_RAD_S) for r, b in zip(self._out, self.struct.bias, strict=True)]
+
+
+@pytest.fixture
+def chip(puppet: Any) -> Callable[..., Chip]:
+    return lambda *args, **kwargs: Chip(puppet, *args, **kwargs)
+
+
+BAD: dict[str, tuple[dict[str, Any], GyroHealth]] = {
+    "not valid": ({"counts": (9, 9, 9), "valid": False}, INVALID),
+    "saturated": ({"counts": (500, -600, MOST + 1)}, SATURATED),
+    "saturated below": ({"counts": (-MOST - 1, -600, 700)}, SATURATED),
+    "at the end": ({"counts": (500, -32768, 700)}, SATURATED),
+}
+
+
+@pytest.mark.parametrize("rate_hz", GYRO_RATES_HZ)
+@pytest.mark.parametrize("kind", BAD)
+def test_the_last_good_sample_stands_in_until_bad_ones_are_too_many(
+    chip: Callable[..., Chip], rate_hz: int, kind: str
+) -> None:
+    sample, health = BAD[kind]
+    c = chip(rate_hz)
+    c.feed((500, -600, 700))
+    glitch = c.samples(GYRO_BAD_MS) - 1
+    for roll in (501, 502, 503):  # a glitch leaves no trace
+        for _ in range(glitch):
+            assert c.feed(**sample) is GOOD
+            assert c.counts == [roll - 1, -600, 700]
+        assert c.feed((roll, -600, 700)) is GOOD
+        assert c.counts == [roll, -600, 700]
+    assert c.feed(**sample, times=glitch) is GOOD
+    assert c.feed(**sample) is health
+    assert c.feed(**sample, times=10 * glitch) is health
+    assert c.counts == [503, -600, 700]
+    assert c.feed((504, -600, 700)) is GOOD
+
+
+def test_health_names_the_latest_trouble_when_it_changes(chip: Callable[..., Chip]) -> None:
+    c = chip()
+    c.feed()
+    c.feed(valid=False, times=6)
+    assert c.feed((32767, 0, 0), times=4) is SATURATED
+    assert c.feed(valid=False) is INVALID
+
+
+# What the chips' 250 Hz low-pass of first order lets through of a step over the whole range, in a sample.
+JUMP_DEG_S = {hz: 4000 * (1 - math.exp(-2 * math.pi * 250 / hz)) for hz in GYRO_RATES_HZ}
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("rate_hz", [2000, 4000, 8000])
+def test_a_jump_is_a_glitch_when_the_chip_could_not_have_made_it(
+    chip: Callable[..., Chip], rate_hz: int, axis: int
+) -> None:
+    jump = int(JUMP_DEG_S[rate_hz] * 32768 / 2000)
+    c = chip(rate_hz)
+    start = np.array([-jump // 2] * 3)
+    c.feed([0, 0, 0])
+    c.feed(start.tolist())
+    beyond, within = start.copy(), start.copy()
+    beyond[axis] += jump + 2
+    within[axis] += jump - 1
+    c.feed(beyond.tolist())
+    assert c.counts == start.tolist()
+    c.feed(within.tolist())
+    assert c.counts == within.tolist()
+    c.feed(start.tolist())
+    assert c.counts == start.tolist()
+
+
+def test_a_lasting_change_is_taken_over_when_it_could_have_happened_meanwhile(
+    chip: Callable[..., Chip],
+) -> None:
+    c = chip(8000)
+    c.feed((0, 0, 0))
+    far = round(1800 * 32768 / 2000)
+    taken = [c.feed((far, 0, 0)) is GOOD and c.counts[0] == far for _ in range(4)]
+    assert taken == [False, False, True, True], "713 deg/s a sample"
+
+
+@pytest.mark.parametrize("rate_hz", GYRO_RATES_HZ)
+def test_no_flip_is_a_glitch_when_it_is_the_fiercest(chip: Callable[..., Chip], rate_hz: int) -> None:
+    """1900 deg/s to either side within 10 ms, ten times what a racer's motors can do, and noise of 5 deg/s."""
+    rng = np.random.default_rng(1)
+    t = np.arange(rate_hz) / rate_hz
+    deg_s = 1900 * np.sin(2 * np.pi * 50 * t)[:, None] + rng.normal(0, 5, (rate_hz, 3))
+    c = chip(rate_hz)
+    for counts in np.rint(deg_s * 32768 / 2000).astype(int).tolist():
+        assert c.feed(counts) is GOOD
+        assert c.counts == counts
+
+
+@pytest.mark.parametrize("stuck_ms", [1, 10, 250])
+@pytest.mark.parametrize("rate_hz", [1000, 8000])
+def test_the_gyro_is_stuck_when_every_word_stays_the_same_for_the_time_set(
+    chip: Callable[..., Chip], rate_hz: int, stuck_ms: int
+) -> None:
+    c = chip(rate_hz, stuck_ms=stuck_ms)
+    repeats = c.samples(stuck_ms)
+    assert c.feed((5, 6, 7), times=repeats) is GOOD, "the first is no repetition"
+    assert c.feed((5, 6, 7)) is STUCK
+    assert c.feed((5, 6, 7), times=2 * repeats) is STUCK
+    assert c.counts == [5, 6, 7]
+    assert c.feed((5, 6, 8)) is GOOD
+    assert c.feed((5, 6, 8), times=repeats) is STUCK
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"counts": (0, 0, 1)},
+        {"counts": (0, 1, 0)},
+        {"counts": (1, 0, 0)},
+        {"accel": (0, 0, 2049)},
+        {"accel": (0, 1, 2048)},
+        {"accel": (1, 0, 2048)},
+        {"temperature": 101},
+    ],
+)
+def test_the_gyro_lives_when_one_word_moves(chip: Callable[..., Chip], other: dict[str, Any]) -> None:
+    c = chip(stuck_ms=10)
+    for _ in range(10):
+        assert c.feed(times=9) is GOOD
+        assert c.feed(**other) is GOOD
+
+
+def test_a_frozen_gyro_is_stuck_when_transfers_fail_now_and_then(chip: Callable[..., Chip]) -> None:
+    c = chip(stuck_ms=10)
+    c.feed(times=6)
+    c.feed(valid=False, times=3)
+    assert c.feed(times=5) is STUCK
+    assert c.feed(valid=False) is STUCK, "a glitch changes nothing"
+
+
+def test_the_same_sample_is_believed_for_ever_when_the_setting_says_never(chip: Callable[..., Chip]) -> None:
+    assert chip(stuck_ms=0).feed(times=20_000) is GOOD
+
+
+@pytest.mark.parametrize("trouble", [{"valid": False}, {"counts": (32767, 0, 0)}])
+def test_rates_are_zero_when_there_was_no_good_sample_yet(
+    chip: Callable[..., Chip], trouble: dict[str, Any]
+) -> None:
+    c = chip()
+    for _ in range(20):
+        c.feed(**trouble)
+        assert c.counts == [0, 0, 0]
+
+
+@pytest.mark.parametrize("trouble", [{"valid": False}, {"counts": (32767, 0, 0)}])
+def test_calibration_begins_anew_when_a_sample_is_bad(
+    chip: Callable[..., Chip], trouble: dict[str, Any]
+) -> None:
+    c = chip()
+    c.feed((10, 0, 0), times=CALIBRATION_MS - 1)
+    c.feed(**trouble)
+    c.feed((10, 0, 0), times=CALIBRATION_MS - 1)
+    assert not c.struct.calibrated
+    c.feed((10, 0, 0))
+    assert c.struct.calibrated
+
+
+def test_calibration_waits_when_the_gyro_is_stuck(chip: Callable[..., Chip]) -> None:
+    c = chip(stuck_ms=10)
+    assert c.feed((10, 0, 0), times=5 * CALIBRATION_MS) is STUCK
+    assert not c.struct.calibrated
+    for index in range(CALIBRATION_MS):
+        c.feed((10, 0, 1 + index % 2))
+    assert c.struct.calibrated
+
+
+def test_the_bias_stays_when_a_calibrated_gyro_fails(chip: Callable[..., Chip]) -> None:
+    c = chip()
+    c.feed((10, -20, 30), times=CALIBRATION_MS)
+    c.feed(valid=False, times=100)
+    c.feed((0, 0, 0))
+    assert [round(b / LSB_RAD_S) for b in c.struct.bias] == [10, -20, 30]
+
+
+# --- What else the chip tells ----------------------------------------------------------------------
+@pytest.mark.parametrize("alignment", range(4))
+def test_acceleration_is_in_body_axes_when_the_chip_is_turned(
+    puppet: Any, chip: Callable[..., Chip], alignment: int
+) -> None:
+    c = chip(alignment=alignment)
+    c.feed(accel=(100, -2000, 2048))
+    out = puppet.new("float[3]")
+    puppet.lib.gyro_acceleration(c.struct, out)
+    angle = -math.radians(CLOCKWISE_DEG[alignment])
+    x, y, z = np.array([100, -2000, 2048]) / 2048 * 9.80665
+    expected = [math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y, z]
+    assert list(out) == pytest.approx(expected, rel=1e-6)
+    c.feed(accel=(7, 7, 7), valid=False)
+    puppet.lib.gyro_acceleration(c.struct, out)
+    assert list(out) == pytest.approx(expected, rel=1e-6)
+
+
+def test_temperature_is_the_data_sheets_when_the_chip_is_known(
+    puppet: Any, chip: Callable[..., Chip]
+) -> None:
+    c = chip()
+    c.feed(temperature=3339)
+    assert puppet.lib.gyro_temperature_c(c.struct, puppet.lib.GYRO_MPU6500) == pytest.approx(31.0, abs=0.01)
+    c.feed(temperature=-3268)
+    assert puppet.lib.gyro_temperature_c(c.struct, puppet.lib.GYRO_ICM20689) == pytest.approx(15.0, abs=0.01)
