@@ -69,10 +69,11 @@ static enum nf_refusal setting_get(struct request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
 	const struct setting *setting = settings_info(index);
+	union setting_value value;
 
 	if (!setting)
 		return NF_REFUSAL_INDEX;
-	const union setting_value value = settings_get(q->services->settings, index);
+	settings_get(q->services->settings, index, &value);
 	msp_put_u8(q->reply, setting->kind);
 	msp_put_bytes(q->reply, &value, sizeof value);
 	return NF_REFUSAL_NONE;
@@ -83,7 +84,7 @@ static enum nf_refusal setting_set(struct request *q)
 	const unsigned index = msp_take_u16(&q->payload);
 	const union setting_value value = { .as_uint32_t = msp_take_u32(&q->payload) };
 
-	return settings_set(q->services->settings, index, value);
+	return settings_set(q->services->settings, index, &value);
 }
 
 static enum nf_refusal settings_write(struct request *q)

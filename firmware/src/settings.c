@@ -38,23 +38,20 @@ unsigned settings_find(const char *name)
 	return index;
 }
 
-union setting_value settings_get(const struct nf_settings *settings, unsigned index)
+void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value)
 {
-	union setting_value value;
-
-	memcpy(&value, (const uint8_t *)settings + index * sizeof value, sizeof value);
-	return value;
+	memcpy(value, (const uint8_t *)settings + index * sizeof *value, sizeof *value);
 }
 
-static void put(struct nf_settings *settings, unsigned index, union setting_value value)
+static void put(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
-	memcpy((uint8_t *)settings + index * sizeof value, &value, sizeof value);
+	memcpy((uint8_t *)settings + index * sizeof *value, value, sizeof *value);
 }
 
 static void put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
 {
 	for (unsigned index = first; index <= last; index++)
-		put(settings, index, table[index].preset);
+		put(settings, index, &table[index].preset);
 }
 
 void settings_default(struct nf_settings *settings)
@@ -63,14 +60,14 @@ void settings_default(struct nf_settings *settings)
 }
 
 /* Any NaN says no. */
-static bool within(const struct setting *setting, union setting_value value)
+static bool within(const struct setting *setting, const union setting_value *value)
 {
 	if (setting->kind == SETTING_float)
-		return value.as_float >= setting->low.as_float && value.as_float <= setting->high.as_float;
-	return value.as_uint32_t >= setting->low.as_uint32_t && value.as_uint32_t <= setting->high.as_uint32_t;
+		return value->as_float >= setting->low.as_float && value->as_float <= setting->high.as_float;
+	return value->as_uint32_t >= setting->low.as_uint32_t && value->as_uint32_t <= setting->high.as_uint32_t;
 }
 
-enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, union setting_value value)
+enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
 	if (index >= NF_SETTING_COUNT)
 		return NF_REFUSAL_INDEX;
@@ -101,8 +98,11 @@ static bool below_nyquist(const struct nf_settings *settings, float hz)
 /* `first`: the kind of a stage, behind which its frequency stands. */
 static bool filter_fits(const struct nf_settings *settings, unsigned first)
 {
-	return settings_get(settings, first).as_uint32_t == NF_FILTER_NONE ||
-	       below_nyquist(settings, settings_get(settings, first + 1).as_float);
+	union setting_value kind, hz;
+
+	settings_get(settings, first, &kind);
+	settings_get(settings, first + 1, &hz);
+	return kind.as_uint32_t == NF_FILTER_NONE || below_nyquist(settings, hz.as_float);
 }
 
 static bool dynamic_notch_fits(const struct nf_settings *settings, unsigned first)
@@ -119,7 +119,9 @@ static bool map_fits(const struct nf_settings *settings, unsigned first)
 
 	_Static_assert(NF_CHANNEL_COUNT <= 32, "a bit each");
 	for (unsigned index = first; index <= SETTING_AT_map_beeper; index++) {
-		const uint32_t bit = 1u << settings_get(settings, index).as_uint32_t;
+		union setting_value channel;
+		settings_get(settings, index, &channel);
+		const uint32_t bit = 1u << channel.as_uint32_t;
 		if (met & bit)
 			return false;
 		met |= bit;

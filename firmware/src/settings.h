@@ -32,11 +32,11 @@ const struct setting *settings_info(unsigned index);
 unsigned settings_find(const char *name);
 
 /* Value of the setting `index` < NF_SETTING_COUNT, of the kind that settings_info tells. */
-union setting_value settings_get(const struct nf_settings *settings, unsigned index);
+void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value);
 
 /* Changes one setting. NF_REFUSAL_INDEX: there is none of that index. NF_REFUSAL_RANGE: beyond its limits or no
  * number. A value that is refused changes nothing. What settings may not be together is settings_conflict's. */
-enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, union setting_value value);
+enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value);
 
 /* Index of the first setting that does not go with others or with this image's policy: a gyro rate that is none or
  * no multiple of the control rate; a filter at or above half the gyro rate; notch limits, battery limits or channels

@@ -83,7 +83,7 @@ static void take(struct nf_settings *settings, unsigned index, const uint8_t *en
 	for (uint32_t i = 0; i < count; i++) {
 		memcpy(&entry, entries + i * sizeof entry, sizeof entry);
 		if (entry.key == key) {
-			(void)settings_set(settings, index, entry.value); /* refused: the default stays */
+			(void)settings_set(settings, index, &entry.value); /* refused: the default stays */
 			return;
 		}
 	}
@@ -126,7 +126,8 @@ static bool write_set(struct pen *pen, const struct head *head, const struct nf_
 	bool good = write(pen, head, sizeof *head);
 
 	for (unsigned index = 0; good && index < NF_SETTING_COUNT; index++) {
-		const struct entry entry = { key_of(settings_info(index)), settings_get(settings, index) };
+		struct entry entry = { .key = key_of(settings_info(index)) };
+		settings_get(settings, index, &entry.value);
 		good = write(pen, &entry, sizeof entry);
 	}
 	const uint32_t crc = pen->crc;

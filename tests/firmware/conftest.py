@@ -250,6 +250,64 @@ def bench(puppet: Core) -> Callable[..., Bench]:
     return lambda *args, **kwargs: Bench(puppet, *args, **kwargs)
 
 
+# --- Flash ---------------------------------------------------------------------------------------
+class Chip:
+    """A flash of its own (hal/host/flash_model.c), erased, for what stores things there."""
+
+    def __init__(self, core: Core) -> None:
+        self.core = core
+        self._memory = core.new("uint64_t[]", contract.FLASH_BYTES // 8)
+        self._bytes = core.ffi.cast("uint8_t *", self._memory)
+        self.model = core.new("struct flash_model *")
+        self.flash = core.new("struct flash *")
+        self.content = b"\xff" * contract.FLASH_BYTES
+
+    @property
+    def content(self) -> bytes:
+        """All of it."""
+        return bytes(self.core.ffi.buffer(self._memory))
+
+    @content.setter
+    def content(self, content: bytes) -> None:
+        self.core.ffi.memmove(self._memory, content, contract.FLASH_BYTES)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Start anew with what is there; no cut is to come."""
+        self.core.lib.flash_model_init(self.model, self._bytes)
+        self.flash[0] = self.core.lib.flash_model_interface(self.model)
+
+    def cut(self, at: int, kind: int, seed: int) -> None:
+        """Power goes at the operation `at` from here."""
+        self.core.lib.flash_model_cut(self.model, at, kind, seed)
+
+    @property
+    def operations(self) -> int:
+        """Erased sectors and programmed words since power came."""
+        return int(self.model.operations)
+
+    def region(self, region: contract.Region) -> bytes:
+        """What a part of it holds."""
+        start = region.address - contract.FLASH_BASE
+        return bytes(self.core.ffi.buffer(self._bytes + start, region.size))
+
+    def fill(self, address: int, data: bytes) -> None:
+        """Put bytes there past all rules."""
+        self.core.ffi.memmove(self._bytes + (address - contract.FLASH_BASE), data, len(data))
+
+
+@pytest.fixture
+def chip(puppet: Core) -> Callable[..., Chip]:
+    """Makes erased flashes, for the puppet's core unless told otherwise."""
+    return lambda core=puppet: Chip(core)
+
+
+@pytest.fixture(scope="session")
+def puppets_blob() -> PolicyBlob:
+    """The blob that is compiled into the puppet."""
+    return puppet_blob()
+
+
 # --- The host program ---------------------------------------------------------------------------
 LOOPBACK = "127.0.0.1"
 WAIT_S = 5.0  # how long an answer may take before the test fails

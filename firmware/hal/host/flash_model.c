@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#define SPREAD 0x9E3779B1u /* an odd number of many bits: neighbouring seeds begin far apart */
+
 static const struct region {
 	uint32_t address;
 	uint32_t size;
@@ -19,7 +21,9 @@ void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut,
 {
 	model->cut_at = model->operations + at;
 	model->cut = cut;
-	model->random = seed ? seed : 1;
+	model->random = (seed + 1) * SPREAD;
+	if (model->random == 0)
+		model->random = SPREAD;
 }
 
 /* Marsaglia's xorshift with the triple 13, 17, 5. */

@@ -1,0 +1,249 @@
+"""settings_store.c: sets of settings in two sectors, whole whenever power goes."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolchain.contract import FLASH_SETTINGS, SETTINGS, Refusal, Setting
+
+MakeChip = Callable[..., Any]
+HEAD_WORDS = 4
+OPERATIONS = 1 + HEAD_WORDS + 2 * len(SETTINGS) + 1  # erase, head, entries, CRC
+KINDS = range(5)  # of cuts: enum flash_cut
+
+
+class Store:
+    """Settings over a chip."""
+
+    def __init__(self, chip: Any) -> None:
+        self.chip, self.core = chip, chip.core
+
+    def save(self, **changes: float) -> int:
+        """Save the defaults with these changes."""
+        made = self.core.new("struct nf_settings *")
+        self.core.lib.settings_default(made)
+        for name, value in changes.items():
+            setattr(made, name, value)
+        return int(self.core.lib.settings_save(made, self.chip.flash))
+
+    def load(self) -> tuple[bool, dict[str, float]]:
+        """Whether a set was found, and what differs from the defaults."""
+        made = self.core.new("struct nf_settings *")
+        found = bool(self.core.lib.settings_load(made, self.chip.flash))
+        default = self.core.new("struct nf_settings *")
+        self.core.lib.settings_default(default)
+        names = [setting.name for setting in SETTINGS]
+        return found, {
+            name: getattr(made, name) for name in names if getattr(made, name) != getattr(default, name)
+        }
+
+
+@pytest.fixture
+def store(chip: MakeChip) -> Callable[[], Store]:
+    return lambda: Store(chip())
+
+
+OLD = {"deadband_us": 7, "yaw_expo": 0.25, "map_pid": 9, "battery_scale": 10.5}
+NEW = {"deadband_us": 8, "yaw_expo": 0.75, "map_pid": 10, "motor_limit": 0.5}
+
+
+def as_set(
+    values: dict[str, float], sequence: int, *, magic: bytes = b"NFPS", layout: int = 1, **names: str
+) -> bytes:
+    """A set as the documentation of settings_store.c has it, built by other means."""
+    kinds = {setting.name: setting.kind for setting in SETTINGS}
+    entries = b""
+    for name, value in values.items():
+        form = "<If" if kinds.get(name) == "float" else "<II"
+        entries += struct.pack(form, zlib.crc32(names.get(name, name).encode()), value)
+    body = magic + struct.pack("<3I", layout, sequence, len(values)) + entries
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+# --- Sets come back ---------------------------------------------------------------------------
+def test_defaults_are_loaded_when_flash_is_erased_or_noise(store: Callable[[], Store]) -> None:
+    s = store()
+    assert s.load() == (False, {})
+    noise = np.random.default_rng(3).bytes(FLASH_SETTINGS[0].size)
+    for region in FLASH_SETTINGS:
+        s.chip.fill(region.address, noise)
+        assert s.load() == (False, {})
+        s.chip.fill(region.address, bytes(region.size))
+        assert s.load() == (False, {})
+
+
+def test_the_last_set_comes_back_when_saved_again_and_again(store: Callable[[], Store]) -> None:
+    s = store()
+    for deadband in range(1, 12):
+        before = s.chip.operations
+        assert s.save(deadband_us=deadband) == Refusal.NONE
+        assert s.chip.operations - before == OPERATIONS
+        assert s.load() == (True, {"deadband_us": deadband})
+        s.chip.power_on()
+        assert s.load() == (True, {"deadband_us": deadband})
+
+
+def test_sectors_take_turns_when_saved(store: Callable[[], Store]) -> None:
+    s = store()
+    for deadband in range(1, 7):
+        before = [s.chip.region(region) for region in FLASH_SETTINGS]
+        s.save(deadband_us=deadband)
+        changed = [s.chip.region(region) != old for region, old in zip(FLASH_SETTINGS, before, strict=True)]
+        assert changed == [deadband % 2 == 1, deadband % 2 == 0]
+
+
+def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Callable[[], Store]) -> None:
+    def other(setting: Setting) -> float:
+        if setting.name.startswith("map_"):
+            return setting.default + 8
+        if setting.name == "gyro_rate_hz":
+            return 8000
+        return setting.high if setting.default != setting.high else setting.low
+
+    s = store()
+    changes = {setting.name: other(setting) for setting in SETTINGS}
+    changes |= {"filter4_hz": 3000.0, "filter3_hz": 3000.0, "filter2_hz": 3000.0, "filter1_hz": 3000.0}
+    changes |= {"battery_low_v": 2.5}
+    assert s.save(**changes) == Refusal.NONE
+    found, loaded = s.load()
+    assert found
+    assert set(loaded) == set(changes)
+    assert loaded == pytest.approx(changes)
+
+
+def test_nothing_is_written_when_settings_do_not_go_together(store: Callable[[], Store]) -> None:
+    s = store()
+    assert s.save(**OLD) == Refusal.NONE
+    before, operations = s.chip.content, s.chip.operations
+    assert s.save(map_roll=1) == Refusal.CONFLICT
+    assert (s.chip.content, s.chip.operations) == (before, operations)
+
+
+# --- Sets of other versions -------------------------------------------------------------------
+def test_the_higher_sequence_wins_when_both_sectors_hold_a_set(store: Callable[[], Store]) -> None:
+    for first, second in ((5, 6), (6, 5), (0, 0xFFFFFFFE)):
+        s = store()
+        s.chip.fill(FLASH_SETTINGS[0].address, as_set({"deadband_us": 1}, first))
+        s.chip.fill(FLASH_SETTINGS[1].address, as_set({"deadband_us": 2}, second))
+        assert s.load() == (True, {"deadband_us": 2 if second > first else 1})
+        s.save(deadband_us=3)
+        assert s.load() == (True, {"deadband_us": 3})
+
+
+def test_old_values_are_kept_when_the_firmware_has_more_settings(store: Callable[[], Store]) -> None:
+    s = store()
+    s.chip.fill(FLASH_SETTINGS[1].address, as_set({"yaw_expo": 0.5, "deadband_us": 20}, 3))
+    assert s.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
+
+
+def test_unknown_settings_are_passed_over_when_the_firmware_has_fewer(store: Callable[[], Store]) -> None:
+    s = store()
+    values = {"deadband_us": 20, "to_come": 77, "yaw_expo": 0.5}
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
+    assert s.load() == (True, {"yaw_expo": 0.5, "deadband_us": 20})
+
+
+def test_values_find_their_settings_when_they_stand_in_another_order(store: Callable[[], Store]) -> None:
+    s = store()
+    values = {setting.name: setting.default for setting in reversed(SETTINGS)} | {"pitch_max": 720.0}
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
+    assert s.load() == (True, {"pitch_max": 720.0})
+
+
+def test_a_value_is_the_default_when_its_limits_have_changed_since(store: Callable[[], Store]) -> None:
+    s = store()
+    values = {"deadband_us": 101, "motor_limit": float("nan"), "yaw_expo": 0.5}
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
+    assert s.load() == (True, {"yaw_expo": 0.5})
+
+
+def test_conflicting_values_are_mended_when_loaded(store: Callable[[], Store]) -> None:
+    s = store()
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"map_arm": 0, "map_pid": 9, "yaw_expo": 0.5}, 3))
+    assert s.load() == (True, {"yaw_expo": 0.5})
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        as_set(NEW, 9, magic=b"NFPX"),
+        as_set(NEW, 9, layout=2),
+        as_set(NEW, 9)[:-1] + b"\x00",
+        as_set(NEW, 9)[:12] + struct.pack("<I", 0xFFFFFFFF) + as_set(NEW, 9)[16:],
+        as_set(NEW, 9)[:12] + struct.pack("<I", 2046) + as_set(NEW, 9)[16:],
+    ],
+    ids=["magic", "layout", "crc", "count", "count past the sector"],
+)
+def test_the_older_set_is_loaded_when_the_newer_is_broken(store: Callable[[], Store], broken: bytes) -> None:
+    s = store()
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"deadband_us": 1}, 4))
+    s.chip.fill(FLASH_SETTINGS[1].address, broken)
+    assert s.load() == (True, {"deadband_us": 1})
+    s.save(deadband_us=2)
+    assert s.load() == (True, {"deadband_us": 2})
+    assert s.chip.region(FLASH_SETTINGS[0])[: len(as_set({"deadband_us": 1}, 4))] == as_set(
+        {"deadband_us": 1}, 4
+    ), "the good one was not the one to be erased"
+
+
+def test_each_setting_has_a_key_of_its_own_when_named() -> None:
+    assert len({zlib.crc32(setting.name.encode()) for setting in SETTINGS}) == len(SETTINGS)
+
+
+def test_a_save_says_so_when_flash_does_not_take_it(store: Callable[[], Store]) -> None:
+    for at in range(OPERATIONS):
+        s = store()
+        s.chip.cut(at, 0, 1)
+        assert s.save(**NEW) == Refusal.FLASH
+
+
+# --- Power goes ---------------------------------------------------------------------------------
+# What flash holds before: how many sets were saved, the last of them OLD.
+@pytest.mark.parametrize("saves", [0, 1, 2, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_old_or_the_new_set_is_there_when_power_goes_at_any_operation(
+    store: Callable[[], Store], saves: int, kind: int
+) -> None:
+    s = store()
+    for save in range(saves):
+        s.save(**(OLD if save == saves - 1 else {"deadband_us": 99}))
+    before = s.chip.content
+    old = (True, OLD) if saves else (False, {})
+    assert s.load() == old
+    seen = []
+    for at in range(OPERATIONS):
+        for seed in (11 * at, 11 * at + 1):
+            s.chip.content = before
+            s.chip.cut(at, kind, seed)
+            assert s.save(**NEW) == Refusal.FLASH
+            s.chip.power_on()
+            loaded = s.load()
+            assert loaded in (old, (True, NEW)), (at, seed)
+            seen.append(loaded == old)
+        assert s.save(deadband_us=50) == Refusal.NONE, "it can be saved again"
+        assert s.load() == (True, {"deadband_us": 50})
+    assert all(seen[: 2 * (OPERATIONS - 1)]), "nothing is new before its CRC stands"
+    if kind == 1:
+        assert not any(seen[2 * (OPERATIONS - 1) :]), "all had been written when power went"
+
+
+def test_a_set_is_there_when_power_goes_again_and_again(store: Callable[[], Store]) -> None:
+    """Cuts one after the other, without a whole save between them: what was good stays good."""
+    s, rng = store(), np.random.default_rng(8)
+    s.save(**OLD)
+    good = OLD
+    for attempt in range(300):
+        wanted = {"deadband_us": int(rng.integers(1, 100))}
+        s.chip.cut(int(rng.integers(OPERATIONS + 3)), int(rng.integers(5)), attempt)
+        saved = s.save(**wanted) == Refusal.NONE
+        s.chip.power_on()
+        found, loaded = s.load()
+        assert found
+        assert loaded in ((wanted,) if saved else (good, wanted))
+        good = loaded
