@@ -154,6 +154,22 @@ def sbus() -> Callable[..., bytes]:
     return encode_sbus
 
 
+def encode_crsf(kind: int, payload: bytes) -> bytes:
+    """A CRSF frame; channels are its kind 0x16 with the 22 bytes between SBUS's header and flags."""
+    body, crc = bytes([kind]) + payload, 0
+    for byte in body:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ (contract.CRC8_DVB_S2_POLY if crc & 0x80 else 0)) & 0xFF
+    return bytes([0xC8, len(body) + 1]) + body + bytes([crc])
+
+
+@pytest.fixture(scope="session")
+def crsf() -> Callable[..., bytes]:
+    """The function encode_crsf."""
+    return encode_crsf
+
+
 def sticks(*, arm: int = 1000, throttle: int = 1000, **channel_us: int) -> list[int]:
     """16 channels [us] in the wire's order, centred but for those given (c0=..., c1=...)."""
     channels = [1500] * CHANNEL_COUNT

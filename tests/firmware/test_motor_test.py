@@ -141,6 +141,7 @@ def test_an_open_test_ends_when_nothing_is_ever_told(bench: Test) -> None:
 def test_motors_stop_when_the_test_is_closed(bench: Test) -> None:
     bench.turning()
     assert bench.ask(0) == Refusal.NONE
+    assert bench.forbids()
     assert bench.give(0.25) == Refusal.ORDER
     assert bench.step() == UNTOUCHED
     assert bench.forbids()

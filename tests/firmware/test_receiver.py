@@ -205,6 +205,53 @@ def test_half_a_frame_is_forgotten_when_the_line_falls_silent(make: Make, sbus: 
         receiver.tick(20)
 
 
+def crsf_sticks(sbus: Frame, crsf: Frame, us: int) -> bytes:
+    return crsf(0x16, sbus([VALUE_OF_US[us]] * CHANNEL_COUNT)[1:23])
+
+
+def test_link_recovers_and_flies_when_crsf_is_the_protocol(
+    make: Make, puppet: Any, sbus: Frame, crsf: Frame
+) -> None:
+    receiver = make(receiver_protocol=CRSF)
+    for us in (1000, 1200, 1400, 1600):
+        for _ in range(RECEIVER_RECOVERY_MS // 4):
+            assert len(receiver.push(crsf_sticks(sbus, crsf, us))) == 1
+            receiver.tick(1)
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.push(crsf_sticks(sbus, crsf, 1800)) == [[1800] * CHANNEL_COUNT]
+    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+
+
+def test_every_frame_is_seen_when_one_byte_completes_several(make: Make, sbus: Frame, crsf: Frame) -> None:
+    receiver = make(receiver_protocol=CRSF)
+    for _ in range(RECEIVER_RECOVERY_MS + 1):
+        receiver.push(crsf_sticks(sbus, crsf, 2000))
+        receiver.tick(1)
+    off, on = crsf_sticks(sbus, crsf, 1000), crsf_sticks(sbus, crsf, 2000)
+    false = bytes([0xC8, 62, 0x7A]) + off + on
+    assert receiver.push(false + bytes(63 - len(false))) == []
+    assert [channels[CHANNEL_ARM] for channels in receiver.push(b"\x00" + off)] == [1000, 2000, 1000]
+
+
+def test_half_a_crsf_frame_is_forgotten_when_the_line_falls_silent(
+    make: Make, sbus: Frame, crsf: Frame
+) -> None:
+    receiver, data = make(4000, receiver_protocol=CRSF), crsf_sticks(sbus, crsf, 1500)
+    for gap, frames in ((7, 1), (8, 0)):  # 2 ms of 4 kHz
+        receiver.push(data[:10])
+        receiver.tick(gap)
+        assert len(receiver.push(data[10:])) == frames
+        receiver.tick(20)
+
+
+def test_link_statistics_are_no_sticks_when_they_come_alone(make: Make, puppet: Any, crsf: Frame) -> None:
+    receiver = make(receiver_protocol=CRSF)
+    for _ in range(3 * RECEIVER_RECOVERY_MS):
+        assert receiver.push(crsf(0x14, bytes([1, 2, 90, *[0] * 7]))) == []
+        receiver.tick(1)
+    assert receiver.link() == puppet.lib.RECEIVER_LOST
+
+
 def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(make: Make, puppet: Any, sbus: Frame) -> None:
     receiver = make(receiver_protocol=MSP)
     assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
@@ -363,6 +410,24 @@ def test_quality_is_judged_by_the_new_beat_when_a_slower_receiver_returns(make: 
     receiver.run(2000, every_ms=5)
     receiver.tick(RECEIVER_LOST_MS)
     receiver.run(2000, every_ms=20)
+    assert receiver.quality() == 100
+
+
+def test_quality_is_the_receivers_own_for_a_second_when_it_tells_one(
+    make: Make, sbus: Frame, crsf: Frame
+) -> None:
+    receiver = make(receiver_protocol=CRSF)
+    for step in range(2000):
+        if step % 4 == 0:
+            receiver.push(crsf_sticks(sbus, crsf, 1500))
+        receiver.tick(1)
+    assert receiver.quality() == 100
+    receiver.push(crsf(0x14, bytes([1, 2, 42, *[0] * 7])))
+    for step in range(999):
+        receiver.push(crsf_sticks(sbus, crsf, 1500) if step % 4 == 0 else b"")
+        receiver.tick(1)
+        assert receiver.quality() == 42
+    receiver.tick(1)
     assert receiver.quality() == 100
 
 
