@@ -26,7 +26,7 @@ from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.motors import motor_fractions
-from sim.port import Reply, Sample, control_divider
+from sim.port import Reply, Sample, control_divider, setting_changes
 from sim.rotation import quaternion
 from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
@@ -61,8 +61,16 @@ _TRACE = struct.Struct(SIM_TRACE_FORMAT)
 class HostPort:
     """FirmwarePort around a host program of its own, which ends with the port."""
 
-    def __init__(self, program: Path, gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ) -> None:
-        """Start the program on free loopback ports. Raises LinkError when it is missing or does not start."""
+    def __init__(
+        self,
+        program: Path,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
+        settings: Mapping[str, float] | None = None,
+    ) -> None:
+        """Start the program on free loopback ports with these settings, the others at their defaults.
+
+        Raises LinkError when it is missing or does not start.
+        """
         if not program.is_file():
             raise LinkError(f"{program}: not built yet; build it with `make host`")
         with contextlib.ExitStack() as undo:
@@ -73,7 +81,8 @@ class HostPort:
                 "servo-port": _port(self._servo),
                 "trace-port": _port(self._trace),
             }
-            self._child = undo.enter_context(_Child(program, options))
+            changes = setting_changes(settings or {})
+            self._child = undo.enter_context(_Child(program, options, changes))
             self._state, self._receiver = (undo.enter_context(_udp()) for _ in range(2))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
             self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
@@ -170,12 +179,16 @@ class HostPort:
 class _Child:
     """The running program: started on entering, ended on leaving."""
 
-    def __init__(self, program: Path, options: Mapping[str, int]) -> None:
-        """options: names without dashes to values; ports that are not named are the system's choice."""
+    def __init__(self, program: Path, options: Mapping[str, int], changes: Sequence[str]) -> None:
+        """options: names without dashes to values; ports that are not named are the system's choice.
+
+        changes: of settings, NAME=VALUE.
+        """
         self.name = program.name
         self.ports: Mapping[str, int] = {}  # those it listens on, by name, once it runs
         self._program = program
         self._options = {**dict.fromkeys(LISTENING, 0), **options}
+        self._changes = changes
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving
 
@@ -213,6 +226,7 @@ class _Child:
     def _start(self) -> None:
         """Start it and wait for `ready state=N receiver=N power=N msp=N`."""
         options = [f"--{name}={value}" for name, value in self._options.items()]
+        options += [f"--set={change}" for change in self._changes]
         try:
             self._process = subprocess.Popen(
                 [self._program.resolve(), *options, "--with-parent"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -61,6 +61,11 @@ class FirmwarePort(Protocol):
     def close(self) -> None:
         """End the firmware. May be called twice."""
         ...
+
+
+def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:
+    """Settings of a firmware as its programs take them: NAME=VALUE."""
+    return tuple(f"{name}={value!r}" for name, value in settings.items())
 
 
 def control_divider(gyro_rate_hz: int, control_rate_hz: int) -> int:

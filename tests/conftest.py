@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from sim.aircraft import load_aircraft
+from sim.pid_table import pid_table
 from toolchain.build import build
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,10 +20,15 @@ def shipped_policy() -> Path:
     return ROOT / "training" / "policies" / "nf1" / "policy.onnx"
 
 
+def build_shipped(target: str, policy: Path) -> None:
+    """Build it with the PID of the aircraft that it was trained for."""
+    build(target, policy, ROOT, BUILD, pid_table(load_aircraft("nf1")))
+
+
 @pytest.fixture(scope="session")
 def host_program(shipped_policy: Path) -> Path:
     """The firmware as a program of this machine, around `shipped_policy`."""
-    build("HOST", shipped_policy, ROOT, BUILD)
+    build_shipped("HOST", shipped_policy)
     return BUILD / "HOST" / "neuroflight"
 
 
@@ -34,5 +41,5 @@ def reference_library(host_program: Path) -> Path:
 @pytest.fixture(scope="session")
 def board_image(shipped_policy: Path) -> Path:
     """The ELF that goes onto the MATEKF722, around `shipped_policy`."""
-    build("MATEKF722", shipped_policy, ROOT, BUILD)
+    build_shipped("MATEKF722", shipped_policy)
     return BUILD / "MATEKF722" / "neuroflight.elf"

@@ -28,7 +28,8 @@ from toolchain.files import replacing, write_text, write_text_if_changed
 from toolchain.header import render_contract
 from toolchain.image import FLASH, RAM, memory_use, read_image
 from toolchain.network import PolicyModel, read_policy
-from toolchain.report import BuildReport, OutputFile, PolicyFacts, Stage
+from toolchain.pid_table import PidTable, render_pid_table
+from toolchain.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage
 from toolchain.timing import Cost, mixed_observations, step_cost
 
 BOARD_MEMORY = (*RAM, FLASH)
@@ -80,8 +81,12 @@ class MakeError(BuildError):
         self.output = output
 
 
-def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> BuildReport:
+def build(
+    target: str, policy: Path, root: Path, folder: Path | None = None, pid: PidTable | None = None
+) -> BuildReport:
     """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
+
+    pid: what flies when the policy must not or the pilot does not want it to; None: nothing does.
 
     Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
     into `folder`/<target>, which leaves the user's images alone.
@@ -92,12 +97,13 @@ def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> 
     model = read_policy(policy)
     compiled = compile_policy(model)
     check_fit(compiled, known)
+    _check_pid(pid, known)
     _check_tools(known)
     optimized = time.perf_counter()
     out = (folder or root / "build") / known.name
     generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
     with _locked(out):
-        _write_generated(compiled, generated)
+        _write_generated(compiled, pid, known, generated)
         built = _make(known, root, out, generated)
         made = out / "make" / known.products[0]
         image = read_image(made)
@@ -109,6 +115,7 @@ def build(target: str, policy: Path, root: Path, folder: Path | None = None) -> 
             target=known.name,
             stages=_stages(compiled, built, (optimized - started, finished - optimized)),
             policy=_facts(compiled, policy),
+            pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle),
             sections=image.sections,
             memory=memory,
             files=files,
@@ -165,6 +172,14 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             raise PolicyError(f"the policy {facts}, {excess}; train a smaller network")
 
 
+def _check_pid(pid: PidTable | None, target: Target) -> None:
+    if pid is not None and pid.motor_count != target.motors:
+        raise BuildError(
+            f"the PID of aircraft {pid.aircraft} drives {pid.motor_count} motors, {target.name} has "
+            f"{target.motors}; name another with --aircraft"
+        )
+
+
 def _check_tools(target: Target) -> None:
     for tool, packages in ((target.compiler, target.packages), ("make", "make")):
         if shutil.which(tool) is None:
@@ -180,9 +195,11 @@ def _locked(out: Path) -> Iterator[None]:
         yield
 
 
-def _write_generated(compiled: CompiledPolicy, directory: Path) -> None:
+def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, target: Target, directory: Path) -> None:
+    table = render_pid_table(pid, target.motors, compiled.policy.control_rate_hz)
     write_text_if_changed(directory / "policy.c", compiled.emission.source)
     write_text_if_changed(directory / "policy.h", compiled.emission.header)
+    write_text_if_changed(directory / "pid_table.c", table)
     write_text_if_changed(directory / "nf_contract.h", render_contract())
 
 

@@ -66,8 +66,8 @@ RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link coun
 GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
 GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
-# A crash: for so long an axis turns this much other than asked for, while the controller already asks for nearly
-# all that a motor can give. A flip at 720 deg/s, the hardest of our own flights, has both for some 50 ms.
+# A crash: for so long an axis turns this much other than asked for, while the controller already asks for
+# nearly all that a motor can give. A flip at 720 deg/s, the hardest of our own flights, has both for 50 ms.
 CRASH_ERROR_DEG_S = 500.0
 CRASH_OUTPUT = 0.95  # a motor fraction of the controller, before the throttle
 CRASH_MS = 250

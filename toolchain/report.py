@@ -47,6 +47,15 @@ class PolicyFacts:
 
 
 @dataclass(frozen=True)
+class PidFacts:
+    """Which PID stands beside the policy."""
+
+    aircraft: str
+    name: str  # in the aircraft's file
+    idle: float
+
+
+@dataclass(frozen=True)
 class OutputFile:
     """A file that the build made, relative to the project."""
 
@@ -68,6 +77,7 @@ class BuildReport:
     step_instructions: int | None  # of policy_step in this image, exactly; on the host None
     predicted_cycles: int | None  # of policy_step in this image
     predicted_cycles_reason: str | None  # why they are None
+    pid: PidFacts | None = None  # None: none is built in
 
     def document(self) -> dict[str, object]:
         """The content of report.json."""
@@ -115,6 +125,9 @@ def print_report(report: BuildReport, console: Console) -> None:
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))
+    pid = report.pid
+    fallback = "none: no gains for this aircraft" if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
+    table.add_row("PID", "built in", fallback)
     for index, use in enumerate(report.memory):
         share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
         table.add_row("" if index else "memory", use.region, share)

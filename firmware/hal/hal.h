@@ -13,23 +13,21 @@
 #include "firmware.h"
 #include "imu.h"
 #include "msp.h"
+#include "power_sample.h"
 
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
 #define HAL_RECEIVER_BYTES 256  /* the most that one hal_receiver_read hands over */
+
+struct setting_change; /* background.h */
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
 	unsigned gyro_rate_hz;          /* 0: as set; another: asked for on this start, whatever the settings say */
+	const struct setting_change *changes; /* of this start to the stored settings; they live as long */
+	size_t change_count;
 	struct msp_identity identity;   /* its strings live as long as the program */
 	uint32_t cycles_hz;             /* what hal_cycles counts in a second */
-};
-
-/* Raw measurements of the battery; what they mean is set by the pilot. */
-struct power_sample {
-	uint16_t volts_mv;    /* at the pin */
-	uint16_t amps_mv;     /* at the pin */
-	bool valid;
 };
 
 struct hal_handlers {

@@ -3,8 +3,11 @@
 #include <string.h>
 
 #include "dshot.h"
+#include "nf_math.h"
 
-#define REASON_IF(condition, name) ((condition) ? 1u << NF_ARMING_REASON_##name : 0u)
+#define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
+#define STANDARD_GRAVITY 9.80665f /* m/s^2 */
+#define ANY_TILT (-2.0f)          /* below every cosine */
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
@@ -26,83 +29,109 @@ static enum nf_err check_rates(unsigned gyro_rate_hz)
 	return NF_ERR_GYRO_RATE;
 }
 
-/* Replays the vectors that came with the policy; one wrong bit in weights, compiler or FPU shows. */
-static bool selftest(struct policy *policy, const float *weights)
+static bool level(const struct firmware *fw)
 {
-	float action[POLICY_ACTION_COUNT];
-	bool same = true;
+	float up[3];
 
-	for (int i = 0; i < POLICY_SELFTEST_COUNT; i++) {
-		if (i % POLICY_SELFTEST_STEPS == 0)
-			policy_init(policy, weights);
-		policy_step(policy, policy_selftest_observation[i], action);
-		same &= memcmp(action, policy_selftest_action[i], sizeof action) == 0;
-	}
-	return same;
+	if (fw->level_cosine == ANY_TILT)
+		return true;
+	attitude_up(&fw->attitude, up);
+	return attitude_known(&fw->attitude) && up[2] >= fw->level_cosine;
 }
 
-/* All that the controller remembers goes: nothing from before reaches the first armed step. */
-static void reset_controller(struct firmware *fw)
+/* All that safety looks at, but for what a control step finds out. */
+static uint32_t conditions(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
-	observation_reset(&fw->observation);
-	policy_init(&fw->policy, fw->weights);
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
-		fw->action[i] = 0.0f;
-}
+	static const uint32_t health[] = {
+		[NF_GYRO_HEALTH_GOOD] = 0,
+		[NF_GYRO_HEALTH_INVALID] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_INVALID,
+		[NF_GYRO_HEALTH_STUCK] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_STUCK,
+		[NF_GYRO_HEALTH_SATURATED] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SATURATED,
+		[NF_GYRO_HEALTH_SILENT] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SILENT,
+	};
+	const enum receiver_link link = receiver_link(&fw->receiver);
 
-/* What forbids arming now, apart from the switch. */
-static uint32_t reasons(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
-{
-	return REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
+	return fw->forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
+	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
 	       REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
-	       REASON_IF(receiver_link(&fw->receiver) == RECEIVER_LOST, RECEIVER_LOST) |
+	       REASON_IF(link == RECEIVER_LOST, RECEIVER_LOST) |
 	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
-	       REASON_IF(!fw->policy_good, POLICY_BAD);
+	       REASON_IF(!level(fw), NOT_LEVEL) |
+	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
+	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
+}
+
+/* Brings safety up to date with everything known now and `found` beside it. */
+static void look(struct firmware *fw, uint32_t found)
+{
+	uint16_t channels_us[NF_CHANNEL_COUNT];
+
+	receiver_channels(&fw->receiver, channels_us);
+	/* A lost receiver's switches say nothing: the controller stays the one that the pilot chose. */
+	if (receiver_link(&fw->receiver) != RECEIVER_LOST)
+		fw->pid_wanted = channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
+	if (safety_look(&fw->safety, conditions(fw, channels_us) | found)) {
+		control_reset(&fw->control);
+		crash_reset(&fw->crash);
+	}
 }
 
 /* Fills in what MSP tells beside the trace. */
 static void report(struct firmware *fw)
 {
 	struct firmware_status *status = &fw->status;
+	const struct control *control = &fw->control;
 
 	receiver_channels(&fw->receiver, status->channels_us);
-	status->arming_reasons = arming_reasons(&fw->arming, reasons(fw, status->channels_us));
+	status->arming_reasons = safety_reasons(&fw->safety, conditions(fw, status->channels_us));
 	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
-	status->policy_good = fw->policy_good;
+	status->receiver_quality = (uint8_t)receiver_quality(&fw->receiver);
+	status->state = (uint8_t)fw->safety.state;
+	status->stop_cause = (uint8_t)fw->safety.stop_cause;
+	status->fallback_cause = (uint8_t)control->fallback;
+	status->gyro_health = (uint8_t)fw->health;
+	status->policy_good = control->good[CONTROLLER_POLICY];
+	status->pid_built_in = control->good[CONTROLLER_PID];
+	status->pid_flies = control->flying == CONTROLLER_PID;
+	status->idle = control->mixers[control->flying].idle;
+	status->attitude_known = attitude_known(&fw->attitude);
 }
 
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config)
 {
-	static const struct observation_terms terms = {
-		.blocks = policy_observation_blocks,
-		.ages = policy_observation_ages,
-		.gains = policy_observation_gains,
-		.count = POLICY_OBSERVATION_TERM_COUNT,
+	const struct nf_settings *settings = config->settings;
+	const struct control_config control = {
+		.settings = settings,
+		.weights = config->weights,
+		.policy_idle = config->policy_idle,
+		.policy_good = config->policy_good,
+		.pid = config->pid,
 	};
 	enum nf_err err = check_rates(config->gyro_rate_hz);
 	if (err != NF_OK)
 		return err;
 
 	memset(fw, 0, sizeof *fw);
+	fw->gyro_rate_hz = config->gyro_rate_hz;
 	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
 	fw->grace_left = config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u;
+	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) : ANY_TILT;
+	fw->failsafe_throttle = settings->failsafe_throttle;
+	fw->forbidden = SAFETY_REASON(BATTERY_UNKNOWN);
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
-	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, 0)) != NF_OK)
+	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, settings->gyro_stuck_ms)) != NF_OK)
 		return err;
-	if ((err = mixer_init(&fw->mixer, config->settings, POLICY_IDLE)) != NF_OK)
+	if ((err = control_init(&fw->control, &control)) != NF_OK)
 		return err;
-	if ((err = observation_init(&fw->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
-				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
-		return err;
-	receiver_init(&fw->receiver, config->settings, config->gyro_rate_hz);
-	rates_init(&fw->rates, config->settings);
-	arming_init(&fw->arming);
-	memcpy(fw->weights, policy_weights, sizeof fw->weights);
-	fw->policy_good = selftest(&fw->policy, fw->weights);
-	reset_controller(fw);
+	filters_init(&fw->filters, settings, config->gyro_rate_hz);
+	attitude_init(&fw->attitude, POLICY_CONTROL_RATE_HZ);
+	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
+	rates_init(&fw->rates, settings);
+	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
+	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
 	report(fw); /* a board whose gyro never speaks must still say why it does not arm */
-	return fw->policy_good ? NF_OK : NF_ERR_POLICY;
+	return NF_OK;
 }
 
 bool firmware_control_due(const struct firmware *fw)
@@ -110,78 +139,115 @@ bool firmware_control_due(const struct firmware *fw)
 	return fw->until_control == 0;
 }
 
-/* Brings arming up to date with everything known now. */
-static void update_arming(struct firmware *fw)
+/* A frame has come. Safety sees each, so that no "off" is lost behind an "on" of the same step. */
+static void look_at_frame(struct firmware *fw)
 {
-	uint16_t channels_us[NF_CHANNEL_COUNT];
+	const bool off = fw->receiver.age == 0 && fw->receiver.channels_us[NF_CHANNEL_ARM] < NF_ARM_ON_US;
 
-	receiver_channels(&fw->receiver, channels_us);
-	if (arming_step(&fw->arming, reasons(fw, channels_us), channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US))
-		reset_controller(fw);
+	look(fw, off ? SAFETY_OFF_HEARD : 0u);
 }
 
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
-	/* Arming sees each frame, so that no "off" is lost behind an "on" of the same step. */
 	while (receiver_push(&fw->receiver, &bytes, &count))
-		update_arming(fw);
+		look_at_frame(fw);
 }
 
-/* Is this what the policy may answer? Any NaN says no. */
-static bool within_range(const float action[POLICY_ACTION_COUNT])
+bool firmware_receive_msp(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
-		if (!(action[i] >= 0.0f && action[i] <= 1.0f))
-			return false;
-	return true;
-}
-
-/* Gyro and setpoint to motor outputs. Returns false, the outputs unset, if the policy's answer is refused. */
-static bool fly(struct firmware *fw, const struct control_trace *trace, float output[POLICY_ACTION_COUNT])
-{
-	const struct observation_input input = {
-		.rate = trace->gyro,
-		.setpoint = trace->setpoint,
-		.previous_action = fw->action,
-		.throttle = trace->throttle,
-	};
-	float observation[POLICY_OBSERVATION_COUNT];
-
-	observation_step(&fw->observation, &input, observation);
-	policy_step(&fw->policy, observation, fw->action);
-	if (!within_range(fw->action))
+	if (!receiver_msp(&fw->receiver, channels_us))
 		return false;
-	mixer_step(&fw->mixer, fw->action, trace->throttle, output);
+	look_at_frame(fw);
 	return true;
 }
 
-static void control_step(struct firmware *fw, const float rate[3])
+/* Setpoint and throttle from the sticks, or from the failsafe while it brings the aircraft down. */
+static void command(struct firmware *fw)
 {
 	struct control_trace *trace = &fw->status.trace;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
-	float output[POLICY_ACTION_COUNT];
 
 	receiver_channels(&fw->receiver, channels_us);
 	rates_setpoint(&fw->rates, channels_us, trace->setpoint);
 	trace->throttle = rates_throttle(channels_us);
-	memcpy(trace->gyro, rate, sizeof trace->gyro);
+	if (!safety_descending(&fw->safety))
+		return;
+	for (int i = 0; i < 3; i++)
+		trace->setpoint[i] = 0.0f;
+	trace->throttle = fw->failsafe_throttle;
+}
 
-	update_arming(fw);
-	if (arming_is_armed(&fw->arming) && !fly(fw, trace, output)) {
-		fw->policy_good = false; /* for good: a policy that failed once is not tried again */
-		update_arming(fw);
-	}
-	trace->armed = arming_is_armed(&fw->arming);
+/* Gyro and setpoint to motor outputs. Returns what safety is to know of it: 0, or why `output` must not be flown. */
+static uint32_t fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
+{
+	static const uint32_t verdicts[] = {
+		[CRASH_NONE] = 0,
+		[CRASH_HAPPENED] = SAFETY_CRASH,
+		[CRASH_RUNAWAY] = SAFETY_RUNAWAY,
+	};
+	const struct control_trace *trace = &fw->status.trace;
+	const struct control_input input = {
+		.setpoint = trace->setpoint,
+		.rate = trace->gyro,
+		.throttle = trace->throttle,
+		.pid_wanted = fw->pid_wanted,
+	};
+	float error[3];
+
+	if (!control_step(&fw->control, &input, output))
+		return SAFETY_NO_CONTROLLER;
+	for (int i = 0; i < 3; i++)
+		error[i] = trace->setpoint[i] - trace->gyro[i];
+	return verdicts[crash_step(&fw->crash, error, control_demand(&fw->control))];
+}
+
+/* The motors' values of a control step whose outputs are `output`. */
+static void drive(struct firmware *fw, const float output[POLICY_ACTION_COUNT])
+{
+	struct control_trace *trace = &fw->status.trace;
+	const struct mixer *mixer = &fw->control.mixers[fw->control.flying];
+	const bool stand = !trace->armed || mixer_stops(mixer, trace->throttle);
+
 	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
-		trace->dshot[i] = trace->armed ? dshot_value(output[i]) : NF_DSHOT_STOP;
-	trace->step = fw->control_steps++;
+		trace->dshot[i] = stand ? NF_DSHOT_STOP : dshot_value(output[i]);
+}
+
+static void publish(struct firmware *fw)
+{
 	report(fw);
+	fence();
+	fw->published++;
+}
+
+static void control_step_due(struct firmware *fw, const float rate[3])
+{
+	struct control_trace *trace = &fw->status.trace;
+	float output[POLICY_ACTION_COUNT] = { 0 };
+	float acceleration[3];
+
+	memcpy(trace->gyro, rate, sizeof trace->gyro);
+	gyro_acceleration(&fw->gyro, acceleration);
+	attitude_step(&fw->attitude, rate, acceleration);
+	for (int i = 0; i < 3; i++)
+		fw->status.accel_g[i] = acceleration[i] * (1.0f / STANDARD_GRAVITY);
+	safety_tick(&fw->safety);
+	look(fw, 0);
+	command(fw);
+	if (safety_motors(&fw->safety)) {
+		const uint32_t found = fly(fw, output);
+		if (found)
+			look(fw, found);
+	}
+	trace->armed = safety_motors(&fw->safety);
+	drive(fw, output);
+	trace->step = fw->control_steps++;
+	publish(fw);
 }
 
 /* One gyro sample has passed for everything that waits. */
 static void tick(struct firmware *fw)
 {
-	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
+	fw->samples++;
 	if (fw->grace_left > 0)
 		fw->grace_left--;
 	receiver_tick(&fw->receiver);
@@ -191,14 +257,34 @@ void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 {
 	float rate[3];
 
-	gyro_step(&fw->gyro, sample, rate);
-	if (firmware_control_due(fw)) {
-		control_step(fw, rate);
-		fence();
-		fw->published++;
-	}
+	fw->health = gyro_step(&fw->gyro, sample, rate);
+	filters_step(&fw->filters, rate);
+	if (firmware_control_due(fw))
+		control_step_due(fw, rate);
 	memcpy(dshot, fw->status.trace.dshot, POLICY_ACTION_COUNT * sizeof dshot[0]);
+	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
 	tick(fw);
+}
+
+void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT])
+{
+	struct control_trace *trace = &fw->status.trace;
+
+	for (uint32_t i = 0; i < fw->gyro_rate_hz * NF_GYRO_BAD_MS / 1000u; i++)
+		tick(fw);
+	fw->health = NF_GYRO_HEALTH_SILENT;
+	look(fw, 0);
+	trace->armed = safety_motors(&fw->safety);
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		trace->dshot[i] = NF_DSHOT_STOP;
+	publish(fw);
+	memcpy(dshot, trace->dshot, POLICY_ACTION_COUNT * sizeof dshot[0]);
+}
+
+void firmware_deadline(struct firmware *fw, bool missed)
+{
+	if (safety_motors(&fw->safety))
+		control_deadline(&fw->control, missed);
 }
 
 const struct control_trace *firmware_trace(const struct firmware *fw)
@@ -206,8 +292,17 @@ const struct control_trace *firmware_trace(const struct firmware *fw)
 	return &fw->status.trace;
 }
 
+void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds)
+{
+	const uint32_t bit = 1u << reason;
+
+	fw->forbidden = holds ? fw->forbidden | bit : fw->forbidden & ~bit;
+	fence();
+}
+
 void firmware_status(const struct firmware *fw, struct firmware_status *status)
 {
+	struct attitude attitude;
 	uint32_t before;
 
 	/* The writer interrupts the reader, never the other way round, and runs to its end: a copy is whole
@@ -216,6 +311,9 @@ void firmware_status(const struct firmware *fw, struct firmware_status *status)
 		before = fw->published;
 		fence();
 		*status = fw->status;
+		attitude = fw->attitude;
 		fence();
 	} while (before != fw->published);
+	if (status->attitude_known)
+		attitude_euler_deg(&attitude, status->attitude_deg);
 }

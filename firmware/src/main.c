@@ -1,16 +1,21 @@
 /* Ties the core to the hardware boundary. Common to every target. */
+#include "background.h"
 #include "firmware.h"
 #include "hal/hal.h"
 #include "msp.h"
-#include "settings.h"
+#include "pid.h"
+#include "scheduler.h"
 
-/* The only mutable state of the program outside the chip directory. */
-static struct hal_info info;
-static struct nf_settings settings;
-static struct firmware_config config;
+/* The only mutable state of the program outside the chip directory. What the gyro's interrupt works on... */
 static struct firmware firmware;
+static _Alignas(8) float weights[POLICY_WEIGHT_COUNT];
+static struct task_stats stats[TASK_COUNT];
+/* ...and what only the background does. */
+static struct hal_info info;
+static struct fault_record fault;
+static struct background background;
 static struct msp msp;
-static volatile uint32_t longest_cycles; /* of all samples so far */
+static uint32_t fed_at; /* gyro sample at which the watchdog was fed last */
 
 static void on_sample(void *context, const struct imu_sample *sample)
 {
@@ -29,28 +34,38 @@ static void on_sample(void *context, const struct imu_sample *sample)
 		hal_trace_write(firmware_trace(fw));
 
 	const uint32_t cycles = hal_cycles() - start;
-	if (cycles > longest_cycles)
-		longest_cycles = cycles;
+	const bool missed = control_step && hal_deadline_missed(cycles);
+	if (control_step)
+		firmware_deadline(fw, missed);
+	task_stats_add(&stats[control_step ? NF_TASK_CONTROL : NF_TASK_GYRO], cycles, missed);
 }
 
 static void on_gyro_silent(void *context)
 {
-	(void)context;
+	uint16_t dshot[POLICY_ACTION_COUNT];
+
+	firmware_gyro_silent(context, dshot);
+	hal_motors_write(dshot, POLICY_ACTION_COUNT, false);
 }
 
+/* The watchdog is fed while time goes on for the core: samples come, or their silence is known. */
 static void on_background(void *context)
 {
-	(void)context;
-	hal_watchdog_feed();
+	const struct firmware *fw = context;
+
+	background_step(&background);
+	if (fw->samples != fed_at) {
+		fed_at = fw->samples;
+		hal_watchdog_feed();
+	}
 }
 
 static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
 {
 	struct firmware_status status;
 
-	firmware_status(context, &status);
-	const uint32_t percent = longest_cycles / (info.cycles_hz / config.gyro_rate_hz / 100u);
-	status.load_percent = (uint16_t)(percent < UINT16_MAX ? percent : UINT16_MAX);
+	(void)context;
+	background_status(&background, &status);
 	return msp_serve(&msp, &status, bytes, count, reply, capacity);
 }
 
@@ -58,6 +73,73 @@ static void on_msp_reset(void *context)
 {
 	(void)context;
 	msp_reset(&msp);
+}
+
+static uint32_t cycles(void *context)
+{
+	(void)context;
+	return hal_cycles();
+}
+
+static void power_read(void *context, struct power_sample *power)
+{
+	(void)context;
+	hal_power_read(power);
+}
+
+static void beeper(void *context, bool on)
+{
+	(void)context;
+	hal_beeper(on);
+}
+
+static void led(void *context, bool on)
+{
+	(void)context;
+	hal_led(on);
+}
+
+static const uint8_t *at(void *context, uint32_t address)
+{
+	(void)context;
+	return hal_flash_at(address);
+}
+
+static bool erase(void *context, unsigned sector)
+{
+	(void)context;
+	return hal_flash_erase(sector);
+}
+
+static bool program(void *context, uint32_t address, const void *words, size_t bytes)
+{
+	(void)context;
+	return hal_flash_program(address, words, bytes);
+}
+
+static enum nf_err boot(void)
+{
+	const bool faulted = hal_fault_take(&fault);
+	const struct background_config config = {
+		.io = { .cycles = cycles, .power_read = power_read, .beeper = beeper, .led = led },
+		.flash = { .at = at, .erase = erase, .program = program },
+		.firmware = &firmware,
+		.weights = weights,
+		.stats = stats,
+		.alignment = info.alignment,
+		.pid = &pid_gains_built_in,
+		.fault = faulted ? &fault : NULL,
+		.changes = info.changes,
+		.change_count = info.change_count,
+		.gyro_rate_hz = info.gyro_rate_hz,
+		.cycles_hz = info.cycles_hz,
+	};
+	const enum nf_err err = background_start(&background, &config);
+
+	/* Only now is it in the log. */
+	if (faulted)
+		hal_fault_clear();
+	return err;
 }
 
 int main(int argc, char **argv)
@@ -76,18 +158,7 @@ int main(int argc, char **argv)
 		return start;
 
 	msp_init(&msp, &info.identity);
-	settings_default(&settings);
-	config = (struct firmware_config){
-		.gyro_rate_hz = info.gyro_rate_hz ? info.gyro_rate_hz : settings.gyro_rate_hz,
-		.alignment = settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD ?
-				     info.alignment :
-				     (enum board_alignment)(settings.gyro_alignment - NF_GYRO_ALIGNMENT_CW0),
-		.settings = &settings,
-	};
-	settings.gyro_rate_hz = config.gyro_rate_hz;
-	/* A policy that fails its self-test still answers MSP and says why it will not arm. */
-	const enum nf_err err = firmware_init(&firmware, &config);
-	if (err != NF_OK && err != NF_ERR_POLICY)
-		return hal_refuse(err);
-	return hal_run(&handlers, &settings);
+	/* Without a good policy it still runs, answers MSP and says why it will not arm. */
+	const enum nf_err err = boot();
+	return err == NF_OK ? hal_run(&handlers, &background.settings) : hal_refuse(err);
 }

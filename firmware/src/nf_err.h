@@ -20,6 +20,8 @@ enum nf_err {
 	NF_ERR_BLOB_FILTERS = -12,      /* trained behind other gyro filters */
 	NF_ERR_BLOB_ARCHITECTURE = -13, /* weights for other code */
 	NF_ERR_BLOB_IDLE = -14,         /* an idle that no policy is trained with */
+
+	NF_ERR_SETTINGS = -15, /* beyond their limits, or they contradict each other */
 };
 
 #endif

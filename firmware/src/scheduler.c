@@ -21,14 +21,16 @@ uint32_t task_stats_mean(const struct task_stats *stats)
 	return stats->runs == 0 ? 0 : (uint32_t)(stats->sum / stats->runs);
 }
 
-void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count, struct task_stats stats[TASK_COUNT],
-		    uint32_t gyro_rate_hz, uint32_t (*cycles)(void))
+void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count,
+		    struct task_stats stats[TASK_COUNT], uint32_t gyro_rate_hz, uint32_t (*cycles)(void *clock),
+		    void *clock)
 {
 	*scheduler = (struct scheduler){
 		.tasks = tasks,
 		.count = count,
 		.gyro_rate_hz = gyro_rate_hz,
 		.cycles = cycles,
+		.clock = clock,
 		.stats = stats,
 	};
 	for (size_t i = 0; i < count; i++)
@@ -47,9 +49,9 @@ bool scheduler_step(struct scheduler *scheduler, uint32_t now, void *context)
 			continue;
 		const bool missed = late >= period;
 		scheduler->due[i] = missed ? now + period : scheduler->due[i] + period;
-		const uint32_t start = scheduler->cycles();
+		const uint32_t start = scheduler->cycles(scheduler->clock);
 		task->run(context);
-		task_stats_add(&scheduler->stats[task->id], scheduler->cycles() - start, missed);
+		task_stats_add(&scheduler->stats[task->id], scheduler->cycles(scheduler->clock) - start, missed);
 		return true;
 	}
 	return false;

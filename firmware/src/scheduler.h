@@ -42,14 +42,16 @@ struct scheduler {
 	const struct task *tasks;
 	size_t count;               /* at most TASK_COUNT */
 	uint32_t gyro_rate_hz;
-	uint32_t (*cycles)(void);   /* a free-running counter */
+	uint32_t (*cycles)(void *clock); /* a free-running counter */
+	void *clock;
 	uint32_t due[TASK_COUNT];   /* sample at which the task of that row is to run */
 	struct task_stats *stats;   /* [TASK_COUNT], by enum nf_task */
 };
 
 /* `tasks` and `stats` must outlive the scheduler; all tasks are due at sample 0. */
-void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count, struct task_stats stats[TASK_COUNT],
-		    uint32_t gyro_rate_hz, uint32_t (*cycles)(void));
+void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count,
+		    struct task_stats stats[TASK_COUNT], uint32_t gyro_rate_hz, uint32_t (*cycles)(void *clock),
+		    void *clock);
 
 /* Runs the first task of the table that is due at gyro sample `now`, if one is. Returns whether one ran. A task
  * that comes a whole period late is not run twice: it counts as missed. */

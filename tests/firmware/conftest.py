@@ -25,12 +25,26 @@ from toolchain import contract
 from toolchain.blob import PolicyBlob, blob_terms, pack
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
 from toolchain.header import render_contract
+from toolchain.pid_table import render_pid_table
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
 PUPPET = Path(__file__).parent / "puppet"
 HEADERS = (
-    *("firmware.h", "rates.h", "dshot.h", "msp.h", "policy_blob.h", "settings.h"),
+    *(
+        "background.h",
+        "firmware.h",
+        "safety.h",
+        "crash.h",
+        "pid.h",
+        "control.h",
+        "scheduler.h",
+        "rates.h",
+        "dshot.h",
+        "msp.h",
+        "policy_blob.h",
+        "settings.h",
+    ),
     *("crc32.h", "flash.h", "settings_store.h", "policy_slots.h", "fault_log.h", "hal/host/flash_model.h"),
     *("msp_payload.h", "msp_commands.h"),
     *("nf_math.h", "gyro.h", "filters.h", "attitude.h", "battery.h"),
@@ -39,6 +53,7 @@ HEADERS = (
 )
 SYSTEM_HEADERS = ("stdint.h", "stdbool.h", "stddef.h")  # cffi knows their types
 
+G_COUNTS = 2048  # 1 g at +-16 g over int16
 SUCCESS, ERR_GYRO_RATE, ERR_ALIGNMENT, ERR_IDLE, ERR_OBSERVATION, ERR_POLICY = range(0, -6, -1)
 
 
@@ -63,7 +78,9 @@ def declarations(generated: Path, scratch: Path) -> str:
     includes = "".join(f'#include "{name}"\n' for name in HEADERS)
     search = [f"-I{path}" for path in (empty, FIRMWARE, FIRMWARE / "src", generated)]
     command = ["gcc", "-E", "-P", "-nostdinc", "-D_Static_assert(...)=", *search, "-"]
-    return subprocess.run(command, input=includes, capture_output=True, text=True, check=True).stdout
+    text = subprocess.run(command, input=includes, capture_output=True, text=True, check=True).stdout
+    # To cffi a constant is a number that the header tells; these are tables of the library.
+    return text.replace("extern const struct", "extern struct")
 
 
 def load(library: Path, generated: Path, scratch: Path) -> Core:
@@ -103,6 +120,7 @@ def make_puppet(scratch: Path, motors: int) -> Path:
         text = (PUPPET / name).read_text().replace("@MOTORS@", str(motors))
         text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
         (generated / name).write_text(text)
+    (generated / "pid_table.c").write_text(render_pid_table(None, motors, 1000))
     make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", f"GENERATED={generated}", f"BUILD={build}"]
     done = subprocess.run(make, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -189,16 +207,39 @@ def frame_of(*, frame_lost: bool = False, failsafe: bool = False, **channels_us:
 class Bench:
     """A firmware of its own, flown sample by sample."""
 
-    def __init__(self, core: Core, gyro_hz: int = 1000, *, alignment: int = 0, expect: int = SUCCESS) -> None:
+    def __init__(
+        self,
+        core: Core,
+        gyro_hz: int = 1000,
+        *,
+        alignment: int = 0,
+        pid: Any = None,
+        policy_good: bool = True,
+        expect: int = SUCCESS,
+        **settings: float,
+    ) -> None:
+        """pid: a struct pid_gains, none unless given; settings: those that are not at their default."""
         self.core, self.gyro_hz = core, gyro_hz
         self.fw = core.new("struct firmware *")
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
-        config = core.new("struct firmware_config *", (gyro_hz, alignment, self.settings))
+        for name, value in settings.items():
+            setattr(self.settings, name, value)
+        self.pid = core.new("struct pid_gains *") if pid is None else pid
+        weights = core.lib.policy_weights
+        config = core.new(
+            "struct firmware_config *",
+            (gyro_hz, alignment, self.settings, weights, 0.0, policy_good, self.pid),
+        )
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect
+        core.lib.firmware_forbid(self.fw, contract.ArmingReason.BATTERY_UNKNOWN, False)
         self._dshot = core.new("uint16_t[8]")
+        self._samples = 0
         self.counts = (0, 0, 0)
+        self.accel = (0, 0, G_COUNTS)  # level, at rest
+        self.valid = True
+        self.alive = True  # the chip's least bit moves, as that of any real one
 
     def send(self, frame: bytes) -> None:
         """Receiver bytes for the control step that is due."""
@@ -210,7 +251,10 @@ class Bench:
 
     def sample(self) -> list[int]:
         """One gyro sample; returns the DShot values."""
-        sample = self.core.new("struct imu_sample *", (self.counts, (0, 0, 0), 0, True))
+        x, y, z = self.accel
+        self._samples += self.alive
+        accel = (x, y, z + self._samples % 2)
+        sample = self.core.new("struct imu_sample *", (self.counts, accel, 0, self.valid))
         self.core.lib.firmware_sample(self.fw, sample, self._dshot)
         return list(self._dshot)[: self.trace.motor_count]
 
@@ -334,6 +378,8 @@ class Program:
     """The running program and a simulator's sockets around it."""
 
     def __init__(self, build: Path, *options: str) -> None:
+        self.alive = True
+        self._states = 0
         self.sockets = contextlib.ExitStack()
         self.motor, self.servo, self.trace = (self._socket() for _ in range(3))
         self._sender = self._socket()
@@ -360,10 +406,19 @@ class Program:
         self._sender.sendto(packet, (LOOPBACK, self.ports[port]))
 
     def state(self, rates_frd: Sequence[float] = (0, 0, 0), time_s: float = 0) -> None:
-        self.send("state", struct.pack(contract.SIM_STATE_FORMAT, time_s, *rates_frd, *[0.0] * 14))
+        """A state packet of an aircraft that stands level; its accelerometer's least bits move."""
+        self._states += self.alive
+        down = -9.80665 - 0.01 * (self._states % 2)
+        fields = (time_s, *rates_frd, 0.0, 0.0, down, *[0.0] * 11)
+        self.send("state", struct.pack(contract.SIM_STATE_FORMAT, *fields))
 
-    def sticks(self, arm: int = 1000, throttle: int = 1000, roll: int = 1500) -> None:
-        channels = [roll, 1500, throttle, 1500, arm, *[1500] * 11]
+    def power(self, volts: float = 16.8, amps: float = 0.0, control_us: float = 0.0) -> None:
+        """A power packet."""
+        fields = (contract.SIM_POWER_MAGIC, 0.0, volts, amps, control_us)
+        self.send("power", struct.pack(contract.SIM_POWER_FORMAT, *fields))
+
+    def sticks(self, arm: int = 1000, throttle: int = 1000, roll: int = 1500, pid: int = 1500) -> None:
+        channels = [roll, 1500, throttle, 1500, arm, pid, *[1500] * 10]
         self.send("receiver", struct.pack(contract.SIM_RECEIVER_FORMAT, 0.0, *channels))
 
     def motors(self) -> tuple[float, ...]:

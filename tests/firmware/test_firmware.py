@@ -33,15 +33,10 @@ def test_init_refuses_when_the_alignment_is_wrong(bench: Make, puppet: Any) -> N
     bench(1000, alignment=4, expect=puppet.lib.NF_ERR_ALIGNMENT)
 
 
-def test_weights_are_the_firmwares_own_copy_when_the_policy_runs(bench: Make, puppet: Any) -> None:
-    b = bench()
-    assert b.fw.policy.weights == puppet.ffi.addressof(b.fw, "weights")[0]
-    assert list(b.fw.weights) == list(puppet.lib.policy_weights)
-
-
 def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:
     b = bench(4000)
-    assert puppet.lib.mixer_set_idle(puppet.ffi.addressof(b.fw, "mixer"), 0.05) == 0
+    mixer = puppet.ffi.addressof(b.fw.control.mixers[puppet.lib.CONTROLLER_POLICY])
+    assert puppet.lib.mixer_set_idle(mixer, 0.05) == 0
     b.arm()
     puppet.lib.puppet_action = [0.0, 0.25, 0.5, 0.125]
     values = b.run(20, arm=2000, throttle=1400)
@@ -84,7 +79,7 @@ def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: M
 
 
 def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, puppet: Any) -> None:
-    b = bench(1000)
+    b = bench(1000, level_limit_deg=0)  # it is tilted when it is armed again
     b.arm()
     puppet.lib.puppet_action = [0.3] * 4
     b.counts = (5000, 5000, 5000)

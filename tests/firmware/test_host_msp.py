@@ -62,7 +62,7 @@ def test_flight_goes_on_when_a_peer_never_reads_its_replies(start: Start) -> Non
 
 def test_yamspy_reads_who_and_how_it_is_when_it_calls_over_tcp(start: Start, host_program: Path) -> None:
     p = start("--gyro-hz=1000", build=host_program.parent)
-    for _ in range(5):
+    for _ in range(contract.RECEIVER_RECOVERY_MS + 10):
         p.sticks(throttle=1234, roll=1777)
         p.step(np.radians([100.0, 50.0, -25.0]).tolist())
     peer = MSPy(device="", logfilename=None, loglevel="WARNING")
@@ -77,7 +77,8 @@ def test_yamspy_reads_who_and_how_it_is_when_it_calls_over_tcp(start: Start, hos
     assert peer.CONFIG["name"] == "nf1"
     assert peer.CONFIG["boardIdentifier"] == "HOST"
     assert peer.CONFIG["cycleTime"] == 1000
-    expected = 1 << contract.ArmingReason.BOOT_GRACE | 1 << contract.ArmingReason.GYRO_NOT_CALIBRATED
-    assert peer.CONFIG["armingDisableFlags"] == expected | 1 << contract.ArmingReason.THROTTLE_HIGH
+    names = ("BOOT_GRACE", "GYRO_NOT_CALIBRATED", "THROTTLE_HIGH", "NOT_LEVEL", "BATTERY_UNKNOWN")
+    expected = sum(1 << contract.ArmingReason[name] for name in names)
+    assert peer.CONFIG["armingDisableFlags"] == expected
     assert peer.RC["channels"][:5] == [1777, 1500, 1500, 1234, 1000]
     assert peer.MOTOR_DATA == [1000] * 4 + [0] * 4

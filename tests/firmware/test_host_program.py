@@ -65,13 +65,15 @@ def test_a_sample_is_the_one_before_when_a_rate_is_nan(start: Start) -> None:
 
 def test_trace_tells_the_control_step_when_it_is_asked_for(start: Start) -> None:
     p = start("--gyro-hz=4000")
-    p.sticks(throttle=1250, roll=1600)
-    for _ in range(8):
+    steps = contract.RECEIVER_RECOVERY_MS + 10  # then the receiver is believed
+    for k in range(4 * steps):
+        if k % 40 == 0:
+            p.sticks(throttle=1250, roll=1600)
         p.step((0.5, -0.25, 0.125))
-    traces = [p.last_trace() for _ in range(2)]
+    traces = [p.last_trace() for _ in range(steps)]
     assert p.silent(), "one trace a control step"
-    magic, step, *rates, throttle, motors, flags = traces[1][:11]
-    assert (magic, step, motors, flags) == (contract.SIM_TRACE_MAGIC, 1, 4, 0)
+    magic, step, *rates, throttle, motors, flags = traces[-1][:11]
+    assert (magic, step, motors, flags) == (contract.SIM_TRACE_MAGIC, steps - 1, 4, 0)
     half_count = math.radians(2000) / 32768 / 2
     np.testing.assert_allclose(rates[:3], [math.radians(200), 0, 0], rtol=1e-6)
     np.testing.assert_allclose(rates[3:], [0.5, 0.25, -0.125], atol=1.01 * half_count)
@@ -80,6 +82,11 @@ def test_trace_tells_the_control_step_when_it_is_asked_for(start: Start) -> None
 
 def test_the_newest_sticks_are_flown_when_many_packets_wait_for_a_state(start: Start) -> None:
     p = start("--gyro-hz=1000")
+    for k in range(contract.RECEIVER_RECOVERY_MS + 10):
+        if k % 10 == 0:
+            p.sticks()
+        p.step()
+        p.last_trace()
     for count in (2, 5, 30):  # 30 are more than the receiver's line holds
         for us in range(1000, 1000 + count):
             p.sticks(throttle=us)

@@ -348,7 +348,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
 def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:
     memory = puppet.new("uint64_t[]", puppet.lib.reference_size() // 8 + 1)
     puppet.lib.puppet_action = [0.0] * 4
-    assert puppet.lib.reference_init(memory, 4000) == 0
+    assert puppet.lib.reference_init(memory, 4000, puppet.ffi.NULL, 0) == 0
     out = puppet.new("uint8_t[256]")
     ask = v1(Msp.STATUS_EX)
     count = puppet.lib.reference_msp(memory, ask, len(ask), out, len(out))
@@ -358,4 +358,6 @@ def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:
         "GYRO_NOT_CALIBRATED",
         "RECEIVER_LOST",
         "SWITCH_NOT_CYCLED",
+        "NOT_LEVEL",
+        "BATTERY_UNKNOWN",
     }

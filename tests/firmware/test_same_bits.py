@@ -20,6 +20,7 @@ from toolchain.contract import (
     ITCM,
     SRAM1,
     SRAM2,
+    ArmingReason,
     Region,
     observation_blocks,
     observation_count,
@@ -30,6 +31,7 @@ MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the board
 TRACE_BYTES = 34 + 2 * 4  # struct control_trace up to the last motor; without pointers, so equal on both
 GYRO_HZ, CW180 = 1000, 2
+G_COUNTS = 2048
 BOOT_STEPS, FLIGHT_STEPS = 1010, 400
 OBSERVATION_BYTES = 2048  # struct observation has some 1100
 TERMS = (
@@ -38,23 +40,40 @@ TERMS = (
 )
 
 
+def sample_bytes(step: int, counts: tuple[int, int, int]) -> bytes:
+    """struct imu_sample of a level aircraft whose accelerometer's last bit moves; CW180 turns x and y."""
+    return np.array([*counts, 0, 0, G_COUNTS + step % 2, 0, 1], "<i2").tobytes()
+
+
 class Board:
     """The image in the memory of a CPU that only runs what it is told to."""
 
-    def __init__(self, image: Path) -> None:
-        self._core = CortexM7(load_program(image), MEMORY)
+    def __init__(self, image: Path, host: Host) -> None:
+        """host: its settings and PID, whose structs have no pointers, are the board's too."""
+        program = load_program(image)
+        self._core = CortexM7(program, MEMORY)
         self.firmware = self._core.allocate(FIRMWARE_BYTES)
         self._argument, self._out = self._core.allocate(64), self._core.allocate(8)
-        # unsigned, enum: AAPCS gives a small enum one byte, the others are its padding.
-        config = GYRO_HZ.to_bytes(4, "little") + CW180.to_bytes(4, "little")
+        settings, pid = (self._kept(data) for data in (host.settings_bytes(), host.pid_bytes()))
+        weights = self._kept(host.weights_bytes())
+        # unsigned, enum and bool: AAPCS gives a small enum and a bool one byte, the others are padding.
+        words = (GYRO_HZ, CW180, settings, weights)
+        config = b"".join(word.to_bytes(4, "little") for word in words) + np.float32(host.idle).tobytes()
+        config += (1).to_bytes(4, "little") + pid.to_bytes(4, "little")
         self._core.write(self._argument, config)
         assert self._core.call("firmware_init", self.firmware, self._argument) == 0
+        self._core.call("firmware_forbid", self.firmware, ArmingReason.BATTERY_UNKNOWN, 0)
 
-    def step(self, frame: bytes, counts: tuple[int, int, int]) -> tuple[bytes, bytes]:
+    def _kept(self, data: bytes) -> int:
+        address = self._core.allocate(len(data))
+        self._core.write(address, data)
+        return address
+
+    def step(self, frame: bytes, sample: bytes) -> tuple[bytes, bytes]:
         """One control step; returns the DShot values and the trace, as they lie in memory."""
         self._core.write(self._argument, frame)
         self._core.call("firmware_receive", self.firmware, self._argument, len(frame))
-        self._core.write(self._argument, np.array(counts, "<i2").tobytes())
+        self._core.write(self._argument, sample)
         self._core.call("firmware_sample", self.firmware, self._argument, self._out)
         trace = self._core.call("firmware_trace", self.firmware)
         return self._core.read(self._out, 8), self._core.read(trace, TRACE_BYTES)
@@ -66,21 +85,40 @@ class Host:
     def __init__(self, core: Any) -> None:
         self._core = core
         self.firmware = core.new("struct firmware *")
-        config = core.new("struct firmware_config *", (GYRO_HZ, CW180))
-        assert core.lib.firmware_init(self.firmware, config) == 0
+        self.settings = core.new("struct nf_settings *")
+        core.lib.settings_default(self.settings)
+        lib, self._pid = core.lib, core.ffi.addressof(core.lib, "pid_gains_built_in")
+        self.idle = lib.policy_blob.header.idle
+        config = core.new(
+            "struct firmware_config *",
+            (GYRO_HZ, CW180, self.settings, lib.policy_weights, self.idle, True, self._pid),
+        )
+        assert lib.firmware_init(self.firmware, config) == 0
+        lib.firmware_forbid(self.firmware, ArmingReason.BATTERY_UNKNOWN, False)
         self._dshot = core.new("uint16_t[4]")
 
-    def step(self, frame: bytes, counts: tuple[int, int, int]) -> tuple[bytes, bytes]:
+    def settings_bytes(self) -> bytes:
+        return bytes(self._core.ffi.buffer(self.settings))
+
+    def pid_bytes(self) -> bytes:
+        return bytes(self._core.ffi.buffer(self._pid))
+
+    def weights_bytes(self) -> bytes:
+        return bytes(self._core.ffi.buffer(self._core.lib.policy_weights))
+
+    def step(self, frame: bytes, sample: bytes) -> tuple[bytes, bytes]:
         lib, ffi = self._core.lib, self._core.ffi
         lib.firmware_receive(self.firmware, frame, len(frame))
-        lib.firmware_sample(self.firmware, counts, self._dshot)
+        lib.firmware_sample(
+            self.firmware, ffi.cast("struct imu_sample *", ffi.from_buffer(sample)), self._dshot
+        )
         trace = ffi.buffer(lib.firmware_trace(self.firmware))
         return bytes(ffi.buffer(self._dshot)), bytes(trace[:TRACE_BYTES])
 
 
 @pytest.fixture(scope="module")
-def board(board_image: Path) -> Board:
-    return Board(board_image)
+def board(board_image: Path, host: Host) -> Board:
+    return Board(board_image, host)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +142,8 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         frame = sbus([*sticks.tolist(), 1792 if flying else 192, *[992] * 11]) if step % 7 == 0 else b""
         if flying and step == BOOT_STEPS:
             frame = sbus([992, 992, 192, 992, 1792, *[992] * 11])
-        ours, theirs = host.step(frame, (x, y, z)), board.step(frame, (x, y, z))
+        sample = sample_bytes(step, (x, y, z))
+        ours, theirs = host.step(frame, sample), board.step(frame, sample)
         assert ours == theirs, f"step {step}"
         values.add(ours[0])
         assert (ours[0] != bytes(8)) == flying, f"armed from step {BOOT_STEPS} on, and only then: {step}"

@@ -26,7 +26,8 @@ def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     program = tmp_path_factory.mktemp("sanitized") / "feed"
     generated = puppet_build.parent / "generated"
     sources = [path for path in sorted(SOURCE.glob("*.c")) if path.name != "main.c"]
-    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
+    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno"]
+    command += ["-fno-sanitize-recover=all"]
     command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{SOURCE}", f"-I{generated}", "-o", str(program)]
     subprocess.run([*command, *map(str, sources), str(generated / "policy.c"), str(FEED)], check=True)
     return program

@@ -17,6 +17,7 @@ from toolchain.contract import (
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
     CHANNEL_YAW,
+    RECEIVER_RECOVERY_MS,
 )
 from toolchain.errors import ScenarioError
 
@@ -27,10 +28,13 @@ def test_setpoint_and_throttle_are_the_cores_bits_when_every_stick_is_tried(refe
     for channel in (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW, CHANNEL_THROTTLE):
         channels[:, channel] = rng.permutation(np.arange(1000, 2001))
     core = Reference(reference_library, gyro_rate_hz=1000)
+    for _ in range(RECEIVER_RECOVERY_MS + 1):  # then the receiver is believed
+        core.receiver([1500] * CHANNEL_COUNT)
+        core.sample(np.zeros(3), np.zeros(3))
     setpoints, throttles = [], []
     for row in channels.tolist():
         core.receiver(row)
-        core.sample(np.zeros(3))
+        core.sample(np.zeros(3), np.zeros(3))
         trace = core.trace()
         setpoints.append(list(trace.setpoint))
         throttles.append(trace.throttle)

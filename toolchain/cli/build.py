@@ -21,6 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="POLICY.onnx",
         help="default: the shipped policy of the NF1",
     )
+    parser.add_argument(
+        "--aircraft",
+        metavar="NAME|FILE",
+        help="whose PID stands beside the policy; default: the aircraft that the policy names",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="instead of build/ and firmware/generated/")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 
@@ -29,11 +34,18 @@ def run(args: argparse.Namespace) -> int:
     """Build and print the report; what the compiler said is shown only when it failed."""
     from rich.console import Console
 
-    from toolchain.build import MakeError, build
+    from sim.pid_table import named_pid_table, shipped_pid_table
+    from toolchain.build import MakeError, build, find_target
+    from toolchain.network import read_policy
     from toolchain.report import print_report
 
+    find_target(args.target)
+    if args.aircraft is None:
+        pid = shipped_pid_table(read_policy(args.policy).aircraft)
+    else:
+        pid = named_pid_table(args.aircraft)
     try:
-        report = build(args.target, args.policy, ROOT, args.out)
+        report = build(args.target, args.policy, ROOT, args.out, pid)
     except MakeError as error:
         print(error.output, file=sys.stderr)
         raise

@@ -2,7 +2,11 @@
 
 #include <math.h>
 
+#include "settings.h"
+
 #define DEG_PER_RAD (180.0 / 3.14159265358979323846)
+#define STANDARD_GRAVITY 9.80665 /* m/s^2 */
+#define ACCEL_COUNTS_PER_G 2048.0 /* 16 g over 32768 counts */
 #define SBUS_ZERO_US 880u
 #define SBUS_VALUE_MAX 2047u
 
@@ -18,28 +22,70 @@ static const struct mounting {
 	[ALIGN_CW270] = { { 1, 0, 2 }, { 1.0, -1.0, 1.0 } },
 };
 
-static int16_t quantise(double rate)
+static int16_t rounded(double counts)
 {
-	const double deg_s = rate * DEG_PER_RAD;
-	const double counts = rint(deg_s * NF_GYRO_COUNTS / NF_GYRO_FULL_SCALE_DEG_S);
+	const double whole = rint(counts);
 
-	if (counts >= INT16_MAX)
+	if (whole >= INT16_MAX)
 		return INT16_MAX;
-	if (counts <= INT16_MIN)
+	if (whole <= INT16_MIN)
 		return INT16_MIN;
-	return (int16_t)counts;
+	return (int16_t)whole;
+}
+
+/* A vector in the simulator's axes as the chip so aligned sees it, times `scale`. */
+static void mount(const double frd[3], enum board_alignment alignment, double scale, int16_t counts[3])
+{
+	const double body[3] = { frd[0], -frd[1], -frd[2] };
+	const struct mounting *m = &mountings[alignment];
+
+	for (int i = 0; i < 3; i++)
+		counts[i] = rounded(m->sign[i] * body[m->axis[i]] * scale);
+}
+
+static bool any_nan(const double values[3])
+{
+	return isnan(values[0]) || isnan(values[1]) || isnan(values[2]);
 }
 
 bool convert_rates(const double rates_frd[3], enum board_alignment alignment, int16_t counts[3])
 {
-	const double body[3] = { rates_frd[0], -rates_frd[1], -rates_frd[2] };
-	const struct mounting *m = &mountings[alignment];
+	double deg_s[3];
 
-	if (isnan(body[0]) || isnan(body[1]) || isnan(body[2]))
+	if (any_nan(rates_frd))
 		return false;
 	for (int i = 0; i < 3; i++)
-		counts[i] = quantise(m->sign[i] * body[m->axis[i]]);
+		deg_s[i] = rates_frd[i] * DEG_PER_RAD * NF_GYRO_COUNTS / NF_GYRO_FULL_SCALE_DEG_S;
+	mount(deg_s, alignment, 1.0, counts);
 	return true;
+}
+
+void convert_force(const double force_frd[3], enum board_alignment alignment, int16_t counts[3])
+{
+	static const double none[3];
+
+	mount(any_nan(force_frd) ? none : force_frd, alignment, ACCEL_COUNTS_PER_G / STANDARD_GRAVITY, counts);
+}
+
+static uint16_t millivolts(double volts)
+{
+	const double whole = rint(volts * 1000.0);
+
+	return whole < UINT16_MAX ? (uint16_t)whole : UINT16_MAX;
+}
+
+struct power_sample convert_power(double volts, double amps)
+{
+	struct nf_settings usual;
+
+	if (!(volts >= 0.0 && amps >= 0.0))
+		return (struct power_sample){ .valid = false };
+	settings_default(&usual);
+	return (struct power_sample){
+		.volts_mv = millivolts(volts / (double)usual.battery_scale),
+		.amps_mv = millivolts(amps * (double)usual.current_scale / 1000.0),
+		.valid = true,
+	};
 }
 
 /* The SBUS value that reads back as `us`: the inverse of 880 + (5 value + 4) / 8. */

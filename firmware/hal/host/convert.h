@@ -7,11 +7,20 @@
 
 #include "gyro.h"
 #include "nf_contract.h"
+#include "power_sample.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip so aligned, +-2000 deg/s over int16,
  * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN: a chip cannot
  * say that. */
 bool convert_rates(const double rates_frd[3], enum board_alignment alignment, int16_t counts[3]);
+
+/* Specific force [m/s^2], axes forward, right, down, to the counts of that chip's accelerometer, +-16 g over int16,
+ * rounded and saturated alike. A force that is NaN counts as none. */
+void convert_force(const double force_frd[3], enum board_alignment alignment, int16_t counts[3]);
+
+/* What the pins of divider and current sensor show at their usual scales, the defaults of the settings, for a pack
+ * that gives so many volts and amperes. Not valid if one is NaN or negative. */
+struct power_sample convert_power(double volts, double amps);
 
 /* One SBUS frame. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
  * between comes out of the frame as it went in. */

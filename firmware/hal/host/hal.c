@@ -3,6 +3,7 @@
 #include "hal/hal.h"
 
 #include <errno.h>
+#include <math.h>
 #include <poll.h>
 #include <signal.h>
 #include <stdio.h>
@@ -12,6 +13,8 @@
 
 #include "hal/host/board.h"
 #include "hal/host/convert.h"
+#include "hal/host/flash_file.h"
+#include "hal/host/flash_model.h"
 #include "hal/host/link.h"
 #include "hal/host/msp_tcp.h"
 #include "hal/host/options.h"
@@ -23,12 +26,18 @@ static struct host {
 	struct msp_tcp tcp;
 	struct receiver_line line;
 	enum board_alignment alignment;
-	struct imu_sample sample;    /* the last one */
-	unsigned long held;          /* samples repeated because a rate was NaN */
+	struct flash_model flash;
+	struct power_sample power;
+	double control_us;           /* that each control step takes, says the simulator; 0: it does not */
+	double time_s;               /* of the last state packet; NaN: there was none */
+	unsigned long bad;           /* samples whose rate was NaN */
 	uint16_t dshot[NF_MOTOR_COUNT_MAX];
 	size_t motor_count;
 	sigset_t while_waiting;      /* signals let through only there */
 } host;
+
+/* The longest silence that is counted: longer ones change nothing any more. */
+#define SILENCE_MAX_S 10.0
 
 static volatile sig_atomic_t ended;
 
@@ -63,15 +72,23 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	hold_signals();
 	if (host.options.with_parent)
 		prctl(PR_SET_PDEATHSIG, SIGTERM);
+	uint8_t *flash = flash_file_open(host.options.settings);
+	if (!flash)
+		return 1;
+	flash_model_init(&host.flash, flash);
 	if (!link_open(&host.link, &host.options))
 		return 1;
 	if (!msp_tcp_open(&host.tcp, host.options.msp_port)) {
 		link_close(&host.link);
 		return 1;
 	}
+	host.power = convert_power(HOST_FULL_VOLTS, 0.0);
+	host.time_s = (double)NAN;
 	*info = (struct hal_info){
 		.alignment = HOST_GYRO_ALIGNMENT,
 		.gyro_rate_hz = host.options.gyro_hz,
+		.changes = host.options.changes,
+		.change_count = host.options.change_count,
 		.identity = host_identity,
 		.cycles_hz = 1000000000u,
 	};
@@ -79,22 +96,48 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	return HAL_RUN;
 }
 
-/* One state packet: one sample, one reply. A rate that is NaN is stopped here: no chip could say it, so the
- * chip says what it said before. */
-static void step(const struct hal_handlers *handlers)
+/* A simulator that lets the time of its packets jump has a gyro that was silent meanwhile. */
+static void pass_silence(const struct hal_handlers *handlers, double time_s)
 {
-	double rates_frd[3];
-	uint16_t channels_us[NF_CHANNEL_COUNT];
+	double silence = time_s - host.time_s;
 
-	if (!link_take_state(&host.link, rates_frd))
+	host.time_s = time_s;
+	if (!(silence > 0.001 * NF_GYRO_BAD_MS))
 		return;
+	if (silence > SILENCE_MAX_S)
+		silence = SILENCE_MAX_S;
+	for (; silence >= 0.001 * NF_GYRO_BAD_MS; silence -= 0.001 * NF_GYRO_BAD_MS)
+		handlers->gyro_silent(handlers->context);
+}
+
+/* Everything that came with a state packet, but for the sample itself. */
+static void take_surroundings(void)
+{
+	uint16_t channels_us[NF_CHANNEL_COUNT];
+	struct link_power power;
+
 	while (link_take_receiver(&host.link, channels_us))
 		receiver_line_put(&host.line, channels_us);
-	link_drain_power(&host.link);
-	if (!convert_rates(rates_frd, host.alignment, host.sample.gyro))
-		host.held++;
-	host.sample.valid = true;
-	handlers->sample(handlers->context, &host.sample);
+	while (link_take_power(&host.link, &power)) {
+		host.power = convert_power(power.volts, power.amps);
+		host.control_us = power.control_us;
+	}
+}
+
+/* One state packet: one sample, one reply. */
+static void step(const struct hal_handlers *handlers)
+{
+	struct link_state state;
+	struct imu_sample sample = { 0 };
+
+	if (!link_take_state(&host.link, &state))
+		return;
+	take_surroundings();
+	pass_silence(handlers, state.time_s);
+	sample.valid = convert_rates(state.rates_frd, host.alignment, sample.gyro);
+	convert_force(state.force_frd, host.alignment, sample.accel);
+	host.bad += !sample.valid;
+	handlers->sample(handlers->context, &sample);
 	handlers->background(handlers->context);
 	link_send_motors(&host.link, host.dshot, host.motor_count);
 }
@@ -110,8 +153,8 @@ static void say_what_was_wrong(void)
 {
 	if (host.link.ignored > 0)
 		fprintf(stderr, "neuroflight: ignored %lu packets of a wrong size\n", host.link.ignored);
-	if (host.held > 0)
-		fprintf(stderr, "neuroflight: %lu gyro samples were NaN, the one before was repeated\n", host.held);
+	if (host.bad > 0)
+		fprintf(stderr, "neuroflight: %lu gyro samples were NaN\n", host.bad);
 }
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
@@ -152,6 +195,10 @@ int hal_refuse(enum nf_err why)
 			"neuroflight: --gyro-hz got %u, expected 1000, 2000, 4000 or 8000 and a multiple of the "
 			"policy's control rate, %u Hz\n",
 			host.options.gyro_hz, (unsigned)POLICY_CONTROL_RATE_HZ);
+		break;
+	case NF_ERR_SETTINGS:
+		fprintf(stderr, "neuroflight: the settings of --set contradict each other or those of --settings; "
+				"look up their limits\n");
 		break;
 	case NF_ERR_OBSERVATION:
 		fprintf(stderr, "neuroflight: the policy asks for an observation that this firmware does not have; "
@@ -194,14 +241,15 @@ uint32_t hal_cycles(void)
 bool hal_deadline_missed(uint32_t cycles)
 {
 	(void)cycles;
-	return false;
+	return host.control_us > 1e6 / POLICY_CONTROL_RATE_HZ;
 }
 
 void hal_power_read(struct power_sample *power)
 {
-	*power = (struct power_sample){ 0 };
+	*power = host.power;
 }
 
+/* Nobody listens and nobody looks. */
 void hal_beeper(bool on)
 {
 	(void)on;
@@ -218,23 +266,20 @@ void hal_watchdog_feed(void)
 
 const uint8_t *hal_flash_at(uint32_t address)
 {
-	return (const uint8_t *)0 + 0 * address;
+	return flash_model_at(&host.flash, address);
 }
 
 bool hal_flash_erase(unsigned sector)
 {
-	(void)sector;
-	return false;
+	return flash_model_erase(&host.flash, sector);
 }
 
 bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
 {
-	(void)address;
-	(void)words;
-	(void)bytes;
-	return false;
+	return flash_model_program(&host.flash, address, words, bytes);
 }
 
+/* A program's faults are its operating system's. */
 bool hal_fault_take(struct fault_record *record)
 {
 	(void)record;
@@ -247,4 +292,5 @@ void hal_fault_clear(void)
 
 void hal_reset(void)
 {
+	ended = 1;
 }

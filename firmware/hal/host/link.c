@@ -19,11 +19,16 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 
 /* The packets of contract.py. */
 struct state_packet {
-	double time_s, rates_frd[3], ignored[14];
+	double time_s, rates_frd[3], force_frd[3], ignored[11];
 };
 struct receiver_packet {
 	double time_s;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
+};
+struct __attribute__((packed)) power_packet {
+	uint32_t magic;
+	double time_s;
+	float volts, amps, control_us;
 };
 struct servo_packet {
 	uint16_t count, pad;
@@ -37,6 +42,7 @@ struct trace_packet {
 };
 _Static_assert(sizeof(struct state_packet) == NF_SIM_STATE_BYTES, "state");
 _Static_assert(sizeof(struct receiver_packet) == NF_SIM_RECEIVER_BYTES, "receiver");
+_Static_assert(sizeof(struct power_packet) == NF_SIM_POWER_BYTES, "power");
 _Static_assert(sizeof(float[MOTOR_PACKET_MOTORS]) == NF_SIM_MOTOR_BYTES, "motor");
 _Static_assert(sizeof(struct servo_packet) == NF_SIM_SERVO_BYTES, "servo");
 _Static_assert(sizeof(struct trace_packet) == NF_SIM_TRACE_BYTES, "trace");
@@ -109,7 +115,7 @@ static size_t take(int bound, uint8_t packet[PACKET_MAX])
 	return size < 0 ? 0 : size == 0 ? 1 : (size_t)size;
 }
 
-bool link_take_state(struct link *link, double rates_frd[3])
+bool link_take_state(struct link *link, struct link_state *state)
 {
 	uint8_t bytes[PACKET_MAX];
 	struct state_packet packet;
@@ -120,7 +126,9 @@ bool link_take_state(struct link *link, double rates_frd[3])
 		return false;
 	}
 	memcpy(&packet, bytes, sizeof packet);
-	memcpy(rates_frd, packet.rates_frd, sizeof packet.rates_frd);
+	state->time_s = packet.time_s;
+	memcpy(state->rates_frd, packet.rates_frd, sizeof state->rates_frd);
+	memcpy(state->force_frd, packet.force_frd, sizeof state->force_frd);
 	return true;
 }
 
@@ -140,12 +148,22 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 	return false;
 }
 
-void link_drain_power(struct link *link)
+bool link_take_power(struct link *link, struct link_power *power)
 {
 	uint8_t bytes[PACKET_MAX];
+	struct power_packet packet;
 
-	for (size_t size; (size = take(link->power, bytes)) > 0;)
-		link->ignored += size != NF_SIM_POWER_BYTES;
+	for (size_t size; (size = take(link->power, bytes)) > 0;) {
+		memcpy(&packet, bytes, sizeof packet);
+		if (size == sizeof packet && packet.magic == NF_SIM_POWER_MAGIC) {
+			power->volts = (double)packet.volts;
+			power->amps = (double)packet.amps;
+			power->control_us = (double)packet.control_us;
+			return true;
+		}
+		link->ignored++;
+	}
+	return false;
 }
 
 /* A simulator that has gone is no error of the firmware's: it simply hears nothing. */

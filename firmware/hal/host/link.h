@@ -24,15 +24,27 @@ void link_close(struct link *link);
 /* The port that a socket is bound to. */
 unsigned link_port(int bound);
 
-/* Takes one waiting state packet: body rates [rad/s], axes forward, right, down. False if none was waiting
- * or it was malformed. */
-bool link_take_state(struct link *link, double rates_frd[3]);
+/* What a state packet says; axes forward, right, down. */
+struct link_state {
+	double time_s;
+	double rates_frd[3]; /* rad/s */
+	double force_frd[3]; /* specific force, m/s^2 */
+};
+
+/* What a power packet says. */
+struct link_power {
+	double volts, amps;
+	double control_us; /* that each control step takes; 0: not told */
+};
+
+/* Takes one waiting state packet. False if none was waiting or it was malformed. */
+bool link_take_state(struct link *link, struct link_state *state);
 
 /* Takes one waiting receiver packet. False if no good one waits. */
 bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
-/* Empties the power port. */
-void link_drain_power(struct link *link);
+/* Takes one waiting power packet. False if no good one waits. */
+bool link_take_power(struct link *link, struct link_power *power);
 
 /* The one reply to a state packet: on the motor port, or for more than four motors on the servo port. */
 void link_send_motors(const struct link *link, const uint16_t dshot[], size_t count);

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 
 #include "hal/hal.h"
+#include "hal/host/changes.h"
 
 #define PORT_MAX 65535u
 
@@ -23,7 +24,7 @@ static const struct number {
 	{ "receiver-port", offsetof(struct options, receiver_port), NF_SIM_RECEIVER_PORT, PORT_MAX,
 	  "UDP, in: receiver channels, before the state packet they belong to" },
 	{ "power-port", offsetof(struct options, power_port), NF_SIM_POWER_PORT, PORT_MAX,
-	  "UDP, in: battery; accepted, not used yet" },
+	  "UDP, in: battery; without a packet it is full" },
 	{ "motor-port", offsetof(struct options, motor_port), NF_SIM_MOTOR_PORT, PORT_MAX,
 	  "UDP, out: the one reply to each state packet, up to four motors" },
 	{ "servo-port", offsetof(struct options, servo_port), NF_SIM_SERVO_PORT, PORT_MAX,
@@ -31,12 +32,11 @@ static const struct number {
 	{ "trace-port", offsetof(struct options, trace_port), 0, PORT_MAX,
 	  "UDP, out: trace of each control step, before its reply; 0 is off" },
 	{ "msp-port", offsetof(struct options, msp_port), NF_MSP_TCP_PORT, PORT_MAX, "TCP: MSP, one client at a time" },
-	{ "gyro-hz", offsetof(struct options, gyro_hz), NF_GYRO_RATE_DEFAULT_HZ, NF_GYRO_EDGE_RATE_HZ,
-	  "gyro samples per second" },
+	{ "gyro-hz", offsetof(struct options, gyro_hz), 0, NF_GYRO_EDGE_RATE_HZ,
+	  "gyro samples per second; 0 is as set" },
 };
 #define NUMBER_COUNT (sizeof numbers / sizeof numbers[0])
-#define WITH_PARENT NUMBER_COUNT
-#define HELP (NUMBER_COUNT + 1)
+enum { SETTINGS = NUMBER_COUNT, SET, WITH_PARENT, HELP, OPTION_COUNT };
 
 static void print_help(void)
 {
@@ -44,6 +44,8 @@ static void print_help(void)
 	       "The firmware as a program, flown by a simulator in lockstep. Loopback only.\n\n");
 	for (size_t i = 0; i < NUMBER_COUNT; i++)
 		printf("  --%-14s N  %s (%u)\n", numbers[i].name, numbers[i].help, numbers[i].preset);
+	printf("  --%-14s F  %s\n", "settings", "file with the flash: settings, policies, faults; made if there is none");
+	printf("  --%-14s S  %s\n", "set", "NAME=VALUE: a setting of this start; may be repeated");
 	printf("  --%-14s    %s\n", "with-parent", "end when the parent process ends");
 	printf("  --%-14s    %s\n", "help", "print this and end");
 	printf("\nPort 0 takes any free port; the line \"ready\" on stdout tells which.\n");
@@ -61,21 +63,69 @@ static bool parse_number(const char *text, unsigned max, unsigned *value)
 	return true;
 }
 
+static bool take_number(struct options *options, size_t index, const char *text)
+{
+	if (parse_number(text, numbers[index].max, (unsigned *)((char *)options + numbers[index].offset)))
+		return true;
+	fprintf(stderr, "neuroflight: --%s got '%s', expected a whole number from 0 to %u\n", numbers[index].name, text,
+		numbers[index].max);
+	return false;
+}
+
+static bool take_change(struct options *options, const char *text)
+{
+	struct setting_change change;
+
+	if (!change_parse(text, &change)) {
+		fprintf(stderr, "neuroflight: --set got '%s', expected NAME=VALUE of a setting within its limits\n", text);
+		return false;
+	}
+	if (options->change_count == NF_SETTING_COUNT) {
+		fprintf(stderr, "neuroflight: --set was given more than %d times\n", NF_SETTING_COUNT);
+		return false;
+	}
+	options->changes[options->change_count++] = change;
+	return true;
+}
+
+/* What option number `index` means. Returns HAL_RUN or an exit code. */
+static int take(struct options *options, size_t index, const char *text)
+{
+	switch (index) {
+	case SETTINGS:
+		options->settings = text;
+		return HAL_RUN;
+	case SET:
+		return take_change(options, text) ? HAL_RUN : 1;
+	case WITH_PARENT:
+		options->with_parent = true;
+		return HAL_RUN;
+	case HELP:
+		print_help();
+		return 0;
+	default:
+		return take_number(options, index, text) ? HAL_RUN : 1;
+	}
+}
+
 int options_parse(struct options *options, int argc, char **argv)
 {
-	struct option known[NUMBER_COUNT + 3] = { 0 };
-	int index;
+	struct option known[OPTION_COUNT + 1] = {
+		[SETTINGS] = { .name = "settings", .has_arg = required_argument },
+		[SET] = { .name = "set", .has_arg = required_argument },
+		[WITH_PARENT] = { .name = "with-parent" },
+		[HELP] = { .name = "help" },
+	};
+	int index, code = HAL_RUN;
 
 	*options = (struct options){ 0 };
 	for (size_t i = 0; i < NUMBER_COUNT; i++) {
 		*(unsigned *)((char *)options + numbers[i].offset) = numbers[i].preset;
 		known[i] = (struct option){ .name = numbers[i].name, .has_arg = required_argument };
 	}
-	known[WITH_PARENT] = (struct option){ .name = "with-parent" };
-	known[HELP] = (struct option){ .name = "help" };
 
 	/* An abbreviation that getopt accepts today may mean something else tomorrow; scripts write names out. */
-	while (optind < argc) {
+	while (code == HAL_RUN && optind < argc) {
 		const char *word = argv[optind];
 		if (getopt_long(argc, argv, "", known, &index) != 0) {
 			/* getopt has printed its line, unless the word is no option at all. */
@@ -83,18 +133,7 @@ int options_parse(struct options *options, int argc, char **argv)
 				fprintf(stderr, "neuroflight: '%s' is no option, see --help\n", word);
 			return 1;
 		}
-		if ((size_t)index == HELP) {
-			print_help();
-			return 0;
-		}
-		if ((size_t)index == WITH_PARENT) {
-			options->with_parent = true;
-		} else if (!parse_number(optarg, numbers[index].max,
-					 (unsigned *)((char *)options + numbers[index].offset))) {
-			fprintf(stderr, "neuroflight: --%s got '%s', expected a whole number from 0 to %u\n",
-				numbers[index].name, optarg, numbers[index].max);
-			return 1;
-		}
+		code = take(options, (size_t)index, optarg);
 	}
-	return HAL_RUN;
+	return code;
 }

@@ -3,13 +3,19 @@
 #define NF_HOST_OPTIONS_H
 
 #include <stdbool.h>
+#include <stddef.h>
+
+#include "background.h"
 
 struct options {
 	unsigned state_port, receiver_port, power_port; /* bound here; 0: any free one */
 	unsigned motor_port, servo_port;                /* sent to */
 	unsigned trace_port;                            /* sent to; 0: no trace */
 	unsigned msp_port;                              /* listened on; 0: any free one */
-	unsigned gyro_hz;
+	unsigned gyro_hz;                               /* 0: as set */
+	const char *settings;                           /* file of the flash; NULL: erased memory */
+	struct setting_change changes[NF_SETTING_COUNT];
+	size_t change_count;
 	bool with_parent;                               /* end when the parent process does */
 };
 

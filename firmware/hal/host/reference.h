@@ -22,14 +22,22 @@ struct reference_trace {
 /* Bytes of one instance. The caller allocates them, aligned to 8, and does not move them after init. */
 size_t reference_size(void);
 
-/* Boots. Returns 0 or a negative enum nf_err. */
-int reference_init(void *self, unsigned gyro_hz);
+/* Boots, with erased flash and these settings, each a NAME=VALUE. Returns 0, or a negative enum nf_err:
+ * NF_ERR_SETTINGS if one of them is none. */
+int reference_init(void *self, unsigned gyro_hz, const char *const settings[], size_t count);
 
 /* One receiver packet: taken up at the next control step. */
 void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
-/* One gyro sample: body rates [rad/s], axes forward, right, down. Writes one DShot value a motor. */
-void reference_sample(void *self, const double rates_frd[3], uint16_t dshot[]);
+/* The battery from now on, and how long each control step takes [us], 0: no time. Until then: full. */
+void reference_power(void *self, double volts, double amps, double control_us);
+
+/* One gyro sample: body rates [rad/s] and specific force [m/s^2], axes forward, right, down. Writes one DShot value a
+ * motor. */
+void reference_sample(void *self, const double rates_frd[3], const double force_frd[3], uint16_t dshot[]);
+
+/* The gyro has said nothing for NF_GYRO_BAD_MS. Writes one DShot value a motor. */
+void reference_silent(void *self, uint16_t dshot[]);
 
 void reference_trace(const void *self, struct reference_trace *out);
 

@@ -9,11 +9,17 @@
 #include "firmware.h"
 #include "msp.h"
 #include "policy_blob.h"
+#include "settings.h"
 
 int main(void)
 {
 	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
-	static const struct firmware_config config = { .gyro_rate_hz = 1000, .alignment = ALIGN_CW90 };
+	static const struct pid_gains no_pid = { .motor_count = 0 };
+	struct nf_settings settings;
+	const struct firmware_config config = {
+		.gyro_rate_hz = 1000, .alignment = ALIGN_CW90, .settings = &settings, .weights = policy_weights,
+		.policy_good = true, .pid = &no_pid,
+	};
 	static const struct policy_blob_identity identity_of_blob = {
 		.architecture_hash = 1, .filters_hash = NF_POLICY_FILTERS_NONE, .control_rate_hz = 1000,
 		.weight_count = 1, .observation_count = 1, .action_count = 1,
@@ -23,6 +29,7 @@ int main(void)
 	struct msp msp;
 	unsigned long samples = 0, replies = 0, blobs = 0;
 
+	settings_default(&settings);
 	if (!fw || firmware_init(fw, &config) != NF_OK)
 		return 2;
 	msp_init(&msp, &identity);
@@ -32,13 +39,13 @@ int main(void)
 		uint8_t *bytes = malloc((size_t)length + 1), *reply = malloc((size_t)length * 4 + 1);
 		uint8_t *slot = malloc((size_t)length + 1);
 		uint16_t *dshot = malloc(POLICY_ACTION_COUNT * sizeof *dshot);
-		int16_t counts[3] = { 0 };
+		struct imu_sample sample = { .valid = true };
 		if (!bytes || !reply || !slot || !dshot)
 			return 2;
 		const size_t count = fread(bytes, 1, (size_t)length, stdin);
-		memcpy(counts, bytes, count < sizeof counts ? count : sizeof counts);
+		memcpy(sample.gyro, bytes, count < sizeof sample.gyro ? count : sizeof sample.gyro);
 		firmware_receive(fw, bytes, count);
-		firmware_sample(fw, counts, dshot);
+		firmware_sample(fw, &sample, dshot);
 		firmware_status(fw, &status);
 		replies += msp_serve(&msp, &status, bytes, count, reply, (size_t)length * 4) > 0;
 		memcpy(slot + 1, bytes, count); /* misaligned, and its end is the heap block's */

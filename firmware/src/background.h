@@ -1,0 +1,71 @@
+/* Background: the boot, and everything after it that can wait. It runs below the gyro's interrupt; what both know
+ * passes through the functions of firmware.h that say so. */
+#ifndef NF_BACKGROUND_H
+#define NF_BACKGROUND_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "battery.h"
+#include "fault_log.h"
+#include "firmware.h"
+#include "flash.h"
+#include "policy_slots.h"
+#include "power_sample.h"
+#include "scheduler.h"
+#include "settings.h"
+#include "settings_store.h"
+#include "status.h"
+
+/* What it needs of the board. None of these waits. */
+struct background_io {
+	void *context;
+	uint32_t (*cycles)(void *context);
+	void (*power_read)(void *context, struct power_sample *power);
+	void (*beeper)(void *context, bool on);
+	void (*led)(void *context, bool on);
+};
+
+/* A setting that this start has other than stored. */
+struct setting_change {
+	unsigned index;
+	union setting_value value;
+};
+
+struct background_config {
+	struct background_io io;
+	struct flash flash;
+	struct firmware *firmware;          /* started by background_start */
+	float *weights;                     /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
+	struct task_stats *stats;           /* [TASK_COUNT], by enum nf_task */
+	enum board_alignment alignment;     /* of the gyro chip, where the settings say "board" */
+	const struct pid_gains *pid;
+	const struct fault_record *fault;   /* what ended the run before; NULL: no fault did */
+	const struct setting_change *changes;
+	size_t change_count;
+	unsigned gyro_rate_hz;              /* of this start; 0: as set */
+	uint32_t cycles_hz;                 /* of io.cycles */
+};
+
+struct background {
+	struct background_config config;
+	struct nf_settings settings;        /* as flown: of this boot */
+	struct policy_slots slots;
+	struct fault_log faults;
+	struct scheduler scheduler;
+	struct battery battery;
+};
+
+/* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. What `config` points to must
+ * outlive the background. NF_ERR_SETTINGS: the changes are beyond limits or contradict the other settings; else as
+ * firmware_init: do not run. */
+enum nf_err background_start(struct background *background, const struct background_config *config);
+
+/* A little of what is due; called again and again. */
+void background_step(struct background *background);
+
+/* The firmware's status, completed by what the background knows. */
+void background_status(const struct background *background, struct firmware_status *status);
+
+#endif
