@@ -10,7 +10,7 @@ static enum nf_err load_settings(struct background *background)
 
 	settings_load(&background->settings, &config->flash);
 	for (size_t i = 0; i < config->change_count; i++)
-		if (settings_set(&background->settings, config->changes[i].index, config->changes[i].value) !=
+		if (settings_set(&background->settings, config->changes[i].index, &config->changes[i].value) !=
 		    NF_REFUSAL_NONE)
 			return NF_ERR_SETTINGS;
 	if (config->gyro_rate_hz > 0)

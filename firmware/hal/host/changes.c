@@ -40,7 +40,7 @@ bool change_parse(const char *text, struct setting_change *change)
 	    !parse_value(equals + 1, settings_info(parsed.index)->kind, &parsed.value))
 		return false;
 	settings_default(&scratch);
-	if (settings_set(&scratch, parsed.index, parsed.value) != NF_REFUSAL_NONE)
+	if (settings_set(&scratch, parsed.index, &parsed.value) != NF_REFUSAL_NONE)
 		return false;
 	*change = parsed;
 	return true;
