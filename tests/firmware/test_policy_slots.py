@@ -1,0 +1,472 @@
+"""policy_slots.c: which policy a boot flies, and slots that are written while power may go at any moment."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolchain.blob import PolicyBlob, pack, parse
+from toolchain.contract import FLASH_POLICY_SLOTS, Refusal
+from toolchain.float32 import Float32
+
+MakeChip = Callable[..., Any]
+SLOT_A, SLOT_B, COMPILED_IN, NONE = range(4)
+POLICY, MAGIC, CRC, RATE, FILTERS, ARCHITECTURE = -5, -7, -10, -11, -12, -13
+KINDS = range(5)  # of cuts: enum flash_cut
+CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Boot:
+    """What a boot chose."""
+
+    error: int
+    flown: int
+    sequence: int
+    idle: float
+    found: tuple[int, ...]
+    weights: bytes
+
+
+class Slots:
+    """The slots of a chip, around the policy that is compiled into `core`."""
+
+    def __init__(self, chip: Any, compiled_in: bytes | None = None) -> None:
+        self.chip, self.core = chip, chip.core
+        ffi, lib = self.core.ffi, self.core.lib
+        self.own = bytes(ffi.buffer(ffi.addressof(lib, "policy_blob")))
+        self.compiled_in = self.own if compiled_in is None else compiled_in
+        self.image = parse(self.own)
+        self._blob = self.core.new("uint64_t[]", len(self.compiled_in) // 8 + 1)
+        ffi.memmove(self._blob, self.compiled_in, len(self.compiled_in))
+        self.running = {
+            "architecture_hash": self.image.architecture_hash,
+            "filters_hash": self.image.filters_hash,
+            "control_rate_hz": self.image.control_rate_hz,
+            "weight_count": self.image.weights.size,
+            "observation_count": self.image.observation_count,
+            "action_count": self.image.action_count,
+        }
+        self.slots = self.core.new("struct policy_slots *")
+        self.policy = self.core.new("struct policy *")
+        self.weights = self.core.new("uint64_t[]", self.image.weights.size // 2 + 1)
+
+    def boot(self, **running: int) -> Boot:
+        ffi, lib = self.core.ffi, self.core.lib
+        known = self.core.new("struct policy_blob_identity *", self.running | running)
+        weights = ffi.cast("float *", self.weights)
+        ffi.memmove(self.weights, bytes(len(ffi.buffer(self.weights))), len(ffi.buffer(self.weights)))
+        error = lib.policy_slots_choose(
+            self.slots, self.chip.flash, known, self._blob, len(self.compiled_in), self.policy, weights
+        )
+        s, count = self.slots, 4 * self.image.weights.size
+        return Boot(error, s.flown, s.sequence, s.idle, tuple(s.found), bytes(ffi.buffer(weights, count)))
+
+    def begin(self, total: int) -> int:
+        return int(self.core.lib.policy_slots_begin(self.slots, total))
+
+    def write(self, offset: int, data: bytes) -> int:
+        words = self.core.new("uint32_t[]", len(data) // 4 + 1)
+        self.core.ffi.memmove(words, data, len(data))
+        return int(self.core.lib.policy_slots_write(self.slots, offset, words, len(data)))
+
+    def end(self) -> tuple[int, int]:
+        why = self.core.new("enum nf_err *")
+        return int(self.core.lib.policy_slots_end(self.slots, why)), int(why[0])
+
+    def update(self, data: bytes, chunk: int = CHUNK) -> int:
+        """The whole of it, up to the first refusal."""
+        refusal = self.begin(len(data))
+        for offset in range(0, len(data), chunk):
+            if refusal == Refusal.NONE:
+                refusal = self.write(offset, data[offset : offset + chunk])
+        return refusal if refusal != Refusal.NONE else self.end()[0]
+
+    @property
+    def next_sequence(self) -> int:
+        return int(self.core.lib.policy_slots_next_sequence(self.slots))
+
+    def put(self, slot: int, blob: PolicyBlob | bytes) -> None:
+        """Into a slot past all rules."""
+        data = blob if isinstance(blob, bytes) else pack(blob)
+        self.chip.fill(FLASH_POLICY_SLOTS[slot].address, data)
+
+
+@pytest.fixture
+def slots(chip: MakeChip) -> Callable[..., Slots]:
+    """Makes empty slots; the puppet's strings hang loose, as in its self-test."""
+
+    def make(compiled_in: bytes | None = None) -> Slots:
+        made = Slots(chip(), compiled_in)
+        made.core.lib.puppet_action = [0.0] * 4
+        return made
+
+    return make
+
+
+def like(blob: PolicyBlob, sequence: int, *weights: float, **changes: Any) -> PolicyBlob:
+    """A policy for the same image."""
+    if weights:
+        changes["weights"] = np.array(weights, np.float32)
+    return replace(blob, sequence=sequence, **changes)
+
+
+def floats(*values: float) -> bytes:
+    return struct.pack(f"<{len(values)}f", *values)
+
+
+# --- Which one is flown -------------------------------------------------------------------------
+def test_the_compiled_in_policy_is_flown_when_slots_are_empty(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    assert s.boot() == Boot(0, COMPILED_IN, 0, 0.0, (MAGIC, MAGIC, 0), floats(1, -2))
+    assert s.policy.weights == s.core.ffi.cast("float *", s.weights)
+    assert s.next_sequence == 1
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "flown"), [(1, 2, SLOT_B), (2, 1, SLOT_A), (7, 7, SLOT_A), (2**32 - 1, 1, SLOT_A)]
+)
+def test_the_highest_sequence_is_flown_when_slots_are_good(
+    slots: Callable[..., Slots], a: int, b: int, flown: int
+) -> None:
+    s = slots()
+    s.put(SLOT_A, like(s.image, a, 3, 4, idle=0.125))
+    s.put(SLOT_B, like(s.image, b, 5, 6, idle=0.25))
+    booted = s.boot()
+    assert booted.found == (0, 0, 0)
+    assert (booted.flown, booted.sequence) == (flown, max(a, b))
+    assert (booted.idle, booted.weights) == ((0.25, floats(5, 6)) if flown else (0.125, floats(3, 4)))
+
+
+def test_the_header_of_the_flown_policy_is_told_when_asked(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.put(SLOT_B, like(s.image, 9, aircraft="other", policy_sha256="ab" * 32))
+    header = s.core.new("struct nf_policy_blob_header *")
+    s.boot()
+    assert s.core.lib.policy_slots_header(s.slots, header)
+    assert (header.sequence, s.core.ffi.string(header.aircraft)) == (9, b"other")
+    assert bytes(header.policy_sha256).hex() == "ab" * 32
+
+
+def test_the_next_best_is_flown_when_a_policy_fails_its_selftest(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    wrong = np.full((3, 4), 0.5, np.float32)
+    s.put(SLOT_A, like(s.image, 8, 3, 4))
+    s.put(SLOT_B, like(s.image, 9, 5, 6, selftest_action=wrong))
+    booted = s.boot()
+    assert (booted.flown, booted.found, booted.weights) == (SLOT_A, (0, POLICY, 0), floats(3, 4))
+    s.put(SLOT_A, like(s.image, 8, 3, 4, selftest_action=wrong))
+    booted = s.boot()
+    assert (booted.flown, booted.found, booted.weights) == (COMPILED_IN, (POLICY, POLICY, 0), floats(1, -2))
+    assert s.next_sequence == 10, "one that failed still counts, or the new one would not be tried first"
+
+
+def test_each_vector_of_the_selftest_counts_when_replayed(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    for row in range(3):
+        for motor in range(4):
+            actions = np.zeros((3, 4), np.float32)
+            actions[row, motor] = 1e-45
+            s.put(SLOT_A, like(s.image, 8, selftest_action=actions))
+            assert s.boot().found == (POLICY, MAGIC, 0)
+
+
+def test_the_selftest_begins_anew_when_its_steps_are_over(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    row = s.image.selftest_observation[:1]
+    for rows, steps in ((6, 2), (6, 6), (4, 1)):
+        blob = like(
+            s.image,
+            5,
+            selftest_observation=np.repeat(row, rows, axis=0) + np.arange(rows, dtype=np.float32)[:, None],
+            selftest_action=np.zeros((rows, 4), np.float32),
+            selftest_steps=steps,
+        )
+        s.put(SLOT_A, blob)
+        before = s.core.lib.puppet_inits, s.core.lib.puppet_steps
+        assert s.boot().flown == SLOT_A
+        inits, ran = s.core.lib.puppet_inits - before[0], s.core.lib.puppet_steps - before[1]
+        assert (inits, ran) == (rows // steps + 1, rows)
+        assert list(s.core.lib.puppet_observation) == [rows - 1.0] * 17
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"control_rate_hz": 2000}, RATE),
+        ({"filters_hash": 5}, FILTERS),
+        ({"architecture_hash": 5}, ARCHITECTURE),
+        ({"weights": np.ones(3, np.float32)}, ARCHITECTURE),
+    ],
+)
+def test_a_slot_is_passed_over_when_it_is_for_another_image(
+    slots: Callable[..., Slots], changes: dict[str, Any], error: int
+) -> None:
+    s = slots()
+    s.put(SLOT_A, like(s.image, 8, **changes))
+    assert s.boot().found == (error, MAGIC, 0)
+    assert s.slots.flown == COMPILED_IN
+
+
+def test_no_policy_is_flown_when_none_is_good(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.put(SLOT_B, like(s.image, 8, 3, 4))
+    booted = s.boot(filters_hash=1)
+    assert (booted.error, booted.flown, booted.found) == (POLICY, NONE, (MAGIC, FILTERS, FILTERS))
+    header = s.core.new("struct nf_policy_blob_header *")
+    assert not s.core.lib.policy_slots_header(s.slots, header)
+
+
+def test_a_slot_is_flown_when_the_compiled_in_policy_is_damaged(slots: Callable[..., Slots]) -> None:
+    good = slots().own
+    s = slots(good[:400] + bytes([good[400] ^ 1]) + good[401:])
+    assert s.boot().found == (MAGIC, MAGIC, CRC)
+    s.put(SLOT_A, like(s.image, 1, 3, 4))
+    assert s.boot() == Boot(0, SLOT_A, 1, 0.0, (0, MAGIC, CRC), floats(3, 4))
+    short = slots(good[:100])
+    assert short.boot().found == (MAGIC, MAGIC, -6)
+
+
+# --- Writing a slot -----------------------------------------------------------------------------
+def test_the_slot_that_is_not_flown_is_written_when_updated(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    flown = []
+    for sequence in range(1, 6):
+        s.boot()
+        assert s.next_sequence == sequence
+        assert s.update(pack(like(s.image, sequence, sequence, 0))) == Refusal.NONE
+        booted = s.boot()
+        flown.append(booted.flown)
+        assert booted.weights == floats(sequence, 0)
+    assert flown == [SLOT_A, SLOT_B, SLOT_A, SLOT_B, SLOT_A]
+
+
+def test_the_newest_stays_when_slots_are_written_again_without_a_boot(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.boot()
+    for sequence in range(1, 6):
+        assert s.update(pack(like(s.image, sequence, sequence, 0))) == Refusal.NONE
+        assert s.begin(1000) == Refusal.NONE, "another one begun, and power goes"
+        other = Slots(s.chip)
+        assert other.boot().weights == floats(sequence, 0)
+
+
+def test_a_slot_that_failed_its_selftest_is_the_one_to_be_written_when_updated(
+    slots: Callable[..., Slots],
+) -> None:
+    s = slots()
+    s.put(SLOT_A, like(s.image, 8, 3, 4))
+    s.put(SLOT_B, like(s.image, 3, 5, 6))
+    s.core.lib.puppet_action = [0.25] * 4
+    assert s.boot().found == (POLICY, POLICY, POLICY)
+    good = like(s.image, 9, 7, 8, selftest_action=np.full((3, 4), 0.25, np.float32))
+    assert s.update(pack(good)) == Refusal.NONE
+    assert s.begin(1000) == Refusal.NONE
+    assert s.boot().weights == floats(7, 8), "the one just written was not the one to be erased"
+
+
+@pytest.mark.parametrize("chunk", [4, 8, 60, 344, 508, 608])
+def test_a_policy_arrives_when_written_in_pieces_of_any_size(slots: Callable[..., Slots], chunk: int) -> None:
+    s = slots()
+    s.boot()
+    data = pack(like(s.image, 1, 3, 4))
+    assert s.update(data, chunk) == Refusal.NONE
+    assert s.chip.region(FLASH_POLICY_SLOTS[0])[: len(data)] == data
+    assert s.chip.operations == 1 + len(data) // 4
+
+
+def test_no_slot_is_valid_before_it_is_ended_when_all_is_written(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.boot()
+    data = pack(like(s.image, 1, 3, 4))
+    assert s.begin(len(data)) == Refusal.NONE
+    assert s.write(0, data) == Refusal.NONE
+    assert Slots(s.chip).boot().flown == COMPILED_IN
+    assert s.end() == (Refusal.NONE, 0)
+    assert Slots(s.chip).boot().flown == SLOT_A
+
+
+@pytest.mark.parametrize("total", [0, 340, 346, 0x10004, 0xFFFFFFFC])
+def test_an_update_is_not_begun_when_no_blob_has_that_size(slots: Callable[..., Slots], total: int) -> None:
+    s = slots()
+    s.boot()
+    assert s.begin(total) == Refusal.PAYLOAD
+    assert s.chip.operations == 0
+    assert s.write(0, bytes(4)) == Refusal.ORDER
+
+
+def test_pieces_are_refused_when_they_are_not_what_comes_next(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.boot()
+    data = pack(like(s.image, 1, 3, 4))
+    assert s.write(0, data[:8]) == s.end()[0] == Refusal.ORDER, "nothing was begun"
+    assert s.begin(len(data)) == Refusal.NONE
+    assert s.end()[0] == Refusal.ORDER, "nothing was written"
+    assert s.write(4, data[4:8]) == Refusal.ORDER, "not at its beginning"
+    assert s.write(0, data[:100]) == Refusal.NONE
+    for offset in (0, 96, 104, 200, len(data) - 4):
+        assert s.write(offset, data[offset : offset + 4]) == (
+            Refusal.NONE if offset == 96 else Refusal.ORDER
+        ), offset
+    for offset, piece in ((100, b""), (100, bytes(6)), (102, bytes(4)), (len(data) - 4, bytes(8))):
+        assert s.write(offset, piece) in (Refusal.PAYLOAD, Refusal.ORDER)
+    assert s.write(100, bytes(len(data) - 96)) == Refusal.PAYLOAD, "past the end"
+    assert s.write(0xFFFFFFFC, bytes(8)) == Refusal.PAYLOAD
+    assert s.write(100, data[100:]) == Refusal.NONE
+    assert s.end() == (Refusal.NONE, 0)
+    assert s.end()[0] == Refusal.ORDER, "it is over"
+
+
+def test_the_last_piece_may_come_twice_when_a_reply_was_lost(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.boot()
+    data = pack(like(s.image, 1, 3, 4))
+    s.begin(len(data))
+    for offset in range(0, len(data), 100):
+        piece = data[offset : offset + 100]
+        assert s.write(offset, piece) == Refusal.NONE
+        operations = s.chip.operations
+        assert s.write(offset, piece) == Refusal.NONE
+        for at in (0, len(piece) - 1):
+            other = bytearray(piece)
+            other[at] ^= 1
+            assert s.write(offset, bytes(other)) == Refusal.ORDER
+        assert s.chip.operations == operations
+    assert s.end() == (Refusal.NONE, 0)
+    assert s.boot().flown == SLOT_A
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda blob: pack(replace(blob, architecture_hash=1)), ARCHITECTURE),
+        (lambda blob: pack(replace(blob, control_rate_hz=2000)), RATE),
+        (lambda blob: b"NFPX" + pack(blob)[4:], MAGIC),
+        (lambda blob: pack(blob)[:400] + b"\xee" + pack(blob)[401:], CRC),
+        (lambda blob: pack(blob)[:-4] + bytes(4), CRC),
+    ],
+)
+def test_a_policy_is_refused_when_it_is_none_for_this_image(
+    slots: Callable[..., Slots], change: Callable[[PolicyBlob], bytes], why: int
+) -> None:
+    s = slots()
+    s.boot()
+    data = change(like(s.image, 1, 3, 4))
+    s.begin(len(data))
+    s.write(0, data)
+    assert s.end() == (Refusal.BLOB, why)
+    assert s.boot().flown == COMPILED_IN
+    assert s.update(pack(like(s.image, 1, 3, 4))) == Refusal.NONE
+
+
+@pytest.mark.parametrize(("sequence", "refusal"), [(0, 9), (6, 9), (7, 9), (8, 0), (2**32 - 1, 0)])
+def test_a_policy_is_refused_when_its_sequence_is_not_above_all_others(
+    slots: Callable[..., Slots], sequence: int, refusal: int
+) -> None:
+    s = slots()
+    s.put(SLOT_B, like(s.image, 7, 3, 4))
+    s.boot()
+    assert s.next_sequence == 8
+    assert s.update(pack(like(s.image, sequence, 5, 6))) == refusal
+    assert s.boot().weights == (floats(3, 4) if refusal else floats(5, 6))
+
+
+def test_no_policy_can_follow_when_the_sequence_is_the_highest_there_is(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.put(SLOT_B, like(s.image, 2**32 - 1, 3, 4))
+    s.boot()
+    assert s.update(pack(like(s.image, 2**32 - 1, 5, 6))) == Refusal.SEQUENCE
+    assert s.update(pack(like(s.image, 0, 5, 6))) == Refusal.SEQUENCE
+
+
+# --- Power goes -----------------------------------------------------------------------------------
+def cuts_everywhere(operations: int) -> Iterator[tuple[int, int, int]]:
+    """(operation, kind, seed): every operation with every kind of cut."""
+    for at in range(operations):
+        for kind in KINDS:
+            yield at, kind, 5 * at + kind
+
+
+def power_goes(s: Slots, new: bytes, cuts: Iterable[tuple[int, int, int]]) -> int:
+    """Each cut strikes an update with `new`. Returns how often the new policy was there afterwards."""
+    before = s.chip.content
+    old = s.boot()
+    fresh = floats(*parse(new).weights.tolist())
+    arrived = 0
+    for at, kind, seed in cuts:
+        s.chip.content = before
+        s.boot()
+        s.chip.cut(at, kind, seed)
+        assert s.update(new) == Refusal.FLASH, (at, kind)
+        s.chip.power_on()
+        booted = s.boot()
+        assert booted.error == 0, "it always boots"
+        if booted.weights == old.weights:
+            assert (booted.sequence, booted.idle, booted.flown) == (old.sequence, old.idle, old.flown)
+        else:
+            assert (booted.weights, booted.sequence) == (fresh, parse(new).sequence), (at, kind, seed)
+            arrived += 1
+    if s.boot().weights != fresh:
+        assert s.update(new) == Refusal.NONE
+    assert s.boot().weights == fresh, "a second try succeeds"
+    return arrived
+
+
+# What the slots hold before: their sequences, 0: empty.
+@pytest.mark.parametrize("held", [(0, 0), (4, 0), (0, 4), (3, 4), (4, 3)])
+def test_the_old_or_the_new_policy_is_flown_when_power_goes_at_any_operation(
+    slots: Callable[..., Slots], held: tuple[int, int]
+) -> None:
+    s = slots()
+    for slot, sequence in enumerate(held):
+        if sequence:
+            s.put(slot, like(s.image, sequence, sequence, 0.5, idle=0.25))
+    new = pack(like(s.image, 5, 9, 9, idle=0.5))
+    operations = 1 + len(new) // 4
+    arrived = power_goes(s, new, cuts_everywhere(operations))
+    assert 1 <= arrived <= 3, "only the last word can make the new one valid"
+
+
+def shipped_update(core: Any, chip: Any) -> tuple[Slots, bytes]:
+    """Slots around the shipped policy, and another policy of its architecture with a self-test that holds."""
+    s = Slots(chip)
+    image = s.image
+    weights: Float32 = (image.weights * np.float32(0.999)).astype(np.float32)
+    table = core.new("uint64_t[]", weights.size // 2 + 1)
+    core.ffi.memmove(table, weights.tobytes(), weights.nbytes)
+    out = core.new(f"float[{image.action_count}]")
+    actions = []
+    for index, row in enumerate(image.selftest_observation):
+        if index % image.selftest_steps == 0:
+            core.lib.policy_init(s.policy, core.ffi.cast("float *", table))
+        core.lib.policy_step(s.policy, row.tolist(), out)
+        actions.append(list(out))
+    new = replace(image, sequence=1, weights=weights, selftest_action=np.array(actions, np.float32))
+    return s, pack(new)
+
+
+def test_the_shipped_policy_survives_when_power_goes_at_a_sample_of_operations(
+    reference_core: Any, chip: MakeChip
+) -> None:
+    s, new = shipped_update(reference_core, chip(reference_core))
+    operations = 1 + len(new) // 4
+    rng = np.random.default_rng(2)
+    chosen = {*range(50), *range(operations - 50, operations)}
+    chosen |= set(rng.choice(np.arange(50, operations - 50), 200, replace=False).tolist())
+    assert len(chosen) == 300
+    cuts = [(at, int(kind), at) for at, kind in zip(sorted(chosen), rng.integers(0, 5, 300), strict=True)]
+    cuts += [(operations - 1, kind, 7) for kind in KINDS]
+    assert power_goes(s, new, cuts) >= 1
+
+
+@pytest.mark.prove
+def test_the_shipped_policy_survives_when_power_goes_at_every_operation(
+    reference_core: Any, chip: MakeChip
+) -> None:
+    s, new = shipped_update(reference_core, chip(reference_core))
+    assert power_goes(s, new, cuts_everywhere(1 + len(new) // 4)) >= 1
