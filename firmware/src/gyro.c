@@ -1,7 +1,5 @@
 #include "gyro.h"
 
-#include <string.h>
-
 #include "nf_math.h"
 
 /* rad/s of one count: 2000 deg/s over 32768 counts, pi/180. One constant, one rounding. */
@@ -123,21 +121,29 @@ static enum nf_gyro_health judge(const struct gyro *gyro, const struct imu_sampl
 	return NF_GYRO_HEALTH_GOOD;
 }
 
-/* Is it the same in every word? Noise alone makes that rare in a chip that lives. */
-static bool repeated(const struct imu_sample *last, const struct imu_sample *sample)
+/* Keeps a good sample. Returns whether it is the last one again in every word: noise alone makes that rare in a
+ * chip that lives. */
+static bool repeats(struct imu_sample *last, const struct imu_sample *sample)
 {
-	return last->valid && memcmp(last->gyro, sample->gyro, sizeof last->gyro) == 0 &&
-	       memcmp(last->accel, sample->accel, sizeof last->accel) == 0 && last->temperature == sample->temperature;
+	int changed = last->valid ? last->temperature ^ sample->temperature : 1;
+
+	last->temperature = sample->temperature;
+	last->valid = true;
+	for (int i = 0; i < 3; i++) {
+		changed |= (last->gyro[i] ^ sample->gyro[i]) | (last->accel[i] ^ sample->accel[i]);
+		last->gyro[i] = sample->gyro[i];
+		last->accel[i] = sample->accel[i];
+	}
+	return changed == 0;
 }
 
 static void take(struct gyro *gyro, const struct imu_sample *sample)
 {
 	gyro->bad = 0;
-	if (!repeated(&gyro->last, sample))
+	if (!repeats(&gyro->last, sample))
 		gyro->same = 0;
 	else if (gyro->same < gyro->stuck_after)
 		gyro->same++;
-	gyro->last = *sample;
 }
 
 enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3])

@@ -251,6 +251,15 @@ def test_three_tones_go_when_there_are_three_notches(make: Make) -> None:
         assert loss_db(rates[4000:], out[4000:], 4000, hz).min() > 15, hz
 
 
+@pytest.mark.parametrize("hz", [143.0, 205.0, 390.0])
+def test_only_one_notch_is_placed_when_there_is_one_tone_and_its_side_lobes(make: Make, hz: float) -> None:
+    filters = make(4000, dynamic_notch_count=3)
+    filters.run(tones(4000, 1.0, {hz: 1.0}, noise=0.0))
+    for axis in range(3):
+        placed = [notch.gain for notch in filters.struct.dynamic.notch[axis] if notch.gain > 0]
+        assert np.arctan(placed) * 4000 / np.pi == pytest.approx([hz], abs=1.0)
+
+
 def test_nothing_changes_but_little_when_there_is_only_a_manoeuvre(make: Make) -> None:
     """A flip of 300 ms: no tone, so that notches stay where they are, out of the way."""
     t = np.arange(4000) / 4000

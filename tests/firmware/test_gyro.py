@@ -243,7 +243,7 @@ def test_a_lasting_change_is_taken_over_when_it_could_have_happened_meanwhile(
 
 @pytest.mark.parametrize("rate_hz", GYRO_RATES_HZ)
 def test_no_flip_is_a_glitch_when_it_is_the_fiercest(chip: Callable[..., Chip], rate_hz: int) -> None:
-    """1900 deg/s to either side within 10 ms, ten times what a racer's motors can do, and noise of 5 deg/s."""
+    """1900 deg/s to either side within 10 ms, ten times what a racer does, with noise of 5 deg/s."""
     rng = np.random.default_rng(1)
     t = np.arange(rate_hz) / rate_hz
     deg_s = 1900 * np.sin(2 * np.pi * 50 * t)[:, None] + rng.normal(0, 5, (rate_hz, 3))
