@@ -21,12 +21,14 @@
 void crsf_reset(struct crsf *crsf)
 {
 	crsf->count = 0;
+	crsf->needed = 1;
 }
 
-void crsf_put(struct crsf *crsf, uint8_t byte)
+bool crsf_put(struct crsf *crsf, uint8_t byte)
 {
 	if (crsf->count < sizeof crsf->bytes)
 		crsf->bytes[crsf->count++] = byte;
+	return crsf->count >= crsf->needed;
 }
 
 /* How many of the bytes are done with: a whole frame's, 1 when no frame begins here, 0 when one may yet become. */
@@ -74,6 +76,8 @@ bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
 		from += done;
 	}
 	crsf->count = (uint8_t)(crsf->count - from);
-	memmove(crsf->bytes, crsf->bytes + from, crsf->count);
+	if (from > 0)
+		memmove(crsf->bytes, crsf->bytes + from, crsf->count);
+	crsf->needed = (uint8_t)(crsf->count > LENGTH ? TYPE + crsf->bytes[LENGTH] : crsf->count + 1);
 	return taken;
 }

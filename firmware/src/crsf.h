@@ -13,6 +13,7 @@
 struct crsf {
 	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
 	uint8_t count;
+	uint8_t needed; /* of `count`, before there is anything to look at */
 };
 
 enum crsf_kind {
@@ -29,8 +30,8 @@ struct crsf_frame {
 /* Empty. Also called when the line has been silent for longer than a gap inside a frame can be. */
 void crsf_reset(struct crsf *crsf);
 
-/* Takes one byte. After it, and before the next, crsf_take must be called until it returns false. */
-void crsf_put(struct crsf *crsf, uint8_t byte);
+/* Takes one byte. Returns whether crsf_take is now to be called, until it returns false. */
+bool crsf_put(struct crsf *crsf, uint8_t byte);
 
 /* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several:
  * when what looked like a frame turns out to be none, the search goes on behind its first byte. */

@@ -81,12 +81,14 @@ static bool push_sbus(struct receiver *receiver, uint8_t byte)
 
 static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
-	for (; *count > 0; (*count)--)
-		if (push_sbus(receiver, *(*bytes)++)) {
-			(*count)--;
-			return true;
-		}
-	return false;
+	const uint8_t *at = *bytes, *const end = at + *count;
+	bool frame = false;
+
+	while (at < end && !frame)
+		frame = push_sbus(receiver, *at++);
+	*bytes = at;
+	*count = (size_t)(end - at);
+	return frame;
 }
 
 /* Takes what waits; returns whether sticks were among it, which is where it stops. */
@@ -104,15 +106,17 @@ static bool take_crsf(struct receiver *receiver)
 	return false;
 }
 
+/* One byte may complete several frames: those that wait come before the next byte. */
 static bool read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
-	while (!take_crsf(receiver)) {
-		if (*count == 0)
-			return false;
-		crsf_put(&receiver->line.crsf, *(*bytes)++);
-		(*count)--;
-	}
-	return true;
+	const uint8_t *at = *bytes, *const end = at + *count;
+	bool frame = take_crsf(receiver);
+
+	while (at < end && !frame)
+		frame = crsf_put(&receiver->line.crsf, *at++) && take_crsf(receiver);
+	*bytes = at;
+	*count = (size_t)(end - at);
+	return frame;
 }
 
 /* MSP has a line of its own: what is heard on this one is noise. */
