@@ -1,0 +1,479 @@
+"""msp_commands.c: requests that take a payload, change something or tell what the background knows."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flash import messages, records, requests
+from flash.msp import Decoder, Direction, Message, Version, encode
+from toolchain.blob import PolicyBlob, pack
+from toolchain.contract import (
+    FLASH_POLICY_SLOTS,
+    MSP_PAYLOAD_MAX,
+    SETTINGS,
+    Msp,
+    Refusal,
+    Task,
+)
+
+MakeChip = Callable[..., Any]
+INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
+FUNCTIONS = ("storing", "channels", "motor_test", "motors", "dshot_command", "reboot")
+
+
+class Server:
+    """A server that offers everything, over a chip; what its functions were told stands in `calls`."""
+
+    def __init__(self, chip: Any, *, offered: bool = True) -> None:
+        self.chip, self.core = chip, chip.core
+        ffi, lib = self.core.ffi, self.core.lib
+        self.calls: list[tuple[object, ...]] = []
+        self.answers = dict.fromkeys(FUNCTIONS, int(Refusal.NONE))
+        self.settings = self.core.new("struct nf_settings *")
+        self.slots = self.core.new("struct policy_slots *")
+        self.faults = self.core.new("struct fault_log *")
+        self.tasks = self.core.new(f"struct task_stats[{len(Task)}]")
+        self._policy, self._weights = self.core.new("struct policy *"), self.core.new("float[2]")
+        self._callbacks = {
+            "storing": ffi.callback("enum nf_refusal(void *, bool)", self._on_storing),
+            "channels": ffi.callback("enum nf_refusal(void *, const uint16_t *)", self._on_channels),
+            "motor_test": ffi.callback("enum nf_refusal(void *, uint32_t)", self._on("motor_test")),
+            "motors": ffi.callback("enum nf_refusal(void *, const uint16_t *, size_t)", self._on_motors),
+            "dshot_command": ffi.callback(
+                "enum nf_refusal(void *, unsigned, unsigned)", self._on("dshot_command")
+            ),
+            "reboot": ffi.callback("enum nf_refusal(void *)", self._on("reboot")),
+        }
+        self.services = self.core.new(
+            "struct msp_services *",
+            {
+                "flash": chip.flash,
+                "settings": self.settings,
+                "slots": self.slots,
+                "faults": self.faults,
+                "tasks": self.tasks,
+                "cycles_hz": 216_000_000,
+                **self._callbacks,
+            },
+        )
+        self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR")]
+        self._identity = self.core.new("struct msp_identity *", [*self._texts, (1, 2, 3)])
+        self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
+        self._msp = self.core.new("struct msp *")
+        lib.settings_default(self.settings)
+        self.boot()
+        lib.msp_init(self._msp, self._identity)
+        if offered:
+            lib.msp_offer(self._msp, self.services)
+
+    def boot(self) -> None:
+        """What main does with flash before it serves."""
+        ffi, lib = self.core.ffi, self.core.lib
+        lib.puppet_action = [0.0] * 4
+        running = {
+            "architecture_hash": 0x01234567,
+            "filters_hash": 0x0D4CBB29,
+            "control_rate_hz": 1000,
+            "weight_count": 2,
+            "observation_count": 17,
+            "action_count": 4,
+        }
+        known = self.core.new("struct policy_blob_identity *", running)
+        blob = ffi.addressof(lib, "policy_blob")
+        flash, size = self.chip.flash, ffi.sizeof("struct policy_blob")
+        lib.policy_slots_choose(self.slots, flash, known, blob, size, self._policy, self._weights)
+
+    def _on(self, name: str) -> Callable[..., int]:
+        def call(_context: object, *arguments: int) -> int:
+            self.calls.append((name, *arguments))
+            return self.answers[name]
+
+        return call
+
+    def _on_storing(self, _context: object, busy: bool) -> int:
+        self.calls.append(("storing", busy, self.chip.operations))
+        return self.answers["storing"]
+
+    def _on_channels(self, _context: object, channels_us: Any) -> int:
+        self.calls.append(("channels", *(channels_us[i] for i in range(16))))
+        return self.answers["channels"]
+
+    def _on_motors(self, _context: object, values_us: Any, count: int) -> int:
+        self.calls.append(("motors", *(values_us[i] for i in range(count))))
+        return self.answers["motors"]
+
+    def ask(self, command: int, payload: bytes = b"") -> Message:
+        """The answer, whichever it is."""
+        ask = encode(Message(Version.V2, Direction.REQUEST, command, payload))
+        out = self.core.new("uint8_t[1024]")
+        count = self.core.lib.msp_serve(self._msp, self.status, ask, len(ask), out, 1024)
+        (answer,) = Decoder().feed(bytes(out)[:count])
+        assert isinstance(answer, Message)
+        assert answer.command == command
+        return answer
+
+    def reply(self, command: int, payload: bytes = b"") -> bytes:
+        """Payload of the reply to a request that is carried out."""
+        answer = self.ask(command, payload)
+        assert answer.direction is Direction.REPLY, answer.payload
+        return answer.payload
+
+    def refusal(self, command: int, payload: bytes = b"") -> tuple[int, int]:
+        """Reason and detail of a request that is refused."""
+        answer = self.ask(command, payload)
+        assert answer.direction is Direction.ERROR
+        reason, detail = struct.unpack("<Bh", answer.payload)
+        return reason, detail
+
+
+@pytest.fixture
+def server(chip: MakeChip) -> Callable[..., Server]:
+    return lambda **kwargs: Server(chip(), **kwargs)
+
+
+# A payload that each of these takes.
+GOOD: dict[Msp, bytes] = {
+    Msp.TASKS: b"",
+    Msp.SETTING_INFO: requests.setting_index(0),
+    Msp.SETTING_GET: requests.setting_index(0),
+    Msp.SETTING_SET: requests.setting_set(0, 8000, whole=True),
+    Msp.EEPROM_WRITE: b"",
+    Msp.SET_RAW_RC: requests.set_raw_rc([1500] * 16),
+    Msp.MOTOR_TEST: requests.motor_test(1),
+    Msp.SET_MOTOR: requests.set_motor([1000] * 4),
+    Msp.DSHOT_COMMAND: requests.dshot_command(1),
+    Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
+    Msp.REBOOT: b"",
+}
+READS = {Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET}
+
+
+# --- When commands are carried out ---------------------------------------------------------------
+@pytest.mark.parametrize("command", GOOD)
+def test_commands_are_unknown_when_only_reading_is_offered(
+    server: Callable[..., Server], command: Msp
+) -> None:
+    s = server(offered=False)
+    answer = s.ask(command, GOOD[command])
+    assert (answer.direction, answer.payload) == (Direction.ERROR, b"")
+    assert s.calls == []
+
+
+@pytest.mark.parametrize("command", GOOD)
+def test_only_reading_and_sticks_are_served_when_armed(server: Callable[..., Server], command: Msp) -> None:
+    s = server()
+    s.status.trace.armed = 1
+    before = s.chip.content, bytes(s.core.ffi.buffer(s.settings))
+    if command in READS or command is Msp.SET_RAW_RC:
+        s.reply(command, GOOD[command])
+    else:
+        assert s.refusal(command, GOOD[command]) == (Refusal.ARMED, 0)
+        assert s.calls == []
+    assert (s.chip.content, bytes(s.core.ffi.buffer(s.settings))) == before
+    s.status.trace.armed = 0
+    s.reply(command, GOOD[command])
+
+
+STORED = {
+    Msp.EEPROM_WRITE: b"",
+    Msp.FAULTS: requests.acknowledge(1),
+    Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
+    Msp.POLICY_SLOT_WRITE: requests.slot_write(0, bytes(8)),
+    Msp.POLICY_SLOT_END: b"",
+}
+
+
+@pytest.mark.parametrize("command", STORED)
+def test_flash_is_left_alone_when_the_motors_were_armed_meanwhile(
+    server: Callable[..., Server], command: Msp
+) -> None:
+    s = server()
+    s.answers["storing"] = int(Refusal.ARMED)
+    assert s.refusal(command, STORED[command]) == (Refusal.ARMED, 0)
+    assert s.calls == [("storing", True, 0)]
+    assert s.chip.operations == 0
+
+
+@pytest.mark.parametrize("command", STORED)
+def test_nothing_arms_from_before_to_after_when_flash_is_written(
+    server: Callable[..., Server], command: Msp
+) -> None:
+    s = server()
+    assert set(STORED) == requests.STORING
+    s.ask(command, STORED[command])
+    (_, first, before), (_, last, after) = s.calls
+    assert (first, last, before, after) == (True, False, 0, s.chip.operations)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[..., Server], name: str) -> None:
+    s = server()
+    setattr(s.services, name, s.core.ffi.NULL)
+    command = {
+        "storing": Msp.EEPROM_WRITE,
+        "channels": Msp.SET_RAW_RC,
+        "motor_test": Msp.MOTOR_TEST,
+        "motors": Msp.SET_MOTOR,
+        "dshot_command": Msp.DSHOT_COMMAND,
+        "reboot": Msp.REBOOT,
+    }[name]
+    assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
+
+
+@pytest.mark.parametrize(
+    ("command", "sizes"),
+    [
+        (Msp.TASKS, {0}),
+        (Msp.FAULTS, {0, 4}),
+        (Msp.SETTING_INFO, {2}),
+        (Msp.SETTING_GET, {2}),
+        (Msp.SETTING_SET, {6}),
+        (Msp.EEPROM_WRITE, {0}),
+        (Msp.SET_RAW_RC, set(range(8, 33))),
+        (Msp.MOTOR_TEST, {4}),
+        (Msp.SET_MOTOR, set(range(2, 17))),
+        (Msp.DSHOT_COMMAND, {2}),
+        (Msp.POLICY_SLOT_BEGIN, {4}),
+        (Msp.POLICY_SLOT_WRITE, set(range(8, 100))),
+        (Msp.POLICY_SLOT_END, {0}),
+        (Msp.REBOOT, {0, 1}),
+    ],
+)
+def test_a_payload_is_refused_when_it_has_a_length_that_the_command_does_not_take(
+    server: Callable[..., Server], command: Msp, sizes: set[int]
+) -> None:
+    s = server()
+    for size in range(64):
+        if size not in sizes:
+            assert s.refusal(command, bytes(size)) == (Refusal.PAYLOAD, 0), size
+    assert s.calls == []
+    assert s.chip.operations == 0
+
+
+# --- Settings ----------------------------------------------------------------------------------
+def test_each_setting_tells_the_contracts_facts_when_asked(server: Callable[..., Server]) -> None:
+    s = server()
+    for index, setting in enumerate(SETTINGS):
+        info = requests.setting_info(s.reply(Msp.SETTING_INFO, requests.setting_index(index)))
+        assert (info.count, info.name, info.unit) == (len(SETTINGS), setting.name, setting.unit)
+        assert info.whole == (setting.kind != "float")
+        assert (info.low, info.high, info.default) == pytest.approx(
+            (setting.low, setting.high, setting.default), rel=1e-7
+        )
+        value = requests.setting_value(s.reply(Msp.SETTING_GET, requests.setting_index(index)))
+        assert value == info.default
+
+
+@pytest.mark.parametrize("command", [Msp.SETTING_INFO, Msp.SETTING_GET])
+def test_a_setting_is_refused_when_there_is_none_of_that_number(
+    server: Callable[..., Server], command: Msp
+) -> None:
+    for index in (len(SETTINGS), 0xFFFF):
+        assert server().refusal(command, requests.setting_index(index)) == (Refusal.INDEX, 0)
+
+
+def test_a_setting_is_changed_and_kept_when_set_and_saved(server: Callable[..., Server]) -> None:
+    s = server()
+    for name, value, whole in (("deadband_us", 12, True), ("yaw_expo", 0.5, False)):
+        assert s.reply(Msp.SETTING_SET, requests.setting_set(INDEX[name], value, whole)) == b""
+        told = s.reply(Msp.SETTING_GET, requests.setting_index(INDEX[name]))
+        assert requests.setting_value(told) == value
+    loaded = s.core.new("struct nf_settings *")
+    assert not s.core.lib.settings_load(loaded, s.chip.flash), "not yet"
+    assert s.reply(Msp.EEPROM_WRITE) == b""
+    assert s.core.lib.settings_load(loaded, s.chip.flash)
+    assert (loaded.deadband_us, loaded.yaw_expo) == (12, 0.5)
+
+
+def test_a_value_is_refused_when_it_is_beyond_its_limits(server: Callable[..., Server]) -> None:
+    s = server()
+    for name, value, whole in (("deadband_us", 101, True), ("yaw_expo", float("nan"), False)):
+        payload = requests.setting_set(INDEX[name], value, whole)
+        assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.RANGE, 0)
+    payload = requests.setting_set(len(SETTINGS), 1, whole=True)
+    assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.INDEX, 0)
+
+
+def test_saving_names_the_setting_when_two_do_not_go_together(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["battery_low_v"], 4.0, whole=False))
+    assert s.refusal(Msp.EEPROM_WRITE) == (Refusal.CONFLICT, INDEX["battery_warn_v"])
+    assert s.chip.operations == 0
+
+
+def test_saving_says_so_when_flash_does_not_take_it(server: Callable[..., Server]) -> None:
+    s = server()
+    s.chip.cut(5, 0, 1)
+    assert s.refusal(Msp.EEPROM_WRITE) == (Refusal.FLASH, 0)
+    assert s.calls[-1][:2] == ("storing", False)
+
+
+# --- Sticks and motors -----------------------------------------------------------------------------
+def test_sticks_reach_the_receiver_in_the_contracts_order_when_sent(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.SET_RAW_RC, requests.set_raw_rc(range(1001, 1017)))
+    assert s.calls == [("channels", 1001, 1002, 1004, 1003, *range(1005, 1017))]
+
+
+def test_channels_that_are_not_told_are_low_when_few_are_sent(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.SET_RAW_RC, requests.set_raw_rc([1500, 1501, 1502, 1503]) + b"\x05")
+    assert s.calls == [("channels", 1500, 1501, 1503, 1502, *[1000] * 12)]
+
+
+def test_motors_are_turned_by_their_pulse_widths_when_sent(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.SET_MOTOR, requests.set_motor([1000, 1100, 2000]))
+    s.reply(Msp.SET_MOTOR, requests.set_motor(range(1000, 1008)))
+    assert s.calls == [("motors", 1000, 1100, 2000), ("motors", *range(1000, 1008))]
+
+
+@pytest.mark.parametrize("us", [0, 999, 2001, 0xFFFF])
+def test_no_motor_turns_when_one_value_is_no_pulse_width(server: Callable[..., Server], us: int) -> None:
+    s = server()
+    assert s.refusal(Msp.SET_MOTOR, struct.pack("<4H", 1100, 1100, 1100, us)) == (Refusal.PAYLOAD, 0)
+    assert s.calls == []
+
+
+def test_bench_commands_go_through_with_their_answers_when_sent(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.MOTOR_TEST, requests.motor_test(0xFEDCBA98))
+    s.reply(Msp.DSHOT_COMMAND, requests.dshot_command(20, 3))
+    s.reply(Msp.DSHOT_COMMAND, requests.dshot_command(1))
+    s.reply(Msp.REBOOT)
+    s.reply(Msp.REBOOT, b"\0")
+    assert s.calls == [
+        ("motor_test", 0xFEDCBA98),
+        ("dshot_command", 3, 20),
+        ("dshot_command", 255, 1),
+        ("reboot",),
+        ("reboot",),
+    ]
+    for name, command in (
+        ("motor_test", Msp.MOTOR_TEST),
+        ("dshot_command", Msp.DSHOT_COMMAND),
+        ("channels", Msp.SET_RAW_RC),
+        ("motors", Msp.SET_MOTOR),
+        ("reboot", Msp.REBOOT),
+    ):
+        s.answers[name] = int(Refusal.ORDER)
+        assert s.refusal(command, GOOD[command]) == (Refusal.ORDER, 0)
+
+
+def test_a_boot_loader_is_refused_when_asked_for(server: Callable[..., Server]) -> None:
+    s = server()
+    assert s.refusal(Msp.REBOOT, b"\x01") == (Refusal.PAYLOAD, 0)
+    assert s.calls == []
+
+
+# --- Tasks and faults ----------------------------------------------------------------------------
+def test_tasks_tell_their_cycles_when_asked(server: Callable[..., Server]) -> None:
+    s = server()
+    lib = s.core.lib
+    for index in range(len(Task)):
+        lib.task_stats_init(s.core.ffi.addressof(s.tasks, index), 100 * index)
+    for cycles, missed in ((900, False), (600, True), (660, False)):
+        lib.task_stats_add(s.core.ffi.addressof(s.tasks, Task.CONTROL), cycles, missed)
+    told = records.tasks(s.reply(Msp.TASKS))
+    assert told.cycles_hz == 216_000_000
+    assert [load.task for load in told.loads] == list(Task)
+    assert told.loads[Task.CONTROL] == records.TaskLoad(Task.CONTROL, 100, 3, 1, 900, 600, 720)
+    assert told.loads[Task.MSP] == records.TaskLoad(Task.MSP, 500, 0, 0, 0, 0, 0)
+
+
+def test_the_fault_is_told_until_it_is_acknowledged_when_there_was_one(
+    server: Callable[..., Server],
+) -> None:
+    s = server()
+    lib = s.core.lib
+    lib.fault_log_boot(s.faults, s.chip.flash, s.core.ffi.NULL)
+    assert records.faults(s.reply(Msp.FAULTS)) == records.Faults(1, None)
+    words = dict(zip(records.FAULT_REGISTERS, range(256, 256 + 13), strict=True))
+    fields = {name: value for name, value in words.items() if name not in ("r0", "r1", "r2", "r3")}
+    record = s.core.new(
+        "struct fault_record *",
+        {"kind": 1, "r": list(range(256, 260)), "line": 12, "file": b"a.c", "uptime_steps": 99, **fields},
+    )
+    lib.fault_log_boot(s.faults, s.chip.flash, record)
+    told = records.faults(s.reply(Msp.FAULTS))
+    assert told == records.Faults(2, records.Fault(2, records.FaultKind.HARD, words, "a.c", 12, 99))
+    assert s.refusal(Msp.FAULTS, requests.acknowledge(1)) == (Refusal.INDEX, 0)
+    assert s.reply(Msp.FAULTS, requests.acknowledge(2)) == b""
+    assert records.faults(s.reply(Msp.FAULTS)) == records.Faults(2, None)
+    assert s.refusal(Msp.FAULTS, requests.acknowledge(2)) == (Refusal.INDEX, 0)
+
+
+# --- Policy slots -----------------------------------------------------------------------------------
+def new_policy(blob: PolicyBlob, sequence: int) -> bytes:
+    made = {**vars(blob), "sequence": sequence, "weights": np.array([3, 4], np.float32), "aircraft": "other"}
+    return pack(PolicyBlob(**(made | {"policy_sha256": "cd" * 32, "idle": 0.25})))
+
+
+def send(s: Server, data: bytes) -> None:
+    """All of a blob but its end."""
+    assert requests.slot_begun(s.reply(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))) == 1
+    for offset in range(0, len(data), requests.SLOT_BYTES_MAX):
+        piece = data[offset : offset + requests.SLOT_BYTES_MAX]
+        assert s.reply(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, piece)) == b""
+
+
+def test_a_policy_is_flown_from_the_next_boot_on_when_sent(
+    server: Callable[..., Server], puppets_blob: PolicyBlob
+) -> None:
+    s = server()
+    data = new_policy(puppets_blob, 5)
+    send(s, data)
+    assert s.reply(Msp.POLICY_SLOT_END) == b""
+    assert s.chip.region(FLASH_POLICY_SLOTS[0])[: len(data)] == data
+    now = messages.policy_info(s.reply(Msp.POLICY_INFO))
+    assert (now.source, now.sequence, now.name, now.idle) == (2, 0, "puppet", 0.0)
+    assert now.sha256 == puppets_blob.policy_sha256
+    s.boot()
+    then = messages.policy_info(s.reply(Msp.POLICY_INFO))
+    assert (then.source, then.sequence, then.name, then.idle) == (0, 5, "other", 0.25)
+    assert then.sha256 == "cd" * 32
+    assert then.found == (0, -7, 0)
+
+
+def test_a_policy_is_refused_with_its_error_when_it_is_damaged(
+    server: Callable[..., Server], puppets_blob: PolicyBlob
+) -> None:
+    s = server()
+    data = new_policy(puppets_blob, 5)
+    send(s, data[:450] + b"\x55" + data[451:])
+    assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.BLOB, -10)
+    assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.ORDER, 0)
+    s.boot()
+    assert messages.policy_info(s.reply(Msp.POLICY_INFO)).source == 2
+
+
+def test_a_slot_is_refused_when_no_blob_has_that_size(server: Callable[..., Server]) -> None:
+    assert server().refusal(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(3)) == (Refusal.PAYLOAD, 0)
+
+
+def test_no_policy_is_told_as_flown_when_none_is_good(server: Callable[..., Server]) -> None:
+    s = server()
+    s.core.lib.puppet_action = [0.5] * 4
+    s.slots.flown = 3
+    info = messages.policy_info(s.reply(Msp.POLICY_INFO))
+    assert (info.source, info.name) == (messages.PolicySource.NONE, "puppet")
+
+
+# --- Any bytes -----------------------------------------------------------------------------------
+def test_the_server_goes_on_when_payloads_are_wild(server: Callable[..., Server]) -> None:
+    s = server()
+    rng = np.random.default_rng(4)
+    commands = [*GOOD, *STORED, Msp.POLICY_INFO]
+    for _ in range(3000):
+        command = commands[rng.integers(len(commands))]
+        size = int(rng.integers(0, 40)) if rng.random() < 0.9 else int(rng.integers(0, MSP_PAYLOAD_MAX + 1))
+        payload = bytes(size) if rng.random() < 0.3 else rng.bytes(size)
+        answer = s.ask(command, payload)
+        assert answer.direction is Direction.REPLY or len(answer.payload) == 3
+    rate = requests.setting_value(s.reply(Msp.SETTING_GET, requests.setting_index(0)))
+    assert 1000 <= rate <= 8000
