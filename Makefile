@@ -16,7 +16,7 @@ VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
-.PHONY: help setup arm firmware host train fly test prove bench lint clean
+.PHONY: help setup arm cppcheck firmware host train fly test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -60,8 +60,16 @@ prove: firmware host ## the long version of what the tests sample
 bench: setup arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
 
-lint: setup ## style and types; C warnings are errors in every build
+cppcheck: # the analyser of C, brought as the ARM compiler is
+	@command -v cppcheck >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing cppcheck"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends cppcheck >/dev/null; \
+	  else echo "cppcheck is missing; run: sudo apt-get install cppcheck" >&2; exit 1; fi; }
+
+lint: setup cppcheck ## style and types; C warnings are errors in every build
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+	@$(VENV)/bin/python -m toolchain.lint $(POLICY)
 
 clean: ## what builds leave behind; the environment and training runs stay
 	rm -rf build firmware/generated

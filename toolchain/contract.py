@@ -166,7 +166,7 @@ OBSERVATION_TERMS_MAX = 32
 OBSERVATION_AGE_MAX = 16  # control steps
 OBSERVATION_MEMORY_MAX = 256  # floats that all terms together remember: 1 KiB of DTCM
 POLICY_WEIGHT_COUNT_MAX = 12288  # 48 KiB of DTCM
-POLICY_MEMORY_COUNT_MAX = 1024  # floats of scratch and recurrent state together: 4 KiB of DTCM
+POLICY_MEMORY_COUNT_MAX = 640  # floats of scratch and recurrent state together: 2.5 KiB of DTCM
 
 
 @dataclass(frozen=True)

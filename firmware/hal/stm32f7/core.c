@@ -2,24 +2,32 @@
 
 #include "registers.h"
 
-/* Regions that nobody may touch, not even by speculation (MPU_RASR 0: no access, ARMv7-M B3.5.9). */
-static const struct forbidden {
+/* Attributes of a region (MPU_RASR; ARMv7-M B3.5.9). */
+#define NO_ACCESS 0u
+enum { FULL_ACCESS = 3, NORMAL_UNCACHED = 1 }; /* AP; TEX with C and B 0 */
+#define UNCACHED (FIELD(MPU_RASR_AP, FULL_ACCESS) | FIELD(MPU_RASR_TEX, NORMAL_UNCACHED))
+
+/* What is not as the chip's default map says. */
+static const struct region {
 	uint32_t address;
 	uint32_t log2_size;
-} forbidden[] = {
-	{0x00000000u, 9},  /* null pointers: the first 512 bytes of ITCM, which the linker leaves empty */
+	uint32_t attributes;
+} regions[] = {
+	{0x00000000u, 9, NO_ACCESS},  /* null pointers: the first 512 bytes of ITCM, which the linker leaves empty */
 	/* No external memory on this board; a speculative read there may stall the bus for good. */
-	{0x60000000u, 29},
-	{0x80000000u, 29},
+	{0x60000000u, 29, NO_ACCESS},
+	{0x80000000u, 29, NO_ACCESS},
+	{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers of the background */
 };
 
 static void protect_memory(void)
 {
 	MPU_CTRL = 0;
-	for (uint32_t i = 0; i < sizeof forbidden / sizeof forbidden[0]; ++i) {
+	for (uint32_t i = 0; i < sizeof regions / sizeof regions[0]; ++i) {
 		MPU_RNR = i;
-		MPU_RBAR = forbidden[i].address;
-		MPU_RASR = MPU_RASR_XN | FIELD(MPU_RASR_SIZE, forbidden[i].log2_size - 1u) | MPU_RASR_ENABLE;
+		MPU_RBAR = regions[i].address;
+		MPU_RASR = regions[i].attributes | MPU_RASR_XN | FIELD(MPU_RASR_SIZE, regions[i].log2_size - 1u) |
+			   MPU_RASR_ENABLE;
 	}
 	MPU_CTRL = MPU_CTRL_PRIVDEFENA | MPU_CTRL_ENABLE;
 	barrier_instructions();

@@ -46,7 +46,7 @@ static inline void interrupts_enable(void)
 }
 
 /* Faults by name instead of one hard fault; traps on division by zero and unaligned access; null page and
- * the empty external memory closed; both caches on. Interrupts off or not yet enabled. */
+ * the empty external memory closed, SRAM2 not cached; both caches on. Interrupts off or not yet enabled. */
 void core_start(void);
 
 /* What was written goes to memory; nothing of it is believed any more, instructions neither. Runs from ITCM, any

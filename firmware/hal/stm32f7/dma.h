@@ -10,9 +10,10 @@
 #include "registers.h"
 #include "time.h"
 
-/* Every buffer that DMA touches: DTCM is not cached, so no cache maintenance is ever due. The linker
- * script holds all of .bss in DTCM. */
+/* Every buffer that DMA touches, so that no cache maintenance is ever due: those of the control path in DTCM (the
+ * linker script holds all of .bss there), those of the background in memory that core_start leaves uncached. */
 #define DMA_BUFFER __attribute__((section(".bss.dma_buffers"), aligned(4)))
+#define DMA_BUFFER_SLOW __attribute__((section(".uncached"), aligned(4)))
 
 struct dma_stream {
 	uint32_t controller; /* DMA1 or DMA2 */

@@ -9,8 +9,8 @@
 #define REPLY_BYTES 1024u
 #define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
 
-static DMA_BUFFER uint8_t msp_ring_bytes[UART_RING_BYTES];
-static DMA_BUFFER uint8_t msp_reply_bytes[REPLY_BYTES];
+static DMA_BUFFER_SLOW uint8_t msp_ring_bytes[UART_RING_BYTES];
+static DMA_BUFFER_SLOW uint8_t msp_reply_bytes[REPLY_BYTES];
 
 /* The background's alone. */
 static struct uart_ring ring = {.stream = DMA_MSP_RX, .bytes = msp_ring_bytes};

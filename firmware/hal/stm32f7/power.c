@@ -15,7 +15,7 @@ enum { CHANNELS = 2 };
  * with the divider's, which the chip's own reference voltage would not know. */
 #define REFERENCE_MV 3300u
 
-static DMA_BUFFER volatile uint16_t power_conversions[ROUNDS][CHANNELS];
+static DMA_BUFFER_SLOW volatile uint16_t power_conversions[ROUNDS][CHANNELS];
 
 static void convert(void)
 {

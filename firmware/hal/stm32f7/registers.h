@@ -333,6 +333,8 @@
 #define MPU_RASR REGISTER(0xE000EDA0u)
 #define MPU_RASR_ENABLE BIT(0)
 #define MPU_RASR_SIZE BITS(1, 5)
+#define MPU_RASR_TEX BITS(19, 3)
+#define MPU_RASR_AP BITS(24, 3)
 #define MPU_RASR_XN BIT(28)
 
 /* --- Debug: the cycle counter (ARMv7-M C1.6, C1.8) ----------------------------------------- */

@@ -9,7 +9,9 @@
 /* Linker script: where each part lies in flash (load) and where it runs; all word-aligned. */
 extern const uint32_t itcm_load[], data_load[];
 extern uint32_t itcm_start[], itcm_end[], data_start[], data_end[], bss_start[], bss_end[];
-extern uint32_t sram_bss_start[], sram_bss_end[];
+extern uint32_t sram_bss_start[], sram_bss_end[], uncached_bss_start[], uncached_bss_end[];
+extern uint32_t fast_vectors[], fast_vectors_end[];
+extern const uint32_t vectors[];
 
 int main(int argc, char **argv);
 
@@ -33,12 +35,14 @@ void reset_handler(void)
 	SCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */
 	barrier_instructions();
 
+	copy(fast_vectors, fast_vectors_end, vectors);
 	copy(itcm_start, itcm_end, itcm_load);
 	copy(data_start, data_end, data_load);
 	clear(bss_start, bss_end);
 	clear(sram_bss_start, sram_bss_end);
+	clear(uncached_bss_start, uncached_bss_end);
 	barrier_instructions();
-	SCB_VTOR = (uint32_t)itcm_start; /* its first part is the vector table */
+	SCB_VTOR = (uint32_t)fast_vectors;
 	barrier_instructions();
 
 	interrupts_enable();

@@ -1,6 +1,5 @@
-/* The vector table of the image (ARMv7-M B1.5.2, RM0431 chapter NVIC). It heads the bank, where the boot part finds it,
- * and is copied to ITCM with the code behind it: there a vector is fetched without a wait, and while flash is being
- * erased. */
+/* The vector table of the image (ARMv7-M B1.5.2, RM0431 chapter NVIC). It heads the bank, where the boot part finds it;
+ * start-up copies it to ITCM. */
 #include <stdint.h>
 
 #include "handlers.h"

@@ -1,7 +1,7 @@
 # The board's image: one ELF with the boot part (sector 0) and bank A (sector 5).
 CROSS := arm-none-eabi-
 CPUFLAGS := -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -mno-unaligned-access \
-	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables
+	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage
 
 HAL_SOURCES := $(sort $(wildcard hal/stm32f7/*.c))
 LINKER_SCRIPT := targets/MATEKF722/image.ld
@@ -13,7 +13,7 @@ $(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o $(OBJ)/hal/stm32f7/memory
 
 .SECONDEXPANSION:
 $(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)
-	$(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--gc-sections -Wl,--fatal-warnings -Wl,-Map=$(@:.elf=.map) \
+	$(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings -Wl,-Map=$(@:.elf=.map) \
 		-T $(LINKER_SCRIPT) -o $@ $(filter %.o,$^) -lgcc
 
 # The binary is one block from the start of flash, what lies between the parts erased; the hex file holds the

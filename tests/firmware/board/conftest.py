@@ -27,17 +27,21 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
 )
 
+from sim.aircraft import load_aircraft
+from sim.pid_table import pid_table
 from toolchain.compiler import compile_policy
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, observation_blocks
+from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
 from toolchain.graph import chain
 from toolchain.header import render_contract
 from toolchain.network import PolicyModel
 from toolchain.operations import Clip, Linear, Operation, Tanh
+from toolchain.pid_table import render_pid_table
 from toolchain.registers import Register, RegisterTable, load
 
 ROOT = Path(__file__).resolve().parents[3]
 TARGET = ROOT / "firmware" / "targets" / "MATEKF722"
 WIDTHS = (6, 64, 64, 4)
+CONTROL_HZ = 1000
 
 FLASH_ALIAS = 0x00200000  # where BOOT_ADD0 makes the core fetch its first vectors
 GARBAGE = 0xA5  # what RAM holds at power-up
@@ -71,7 +75,7 @@ def random_policy() -> PolicyModel:
         layers += [Linear(weight, np.zeros(outputs, np.float32)), Tanh()]
     return PolicyModel(
         blocks=observation_blocks("rate_error,rate_error_delta"),
-        control_rate_hz=1000,
+        control_rate_hz=CONTROL_HZ,
         filters=(),
         aircraft="random",
         aircraft_sha256="0" * 64,
@@ -89,6 +93,8 @@ def image_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (scratch / "policy.c").write_text(emission.source)
     (scratch / "policy.h").write_text(emission.header)
     (scratch / "nf_contract.h").write_text(render_contract())
+    pid = pid_table(load_aircraft("nf1"))
+    (scratch / "pid_table.c").write_text(render_pid_table(pid, WIDTHS[-1], CONTROL_HZ))
     make = ["make", "-s", "-C", str(ROOT / "firmware"), "TARGET=MATEKF722"]
     done = subprocess.run(
         [*make, f"GENERATED={scratch}", f"BUILD={scratch / 'build'}"], capture_output=True, text=True
@@ -153,7 +159,7 @@ class Sketch:
         self.uc = processor()
         for base, size in (
             *((FLASH_ALIAS, FLASH_BYTES), (FLASH_BASE, FLASH_BYTES)),
-            *((ram.address, ram.size) for ram in (ITCM, DTCM, SRAM1)),
+            *((ram.address, ram.size) for ram in (ITCM, DTCM, SRAM1, SRAM2)),
             *((0x1FF07000, 0x1000), (0x40000000, 0x80000), (0xE0000000, 0x100000)),
         ):
             self.uc.mem_map(base, size)
@@ -162,7 +168,7 @@ class Sketch:
             if segment["p_filesz"]:
                 self.uc.mem_write(segment["p_paddr"], segment.data())
         self.uc.mem_write(FLASH_ALIAS, bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
-        for ram in (ITCM, DTCM, SRAM1):
+        for ram in (ITCM, DTCM, SRAM1, SRAM2):
             self.uc.mem_write(ram.address, bytes([GARBAGE]) * ram.size)
         self.reset_registers()
         self.uc.hook_add(UC_HOOK_MEM_READ, self._read, begin=0x40000000, end=0xFFFFFFFF)

@@ -10,13 +10,25 @@ from pathlib import Path
 import pytest
 from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import ARMAttributesSection
+from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
-from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BOOT, ITCM, SRAM1, Region
+from toolchain.arm_policy import state_bytes
+from toolchain.contract import (
+    DTCM,
+    FLASH_BANK_A,
+    FLASH_BOOT,
+    ITCM,
+    POLICY_MEMORY_COUNT_MAX,
+    POLICY_WEIGHT_COUNT_MAX,
+    SRAM1,
+    SRAM2,
+    Region,
+)
 from toolchain.registers import RegisterTable
 
 KIB = 1024
 NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes
+POLICY_POINTERS = 16  # bytes of struct policy beside its floats, at most
 SYSTEM_VECTORS = 16
 TICK_VECTOR = 15
 HOT = (
@@ -28,8 +40,9 @@ HOT = (
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean_caches")
 DMA_BUFFERS = (
     *("motor_slots", "motor_5_slots", "motor_6_slots", "gyro_request", "gyro_response"),
-    *("receiver_ring_bytes", "msp_ring_bytes", "msp_reply_bytes", "power_conversions"),
+    "receiver_ring_bytes",
 )
+SLOW_DMA_BUFFERS = ("msp_ring_bytes", "msp_reply_bytes", "power_conversions")
 # libgcc's names for arithmetic on double, ARM's (RTABI 4.1) and the generic ones.
 DOUBLE_HELPER = re.compile(r"__aeabi_(c?d.*|\w+2d|l2d)|__\w+df\w*")
 
@@ -52,6 +65,13 @@ def words(elf: ELFFile, section: str) -> tuple[int, ...]:
     assert found is not None
     data = found.data()
     return struct.unpack(f"<{len(data) // 4}I", data[: len(data) // 4 * 4])
+
+
+def sizes(elf: ELFFile) -> dict[str, int]:
+    """Bytes of each object by its name."""
+    table = elf.get_section_by_name(".symtab")
+    assert isinstance(table, SymbolTableSection)
+    return {s.name: s["st_size"] for s in table.iter_symbols() if s["st_info"]["type"] == "STT_OBJECT"}
 
 
 def flash_contents(elf: ELFFile) -> dict[int, bytes]:
@@ -93,7 +113,7 @@ def test_every_vector_points_at_code_when_the_bank_starts(
     elf: ELFFile, symbols: dict[str, int], registers: RegisterTable
 ) -> None:
     table = SYSTEM_VECTORS + max(registers.interrupts.values()) + 1
-    stack, *handlers = words(elf, ".itcm")[:table]
+    stack, *handlers = words(elf, ".vectors")
     code = allocated(elf, SH_FLAGS.SHF_EXECINSTR).values()
     own = {
         1: "reset_handler",
@@ -101,11 +121,10 @@ def test_every_vector_points_at_code_when_the_bank_starts(
         SYSTEM_VECTORS + registers.interrupts["EXTI3"]: "gyro_edge_handler",
         SYSTEM_VECTORS + registers.interrupts["DMA2_STREAM2"]: "gyro_sample_handler",
     }
-    itcm = allocated(elf)[".itcm"]
-    assert itcm.address % 512 == 0  # of 120 vectors (ARMv7-M B3.2.5)
-    assert flash_contents(elf)[FLASH_BANK_A.address][: 4 * table] == struct.pack(
-        f"<{table}I", stack, *handlers
-    )
+    assert allocated(elf)[".vectors"].address == FLASH_BANK_A.address
+    assert symbols["fast_vectors"] % 512 == 0  # of 120 vectors (ARMv7-M B3.2.5)
+    assert symbols["fast_vectors"] >= ITCM.address + NULL_PAGE
+    assert symbols["fast_vectors_end"] - symbols["fast_vectors"] == 4 * table
     assert stack == symbols["stack_top"]
     assert len(handlers) == table - 1
     for vector, handler in enumerate(handlers, start=1):
@@ -138,8 +157,9 @@ def test_all_variables_and_the_stack_lie_in_dtcm_but_the_backgrounds_when_linked
     elf: ELFFile, symbols: dict[str, int]
 ) -> None:
     sections = allocated(elf, SH_FLAGS.SHF_WRITE)
+    homes = {".sram_bss": SRAM1, ".uncached_bss": SRAM2, ".fast_vectors": ITCM}
     for section in sections.values():
-        home = SRAM1 if section.name == ".sram_bss" else DTCM
+        home = homes.get(section.name, DTCM)
         assert within(section.address, section.size, home), section.name
     assert sections[".stack"].address == DTCM.address
     assert symbols["stack_top"] == DTCM.address + sections[".stack"].size
@@ -147,7 +167,18 @@ def test_all_variables_and_the_stack_lie_in_dtcm_but_the_backgrounds_when_linked
     for name in DMA_BUFFERS:
         assert within(symbols[name], 4, sections[".bss"]), name
         assert symbols[name] % 4 == 0, name
-    assert within(symbols["firmware"], 4 * 4868, sections[".bss"])
+    for name in SLOW_DMA_BUFFERS:
+        assert within(symbols[name], 4, sections[".uncached_bss"]), name
+    for name in ("firmware", "weights"):
+        assert within(symbols[name], sizes(elf)[name], sections[".bss"]), name
+
+
+def test_the_largest_policy_would_fit_dtcm_when_its_room_is_added(elf: ELFFile, image_folder: Path) -> None:
+    used = sum(s.size for s in allocated(elf).values() if within(s.address, s.size, DTCM))
+    used -= sizes(elf)["weights"] + state_bytes(image_folder / "neuroflight.elf")
+    largest = 4 * POLICY_WEIGHT_COUNT_MAX + 4 * POLICY_MEMORY_COUNT_MAX + POLICY_POINTERS
+    print(f"DTCM with the largest policy: {used + largest:,} of {DTCM.size:,} bytes")
+    assert used + largest <= DTCM.size
 
 
 def test_the_image_keeps_to_its_budget_when_linked(elf: ELFFile) -> None:
@@ -155,7 +186,7 @@ def test_the_image_keeps_to_its_budget_when_linked(elf: ELFFile) -> None:
     ram = sum(
         s.size
         for s in allocated(elf).values()
-        if any(within(s.address, s.size, home) for home in (ITCM, DTCM, SRAM1))
+        if any(within(s.address, s.size, home) for home in (ITCM, DTCM, SRAM1, SRAM2))
     )
     assert flash <= 128 * KIB
     assert ram <= 96 * KIB

@@ -25,13 +25,16 @@ def sketch(make_sketch: MakeSketch) -> Any:
 def test_the_program_starts_in_place_when_reset(sketch: Any, elf: ELFFile, symbols: dict[str, int]) -> None:
     sketch.run(symbols["main"])
     assert symbols["boot_reset"] & ~1 in sketch.seen
-    assert sketch.peek(0xE000ED08) == symbols["itcm_start"]  # VTOR
+    assert sketch.peek(0xE000ED08) == symbols["fast_vectors"]  # VTOR
     assert sketch.field("SCB_CPACR", "CP10") == sketch.field("SCB_CPACR", "CP11") == 3
     for name in (".itcm", ".data"):
         section = elf.get_section_by_name(name)
         assert section is not None
         assert bytes(sketch.uc.mem_read(section["sh_addr"], section["sh_size"])) == section.data()
-    for part in ("bss", "sram_bss"):
+    table = elf.get_section_by_name(".vectors")
+    assert table is not None
+    assert bytes(sketch.uc.mem_read(symbols["fast_vectors"], table["sh_size"])) == table.data()
+    for part in ("bss", "sram_bss", "uncached_bss"):
         size = symbols[f"{part}_end"] - symbols[f"{part}_start"]
         assert bytes(sketch.uc.mem_read(symbols[f"{part}_start"], size)) == bytes(size)
     assert sketch.uc.reg_read(UC_ARM_REG_SP) > DTCM.address
