@@ -132,8 +132,12 @@ class Context(Protocol):
         """Change flash (as its controller does), RAM or system memory; translated code of it is dropped."""
         ...
 
+    def is_cached(self, address: int) -> bool:
+        """Whether the data cache is on and holds what lies at `address`, as the MPU says: DMA keeps out."""
+        ...
+
     def data_cache_on(self) -> bool:
-        """Whether SCB_CCR.DC is set: DMA must then keep out of SRAM1 and SRAM2."""
+        """Whether SCB_CCR.DC is set."""
         ...
 
     def core_clock(self, hz: int) -> None:
@@ -150,6 +154,13 @@ class Context(Protocol):
 
     def on_system_reset(self, callback: Callable[[str], None]) -> None:
         """`callback(cause)` runs at every reset before peripherals reset; RCC notes the cause for its CSR."""
+        ...
+
+    def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
+        """`callback(address, size, value)` takes what the program stores into flash (0x08000000 on).
+
+        It changes flash by `set_memory` or not at all. Without a callback such a store is a fault.
+        """
         ...
 
     def note(self, message: str) -> None:
