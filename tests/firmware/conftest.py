@@ -147,6 +147,13 @@ def puppet(puppet_build: Path) -> Core:
 
 
 @pytest.fixture(scope="session")
+def hexacopter(hexacopter_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Core:
+    """The same with six motors."""
+    scratch = tmp_path_factory.mktemp("hexacopter_core")
+    return load(hexacopter_build / "libneuroflight.so", hexacopter_build.parent / "generated", scratch)
+
+
+@pytest.fixture(scope="session")
 def reference_core(reference_library: Path, tmp_path_factory: pytest.TempPathFactory) -> Core:
     """The core around the shipped policy."""
     return load(

@@ -65,8 +65,8 @@ def push(puppet: Any) -> Callable[[bytes], list[Event]]:
     def feed(data: bytes) -> list[Event]:
         events: list[Event] = []
         for byte in data:
-            lib.crsf_put(parser, byte)
-            while lib.crsf_take(parser, out):
+            ready = lib.crsf_put(parser, byte)
+            while ready and lib.crsf_take(parser, out):
                 if out.kind == lib.CRSF_CHANNELS:
                     events.append(("channels", list(out.channels_us)))
                 else:

@@ -53,6 +53,14 @@ def test_outputs_are_the_actions_when_thrust_is_zero(puppet: Any) -> None:
         assert mix(puppet, action, 0.0).tolist() == action.tolist()
 
 
+@pytest.mark.parametrize("motor", range(6))
+def test_every_motor_counts_when_there_are_six(hexacopter: Any, motor: int) -> None:
+    action = [0.1] * 6
+    action[motor] = 0.4
+    expected = [0.5 * 0.6 + value for value in action]
+    np.testing.assert_allclose(mix(hexacopter, action, 0.5), expected, atol=EPSILON)
+
+
 def test_thrust_fills_the_room_in_proportion_when_it_is_partial(puppet: Any) -> None:
     np.testing.assert_allclose(mix(puppet, [0.1, 0.4, 0.2, 0.0], 0.5), [0.4, 0.7, 0.5, 0.3], atol=EPSILON)
 

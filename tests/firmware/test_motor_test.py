@@ -241,6 +241,18 @@ def test_arming_stays_forbidden_while_motors_spin_down_when_the_switch_ended_the
     assert not bench.forbids()
 
 
+@pytest.mark.parametrize("before", [1, 2, MOTOR_TEST_TIMEOUT_MS - 1])
+def test_arming_stays_forbidden_when_the_switch_comes_just_before_the_time_out(
+    bench: Test, before: int
+) -> None:
+    bench.turning()
+    bench.run(MOTOR_TEST_TIMEOUT_MS - before)
+    bench.look(switch_on=True)
+    assert bench.forbids()
+    bench.run(MOTOR_TEST_TIMEOUT_MS - 1)
+    assert bench.forbids()
+
+
 def test_nothing_turns_when_the_interrupt_ended_the_test(bench: Test) -> None:
     bench.turning()
     bench.lib.motor_test_end(bench.self)
