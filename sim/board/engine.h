@@ -1,0 +1,300 @@
+/* The engine of the emulated board, from the inside: what its C files share. Python sees engine.c's functions only.
+ *
+ * Time is kept in 1/65536 of a cycle of 216 MHz. Between callbacks it stands at the start of the running block; the
+ * instruction at hand is `now()`. Everything that decides what happens next is in `struct state`, plain values that
+ * a snapshot copies; the rest is memory, the processor's registers, and what can be made again. */
+#ifndef ENGINE_H
+#define ENGINE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <unicorn/unicorn.h>
+
+enum {
+	FRACTION = 16, /* bits of time below a cycle */
+	IRQ_COUNT = 104,
+	EXCEPTION_COUNT = 16 + IRQ_COUNT,
+	ALARM_MAX = 128,
+	WINDOW_MAX = 128,
+	BREAKPOINT_MAX = 64,
+	DEPTH_MAX = EXCEPTION_COUNT,
+	MPU_REGIONS = 8,
+	MESSAGE_BYTES = 512,
+};
+#define TIME_HZ UINT64_C(216000000)
+#define NEVER UINT64_MAX
+#define NOWHERE UINT32_MAX /* an address that no instruction has */
+
+/* RM0431 2.2.2, table 1; BOOT_ADD0's default is the alias. */
+#define ITCM_BASE 0x00000000u
+#define ITCM_BYTES 0x4000u
+#define ALIAS_BASE 0x00200000u
+#define FLASH_BASE 0x08000000u
+#define FLASH_BYTES 0x80000u
+#define SYSTEM_BASE 0x1FF00000u
+#define SYSTEM_BYTES 0x10000u
+#define RAM_BASE 0x20000000u /* DTCM, SRAM1, SRAM2 without a gap */
+#define RAM_BYTES 0x40000u
+#define DTCM_BYTES 0x10000u
+#define APB_BASE 0x40000000u
+#define APB_BYTES 0x80000u
+#define AHB2_BASE 0x50000000u
+#define AHB2_BYTES 0x80000u
+#define PPB_BASE 0xE0000000u
+#define PPB_BYTES 0x100000u
+#define NULL_PAGE_BYTES 0x100u
+
+/* Where code may run, as one row of halfwords: ITCM, then flash. */
+#define ITCM_HALFWORDS (ITCM_BYTES / 2u)
+#define CODE_HALFWORDS (ITCM_HALFWORDS + FLASH_BYTES / 2u)
+
+enum exception {
+	EXC_THREAD = 0,
+	EXC_RESET = 1,
+	EXC_NMI = 2,
+	EXC_HARD = 3,
+	EXC_MEM = 4,
+	EXC_BUS = 5,
+	EXC_USAGE = 6,
+	EXC_SVC = 11,
+	EXC_PENDSV = 14,
+	EXC_SYSTICK = 15,
+	EXC_IRQ0 = 16,
+};
+
+/* Why engine_run came back. */
+enum outcome {
+	RUN_REACHED = 0,   /* the time asked for */
+	RUN_LIMIT = 1,     /* the number of instructions asked for */
+	RUN_BREAKPOINT = 2,
+	RUN_RESET = 3,     /* the image or a peripheral asks for a system reset */
+	RUN_FAILED = 4,    /* engine_message says what */
+	RUN_ASLEEP = 5,    /* WFI with nothing that could ever end it, and no time to run to */
+};
+
+/* What an instruction needs beyond being executed by unicorn. */
+enum special_kind {
+	SPECIAL_ACCESS,  /* check alignment and the null page */
+	SPECIAL_DIVIDE,
+	SPECIAL_MASKS,   /* may make a pending exception deliverable */
+	SPECIAL_WAIT,    /* WFI */
+	SPECIAL_CONTROL, /* writes CONTROL */
+};
+
+struct special {
+	uint16_t offset; /* from the block's start [bytes] */
+	uint8_t kind;
+	uint8_t base;    /* register */
+	uint8_t index;   /* register, 15: none */
+	uint8_t shift;
+	uint8_t align;   /* [bytes], 1: none */
+	uint8_t always;  /* misaligned is a fault whatever CCR says */
+	int16_t immediate;
+};
+
+/* A run of instructions that unicorn translated as one. */
+struct block {
+	uint32_t size; /* bytes */
+	uint16_t count;
+	uint16_t special_count;
+	uint16_t float_offset;   /* of the first floating-point instruction, UINT16_MAX: none */
+	uint16_t opening;        /* instructions at its start that an IT before it covers */
+	uint16_t open;           /* instructions after its end that its last IT covers */
+	bool calls;              /* ends in BL or BLX */
+	uint16_t *offsets;       /* of each instruction; bit 0: inside an IT, where nothing stops */
+	struct special *specials;
+};
+
+struct activation {
+	uint32_t exception;
+	uint32_t node, called; /* of the call tree, at entry */
+	uint64_t entered;     /* instructions executed when it began */
+	uint64_t preempted;   /* instructions of what interrupted it */
+	uint64_t time;        /* at entry */
+};
+
+/* What each exception has taken; exception 0 is the thread. */
+struct task {
+	uint64_t activations;
+	uint64_t instructions;
+	uint64_t least, most;    /* instructions of one activation, what interrupted it left out */
+	uint64_t longest;        /* time from entry to return, what interrupted it included */
+	uint64_t latest;         /* longest time from pending to entry */
+	uint64_t latest_at;      /* when that was */
+	uint32_t latest_pc;      /* what ran then */
+};
+
+/* One bit for each exception. */
+struct flags {
+	uint64_t words[2];
+};
+
+static inline bool get(const struct flags *flags, uint32_t i)
+{
+	return flags->words[i >> 6] >> (i & 63u) & 1u;
+}
+
+static inline void put(struct flags *flags, uint32_t i, bool value)
+{
+	const uint64_t bit = UINT64_C(1) << (i & 63u);
+
+	flags->words[i >> 6] = value ? flags->words[i >> 6] | bit : flags->words[i >> 6] & ~bit;
+}
+
+struct state {
+	uint64_t time;
+	uint64_t tick;               /* time of one instruction at the core clock of now */
+	uint64_t cpi;                /* core cycles of an instruction, FRACTION bits below the point */
+	uint64_t core_hz;
+	uint64_t core_time;          /* when core_hz was set */
+	uint64_t core_cycles;        /* core cycles counted until then */
+	uint64_t instructions;
+	uint64_t hash;
+	uint64_t due[ALARM_MAX];     /* cycle */
+	uint64_t flash_busy;         /* cycle until which fetches from flash wait */
+	uint32_t last_end;           /* where the last block ended */
+	uint32_t pc;                 /* valid between blocks */
+	uint32_t depth;              /* of `active` */
+	struct activation active[DEPTH_MAX + 1]; /* [0] is the thread */
+	struct task tasks[EXCEPTION_COUNT];
+	uint64_t pended_at[EXCEPTION_COUNT];
+	struct flags pending, is_active, enabled, line;
+	uint8_t priority[EXCEPTION_COUNT];
+	uint32_t node;               /* of the call tree, where the program is */
+	uint32_t called;             /* the address behind a call that was the last instruction; NOWHERE: none */
+	bool sleeping, itcm_closed;
+	/* System control space. */
+	uint32_t vtor, aircr, scr, ccr, cpacr, cfsr, hfsr, dfsr, mmfar, bfar, csselr, shcsr;
+	uint32_t fpccr, fpcar, actlr, itcmcr, dtcmcr, ahbpcr, cacr;
+	uint32_t mpu_ctrl, mpu_rnr, mpu_rbar[MPU_REGIONS], mpu_rasr[MPU_REGIONS];
+	uint32_t demcr, dwt_ctrl, dwt_zero, dwt_held;
+	bool dwt_unlocked;
+	uint32_t syst_csr, syst_rvr, syst_held;
+	uint64_t syst_zero;          /* core cycle at which the counter reaches 0; NEVER: it stands */
+};
+
+/* Callbacks to Python. They never unwind: a failure is reported by engine_fail. */
+typedef uint32_t (*read_callback)(uint32_t window, uint32_t offset, uint32_t size);
+typedef void (*write_callback)(uint32_t window, uint32_t offset, uint32_t size, uint32_t value);
+typedef void (*alarm_callback)(uint32_t alarm);
+typedef void (*flash_callback)(uint32_t address, uint32_t size, uint32_t value);
+
+struct engine;
+
+struct window {
+	uint32_t base, size;
+	uint64_t reads, writes;
+};
+
+struct node { /* of the call tree */
+	uint32_t function, parent, child, sibling;
+	uint32_t return_to; /* address, NOWHERE: a handler or the thread */
+	uint64_t instructions;
+};
+
+struct fault {
+	enum exception exception; /* EXC_THREAD: none */
+	uint32_t cfsr, hfsr;
+	uint32_t address;
+	bool has_address;
+	char text[MESSAGE_BYTES];
+};
+
+struct engine {
+	struct state s;
+	uc_engine *uc;
+	uint8_t *itcm, *flash, *system, *ram;
+
+	/* The block that runs; NULL between blocks. */
+	struct block *block;
+	uint32_t start;              /* its address */
+	uint32_t code;               /* its row in `enters` */
+	uint32_t at;                 /* the instruction at hand */
+	uint32_t next_special;
+	uint32_t stop_at;            /* first address in it that needs a look */
+	uint32_t event_stop;         /* first address in it not to be executed */
+	bool attention;              /* something changed that may be due before event_stop */
+	bool stopped;                /* by us, before `at` */
+	bool waiting;                /* WFI is being executed */
+	uint32_t interrupt;          /* of unicorn's numbers, UINT32_MAX: none */
+	uint64_t until, limit;       /* time, instructions */
+	uint64_t next_due;           /* time of the earliest alarm or SysTick */
+
+	bool strict;                 /* a fault is an error of the image, not an exception to take */
+	bool failed, reset_wanted;
+	char message[MESSAGE_BYTES];
+	struct fault fault;
+	uint32_t fault_type, fault_at, fault_size, fault_value; /* as unicorn told */
+	uint32_t last_pc;            /* where it stood when it failed */
+
+	struct block **blocks;       /* CODE_HALFWORDS */
+	uint64_t *enters, *leaves;   /* CODE_HALFWORDS + 1: counts by differences */
+
+	struct window windows[WINDOW_MAX];
+	uint32_t window_count, alarm_count;
+	int16_t apb[APB_BYTES >> 10], ahb2[AHB2_BYTES >> 10], ppb[PPB_BYTES >> 10];
+	read_callback on_read;
+	write_callback on_write;
+	alarm_callback on_alarm;
+	flash_callback on_flash;
+
+	uint32_t flash_patch;        /* a store to flash: offset whose bytes are set right after it */
+	uint8_t flash_bytes[8];
+	bool flash_stored, code_changed;
+
+	uint32_t breakpoints[BREAKPOINT_MAX], breakpoint_count;
+	uint32_t skip;               /* breakpoint to run over */
+	bool at_breakpoint;
+
+	/* The call tree, when asked for. */
+	bool profiling;
+	const uint16_t *function_of; /* CODE_HALFWORDS */
+	struct node *nodes;
+	uint32_t node_count, node_capacity;
+};
+
+/* engine.c */
+uint64_t now(const struct engine *e);                /* time of the instruction at hand */
+uint64_t core_cycles_at(const struct engine *e, uint64_t time);
+uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles);
+void look_again(struct engine *e);                   /* something changed: decide anew after this instruction */
+void alarms_changed(struct engine *e);
+void fail(struct engine *e, const char *format, ...) __attribute__((format(printf, 2, 3)));
+uint32_t reg(struct engine *e, int name);
+void set_reg(struct engine *e, int name, uint32_t value);
+uint8_t *host(struct engine *e, uint32_t address, uint32_t size); /* NULL: not memory */
+void mix(struct engine *e, uint64_t value);
+uint32_t row_of(uint32_t address);                   /* in CODE_HALFWORDS, NOWHERE: no code */
+
+/* engine_thumb.c */
+struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);
+void block_free(struct block *block);
+
+/* engine_exception.c */
+void exceptions_reset(struct engine *e);
+void pend(struct engine *e, uint32_t exception);
+void set_line(struct engine *e, uint32_t exception, bool asserted);
+uint32_t first_pending(const struct engine *e);
+uint32_t deliverable(struct engine *e);              /* EXC_THREAD: none */
+bool wakes(struct engine *e);
+void exception_enter(struct engine *e, uint32_t exception);
+void exception_return(struct engine *e, uint32_t exc_return);
+void raise_fault(struct engine *e, const struct fault *fault);
+int execution_priority(struct engine *e, bool with_primask);
+
+/* engine_system.c */
+void system_reset_registers(struct engine *e);
+uint32_t system_read(struct engine *e, uint32_t address, uint32_t size);
+void system_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
+void systick_fire(struct engine *e);
+uint64_t systick_due(const struct engine *e);        /* time, NEVER */
+bool mpu_closes(const struct engine *e, uint32_t address);
+bool data_is_cached(const struct engine *e, uint32_t address);
+
+/* engine_profile.c */
+void profile_block(struct engine *e);
+void profile_enter(struct engine *e);
+
+#endif

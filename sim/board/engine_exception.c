@@ -1,0 +1,387 @@
+/* Exceptions of the ARMv7-M core (DDI 0403E B1.5): priorities, entry, return, tail-chaining, faults. */
+#include <stdio.h>
+#include <string.h>
+
+#include "engine.h"
+
+enum {
+	STACKED_ALIGN = 1u << 9, /* of the stacked xPSR: a word was left out to align the frame */
+	THUMB = 1u << 24,
+	CONTROL_SPSEL = 1u << 1,
+	CONTROL_FPCA = 1u << 2,
+	FRAME_BYTES = 0x20,
+	FLOAT_BYTES = 0x48,
+	THREAD_PRIORITY = 256,
+	/* Cycles of the core beside the instructions (Cortex-M7 TRM 3.9.2: 12 from request to handler with memory
+	 * that does not wait); return and tail-chain as ARM states for the family. */
+	ENTRY_CYCLES = 12,
+	RETURN_CYCLES = 10,
+	CHAIN_CYCLES = 6,
+};
+
+#define SHCSR_MEMFAULTENA (1u << 16)
+#define SHCSR_BUSFAULTENA (1u << 17)
+#define SHCSR_USGFAULTENA (1u << 18)
+#define HFSR_VECTTBL (1u << 1)
+#define HFSR_FORCED (1u << 30)
+#define CFSR_MMARVALID (1u << 7)
+#define CFSR_BFARVALID (1u << 15)
+#define CFSR_MSTKERR (1u << 4)
+#define CFSR_STKERR (1u << 12)
+#define CFSR_UNSTKERR (1u << 11)
+#define CFSR_INVSTATE (1u << 17)
+#define CFSR_INVPC (1u << 18)
+
+/* Priority by which one exception may interrupt another: the upper bits, as AIRCR.PRIGROUP cuts them. */
+static int group(const struct engine *e, uint32_t priority)
+{
+	const uint32_t split = (e->s.aircr >> 8 & 7u) + 1u;
+
+	return (int)(priority >> split << split);
+}
+
+static int own_priority(const struct engine *e, uint32_t exception)
+{
+	switch (exception) {
+	case EXC_RESET:
+		return -3;
+	case EXC_NMI:
+		return -2;
+	case EXC_HARD:
+		return -1;
+	default:
+		return e->s.priority[exception];
+	}
+}
+
+static int group_priority(const struct engine *e, uint32_t exception)
+{
+	const int own = own_priority(e, exception);
+
+	return own < 0 ? own : group(e, (uint32_t)own);
+}
+
+/* B1.5.4; `with_primask` false: as WFI sees it. */
+int execution_priority(struct engine *e, bool with_primask)
+{
+	int priority = THREAD_PRIORITY;
+
+	for (uint32_t i = 1; i <= e->s.depth; ++i) {
+		const int one = group_priority(e, e->s.active[i].exception);
+
+		if (one < priority)
+			priority = one;
+	}
+	const uint32_t base = reg(e, UC_ARM_REG_BASEPRI) & 0xF0u;
+	if (base != 0u && group(e, base) < priority)
+		priority = group(e, base);
+	if (with_primask && reg(e, UC_ARM_REG_PRIMASK) & 1u && priority > 0)
+		priority = 0;
+	if (reg(e, UC_ARM_REG_FAULTMASK) & 1u && priority > -1)
+		priority = -1;
+	return priority;
+}
+
+/* The pending and enabled exception that goes first: lowest priority value, then lowest number. */
+uint32_t first_pending(const struct engine *e)
+{
+	uint32_t found = EXC_THREAD;
+
+	for (uint32_t word = 0; word < 2u; ++word)
+		for (uint64_t left = e->s.pending.words[word] & e->s.enabled.words[word]; left != 0u; left &= left - 1u) {
+			const uint32_t i = word * 64u + (uint32_t)__builtin_ctzll(left);
+
+			if (found == EXC_THREAD || own_priority(e, i) < own_priority(e, found))
+				found = i;
+		}
+	return found;
+}
+
+uint32_t deliverable(struct engine *e)
+{
+	const uint32_t found = first_pending(e);
+
+	return found != EXC_THREAD && group_priority(e, found) < execution_priority(e, true) ? found : EXC_THREAD;
+}
+
+bool wakes(struct engine *e)
+{
+	const uint32_t found = first_pending(e);
+
+	return found != EXC_THREAD && group_priority(e, found) < execution_priority(e, false);
+}
+
+void exceptions_reset(struct engine *e)
+{
+	static const uint8_t always[] = {EXC_NMI, EXC_HARD, EXC_MEM, EXC_BUS, EXC_USAGE, EXC_SVC, EXC_PENDSV, EXC_SYSTICK};
+
+	e->s.pending = e->s.is_active = e->s.enabled = e->s.line = (struct flags){{0, 0}};
+	memset(e->s.priority, 0, sizeof e->s.priority);
+	for (uint32_t i = 0; i < sizeof always; ++i)
+		put(&e->s.enabled, always[i], true);
+	e->s.depth = 0;
+	e->s.active[0].exception = EXC_THREAD;
+}
+
+void pend(struct engine *e, uint32_t exception)
+{
+	if (!get(&e->s.pending, exception)) {
+		put(&e->s.pending, exception, true);
+		e->s.pended_at[exception] = now(e);
+	}
+	look_again(e);
+}
+
+/* A line that is high makes its interrupt pending when it rises and again when its handler ends. */
+void set_line(struct engine *e, uint32_t exception, bool asserted)
+{
+	const bool rises = asserted && !get(&e->s.line, exception);
+
+	put(&e->s.line, exception, asserted);
+	if (rises)
+		pend(e, exception);
+}
+
+static void stacking_failed(struct engine *e, uint32_t sp, uint32_t cfsr, const char *what)
+{
+	struct fault fault = {.exception = EXC_BUS, .cfsr = cfsr, .address = sp};
+
+	snprintf(fault.text, sizeof fault.text, "stack overflow: %s at 0x%08X lies outside RAM", what, sp);
+	raise_fault(e, &fault);
+}
+
+static bool is_ram(uint32_t address, uint32_t size)
+{
+	return address >= RAM_BASE && address - RAM_BASE <= RAM_BYTES - size;
+}
+
+static void put_word(struct engine *e, uint32_t address, uint32_t value)
+{
+	memcpy(e->ram + (address - RAM_BASE), &value, 4);
+}
+
+static uint32_t get_word(struct engine *e, uint32_t address)
+{
+	uint32_t value;
+
+	memcpy(&value, e->ram + (address - RAM_BASE), 4);
+	return value;
+}
+
+static const int frame_registers[] = {
+	UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR,
+};
+
+/* B1.5.6 PushStack. The floating-point part is saved at once: LSPACT never shows. Returns EXC_RETURN, 0: failed. */
+static uint32_t push_frame(struct engine *e)
+{
+	const uint32_t control = reg(e, UC_ARM_REG_CONTROL), psr = reg(e, UC_ARM_REG_XPSR);
+	const bool floats = control & CONTROL_FPCA, handler = e->s.depth != 0u;
+	const bool process = !handler && control & CONTROL_SPSEL;
+	const uint32_t size = FRAME_BYTES + (floats ? FLOAT_BYTES : 0u);
+	const uint32_t before = reg(e, UC_ARM_REG_SP);
+	const uint32_t sp = (before - size) & ~7u;
+	const uint32_t padded = before - size != sp ? STACKED_ALIGN : 0u;
+
+	if (!is_ram(sp, size)) {
+		stacking_failed(e, sp, CFSR_STKERR, "an exception frame");
+		return 0;
+	}
+	for (uint32_t i = 0; i < 6u; ++i)
+		put_word(e, sp + 4u * i, reg(e, frame_registers[i]));
+	put_word(e, sp + 0x18u, e->s.pc & ~1u);
+	put_word(e, sp + 0x1Cu, (psr & ~(uint32_t)STACKED_ALIGN) | padded);
+	if (floats) {
+		for (int i = 0; i < 16; ++i)
+			put_word(e, sp + 0x20u + 4u * (uint32_t)i, reg(e, UC_ARM_REG_S0 + i));
+		put_word(e, sp + 0x60u, reg(e, UC_ARM_REG_FPSCR));
+		put_word(e, sp + 0x64u, 0);
+		e->s.fpcar = sp + 0x20u;
+	}
+	set_reg(e, UC_ARM_REG_SP, sp);
+	return (floats ? 0xFFFFFFE1u : 0xFFFFFFF1u) | (handler ? 0u : 8u) | (process ? 4u : 0u);
+}
+
+static uint64_t time_of(const struct state *s, uint64_t cycles)
+{
+	return (cycles * TIME_HZ << FRACTION) / s->core_hz;
+}
+
+/* The handler's first instruction, IPSR, and the books. */
+static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
+{
+	struct state *s = &e->s;
+	const uint8_t *entry = host(e, s->vtor + 4u * exception, 4);
+	uint32_t vector = 0;
+
+	if (entry != NULL)
+		memcpy(&vector, entry, 4);
+	if (entry == NULL || vector == 0u) {
+		fail(e, "exception %u has no vector at 0x%08X", exception, s->vtor + 4u * exception);
+		return;
+	}
+	if ((vector & 1u) == 0u) {
+		fail(e, "vector 0x%08X of exception %u is no Thumb address", vector, exception);
+		return;
+	}
+	/* Handler mode first: it selects the main stack, whatever CONTROL says. */
+	set_reg(e, UC_ARM_REG_XPSR, (reg(e, UC_ARM_REG_XPSR) & 0xF80F0000u) | THUMB | exception);
+	set_reg(e, UC_ARM_REG_CONTROL, reg(e, UC_ARM_REG_CONTROL) & CONTROL_SPSEL);
+	set_reg(e, UC_ARM_REG_LR, exc_return);
+	put(&s->pending, exception, false);
+	put(&s->is_active, exception, true);
+
+	struct task *task = &s->tasks[exception];
+	const uint64_t waited = s->time > s->pended_at[exception] ? s->time - s->pended_at[exception] : 0;
+	if (waited > task->latest) {
+		task->latest = waited;
+		task->latest_at = s->time;
+		task->latest_pc = s->pc;
+	}
+	s->time += time_of(s, cycles);
+	++task->activations;
+	++s->depth;
+	s->active[s->depth] = (struct activation){
+		.exception = exception,
+		.node = s->node, .called = s->called, .entered = s->instructions, .time = s->time};
+	s->pc = vector & ~1u;
+	s->last_end = NOWHERE;
+	mix(e, (uint64_t)exception << 32 | vector);
+	mix(e, s->time);
+	profile_enter(e);
+}
+
+void exception_enter(struct engine *e, uint32_t exception)
+{
+	const uint32_t exc_return = push_frame(e);
+
+	if (exc_return != 0u)
+		take(e, exception, exc_return, ENTRY_CYCLES);
+}
+
+static void close_books(struct engine *e)
+{
+	struct state *s = &e->s;
+	const struct activation *a = &s->active[s->depth];
+	struct task *task = &s->tasks[a->exception];
+	const uint64_t all = s->instructions - a->entered, own = all - a->preempted;
+
+	task->instructions += own;
+	if (task->least == 0u || own < task->least)
+		task->least = own;
+	if (own > task->most)
+		task->most = own;
+	if (s->time - a->time > task->longest)
+		task->longest = s->time - a->time;
+	s->node = a->node;
+	s->called = a->called;
+	put(&s->is_active, a->exception, false);
+	--s->depth;
+	s->active[s->depth].preempted += all;
+	if (get(&s->line, a->exception))
+		pend(e, a->exception);
+}
+
+/* B1.5.8 PopStack. */
+static void pop_frame(struct engine *e, uint32_t exc_return)
+{
+	const bool floats = (exc_return & 0x10u) == 0u, thread = exc_return & 8u, process = exc_return & 4u;
+	const uint32_t size = FRAME_BYTES + (floats ? FLOAT_BYTES : 0u);
+	const uint32_t sp = reg(e, process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP);
+
+	if (!is_ram(sp, size)) {
+		stacking_failed(e, sp, CFSR_UNSTKERR, "the exception frame to return to");
+		return;
+	}
+	const uint32_t psr = get_word(e, sp + 0x1Cu), pc = get_word(e, sp + 0x18u);
+	const uint32_t after = sp + size + (psr & STACKED_ALIGN ? 4u : 0u);
+	if (((psr & 0x1FFu) == 0u) != thread || (psr & THUMB) == 0u || pc & 1u) {
+		fail(e, "exception return 0x%08X to pc 0x%08X with xPSR 0x%08X, which do not belong together", exc_return,
+		     pc, psr);
+		return;
+	}
+	set_reg(e, process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP, after);
+	set_reg(e, UC_ARM_REG_XPSR, psr & 0xF90F01FFu);
+	set_reg(e, UC_ARM_REG_CONTROL, (floats ? CONTROL_FPCA : 0u) | (thread && process ? CONTROL_SPSEL : 0u));
+	for (uint32_t i = 0; i < 6u; ++i)
+		set_reg(e, frame_registers[i], get_word(e, sp + 4u * i));
+	if (floats) {
+		for (int i = 0; i < 16; ++i)
+			set_reg(e, UC_ARM_REG_S0 + i, get_word(e, sp + 0x20u + 4u * (uint32_t)i));
+		set_reg(e, UC_ARM_REG_FPSCR, get_word(e, sp + 0x60u));
+	}
+	e->s.pc = pc;
+	e->s.last_end = NOWHERE;
+	mix(e, (uint64_t)exc_return << 32 | pc);
+}
+
+void exception_return(struct engine *e, uint32_t exc_return)
+{
+	struct state *s = &e->s;
+	const uint32_t kind = exc_return & 0xFu;
+
+	if (s->depth == 0u) {
+		fail(e, "a branch to 0x%08X outside a handler", exc_return);
+		return;
+	}
+	if ((exc_return & 0xFFFFFFE0u) != 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 13u) ||
+	    (kind == 1u) != (s->depth > 1u)) {
+		fail(e, "exception return by 0x%08X with %u exceptions active", exc_return, s->depth);
+		return;
+	}
+	if (s->active[s->depth].exception != EXC_NMI)
+		set_reg(e, UC_ARM_REG_FAULTMASK, 0);
+	close_books(e);
+	/* Tail-chaining: the next handler finds the frame as it lies. */
+	const uint32_t next = deliverable(e);
+	if (next != EXC_THREAD) {
+		s->pc = exc_return;
+		take(e, next, exc_return, CHAIN_CYCLES);
+		return;
+	}
+	pop_frame(e, exc_return);
+	s->time += time_of(s, RETURN_CYCLES);
+	if (s->depth == 0u && s->scr & 2u)
+		s->sleeping = true;
+}
+
+/* Strict: an error of the image. Else the exception, or the hard fault when it may not be taken (B1.5.14). */
+void raise_fault(struct engine *e, const struct fault *fault)
+{
+	struct state *s = &e->s;
+	uint32_t exception = fault->exception;
+
+	if (e->strict) {
+		fail(e, "%s", fault->text);
+		return;
+	}
+	s->cfsr |= fault->cfsr;
+	s->hfsr |= fault->hfsr;
+	if (fault->has_address && exception == EXC_MEM) {
+		s->mmfar = fault->address;
+		s->cfsr |= CFSR_MMARVALID;
+	} else if (fault->has_address) {
+		s->bfar = fault->address;
+		s->cfsr |= CFSR_BFARVALID;
+	}
+	const bool on = exception == EXC_MEM   ? s->shcsr & SHCSR_MEMFAULTENA :
+			exception == EXC_BUS   ? s->shcsr & SHCSR_BUSFAULTENA :
+			exception == EXC_USAGE ? s->shcsr & SHCSR_USGFAULTENA :
+						 true;
+	const int current = execution_priority(e, true);
+	if (!on || group_priority(e, exception) >= current) {
+		exception = EXC_HARD;
+		s->hfsr |= HFSR_FORCED;
+		if (current <= -1) {
+			fail(e, "lockup, a fault within a fault handler: %s", fault->text);
+			return;
+		}
+	}
+	/* The frame that did not fit is lost; the handler runs on what is left of the stack, as on the chip. */
+	if (fault->cfsr & (CFSR_STKERR | CFSR_UNSTKERR | CFSR_MSTKERR)) {
+		fail(e, "%s", fault->text);
+		return;
+	}
+	s->pended_at[exception] = s->time;
+	exception_enter(e, exception);
+}
