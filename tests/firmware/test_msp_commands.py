@@ -164,6 +164,13 @@ def test_commands_are_unknown_when_only_reading_is_offered(
     assert s.calls == []
 
 
+def test_a_command_is_unknown_when_nobody_knows_it(server: Callable[..., Server]) -> None:
+    s = server()
+    for command in (0, 11, 202, 0x4E00, 0x4E33, 0xFFFF):
+        answer = s.ask(command, b"1234")
+        assert (answer.direction, answer.payload) == (Direction.ERROR, b"")
+
+
 @pytest.mark.parametrize("command", GOOD)
 def test_only_reading_and_sticks_are_served_when_armed(server: Callable[..., Server], command: Msp) -> None:
     s = server()

@@ -316,6 +316,7 @@ def test_pieces_are_refused_when_they_are_not_what_comes_next(slots: Callable[..
     for offset, piece in ((100, b""), (100, bytes(6)), (102, bytes(4)), (len(data) - 4, bytes(8))):
         assert s.write(offset, piece) in (Refusal.PAYLOAD, Refusal.ORDER)
     assert s.write(100, bytes(len(data) - 96)) == Refusal.PAYLOAD, "past the end"
+    assert s.write(0, bytes(len(data) + 4)) == Refusal.PAYLOAD, "more than all of it"
     assert s.write(0xFFFFFFFC, bytes(8)) == Refusal.PAYLOAD
     assert s.write(100, data[100:]) == Refusal.NONE
     assert s.end() == (Refusal.NONE, 0)

@@ -203,6 +203,16 @@ def test_a_save_says_so_when_flash_does_not_take_it(store: Callable[[], Store]) 
         assert s.save(**NEW) == Refusal.FLASH
 
 
+def test_a_save_says_so_when_flash_only_claims_to_have_taken_it(store: Callable[[], Store]) -> None:
+    s = store()
+    assert s.save(**OLD) == Refusal.NONE
+    claims = s.core.ffi.callback("bool(void *, uint32_t, const void *, size_t)", lambda *_: True)
+    s.chip.flash.program = claims
+    assert s.save(**NEW) == Refusal.FLASH
+    s.chip.power_on()
+    assert s.load() == (True, OLD)
+
+
 # --- Power goes ---------------------------------------------------------------------------------
 # What flash holds before: how many sets were saved, the last of them OLD.
 @pytest.mark.parametrize("saves", [0, 1, 2, 3])
