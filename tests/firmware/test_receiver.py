@@ -252,6 +252,13 @@ def test_link_statistics_are_no_sticks_when_they_come_alone(make: Make, puppet: 
     assert receiver.link() == puppet.lib.RECEIVER_LOST
 
 
+def test_half_a_frame_is_forgotten_when_single_bytes_come_after_the_silence(make: Make, sbus: Frame) -> None:
+    receiver, data = make(), sbus([992] * CHANNEL_COUNT)
+    receiver.push(data[:10])
+    receiver.tick(2)
+    assert [len(receiver.push(bytes([byte]))) for byte in data] == [0] * 24 + [1]
+
+
 def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(make: Make, puppet: Any, sbus: Frame) -> None:
     receiver = make(receiver_protocol=MSP)
     assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
@@ -394,6 +401,14 @@ def test_quality_is_the_share_that_came_when_every_fourth_is_missing(make: Make,
             receiver.frame(frame_lost=True)
         receiver.tick(10)
     assert receiver.quality() == pytest.approx(75, abs=1)
+
+
+def test_quality_is_exact_when_frames_are_few(make: Make) -> None:
+    receiver = make()
+    for index in range(40):
+        receiver.frame(frame_lost=index % 2 == 1)
+        receiver.tick(100)
+    assert receiver.quality() == 50
 
 
 def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(make: Make) -> None:
