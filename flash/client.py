@@ -14,6 +14,9 @@ from toolchain.contract import MSP_API_MAJOR, MSP_PROTOCOL_VERSION, MSP_VARIANT,
 from toolchain.errors import LinkError
 
 TIMEOUT_S = 1.0  # a board answers within a few milliseconds, the emulated one within tenths of a second
+STORING_TIMEOUT_S = (
+    5.0  # erasing the largest sector takes up to two seconds, and nothing else goes on meanwhile
+)
 RETRIES = 2
 
 
@@ -37,14 +40,16 @@ class Client:
         self._transport.close()
 
     def request(
-        self, command: Msp, payload: bytes = b"", timeout: float = TIMEOUT_S, retries: int = RETRIES
+        self, command: Msp, payload: bytes = b"", timeout: float | None = None, retries: int = RETRIES
     ) -> bytes:
         """Ask for `command` and return the payload of the reply.
 
-        timeout: seconds to wait for each try. retries: how often to ask again after silence or
-        corruption; a firmware that refuses is not asked again.
+        timeout: seconds to wait for each try; None: as long as the command may take. retries: how often
+        to ask again after silence or corruption; a firmware that refuses is not asked again.
         Raises LinkError for a refusal, for silence, for corruption and for a line that is gone.
         """
+        if timeout is None:
+            timeout = STORING_TIMEOUT_S if command in requests.STORING else TIMEOUT_S
         failures: list[Corrupt] = []
         skipped = self._decoder.skipped
         for _ in range(1 + retries):

@@ -40,9 +40,9 @@ struct msp_services {
 	enum nf_refusal (*reboot)(void *context);
 };
 
-/* Carries out `command` with a payload of `size` bytes, aligned to 4, and writes the reply. Returns false if the command
- * is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal (1 byte) and a
- * detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting, else 0. */
+/* Carries out `command` with a payload of `size` bytes, aligned to 4, and writes the reply. Returns false if the
+ * command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal
+ * (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting, else 0. */
 bool msp_command(const struct msp_services *services, const struct firmware_status *status, uint16_t command,
 		 const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal);
 

@@ -36,7 +36,7 @@ struct policy_slots {
 	struct policy_blob_identity running;
 	const void *compiled_in;
 	size_t compiled_in_bytes;
-	/* NF_OK, or what was wrong with it at boot, NF_ERR_POLICY being its self-test; NF_OK once it is written anew. */
+	/* NF_OK, or what was wrong with it at boot, NF_ERR_POLICY being its self-test; NF_OK once written anew. */
 	enum nf_err found[POLICY_SOURCE_COUNT];
 	enum policy_source flown;               /* POLICY_SOURCE_COUNT: none is good */
 	uint32_t sequence;                      /* of the flown one */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from flash.client import Client, read_info
 from flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
 from flash.transport import open_transport
-from toolchain.contract import Msp
+from toolchain.contract import Msp, Refusal
 from toolchain.errors import LinkError
 
 Lines = Callable[[list[bytes | None]], Any]
@@ -80,6 +81,25 @@ def test_error_says_refused_and_asks_once_when_the_firmware_refuses(scripted_lin
     line = scripted_line([encode(error(ASKED))])
     assert "the firmware refuses MSP FC_VARIANT (2)" in failure(line)
     assert len(line.written) == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "seconds"), [(Msp.NAME, 1), (Msp.EEPROM_WRITE, 5), (Msp.POLICY_SLOT_BEGIN, 5)]
+)
+def test_the_client_waits_longer_when_the_firmware_writes_flash(
+    scripted_line: Lines, command: Msp, seconds: int
+) -> None:
+    line = scripted_line([])
+    with pytest.raises(LinkError, match=f"within {seconds} s, asked 1 time"):
+        Client(line, clock=line.clock).request(command, retries=0)
+    assert line.now == pytest.approx(seconds)
+
+
+def test_the_reason_is_told_when_the_firmware_gives_one(scripted_line: Lines) -> None:
+    refused = Message(Version.V2, Direction.ERROR, Msp.POLICY_SLOT_END, struct.pack("<Bh", Refusal.BLOB, -10))
+    line = scripted_line([encode(refused)])
+    with pytest.raises(LinkError, match=r"refuses MSP POLICY_SLOT_END: the policy is none .* \(error -10 "):
+        Client(line, clock=line.clock).request(Msp.POLICY_SLOT_END)
 
 
 def test_error_says_silence_when_nothing_comes(scripted_line: Lines) -> None:
