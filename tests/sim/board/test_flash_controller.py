@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
@@ -24,6 +25,17 @@ def unlock(bench: Bench) -> None:
 def store(bench: Bench, address: int, value: int) -> None:
     bench.hardware.flash.program(address, 4, value)
     bench.context.run(20)
+
+
+def program_bytes(bench: Bench) -> None:
+    unlock(bench)
+    bench.write("FLASH_CR", PG)
+
+
+def begin_a_word(bench: Bench) -> None:
+    unlock(bench)
+    bench.write("FLASH_CR", WORDS | PG)
+    bench.context.flash_store(SECTOR_1, 4, 0)
 
 
 def test_word_is_programmed_when_unlocked_and_its_time_has_passed(bench: Bench) -> None:
@@ -66,18 +78,14 @@ def test_sector_is_erased_when_half_a_second_has_passed(bench: Bench) -> None:
     ("prepare", "message"),
     [
         (lambda b: None, "FLASH_CR LOCK is 1"),
-        (lambda b: unlock(b), "PG 0"),
-        (lambda b: (unlock(b), b.write("FLASH_CR", PG)), "by 32 bits, expected 8 by FLASH_CR PSIZE"),
-        (
-            lambda b: (unlock(b), b.write("FLASH_CR", WORDS | PG), b.hardware.flash.program(SECTOR_1, 4, 0)),
-            "while the controller is busy",
-        ),
+        (unlock, "PG 0"),
+        (program_bytes, "by 32 bits, expected 8 by FLASH_CR PSIZE"),
+        (begin_a_word, "while the controller is busy"),
     ],
 )
 def test_store_is_refused_when_the_controller_is_not_ready(
-    bench: Bench, prepare: object, message: str
+    bench: Bench, prepare: Callable[[Bench], None], message: str
 ) -> None:
-    assert callable(prepare)
     prepare(bench)
     with pytest.raises(BoardError, match=message):
         bench.hardware.flash.program(SECTOR_1 + 8, 4, 0)
