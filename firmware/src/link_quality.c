@@ -5,7 +5,13 @@
 
 void link_quality_init(struct link_quality *quality, unsigned gyro_rate_hz)
 {
-	const uint32_t length = gyro_rate_hz / LINK_QUALITY_SLOTS;
+	quality->slot_length = gyro_rate_hz / LINK_QUALITY_SLOTS;
+	link_quality_reset(quality);
+}
+
+void link_quality_reset(struct link_quality *quality)
+{
+	const uint32_t length = quality->slot_length;
 
 	*quality = (struct link_quality){ .slot_length = length, .slot_left = length };
 }

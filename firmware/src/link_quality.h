@@ -20,9 +20,11 @@ struct link_quality {
 	uint32_t slot_length;              /* gyro samples */
 };
 
-/* gyro_rate_hz at least LINK_QUALITY_SLOTS. Also starts anew when a link is lost: the next one may have another
- * frame rate. */
+/* gyro_rate_hz at least LINK_QUALITY_SLOTS. */
 void link_quality_init(struct link_quality *quality, unsigned gyro_rate_hz);
+
+/* The link is lost: starts anew, as the next one may have another frame rate. */
+void link_quality_reset(struct link_quality *quality);
 
 /* A frame has come; `good`: with news, not marked as lost. */
 void link_quality_frame(struct link_quality *quality, bool good);

@@ -10,7 +10,7 @@ static void lose(struct receiver *receiver)
 {
 	receiver->age = receiver->lost_after;
 	receiver->recovering = receiver->recovery;
-	link_quality_init(&receiver->quality, receiver->gyro_rate_hz);
+	link_quality_reset(&receiver->quality);
 }
 
 void receiver_init(struct receiver *receiver, const struct nf_settings *settings, unsigned gyro_rate_hz)
@@ -31,9 +31,9 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 		.lost_after = gyro_rate_hz * NF_RECEIVER_LOST_MS / 1000u,
 		.recovery = gyro_rate_hz * NF_RECEIVER_RECOVERY_MS / 1000u + 1u, /* the last one is a frame's */
 		.gap_after = gyro_rate_hz * LINE_GAP_MS / 1000u,
-		.gyro_rate_hz = gyro_rate_hz,
 	};
 	receiver->since = receiver->hold_after;
+	link_quality_init(&receiver->quality, gyro_rate_hz);
 	lose(receiver);
 }
 

@@ -39,7 +39,6 @@ struct receiver {
 						 * one does, 0: it is not lost */
 	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
 	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
-	uint32_t gyro_rate_hz;
 	struct link_quality quality;
 };
 
