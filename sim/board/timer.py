@@ -237,8 +237,8 @@ class Timer(Device):
             self._pulses_fed(fed[0], count)
         else:
             count = 1
+            self._pulses([[c] for c in self._ccr], 0)
             self._load()
-            self._pulses([[c] for c in self._ccr], 1)
             if not fed:
                 count = self._free_run(updates)
             for source in fed:
@@ -253,26 +253,26 @@ class Timer(Device):
         """Nothing changes from update to update; an endless pulse train is shown for a while."""
         if any(self._ccr) and not self._steady:
             shown = min(updates - 1, _STEADY_PERIODS)
-            self._pulses([[c] * shown for c in self._ccr], 2)
+            self._pulses([[c] * shown for c in self._ccr], 1)
             self._steady = shown == _STEADY_PERIODS
             return 1 + shown
         return updates
 
     def _pulses_fed(self, source: str, updates: int) -> None:
-        """`updates` updates, at each of which DMA writes the compare values of the next period."""
+        """`updates` updates, at each of which a period ends and DMA writes the compare values of the next."""
         lists: list[list[int]] = [[] for _ in range(CHANNELS)]
         registers = self._registers(source)
         step = len(registers)
         count = min(updates * step, self._dma.available(source))
         items = self._dma.take(source, count)
         for update in range(updates):
-            self._load()
             for i in range(CHANNELS):
                 lists[i].append(self._ccr[i])
+            self._load()
             for register, item in zip(registers, items[update * step : (update + 1) * step], strict=False):
                 self._store(register, item)
         self._steady = False
-        self._pulses(lists, 1)
+        self._pulses(lists, 0)
 
     def _feed(self, source: str, requests: int) -> None:
         registers = self._registers(source)
@@ -293,7 +293,7 @@ class Timer(Device):
             self._ccr[i] = self.words[f"CCR{i + 1}"]
 
     def _pulses(self, compares: list[list[int]], first: int) -> None:
-        """The periods from update `first` after the anchor on have these compare values."""
+        """The periods that began with update `first` after the anchor had these compare values."""
         if self.name in ADVANCED and not self.get("BDTR", "MOE"):
             return
         start, length = self._anchor + first * self.period, self.period

@@ -226,6 +226,7 @@ class Usart(Device):
             byte, flags = byte ^ 0xFF, _FE
         elif broken:
             flags = _PE if own.parity != "N" else _FE
+        self._idle_at = now + own.byte_cycles
         if self.words["ISR"] & _RXNE:
             self.lost += 1
             if not self.get("CR3", "OVRDIS"):
@@ -235,7 +236,6 @@ class Usart(Device):
         parity = byte.bit_count() & 1 ^ (own.parity == "O") ^ broken
         self._received = byte | (parity << own.data_bits if own.parity != "N" else 0)
         self.words["ISR"] |= flags | _RXNE
-        self._idle_at = now + own.byte_cycles
         if self._receives_by_dma() and self._dma.available(f"{self.name}_RX"):
             self._hand_over()
         self._update()
