@@ -219,6 +219,17 @@ def test_a_fault_is_read_or_not_when_power_goes_while_it_is_acknowledged(
             assert x.pending is None
 
 
+@pytest.mark.parametrize(("word", "pending"), [(0xFFFFFFFF, True), (0x0000FF00, True), (1, True), (0, False)])
+def test_a_fault_stays_pending_when_its_acknowledgement_is_not_whole(
+    log: Callable[[], Log], word: int, pending: bool
+) -> None:
+    x = log()
+    x.boot(line=5)
+    x.chip.fill(FLASH_FAULT_RECORD.address + 4 * WORDS, word.to_bytes(4, "little"))
+    x.boot()
+    assert x.pending == ((1, 5) if pending else None)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_log_goes_on_when_power_goes_while_the_full_one_is_erased(
     log: Callable[[], Log], kind: int
