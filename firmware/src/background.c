@@ -2,13 +2,19 @@
 
 #include "filters.h"
 
+#define ALERT_RATE_HZ 50
+#define STORAGE_RATE_HZ 10
+#define FRACTION_PER_US 0.001f
+_Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US says otherwise");
+
 /* --- Boot --------------------------------------------------------------------------------------------- */
 /* The settings of this boot: as stored, then changed. */
 static enum nf_err load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	settings_load(&background->settings, &config->flash);
+	settings_load(&background->edited, &config->flash);
+	background->settings = background->edited;
 	for (size_t i = 0; i < config->change_count; i++)
 		if (settings_set(&background->settings, config->changes[i].index, &config->changes[i].value) !=
 		    NF_REFUSAL_NONE)
@@ -64,6 +70,90 @@ static enum nf_err start_firmware(struct background *background)
 	return firmware_init(config->firmware, &firmware);
 }
 
+/* --- What MSP changes --------------------------------------------------------------------------------- */
+/* Flash is written only while nothing can arm: first that is forbidden, then it is seen that nothing has. */
+static enum nf_refusal storing(void *context, bool busy)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+
+	firmware_forbid(fw, NF_ARMING_REASON_STORING, busy);
+	if (!busy || firmware_stopped(fw))
+		return NF_REFUSAL_NONE;
+	firmware_forbid(fw, NF_ARMING_REASON_STORING, false);
+	return NF_REFUSAL_ARMED;
+}
+
+static enum nf_refusal channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	struct background *background = context;
+
+	return firmware_post(background->config.firmware, channels_us);
+}
+
+static enum nf_refusal test_motors(void *context, uint32_t magic)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+
+	return motor_test_ask(&fw->motor_test, magic, firmware_stopped(fw));
+}
+
+static enum nf_refusal turn_motors(void *context, const uint16_t values_us[], size_t count)
+{
+	struct background *background = context;
+	float fractions[NF_MOTOR_COUNT_MAX];
+
+	if (count > NF_MOTOR_COUNT_MAX)
+		return NF_REFUSAL_INDEX;
+	for (size_t i = 0; i < count; i++)
+		fractions[i] = (float)(values_us[i] - NF_CHANNEL_MIN_US) * FRACTION_PER_US;
+	return motor_test_give(&background->config.firmware->motor_test, fractions, count);
+}
+
+static enum nf_refusal command_motors(void *context, unsigned motor, unsigned command)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+
+	return dshot_command_ask(&fw->dshot_command, command, motor == UINT8_MAX ? NF_DSHOT_ALL_MOTORS : motor,
+				 firmware_stopped(fw));
+}
+
+static enum nf_refusal reboot(void *context)
+{
+	struct background *background = context;
+	const struct background_io *io = &background->config.io;
+
+	if (!firmware_stopped(background->config.firmware))
+		return NF_REFUSAL_ARMED;
+	io->reset(io->context);
+	return NF_REFUSAL_NONE;
+}
+
+static void offer_services(struct background *background)
+{
+	const struct background_config *config = &background->config;
+
+	background->services = (struct msp_services){
+		.flash = &config->flash,
+		.settings = &background->edited,
+		.slots = &background->slots,
+		.faults = &background->faults,
+		.tasks = config->stats,
+		.cycles_hz = config->cycles_hz,
+		.context = background,
+		.storing = storing,
+		.channels = channels,
+		.motor_test = test_motors,
+		.motors = turn_motors,
+		.dshot_command = command_motors,
+		.reboot = reboot,
+	};
+	msp_init(&background->msp, config->identity);
+	msp_offer(&background->msp, &background->services);
+}
+
 /* --- Tasks -------------------------------------------------------------------------------------------- */
 static void run_battery(void *context)
 {
@@ -77,6 +167,42 @@ static void run_battery(void *context)
 			battery_level(&background->battery) == BATTERY_UNKNOWN);
 }
 
+/* What beeper and LED are to tell. */
+static uint32_t alerts(const struct background *background, const struct firmware_status *status)
+{
+	const enum battery_level level = battery_level(&background->battery);
+	const bool find_me = status->channels_us[NF_CHANNEL_BEEPER] >= NF_BEEPER_ON_US;
+	const bool lost = background->heard && !status->receiver_good;
+	const bool fault = status->state == NF_FLIGHT_FAULT || status->gyro_health != NF_GYRO_HEALTH_GOOD ||
+			   background->faults.pending;
+
+	return (uint32_t)fault << ALERT_FAULT |
+	       (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
+	       (uint32_t)find_me << ALERT_FIND_ME |
+	       (uint32_t)lost << ALERT_RECEIVER_LOST |
+	       (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
+	       (uint32_t)(level == BATTERY_WARN) << ALERT_BATTERY_WARN |
+	       (uint32_t)(status->state == NF_FLIGHT_CALIBRATING) << ALERT_CALIBRATING |
+	       1u << (status->trace.armed ? ALERT_ARMED : ALERT_DISARMED);
+}
+
+static void run_alert(void *context)
+{
+	struct background *background = context;
+	const struct background_io *io = &background->config.io;
+	const struct firmware *fw = background->config.firmware;
+	const uint32_t ms = (uint32_t)((uint64_t)firmware_samples(fw) * 1000u / background->settings.gyro_rate_hz);
+	struct firmware_status status;
+
+	firmware_status(fw, &status);
+	background->heard |= status.receiver_good;
+	const unsigned flashes = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind;
+	const struct alert_state state = alert_step(&background->alert, alerts(background, &status), flashes, ms);
+	io->beeper(io->context, state.beeper);
+	io->led(io->context, state.led);
+}
+
+/* A fault that was acknowledged over MSP forbids nothing any more. */
 static void run_storage(void *context)
 {
 	struct background *background = context;
@@ -86,7 +212,8 @@ static void run_storage(void *context)
 
 static const struct task tasks[] = {
 	{ NF_TASK_BATTERY, BATTERY_RATE_HZ, run_battery },
-	{ NF_TASK_STORAGE, 10, run_storage },
+	{ NF_TASK_ALERT, ALERT_RATE_HZ, run_alert },
+	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, run_storage },
 };
 
 enum nf_err background_start(struct background *background, const struct background_config *config)
@@ -99,6 +226,8 @@ enum nf_err background_start(struct background *background, const struct backgro
 	fault_log_boot(&background->faults, &background->config.flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	battery_init(&background->battery, &background->settings);
+	alert_init(&background->alert);
+	offer_services(background);
 	for (size_t i = 0; i < TASK_COUNT; i++)
 		task_stats_init(&config->stats[i], 0);
 	config->stats[NF_TASK_GYRO].rate_hz = background->settings.gyro_rate_hz - POLICY_CONTROL_RATE_HZ;
@@ -110,7 +239,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 
 void background_step(struct background *background)
 {
-	scheduler_step(&background->scheduler, background->config.firmware->samples, background);
+	scheduler_step(&background->scheduler, firmware_samples(background->config.firmware), background);
 }
 
 /* Share of the gyro's period that its longest sample took. */
@@ -136,4 +265,22 @@ void background_status(const struct background *background, struct firmware_stat
 	status->sag_v = battery_sag(battery);
 	status->cells = (uint8_t)battery->cells;
 	status->battery_level = (uint8_t)battery_level(battery);
+}
+
+size_t background_msp(struct background *background, const uint8_t *bytes, size_t count, uint8_t *reply,
+		      size_t capacity)
+{
+	const struct background_io *io = &background->config.io;
+	const uint32_t start = io->cycles(io->context);
+	struct firmware_status status;
+
+	background_status(background, &status);
+	const size_t written = msp_serve(&background->msp, &status, bytes, count, reply, capacity);
+	task_stats_add(&background->config.stats[NF_TASK_MSP], io->cycles(io->context) - start, false);
+	return written;
+}
+
+void background_msp_reset(struct background *background)
+{
+	msp_reset(&background->msp);
 }

@@ -7,10 +7,13 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "alert.h"
 #include "battery.h"
 #include "fault_log.h"
 #include "firmware.h"
 #include "flash.h"
+#include "msp.h"
+#include "msp_commands.h"
 #include "policy_slots.h"
 #include "power_sample.h"
 #include "scheduler.h"
@@ -25,6 +28,7 @@ struct background_io {
 	void (*power_read)(void *context, struct power_sample *power);
 	void (*beeper)(void *context, bool on);
 	void (*led)(void *context, bool on);
+	void (*reset)(void *context);       /* starts anew, once the replies so far are on their way */
 };
 
 /* A setting that this start has other than stored. */
@@ -41,6 +45,7 @@ struct background_config {
 	struct task_stats *stats;           /* [TASK_COUNT], by enum nf_task */
 	enum board_alignment alignment;     /* of the gyro chip, where the settings say "board" */
 	const struct pid_gains *pid;
+	const struct msp_identity *identity;
 	const struct fault_record *fault;   /* what ended the run before; NULL: no fault did */
 	const struct setting_change *changes;
 	size_t change_count;
@@ -51,10 +56,15 @@ struct background_config {
 struct background {
 	struct background_config config;
 	struct nf_settings settings;        /* as flown: of this boot */
+	struct nf_settings edited;          /* as stored, or as changed since and perhaps not saved */
 	struct policy_slots slots;
 	struct fault_log faults;
 	struct scheduler scheduler;
 	struct battery battery;
+	struct alert alert;
+	bool heard;                         /* the receiver, since boot */
+	struct msp msp;
+	struct msp_services services;
 };
 
 /* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. What `config` points to must
@@ -67,5 +77,12 @@ void background_step(struct background *background);
 
 /* The firmware's status, completed by what the background knows. */
 void background_status(const struct background *background, struct firmware_status *status);
+
+/* Bytes from the MSP peer; writes the replies, returns how many bytes. */
+size_t background_msp(struct background *background, const uint8_t *bytes, size_t count, uint8_t *reply,
+		      size_t capacity);
+
+/* Another peer is on the line. */
+void background_msp_reset(struct background *background);
 
 #endif

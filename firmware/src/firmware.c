@@ -57,6 +57,7 @@ static uint32_t conditions(const struct firmware *fw, const uint16_t channels_us
 	       REASON_IF(link == RECEIVER_LOST, RECEIVER_LOST) |
 	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
 	       REASON_IF(!level(fw), NOT_LEVEL) |
+	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST) |
 	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
 	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
 }
@@ -130,6 +131,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	rates_init(&fw->rates, settings);
 	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
+	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
+	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT);
 	report(fw); /* a board whose gyro never speaks must still say why it does not arm */
 	return NF_OK;
 }
@@ -139,12 +142,29 @@ bool firmware_control_due(const struct firmware *fw)
 	return fw->until_control == 0;
 }
 
-/* A frame has come. Safety sees each, so that no "off" is lost behind an "on" of the same step. */
+/* Does the last good frame ask for armed motors, whatever the link is worth? */
+static bool switch_asks(const struct firmware *fw)
+{
+	return fw->receiver.channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US;
+}
+
+static struct motor_test_view view(const struct firmware *fw)
+{
+	return (struct motor_test_view){
+		.stopped = fw->safety.state == NF_FLIGHT_DISARMED,
+		.switch_on = switch_asks(fw),
+		.link = receiver_link(&fw->receiver),
+	};
+}
+
+/* A frame has come. Everybody sees each, so that no "off" is lost behind an "on" of the same step. */
 static void look_at_frame(struct firmware *fw)
 {
-	const bool off = fw->receiver.age == 0 && fw->receiver.channels_us[NF_CHANNEL_ARM] < NF_ARM_ON_US;
+	const bool good = fw->receiver.age == 0;
+	const struct motor_test_view seen = view(fw);
 
-	look(fw, off ? SAFETY_OFF_HEARD : 0u);
+	motor_test_look(&fw->motor_test, &seen);
+	look(fw, good && !switch_asks(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
@@ -153,12 +173,16 @@ void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 		look_at_frame(fw);
 }
 
-bool firmware_receive_msp(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+/* Takes up what the background has posted. */
+static void receive_posted(struct firmware *fw)
 {
-	if (!receiver_msp(&fw->receiver, channels_us))
-		return false;
-	look_at_frame(fw);
-	return true;
+	if (!fw->posted)
+		return;
+	fence();
+	if (receiver_msp(&fw->receiver, fw->posted_us))
+		look_at_frame(fw);
+	fence();
+	fw->posted = false;
 }
 
 /* Setpoint and throttle from the sticks, or from the failsafe while it brings the aircraft down. */
@@ -206,8 +230,11 @@ static void drive(struct firmware *fw, const float output[POLICY_ACTION_COUNT])
 {
 	struct control_trace *trace = &fw->status.trace;
 	const struct mixer *mixer = &fw->control.mixers[fw->control.flying];
+	const struct motor_test_view seen = view(fw);
 	const bool stand = !trace->armed || mixer_stops(mixer, trace->throttle);
 
+	if (motor_test_step(&fw->motor_test, &seen, trace->dshot))
+		return;
 	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
 		trace->dshot[i] = stand ? NF_DSHOT_STOP : dshot_value(output[i]);
 }
@@ -231,6 +258,7 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 	for (int i = 0; i < 3; i++)
 		fw->status.accel_g[i] = acceleration[i] * (1.0f / STANDARD_GRAVITY);
 	safety_tick(&fw->safety);
+	receive_posted(fw);
 	look(fw, 0);
 	command(fw);
 	if (safety_motors(&fw->safety)) {
@@ -244,6 +272,12 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 	publish(fw);
 }
 
+/* Do the motors stand still, and no test turns them? */
+static bool stopped(const struct firmware *fw)
+{
+	return !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test);
+}
+
 /* One gyro sample has passed for everything that waits. */
 static void tick(struct firmware *fw)
 {
@@ -253,7 +287,7 @@ static void tick(struct firmware *fw)
 	receiver_tick(&fw->receiver);
 }
 
-void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT])
+bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT])
 {
 	float rate[3];
 
@@ -264,6 +298,7 @@ void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	memcpy(dshot, fw->status.trace.dshot, POLICY_ACTION_COUNT * sizeof dshot[0]);
 	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
 	tick(fw);
+	return dshot_command_step(&fw->dshot_command, stopped(fw), dshot);
 }
 
 void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT])
@@ -273,6 +308,7 @@ void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUN
 	for (uint32_t i = 0; i < fw->gyro_rate_hz * NF_GYRO_BAD_MS / 1000u; i++)
 		tick(fw);
 	fw->health = NF_GYRO_HEALTH_SILENT;
+	motor_test_end(&fw->motor_test);
 	look(fw, 0);
 	trace->armed = safety_motors(&fw->safety);
 	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
@@ -298,6 +334,29 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 
 	fw->forbidden = holds ? fw->forbidden | bit : fw->forbidden & ~bit;
 	fence();
+}
+
+bool firmware_stopped(const struct firmware *fw)
+{
+	fence();
+	return stopped(fw) && !dshot_command_busy(&fw->dshot_command);
+}
+
+enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	if (fw->receiver.protocol != NF_RECEIVER_PROTOCOL_MSP)
+		return NF_REFUSAL_ABSENT;
+	if (fw->posted)
+		return NF_REFUSAL_ORDER;
+	memcpy(fw->posted_us, channels_us, sizeof fw->posted_us);
+	fence();
+	fw->posted = true;
+	return NF_REFUSAL_NONE;
+}
+
+uint32_t firmware_samples(const struct firmware *fw)
+{
+	return fw->samples;
 }
 
 void firmware_status(const struct firmware *fw, struct firmware_status *status)

@@ -1,7 +1,7 @@
 /* The firmware core: gyro counts and receiver bytes in, DShot values out. No register, no clock, no heap.
  *
  * Time is the gyro sample index. Functions without another word are called from one context, the gyro interrupt;
- * firmware_status and firmware_forbid from the background below it. */
+ * the last five and those of motor test and DShot commands that say so from the background below it. */
 #ifndef NF_FIRMWARE_H
 #define NF_FIRMWARE_H
 
@@ -12,9 +12,11 @@
 #include "attitude.h"
 #include "control.h"
 #include "crash.h"
+#include "dshot_command.h"
 #include "filters.h"
 #include "gyro.h"
 #include "imu.h"
+#include "motor_test.h"
 #include "nf_contract.h"
 #include "nf_err.h"
 #include "pid.h"
@@ -42,6 +44,8 @@ struct firmware {
 	struct safety safety;
 	struct crash crash;
 	struct control control;
+	struct motor_test motor_test;        /* the background asks it for tests */
+	struct dshot_command dshot_command;  /* and this for commands */
 	uint32_t gyro_rate_hz;
 	uint32_t control_divider;       /* gyro samples a control step */
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */
@@ -52,6 +56,8 @@ struct firmware {
 	bool pid_wanted;                /* by the switch, as last heard */
 	enum nf_gyro_health health;     /* of the last sample */
 	volatile uint32_t forbidden;    /* arming reasons that the background knows */
+	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
+	volatile bool posted;           /* they wait to be taken up */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
 	volatile uint32_t samples;      /* gyro samples since boot, those that silence swallowed included */
@@ -68,11 +74,9 @@ bool firmware_control_due(const struct firmware *fw);
  * was silent. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count);
 
-/* Channels [us] that came by MSP. Returns whether they were taken. */
-bool firmware_receive_msp(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT]);
-
-/* One gyro sample (chip axes). Writes the DShot value of each motor; between control steps they are held. */
-void firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT]);
+/* One gyro sample (chip axes). Writes the DShot value of each motor; between control steps they are held. Returns
+ * the telemetry bit of their frames. */
+bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT]);
 
 /* No sample came for NF_GYRO_BAD_MS: as much time has passed. Writes the DShot values as firmware_sample does. */
 void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT]);
@@ -86,6 +90,16 @@ const struct control_trace *firmware_trace(const struct firmware *fw);
 /* From the background: does `reason` forbid arming? BATTERY_UNKNOWN, FAULT and STORING are asked of it. What it says
  * holds from the next look of safety on; armed motors go on. */
 void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds);
+
+/* From the background: do the motors stand still, and nothing is about to turn them but arming? */
+bool firmware_stopped(const struct firmware *fw);
+
+/* From the background: channels [us] that came by MSP, for the next control step. Those of before must have been
+ * taken up: NF_REFUSAL_ORDER. NF_REFUSAL_ABSENT: the receiver is another. */
+enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* From the background: gyro samples since boot, those that silence swallowed included. Wraps. */
+uint32_t firmware_samples(const struct firmware *fw);
 
 /* From the background: a consistent copy of the status, also when a gyro interrupt falls into the copying. */
 void firmware_status(const struct firmware *fw, struct firmware_status *status);

@@ -2,7 +2,6 @@
 #include "background.h"
 #include "firmware.h"
 #include "hal/hal.h"
-#include "msp.h"
 #include "pid.h"
 #include "scheduler.h"
 
@@ -14,7 +13,6 @@ static struct task_stats stats[TASK_COUNT];
 static struct hal_info info;
 static struct fault_record fault;
 static struct background background;
-static struct msp msp;
 static uint32_t fed_at; /* gyro sample at which the watchdog was fed last */
 
 static void on_sample(void *context, const struct imu_sample *sample)
@@ -28,8 +26,8 @@ static void on_sample(void *context, const struct imu_sample *sample)
 		uint8_t bytes[HAL_RECEIVER_BYTES];
 		firmware_receive(fw, bytes, hal_receiver_read(bytes, sizeof bytes));
 	}
-	firmware_sample(fw, sample, dshot);
-	hal_motors_write(dshot, POLICY_ACTION_COUNT, false);
+	const bool telemetry = firmware_sample(fw, sample, dshot);
+	hal_motors_write(dshot, POLICY_ACTION_COUNT, telemetry);
 	if (control_step)
 		hal_trace_write(firmware_trace(fw));
 
@@ -51,28 +49,25 @@ static void on_gyro_silent(void *context)
 /* The watchdog is fed while time goes on for the core: samples come, or their silence is known. */
 static void on_background(void *context)
 {
-	const struct firmware *fw = context;
+	const uint32_t now = firmware_samples(context);
 
 	background_step(&background);
-	if (fw->samples != fed_at) {
-		fed_at = fw->samples;
+	if (now != fed_at) {
+		fed_at = now;
 		hal_watchdog_feed();
 	}
 }
 
 static size_t on_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
 {
-	struct firmware_status status;
-
 	(void)context;
-	background_status(&background, &status);
-	return msp_serve(&msp, &status, bytes, count, reply, capacity);
+	return background_msp(&background, bytes, count, reply, capacity);
 }
 
 static void on_msp_reset(void *context)
 {
 	(void)context;
-	msp_reset(&msp);
+	background_msp_reset(&background);
 }
 
 static uint32_t cycles(void *context)
@@ -99,6 +94,12 @@ static void led(void *context, bool on)
 	hal_led(on);
 }
 
+static void reset(void *context)
+{
+	(void)context;
+	hal_reset();
+}
+
 static const uint8_t *at(void *context, uint32_t address)
 {
 	(void)context;
@@ -121,13 +122,14 @@ static enum nf_err boot(void)
 {
 	const bool faulted = hal_fault_take(&fault);
 	const struct background_config config = {
-		.io = { .cycles = cycles, .power_read = power_read, .beeper = beeper, .led = led },
+		.io = { .cycles = cycles, .power_read = power_read, .beeper = beeper, .led = led, .reset = reset },
 		.flash = { .at = at, .erase = erase, .program = program },
 		.firmware = &firmware,
 		.weights = weights,
 		.stats = stats,
 		.alignment = info.alignment,
 		.pid = &pid_gains_built_in,
+		.identity = &info.identity,
 		.fault = faulted ? &fault : NULL,
 		.changes = info.changes,
 		.change_count = info.change_count,
@@ -157,7 +159,6 @@ int main(int argc, char **argv)
 	if (start != HAL_RUN)
 		return start;
 
-	msp_init(&msp, &info.identity);
 	/* Without a good policy it still runs, answers MSP and says why it will not arm. */
 	const enum nf_err err = boot();
 	return err == NF_OK ? hal_run(&handlers, &background.settings) : hal_refuse(err);

@@ -59,7 +59,6 @@ def test_only_main_has_variables_of_its_own_when_compiled(puppet_build: Path) ->
         "info",
         "fault",
         "background",
-        "msp",
         "fed_at",
     }
     assert set(found) == set(MODULES)

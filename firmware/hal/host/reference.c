@@ -9,7 +9,6 @@
 #include "hal/host/convert.h"
 #include "hal/host/flash_model.h"
 #include "hal/host/receiver_line.h"
-#include "msp.h"
 #include "pid.h"
 
 struct reference {
@@ -17,7 +16,6 @@ struct reference {
 	_Alignas(8) float weights[POLICY_WEIGHT_COUNT];
 	struct task_stats stats[TASK_COUNT];
 	struct background background;
-	struct msp msp;
 	struct power_sample power;
 	double control_us;
 	struct setting_change changes[NF_SETTING_COUNT];
@@ -52,17 +50,23 @@ static void switch_nothing(void *context, bool on)
 	(void)on;
 }
 
+static void reset_nothing(void *context)
+{
+	(void)context;
+}
+
 int reference_init(void *self, unsigned gyro_hz, const char *const settings[], size_t count)
 {
 	struct reference *r = self;
 	struct background_config config = {
 		.io = { .context = r, .cycles = cycles, .power_read = power_read, .beeper = switch_nothing,
-			.led = switch_nothing },
+			.led = switch_nothing, .reset = reset_nothing },
 		.firmware = &r->firmware,
 		.weights = r->weights,
 		.stats = r->stats,
 		.alignment = HOST_GYRO_ALIGNMENT,
 		.pid = &pid_gains_built_in,
+		.identity = &host_identity,
 		.changes = r->changes,
 		.change_count = count,
 		.gyro_rate_hz = gyro_hz,
@@ -79,7 +83,6 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	flash_model_init(&r->flash, r->flash_bytes);
 	config.flash = flash_model_interface(&r->flash);
 	r->power = convert_power(HOST_FULL_VOLTS, 0.0);
-	msp_init(&r->msp, &host_identity);
 	return background_start(&r->background, &config);
 }
 
@@ -141,8 +144,6 @@ void reference_trace(const void *self, struct reference_trace *out)
 size_t reference_msp(void *self, const uint8_t *in, size_t n, uint8_t *out, size_t cap)
 {
 	struct reference *r = self;
-	struct firmware_status status;
 
-	background_status(&r->background, &status);
-	return msp_serve(&r->msp, &status, in, n, out, cap);
+	return background_msp(&r->background, in, n, out, cap);
 }
