@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NoReturn
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import NoReturn
 
 from sim.board.adc import Adc, AdcCommon
-from sim.board.bus import Device, Registers, Touch
-from sim.board.context import Bus, Context
+from sim.board.bus import Companion, Device, Registers, Touch
+from sim.board.context import TIME_HZ, Bus, Context
 from sim.board.dma import DmaSystem
 from sim.board.dshot import Esc, Frame
+from sim.board.engine import CPI, Engine, Note
 from sim.board.exti import Exti
 from sim.board.flash import Flash
 from sim.board.gpio import Pins
@@ -69,6 +73,9 @@ class Hardware:
         self.registers = Registers(context)
         for device in self._devices():
             self.registers.add(device)
+        companions: tuple[Companion, ...] = (self.gyro, *self.escs)
+        for companion in companions:
+            self.registers.accompany(self.spi, companion)
         self._wire(watchdog_resets)
 
     def attach(self, bus: Bus) -> None:
@@ -80,21 +87,6 @@ class Hardware:
     def touched(self) -> tuple[Touch, ...]:
         """Every register that the image touched, with counts."""
         return self.registers.touched()
-
-    def lose_power(self) -> None:
-        """The supply goes and comes back: everything starts anew but flash and option bytes."""
-        self.context.system_reset("power")
-
-    def state(self) -> Any:  # noqa: ANN401
-        """What the engine does not keep: chips beside the processor. Registers are attached peripherals."""
-        return {"gyro": self.gyro.state(), "escs": [esc.state() for esc in self.escs]}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        """After the engine has restored the attached peripherals."""
-        self.gyro.restore(state["gyro"])
-        for esc, saved in zip(self.escs, state["escs"], strict=True):
-            esc.restore(saved)
-        self.dma.relink()
 
     def _devices(self) -> tuple[Device, ...]:
         return (
@@ -152,3 +144,104 @@ class Hardware:
 
     def _fail(self, message: str) -> NoReturn:
         self.context.fail(message)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an image did to the board."""
+
+    cycles: int  # of 216 MHz, since power-up
+    instructions: int
+    registers: tuple[Touch, ...]  # every one that was touched, in order of address
+    frames: tuple[int, ...]  # DShot frames by motor
+    samples: int  # of the gyro chip
+    resets: tuple[str, ...]  # their causes, the first one power
+    flash_operations: int
+    watchdog_margin_s: float | None  # the least time that was left when it was fed
+    notes: tuple[Note, ...]
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.cycles / TIME_HZ:.3f} s, {self.instructions:,} instructions, "
+            f"{self.samples:,} gyro samples",
+            f"DShot frames by motor: {', '.join(f'{n:,}' for n in self.frames)}",
+            f"resets: {', '.join(self.resets)}; flash operations: {self.flash_operations}",
+        ]
+        lines += [f"note, {n.times} times, first at {n.place}: {n.message}" for n in self.notes]
+        lines += [f"{t.register:24}{t.reads:12,} reads{t.writes:12,} writes" for t in self.registers]
+        return "\n".join(lines)
+
+
+class Board:
+    """A MATEKF722 with an image in its flash, powered and about to execute its first instruction."""
+
+    def __init__(
+        self,
+        image: bytes,
+        *,
+        elf: Path | None = None,
+        chip: GyroKind = MPU6500,
+        cpi: Fraction = CPI,
+        strict: bool = True,
+        profile: bool = False,
+        options: OptionBytes | None = None,
+        seed: int = 0,
+        watchdog_resets: bool = False,
+    ) -> None:
+        """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
+
+        strict: a fault of the core is an error of the image instead of a case for its handler.
+        watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        Raises BuildError when the engine cannot be built or `elf` is none.
+        """
+        self.engine = Engine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
+        self.hardware = Hardware(
+            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
+        )
+        self.engine.vectors = self.hardware.flash.options.boot_address
+        self.hardware.attach(self.engine)
+        self.engine.power_cycle()
+        self.engine.resets.clear()
+        self.engine.resets.append("power")
+
+    @property
+    def cycle(self) -> int:
+        """The time now, in cycles of 216 MHz."""
+        return self.engine.cycle
+
+    @property
+    def symbols(self) -> dict[str, int]:
+        """Address of every name of the image; empty without an ELF."""
+        return self.engine.symbols
+
+    def reset(self) -> None:
+        """The supply goes and comes back: all starts anew but flash, option bytes and the time."""
+        self.engine.power_cycle()
+
+    def run_to(self, cycle: int) -> None:
+        """Run until `cycle`. Raises BoardError for what a board does not forgive."""
+        self.engine.run_to(cycle)
+
+    def run(self, seconds: float) -> None:
+        """Run for so long."""
+        self.run_to(self.cycle + round(seconds * TIME_HZ))
+
+    def report(self) -> Report:
+        """What the image did up to now."""
+        hardware = self.hardware
+        closest = hardware.iwdg.closest
+        return Report(
+            cycles=self.cycle,
+            instructions=self.engine.instructions,
+            registers=hardware.touched(),
+            frames=tuple(esc.frames for esc in hardware.escs),
+            samples=hardware.gyro.samples,
+            resets=tuple(self.engine.resets),
+            flash_operations=hardware.flash.operations,
+            watchdog_margin_s=None if closest is None else closest / TIME_HZ,
+            notes=tuple(self.engine.notes.values()),
+        )
+
+    def close(self) -> None:
+        """Give the memory back."""
+        self.engine.close()

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from sim.board.context import Bus, Context
 
@@ -188,6 +188,14 @@ class Device:
         return before ^ self.words[register]
 
 
+class Companion(Protocol):
+    """Something beside the chip whose state goes with the chip's."""
+
+    def state(self) -> Any: ...  # noqa: ANN401
+
+    def restore(self, state: Any) -> None: ...  # noqa: ANN401
+
+
 class _Slot:
     """A register in its place: the device behind it and how often it was touched."""
 
@@ -225,6 +233,7 @@ class _Window:
         self._context, self.base = context, base
         self.blocks: list[Block] = []
         self.devices: list[Device] = []
+        self.companions: list[Companion] = []
         self.slots: dict[int, _Slot] = {}
 
     @property
@@ -278,12 +287,17 @@ class _Window:
             device.reset()
 
     def state(self) -> Any:  # noqa: ANN401
-        touched = {offset: (slot.reads, slot.writes) for offset, slot in self.slots.items()}
-        return {"devices": [device.state() for device in self.devices], "touched": touched}
+        return {
+            "devices": [device.state() for device in self.devices],
+            "companions": [companion.state() for companion in self.companions],
+            "touched": {offset: (slot.reads, slot.writes) for offset, slot in self.slots.items()},
+        }
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
         for device, saved in zip(self.devices, state["devices"], strict=True):
             device.restore(saved)
+        for companion, saved in zip(self.companions, state["companions"], strict=True):
+            companion.restore(saved)
         for offset, counts in state["touched"].items():
             self.slots[offset].reads, self.slots[offset].writes = counts
 
@@ -340,6 +354,10 @@ class Registers:
         """Put `device` in its place."""
         self.devices[device.name] = device
         self._windows[device.block.base & ~(WINDOW - 1)].add(device)
+
+    def accompany(self, device: Device, companion: Companion) -> None:
+        """`companion` goes into snapshots with `device`, which is there already."""
+        self._windows[device.block.base & ~(WINDOW - 1)].companions.append(companion)
 
     def attach(self, bus: Bus) -> None:
         """Put every window behind the engine's bus."""

@@ -85,6 +85,10 @@ class Dma(Device):
                     self, f"write_s{i}{name.lower()}", lambda value, i=i, name=name: self._set(i, name, value)
                 )
 
+    def restore(self, state: object) -> None:
+        super().restore(state)
+        self._system.relink()
+
     def reset(self) -> None:
         super().reset()
         self._totals, self._moved = [0] * STREAMS, [0] * STREAMS
