@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import serial
 from yamspy import MSPy
 
+from flash import messages, records, requests
+from flash.client import Client
+from flash.transport import open_transport
 from toolchain import contract
+from toolchain.blob import PolicyBlob, pack
+from toolchain.contract import SETTINGS, Msp
+from toolchain.errors import LinkError
 
 WAIT_S = 5.0  # how long an answer may take before the test fails
 API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"
@@ -82,3 +90,160 @@ def test_yamspy_reads_who_and_how_it_is_when_it_calls_over_tcp(start: Start, hos
     assert peer.CONFIG["armingDisableFlags"] == expected
     assert peer.RC["channels"][:5] == [1777, 1500, 1500, 1234, 1000]
     assert peer.MOTOR_DATA == [1000] * 4 + [0] * 4
+
+
+# --- What it changes ----------------------------------------------------------------------------
+INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
+
+
+def ask(p: Any) -> Client:
+    """A client of the program."""
+    return Client(open_transport(f"tcp:127.0.0.1:{p.ports['msp']}"))
+
+
+def boot(p: Any) -> None:
+    """Samples and frames until nothing forbids arming."""
+    for _ in range(1300):
+        p.sticks()
+        p.step()
+    with ask(p) as client:
+        told = messages.status_ex(client.request(Msp.STATUS_EX))
+    assert messages.arming_reasons(told.arming_flags) == ()
+
+
+def arm(p: Any) -> None:
+    boot(p)
+    p.sticks(arm=2000)
+    p.step()
+    with ask(p) as client:
+        assert messages.status(client.request(Msp.STATUS)).armed
+
+
+def test_a_setting_is_flown_from_the_next_start_on_when_it_was_saved(start: Start, tmp_path: Path) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    p = start(option)
+    with ask(p) as client:
+        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, whole=True))
+        assert messages.policy_info(client.request(Msp.POLICY_INFO)).gyro_rate_hz == 4000
+        client.request(Msp.EEPROM_WRITE)
+    p.end()
+    with ask(start(option)) as client:
+        assert messages.policy_info(client.request(Msp.POLICY_INFO)).gyro_rate_hz == 2000
+        told = client.request(Msp.SETTING_GET, requests.setting_index(INDEX["gyro_rate_hz"]))
+        assert requests.setting_value(told) == 2000
+
+
+def test_a_setting_is_forgotten_when_it_was_not_saved(start: Start, tmp_path: Path) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    p = start(option)
+    with ask(p) as client:
+        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, whole=True))
+    p.end()
+    with ask(start(option)) as client:
+        assert messages.policy_info(client.request(Msp.POLICY_INFO)).gyro_rate_hz == 4000
+
+
+def test_boots_are_counted_when_the_program_starts_over(start: Start, tmp_path: Path) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    for boots in (1, 2, 3):
+        p = start(option)
+        with ask(p) as client:
+            assert records.faults(client.request(Msp.FAULTS)) == records.Faults(boots, None)
+        p.end()
+
+
+def test_a_policy_is_flown_from_the_next_start_on_when_it_was_sent(
+    start: Start, tmp_path: Path, puppets_blob: PolicyBlob
+) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    p = start(option)
+    with ask(p) as client:
+        data = pack(PolicyBlob(**(vars(puppets_blob) | {"sequence": 1, "aircraft": "sent", "idle": 0.125})))
+        assert requests.slot_begun(client.request(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))) == 1
+        for offset in range(0, len(data), 200):
+            client.request(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, data[offset : offset + 200]))
+        client.request(Msp.POLICY_SLOT_END)
+        now = messages.policy_info(client.request(Msp.POLICY_INFO))
+        assert (now.name, now.source) == ("puppet", messages.PolicySource.COMPILED_IN)
+    p.end()
+    with ask(start(option)) as client:
+        then = messages.policy_info(client.request(Msp.POLICY_INFO))
+    assert (then.name, then.source, then.sequence) == ("sent", messages.PolicySource.SLOT_A, 1)
+    assert (then.idle, then.good) == (0.125, True)
+
+
+def test_nothing_is_changed_when_the_motors_are_armed(start: Start, tmp_path: Path) -> None:
+    flash = tmp_path / "flash.bin"
+    p = start("--gyro-hz=1000", f"--settings={flash}")
+    arm(p)
+    before = flash.read_bytes()
+    with ask(p) as client:
+        for command, payload in (
+            (Msp.SETTING_SET, requests.setting_set(0, 2000, whole=True)),
+            (Msp.EEPROM_WRITE, b""),
+            (Msp.POLICY_SLOT_BEGIN, requests.slot_begin(608)),
+            (Msp.MOTOR_TEST, requests.motor_test(contract.MOTOR_TEST_MAGIC)),
+            (Msp.SET_MOTOR, requests.set_motor([1100] * 4)),
+            (Msp.DSHOT_COMMAND, requests.dshot_command(1)),
+            (Msp.REBOOT, b""),
+        ):
+            with pytest.raises(LinkError, match=rf"refuses MSP {command.name}: the motors are armed"):
+                client.request(command, payload)
+        safety = records.safety(client.request(Msp.SAFETY))
+        assert safety.state == contract.FlightState.ARMED
+    assert flash.read_bytes() == before
+
+
+def test_safety_and_tasks_are_told_when_the_program_flies(start: Start) -> None:
+    p = start("--gyro-hz=1000")
+    arm(p)
+    with ask(p) as client:
+        safety = records.safety(client.request(Msp.SAFETY))
+        tasks = records.tasks(client.request(Msp.TASKS))
+        battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
+        imu = messages.raw_imu(client.request(Msp.RAW_IMU))
+    assert (safety.arming_flags, safety.policy_good, safety.receiver_percent) == (0, True, 100)
+    control = tasks.loads[contract.Task.CONTROL]
+    assert (control.rate_hz, control.runs) == (1000, 1301)
+    assert control.best_cycles <= control.mean_cycles <= control.worst_cycles
+    assert (battery.level, battery.cells) == (messages.BatteryLevel.GOOD, 4)
+    assert battery.voltage_v == pytest.approx(16.8, abs=0.05)
+    assert imu.acceleration[:2] == (0, 0)
+    assert imu.acceleration[2] == pytest.approx(512, abs=2)
+
+
+# --- The file that flash lies in ----------------------------------------------------------------
+def refusal_of(build: Path, option: str) -> str:
+    """What the program says on stderr when it does not start."""
+    done = subprocess.run([build / "neuroflight", option, "--msp-port=0"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    return done.stderr
+
+
+def test_the_file_is_flash_when_it_is_new(start: Start, tmp_path: Path) -> None:
+    flash = tmp_path / "flash.bin"
+    start(f"--settings={flash}").end()
+    content = flash.read_bytes()
+    assert len(content) == contract.FLASH_BYTES
+    log = contract.FLASH_FAULT_RECORD.address - contract.FLASH_BASE
+    assert content[log : log + 4] == b"NFFL", "a boot was logged"
+    assert set(content[:log]) == set(content[log + contract.FLASH_FAULT_RECORD.size :]) == {0xFF}
+
+
+@pytest.mark.parametrize("size", [1, contract.FLASH_BYTES - 1, contract.FLASH_BYTES + 1])
+def test_a_file_of_another_size_is_left_alone_when_given(
+    puppet_build: Path, tmp_path: Path, size: int
+) -> None:
+    flash = tmp_path / "photo.jpg"
+    flash.write_bytes(b"x" * size)
+    words = refusal_of(puppet_build, f"--settings={flash}")
+    assert f"flash file {flash}: it has another size" in words
+    assert words.count("\n") == 1
+    assert flash.read_bytes() == b"x" * size
+
+
+def test_the_program_says_why_when_the_file_cannot_be_opened(puppet_build: Path, tmp_path: Path) -> None:
+    words = refusal_of(puppet_build, f"--settings={tmp_path}/nowhere/flash.bin")
+    assert "No such file or directory" in words
+    assert words.count("\n") == 1

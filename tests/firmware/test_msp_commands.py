@@ -471,6 +471,44 @@ def test_no_policy_is_told_as_flown_when_none_is_good(server: Callable[..., Serv
     assert (info.source, info.name) == (messages.PolicySource.NONE, "puppet")
 
 
+# --- Power goes ---------------------------------------------------------------------------------
+def test_what_is_stored_is_old_or_new_when_power_goes_in_session_after_session(
+    server: Callable[..., Server], puppets_blob: PolicyBlob
+) -> None:
+    """Settings, policies and faults side by side in one flash, changed over MSP, each cut somewhere."""
+    s = server()
+    rng = np.random.default_rng(12)
+    deadband, sequence, outcomes = 0, 0, set()
+    for session in range(400):
+        s.chip.cut(int(rng.integers(300)), int(rng.integers(5)), session)
+        wanted = (deadband, sequence)
+        if rng.random() < 0.5:
+            wanted = (int(rng.integers(1, 101)), sequence)
+            s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["deadband_us"], wanted[0], whole=True))
+            done = s.ask(Msp.EEPROM_WRITE)
+        else:
+            wanted = (deadband, sequence + 1)
+            data = new_policy(puppets_blob, wanted[1])
+            s.ask(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))
+            for offset in range(0, len(data), requests.SLOT_BYTES_MAX):
+                piece = data[offset : offset + requests.SLOT_BYTES_MAX]
+                s.ask(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, piece))
+            done = s.ask(Msp.POLICY_SLOT_END)
+        s.chip.power_on()
+        s.boot()
+        s.core.lib.settings_load(s.settings, s.chip.flash)
+        s.core.lib.fault_log_boot(s.faults, s.chip.flash, s.core.ffi.NULL)
+        told = s.reply(Msp.SETTING_GET, requests.setting_index(INDEX["deadband_us"]))
+        found = (int(requests.setting_value(told)), messages.policy_info(s.reply(Msp.POLICY_INFO)).sequence)
+        assert (
+            found == wanted if done.direction is Direction.REPLY else found in (wanted, (deadband, sequence))
+        )
+        assert s.faults.boots == session + 1
+        outcomes.add((done.direction, found == wanted))
+        deadband, sequence = found
+    assert outcomes == {(Direction.REPLY, True), (Direction.ERROR, False), (Direction.ERROR, True)}
+
+
 # --- Any bytes -----------------------------------------------------------------------------------
 def test_the_server_goes_on_when_payloads_are_wild(server: Callable[..., Server]) -> None:
     s = server()
