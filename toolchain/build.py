@@ -26,14 +26,16 @@ from toolchain.cortex_m7 import load_program
 from toolchain.errors import BuildError, PolicyError
 from toolchain.files import replacing, write_text, write_text_if_changed
 from toolchain.header import render_contract
-from toolchain.image import FLASH, RAM, memory_use, read_image
+from toolchain.image import FLASH, RAM, image_budgets, memory_use, read_image
 from toolchain.network import PolicyModel, read_policy
 from toolchain.pid_table import PidTable, render_pid_table
 from toolchain.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage
+from toolchain.stack import StackError, StackUse, stack_use
 from toolchain.timing import Cost, mixed_observations, step_cost
 
 BOARD_MEMORY = (*RAM, FLASH)
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
+NO_STACK = "the operating system gives this program its stack"
 NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
 
 
@@ -109,6 +111,7 @@ def build(
         image = read_image(made)
         memory = memory_use(image) if known.has_board_memory else ()
         cost = _step_cost(compiled, made) if known.has_board_memory else None
+        stack, no_stack = _stack(known, made, out / "make" / "obj")
         files = tuple(_publish(out / "make" / name, out / name, root) for name in known.products)
         finished = time.perf_counter()
         report = BuildReport(
@@ -122,6 +125,9 @@ def build(
             step_instructions=cost.instructions[1] if cost else None,
             predicted_cycles=round(cost.cycles[1]) if cost and cost.cycles else None,
             predicted_cycles_reason=cost.no_cycles_reason if cost else NO_CYCLES,
+            budgets=image_budgets(image) if known.has_board_memory else (),
+            stack=stack,
+            stack_reason=no_stack,
         )
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
     return report
@@ -225,6 +231,16 @@ def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
     policy = compiled.policy
     arm = ArmPolicy(load_program(image), policy.observation_count, policy.action_count, BOARD_MEMORY)
     return step_cost(arm, mixed_observations(OBSERVATIONS, policy.observation_count))
+
+
+def _stack(target: Target, image: Path, objects: Path) -> tuple[StackUse | None, str | None]:
+    """The deepest that the image's stack becomes; None with the reason where that is not known."""
+    if not target.has_board_memory:
+        return None, NO_STACK
+    try:
+        return stack_use(image, objects), None
+    except StackError as error:
+        return None, str(error)
 
 
 def _publish(made: Path, published: Path, root: Path) -> OutputFile:

@@ -22,6 +22,8 @@ from unicorn import (
     UC_HOOK_BLOCK,
     UC_HOOK_CODE,
     UC_HOOK_MEM_INVALID,
+    UC_HOOK_MEM_READ,
+    UC_HOOK_MEM_WRITE,
     UC_MEM_FETCH_PROT,
     UC_MEM_FETCH_UNMAPPED,
     UC_MEM_READ_PROT,
@@ -229,10 +231,24 @@ class CortexM7:
             self.call(function, *arguments)
         return top - lowest
 
+    def accesses(self, region: Region, function: str, *arguments: int) -> int:
+        """How often a call reads or writes in `region`."""
+        count = 0
+
+        def note(*_: object) -> bool:
+            nonlocal count
+            count += 1
+            return True
+
+        kind = UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE
+        with self._hooked(kind, note, region.address, region.address + region.size - 1):
+            self.call(function, *arguments)
+        return count
+
     @contextmanager
-    def _hooked(self, kind: int, callback: object) -> Iterator[None]:
+    def _hooked(self, kind: int, callback: object, begin: int = 1, end: int = 0) -> Iterator[None]:
         # Hooks are compiled into translated code, so what was translated without them is thrown away.
-        hook = self._uc.hook_add(kind, callback)
+        hook = self._uc.hook_add(kind, callback, begin=begin, end=end)
         self._uc.ctl_flush_tb()  # type: ignore[attr-defined]
         try:
             yield

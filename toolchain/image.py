@@ -17,6 +17,10 @@ from toolchain.errors import BuildError
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 RAM = (ITCM, DTCM, SRAM1, SRAM2)
 
+# What an image may take of them (firmware/targets/MATEKF722/image.ld holds it too).
+FLASH_BUDGET = 128 * 1024
+RAM_BUDGET = 96 * 1024
+
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 
 
@@ -96,6 +100,13 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
     flash = _place(((s.address, s.size, "segment") for s in image.segments), (FLASH,))
     ram = [s for s in image.sections if not _inside(s.address, s.size, FLASH)]
     return flash + _place(((s.address, s.size, s.name) for s in ram), RAM)
+
+
+def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
+    """How much of its budgets an image takes: all flash, policy included, and all RAM. Raises BuildError."""
+    flash, *rams = memory_use(image)
+    ram = sum(use.used for use in rams)
+    return MemoryUse("flash", flash.used, FLASH_BUDGET), MemoryUse("RAM", ram, RAM_BUDGET)
 
 
 def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> tuple[MemoryUse, ...]:

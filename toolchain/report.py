@@ -12,6 +12,7 @@ from toolchain.contract import IDLE_MAX
 from toolchain.cycles import CORE_HZ
 from toolchain.errors import BuildError
 from toolchain.image import MemoryUse, Section
+from toolchain.stack import StackUse
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,10 +79,14 @@ class BuildReport:
     predicted_cycles: int | None  # of policy_step in this image
     predicted_cycles_reason: str | None  # why they are None
     pid: PidFacts | None = None  # None: none is built in
+    budgets: tuple[MemoryUse, ...] = ()  # of the image's flash and RAM; empty on the host
+    stack: StackUse | None = None  # at its deepest, by analysis
+    stack_reason: str | None = None  # why it is not known
 
     def document(self) -> dict[str, object]:
         """The content of report.json."""
-        return asdict(self)
+        stack = None if self.stack is None else asdict(self.stack) | {"margin": self.stack.margin}
+        return asdict(self) | {"stack": stack}
 
 
 def built_idle(product: Path) -> float:
@@ -128,9 +133,16 @@ def print_report(report: BuildReport, console: Console) -> None:
     pid = report.pid
     fallback = "none: no gains for this aircraft" if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
     table.add_row("PID", "built in", fallback)
-    for index, use in enumerate(report.memory):
-        share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
-        table.add_row("" if index else "memory", use.region, share)
+    for title, uses in (("memory", report.memory), ("budget", report.budgets)):
+        for index, use in enumerate(uses):
+            share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
+            table.add_row("" if index else title, use.region, share)
+    if report.stack is not None:
+        stack = report.stack
+        at_most = f"{stack.worst:7,} of {stack.size:7,} bytes at worst, {stack.margin:,} to spare"
+        table.add_row("", "stack", at_most)
+    elif report.memory:
+        table.add_row("", "stack", f"not known: {report.stack_reason}")
     if report.memory:
         sections = " · ".join(f"{section.name} {section.size:,}" for section in report.sections)
         table.add_row("", "sections", sections)

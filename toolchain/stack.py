@@ -30,16 +30,24 @@ THREAD = "reset_handler"
 LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fault_handler",))
 
 # Where calls through pointers go that no constant table of their own file holds: C file, or C file and
-# function of the image, -> functions, and names of tables in that file.
+# function of the image, -> functions, or tables whose functions, by file and name.
+_IO = ("main.c:cycles", "main.c:power_read", "main.c:beeper", "main.c:led", "main.c:reset")
 POINTERS: Mapping[str, tuple[str, ...]] = {
-    "boot.c": ("reset_handler",),
-    "gyro_chip.c:gyro_sample_handler": ("on_sample",),
-    "gyro_chip.c:gyro_tick": ("on_gyro_silent",),
-    "hal.c": ("on_background",),
-    "msp_uart.c": ("on_msp", "on_msp_reset"),
-    "flash.c:flash_at": ("at",),
-    "flash.c:flash_erase": ("erase",),
-    "flash.c:flash_program": ("program",),
+    "boot.c": ("startup.c:reset_handler",),
+    "gyro_chip.c:gyro_sample_handler": ("main.c:on_sample",),
+    "gyro_chip.c:gyro_tick": ("main.c:on_gyro_silent",),
+    "hal.c": ("main.c:on_background",),
+    "msp_uart.c": ("main.c:on_msp", "main.c:on_msp_reset"),
+    "flash.c:flash_at": ("main.c:at",),
+    "flash.c:flash_erase": ("main.c:erase",),
+    "flash.c:flash_program": ("main.c:program",),
+    "background.c": _IO,
+    "scheduler.c": ("background.c:tasks", "main.c:cycles"),
+    "msp_commands.c": (
+        *("background.c:storing", "background.c:channels", "background.c:test_motors"),
+        *("background.c:turn_motors", "background.c:command_motors", "background.c:reboot"),
+    ),
+    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:storing"),
 }
 
 _USAGE = re.compile(r"(?P<file>[^:]+):\d+:\d+:(?P<name>\S+)\t(?P<bytes>\d+)\t(?P<kind>\S+)")
@@ -181,7 +189,7 @@ class _Code:
     def _pointed(self, function: _Function, instruction: Instruction) -> Iterator[_Function]:
         file = instruction.line.partition(":")[0]
         named = POINTERS.get(f"{file}:{_CLONE.sub('', function.name)}", POINTERS.get(file))
-        found = [goal for name in named for goal in self._named(name, file)] if named else self._tables(file)
+        found = [goal for place in named for goal in self._named(place)] if named else self._tables(file)
         if not found:
             raise StackError(
                 f"{function.name} calls through a pointer ({instruction.line}); "
@@ -189,9 +197,13 @@ class _Code:
             )
         yield from found
 
-    def _named(self, name: str, file: str) -> list[_Function]:
-        """The functions called `name`, or those in the tables of `file` called so."""
-        return self._names.get(name) or self._tables(file, name)
+    def _named(self, place: str) -> list[_Function]:
+        """The function that FILE:NAME says, or those in the tables called so."""
+        file, name = place.split(":")
+        functions = [found for found in self._names.get(name, ()) if found.file in ("", file)]
+        if not (goals := functions or self._tables(file, name)):
+            raise StackError(f"{place}, which toolchain/stack.py names, is not in the image")
+        return goals
 
     def _tables(self, file: str, name: str | None = None) -> list[_Function]:
         """The functions that constant tables of `file` hold, all of them or the one called `name`."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-SUBJECTS = ("twin", "training", "compiler")
+SUBJECTS = ("twin", "training", "compiler", "firmware")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -18,7 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=3.0, help="for each figure of the twin")
     parser.add_argument("--steps", type=int, default=1_000_000, help="to take training's speed with")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="S", help="of training")
-    parser.add_argument("--inputs", type=int, default=10_000, help="of each compiled network")
+    parser.add_argument("--inputs", type=int, default=10_000, help="of each compiled network; armed steps")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     document: dict[str, Any] = {}
@@ -28,6 +29,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         document |= measure_training(args)
     if "compiler" in args.only:
         document |= measure_compiler(args)
+    if "firmware" in args.only:
+        document |= measure_firmware(args)
     if args.json:
         print(json.dumps(document))
     return 0
@@ -70,6 +73,16 @@ def measure_compiler(args: argparse.Namespace) -> dict[str, Any]:
     if not args.json:
         print_table(measured, notes)
     return {"compiler": {"rows": [asdict(row) for row in measured], "notes": notes}}
+
+
+def measure_firmware(args: argparse.Namespace) -> dict[str, Any]:
+    """What the whole control task takes on the Cortex-M7."""
+    from tests.bench.firmware import print_table, rows
+
+    measured = rows(args.inputs, lambda text: print(text, file=sys.stderr))
+    if not args.json:
+        print_table(measured)
+    return {"firmware": [asdict(row) | {"varies": row.varies} for row in measured]}
 
 
 if __name__ == "__main__":

@@ -7,6 +7,9 @@ void *memmove(void *to, const void *from, size_t count);
 void *memset(void *to, int value, size_t count);
 int memcmp(const void *left, const void *right, size_t count);
 
+/* A word that may lie over anything. */
+typedef uint32_t __attribute__((may_alias)) word;
+
 static int both_aligned(const void *a, const void *b)
 {
 	return (((uintptr_t)a | (uintptr_t)b) & 3u) == 0u;
@@ -18,8 +21,8 @@ void *memcpy(void *restrict to, const void *restrict from, size_t count)
 	const uint8_t *in = from;
 
 	if (both_aligned(out, in)) {
-		for (; count >= 4u; count -= 4u, out += 4, in += 4)
-			*(uint32_t __attribute__((may_alias)) *)out = *(const uint32_t __attribute__((may_alias)) *)in;
+		for (; count >= sizeof(word); count -= sizeof(word), out += sizeof(word), in += sizeof(word))
+			*(word *)(void *)out = *(const word *)(const void *)in;
 	}
 	while (count-- != 0u)
 		*out++ = *in++;
@@ -44,8 +47,18 @@ void *memmove(void *to, const void *from, size_t count)
 void *memset(void *to, int value, size_t count)
 {
 	uint8_t *out = to;
+	const word filled = (uint8_t)value * 0x01010101u;
 
-	while (count-- != 0u)
+	for (; count != 0u && !both_aligned(out, out); --count)
+		*out++ = (uint8_t)value;
+	for (; count >= 4u * sizeof(word); count -= 4u * sizeof(word), out += 4u * sizeof(word)) {
+		word *const four = (void *)out;
+		four[0] = filled;
+		four[1] = filled;
+		four[2] = filled;
+		four[3] = filled;
+	}
+	for (; count != 0u; --count)
 		*out++ = (uint8_t)value;
 	return to;
 }

@@ -18,15 +18,23 @@ void uart_ring_start(const struct uart_ring *ring, uint32_t uart)
 	dma_start(ring->stream, ring->bytes, UART_RING_BYTES);
 }
 
+static inline void copy(uint8_t *to, const volatile uint8_t *from, size_t count)
+{
+	for (const uint8_t *const end = to + count; to != end;)
+		*to++ = *from++;
+}
+
 size_t uart_ring_read(struct uart_ring *ring, uint8_t *bytes, size_t capacity)
 {
 	const uint32_t head = (UART_RING_BYTES - dma_remaining(ring->stream)) % UART_RING_BYTES;
-	size_t count = 0;
+	const size_t waiting = (head - ring->tail) % UART_RING_BYTES;
+	const size_t count = waiting < capacity ? waiting : capacity;
+	const size_t before_end = UART_RING_BYTES - ring->tail;
+	const size_t first = count < before_end ? count : before_end;
 
 	barrier();
-	while (ring->tail != head && count < capacity) {
-		bytes[count++] = ring->bytes[ring->tail];
-		ring->tail = (ring->tail + 1u) % UART_RING_BYTES;
-	}
+	copy(bytes, ring->bytes + ring->tail, first);
+	copy(bytes + first, ring->bytes, count - first);
+	ring->tail = (ring->tail + (uint32_t)count) % UART_RING_BYTES;
 	return count;
 }

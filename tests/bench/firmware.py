@@ -1,0 +1,349 @@
+"""What the whole control task takes on the Cortex-M7: from the gyro's bytes in memory to the motors' frame.
+
+
+A flight of the firmware's C core is recorded and played to the linked image on an emulated core, byte by
+byte: the gyro's DMA, the receiver's line at its speed, the battery. The image's own interrupt handler runs,
+drivers included, and its motor values must be those of the recorded flight, to the bit.
+"""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from elftools.elf.elffile import ELFFile
+from numpy.typing import NDArray
+
+from sim.aircraft import load_aircraft
+from sim.loop import fly
+from sim.pid_table import pid_table
+from sim.port import Reply, Sample
+from sim.reference_port import ReferencePort
+from sim.scenario import load_scenario
+from sim.twin import Twin
+from tests.firmware.board.conftest import Chip, Sketch
+from toolchain.build import build
+from toolchain.contract import (
+    DTCM,
+    FLASH_BASE,
+    FLASH_BYTES,
+    GYRO_COUNTS,
+    GYRO_EDGE_RATE_HZ,
+    GYRO_FULL_SCALE_DEG_S,
+    ITCM,
+    SRAM1,
+    SRAM2,
+    Region,
+)
+from toolchain.cortex_m7 import CortexM7, load_program
+from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
+from toolchain.disassembly import Instruction, disassemble
+from toolchain.mca import ORDERING, PricingError
+from toolchain.registers import load
+
+ROOT = Path(__file__).resolve().parents[2]
+POLICIES = ("nf1", "nf1-six")  # the shipped one, and 6-64-64-4
+AIRCRAFT, SEED, GYRO_HZ = "nf1", 1, 4000
+CYCLES_BAR, VARIES_BAR = 22_000, 0.05
+# llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at
+# half or a quarter of the core's clock: so much more for each access, and for each barrier, is assumed.
+DEVICE_CYCLES = 12
+
+PERIPHERALS = Region("peripherals", 0x40000000, 0x80000)
+SYSTEM = Region("system", 0xE0000000, 0x100000)
+MEMORY = (Region("flash", FLASH_BASE, FLASH_BYTES), ITCM, DTCM, SRAM1, SRAM2, PERIPHERALS, SYSTEM)
+DMA1_S5NDTR = 0x4002608C  # of the receiver's ring
+DMA2_LISR, DMA2_SCR = 0x40026400, 0x40026410
+STREAM_BYTES = 0x18
+ADC_DONE, GYRO_DONE = 1 << 5, 1 << 21  # DMA_LISR TCIF0, TCIF2
+RING_BYTES = 256
+ONE_TICKS = 270  # that a DShot600 bit of 1 is high
+GRAVITY, ACCEL_COUNTS = 9.80665, 2048  # m/s^2; counts a g
+PACK_MV = 16_800 // 11  # at the pin
+EVERY = 40  # gyro samples from one call of the background to the next: 10 ms
+BYTE_US = 120  # of SBUS: 12 bits at 100 kbaud
+
+
+@dataclass(frozen=True)
+class Step:
+    """What went into the firmware at one gyro sample, and what came out."""
+
+    gyro: tuple[int, ...]  # counts, chip axes
+    accel: tuple[int, ...]
+    frame: bytes  # of the receiver, whole before this sample; empty for none
+    dshot: tuple[int, ...]
+    armed: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """The control task around one policy."""
+
+    policy: str
+    network: str
+    steps: int  # armed control steps
+    routes: int  # distinct ones
+    instructions: tuple[int, int]  # fewest, most
+    cycles: tuple[float, float] | None  # predicted, device accesses included
+    no_cycles_reason: str | None
+    device_accesses: int  # in a control step
+    between: tuple[int, int]  # instructions of a gyro sample that is no control step
+
+    @property
+    def varies(self) -> float:
+        """(worst - best) / worst, of cycles where there are some."""
+        best, worst = self.cycles or self.instructions
+        return (worst - best) / worst
+
+
+def rows(steps: int, say: Callable[[str], None] = lambda text: None) -> list[Row]:
+    """The control task over `steps` armed control steps of a flight, around each policy."""
+    with tempfile.TemporaryDirectory(prefix="neuroflight-bench-") as folder:
+        return [_row(name, steps, Path(folder) / name, say) for name in POLICIES]
+
+
+def print_table(measured: Sequence[Row]) -> None:
+    """The rows, beside what they may take at most."""
+    print(
+        f"{'the control task on the Cortex-M7':36}{'instructions':>16}{'cycles':>18}{'varies':>8}{'8 kHz':>8}"
+    )
+    for row in measured:
+        cycles = "" if row.cycles is None else _span(*map(round, row.cycles))
+        share = "" if row.cycles is None else f"{row.cycles[1] * GYRO_EDGE_RATE_HZ / CORE_HZ:.0%}"
+        name = f"{row.policy}: {row.network}"
+        print(f"{name:36}{_span(*row.instructions):>16}{cycles:>18}{row.varies:>8.1%}{share:>8}")
+        print(f"{'  a gyro sample between':36}{_span(*row.between):>16}")
+    print(f"{'  at most':36}{'':>16}{CYCLES_BAR:>18,}{VARIES_BAR:>8.1%}")
+    for row in measured:
+        flown = f"{row.policy}: {row.steps:,} armed steps on {row.routes:,} routes, motor values the host's"
+        print(f"{flown}; {row.device_accesses} device accesses, taken as {DEVICE_CYCLES} cycles more each")
+        if row.no_cycles_reason:
+            print(row.no_cycles_reason)
+
+
+def _span(least: int, most: int) -> str:
+    return f"{least:,}" if least == most else f"{least:,}..{most:,}"
+
+
+def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row:
+    policy = ROOT / "training" / "policies" / name / "policy.onnx"
+    pid = pid_table(load_aircraft(AIRCRAFT))
+    say(f"{name}: building")
+    report = build("MATEKF722", policy, ROOT, folder, pid)
+    build("HOST", policy, ROOT, folder, pid)
+    say(f"{name}: flying")
+    flown = _flight(folder / "HOST" / "libneuroflight.so", steps)
+    say(f"{name}: playing it to the image")
+    board = _Board(folder / "MATEKF722" / "neuroflight.elf")
+    routes: dict[Route, None] = {}
+    between: dict[Route, None] = {}
+    armed_steps = 0
+    for index, (step, heard) in enumerate(zip(flown, _line(flown), strict=True)):
+        control = index % (GYRO_HZ // report.policy.control_rate_hz) == 0
+        route = board.sample(step, heard, watch=step.armed, background=index % EVERY == EVERY - 1)
+        if route is not None:
+            (routes if control else between)[route] = None
+            armed_steps += control
+    code = disassemble(folder / "MATEKF722" / "neuroflight.elf", lines=True)
+    priced, reason = _priced(list(routes), code)
+    least_between = [cost.instructions for cost in route_costs(list(between), code, price=False)]
+    counts = [cost.instructions for cost in priced]
+    accesses = board.device_accesses()
+    cycles = [
+        cost.cycles + DEVICE_CYCLES * (accesses + _barriers(cost))
+        for cost in priced
+        if cost.cycles is not None
+    ]
+    return Row(
+        policy=name,
+        network=report.policy.network,
+        steps=armed_steps,
+        routes=len(routes),
+        instructions=(min(counts), max(counts)),
+        cycles=(min(cycles), max(cycles)) if cycles else None,
+        no_cycles_reason=reason,
+        device_accesses=accesses,
+        between=(min(least_between), max(least_between)),
+    )
+
+
+def _barriers(cost: RouteCost) -> int:
+    """Executed instructions that wait for memory."""
+    return sum(
+        block.times * sum(i.operation in ORDERING for i in block.instructions) for block in cost.blocks
+    )
+
+
+def _priced(routes: Sequence[Route], code: Mapping[int, Instruction]) -> tuple[list[RouteCost], str | None]:
+    try:
+        return route_costs(routes, code, price=True), None
+    except PricingError as error:
+        return route_costs(routes, code, price=False), str(error)
+
+
+# --- The recorded flight ------------------------------------------------------------------------------
+class _Recorder:
+    """A port that notes what passes."""
+
+    def __init__(self, port: ReferencePort) -> None:
+        self._port = port
+        self.motor_count, self.gyro_rate_hz = port.motor_count, port.gyro_rate_hz
+        self.control_rate_hz = port.control_rate_hz
+        self.steps: list[Step] = []
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        reply = self._port.exchange(sample, channels_us)
+        deg_s = np.degrees(sample.gyro) * (GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S)
+        self.steps.append(
+            Step(
+                gyro=_chip(deg_s),
+                accel=_chip(sample.specific_force * (ACCEL_COUNTS / GRAVITY)),
+                frame=b"" if channels_us is None else _sbus(channels_us),
+                dshot=tuple(reply.dshot.tolist()),
+                armed=reply.armed,
+            )
+        )
+        return reply
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        return self._port.arming_reasons()
+
+    def close(self) -> None:
+        self._port.close()
+
+
+def _chip(counts: NDArray[np.float64]) -> tuple[int, ...]:
+    """Body axes as the MPU6500 of this board sees them, turned by 180 degrees."""
+    whole = np.clip(np.rint(counts * (-1.0, -1.0, 1.0)), -GYRO_COUNTS, GYRO_COUNTS - 1)
+    return tuple(int(value) for value in whole)
+
+
+def _sbus(channels_us: Sequence[int]) -> bytes:
+    values = [max(0, min(2047, (us - 880) * 8 // 5)) for us in channels_us]
+    number = sum(value << 11 * index for index, value in enumerate(values))
+    return bytes([0x0F, *number.to_bytes(22, "little"), 0, 0])
+
+
+def _line(steps: Sequence[Step]) -> list[bytes]:
+    """What the receiver's line brings before each gyro sample.
+
+    Bytes come at the line's speed, the last of a frame one gyro period before the sample that it belongs to.
+    """
+    heard = [bytearray() for _ in steps]
+    for index, step in enumerate(steps):
+        for left, byte in enumerate(reversed(step.frame)):
+            before = 1 + left * BYTE_US * GYRO_HZ // 1_000_000
+            heard[max(0, index - before)].insert(0, byte)
+    return [bytes(some) for some in heard]
+
+
+def _flight(library: Path, steps: int) -> list[Step]:
+    """Commands flown from boot until `steps` armed control steps are done."""
+    scenario = load_scenario("pulses", SEED, steps // 1000 + 1, None)
+    port = _Recorder(ReferencePort(library, GYRO_HZ))
+    rng = np.random.default_rng(SEED)
+    twin = Twin(load_aircraft(AIRCRAFT), rate_hz=GYRO_HZ, mount=scenario.mount, rng=rng)
+    with closing(port), closing(twin):
+        fly(twin, port, scenario)
+    first = next(index for index, step in enumerate(port.steps) if step.armed)
+    return port.steps[: first + steps * GYRO_HZ // port.control_rate_hz]
+
+
+# --- The image ----------------------------------------------------------------------------------------
+class _Board:
+    """The image after its start-up, whose interrupts and DMA are played by hand."""
+
+    def __init__(self, elf: Path) -> None:
+        with elf.open("rb") as file:
+            sketch = Sketch(
+                ELFFile(file), load(ROOT / "firmware" / "targets" / "MATEKF722"), cycles_a_read=2000
+            )
+        Chip(sketch, 0x70)
+        program = load_program(elf)
+        sketch.run(program.symbol("msp_uart_serve").address)
+        self._core = CortexM7(program, MEMORY)
+        for region in MEMORY:
+            self._core.write(region.address, bytes(sketch.uc.mem_read(region.address, region.size)))
+        at = {name: program.symbol(name).address for name in program.symbols}
+        self._response, self._ring = at["gyro_response"], at["receiver_ring_bytes"]
+        self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
+        self._firmware = at["firmware"]
+        self._head = 0
+        counts = round(PACK_MV / 3300 * 4095)
+        self._core.write(self._conversions, struct.pack("<64H", *[counts, 0] * 32))
+
+    def sample(self, step: Step, heard: bytes, *, watch: bool, background: bool) -> Route | None:
+        """One gyro sample, before which the receiver's line was heard. Returns its route if watched."""
+        self._hear(heard)
+        for _ in range(GYRO_EDGE_RATE_HZ // GYRO_HZ):
+            self._core.call("gyro_edge_handler")
+        route = self._take(step, watch)
+        if (dshot := self._frame()) != step.dshot:
+            raise AssertionError(f"the image sends {dshot}, the host {step.dshot}: not the same firmware")
+        self._end(1)
+        if background:
+            self._poke(DMA2_LISR, ADC_DONE)
+            self._core.call("on_background", self._firmware)
+            self._poke(DMA2_LISR, 0)
+        return route
+
+    def device_accesses(self) -> int:
+        """How often a control step touches a register of a peripheral."""
+        most = 0
+        for _ in range(2 * GYRO_HZ // 1000):
+            self._core.call("gyro_edge_handler")
+            self._finish(Step((0, 0, 0), (0, 0, 0), b"", (), armed=False))
+            most = max(most, self._core.accesses(PERIPHERALS, "gyro_sample_handler"))
+            self._end(1)
+        return most
+
+    def _take(self, step: Step, watch: bool) -> Route | None:
+        self._finish(step)
+        route = None
+        if watch:
+            with self._core.recording() as runs:
+                self._core.call("gyro_sample_handler")
+            route = route_of(runs)
+        else:
+            self._core.call("gyro_sample_handler")
+        self._poke(DMA2_LISR, 0)
+        return route
+
+    def _finish(self, step: Step) -> None:
+        """DMA has moved what the chip said."""
+        self._core.write(self._response, struct.pack(">B7h", 0, *step.accel, 0, *step.gyro))
+        for stream in (2, 3):
+            self._end(stream)
+        self._poke(DMA2_LISR, GYRO_DONE)
+
+    def _end(self, stream: int) -> None:
+        address = DMA2_SCR + STREAM_BYTES * stream
+        self._poke(address, self._peek(address) & ~1)
+
+    def _hear(self, heard: bytes) -> None:
+        for byte in heard:
+            self._core.write(self._ring + self._head, bytes([byte]))
+            self._head = (self._head + 1) % RING_BYTES
+        self._poke(DMA1_S5NDTR, RING_BYTES - self._head)
+
+    def _frame(self) -> tuple[int, ...]:
+        """The motor values in the frame that DMA would send."""
+        slots = struct.unpack("<64I", self._core.read(self._slots, 256))
+        return tuple(_value(slots[motor::4]) for motor in range(4))
+
+    def _peek(self, address: int) -> int:
+        return int.from_bytes(self._core.read(address, 4), "little")
+
+    def _poke(self, address: int, value: int) -> None:
+        self._core.write(address, value.to_bytes(4, "little"))
+
+
+def _value(ticks: Sequence[int]) -> int:
+    """The 11 bits that a DShot frame begins with."""
+    bits: Iterator[bool] = (tick == ONE_TICKS for tick in ticks[:11])
+    return int("".join("1" if bit else "0" for bit in bits), 2)
