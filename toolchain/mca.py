@@ -29,8 +29,7 @@ PACKAGE = "llvm"  # the system's package that brings it
 TRIPLE = "thumbv7em-none-eabihf"
 SHORT, LONG = 100, 3  # iterations of a block, and of the block written LONG times over
 BRANCH_CYCLES = 1
-# Barriers and interrupt masks, which the model lacks: they wait for memory, which it does not know either.
-ORDERING = ("dsb", "isb", "dmb", "cpsid", "cpsie")
+MASKS = ("cpsid", "cpsie")  # of interrupts: the model lacks them
 MULTIPLE = re.compile(r"(v?)(ldm|stm|push|pop)(ia|db)?")
 REFUSED = re.compile(r"note: instruction: *\s*(.*)")
 MISREAD = re.compile(r"<stdin>:(\d+):\d+: error: (.*)")
@@ -77,12 +76,12 @@ def assembly(instruction: Instruction) -> tuple[str, ...]:
 
     Conditions go (a skipped instruction takes its place in the pipeline too), IT with them; calls become
     jumps, because what is called is counted by itself; VCMPE and comparing with zero, which the model lacks,
-    become VCMP of two registers; barriers and interrupt masks take their place and no more.
+    become VCMP of two registers; masks of interrupts take their place and no more.
     """
     operation, operands = instruction.operation, instruction.operands
     if re.fullmatch("it[te]*", instruction.mnemonic):
         return ()
-    if operation in ORDERING:
+    if operation in MASKS:
         return ("nop",)
     if multiple := MULTIPLE.fullmatch(operation):
         return tuple(_multiple(multiple, operands))

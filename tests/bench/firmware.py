@@ -1,6 +1,5 @@
 """What the whole control task takes on the Cortex-M7: from the gyro's bytes in memory to the motors' frame.
 
-
 A flight of the firmware's C core is recorded and played to the linked image on an emulated core, byte by
 byte: the gyro's DMA, the receiver's line at its speed, the battery. The image's own interrupt handler runs,
 drivers included, and its motor values must be those of the recorded flight, to the bit.
@@ -43,7 +42,7 @@ from toolchain.contract import (
 from toolchain.cortex_m7 import CortexM7, load_program
 from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
 from toolchain.disassembly import Instruction, disassemble
-from toolchain.mca import ORDERING, PricingError
+from toolchain.mca import PricingError
 from toolchain.registers import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,6 +52,7 @@ CYCLES_BAR, VARIES_BAR = 22_000, 0.05
 # llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at
 # half or a quarter of the core's clock: so much more for each access, and for each barrier, is assumed.
 DEVICE_CYCLES = 12
+BARRIERS = ("dsb", "isb")
 
 PERIPHERALS = Region("peripherals", 0x40000000, 0x80000)
 SYSTEM = Region("system", 0xE0000000, 0x100000)
@@ -175,7 +175,7 @@ def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row
 def _barriers(cost: RouteCost) -> int:
     """Executed instructions that wait for memory."""
     return sum(
-        block.times * sum(i.operation in ORDERING for i in block.instructions) for block in cost.blocks
+        block.times * sum(i.operation in BARRIERS for i in block.instructions) for block in cost.blocks
     )
 
 

@@ -106,7 +106,7 @@ def test_blocks_are_priced_alike_when_they_come_alone_or_together() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("mrs r0, msp", "`mrs r0, msp`: its model of the Cortex-M7 lacks the instruction"),
+        ("udf #0", "`udf #0`: its model of the Cortex-M7 lacks the instruction"),
         ("frob r0, r1", "`frob r0, r1`: invalid instruction"),
     ],
 )
