@@ -221,6 +221,8 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	const struct policy_update update = slots->update;
 
 	*why = NF_OK;
+	if (update.ended)
+		return NF_REFUSAL_NONE;
 	if (update.target == POLICY_SOURCE_COUNT || update.written != update.total)
 		return NF_REFUSAL_ORDER;
 	const uint8_t *blob = blob_of(slots, update.target);
@@ -232,5 +234,6 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
 		return give_up(slots, NF_REFUSAL_FLASH);
 	slots->found[update.target] = NF_OK;
-	return give_up(slots, NF_REFUSAL_NONE);
+	slots->update = (struct policy_update){ .target = POLICY_SOURCE_COUNT, .ended = true };
+	return NF_REFUSAL_NONE;
 }

@@ -6,6 +6,7 @@
 #ifndef NF_POLICY_SLOTS_H
 #define NF_POLICY_SLOTS_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -29,6 +30,7 @@ struct policy_update {
 	uint32_t total;            /* bytes that the blob will have */
 	uint32_t written;          /* bytes so far, the first word included, which is kept here */
 	uint32_t head;             /* that word */
+	bool ended;                /* the last update arrived whole, and none has begun since */
 };
 
 struct policy_slots {
@@ -64,9 +66,9 @@ enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
  * may be repeated, for a reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD, NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes);
 
-/* Ends the update: checks all of it, then makes it valid. It is flown from the next boot on. NF_REFUSAL_ORDER,
- * NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not above all others here.
- * A slot that is refused stays empty until it is begun again. */
+/* Ends the update: checks all of it, then makes it valid. It is flown from the next boot on. May be repeated.
+ * NF_REFUSAL_ORDER, NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not above all
+ * others here. A slot that is refused stays empty until it is begun again. */
 enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
 
 /* The sequence number that the next policy has to have at least. Reads all blobs: some milliseconds. */

@@ -320,7 +320,21 @@ def test_pieces_are_refused_when_they_are_not_what_comes_next(slots: Callable[..
     assert s.write(0xFFFFFFFC, bytes(8)) == Refusal.PAYLOAD
     assert s.write(100, data[100:]) == Refusal.NONE
     assert s.end() == (Refusal.NONE, 0)
-    assert s.end()[0] == Refusal.ORDER, "it is over"
+    assert s.write(0, data[:4]) == Refusal.ORDER, "it is over"
+
+
+def test_the_end_may_come_twice_when_a_reply_was_lost(slots: Callable[..., Slots]) -> None:
+    s = slots()
+    s.boot()
+    data = pack(like(s.image, 1, 3, 4))
+    assert s.update(data) == Refusal.NONE
+    operations = s.chip.operations
+    assert s.end() == (Refusal.NONE, 0)
+    assert s.chip.operations == operations
+    assert s.begin(len(data)) == Refusal.NONE
+    assert s.end()[0] == Refusal.ORDER, "another one has begun"
+    s.boot()
+    assert s.end()[0] == Refusal.ORDER, "it was before this boot"
 
 
 def test_the_last_piece_may_come_twice_when_a_reply_was_lost(slots: Callable[..., Slots]) -> None:
