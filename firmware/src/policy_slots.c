@@ -31,6 +31,14 @@ static struct nf_policy_blob_header header_of(const uint8_t *blob)
 	return header;
 }
 
+static uint32_t sequence_of(const uint8_t *blob)
+{
+	uint32_t sequence;
+
+	memcpy(&sequence, blob + offsetof(struct nf_policy_blob_header, sequence), sizeof sequence);
+	return sequence;
+}
+
 /* What is wrong with the blob that stands there now. */
 static enum nf_err judge(const struct policy_slots *slots, enum policy_source source)
 {
@@ -86,7 +94,7 @@ static enum policy_source best(const struct policy_slots *slots)
 	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; source++) {
 		if (slots->found[source] != NF_OK)
 			continue;
-		const uint32_t sequence = header_of(blob_of(slots, source)).sequence;
+		const uint32_t sequence = sequence_of(blob_of(slots, source));
 		if (chosen == POLICY_SOURCE_COUNT || sequence > highest) {
 			chosen = source;
 			highest = sequence;
@@ -134,7 +142,7 @@ static uint32_t rank(const struct policy_slots *slots, enum policy_source slot)
 {
 	if (slots->found[slot] == NF_ERR_POLICY || judge(slots, slot) != NF_OK)
 		return 0;
-	return header_of(blob_of(slots, slot)).sequence;
+	return sequence_of(blob_of(slots, slot));
 }
 
 /* The flown slot stays. Where the compiled-in policy flies, slots may have been written since boot: the best stays. */
@@ -153,7 +161,7 @@ static uint32_t highest_sequence(const struct policy_slots *slots)
 	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; source++) {
 		if (judge(slots, source) != NF_OK)
 			continue;
-		const uint32_t sequence = header_of(blob_of(slots, source)).sequence;
+		const uint32_t sequence = sequence_of(blob_of(slots, source));
 		highest = sequence > highest ? sequence : highest;
 	}
 	return highest;
@@ -229,7 +237,7 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	*why = policy_blob_check_behind(update.head, blob, update.total, &slots->running);
 	if (*why != NF_OK)
 		return give_up(slots, NF_REFUSAL_BLOB);
-	if (header_of(blob).sequence <= highest_sequence(slots))
+	if (sequence_of(blob) <= highest_sequence(slots))
 		return give_up(slots, NF_REFUSAL_SEQUENCE);
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
 		return give_up(slots, NF_REFUSAL_FLASH);
