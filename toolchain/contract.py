@@ -532,7 +532,7 @@ _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
 SETTINGS = (
-    _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "one of GYRO_RATES_HZ"),
+    _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
     _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
     _whole("gyro_stuck_ms", 0, 1000, GYRO_BAD_MS, "ms", "the same sample for longer is a fault; 0: never"),
     *(
