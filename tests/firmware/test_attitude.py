@@ -142,6 +142,13 @@ def test_the_start_is_the_accelerometers_when_the_board_lies_tilted(
     assert attitude.tilt_deg == pytest.approx(apart_deg(up_at(truth), np.array([0, 0, 1])), abs=0.01)
 
 
+def test_it_starts_upside_down_when_the_board_lies_exactly_so(make: Callable[..., Attitude]) -> None:
+    attitude = make()
+    attitude.settle((0, 0, -GRAVITY), 10)
+    assert attitude.tilt_deg == pytest.approx(180, abs=1e-3)
+    assert attitude.euler_deg[1] == pytest.approx(0, abs=0.1)
+
+
 def test_angles_are_scipys_when_the_attitude_is_any(make: Callable[..., Attitude]) -> None:
     attitude = make()
     for truth in Rotation.random(300, random_state=4):  # type: ignore[attr-defined]
@@ -180,9 +187,10 @@ def test_noise_is_averaged_when_it_settles(make: Callable[..., Attitude]) -> Non
     truth = Rotation.from_euler("ZYX", [0, 12, -7], degrees=True)
     attitude = make()
     attitude.step((0, 0, 0), GRAVITY * up_at(truth) + [1.0, 0.5, 0.0])  # the first is 6 degrees off
-    for _ in range(SETTLING):
+    for _ in range(SETTLING - 1):
         attitude.step((0, 0, 0), GRAVITY * up_at(truth) + rng.normal(0, 0.5, 3))
     assert apart_deg(attitude.up, up_at(truth)) < 0.5
+    assert list(attitude.struct.bias) == [0, 0, 0], "what the start was wrong by is no offset of the gyro"
 
 
 def test_a_gyros_offset_is_learnt_when_it_stays(make: Callable[..., Attitude]) -> None:

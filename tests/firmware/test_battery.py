@@ -159,6 +159,40 @@ def test_a_new_pack_is_counted_anew_when_the_old_one_was_gone_for_a_while(make: 
     assert battery.cells == 6
 
 
+def test_cells_are_not_forgotten_when_a_loose_plug_adds_up(make: Make) -> None:
+    battery = make()
+    battery.run(16.0, 1)
+    for _ in range(5):
+        battery.run(0.0, 1.5)
+        assert battery.run(16.0, 0.1) == GOOD
+        assert battery.cells == 4
+
+
+def test_cells_are_not_counted_when_the_plug_does_not_hold_yet(make: Make) -> None:
+    battery = make()
+    for _ in range(5):
+        battery.run(16.0, 0.3)
+        battery.run(0.0, 1.0)
+    assert battery.run(24.0, 0.3) == UNKNOWN
+    assert battery.run(24.0, 0.3) == GOOD
+    assert battery.cells == 6
+
+
+def test_a_new_pack_does_not_sag_from_the_old_ones_voltage(make: Make) -> None:
+    battery = make()
+    battery.run(24.0, 2)
+    battery.run(0.0, 3)
+    battery.run(16.0, 2)
+    assert battery.sag == pytest.approx(0, abs=0.01)
+
+
+def test_there_is_no_sag_when_the_voltage_rises(make: Make) -> None:
+    battery = make()
+    battery.run(14.0, 2, 30.0)
+    battery.run(16.0, 0.2)
+    assert battery.sag == 0
+
+
 def test_cells_set_outlast_the_pack_when_it_is_changed(make: Make) -> None:
     battery = make(battery_cells=3)
     battery.run(12.0, 1)

@@ -260,6 +260,28 @@ def test_only_one_notch_is_placed_when_there_is_one_tone_and_its_side_lobes(make
         assert np.arctan(placed) * 4000 / np.pi == pytest.approx([hz], abs=1.0)
 
 
+def test_a_faint_tone_is_followed_when_the_loud_one_before_it_has_gone(make: Make) -> None:
+    filters = make(4000, dynamic_notch_count=1)
+    filters.run(tones(4000, 0.5, {200.0: 1.0}, noise=0.0005))
+    rates = tones(4000, 1.5, {400.0: 0.02}, noise=0.0005)
+    out = filters.run(rates)
+    assert loss_db(rates[4000:], out[4000:], 4000, 400.0).min() > 15
+
+
+def test_a_notch_seldom_moves_when_there_is_only_noise(make: Make) -> None:
+    filters = make(4000, dynamic_notch_count=1)
+    window = filters.struct.dynamic.window
+    moved, windows = 0, 0
+    for row in np.random.default_rng(9).normal(0, 1, (5 * 4000, 3)):
+        filters.step(row)
+        d = filters.struct.dynamic
+        if d.position == window + 5:  # three reads, a look, a place
+            windows += 1
+            moved += d.placed
+    assert windows > 90
+    assert moved < 0.5 * windows
+
+
 def test_nothing_changes_but_little_when_there_is_only_a_manoeuvre(make: Make) -> None:
     """A flip of 300 ms: no tone, so that notches stay where they are, out of the way."""
     t = np.arange(4000) / 4000
