@@ -35,24 +35,29 @@ void link_quality_tell(struct link_quality *quality, uint8_t percent)
 	quality->told_left = quality->slot_length * LINK_QUALITY_SLOTS;
 }
 
-static uint16_t sum(const uint16_t slots[LINK_QUALITY_SLOTS])
+/* A second's frames, the slot that ends included. The sum then goes on without the slot that begins anew. */
+static uint16_t second(uint16_t *sum, uint16_t slots[LINK_QUALITY_SLOTS], uint8_t ends, uint8_t begins)
 {
-	uint16_t total = 0;
+	const uint16_t whole = (uint16_t)(*sum + slots[ends]);
 
-	for (int i = 0; i < LINK_QUALITY_SLOTS; i++)
-		total = (uint16_t)(total + slots[i]);
-	return total;
+	*sum = (uint16_t)(whole - slots[begins]);
+	slots[begins] = 0;
+	return whole;
 }
 
 /* Only at the end of a slot: a second that ends within one would look like frames that stayed away. */
 static void judge(struct link_quality *quality)
 {
-	const uint16_t all = sum(quality->all);
+	const uint8_t ends = quality->slot;
+	const uint8_t begins = ends + 1 < LINK_QUALITY_SLOTS ? (uint8_t)(ends + 1) : 0;
+	const uint16_t good = second(&quality->good_sum, quality->good, ends, begins);
+	const uint16_t all = second(&quality->all_sum, quality->all, ends, begins);
 
+	quality->slot = begins;
 	if (all > quality->most)
 		quality->most = all;
 	if (quality->most > 0)
-		quality->percent = (uint8_t)((100u * sum(quality->good) + quality->most / 2u) / quality->most);
+		quality->percent = (uint8_t)((100u * good + quality->most / 2u) / quality->most);
 }
 
 void link_quality_tick(struct link_quality *quality)
@@ -61,11 +66,8 @@ void link_quality_tick(struct link_quality *quality)
 		quality->told_left--;
 	if (--quality->slot_left > 0)
 		return;
-	judge(quality);
 	quality->slot_left = quality->slot_length;
-	quality->slot = (uint8_t)((quality->slot + 1) % LINK_QUALITY_SLOTS);
-	quality->good[quality->slot] = 0;
-	quality->all[quality->slot] = 0;
+	judge(quality);
 }
 
 unsigned link_quality_percent(const struct link_quality *quality)

@@ -11,6 +11,7 @@
 struct link_quality {
 	uint16_t good[LINK_QUALITY_SLOTS]; /* frames with news, a slot */
 	uint16_t all[LINK_QUALITY_SLOTS];  /* and those that the receiver marks as lost */
+	uint16_t good_sum, all_sum;        /* of the slots before this one */
 	uint16_t most;                     /* of `all` in a second */
 	uint8_t slot;                      /* the one being counted */
 	uint8_t percent;

@@ -1,5 +1,7 @@
 #include "receiver.h"
 
+#include <string.h>
+
 /* Longer than any pause between two bytes of a frame, shorter than the one between two frames. */
 #define LINE_GAP_MS 2u
 
@@ -55,8 +57,9 @@ static void take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_CO
 		for (int i = 0; i < RECEIVER_STICKS; i++)
 			receiver->from_us[i] = flown_us[sticks[i]];
 	}
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++)
-		receiver->channels_us[i] = wire_us[i < RECEIVER_MAPPED ? receiver->map[i] : i];
+	memcpy(receiver->channels_us, wire_us, sizeof receiver->channels_us);
+	for (int i = 0; i < RECEIVER_MAPPED; i++)
+		receiver->channels_us[i] = wire_us[receiver->map[i]];
 	receiver->age = 0;
 	if (receiver->recovering == 1)
 		receiver->recovering = 0;
@@ -209,14 +212,15 @@ void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_
 {
 	const enum receiver_link link = receiver_link(receiver);
 
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++)
-		channels_us[i] = link == RECEIVER_LOST ? NF_CHANNEL_MIN_US : receiver->channels_us[i];
+	memcpy(channels_us, receiver->channels_us, sizeof receiver->channels_us);
+	if (link == RECEIVER_LOST)
+		for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+			channels_us[i] = NF_CHANNEL_MIN_US;
+	if (link == RECEIVER_GOOD && !receiver->interpolates)
+		return;
 	for (int i = 0; i < RECEIVER_STICKS; i++) {
 		uint16_t *stick_us = &channels_us[sticks[i]];
-		if (link != RECEIVER_GOOD)
-			*stick_us = NF_CHANNEL_MID_US;
-		else if (receiver->interpolates)
-			*stick_us = ramp(receiver, receiver->from_us[i], *stick_us);
+		*stick_us = link == RECEIVER_GOOD ? ramp(receiver, receiver->from_us[i], *stick_us) : NF_CHANNEL_MID_US;
 	}
 }
 
