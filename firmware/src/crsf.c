@@ -1,6 +1,5 @@
 #include "crsf.h"
 
-#include <stddef.h>
 #include <string.h>
 
 #include "channels.h"
@@ -24,11 +23,14 @@ void crsf_reset(struct crsf *crsf)
 	crsf->needed = 1;
 }
 
-bool crsf_put(struct crsf *crsf, uint8_t byte)
+size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count)
 {
-	if (crsf->count < sizeof crsf->bytes)
-		crsf->bytes[crsf->count++] = byte;
-	return crsf->count >= crsf->needed;
+	const size_t wanted = (size_t)(crsf->needed - crsf->count);
+	const size_t taken = count < wanted ? count : wanted;
+
+	memcpy(crsf->bytes + crsf->count, bytes, taken);
+	crsf->count = (uint8_t)(crsf->count + taken);
+	return taken;
 }
 
 /* How many of the bytes are done with: a whole frame's, 1 when no frame begins here, 0 when one may yet become. */
@@ -78,6 +80,10 @@ bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
 	crsf->count = (uint8_t)(crsf->count - from);
 	if (from > 0)
 		memmove(crsf->bytes, crsf->bytes + from, crsf->count);
-	crsf->needed = (uint8_t)(crsf->count > LENGTH ? TYPE + crsf->bytes[LENGTH] : crsf->count + 1);
+	/* What a frame left behind is not judged yet, what no frame came of is the beginning of one. */
+	if (taken)
+		crsf->needed = crsf->count;
+	else
+		crsf->needed = (uint8_t)(crsf->count > LENGTH ? TYPE + crsf->bytes[LENGTH] : crsf->count + 1);
 	return taken;
 }

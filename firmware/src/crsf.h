@@ -6,6 +6,7 @@
 #define NF_CRSF_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #include "nf_contract.h"
@@ -13,7 +14,7 @@
 struct crsf {
 	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
 	uint8_t count;
-	uint8_t needed; /* of `count`, before there is anything to look at */
+	uint8_t needed; /* of `count`, before there is anything to look at; at most a whole frame */
 };
 
 enum crsf_kind {
@@ -30,8 +31,9 @@ struct crsf_frame {
 /* Empty. Also called when the line has been silent for longer than a gap inside a frame can be. */
 void crsf_reset(struct crsf *crsf);
 
-/* Takes one byte. Returns whether crsf_take is now to be called, until it returns false. */
-bool crsf_put(struct crsf *crsf, uint8_t byte);
+/* Takes bytes until there may be a frame, at most `count`; returns how many. Then crsf_take is called until it returns
+ * false; before that no more is taken. */
+size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count);
 
 /* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several:
  * when what looked like a frame turns out to be none, the search goes on behind its first byte. */

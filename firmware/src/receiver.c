@@ -115,8 +115,10 @@ static bool read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *
 	const uint8_t *at = *bytes, *const end = at + *count;
 	bool frame = take_crsf(receiver);
 
-	while (at < end && !frame)
-		frame = crsf_put(&receiver->line.crsf, *at++) && take_crsf(receiver);
+	while (at < end && !frame) {
+		at += crsf_put(&receiver->line.crsf, at, (size_t)(end - at));
+		frame = take_crsf(receiver);
+	}
 	*bytes = at;
 	*count = (size_t)(end - at);
 	return frame;

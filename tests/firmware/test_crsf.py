@@ -56,22 +56,26 @@ def sticks(values: list[int] = VALUES) -> Event:
     return ("channels", microseconds(values))
 
 
-@pytest.fixture
-def push(puppet: Any) -> Callable[[bytes], list[Event]]:
-    """Feeds one parser byte by byte; returns what came out."""
+@pytest.fixture(params=[1, 7, 1000], ids="{}-bytes-at-once".format)
+def push(puppet: Any, request: pytest.FixtureRequest) -> Callable[[bytes], list[Event]]:
+    """Feeds one parser in pieces of a size; returns what came out."""
     parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
     lib.crsf_reset(parser)
 
     def feed(data: bytes) -> list[Event]:
         events: list[Event] = []
-        for byte in data:
-            ready = lib.crsf_put(parser, byte)
-            while ready and lib.crsf_take(parser, out):
-                if out.kind == lib.CRSF_CHANNELS:
-                    events.append(("channels", list(out.channels_us)))
-                else:
-                    events.append(("link", out.quality))
-            assert parser.count < 64
+        for begin in range(0, len(data), request.param):
+            piece = data[begin : begin + request.param]
+            while piece:
+                taken = lib.crsf_put(parser, piece, len(piece))
+                assert 0 < taken <= len(piece)
+                piece = piece[taken:]
+                while lib.crsf_take(parser, out):
+                    if out.kind == lib.CRSF_CHANNELS:
+                        events.append(("channels", list(out.channels_us)))
+                    else:
+                        events.append(("link", out.quality))
+                assert parser.count < parser.needed <= 64
         return events
 
     return feed
@@ -219,20 +223,31 @@ def test_what_comes_out_is_what_a_search_finds_when_frames_are_mixed_with_noise(
 
 
 def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any) -> None:
-    parser, out = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *")
-    for byte in channels()[:12]:
-        puppet.lib.crsf_put(parser, byte)
-        assert not puppet.lib.crsf_take(parser, out)
-    puppet.lib.crsf_reset(parser)
-    for byte in channels():
-        puppet.lib.crsf_put(parser, byte)
-    assert puppet.lib.crsf_take(parser, out)
+    parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
+    lib.crsf_reset(parser)
+    for data, frames in ((channels()[:12], 0), (channels(), 1)):
+        seen = 0
+        for byte in data:
+            assert lib.crsf_put(parser, bytes([byte]), 1) == 1
+            seen += lib.crsf_take(parser, out)
+        assert seen == frames
+        lib.crsf_reset(parser)
     assert list(out.channels_us) == microseconds(VALUES)
 
 
-def test_bytes_beyond_the_longest_frame_are_dropped_when_nobody_takes(puppet: Any) -> None:
-    parser, out = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *")
-    for byte in channels() * 4:
-        puppet.lib.crsf_put(parser, byte)
-    assert parser.count == 64
-    assert [puppet.lib.crsf_take(parser, out) for _ in range(4)] == [True, True, False, False]
+def test_no_more_bytes_are_taken_when_a_frame_waits(puppet: Any) -> None:
+    parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
+    lib.crsf_reset(parser)
+    inner = channels([992] * 16) + channels([1792] * 16)
+    data = bytes([SYNC, 62, 0x7A]) + inner + bytes(61 - len(inner))
+    assert len(data) == 64
+    for begin, taken in ((0, 1), (1, 1), (2, 62)):
+        assert lib.crsf_put(parser, data[begin:], len(data) - begin) == taken
+        if begin < 2:
+            assert not lib.crsf_take(parser, out)
+    assert lib.crsf_put(parser, data, len(data)) == 0
+    assert lib.crsf_take(parser, out)
+    assert lib.crsf_put(parser, data, len(data)) == 0, "the second waits"
+    assert lib.crsf_take(parser, out)
+    assert not lib.crsf_take(parser, out)
+    assert lib.crsf_put(parser, data, len(data)) > 0
