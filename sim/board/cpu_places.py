@@ -20,7 +20,7 @@ class Places:
 
     def __init__(self, elf: Path) -> None:
         """Raises BuildError when `elf` is no ARM program with symbols."""
-        self._path = elf
+        self.path = elf
         self.symbols = dict(load_program(elf).symbols)
         functions = sorted(
             (symbol for symbol in self.symbols.values() if symbol.is_function),
@@ -51,7 +51,7 @@ class Places:
 
     @cached_property
     def _lines(self) -> list[tuple[int, str]]:
-        with self._path.open("rb") as file:
+        with self.path.open("rb") as file:
             elf = ELFFile(file)
             return sorted(_rows(elf.get_dwarf_info())) if elf.has_dwarf_info() else []
 

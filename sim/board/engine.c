@@ -29,7 +29,8 @@
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
 
-enum { INTERRUPT_SVC = 2, INTERRUPT_BKPT = 7, INTERRUPT_EXCEPTION_RETURN = 8 }; /* unicorn's numbers */
+/* Unicorn's numbers. */
+enum { INTERRUPT_SVC = 2, INTERRUPT_PREFETCH = 3, INTERRUPT_BKPT = 7, INTERRUPT_EXCEPTION_RETURN = 8 };
 
 /* ---- registers, memory ---- */
 
@@ -204,6 +205,7 @@ static void account(struct engine *e, uint32_t count)
 	e->block = NULL;
 	if (count == 0u)
 		return;
+	e->skip = NOWHERE;
 	/* Only jumps are hashed: a run cut in two by an alarm is the same run. */
 	if (e->s.last_end != e->start)
 		mix(e, (uint64_t)e->s.last_end << 32 | e->start);
@@ -437,8 +439,6 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 		e->attention = true;
 		e->event_stop = 0;
 	}
-	if (e->skip != NOWHERE && e->skip != start)
-		e->skip = NOWHERE;
 	set_stop(e);
 	if (e->s.cpacr != 0x00F00000u && e->block->float_offset != UINT16_MAX &&
 	    start + e->block->float_offset < e->stop_at)
@@ -618,7 +618,7 @@ static void explain(struct engine *e, uc_err error)
 static void supervisor_call(struct engine *e)
 {
 	const struct fault escalated = {
-		.exception = EXC_HARD, .text = "SVC where its priority does not let it run"};
+		.exception = EXC_HARD, .hfsr = 1u << 30, .text = "SVC where its priority does not let it run"};
 
 	e->s.pended_at[EXC_SVC] = e->s.time;
 	if (execution_priority(e, true) > e->s.priority[EXC_SVC])
@@ -647,6 +647,8 @@ static void settle(struct engine *e, uc_err error)
 	}
 	if (e->failed)
 		return;
+	if (e->interrupt == INTERRUPT_PREFETCH)
+		error = UC_ERR_FETCH_UNMAPPED;
 	if (error != UC_ERR_OK) {
 		explain(e, error);
 		if (!e->failed)

@@ -110,6 +110,7 @@ class Engine:
             raise ValueError(f"{cpi} cycles an instruction, expected 1/4 to 64")
         self.places = Places(elf) if elf is not None else None
         self.library = load_library()
+        self.profiled = profile
         self._functions = self._function_table() if profile else None
         fixed = round(cpi * (1 << FRACTION))
         self.handle: int = self.library.engine_new(fixed, strict, profile, self._functions)
@@ -178,6 +179,10 @@ class Engine:
             listener(cause)
         for peripheral in self.peripherals.values():
             peripheral.reset()
+
+    def forget_failure(self) -> None:
+        """After everything has been put back to a state in which there was none."""
+        self._error, self._cause = None, ""
 
     def _raise(self) -> NoReturn:
         if self._error is not None:

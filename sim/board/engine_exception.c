@@ -9,6 +9,7 @@ enum {
 	THUMB = 1u << 24,
 	CONTROL_SPSEL = 1u << 1,
 	CONTROL_FPCA = 1u << 2,
+	CONTROL_FLOATS = 3u << 2, /* unicorn's core begins in ARMv8-M's secure state and wants SFPA beside FPCA */
 	FRAME_BYTES = 0x20,
 	FLOAT_BYTES = 0x48,
 	THREAD_PRIORITY = 256,
@@ -302,7 +303,7 @@ static void pop_frame(struct engine *e, uint32_t exc_return)
 	}
 	set_reg(e, process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP, after);
 	set_reg(e, UC_ARM_REG_XPSR, psr & 0xF90F01FFu);
-	set_reg(e, UC_ARM_REG_CONTROL, (floats ? CONTROL_FPCA : 0u) | (thread && process ? CONTROL_SPSEL : 0u));
+	set_reg(e, UC_ARM_REG_CONTROL, (floats ? CONTROL_FLOATS : 0u) | (thread && process ? CONTROL_SPSEL : 0u));
 	for (uint32_t i = 0; i < 6u; ++i)
 		set_reg(e, frame_registers[i], get_word(e, sp + 4u * i));
 	if (floats) {
