@@ -9,6 +9,7 @@ A file is TOML:
     setpoint_deg_s = [0, 0, 120]   # roll right +, pitch nose down +, yaw left +
     throttle = 0.2              # 0 unless given
     receiver = "lost"           # "on" unless given; "lost" sends no frames
+    controller = "pid"          # "policy" unless given: how the pilot's switch stands
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Segment:
     setpoint_deg_s: Rates = STILL  # roll, pitch, yaw [deg/s], body frame
     throttle: float = 0.0  # 0..1
     receiver: bool = True  # False: the transmitter is silent
+    pid: bool = False  # the switch chooses the PID
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Scenario:
             [segment.setpoint_deg_s for segment in self.segments],
             [segment.throttle for segment in self.segments],
             armed=True,
+            pid=[segment.pid for segment in self.segments],
         )
         heard = np.array([segment.receiver for segment in self.segments])
         return np.repeat(us, counts, axis=0), np.repeat(heard, counts)
@@ -159,6 +162,7 @@ def _segments(tables: Sequence[Table]) -> tuple[Segment, ...]:
             setpoint_deg_s=table.vector("setpoint_deg_s", -full, full),
             throttle=table.number("throttle", 0.0, 1.0, 0.0),
             receiver=table.choice("receiver", {"on": True, "lost": False}, "on"),
+            pid=table.choice("controller", {"policy": False, "pid": True}, "policy"),
         )
         table.finish()
         segments.append(segment)

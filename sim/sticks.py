@@ -19,10 +19,12 @@ from toolchain.contract import (
     CHANNEL_MAX_US,
     CHANNEL_MID_US,
     CHANNEL_MIN_US,
+    CHANNEL_PID,
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
     CHANNEL_YAW,
+    PID_ON_US,
     RATE_FULL_STICK_DEG_S,
 )
 from toolchain.errors import ScenarioError
@@ -55,10 +57,13 @@ def throttle(channels_us: ArrayLike) -> NDArray[np.float32]:
     return clipped
 
 
-def channels(setpoint_deg_s: ArrayLike, thrust: ArrayLike, armed: bool) -> NDArray[np.uint16]:
+def channels(
+    setpoint_deg_s: ArrayLike, thrust: ArrayLike, armed: bool, pid: ArrayLike = False
+) -> NDArray[np.uint16]:
     """Nearest channels [us] to a command, shape (..., CHANNEL_COUNT).
 
-    setpoint_deg_s: roll, pitch, yaw [deg/s] in the body frame, shape (..., 3); thrust: 0..1, shape (...).
+    setpoint_deg_s: roll, pitch, yaw [deg/s] in the body frame, shape (..., 3); thrust: 0..1, shape (...);
+    pid: whether the switch chooses the PID, shape (...).
     Raises ScenarioError beyond full stick.
     """
     rates, power = np.asarray(setpoint_deg_s, np.float64), np.asarray(thrust, np.float64)
@@ -73,7 +78,10 @@ def channels(setpoint_deg_s: ArrayLike, thrust: ArrayLike, armed: bool) -> NDArr
     us[..., _RATE_CHANNELS] = np.rint(CHANNEL_MID_US + rates * _SIGNS * _US_PER_DEG_S)
     us[..., CHANNEL_THROTTLE] = np.rint(CHANNEL_MIN_US + power * (CHANNEL_MAX_US - CHANNEL_MIN_US))
     us[..., CHANNEL_ARM] = ARM_CHANNEL_US if armed else CHANNEL_MIN_US
+    us[..., CHANNEL_PID] = np.where(pid, PID_CHANNEL_US, CHANNEL_MIN_US)
     return us
 
 
-ARM_CHANNEL_US = (ARM_ON_US + CHANNEL_MAX_US) // 2  # a switch well past its threshold
+# Switches well past their thresholds.
+ARM_CHANNEL_US = (ARM_ON_US + CHANNEL_MAX_US) // 2
+PID_CHANNEL_US = (PID_ON_US + CHANNEL_MAX_US) // 2

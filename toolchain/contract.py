@@ -66,13 +66,15 @@ RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link coun
 GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
 GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
-# A crash: for so long an axis turns this much other than asked for, while the controller already asks for
-# nearly all that a motor can give. A flip at 720 deg/s, the hardest of our own flights, has both for 50 ms.
+# A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so much
+# more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
 CRASH_ERROR_DEG_S = 500.0
-CRASH_OUTPUT = 0.95  # a motor fraction of the controller, before the throttle
+CRASH_SPREAD = 0.5  # of the controller's answer, before the throttle
 CRASH_MS = 250
-RUNAWAY_WINDOW_MS = 1000  # after arming: a motor or propeller in the wrong place shows at once
-RUNAWAY_MS = 100  # as in a crash, and at the end the error is larger than at the beginning
+# A runaway, as of a motor or propeller in the wrong place: for so long an axis is as far off, turns away from
+# what was asked for, and faster at the end. A pilot who turns round sees the rate fall within 30 ms.
+RUNAWAY_WINDOW_MS = 1000  # after arming
+RUNAWAY_MS = 50
 HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
 MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends; arming waits as long after it
 MOTOR_TEST_MAGIC = 0x5453544D  # "MTST": opens it; 0 closes it

@@ -30,10 +30,8 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	return NF_OK;
 }
 
-/* `controller` begins to fly, and knows nothing of what was. */
-static void begin(struct control *control, enum controller controller)
+static void forget(struct control *control, enum controller controller)
 {
-	control->flying = controller;
 	if (controller == CONTROLLER_PID) {
 		pid_reset(&control->pid);
 		return;
@@ -44,6 +42,22 @@ static void begin(struct control *control, enum controller controller)
 		control->action[i] = 0.0f;
 }
 
+/* `controller` begins to fly, and knows nothing of what was. */
+static void begin(struct control *control, enum controller controller)
+{
+	control->flying = controller;
+	forget(control, controller);
+}
+
+void control_rest(struct control *control)
+{
+	if (control->fresh)
+		return;
+	forget(control, CONTROLLER_PID);
+	forget(control, CONTROLLER_POLICY);
+	control->fresh = true;
+}
+
 void control_reset(struct control *control)
 {
 	control->first = true;
@@ -51,8 +65,8 @@ void control_reset(struct control *control)
 	control->fallback = NF_FALLBACK_NONE;
 	control->misses = 0;
 	control->handover_left = 0;
-	begin(control, CONTROLLER_PID);
-	begin(control, CONTROLLER_POLICY);
+	control->flying = CONTROLLER_POLICY;
+	control_rest(control);
 }
 
 uint32_t control_reasons(const struct control *control, bool pid_wanted)
@@ -129,6 +143,7 @@ bool control_step(struct control *control, const struct control_input *input, fl
 	const enum controller before = control->flying;
 	const enum controller chosen = choose(control, input->pid_wanted);
 
+	control->fresh = false;
 	if (chosen != before) {
 		begin(control, chosen);
 		if (!control->latched)
@@ -160,11 +175,13 @@ void control_deadline(struct control *control, bool missed)
 		fall_back(control, NF_FALLBACK_DEADLINE);
 }
 
-float control_demand(const struct control *control)
+float control_spread(const struct control *control)
 {
-	float most = control->action[0];
+	float least = control->action[0], most = control->action[0];
 
-	for (int i = 1; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 1; i < POLICY_ACTION_COUNT; i++) {
+		least = control->action[i] < least ? control->action[i] : least;
 		most = control->action[i] > most ? control->action[i] : most;
-	return most;
+	}
+	return most - least;
 }

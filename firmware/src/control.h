@@ -42,6 +42,7 @@ struct control {
 	const float *weights;
 	bool good[CONTROLLER_COUNT];         /* may fly */
 	bool first;                          /* no step since the reset */
+	bool fresh;                          /* the controllers remember nothing */
 	enum controller flying;              /* since the last step */
 	enum nf_fallback_cause fallback;     /* why the PID flies instead of the policy, or flew last */
 	bool latched;                        /* it flies until the next reset */
@@ -59,6 +60,10 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 /* A flight begins: nothing from before reaches its first step, and the policy gets a new chance. */
 void control_reset(struct control *control);
 
+/* Nobody flies: what the controllers remember goes. In good time, so that the step that arms is no longer than the
+ * others. */
+void control_rest(struct control *control);
+
 /* Which reasons forbid arming with the switch so: POLICY_BAD, PID_MISSING or none. */
 uint32_t control_reasons(const struct control *control, bool pid_wanted);
 
@@ -71,7 +76,7 @@ bool control_step(struct control *control, const struct control_input *input, fl
  * next reset, where there is one. */
 void control_deadline(struct control *control, bool missed);
 
-/* Largest motor fraction of the last answer. */
-float control_demand(const struct control *control);
+/* How much more the last answer gives to one motor than to another, 0..1. */
+float control_spread(const struct control *control);
 
 #endif

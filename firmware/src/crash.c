@@ -15,18 +15,23 @@ void crash_init(struct crash *crash, const struct nf_settings *settings, unsigne
 void crash_reset(struct crash *crash)
 {
 	crash->flown = 0;
-	crash->beyond = 0;
+	crash->helpless = 0;
+	crash->away = 0;
 }
 
-static float largest(const float error[3])
+static float size(float value)
 {
-	float most = 0.0f;
+	return value < 0.0f ? -value : value;
+}
 
-	for (int i = 0; i < 3; i++) {
-		const float size = error[i] < 0.0f ? -error[i] : error[i];
-		most = size > most ? size : most;
-	}
-	return most;
+static int furthest(const float setpoint[3], const float rate[3])
+{
+	int axis = 0;
+
+	for (int i = 1; i < 3; i++)
+		if (size(setpoint[i] - rate[i]) > size(setpoint[axis] - rate[axis]))
+			axis = i;
+	return axis;
 }
 
 static bool lasts(uint32_t steps, uint32_t limit)
@@ -34,21 +39,35 @@ static bool lasts(uint32_t steps, uint32_t limit)
 	return limit > 0 && steps >= limit;
 }
 
-enum crash_verdict crash_step(struct crash *crash, const float error[3], float output)
+/* Counts steps in which `axis`, far off by `error`, turns further away. Returns whether that is a runaway. */
+static bool runs_away(struct crash *crash, int axis, float error, float rate)
 {
-	const float size = largest(error);
+	if (rate * error >= 0.0f || (crash->away > 0 && axis != crash->axis)) {
+		crash->away = 0;
+		return false;
+	}
+	if (crash->away++ == 0) {
+		crash->axis = axis;
+		crash->first_rate = size(rate);
+	}
+	return crash->flown < crash->window && lasts(crash->away, crash->runaway_after) &&
+	       size(rate) > crash->first_rate;
+}
+
+enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread)
+{
+	const int axis = furthest(setpoint, rate);
+	const float error = setpoint[axis] - rate[axis];
 
 	if (crash->flown < crash->window)
 		crash->flown++;
-	if (!(size > ERROR_LIMIT && output >= NF_CRASH_OUTPUT)) {
-		crash->beyond = 0;
+	if (!(size(error) > ERROR_LIMIT)) {
+		crash->helpless = 0;
+		crash->away = 0;
 		return CRASH_NONE;
 	}
-	if (crash->beyond++ == 0)
-		crash->first_error = size;
-	if (lasts(crash->beyond, crash->crash_after))
-		return CRASH_HAPPENED;
-	if (crash->flown < crash->window && lasts(crash->beyond, crash->runaway_after) && size > crash->first_error)
+	crash->helpless = spread >= NF_CRASH_SPREAD ? crash->helpless + 1u : 0u;
+	if (runs_away(crash, axis, error, rate[axis]))
 		return CRASH_RUNAWAY;
-	return CRASH_NONE;
+	return lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
 }

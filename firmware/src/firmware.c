@@ -216,13 +216,10 @@ static uint32_t fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
 		.throttle = trace->throttle,
 		.pid_wanted = fw->pid_wanted,
 	};
-	float error[3];
 
 	if (!control_step(&fw->control, &input, output))
 		return SAFETY_NO_CONTROLLER;
-	for (int i = 0; i < 3; i++)
-		error[i] = trace->setpoint[i] - trace->gyro[i];
-	return verdicts[crash_step(&fw->crash, error, control_demand(&fw->control))];
+	return verdicts[crash_step(&fw->crash, trace->setpoint, trace->gyro, control_spread(&fw->control))];
 }
 
 /* The motors' values of a control step whose outputs are `output`. */
@@ -265,6 +262,8 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 		const uint32_t found = fly(fw, output);
 		if (found)
 			look(fw, found);
+	} else {
+		control_rest(&fw->control);
 	}
 	trace->armed = safety_motors(&fw->safety);
 	drive(fw, output);

@@ -236,11 +236,12 @@ def test_the_policy_knows_nothing_of_before_when_it_takes_over_again(puppet: Any
     assert seen[12:16].tolist() == [0, 0, 0, 0]
 
 
-def test_the_demand_is_the_largest_of_the_answer_when_asked(puppet: Any, pull: Any) -> None:
+def test_the_spread_is_that_of_the_answer_when_asked(puppet: Any, pull: Any) -> None:
     flight = Flight(puppet)
-    pull(0.1, 0.7, 0.3, 0.4)
-    flight.step(throttle=1.0)
-    assert puppet.lib.control_demand(flight.self) == pytest.approx(0.7)
+    for action in ((0.1, 0.7, 0.3, 0.4), (0.7, 0.3, 0.1, 0.4), (0.4, 0.3, 0.7, 0.1)):
+        pull(*action)
+        flight.step(throttle=1.0)
+        assert puppet.lib.control_spread(flight.self) == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("idle", [-0.1, 1.0, math.nan])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from sim.scenario import Scenario, load_scenario
 from sim.trace import Trace
-from toolchain.contract import CRASH_ERROR_DEG_S, CRASH_MS, CRASH_OUTPUT, RUNAWAY_MS, RUNAWAY_WINDOW_MS
+from toolchain.contract import CRASH_ERROR_DEG_S, CRASH_MS, CRASH_SPREAD, RUNAWAY_MS, RUNAWAY_WINDOW_MS
 
 NONE, HAPPENED, RUNAWAY = range(3)
 OFF = math.radians(CRASH_ERROR_DEG_S + 1)
@@ -30,86 +31,101 @@ class Watch:
         core.lib.crash_init(self._crash, settings, rate_hz)
         core.lib.crash_reset(self._crash)
 
-    def step(self, error: float, output: float = FULL, axis: int = 0) -> int:
-        errors = [0.0, 0.0, 0.0]
-        errors[axis] = error
-        return int(self._core.lib.crash_step(self._crash, self._core.new("float[3]", errors), output))
+    def step(self, setpoint: float, rate: float, spread: float = FULL, axis: int = 0) -> int:
+        setpoints, rates = [0.0] * 3, [0.0] * 3
+        setpoints[axis], rates[axis] = setpoint, rate
+        new = self._core.new
+        verdict = self._core.lib.crash_step(
+            self._crash, new("float[3]", setpoints), new("float[3]", rates), spread
+        )
+        return int(verdict)
 
-    def verdicts(self, errors: list[float], output: float = FULL, axis: int = 0) -> list[int]:
-        return [self.step(error, output, axis) for error in errors]
+    def held(self, steps: int, error: float = OFF, spread: float = FULL, axis: int = 0) -> list[int]:
+        """An aircraft that does not turn at all, whatever is asked for."""
+        return [self.step(error, 0.0, spread, axis) for _ in range(steps)]
+
+    def spun(self, rates: list[float], axis: int = 0) -> list[int]:
+        """An aircraft that turns like this while nobody asks for it, and whose controller hardly answers."""
+        return [self.step(0.0, rate, 0.0, axis) for rate in rates]
 
     def fly(self, ms: int) -> None:
-        assert set(self.verdicts([0.0] * ms)) <= {NONE}
+        assert set(self.held(ms, error=0.0)) <= {NONE}
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_crash_is_seen_after_its_time_when_the_error_stays(puppet: Any, axis: int, sign: int) -> None:
     watch = Watch(puppet)
-    watch.fly(RUNAWAY_WINDOW_MS)
-    assert watch.verdicts([sign * OFF] * CRASH_MS, axis=axis) == [NONE] * (CRASH_MS - 1) + [HAPPENED]
+    assert watch.held(CRASH_MS, sign * OFF, axis=axis) == [NONE] * (CRASH_MS - 1) + [HAPPENED]
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 4000])
 def test_the_time_is_the_same_when_the_control_rate_is_another(puppet: Any, rate_hz: int) -> None:
-    watch = Watch(puppet, rate_hz, runaway=0)
     steps = CRASH_MS * rate_hz // 1000
-    assert watch.verdicts([OFF] * steps).index(HAPPENED) == steps - 1
+    assert Watch(puppet, rate_hz).held(steps).index(HAPPENED) == steps - 1
+    growing = np.linspace(OFF, 2 * OFF, steps).tolist()
+    assert Watch(puppet, rate_hz).spun(growing).index(RUNAWAY) == RUNAWAY_MS * rate_hz // 1000 - 1
 
 
-def test_a_runaway_is_seen_when_the_error_grows_just_after_arming(puppet: Any) -> None:
-    growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
-    assert Watch(puppet).verdicts(growing) == [NONE] * (RUNAWAY_MS - 1) + [RUNAWAY]
-    assert set(Watch(puppet).verdicts(growing[::-1])) == {NONE}, "it gets better"
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_runaway_is_seen_when_it_turns_away_ever_faster_just_after_arming(
+    puppet: Any, axis: int, sign: int
+) -> None:
+    growing = (sign * np.linspace(OFF, 2 * OFF, RUNAWAY_MS)).tolist()
+    assert Watch(puppet).spun(growing, axis) == [NONE] * (RUNAWAY_MS - 1) + [RUNAWAY]
+    assert set(Watch(puppet).spun(growing[::-1], axis)) == {NONE}, "it gets better"
     late = Watch(puppet)
     late.fly(RUNAWAY_WINDOW_MS)
-    assert set(late.verdicts(growing)) == {NONE}
+    assert set(late.spun(growing, axis)) == {NONE}
+
+
+def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should(puppet: Any) -> None:
+    growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS - 1).tolist()
+    watch = Watch(puppet)
+    assert set(watch.spun(growing, 0) + watch.spun(growing, 1)) == {NONE}
+    watch = Watch(puppet)
+    asked = [watch.step(4 * OFF, rate, 0.0) for rate in np.linspace(OFF, 2 * OFF, 3 * RUNAWAY_MS).tolist()]
+    assert set(asked) == {NONE}
 
 
 @pytest.mark.parametrize(
-    ("error", "output"),
-    [(math.radians(CRASH_ERROR_DEG_S - 1), FULL), (OFF, CRASH_OUTPUT - 0.01), (0.0, FULL)],
+    ("error", "spread"),
+    [(math.radians(CRASH_ERROR_DEG_S - 1), FULL), (OFF, CRASH_SPREAD - 0.01), (0.0, FULL)],
 )
-def test_nothing_is_seen_when_the_error_is_small_or_motors_have_more_to_give(
-    puppet: Any, error: float, output: float
+def test_no_crash_is_seen_when_the_error_is_small_or_the_controller_does_little(
+    puppet: Any, error: float, spread: float
 ) -> None:
-    assert set(Watch(puppet).verdicts([error] * 5000, output)) == {NONE}
+    assert set(Watch(puppet).held(5000, error, spread)) == {NONE}
 
 
 def test_the_time_begins_anew_when_one_step_is_good(puppet: Any) -> None:
-    watch = Watch(puppet, runaway=0)
-    assert set(watch.verdicts([OFF] * (CRASH_MS - 1) + [0.0] + [OFF] * (CRASH_MS - 1))) == {NONE}
+    watch = Watch(puppet)
+    assert set(watch.held(CRASH_MS - 1) + watch.held(1, 0.0) + watch.held(CRASH_MS - 1)) == {NONE}
 
 
 def test_nothing_is_seen_when_it_is_switched_off(puppet: Any) -> None:
-    growing = np.linspace(OFF, 9 * OFF, 2000).tolist()
-    assert set(Watch(puppet, crash=0, runaway=0).verdicts(growing)) == {NONE}
-    assert HAPPENED not in Watch(puppet, crash=0).verdicts(growing)
-    assert RUNAWAY not in Watch(puppet, runaway=0).verdicts(growing)
+    growing = np.linspace(OFF, 9 * OFF, 900).tolist()
+    assert set(Watch(puppet, crash=0).held(2000)) == {NONE}
+    assert set(Watch(puppet, runaway=0).spun(growing)) == {NONE}
 
 
-def longest(trace: Trace, output: np.ndarray) -> int:
-    """The most control steps in a row of a flight that looked like a crash."""
-    error = np.abs(np.rad2deg(trace.setpoint - trace.gyro)).max(axis=1)
-    beyond = (error > CRASH_ERROR_DEG_S) & (output >= CRASH_OUTPUT)
-    run = most = 0
-    for step in beyond.tolist():
-        run = run + 1 if step else 0
-        most = max(most, run)
-    return most
-
-
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
 @pytest.mark.parametrize(
     ("name", "count"),
     [("roll", 1), ("flip", 1), ("pulses", 2), pytest.param("pulses", 1000, marks=pytest.mark.prove)],
 )
 def test_our_own_flights_are_far_from_a_crash_when_they_turn_and_flip(
-    name: str, count: int, flown_here: Callable[[Scenario], Trace]
+    name: str, count: int, pid: bool, flown_here: Callable[[Scenario], Trace]
 ) -> None:
-    trace = flown_here(load_scenario(name, 3, count))
-    worst = longest(trace, trace.motors.max(axis=1))
-    print(f"{name}: {worst} ms like a crash, it takes {CRASH_MS} ms, a runaway {RUNAWAY_MS} ms")
-    assert worst < RUNAWAY_MS / 2
+    scenario = load_scenario(name, 3, count)
+    segments = tuple(replace(segment, pid=pid) for segment in scenario.segments)
+    trace = flown_here(replace(scenario, segments=segments))
+    error = np.abs(np.rad2deg(trace.setpoint - trace.gyro)).max(axis=1)
+    runs = np.split(error > CRASH_ERROR_DEG_S, np.flatnonzero(np.diff(error > CRASH_ERROR_DEG_S)) + 1)
+    worst = max(len(run) if run[0] else 0 for run in runs)
+    print(f"{name}: {worst} ms far off, a crash takes {CRASH_MS} ms")
+    assert worst < CRASH_MS / 2
     assert (trace.dshot > 0).all()
 
 
