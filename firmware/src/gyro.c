@@ -6,11 +6,6 @@
 #define RATE_PER_COUNT 1.0652644360316954e-3f
 _Static_assert(NF_GYRO_FULL_SCALE_DEG_S == 2000 && NF_GYRO_COUNTS == 32768, "RATE_PER_COUNT says otherwise");
 #define ACCELERATION_PER_COUNT (NF_GRAVITY * (float)NF_ACCEL_FULL_SCALE_G / (float)NF_ACCEL_COUNTS) /* m/s^2 */
-
-#define COUNTS_PER_DEG_S ((float)NF_GYRO_COUNTS / (float)NF_GYRO_FULL_SCALE_DEG_S)
-#define MOTION_COUNTS (NF_CALIBRATION_MOTION_DEG_S * COUNTS_PER_DEG_S)
-#define MOTION_VARIANCE ((int64_t)(MOTION_COUNTS * MOTION_COUNTS)) /* counts^2 */
-#define BIAS_MILLICOUNTS ((int64_t)(1000.0f * NF_CALIBRATION_BIAS_DEG_S * COUNTS_PER_DEG_S))
 #define FULL_SWING (2.0f * (float)NF_GYRO_COUNTS) /* counts */
 
 /* Body axis i is chip axis `axis[i]` times `sign[i]`. Turned clockwise, the chip's x points to the right. */
@@ -43,62 +38,31 @@ static void to_body(enum board_alignment alignment, const float chip[3], float b
 		body[i] = (float)r->sign[i] * chip[r->axis[i]];
 }
 
-static void restart(struct gyro *gyro)
-{
-	gyro->collected = 0;
-	for (int i = 0; i < 3; i++) {
-		gyro->sum[i] = 0;
-		gyro->sum_of_squares[i] = 0;
-	}
-}
-
 enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms)
 {
 	if ((unsigned)alignment >= ALIGN_COUNT)
 		return NF_ERR_ALIGNMENT;
 	*gyro = (struct gyro){
 		.alignment = alignment,
-		.window = gyro_rate_hz * NF_CALIBRATION_MS / 1000u,
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
 		/* A low-pass follows a step of the whole range steepest if it is of first order. */
 		.jump = (int32_t)(FULL_SWING * nf_one_minus_exp(NF_TAU * NF_GYRO_BANDWIDTH_HZ / (float)gyro_rate_hz)),
 	};
+	calibration_init(&gyro->calibration, gyro_rate_hz);
 	return NF_OK;
-}
-
-/* Did the sums come from an aircraft at rest? Exact in integers: at most 8000 squares of 2^30, times 8000. */
-static bool still(const struct gyro *gyro)
-{
-	const int64_t n = gyro->window;
-	const int64_t largest_sum = n * BIAS_MILLICOUNTS / 1000;
-
-	for (int i = 0; i < 3; i++) {
-		const int64_t sum = gyro->sum[i];
-		const int64_t variance = (n * gyro->sum_of_squares[i] - sum * sum) / (n * n);
-		if (variance > MOTION_VARIANCE || sum > largest_sum || sum < -largest_sum)
-			return false;
-	}
-	return true;
 }
 
 static void calibrate(struct gyro *gyro, const int16_t counts[3])
 {
-	for (int i = 0; i < 3; i++) {
-		gyro->sum[i] += counts[i];
-		gyro->sum_of_squares[i] += (int32_t)counts[i] * counts[i];
-	}
-	if (++gyro->collected < gyro->window)
+	float mean[3];
+
+	if (!calibration_step(&gyro->calibration, counts, mean))
 		return;
-	if (still(gyro)) {
-		float mean[3];
-		/* What is still fits: 8000 times 328 counts, exact in float32 too. */
-		for (int i = 0; i < 3; i++)
-			mean[i] = (float)(int32_t)gyro->sum[i] / (float)gyro->window * RATE_PER_COUNT;
-		to_body(gyro->alignment, mean, gyro->bias);
-		gyro->calibrated = true;
-	}
-	restart(gyro);
+	for (int i = 0; i < 3; i++)
+		mean[i] *= RATE_PER_COUNT;
+	to_body(gyro->alignment, mean, gyro->bias);
+	gyro->calibrated = true;
 }
 
 /* What is wrong with this sample. The longer ago the last good one, the further away the rate may be. */
@@ -166,7 +130,7 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 		if (judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD)
 			calibrate(gyro, sample->gyro);
 		else
-			restart(gyro);
+			calibration_restart(&gyro->calibration);
 	}
 
 	const int16_t *counts = gyro->last.gyro;

@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "calibration.h"
 #include "imu.h"
 #include "nf_contract.h"
 #include "nf_err.h"
@@ -26,10 +27,7 @@ enum gyro_chip {
 
 struct gyro {
 	enum board_alignment alignment;
-	uint32_t window;          /* samples of a calibration */
-	uint32_t collected;       /* samples in the sums below */
-	int64_t sum[3];           /* counts, chip axes */
-	int64_t sum_of_squares[3];/* counts^2 */
+	struct calibration calibration;
 	float bias[3];            /* rad/s, body axes; 0 until calibrated */
 	bool calibrated;
 	enum nf_gyro_health health; /* what the last gyro_step returned */

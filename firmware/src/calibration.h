@@ -1,0 +1,25 @@
+/* Still calibration: the gyro's mean over a window in which nothing moved. */
+#ifndef NF_CALIBRATION_H
+#define NF_CALIBRATION_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+struct calibration {
+	uint32_t window;           /* samples */
+	uint32_t collected;        /* samples in the sums below */
+	int64_t sum[3];            /* counts, chip axes */
+	int64_t sum_of_squares[3]; /* counts^2 */
+};
+
+/* Of NF_CALIBRATION_MS. */
+void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz);
+
+/* A window begins. */
+void calibration_restart(struct calibration *calibration);
+
+/* One sample [counts]. The window that it completes is thrown away if spread or mean say motion on any axis; else
+ * returns true, once, with the means [counts]. Either way a new window begins. */
+bool calibration_step(struct calibration *calibration, const int16_t counts[3], float mean[3]);
+
+#endif
