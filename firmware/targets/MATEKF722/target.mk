@@ -11,6 +11,9 @@ OUTPUTS := $(addprefix $(BUILD)/neuroflight.,elf bin hex)
 $(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o: CFLAGS += -mgeneral-regs-only
 $(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o $(OBJ)/hal/stm32f7/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
 
+# It waits for flash in scarce ITCM: small, not quick.
+$(OBJ)/hal/stm32f7/flash_memory.o: CFLAGS += -Os
+
 .SECONDEXPANSION:
 $(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)
 	$(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings -Wl,-Map=$(@:.elf=.map) \
