@@ -1,6 +1,7 @@
 # The program that flies against a simulator, and its core as a shared library for tests and ports.
 # x86 needs its FMA instruction named; AArch64 always has one.
 CROSS :=
+comma := ,
 CPUFLAGS := -fPIC $(if $(filter x86_64,$(shell uname -m)),-mfma)
 
 # The program speaks over sockets, the library to its caller; both turn rates into counts the same way.
@@ -15,7 +16,7 @@ host_objects = $(1:%.c=$(OBJ)/%.o)
 # Recipes are expanded late, when CORE_OBJECTS and friends are known; so are these prerequisites.
 .SECONDEXPANSION:
 $(BUILD)/neuroflight: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(call host_objects,$(HOST_PROGRAM_SOURCES) $(HOST_SHARED_SOURCES))
-	$(CC) $(CPUFLAGS) -o $@ $^
+	$(CC) $(CPUFLAGS) $(INSTRUMENT) -o $@ $^
 
 $(BUILD)/libneuroflight.so: $$(CORE_OBJECTS) $$(call host_objects,$(HOST_SHARED_SOURCES) $(HOST_LIBRARY_SOURCES))
-	$(CC) $(CPUFLAGS) -shared -Wl,-z,defs -o $@ $^
+	$(CC) $(CPUFLAGS) $(INSTRUMENT) -shared $(if $(INSTRUMENT),,-Wl$(comma)-z$(comma)defs) -o $@ $^
