@@ -19,13 +19,14 @@ from sim.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_collision
 from sim.airframe import Rotor as Rotor
 from sim.mass import MassProperties, Part, Vector, mass_properties
 from sim.table import Table
+from toolchain import contract
 from toolchain.contract import AXES
 from toolchain.errors import AircraftError
 
 FOLDER = Path(__file__).parent / "aircraft"
 FILE_BYTES_MAX = 256 << 10
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the C of a policy
-GRAVITY = 9.80665  # [m/s^2], standard gravity
+GRAVITY = contract.GRAVITY  # [m/s^2]
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
 COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
 EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
