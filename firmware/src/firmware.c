@@ -157,28 +157,20 @@ static struct motor_test_view view(const struct firmware *fw)
 	};
 }
 
-/* A frame has come. Everybody sees each, so that no "off" is lost behind an "on" of the same step. But an "on" in
- * flight is no news: the control step that follows looks anyhow, and the step with the frame is the longest one. */
+/* A frame has come. Everybody sees each, so that no "off" is lost behind an "on" of the same step. */
 static void look_at_frame(struct firmware *fw)
 {
 	const bool good = fw->receiver.age == 0;
 	const struct motor_test_view seen = view(fw);
 
-	if (safety_motors(&fw->safety) && good && switch_asks(fw))
-		return;
 	motor_test_look(&fw->motor_test, &seen);
 	look(fw, good && !switch_asks(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
-/* The last frame is looked at by the control step that follows, once for all that is new: the step that a frame falls
- * into should be no longer than the others. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
-	while (receiver_push(&fw->receiver, &bytes, &count)) {
-		fw->heard = count == 0 && !receiver_waits(&fw->receiver);
-		if (!fw->heard)
-			look_at_frame(fw);
-	}
+	while (receiver_push(&fw->receiver, &bytes, &count))
+		look_at_frame(fw);
 }
 
 /* Takes up what the background has posted. */
@@ -187,7 +179,8 @@ static void receive_posted(struct firmware *fw)
 	if (!fw->posted)
 		return;
 	fence();
-	fw->heard |= receiver_msp(&fw->receiver, fw->posted_us);
+	if (receiver_msp(&fw->receiver, fw->posted_us))
+		look_at_frame(fw);
 	fence();
 	fw->posted = false;
 }
@@ -263,11 +256,7 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 		fw->status.accel_g[i] = acceleration[i] * (1.0f / STANDARD_GRAVITY);
 	safety_tick(&fw->safety);
 	receive_posted(fw);
-	if (fw->heard)
-		look_at_frame(fw);
-	else
-		look(fw, 0);
-	fw->heard = false;
+	look(fw, 0);
 	command(fw);
 	if (safety_motors(&fw->safety)) {
 		const uint32_t found = fly(fw, output);
