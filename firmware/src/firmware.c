@@ -167,10 +167,15 @@ static void look_at_frame(struct firmware *fw)
 	look(fw, good && !switch_asks(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
+/* The last frame is looked at by the control step that follows, once for all that is new: the step that a frame falls
+ * into should be no longer than the others. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
-	while (receiver_push(&fw->receiver, &bytes, &count))
-		look_at_frame(fw);
+	while (receiver_push(&fw->receiver, &bytes, &count)) {
+		fw->heard = count == 0 && !receiver_waits(&fw->receiver);
+		if (!fw->heard)
+			look_at_frame(fw);
+	}
 }
 
 /* Takes up what the background has posted. */
@@ -179,8 +184,7 @@ static void receive_posted(struct firmware *fw)
 	if (!fw->posted)
 		return;
 	fence();
-	if (receiver_msp(&fw->receiver, fw->posted_us))
-		look_at_frame(fw);
+	fw->heard |= receiver_msp(&fw->receiver, fw->posted_us);
 	fence();
 	fw->posted = false;
 }
@@ -256,7 +260,11 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 		fw->status.accel_g[i] = acceleration[i] * (1.0f / STANDARD_GRAVITY);
 	safety_tick(&fw->safety);
 	receive_posted(fw);
-	look(fw, 0);
+	if (fw->heard)
+		look_at_frame(fw);
+	else
+		look(fw, 0);
+	fw->heard = false;
 	command(fw);
 	if (safety_motors(&fw->safety)) {
 		const uint32_t found = fly(fw, output);

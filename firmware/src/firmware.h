@@ -58,6 +58,7 @@ struct firmware {
 	volatile uint32_t forbidden;    /* arming reasons that the background knows */
 	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
 	volatile bool posted;           /* they wait to be taken up */
+	bool heard;                     /* a receiver frame waits to be looked at */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
 	volatile uint32_t samples;      /* gyro samples since boot, those that silence swallowed included */

@@ -169,6 +169,11 @@ bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *cou
 	return protocol->read(receiver, bytes, count);
 }
 
+bool receiver_waits(const struct receiver *receiver)
+{
+	return receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF && receiver->line.crsf.count > 0;
+}
+
 bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	if (receiver->protocol != NF_RECEIVER_PROTOCOL_MSP)

@@ -55,6 +55,9 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
  * Survives any bytes. Ignores them if the protocol is MSP. */
 bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *count);
 
+/* May the bytes that receiver_push has taken hold another frame? */
+bool receiver_waits(const struct receiver *receiver);
+
 /* Channels [us] from MSP, in the wire's order: a frame. Returns false, and nothing has come, when the protocol is
  * another or a channel lies outside NF_CHANNEL_VALID_MIN_US..NF_CHANNEL_VALID_MAX_US. */
 bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT]);
