@@ -10,14 +10,24 @@ from typing import NoReturn
 
 from sim.board.adc import Adc, AdcCommon
 from sim.board.bus import Companion, Device, Registers, Touch
-from sim.board.context import TIME_HZ, Bus, Context
+from sim.board.context import TIME_HZ, Context
 from sim.board.dma import DmaSystem
 from sim.board.dshot import Esc, Frame
-from sim.board.engine import CPI, Engine, Note
+from sim.board.engine import CPI, Note
 from sim.board.exti import Exti
 from sim.board.flash import Flash
 from sim.board.gpio import Pins
 from sim.board.gyro_chip import MPU6500, READY, GyroChip, GyroKind
+from sim.board.hot import (
+    BoardEngine,
+    Hot,
+    HotDmaSystem,
+    HotExti,
+    HotPins,
+    HotSpi,
+    HotSyscfg,
+    HotTimer,
+)
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr
@@ -45,7 +55,7 @@ class Hardware:
     def __init__(
         self,
         context: Context,
-        kind: GyroKind = MPU6500,
+        chip: GyroKind = MPU6500,
         *,
         options: OptionBytes | None = None,
         seed: int = 0,
@@ -55,13 +65,15 @@ class Hardware:
         self.context = context
         self.rcc, self.pwr = Rcc(context), Pwr(context)
         self.flash = Flash(context, options, seed)
-        self.pins = Pins(context)
-        self.syscfg = Syscfg(context)
-        self.exti = Exti(context, self.syscfg)
-        self.dma = DmaSystem(context)
-        self.gyro = GyroChip(context, self.pins, kind)
-        self.spi = Spi(context, self.dma, self.pins, self.gyro, seed)
-        self.timers = {name: Timer(context, name, self.dma, self.pins) for name in TIMERS}
+        in_c = isinstance(context, BoardEngine)
+        self.pins = HotPins(context) if in_c else Pins(context)
+        self.syscfg = (HotSyscfg if in_c else Syscfg)(context)
+        self.exti = (HotExti if in_c else Exti)(context, self.syscfg)
+        self.dma = HotDmaSystem(context) if in_c else DmaSystem(context)
+        self.gyro = GyroChip(context, self.pins, chip)
+        self.spi = (HotSpi if in_c else Spi)(context, self.dma, self.pins, self.gyro, seed)
+        timer_type = HotTimer if in_c else Timer
+        self.timers = {name: timer_type(context, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
@@ -76,11 +88,14 @@ class Hardware:
         companions: tuple[Companion, ...] = (self.gyro, *self.escs)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
+        self.hot: Hot | None = None
+        if isinstance(context, BoardEngine):
+            self.registers.attach(context)
+            assert isinstance(self.dma, HotDmaSystem)
+            assert isinstance(self.pins, HotPins)
+            self.hot = Hot(context, self.registers, self.dma, self.pins, self.gyro)
+            self.registers.accompany(self.spi, self.hot)
         self._wire(watchdog_resets)
-
-    def attach(self, bus: Bus) -> None:
-        """Put the peripherals behind the engine's bus, and the factory's bytes into system memory."""
-        self.registers.attach(bus)
         for address, data in signature():
             self.context.set_memory(address, data)
 
@@ -112,11 +127,11 @@ class Hardware:
         rcc.latency, rcc.scale = self.flash.latency, lambda: pwr.scale
         self.flash.on_latency = pwr.on_change = rcc.check
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)
-        rcc.on_clocks += [
-            self.spi.set_clock,
-            self.adc.set_clock,
-            *(t.set_clock for t in self.timers.values()),
-        ]
+        if self.hot is not None:
+            rcc.on_clocks.append(self.hot.set_clock)
+        else:
+            rcc.on_clocks += [self.spi.set_clock, *(t.set_clock for t in self.timers.values())]
+        rcc.on_clocks.append(self.adc.set_clock)
         rcc.after_reset.append(self.gyro.processor_reset)
         for listener in rcc.on_clocks:
             listener(rcc.clocks)
@@ -124,6 +139,7 @@ class Hardware:
         self.pins.on_drive = self.exti.edge
         line = int(READY[2:])
         self.gyro.watches_fall = lambda: self.exti.watches_fall(line)
+        self.gyro.rest()
         self.context.on_system_reset(self._on_reset)
         for esc, (timer, channel) in zip(self.escs, MOTORS, strict=True):
             esc.on_frame = self._on_frame
@@ -194,12 +210,11 @@ class Board:
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
-        self.engine = Engine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
+        self.engine = BoardEngine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
         self.hardware = Hardware(
             self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
         )
         self.engine.vectors = self.hardware.flash.options.boot_address
-        self.hardware.attach(self.engine)
         self.engine.power_cycle()
         self.engine.resets.clear()
         self.engine.resets.append("power")

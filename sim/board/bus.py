@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from sim.board.context import Bus, Context
 
@@ -148,6 +148,11 @@ class Device:
         self.clocked = True
         self.words = self._reset_words()
 
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        """The interrupt lines that it drives, where somebody else has to know."""
+        return ()
+
     def _reset_words(self) -> dict[str, int]:
         return {r.name: r.reset for r in self.block.registers.values() if r.modelled}
 
@@ -162,6 +167,10 @@ class Device:
         self.words = dict(state["words"])
         for name in self.kept:
             setattr(self, name, copy.deepcopy(state[name]))
+
+    def counts(self, register: Register) -> tuple[int, int] | None:
+        """How often `register` was read and written, where that is not counted by the bus."""
+        return None
 
     def mask(self, register: str, *fields: str) -> int:
         """The bits of `fields` together."""
@@ -301,6 +310,19 @@ class _Window:
         for offset, counts in state["touched"].items():
             self.slots[offset].reads, self.slots[offset].writes = counts
 
+    def explain(self, offset: int, size: int, value: int | None) -> None:
+        """Say what is wrong with an access that was refused elsewhere. `value`: written; None: a read."""
+        slot = self.slots.get(offset & ~3)
+        verb = "read" if value is None else "write"
+        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
+            self._refuse(slot, offset, size, verb)
+        assert slot is not None
+        if value is None:
+            self._fail(slot, "is read, but it is write-only")
+        if "w" not in slot.register.access:
+            self._fail(slot, "is written, but it is read-only")
+        self._refuse_bits(slot, value)
+
     def _refuse(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
         """Say why there is no such access. Always raises."""
         address = self.base + offset
@@ -334,7 +356,7 @@ class _Window:
         ]
         self._fail(slot, f"= 0x{value:08X} sets {', '.join(fields)}, which the emulator does not model")
 
-    def _fail(self, slot: _Slot, message: str) -> None:
+    def _fail(self, slot: _Slot, message: str) -> NoReturn:
         self._context.fail(f"{slot.device.name}_{slot.register.name} {message}")
 
 
@@ -359,6 +381,14 @@ class Registers:
         """`companion` goes into snapshots with `device`, which is there already."""
         self._windows[device.block.base & ~(WINDOW - 1)].companions.append(companion)
 
+    def window_name(self, device: Device) -> str:
+        """Under which name the engine has the window that `device` answers in."""
+        return self._windows[device.block.base & ~(WINDOW - 1)].name
+
+    def explain(self, device: Device, offset: int, size: int, value: int | None) -> None:
+        """Say what is wrong with an access to `device`'s window. Always raises."""
+        self._windows[device.block.base & ~(WINDOW - 1)].explain(offset, size, value)
+
     def attach(self, bus: Bus) -> None:
         """Put every window behind the engine's bus."""
         for base, window in sorted(self._windows.items()):
@@ -376,12 +406,13 @@ class Registers:
 
     def touched(self) -> tuple[Touch, ...]:
         """Every register that the image touched, in order of address."""
-        return tuple(
-            Touch(f"{slot.device.name}_{slot.register.name}", slot.reads, slot.writes)
-            for _, window in sorted(self._windows.items())
-            for _, slot in sorted(window.slots.items())
-            if slot.reads or slot.writes
-        )
+        touched = []
+        for _, window in sorted(self._windows.items()):
+            for _, slot in sorted(window.slots.items()):
+                counts = slot.device.counts(slot.register) or (slot.reads, slot.writes)
+                if any(counts):
+                    touched.append(Touch(f"{slot.device.name}_{slot.register.name}", *counts))
+        return tuple(touched)
 
     def state(self) -> Any:  # noqa: ANN401
         return {base: window.state() for base, window in self._windows.items() if window.devices}

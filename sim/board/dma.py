@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from sim.board.bus import Device, load_table
 from sim.board.context import Context
@@ -89,6 +89,10 @@ class Dma(Device):
         super().restore(state)
         self._system.relink()
 
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        return tuple(self._irqs)
+
     def reset(self) -> None:
         super().reset()
         self._totals, self._moved = [0] * STREAMS, [0] * STREAMS
@@ -156,7 +160,7 @@ class Dma(Device):
     def _place(self, stream: int) -> tuple[int, int]:
         """Address and item size; the data cache may have been switched on since the stream was enabled."""
         address, size = self.words[f"S{stream}M0AR"], 1 << self.get(f"S{stream}CR", "PSIZE")
-        self._refuse_cached(stream, address)
+        self.refuse_cached(stream, address)
         return address, size
 
     def _increments(self, stream: int) -> int:
@@ -216,7 +220,7 @@ class Dma(Device):
 
     def _set(self, stream: int, name: str, value: int) -> None:
         if self.words[f"S{stream}CR"] & _EN:
-            self.context.fail(f"{self.name} stream {stream}: {name} is written while the stream is enabled")
+            self.refuse_frozen(stream, name)
         self.keep(f"S{stream}{name}", value)
 
     def _write_cr(self, stream: int, value: int) -> None:
@@ -224,10 +228,7 @@ class Dma(Device):
         self.sync()
         before = self.words[register]
         if before & _EN and (before ^ value) & ~(_EN | 0x1E):
-            self.context.fail(
-                f"{self.name} stream {stream}: its configuration is changed while it is enabled "
-                f"(0x{before:08X} to 0x{value:08X})"
-            )
+            self.refuse_changed(stream, value)
         self.keep(register, value)
         if value & _EN and not before & _EN:
             self._enable(stream)
@@ -240,7 +241,32 @@ class Dma(Device):
 
     # Judging a stream
 
+    def refuse_frozen(self, stream: int, name: str) -> NoReturn:
+        """A register of an enabled stream is written."""
+        self.context.fail(f"{self.name} stream {stream}: {name} is written while the stream is enabled")
+
+    def refuse_changed(self, stream: int, value: int) -> NoReturn:
+        """The configuration of an enabled stream is changed."""
+        before = self.words[f"S{stream}CR"]
+        self.context.fail(
+            f"{self.name} stream {stream}: its configuration is changed while it is enabled "
+            f"(0x{before:08X} to 0x{value:08X})"
+        )
+
+    def refuse_twice(self, stream: int, source: str, other: str) -> NoReturn:
+        """Another stream serves `source` already."""
+        self.context.fail(
+            f"{self.name} stream {stream} is enabled for {source}, which {other} serves already"
+        )
+
     def _enable(self, stream: int) -> None:
+        sources = self.judge(stream)
+        self._totals[stream], self._moved[stream] = self.words[f"S{stream}NDTR"], 0
+        self._sources[stream] = sources
+        self._system.link(sources, self, stream)
+
+    def judge(self, stream: int) -> tuple[str, ...]:
+        """The requests that will drive a stream about to be enabled. Fails for what it may not be."""
         who, fail = f"{self.name} stream {stream}", self.context.fail
         channel, to_peripheral = self.get(f"S{stream}CR", "CHSEL"), self.get(f"S{stream}CR", "DIR")
         count = self.words[f"S{stream}NDTR"]
@@ -257,9 +283,7 @@ class Dma(Device):
             fail(f"{who}: items of MSIZE {msize} and PSIZE {psize} are not modelled, expected the same size")
         sources = self._judge_channel(stream, channel, to_peripheral)
         self._judge_memory(stream, to_peripheral, count, 1 << psize)
-        self._totals[stream], self._moved[stream] = count, 0
-        self._sources[stream] = sources
-        self._system.link(sources, self, stream)
+        return sources
 
     def _judge_channel(self, stream: int, channel: int, to_peripheral: int) -> tuple[str, ...]:
         """The requests that drive the stream, which must be its peripheral's."""
@@ -315,9 +339,10 @@ class Dma(Device):
                 f"{who}: memory 0x{address:08X} to 0x{end - 1:08X} is out of the reach of DMA, "
                 f"expected DTCM, SRAM1{', SRAM2 or flash' if to_peripheral else ' or SRAM2'}"
             )
-        self._refuse_cached(stream, end - 1)
+        self.refuse_cached(stream, end - 1)
 
-    def _refuse_cached(self, stream: int, address: int) -> None:
+    def refuse_cached(self, stream: int, address: int) -> None:
+        """Fail if the data cache holds what lies at `address`."""
         if SRAM1.address <= address < SRAM2.address + SRAM2.size and self.context.is_cached(address):
             self.context.fail(
                 f"{self.name} stream {stream}: 0x{address:08X} lies in cached RAM while the data cache "
@@ -370,10 +395,7 @@ class DmaSystem:
         for source in sources:
             other = self._streams.get(source)
             if other is not None:
-                self._context.fail(
-                    f"{controller.name} stream {stream} is enabled for {source}, which {other[0].name} "
-                    f"stream {other[1]} serves already"
-                )
+                controller.refuse_twice(stream, source, f"{other[0].name} stream {other[1]}")
             self._streams[source] = (controller, stream)
         self.tell(sources)
 

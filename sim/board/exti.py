@@ -51,6 +51,10 @@ class Exti(Device):
         self.words["PR"] |= raised & self.words["IMR"]
         self._update_irq()
 
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        return tuple(self._interrupts)
+
     def reset(self) -> None:
         super().reset()
         self._update_irq()

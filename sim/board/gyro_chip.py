@@ -9,6 +9,7 @@ map (RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143).
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -25,6 +26,7 @@ INT_PIN_CFG, INT_ENABLE, INT_STATUS, DATA = 0x37, 0x38, 0x3A, 0x3B
 SIGNAL_PATH_RESET, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, WHO_AM_I = 0x68, 0x6A, 0x6B, 0x6C, 0x75
 DATA_BYTES = 14  # accelerometer, temperature, gyro: 16 bits each, the upper byte first
 
+_DATA = struct.Struct(">7h")
 _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
@@ -125,9 +127,13 @@ class GyroChip:
         self._powered_at = 0
         self._due: int | None = None  # cycle of the next sample
         self._start()
-        pins.watch(CS, self._select)
-        pins.drive(CS, True)  # the board's pull-up
-        pins.drive(READY, False)
+        pins.watch(CS, self.select)
+        self.rest()
+
+    def rest(self) -> None:
+        """The lines at rest: select by the board's pull-up, nothing ready."""
+        self._pins.drive(CS, True)
+        self._pins.drive(READY, False)
 
     def processor_reset(self) -> None:
         """The processor was reset and with it all alarms: the chip goes on."""
@@ -206,7 +212,8 @@ class GyroChip:
         self._write(address, value)
         return 0
 
-    def _select(self, level: bool) -> None:
+    def select(self, level: bool) -> None:
+        """The level of the chip's select line, low while it is spoken to."""
         self._selected = not level
         self._address = None
 
@@ -292,9 +299,12 @@ class GyroChip:
     def _latch(self) -> None:
         gyro_shift = FULL_SCALE - (self._registers[GYRO_CONFIG] >> 3 & 3)
         accel_shift = FULL_SCALE - (self._registers[ACCEL_CONFIG] >> 3 & 3)
-        shifts = (accel_shift, accel_shift, accel_shift, 0, gyro_shift, gyro_shift, gyro_shift)
-        values = (max(-32768, min(32767, v << s)) for v, s in zip(self._measured, shifts, strict=True))
-        self._data = b"".join(v.to_bytes(2, "big", signed=True) for v in values)
+        values: Sequence[int] = self._measured
+        if gyro_shift or accel_shift:
+            shifts = (*[accel_shift] * 3, 0, *[gyro_shift] * 3)
+            scaled = (v << s for v, s in zip(self._measured, shifts, strict=True))
+            values = [max(-32768, min(32767, v)) for v in scaled]
+        self._data = _DATA.pack(*values)
 
     _KEPT = (
         "samples", "silent", "_measured", "_ready_at", "_ready_why", "_selected", "_address", "_reads",

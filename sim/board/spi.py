@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from sim.board.bus import Device, load_table
 from sim.board.context import TIME_HZ, Context
@@ -51,6 +51,10 @@ class Spi(Device):
         self._last = 0
         self._begun: int | None = None  # cycle at which the byte in the shift register began
         self._overrun = False
+
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        return (self._irq,)
 
     def reset(self) -> None:
         super().reset()
@@ -101,7 +105,7 @@ class Spi(Device):
         if changed & self.mask("CR1", "SPE") and not self.get("CR1", "SPE"):
             self._sending, self._begun = [], None  # what is on the wire is lost
         elif changed & ~self.mask("CR1", "SPE") and self._begun is not None:
-            self.context.fail("SPI1_CR1 is changed while a transfer is under way, expected SPI1_SR BSY 0")
+            self.refuse_busy()
         self._start()
 
     def write_cr2(self, value: int) -> None:
@@ -132,7 +136,7 @@ class Spi(Device):
         self.sync()
         for i in range(min(size, 2)):
             if self._level() >= FIFO_BYTES:
-                self.context.fail("SPI1_DR is written while its FIFO is full, expected SPI1_SR TXE before")
+                self.refuse_full()
             self._sending.append(value >> 8 * i & 0xFF)
         self._start()
         self._update_irq()
@@ -160,7 +164,7 @@ class Spi(Device):
         if self._begun is None and self.words["CR1"] & 1 << 6:
             self._fetch(0)
             if self._sending:
-                self._judge()
+                self.judge()
                 self._begun = self.context.cycle
                 self._fetch(0)
         self._plan()
@@ -185,11 +189,7 @@ class Spi(Device):
     def _exchange(self, count: int) -> None:
         sent, self._sending = self._sending[:count], self._sending[count:]
         mode = 2 * self.get("CR1", "CPOL") + self.get("CR1", "CPHA")
-        answer = self._slave.exchange(sent, self.clock_hz, mode)
-        if answer is None:
-            answer = [0xFF if self._pins.pull("PA6") else 0x00] * count
-        if self.bit_error_rate:
-            answer = [self._with_errors(byte) for byte in answer]
+        answer = self.answer(sent, self.clock_hz, mode)
         if self.words["CR2"] & 1:
             taken = min(self._dma.available("SPI1_RX"), count)
             if taken:
@@ -200,12 +200,30 @@ class Spi(Device):
             del self._received[FIFO_BYTES:]
             self._overrun = True
 
+    def refuse_busy(self) -> NoReturn:
+        """CR1 changes meanwhile."""
+        self.context.fail("SPI1_CR1 is changed while a transfer is under way, expected SPI1_SR BSY 0")
+
+    def refuse_full(self) -> NoReturn:
+        """DR is written once too often."""
+        self.context.fail("SPI1_DR is written while its FIFO is full, expected SPI1_SR TXE before")
+
+    def answer(self, sent: Sequence[int], hz: float, mode: int) -> list[int]:
+        """What the chip on the bus answers, bit errors included."""
+        answer = self._slave.exchange(sent, hz, mode)
+        if answer is None:
+            answer = [0xFF if self._pins.pull("PA6") else 0x00] * len(sent)
+        if self.bit_error_rate:
+            answer = [self._with_errors(byte) for byte in answer]
+        return answer
+
     def _with_errors(self, byte: int) -> int:
         for bit in range(8):
             byte ^= (self._random.random() < self.bit_error_rate) << bit
         return byte
 
-    def _judge(self) -> None:
+    def judge(self) -> None:
+        """Fail unless all is set up for bytes to be sent."""
         fail = self.context.fail
         if not self.get("CR1", "MSTR"):
             fail("SPI1 sends with CR1 MSTR 0, expected a master")

@@ -8,6 +8,7 @@ of pulses of each channel, period by period.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from sim.board.bus import Device, load_table
 from sim.board.context import TIME_HZ, Context
@@ -54,6 +55,10 @@ class Timer(Device):
         self._pending: list[str] = []  # DMA requests that no stream has served yet
         self._steady = False  # the pulses in effect have been shown
 
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        return (self._irq,)
+
     def reset(self) -> None:
         super().reset()
         self._begin()
@@ -81,8 +86,9 @@ class Timer(Device):
         while updates > 0:
             if self.get("CR1", "OPM"):
                 updates = 1
+            length = self.period  # of the periods that end now
             done = self._run(updates)
-            self._anchor += done * self.period
+            self._anchor += done * length
             updates -= done
             if self.get("CR1", "OPM"):
                 self.put("CR1", "CEN", 0)
@@ -182,6 +188,12 @@ class Timer(Device):
         self.keep("BDTR", value)
         self._steady = False
 
+    def refuse_compare(self, field: str) -> NoReturn:
+        """A channel's request without CCDS."""
+        self.context.fail(
+            f"{self.name}_DIER {field} with CR2 CCDS 0: requests at compare are not modelled, expected CCDS 1"
+        )
+
     def read_dmar(self) -> int:
         self.context.fail(f"{self.name}_DMAR is read, expected DMA to write it")
 
@@ -261,7 +273,7 @@ class Timer(Device):
     def _pulses_fed(self, source: str, updates: int) -> None:
         """`updates` updates, at each of which a period ends and DMA writes the compare values of the next."""
         lists: list[list[int]] = [[] for _ in range(CHANNELS)]
-        registers = self._registers(source)
+        registers = self.targets(source)
         step = len(registers)
         count = min(updates * step, self._dma.available(source))
         items = self._dma.take(source, count)
@@ -275,7 +287,7 @@ class Timer(Device):
         self._pulses(lists, 0)
 
     def _feed(self, source: str, requests: int) -> None:
-        registers = self._registers(source)
+        registers = self.targets(source)
         count = min(requests * len(registers), self._dma.available(source))
         for register, item in zip(registers * requests, self._dma.take(source, count), strict=False):
             self._store(register, item)
@@ -302,12 +314,13 @@ class Timer(Device):
             if not values or not self.words["CCER"] >> 4 * i & 1:
                 continue
             if any(values):
-                self._judge_output(channel)
+                self.judge_output(channel)
             output = self.outputs.get(channel)
             if output is not None:
                 output(start, length, [self._cycles(v) for v in values])
 
-    def _judge_output(self, channel: int) -> None:
+    def judge_output(self, channel: int) -> None:
+        """Fail unless channel 1..4 may make pulses."""
         register = "CCMR1" if channel < 3 else "CCMR2"
         mode = self.get(register, f"OC{channel}M")
         signal = f"{self.name}_CH{channel}"
@@ -327,10 +340,7 @@ class Timer(Device):
         if not self.get("DIER", field):
             return False
         if field != "UDE" and not self.get("CR2", "CCDS"):
-            self.context.fail(
-                f"{self.name}_DIER {field} with CR2 CCDS 0: requests at compare are not modelled, "
-                f"expected CCDS 1"
-            )
+            self.refuse_compare(field)
         return True
 
     def _request_all(self) -> None:
@@ -342,9 +352,9 @@ class Timer(Device):
                     self._pending.append(source)
 
     def _items(self, source: str) -> int:
-        return len(self._registers(source))
+        return len(self.targets(source))
 
-    def _registers(self, source: str) -> list[str]:
+    def targets(self, source: str) -> list[str]:
         """What one request writes: a register, or a burst of them through DMAR."""
         offset = self._dma.target(source) - self.block.base
         names = {r.offset: r.name for r in self.block.registers.values()}

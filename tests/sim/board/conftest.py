@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import heapq
+import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NoReturn
 
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from sim.board.board import Hardware
 from sim.board.bus import load_table
 from sim.board.context import BoardError
+from sim.board.hot import BoardEngine
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2
 
 MICROSECOND = 216
@@ -144,13 +147,62 @@ class FakeContext:
         raise AssertionError(f"no memory at 0x{address:08X}")
 
 
-class Bench:
-    """The board's hardware with a program's view of it: registers by name."""
+WAIT = struct.pack("<IIHH", 0x20010000, 0x00200009, 0xBF30, 0xE7FD)  # vectors; wfi, and again
 
-    def __init__(self, **options: Any) -> None:
-        self.context = FakeContext()
-        self.hardware = Hardware(self.context, **options)
+
+class EngineContext:
+    """The engine, with a core that only waits, as a test sees it."""
+
+    def __init__(self) -> None:
+        self.engine = BoardEngine(WAIT)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.engine, name)
+
+    @property
+    def cache(self) -> bool:
+        return self.engine.data_cache_on()
+
+    @cache.setter
+    def cache(self, on: bool) -> None:
+        ccr = self.engine.load(0xE000ED14, 4)
+        self.engine.store(0xE000ED14, 4, ccr & ~(1 << 16) | on << 16)
+
+    def run_to(self, cycle: int) -> None:
+        try:
+            self.engine.run_to(cycle)
+        except BoardError:
+            self.forgive()
+            raise
+
+    def run(self, microseconds: float) -> None:
+        self.run_to(self.engine.cycle + round(microseconds * MICROSECOND))
+
+    def forgive(self) -> None:
+        """After what a test has seen raised."""
+        self.engine.forget_failure()
+        self.engine.library.engine_restored(self.engine.handle)
+
+    def asserted(self, name: str) -> bool:
+        """Whether interrupt line `name` is up: a pending bit that cannot be cleared."""
+        number = load_table().interrupt(name)
+        self.engine.store(0xE000E280 + number // 32 * 4, 4, 1 << number % 32)
+        return bool(self.engine.load(0xE000E200 + number // 32 * 4, 4) >> number % 32 & 1)
+
+
+class Bench:
+    """The board's hardware with a program's view of it: registers by name.
+
+    kind: "python", the classes alone, or "c", the busy ones in C and an engine around them.
+    """
+
+    def __init__(self, kind: str = "python", **options: Any) -> None:
+        self.context: Any = FakeContext() if kind == "python" else EngineContext()
+        self.hardware = Hardware(getattr(self.context, "engine", self.context), **options)
         self._table = load_table()
+        self._engine: BoardEngine | None = getattr(self.context, "engine", None)
+        if self._engine is not None:
+            self._engine.power_cycle()
 
     def address(self, name: str) -> int:
         """Of "RCC_CR"; of "ADC_Common_CCR" too."""
@@ -159,10 +211,32 @@ class Bench:
         return found.base + found.registers[register].offset
 
     def read(self, name: str, size: int = 4) -> int:
-        return self.hardware.registers.read(self.address(name), size)
+        return self.load(self.address(name), size)
 
     def write(self, name: str, value: int, size: int = 4) -> None:
-        self.hardware.registers.write(self.address(name), size, value)
+        self.store(self.address(name), size, value)
+
+    def load(self, address: int, size: int) -> int:
+        if self._engine is None:
+            return self.hardware.registers.read(address, size)
+        value = self._engine.load(address, size)
+        self._raise()
+        return value
+
+    def store(self, address: int, size: int, value: int) -> None:
+        if self._engine is None:
+            self.hardware.registers.write(address, size, value)
+        else:
+            self._engine.store(address, size, value)
+            self._raise()
+
+    def _raise(self) -> None:
+        assert self._engine is not None
+        try:
+            self._engine.raise_now()
+        except BoardError:
+            self.context.forgive()
+            raise
 
     def bits(self, name: str, *fields: str) -> int:
         """The mask of fields of a register."""
@@ -186,6 +260,10 @@ class Bench:
 
     def reset(self, cause: str) -> None:
         """As the engine resets the chip."""
+        if self._engine is not None:
+            self._engine.system_reset(cause)
+            self._engine.run_to(self._engine.cycle + 1)
+            return
         for alarm in self.context.alarms:
             alarm.cancel()
         self.context.lines.clear()
@@ -221,9 +299,21 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Bench:
+def kind() -> str:
+    """Which peripherals a test is about; a module may ask for those in C as well."""
+    return "python"
+
+
+@pytest.fixture
+def make_bench(kind: str) -> Callable[..., Bench]:
+    """Makes a board with options of its own."""
+    return partial(Bench, kind)
+
+
+@pytest.fixture
+def bench(kind: str) -> Bench:
     """The board after power-up."""
-    return Bench()
+    return Bench(kind)
 
 
 @pytest.fixture
@@ -231,9 +321,3 @@ def fast(bench: Bench) -> Bench:
     """The board at 216 MHz."""
     bench.full_speed()
     return bench
-
-
-@pytest.fixture
-def make_bench() -> Callable[..., Bench]:
-    """Makes a board with options of its own."""
-    return Bench

@@ -12,14 +12,19 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
+@pytest.fixture(params=["python", "c"])
+def kind(request: pytest.FixtureRequest) -> str:
+    """The peripherals as classes, and the busy ones in C."""
+    return str(request.param)
+
+
 def test_access_is_refused_when_the_register_is_not_modelled(bench: Bench) -> None:
-    registers = bench.hardware.registers
     with pytest.raises(BoardError, match=r"read at 0x40005404: I2C1 is not modelled"):
-        registers.read(0x40005404, 4)
+        bench.load(0x40005404, 4)
     with pytest.raises(BoardError, match=r"write at 0x40023870: RCC_BDCR is not modelled"):
-        registers.write(0x40023870, 4, 0)
+        bench.store(0x40023870, 4, 0)
     with pytest.raises(BoardError, match=r"read at 0x400238F0: RCC has no register there"):
-        registers.read(0x400238F0, 4)
+        bench.load(0x400238F0, 4)
 
 
 def test_access_is_refused_when_it_is_of_the_wrong_kind(fast: Bench) -> None:
@@ -58,11 +63,11 @@ def test_peripheral_is_refused_when_its_clock_is_off(bench: Bench) -> None:
 def test_part_of_a_register_changes_when_the_access_is_narrow(fast: Bench) -> None:
     fast.write("GPIOB_ODR", 0x1234)
     address = fast.address("GPIOB_ODR")
-    fast.hardware.registers.write(address + 1, 1, 0x56)
+    fast.store(address + 1, 1, 0x56)
     assert fast.read("GPIOB_ODR") == 0x5634
-    assert fast.hardware.registers.read(address, 1) == 0x34
-    assert fast.hardware.registers.read(address + 1, 1) == 0x56
-    fast.hardware.registers.write(fast.address("GPIOB_BSRR") + 2, 2, 0x5600)  # the upper half clears
+    assert fast.load(address, 1) == 0x34
+    assert fast.load(address + 1, 1) == 0x56
+    fast.store(fast.address("GPIOB_BSRR") + 2, 2, 0x5600)  # the upper half clears
     assert fast.read("GPIOB_ODR") == 0x0034
 
 

@@ -12,6 +12,13 @@ from sim.board.dma import REQUESTS
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
+
+@pytest.fixture(params=["python", "c"])
+def kind(request: pytest.FixtureRequest) -> str:
+    """The peripherals as classes, and the busy ones in C."""
+    return str(request.param)
+
+
 USART1_RDR = 0x40011024
 DTCM, SRAM1, ITCM = 0x20000100, 0x20010000, 0x00000200
 TCIE, CIRC, MINC = 1 << 4, 1 << 8, 1 << 10
@@ -41,6 +48,7 @@ def test_requests_are_where_the_boards_facts_say() -> None:
 
 
 def test_items_reach_memory_and_flags_rise_when_moved(fast: Bench) -> None:
+    fast.context.set_memory(DTCM, bytes(16))
     prepare(fast, options=MINC | TCIE)
     fast.set("DMA2_S5CR", EN=1)
     give(fast, 1, 2, 3)

@@ -136,7 +136,7 @@ def test_a_cut_erase_leaves_the_same_when_the_seed_is_the_same(bench: Bench, mak
         board.write("FLASH_CR", WORDS | SER | 1 << 3)
         board.set("FLASH_CR", STRT=1)
         board.context.run(300_000)
-        return board.context.memory(SECTOR_1, 0x4000)
+        return bytes(board.context.memory(SECTOR_1, 0x4000))
 
     first, again, other = erase(bench), erase(make_bench()), erase(make_bench(seed=1))
     assert first == again != other

@@ -13,6 +13,13 @@ from sim.board.dshot import Esc, Frame
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
+
+@pytest.fixture(params=["python", "c"])
+def kind(request: pytest.FixtureRequest) -> str:
+    """The peripherals as classes, and the busy ones in C."""
+    return str(request.param)
+
+
 SLOTS = 0x20003000
 BIT = 360  # ticks of a 216 MHz timer, DShot600
 
@@ -75,6 +82,15 @@ def test_motors_get_their_values_when_a_frame_is_sent(fast: Bench) -> None:
     assert {f.cycle for f in frames} == {begin + (2 + 16) * BIT}
     assert fast.get("DMA2_S1CR", "EN") == 0
     assert fast.get("DMA2_LISR", "TCIF1") == 1
+
+
+def test_frames_follow_each_other_when_sent_again_and_again(fast: Bench) -> None:
+    frames = listen(fast)
+    start_tim8(fast)
+    for value in range(100, 105):
+        send(fast, (value, value + 10, value + 20, value + 30))
+        fast.context.run(250)
+    assert [f.value for f in frames] == [v + 10 * i for v in range(100, 105) for i in range(4)]
 
 
 def test_stream_is_busy_until_the_line_rests_when_asked_meanwhile(fast: Bench) -> None:
@@ -201,10 +217,11 @@ def test_interrupt_comes_at_every_update_when_enabled(fast: Bench) -> None:
     fast.write("TIM3_SR", 0)
     fast.write("TIM3_DIER", 1)
     fast.write("TIM3_CR1", 1)
+    fast.context.run(0.1)
     for _ in range(3):
-        fast.context.run(9.9)
+        fast.context.run(9.8)
         assert not fast.context.asserted("TIM3")
-        fast.context.run(0.1)
+        fast.context.run(0.2)
         assert fast.context.asserted("TIM3")
         fast.write("TIM3_SR", 0)
         assert not fast.context.asserted("TIM3")
@@ -219,7 +236,9 @@ def test_compare_waits_for_the_update_when_preloaded(fast: Bench) -> None:
     begin = fast.context.cycle
     fast.context.run_to(begin + 1000)
     fast.write("TIM8_CCR1", 100)
-    fast.context.run_to(begin + 1440)
+    fast.context.run_to(begin + 1300)
+    fast.write("TIM8_CCR1", 0)
+    fast.context.run_to(begin + 2000)
     fast.read("TIM8_CNT")
     high = [(s - begin, h) for s, length, highs in seen for s, h in zip([s], highs, strict=False) if h]
     assert high == [(1080, 100)]

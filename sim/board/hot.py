@@ -1,0 +1,524 @@
+"""The busy peripherals in C: `engine_hot.c` behind the classes that describe them.
+
+Each class here is its parent with registers and time in C. The parent's judgements stay: C asks for them
+when it meets a set-up that it has not seen yet, and they read the same registers through `_Words`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from ctypes import (
+    CFUNCTYPE,
+    POINTER,
+    c_bool,
+    c_double,
+    c_int,
+    c_int32,
+    c_uint8,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)
+from typing import Any
+
+from sim.board.bus import Block, Device, Register, Registers
+from sim.board.context import Context
+from sim.board.cpu_library import AlarmCallback, ReadCallback, WriteCallback
+from sim.board.dma import Dma, DmaSystem, Driver
+from sim.board.engine import Engine, Outcome
+from sim.board.exti import Exti
+from sim.board.gpio import PORTS, Pins, Port
+from sim.board.gyro_chip import GyroChip
+from sim.board.rcc import Clocks
+from sim.board.spi import Spi
+from sim.board.syscfg import Syscfg
+from sim.board.timer import CHANNELS, Timer
+
+NEVER = 2**64 - 1
+PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.c
+ASK_ENABLE, ASK_CHANGED, ASK_FROZEN, ASK_TWICE, ASK_CACHED = range(5)  # enum question
+ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR = range(5, 12)
+_STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
+_TIMER_SOURCE, _PYTHON_SOURCE = 2, 32
+_TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
+
+_Refuse = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32, c_uint32)
+_Judge = CFUNCTYPE(c_int, c_uint32, c_uint32, c_uint32, c_uint32)
+_Source = CFUNCTYPE(None, c_uint32, c_uint32)
+_Exchange = CFUNCTYPE(None, POINTER(c_uint8), c_uint32, c_uint32, c_double, c_uint32)
+_Pulses = CFUNCTYPE(None, c_uint32, c_uint32, c_uint64, c_uint64, c_uint32, POINTER(c_uint32))
+_Pin = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32)
+
+
+class _Rule(ctypes.Structure):
+    """`struct rule` of engine_hot.c."""
+
+    _fields_ = (
+        *((name, c_uint32) for name in ("reset", "fixed", "writable")),
+        *((name, c_uint8) for name in ("known", "sizes", "readable", "writeable")),
+    )
+
+
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "new": (
+        c_void_p, c_void_p, ReadCallback, WriteCallback, AlarmCallback, _Refuse, _Judge, _Source, _Exchange,
+        _Pulses, _Pin,
+    ),
+    "free": (None, c_void_p),
+    "select": (None, c_void_p),
+    "device": (None, c_void_p, *[c_uint32] * 6, c_bool),
+    "rule": (None, c_void_p, c_uint32, c_uint32, POINTER(_Rule)),
+    "lazy": (None, c_void_p, c_uint32),
+    "irq": (None, c_void_p, c_uint32, c_uint32, c_uint32),
+    "clock": (None, c_void_p, c_uint32, c_bool),
+    "clocks": (None, c_void_p, c_uint64, c_uint64, c_uint64),
+    "reset": (None, c_void_p, c_uint32),
+    "words": (POINTER(c_uint32), c_void_p, c_uint32),
+    "touched": (c_uint64, c_void_p, c_uint32, c_uint32, c_bool),
+    "touch_epoch": (None, c_void_p),
+    "state": (c_void_p, c_void_p),
+    "state_bytes": (c_uint32,),
+    "drive": (None, c_void_p, c_uint32, c_uint32, c_bool),
+    "level": (c_bool, c_void_p, c_uint32, c_uint32),
+    "watch": (None, c_void_p, c_uint32, c_uint32),
+    "available": (c_uint32, c_void_p, c_uint32),
+    "target": (c_uint32, c_void_p, c_uint32),
+    "circular": (c_bool, c_void_p, c_uint32),
+    "take": (c_uint32, c_void_p, c_uint32, POINTER(c_uint32), c_uint32),
+    "give": (c_uint32, c_void_p, c_uint32, POINTER(c_uint32), c_uint32),
+    "set_source": (None, c_void_p, c_uint32, c_uint32, c_uint32, c_int32),
+}  # fmt: skip
+
+
+class BoardEngine(Engine):
+    """An engine that tells C whose peripherals it is about to use: its callbacks carry no handle."""
+
+    hot: Hot | None = None
+
+    def run(self, cycle: int = NEVER, instructions: int = NEVER) -> Outcome:
+        self._select()
+        return super().run(cycle, instructions)
+
+    def load(self, address: int, size: int) -> int:
+        self._select()
+        return super().load(address, size)
+
+    def store(self, address: int, size: int, value: int) -> None:
+        self._select()
+        super().store(address, size, value)
+
+    def raise_later(self, error: BaseException) -> None:
+        """Raise `error` when the core has come to a stop: nothing unwinds through C."""
+        self._note_error(error)
+
+    def raise_now(self) -> None:
+        """Raise what `raise_later` was given outside a run."""
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def listen_through(self, read: Any, write: Any, alarm: Any) -> tuple[Any, ...]:  # noqa: ANN401
+        """Let C functions answer the core first; returns the callbacks that answered until now."""
+        before = self._callbacks
+        self._callbacks = (read, write, alarm, before[3], before)
+        self.library.engine_callbacks(self.handle, read, write, alarm, before[3])
+        return before
+
+    def _select(self) -> None:
+        if self.hot is not None:
+            self.library.hot_select(self.hot.handle)
+
+
+class _Words(MutableMapping[str, int]):
+    """A device's registers by name, kept in C."""
+
+    def __init__(self, block: Block, array: Any) -> None:  # noqa: ANN401 - a pointer of ctypes
+        self._places = {r.name: r.offset >> 2 for r in block.registers.values() if r.modelled}
+        self._array = array
+
+    def __getitem__(self, name: str) -> int:
+        return int(self._array[self._places[name]])
+
+    def __setitem__(self, name: str, value: int) -> None:
+        self._array[self._places[name]] = value
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError("a register stays")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+class _InC(Device):
+    """What all devices in C have in common. Until `adopt`, a plain device."""
+
+    _hot: Hot | None = None
+    _number = 0
+    _clocked = True
+
+    def adopt(self, hot: Hot, number: int) -> None:
+        """From now on the registers are those of C's device `number`."""
+        self._hot, self._number = hot, number
+        array = hot.library.hot_words(hot.handle, number)
+        self.words = _Words(self.block, array)  # type: ignore[assignment]
+        hot.library.hot_clock(hot.handle, number, self._clocked)
+
+    @property
+    def clocked(self) -> bool:  # type: ignore[override]
+        return self._clocked
+
+    @clocked.setter
+    def clocked(self, on: bool) -> None:
+        self._clocked = on
+        if self._hot is not None:
+            self._hot.library.hot_clock(self._hot.handle, self._number, on)
+
+    def reset(self) -> None:
+        if self._hot is not None:
+            self._hot.library.hot_reset(self._hot.handle, self._number)
+
+    def counts(self, register: Register) -> tuple[int, int] | None:
+        if self._hot is None:
+            return None
+        touched, handle, slot = self._hot.library.hot_touched, self._hot.handle, register.offset >> 2
+        return int(touched(handle, self._number, slot, False)), int(touched(handle, self._number, slot, True))
+
+    def state(self) -> Any:  # noqa: ANN401
+        return self._clocked  # the rest is Hot's
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self._clocked = state
+
+
+class HotPort(_InC, Port):
+    """GPIO in C."""
+
+    def level(self, pin: int) -> bool:
+        assert self._hot is not None
+        return bool(self._hot.library.hot_level(self._hot.handle, PORTS.index(self.letter), pin))
+
+
+class HotPins(Pins):
+    """All ports in C."""
+
+    _hot: Hot | None = None
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.ports = {letter: HotPort(context, letter) for letter in PORTS}
+        self._context = context
+
+    def adopt(self, hot: Hot) -> None:
+        """The ports are C's from now on."""
+        self._hot = hot
+
+    def drive(self, name: str, level: bool) -> None:
+        if self._hot is not None:
+            self._hot.library.hot_drive(self._hot.handle, PORTS.index(name[1]), int(name[2:]), level)
+
+    def watch(self, name: str, listener: Callable[[bool], None]) -> None:
+        port, pin = self._place(name)
+        port.listeners[pin] = listener
+        if self._hot is not None:
+            self._hot.library.hot_watch(self._hot.handle, PORTS.index(name[1]), pin)
+
+    def expect(self, signal: str, user: str) -> None:
+        self._good.clear()
+        super().expect(signal, user)
+
+
+class HotSyscfg(_InC, Syscfg):
+    """SYSCFG in C."""
+
+
+class HotExti(_InC, Exti):
+    """EXTI in C."""
+
+    def edge(self, port: str, line: int, rising: bool) -> None:
+        raise AssertionError("edges come by the pins, in C")
+
+
+class HotSpi(_InC, Spi):
+    """SPI1 in C; what the chip answers comes from Python."""
+
+    def state(self) -> Any:  # noqa: ANN401
+        return {"clocked": self._clocked, "rate": self.bit_error_rate, "random": self._random.getstate()}
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self._clocked, self.bit_error_rate = state["clocked"], state["rate"]
+        self._random.setstate(state["random"])
+
+    @property
+    def clock_hz(self) -> float:
+        assert self._hot is not None
+        return self._hot.clocks.apb2 / (2 << self.get("CR1", "BR"))
+
+
+class HotTimer(_InC, Timer):
+    """A timer in C; its pulses come to `outputs` as ever."""
+
+
+class HotDma(_InC, Dma):
+    """A controller in C."""
+
+
+class HotDmaSystem(DmaSystem):
+    """Both controllers in C, for the drivers in Python."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.controllers = {number: HotDma(context, number, self) for number in (1, 2)}
+        self._hot: Hot | None = None
+        self._names: dict[int, str] = {}
+        self._ids = {"SPI1_RX": 0, "SPI1_TX": 1}
+        for number, timer in enumerate(_TIMERS):
+            names = (f"{timer}_UP", *(f"{timer}_CH{i}" for i in range(1, CHANNELS + 1)))
+            self._ids |= {name: _TIMER_SOURCE + 5 * number + k for k, name in enumerate(names)}
+
+    def adopt(self, hot: Hot) -> None:
+        """The controllers are C's from now on."""
+        self._hot = hot
+
+    def connect(self, source: str, driver: Driver) -> None:
+        if source not in self._ids:
+            self._ids[source] = max(_PYTHON_SOURCE, *(i + 1 for i in self._ids.values()))
+        self._names[self._ids[source]] = source
+        super().connect(source, driver)
+
+    def id(self, source: str) -> int:
+        """C's number of a request."""
+        return self._ids[source]
+
+    def name(self, number: int) -> str:
+        """The inverse."""
+        return self._names[number]
+
+    def available(self, source: str) -> int:
+        assert self._hot is not None
+        return int(self._hot.library.hot_available(self._hot.handle, self._ids[source]))
+
+    def target(self, source: str) -> int:
+        assert self._hot is not None
+        return int(self._hot.library.hot_target(self._hot.handle, self._ids[source]))
+
+    def circular(self, source: str) -> bool:
+        assert self._hot is not None
+        return bool(self._hot.library.hot_circular(self._hot.handle, self._ids[source]))
+
+    def take(self, source: str, count: int) -> list[int]:
+        assert self._hot is not None
+        items = (c_uint32 * count)()
+        taken = self._hot.library.hot_take(self._hot.handle, self._ids[source], items, count)
+        self._hot.engine.raise_now()
+        return list(items[:taken])
+
+    def give(self, source: str, items: Sequence[int]) -> None:
+        assert self._hot is not None
+        array = (c_uint32 * len(items))(*items)
+        self._hot.library.hot_give(self._hot.handle, self._ids[source], array, len(items))
+        self._hot.engine.raise_now()
+
+    def forget(self, number: int) -> None:
+        """C forgets by itself."""
+
+    def relink(self) -> None:
+        """C's state says what serves what."""
+
+    def driver(self, source: str) -> Driver:
+        """Who makes a request."""
+        return self._drivers[source]
+
+
+class Hot:
+    """The part in C of one board: made last, when all devices are there."""
+
+    def __init__(
+        self, engine: BoardEngine, registers: Registers, dma: HotDmaSystem, pins: HotPins, chip: GyroChip
+    ) -> None:
+        """The devices' registers move into C, with their values of power-up."""
+        self.engine, self.library = engine, engine.library
+        self._registers, self._dma, self._pins, self._chip = registers, dma, pins, chip
+        self._transaction = 0  # of the SPI bus, as the chip knows
+        self.clocks = Clocks(16_000_000, 16_000_000, 16_000_000, 16_000_000, 16_000_000)
+        for name, (result, *arguments) in _SIGNATURES.items():
+            function = getattr(self.library, f"hot_{name}")
+            function.restype, function.argtypes = result, arguments
+        self._devices = [
+            *pins.ports.values(),
+            *(registers.devices[name] for name in ("SYSCFG", "EXTI", "DMA1", "DMA2", "SPI1", *_TIMERS)),
+        ]
+        through = (
+            ReadCallback(("hot_read", self.library)),
+            WriteCallback(("hot_write", self.library)),
+            AlarmCallback(("hot_alarm", self.library)),
+        )
+        before = engine.listen_through(*through)
+        self._callbacks = (
+            _Refuse(self._guarded(self._refuse)),
+            _Judge(self._judge),
+            _Source(self._guarded(self._source)),
+            _Exchange(self._guarded(self._exchange)),
+            _Pulses(self._guarded(self._pulses)),
+            _Pin(self._guarded(self._pin)),
+        )
+        self.handle: int = self.library.hot_new(engine.handle, *before[:3], *self._callbacks)
+        self._hang_up()
+        for number, device in enumerate(self._devices):
+            assert isinstance(device, _InC)
+            device.adopt(self, number)
+        self.library.hot_lazy(self.handle, dma.id("ADC1"))  # USARTs move by alarms alone
+        dma.adopt(self)
+        pins.adopt(self)
+        engine.hot = self
+
+    def __del__(self) -> None:
+        if getattr(self, "handle", 0):
+            self.library.hot_free(self.handle)
+            self.handle = 0
+
+    def set_clock(self, clocks: Clocks) -> None:
+        """The clock tree has changed."""
+        self.clocks = clocks
+        self.library.hot_clocks(self.handle, clocks.apb2, clocks.timer1, clocks.timer2)
+
+    def state(self) -> Any:  # noqa: ANN401
+        """All of C's state."""
+        data = ctypes.string_at(self.library.hot_state(self.handle), self.library.hot_state_bytes())
+        return (data, self._transaction, self.clocks)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        data, self._transaction, self.clocks = state
+        ctypes.memmove(self.library.hot_state(self.handle), data, len(data))
+
+    def _hang_up(self) -> None:
+        """Tell C where its devices are, their rules, interrupts and alarms."""
+        library, handle = self.library, self.handle
+        counted: dict[int, int] = {}
+        for number, device in enumerate(self._devices):
+            kind = _kind(device)
+            window = self.engine.windows[self._registers.window_name(device)]
+            alarm = {"SPI1": "spi1.byte"}.get(device.name, f"{device.name.lower()}.update")
+            alarms = self.engine.alarms
+            library.hot_device(
+                handle, number, kind, counted.get(kind, 0), window, device.block.base,
+                alarms[alarm].number if alarm in alarms else 0xFFFFFFFF, device.name in ("TIM1", "TIM8"),
+            )  # fmt: skip
+            counted[kind] = counted.get(kind, 0) + 1
+            for register in device.block.registers.values():
+                if register.modelled:
+                    rule = _Rule(
+                        register.reset, register.reserved | register.unmodelled, register.writable, 1,
+                        sum(register.sizes), "r" in register.access, "w" in register.access,
+                    )  # fmt: skip
+                    library.hot_rule(handle, number, register.offset >> 2, ctypes.byref(rule))
+            for place, irq in enumerate(device.interrupts):
+                library.hot_irq(handle, number, place, irq)
+
+    def _guarded(self, function: Callable[..., None]) -> Callable[..., None]:
+        """`function` as C may call it."""
+
+        def call(*arguments: Any) -> None:  # noqa: ANN401
+            try:
+                function(*arguments)
+            except BaseException as error:
+                self.engine.raise_later(error)
+
+        return call
+
+    # What C asks
+
+    def _refuse(self, window: int, offset: int, size: int, value: int, write: int) -> None:
+        device = next(
+            d for d in self._devices if self.engine.windows[self._registers.window_name(d)] == window
+        )
+        self._registers.explain(device, offset, size, value if write else None)
+
+    def _judge(self, question: int, a: int, b: int, c: int) -> int:
+        try:
+            if question in (ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR):
+                self._judge_timer(question, a, b)
+            elif question in (ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL):
+                self._judge_spi(question)
+            else:
+                self._judge_stream(question, a, b, c)
+        except BaseException as error:
+            self.engine.raise_later(error)
+            return 1
+        return 0
+
+    def _judge_stream(self, question: int, controller: int, stream: int, c: int) -> None:
+        dma = self._dma.controllers[controller + 1]
+        if question == ASK_ENABLE:
+            for place, source in enumerate(dma.judge(stream)):
+                self.library.hot_set_source(self.handle, controller, stream, place, self._dma.id(source))
+        elif question == ASK_CHANGED:
+            dma.refuse_changed(stream, c)
+        elif question == ASK_FROZEN:
+            dma.refuse_frozen(stream, _STREAM_WORDS[(c - 4) % 6])
+        elif question == ASK_TWICE:
+            dma.refuse_twice(stream, self._dma.name(c), "another stream")
+        else:
+            dma.refuse_cached(stream, c)
+
+    def _judge_spi(self, question: int) -> None:
+        spi = self._registers.devices["SPI1"]
+        assert isinstance(spi, Spi)
+        {ASK_SPI: spi.judge, ASK_SPI_BUSY: spi.refuse_busy, ASK_SPI_FULL: spi.refuse_full}[question]()
+
+    def _judge_timer(self, question: int, number: int, b: int) -> None:
+        timer = self._registers.devices[_TIMERS[number]]
+        assert isinstance(timer, Timer)
+        names = ("UP", *(f"CH{i}" for i in range(1, CHANNELS + 1)))
+        if question == ASK_OUTPUT:
+            timer.judge_output(b)
+        elif question == ASK_TARGET:
+            timer.targets(f"{timer.name}_{names[b]}")
+        elif question == ASK_COMPARE:
+            timer.refuse_compare(f"CC{b}DE")
+        elif b:
+            timer.write_dmar(0)
+        else:
+            timer.read_dmar()
+
+    def _source(self, source: int, sync: int) -> None:
+        driver = self._dma.driver(self._dma.name(source))
+        if sync:
+            driver.sync()
+        else:
+            driver.dma_changed()
+
+    def _exchange(self, data: Any, count: int, transaction: int, hz: float, mode: int) -> None:  # noqa: ANN401
+        if transaction != self._transaction:
+            self._transaction = transaction
+            self._chip.select(False)
+        spi = self._registers.devices["SPI1"]
+        assert isinstance(spi, Spi)
+        answer = spi.answer(data[:count], hz, mode)
+        ctypes.memmove(data, bytes(answer), count)
+
+    def _pulses(
+        self,
+        timer: int,
+        channel: int,
+        start: int,
+        length: int,
+        count: int,
+        highs: Any,  # noqa: ANN401
+    ) -> None:
+        device = self._registers.devices[_TIMERS[timer]]
+        assert isinstance(device, Timer)
+        output = device.outputs.get(channel)
+        if output is not None:
+            output(start, length, highs[:count])
+
+    def _pin(self, port: int, pin: int, level: int) -> None:
+        self._pins.ports[PORTS[port]].listeners[pin](bool(level))
+
+
+def _kind(device: Device) -> int:
+    kinds = ((Port, PORT), (Syscfg, SYSCFG), (Exti, EXTI), (Dma, DMA), (Spi, SPI), (Timer, TIMER))
+    return next(kind for type_, kind in kinds if isinstance(device, type_))
