@@ -20,7 +20,7 @@ struct fault_record {
 	uint32_t r[4], r12, lr, pc, psr; /* as stacked by the exception */
 	uint32_t cfsr, hfsr, mmfar, bfar; /* fault status and address registers (ARMv7-M B3.2) */
 	uint32_t sp;
-	uint32_t line;
+	uint32_t line;                 /* of the assertion; else the exception's number, or BOR_LEV for a brown-out */
 	char file[FAULT_FILE_BYTES];   /* end of its path, ended with 0 */
 	uint32_t uptime_steps;         /* control steps since boot */
 };

@@ -86,6 +86,8 @@ bool fault_take(struct fault_record *record)
 	if (kind == FAULT_NONE)
 		return false;
 	*record = (struct fault_record){.kind = kind, .uptime_steps = steps_before_reset};
+	if (kind == FAULT_BROWN_OUT) /* at which level the chip resets is the pilot's, by option bytes */
+		record->line = VALUE(FLASH_OPTCR_BOR_LEV, FLASH_OPTCR);
 	return true;
 }
 

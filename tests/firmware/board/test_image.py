@@ -43,6 +43,12 @@ DMA_BUFFERS = (
     "receiver_ring_bytes",
 )
 SLOW_DMA_BUFFERS = ("msp_ring_bytes", "msp_reply_bytes", "power_conversions")
+# Functions of libm, and what they call themselves.
+LIBM = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2", "expm1"),
+    *("log", "log2", "log10", "log1p", "pow", "sqrt", "cbrt", "hypot", "fmod", "fma", "fmin", "fmax"),
+    *("fabs", "floor", "ceil", "round", "lround", "rint", "lrint", "trunc", "scalbn", "ldexp", "frexp"),
+)
 # libgcc's names for arithmetic on double, ARM's (RTABI 4.1) and the generic ones.
 DOUBLE_HELPER = re.compile(r"__aeabi_(c?d.*|\w+2d|l2d)|__\w+df\w*")
 
@@ -138,6 +144,13 @@ def test_nothing_asks_for_a_heap_or_for_doubles_when_linked(symbols: dict[str, i
     assert not [name for name in symbols if "heap" in name.lower()]
     assert not [name for name in symbols if DOUBLE_HELPER.fullmatch(name)]
     assert not [name for name in symbols if "unwind" in name or "exidx" in name]
+
+
+def test_nothing_of_libm_is_there_when_linked(symbols: dict[str, int]) -> None:
+    taken = {
+        name for name in symbols if re.fullmatch(rf"(__ieee754_|__kernel_)?({'|'.join(LIBM)})f?l?", name)
+    }
+    assert not taken
 
 
 @pytest.mark.parametrize("name", ["__aeabi_dadd", "__aeabi_f2d", "__aeabi_cdcmple", "__adddf3", "__muldf3"])

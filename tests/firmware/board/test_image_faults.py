@@ -17,6 +17,7 @@ HARD, ASSERT, WATCHDOG, BROWN_OUT, CLOCK = range(1, 6)
 RECORD = "<15I24sI"
 FRAME = (0xA0, 0xA1, 0xA2, 0xA3, 0xA12, 0xA14, 0x08021234, 0x61000000)  # r0..r3, r12, lr, pc, psr
 STEPS_TO_STOP = 200_000
+BOR_LEVEL = 3  # of the option bytes as they leave the factory
 # RCC_CSR: BORRSTF 25, PADRSTF 26, PORRSTF 27, SFTRSTF 28, WDGRSTF 29.
 POWER_ON, BROWNED_OUT, SOFTWARE, BITTEN = 0x0E000000, 0x06000000, 0x14000000, 0x24000000
 
@@ -158,6 +159,7 @@ def test_the_chips_own_reset_is_told_with_the_step_it_came_at(flags: int, kind: 
     board.boot(flags)
     record = board.take()
     assert record is not None and (record.kind, record.uptime_steps) == (kind, 4711)
+    assert record.line == (BOR_LEVEL if kind == BROWN_OUT else 0)
     assert board.sketch.field("RCC_CSR", "RMVF") == 1
     board.sketch.call_with(board.symbols["hal_fault_clear"])
     assert board.take() is None

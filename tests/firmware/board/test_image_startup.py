@@ -9,7 +9,7 @@ import pytest
 from elftools.elf.elffile import ELFFile
 from unicorn.arm_const import UC_ARM_REG_CONTROL, UC_ARM_REG_R0, UC_ARM_REG_SP
 
-from toolchain.contract import DTCM, FLASH_BANK_A
+from toolchain.contract import DTCM, FLASH_BANK_A, SRAM2
 from toolchain.registers import Register
 
 MakeSketch = Callable[..., Any]
@@ -86,6 +86,33 @@ def test_the_board_serves_without_a_gyro_when_nothing_answers(sketch: Any, symbo
     assert sketch.peek(0x40026428) & 1 == 0
     # Baud rates: APB2 / 938 = 115139, APB1 / 540 = 100000.
     assert (sketch.peek(0x4001100C), sketch.peek(0x4000440C)) == (938, 540)
+
+
+def test_memory_is_closed_or_uncached_where_it_must_be_when_started(
+    sketch: Any, symbols: dict[str, int]
+) -> None:
+    regions: dict[int, dict[str, int]] = {}
+    number = 0
+
+    def on_write(register: Register, value: int) -> None:
+        nonlocal number
+        if register.name == "MPU_RNR":
+            number = value
+        elif register.name in ("MPU_RBAR", "MPU_RASR"):
+            regions.setdefault(number, {})[register.name] = value
+
+    sketch.on_write = on_write
+    sketch.run(symbols["clock_peripherals"])
+    found = {region["MPU_RBAR"]: region["MPU_RASR"] for region in regions.values()}
+    assert len(found) == len(regions)
+    sizes = {address: 2 << (bits >> 1 & 31) for address, bits in found.items()}
+    assert sizes == {0: 512, 0x60000000: 1 << 29, 0x80000000: 1 << 29, SRAM2.address: SRAM2.size}
+    assert symbols["fast_vectors"] >= sizes[0]
+    for address, bits in found.items():
+        assert bits & 1 and bits >> 28 & 1  # enabled, nothing is executed there
+        access, kind, cacheable, bufferable = bits >> 24 & 7, bits >> 19 & 7, bits >> 17 & 1, bits >> 16 & 1
+        expected = (3, 1, 0, 0) if address == SRAM2.address else (0, 0, 0, 0)
+        assert (access, kind, cacheable, bufferable) == expected, hex(address)
 
 
 def test_the_board_is_ready_within_a_second_when_switched_on(
