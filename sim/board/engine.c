@@ -302,6 +302,15 @@ static void check_access(struct engine *e, const struct special *s)
 	}
 }
 
+/* Unicorn's core shows ARMv8-M's SFPA, and SPSEL in handlers, which ARMv7-M reads as zero (B1.4.4). */
+static void show_control(struct engine *e)
+{
+	const int name = general[e->control_in - 1u];
+
+	set_reg(e, name, reg(e, name) & (e->s.depth != 0u ? 5u : 7u));
+	e->control_in = 0;
+}
+
 static void special(struct engine *e, const struct special *s)
 {
 	switch (s->kind) {
@@ -314,6 +323,10 @@ static void special(struct engine *e, const struct special *s)
 		break;
 	case SPECIAL_WAIT:
 		e->waiting = true;
+		break;
+	case SPECIAL_CONTROL:
+		e->control_in = s->base + 1u;
+		look_again(e);
 		break;
 	default:
 		e->attention = true; /* masks are read when the next instruction begins */
@@ -347,6 +360,8 @@ static __attribute__((noinline)) void consider(struct engine *e, uint32_t addres
 	if (address >= e->event_stop && (b->offsets[index_at(e, address)] & 1u) == 0u) {
 		bool stop = true;
 
+		if (e->control_in != 0u)
+			show_control(e);
 		if (e->attention) {
 			e->attention = false;
 			stop = wants_loop(e, address);
@@ -673,6 +688,7 @@ static void execute(struct engine *e)
 	if (e->code_changed)
 		forget_code(e);
 	e->block = NULL;
+	e->control_in = 0;
 	e->stopped = e->waiting = e->flash_stored = false;
 	e->interrupt = UINT32_MAX;
 	e->fault.exception = EXC_THREAD;
@@ -1046,6 +1062,13 @@ uint64_t engine_hash(const struct engine *e)
 bool engine_cached(const struct engine *e, uint32_t address)
 {
 	return data_is_cached(e, address);
+}
+
+/* A request of `exception` that waits longer than `cycles` (of 216 MHz) is an error; 0: it may wait. */
+void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles)
+{
+	if (exception < EXCEPTION_COUNT)
+		e->entry_bound[exception] = cycles << FRACTION;
 }
 
 uint32_t engine_depth(const struct engine *e)

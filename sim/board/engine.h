@@ -80,7 +80,7 @@ enum special_kind {
 	SPECIAL_DIVIDE,
 	SPECIAL_MASKS,   /* may make a pending exception deliverable */
 	SPECIAL_WAIT,    /* WFI */
-	SPECIAL_CONTROL, /* writes CONTROL */
+	SPECIAL_CONTROL, /* reads CONTROL */
 };
 
 struct special {
@@ -218,10 +218,12 @@ struct engine {
 	bool attention;              /* something changed that may be due before event_stop */
 	bool stopped;                /* by us, before `at` */
 	bool waiting;                /* WFI is being executed */
+	uint32_t control_in;         /* register that CONTROL was read into by the instruction before, plus 1 */
 	uint32_t interrupt;          /* of unicorn's numbers, UINT32_MAX: none */
 	uint64_t until, limit;       /* time, instructions */
 	uint64_t next_due;           /* time of the earliest alarm or SysTick */
 
+	uint64_t entry_bound[EXCEPTION_COUNT]; /* time that a request may wait; 0: any */
 	bool strict;                 /* a fault is an error of the image, not an exception to take */
 	bool failed, reset_wanted;
 	char message[MESSAGE_BYTES];

@@ -252,6 +252,10 @@ class Engine:
         if self.library.engine_set_breakpoints(self.handle, array, len(wanted)):
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
+    def bound_entry(self, irq: int, cycles: int) -> None:
+        """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none."""
+        self.library.engine_bound_entry(self.handle, 16 + irq, cycles)
+
     def skip_breakpoint(self) -> None:
         """The next `run` does not stop where it stands."""
         self.library.engine_skip_breakpoint(self.handle)

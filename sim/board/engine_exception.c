@@ -208,6 +208,11 @@ static uint64_t time_of(const struct state *s, uint64_t cycles)
 	return (cycles * TIME_HZ << FRACTION) / s->core_hz;
 }
 
+static double us(uint64_t time)
+{
+	return (double)(time >> FRACTION) * 1e6 / (double)TIME_HZ;
+}
+
 /* The handler's first instruction, IPSR, and the books. */
 static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
 {
@@ -238,6 +243,11 @@ static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint
 		task->latest = waited;
 		task->latest_at = s->time;
 		task->latest_pc = s->pc;
+	}
+	if (e->entry_bound[exception] != 0u && waited > e->entry_bound[exception]) {
+		fail(e, "interrupt %d waited %.2f us for its handler, at most %.2f us are allowed",
+		     (int)exception - EXC_IRQ0, us(waited), us(e->entry_bound[exception]));
+		e->last_pc = task->latest_pc;
 	}
 	s->time += time_of(s, cycles);
 	++task->activations;

@@ -221,6 +221,8 @@ static void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
 		}
 		switch (offset & 0xF80u) {
 		case 0x100u:
+			if (!get(&e->s.enabled, exception))
+				e->s.pended_at[exception] = now(e); /* it waits from now on */
 			put(&e->s.enabled, exception, true);
 			break;
 		case 0x180u:

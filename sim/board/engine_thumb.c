@@ -137,9 +137,14 @@ static void wide(uint32_t a, uint32_t b, struct instruction *i)
 			i->clobbers = 1u << (b >> 12) | 1u << base; /* VMOV, VMRS to the core */
 		}
 	} else if ((a & 0xFFE0u) == 0xF380u && (b & 0xD000u) == 0x8000u) { /* MSR */
-		i->special = plain((b & 0xFFu) == 20u ? SPECIAL_CONTROL : SPECIAL_MASKS);
+		i->special = plain(SPECIAL_MASKS);
 		i->is_special = true;
 		i->clobbers = 0;
+	} else if (a == 0xF3EFu && (b & 0xF000u) == 0x8000u) { /* MRS */
+		i->special = plain(SPECIAL_CONTROL);
+		i->special.base = b >> 8 & 15u;
+		i->is_special = (b & 0xFFu) == 20u;
+		i->clobbers = 1u << (b >> 8 & 15u);
 	} else if ((a & 0xFFD0u) == 0xFB90u && (b & 0xF0F0u) == 0xF0F0u) { /* SDIV, UDIV */
 		i->special = plain(SPECIAL_DIVIDE);
 		i->special.base = b & 15u;

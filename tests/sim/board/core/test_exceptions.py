@@ -357,25 +357,74 @@ def test_the_core_locks_up_when_a_fault_handler_faults(boot: Boot) -> None:
         boot(source, strict=False).run()
 
 
-def test_the_longest_wait_is_known_when_interrupts_were_masked(boot: Boot) -> None:
-    source = """
-    HANDLER handler(void) { }
-    __attribute__((noinline)) void masked(void) { __asm volatile("cpsid i");
-        for (int i = 0; i < 100; ++i) __asm volatile("nop"); __asm volatile("cpsie i\\n isb"); }
-    HANDLER reset(void) { ENABLE(5); masked(); REST(); }
-    VECTORS([21] = handler);
-    """
-    engine = boot(source, cpi=1)
+LATE = """
+HANDLER handler(void) { }
+__attribute__((noinline)) void masked(void) { __asm volatile("cpsid i");
+    for (int i = 0; i < 100; ++i) __asm volatile("nop"); __asm volatile("cpsie i\\n isb"); }
+HANDLER reset(void) { ENABLE(5); masked(); REST(); }
+VECTORS([21] = handler);
+"""
+
+
+def late(boot: Boot) -> Engine:
+    """A program that masks the interrupt which comes just then."""
+    engine = boot(LATE, cpi=1)
     engine.core_clock(216_000_000)
 
     def on_pulse() -> None:
         engine.irq(5, True)
         engine.irq(5, False)
 
-    pulse = engine.alarm("pulse", on_pulse)
-    pulse.set(50)
+    engine.alarm("pulse", on_pulse).set(50)
+    return engine
+
+
+def test_the_longest_wait_is_known_when_interrupts_were_masked(boot: Boot) -> None:
+    engine = late(boot)
     engine.run()
     (task,) = [t for t in task_counts(engine) if t.exception == 21]
     assert (task.name, task.handler, task.activations) == ("IRQ5", "handler", 1)
     assert 200 < task.latest < 500
     assert "in masked" in task.latest_place
+
+
+def test_a_wait_is_an_error_when_it_exceeds_its_bound(boot: Boot) -> None:
+    engine = late(boot)
+    engine.bound_entry(5, 500)
+    engine.run()
+    engine = late(boot)
+    engine.bound_entry(5, 200)
+    with pytest.raises(BoardError, match=r"interrupt 5 waited 1\.\d\d us .*0\.93 us .*in masked"):
+        engine.run()
+
+
+def test_control_reads_as_the_chip_shows_it_when_floats_were_used(boot: Boot, results: Results) -> None:
+    source = """
+    HANDLER handler(void) { uint32_t c; __asm volatile("mrs %0, control" : "=r"(c)); RESULT[2] = c; }
+    HANDLER reset(void) { FPU_ON(); uint32_t c;
+        __asm volatile("mrs %0, control" : "=r"(c)); RESULT[0] = c;
+        __asm volatile("mov r0, #0\\n vmov s0, r0\\n mrs %0, control" : "=r"(c) :: "r0"); RESULT[1] = c;
+        ENABLE(0); PEND(0); __asm volatile("dsb\\n isb");
+        REST(); }
+    VECTORS([16] = handler);
+    """
+    engine = boot(source)
+    engine.run()
+    assert results(engine, 3) == [0, 4, 0]
+
+
+def test_the_process_stack_is_kept_when_interrupts_use_the_main_one(boot: Boot, results: Results) -> None:
+    source = """
+    NAKED handler(void) { __asm volatile("ldr r0, =0x20002000\\n str sp, [r0]\\n str lr, [r0, #4]\\n"
+        "mrs r1, psp\\n str r1, [r0, #8]\\n bx lr"); }
+    NAKED reset(void) { __asm volatile("ldr r0, =0x20005000\\n msr psp, r0\\n"
+        "mov r0, #2\\n msr control, r0\\n isb\\n"
+        "ldr r0, =0xE000E100\\n mov r1, #1\\n str r1, [r0]\\n"
+        "ldr r0, =0xE000E200\\n str r1, [r0]\\n nop\\n"
+        "ldr r0, =0x20002000\\n str sp, [r0, #12]\\n mrs r1, control\\n str r1, [r0, #16]\\n"
+        "2: wfi\\n b 2b"); }
+    VECTORS([16] = handler);
+    """
+    engine = boot(source)
+    engine.run()
+    assert results(engine, 5) == [0x20001000, 0xFFFFFFFD, 0x20005000 - 0x20, 0x20005000, 2]

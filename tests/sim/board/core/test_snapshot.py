@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -101,6 +102,31 @@ def test_it_goes_on_identically_when_restored_into_another_board(make: Make) -> 
     for each in (engine, other):
         each.run_to(900_000)
     assert facts(engine, device) == facts(other, other_device)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_same_run_when_cut_anywhere(make: Make, seed: int) -> None:
+    check_cuts(make, seed, cycle=120_000, longest=40)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", range(20))
+def test_it_is_the_same_run_when_cut_anywhere_for_long(make: Make, seed: int) -> None:
+    check_cuts(make, seed, cycle=3_000_000, longest=3 ** (1 + seed % 7))
+
+
+def check_cuts(make: Make, seed: int, *, cycle: int, longest: int) -> None:
+    """Run by a few instructions at a time, now and then by a few cycles: nothing may differ."""
+    rng = random.Random(seed)
+    whole, whole_device = make()
+    whole.run_to(cycle)
+    cut, cut_device = make()
+    while cut.cycle < cycle:
+        if rng.random() < 0.2:
+            cut.run_to(min(cycle, cut.cycle + rng.randrange(1, longest)))
+        else:
+            cut.run(cycle, instructions=rng.randrange(1, longest))
+    assert facts(cut, cut_device) == facts(whole, whole_device)
 
 
 def test_taking_one_changes_nothing_when_the_board_runs_on(make: Make) -> None:
