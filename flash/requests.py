@@ -65,7 +65,7 @@ def _within(what: str, value: int, low: int, high: int) -> int:
 
 
 def set_raw_rc(channels_us: Sequence[int]) -> bytes:
-    """Encode SET_RAW_RC: channels in the order roll, pitch, yaw, throttle, aux 1.."""
+    """Encode SET_RAW_RC: a receiver's channels, as set by default roll, pitch, throttle, yaw, aux 1.."""
     count = _within("channel count", len(channels_us), 4, CHANNEL_COUNT)
     return struct.pack(f"<{count}H", *(_within("channel [us]", us, 0, 0xFFFF) for us in channels_us))
 

@@ -96,10 +96,10 @@ static enum nf_refusal settings_write(struct request *q)
 	return refusal;
 }
 
-/* The ecosystem's order is roll, pitch, yaw, throttle, then the switches; those that are not told are low. */
+/* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect; those that are not
+ * told are low. */
 static enum nf_refusal channels(struct request *q)
 {
-	static const uint8_t order[] = { NF_CHANNEL_ROLL, NF_CHANNEL_PITCH, NF_CHANNEL_YAW, NF_CHANNEL_THROTTLE };
 	const struct msp_services *s = q->services;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
@@ -107,8 +107,7 @@ static enum nf_refusal channels(struct request *q)
 		return NF_REFUSAL_ABSENT;
 	for (unsigned i = 0; i < NF_CHANNEL_COUNT; i++) {
 		const bool told = q->payload.left >= sizeof channels_us[0];
-		const uint16_t us = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_MIN_US;
-		channels_us[i < sizeof order ? order[i] : i] = us;
+		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_MIN_US;
 	}
 	return s->channels(s->context, channels_us);
 }
