@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.aircraft import Aircraft
 from toolchain.errors import LinkError
 
 
@@ -61,6 +62,11 @@ class FirmwarePort(Protocol):
     def close(self) -> None:
         """End the firmware. May be called twice."""
         ...
+
+
+def twin_settings(aircraft: Aircraft) -> dict[str, float]:
+    """Settings that a firmware needs to fly the twin of `aircraft`: a gyro without noise is not stuck."""
+    return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

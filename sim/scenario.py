@@ -59,6 +59,10 @@ class Scenario:
     mount: Mount = Mount.CENTRE
     episode_s: float | None = None  # length of each of its equal episodes; None: the whole is one
 
+    def under_pid(self) -> Scenario:
+        """The same flight with the pilot's switch at the PID."""
+        return replace(self, segments=tuple(replace(segment, pid=True) for segment in self.segments))
+
     @property
     def duration_s(self) -> float:
         """Length of the flight [s]."""

@@ -66,8 +66,8 @@ RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link coun
 GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
 GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
-# A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so much
-# more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
+# A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so
+# much more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
 CRASH_ERROR_DEG_S = 500.0
 CRASH_SPREAD = 0.5  # of the controller's answer, before the throttle
 CRASH_MS = 250

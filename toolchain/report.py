@@ -89,8 +89,8 @@ class BuildReport:
         return asdict(self) | {"stack": stack}
 
 
-def built_idle(product: Path) -> float:
-    """Idle of the policy inside `product`, a file of a build, by the report.json beside it.
+def built_idle(product: Path, *, pid: bool = False) -> float:
+    """Idle of the policy inside `product`, a file of a build, or of its PID, by the report.json beside it.
 
     Raises BuildError, one line, where that cannot be told, or tells of another file.
     """
@@ -100,7 +100,9 @@ def built_idle(product: Path) -> float:
             raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
         report = json.loads(path.read_bytes())
         known = {str(file["sha256"]) for file in report["files"]}
-        idle = float(report["policy"]["idle"])
+        if pid and report["pid"] is None:
+            raise BuildError(f"{product} has no PID built in; build it with --aircraft NAME|FILE")
+        idle = float(report["pid" if pid else "policy"]["idle"])
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -29,15 +30,19 @@ from toolchain.compiler import compile_policy
 from toolchain.contract import (
     DEADLINE_MISSES_MAX,
     GYRO_BAD_MS,
+    MOTOR_TEST_MAGIC,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     RECEIVER_RECOVERY_MS,
+    SETTINGS,
     FallbackCause,
+    FilterKind,
     FlightState,
     GyroHealth,
     Msp,
     StopCause,
 )
+from toolchain.errors import LinkError
 from toolchain.network import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,13 +89,16 @@ class Pilot:
         self.throttle = 1400
         assert min(min(row) for row in self.run(100)[20:]) > 0
 
-    def ask(self, command: Msp) -> bytes:
+    def ask(self, command: Msp, payload: bytes = b"") -> bytes:
         with Client(TcpTransport(TcpPort("127.0.0.1", self.program.ports["msp"]))) as client:
-            return client.request(command)
+            return client.request(command, payload)
 
     @property
     def safety(self) -> records.Safety:
         return records.safety(self.ask(Msp.SAFETY))
+
+    def state(self) -> FlightState:
+        return self.safety.state
 
     @property
     def reasons(self) -> set[str]:
@@ -121,7 +129,7 @@ def stops_after(rows: list[tuple[float, ...]]) -> int:
 def test_it_arms_flies_and_disarms_when_the_pilot_says_so(pilot: Callable[..., Pilot]) -> None:
     p = pilot()
     p.take_off()
-    assert p.safety.state == FlightState.ARMED
+    assert p.state() == FlightState.ARMED
     p.run(500)
     p.arm = 1000
     while p.ms % FRAME_MS:
@@ -133,7 +141,7 @@ def test_it_arms_flies_and_disarms_when_the_pilot_says_so(pilot: Callable[..., P
     p.run(50)
     p.arm = 2000
     p.run(50)
-    assert p.safety.state == FlightState.ARMED
+    assert p.state() == FlightState.ARMED
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -149,13 +157,13 @@ def test_it_ends_disarmed_in_time_when_the_receiver_is_lost_at_a_random_moment(
     since_frame = (p.ms - 1) % FRAME_MS + 1
     rows = p.run(RECEIVER_LOST_MS + 50)
     assert stops_after(rows) + since_frame == RECEIVER_LOST_MS + 1
-    assert p.safety.state == FlightState.FAILSAFE_DROP
+    assert p.state() == FlightState.FAILSAFE_DROP
     assert p.safety.stop_cause == StopCause.RECEIVER
     p.heard = True
     assert set(p.run(500)) == {STOPPED}, "the switch is still on"
     p.arm, p.throttle = 1000, 1000
     p.run(RECEIVER_RECOVERY_MS + 20)
-    assert p.safety.state == FlightState.DISARMED
+    assert p.state() == FlightState.DISARMED
     assert not p.reasons
 
 
@@ -164,10 +172,10 @@ def test_it_holds_and_flies_on_when_the_receiver_is_back_within_the_hold(pilot: 
     p.take_off()
     p.heard = False
     p.run(RECEIVER_HOLD_MS + 50)
-    assert p.safety.state == FlightState.FAILSAFE_HOLD
+    assert p.state() == FlightState.FAILSAFE_HOLD
     p.heard = True
     p.run(2 * FRAME_MS)
-    assert p.safety.state == FlightState.ARMED
+    assert p.state() == FlightState.ARMED
 
 
 def test_it_descends_and_then_stops_when_that_is_the_set_stage(pilot: Callable[..., Pilot]) -> None:
@@ -176,7 +184,7 @@ def test_it_descends_and_then_stops_when_that_is_the_set_stage(pilot: Callable[.
     p.heard = False
     p.run(RECEIVER_LOST_MS)
     descending = p.run(250)
-    assert p.safety.state == FlightState.FAILSAFE_DROP
+    assert p.state() == FlightState.FAILSAFE_DROP
     assert min(map(min, descending)) > 0.5, "its throttle, not the pilot's"
     assert stops_after(p.run(100)) <= 60
 
@@ -276,7 +284,7 @@ def test_it_only_warns_when_the_battery_is_low(pilot: Callable[..., Pilot]) -> N
     assert all(min(row) > 0 for row in p.run(3000))
     state = messages.battery_state(p.ask(Msp.BATTERY_STATE))
     assert state.level is messages.BatteryLevel.CRITICAL
-    assert p.safety.state == FlightState.ARMED
+    assert p.state() == FlightState.ARMED
 
 
 def test_it_does_not_arm_when_the_battery_is_unknown(pilot: Callable[..., Pilot]) -> None:
@@ -314,7 +322,7 @@ def test_the_policy_cannot_arm_but_the_pid_can_when_a_weight_is_corrupted(
     assert not p.reasons
     p.arm = 2000
     p.run(50)
-    assert p.safety.state == FlightState.ARMED
+    assert p.state() == FlightState.ARMED
     p.pid = 1000
     assert all(min(row) > 0 for row in p.run(100)), "the switch does not put a bad policy in command"
     assert p.safety.pid_flies
@@ -362,6 +370,75 @@ def test_the_pid_answers_in_the_same_step_when_the_policy_answers_no_number(
     p.arm = 2000
     p.run(50)
     assert (p.safety.state, p.safety.pid_flies) == (FlightState.ARMED, False)
+
+
+# --- What MSP may change ----------------------------------------------------------------------
+def setting_index(name: str) -> int:
+    return [setting.name for setting in SETTINGS].index(name)
+
+
+def test_a_setting_is_flown_from_the_next_boot_on_when_it_is_saved(
+    pilot: Callable[..., Pilot], tmp_path: Path
+) -> None:
+    file = f"--settings={tmp_path / 'flash.bin'}"
+    first = pilot(file)
+    first.boot()
+    change = struct.pack("<HI", setting_index("filter1_kind"), FilterKind.PT1)
+    first.ask(Msp.SETTING_SET, change)
+    first.ask(Msp.EEPROM_WRITE)
+    first.run(200)
+    assert not first.reasons, "this boot flies as it began"
+    first.program.end()
+    second = pilot(file)
+    second.boot()
+    assert second.reasons == {"POLICY_BAD"}, "the policy was trained without a filter"
+    assert "PID" not in " ".join(second.reasons)
+    second.pid = 2000
+    second.run(50)
+    assert not second.reasons
+
+
+def test_nothing_is_saved_when_it_is_armed(pilot: Callable[..., Pilot]) -> None:
+    p = pilot()
+    p.take_off()
+    with pytest.raises(LinkError):
+        p.ask(Msp.EEPROM_WRITE)
+    assert all(min(row) > 0 for row in p.run(50))
+    assert not p.reasons
+
+
+def test_motors_turn_on_request_and_nothing_arms_meanwhile_when_the_test_is_open(
+    pilot: Callable[..., Pilot],
+) -> None:
+    p = pilot()
+    p.boot()
+    values = struct.pack("<4H", 1000, 1080, 1000, 1000)
+    with pytest.raises(LinkError):
+        p.ask(Msp.SET_MOTOR, values)
+    p.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+    p.run(2)
+    p.ask(Msp.SET_MOTOR, values)
+    turning = p.run(5)[-1]
+    assert turning[1] == pytest.approx(0.08, abs=1e-3)
+    assert (turning[0], *turning[2:]) == (0.0, 0.0, 0.0)
+    p.arm = 2000
+    rows = p.run(60)
+    assert stops_after(rows) <= FRAME_MS + 1, "a pilot who wants to arm ends it"
+    assert p.state() == FlightState.DISARMED
+    assert "MOTOR_TEST" in p.reasons
+
+
+def test_sticks_come_by_msp_when_that_is_the_receiver(pilot: Callable[..., Pilot]) -> None:
+    p = pilot(f"--set=receiver_protocol={2}")
+    p.heard = False
+    order = struct.Struct("<16H")
+    for ms in range(1600):
+        if ms % FRAME_MS == 0:
+            switch = 2000 if ms >= 1200 else 1000
+            p.ask(Msp.SET_RAW_RC, order.pack(1500, 1500, 1000, 1500, switch, *[1000] * 11))
+        p.step()
+    assert p.state() == FlightState.ARMED
+    assert stops_after(p.run(RECEIVER_LOST_MS + 20)) <= RECEIVER_LOST_MS + 1
 
 
 # --- In the twin ------------------------------------------------------------------------------

@@ -58,9 +58,26 @@ def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.
         assert flight["armed"] == 1.0
 
 
+@pytest.mark.usefixtures("built")
+def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
+    short: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["fly", "--on", "reference", "--scenario", "pulse", "--gyro-hz", "1000", "--json"]
+    assert main([*arguments, "--controller", "pid"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["controller"] == "pid"
+    firmware, python = (document["flights"][name] for name in ("firmware", "PID"))
+    assert firmware["tracking"]["mae"] == pytest.approx(python["tracking"]["mae"], rel=0.02)
+    assert firmware["effort"]["change"] == pytest.approx(python["effort"]["change"], rel=0.02)
+    assert main(arguments) == 0
+    flown = json.loads(capsys.readouterr().out)["flights"]["firmware"]
+    assert flown["tracking"]["mae"] != pytest.approx(python["tracking"]["mae"], rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--on", "betaflight", "--controller", "pid"], "Betaflight flies its own PID"),
         (["--scenario", "loop"], "no such file"),
         (["--scenario", "pulse", "--seed", "-3"], "seed: got -3"),
         (["--scenario", "pulses", "--count", "0"], "count: got 0"),

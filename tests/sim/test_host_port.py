@@ -13,6 +13,7 @@ import pytest
 from sim import host_port, sticks
 from sim.host_port import HostPort
 from sim.port import Sample
+from toolchain.contract import RECEIVER_RECOVERY_MS
 from toolchain.errors import LinkError
 
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
@@ -47,9 +48,13 @@ def test_a_reply_carries_the_control_step_when_samples_are_exchanged(host_progra
     port = HostPort(host_program, 2000)
     turning = sticks.channels((0.0, 200.0, -300.0), 0.25, armed=False).tolist()
     spinning = Sample(0.0, np.deg2rad([10.0, 20.0, -30.0]), np.eye(3), *np.zeros((3, 3)))
-    replies = [port.exchange(spinning, turning if k % 2 == 0 else None) for k in range(4)]
+    before = 2 * RECEIVER_RECOVERY_MS  # samples until the receiver is believed
+    replies = [port.exchange(spinning, turning if k % 2 == 0 else None) for k in range(before + 6)][
+        before + 2 :
+    ]
     port.close()
-    assert [reply.step for reply in replies] == [0, 0, 1, 1]
+    first = before // 2 + 1
+    assert [reply.step for reply in replies] == [first, first, first + 1, first + 1]
     assert np.rad2deg(replies[0].setpoint) == pytest.approx([0, 200, -300])
     assert np.rad2deg(replies[0].gyro) == pytest.approx([10, 20, -30], abs=0.05)
     assert replies[0].throttle == pytest.approx(0.25)

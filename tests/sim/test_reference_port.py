@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sim import sticks
-from sim.port import Sample
+from sim.port import Reply, Sample
 from sim.reference_port import ReferencePort
+from toolchain.contract import RECEIVER_RECOVERY_MS
 from toolchain.errors import LinkError
 
 STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))
@@ -23,16 +24,22 @@ def test_control_steps_advance_when_the_divider_has_passed(reference_library: Pa
     assert [port.exchange(STILL, None).step for _ in range(6)] == [0, 0, 1, 1, 2, 2]
 
 
+def settled(port: ReferencePort, channels: list[int]) -> Reply:
+    """The reply after so many frames that the receiver is believed."""
+    replies = [port.exchange(STILL, channels) for _ in range(RECEIVER_RECOVERY_MS + 2)]
+    return replies[-1]
+
+
 def test_two_firmwares_are_independent_when_they_share_the_library(reference_library: Path) -> None:
     turning = sticks.channels((300.0, 0.0, 0.0), 0.0, armed=False).tolist()
     first, second = ReferencePort(reference_library, 1000), ReferencePort(reference_library, 1000)
-    assert np.rad2deg(first.exchange(STILL, turning).setpoint) == pytest.approx([300, 0, 0])
+    assert np.rad2deg(settled(first, turning).setpoint) == pytest.approx([300, 0, 0])
     assert second.exchange(STILL, None).setpoint.tolist() == [0, 0, 0]
 
 
 def test_replies_are_not_overwritten_when_the_flight_goes_on(reference_library: Path) -> None:
     port = ReferencePort(reference_library, 1000)
-    first = port.exchange(STILL, sticks.channels((300.0, 0.0, 0.0), 0.0, armed=False).tolist())
+    first = settled(port, sticks.channels((300.0, 0.0, 0.0), 0.0, armed=False).tolist())
     port.exchange(STILL, sticks.channels((-300.0, 0.0, 0.0), 0.0, armed=False).tolist())
     assert np.rad2deg(first.setpoint) == pytest.approx([300, 0, 0])
 

@@ -83,7 +83,7 @@ def test_a_file_is_flown_as_written_when_it_is_good(tmp_path: Path) -> None:
         ("[0, 0, 120]", "[0, 0]", "segment[0].setpoint_deg_s: got [0, 0]"),
         ("[0, 0, 120]", "[0, 0, 1000.5]", "setpoint_deg_s[2]: got 1000.5, expected -1000 to 1000"),
         ("throttle = 0.5", "throttle = 1.5", "segment[0].throttle: got 1.5, expected 0 to 1"),
-        ("throttle = 0.5", "thrust = 0.5", "segment[0].thrust: unknown key; known here: duration_s"),
+        ("throttle = 0.5", "thrust = 0.5", "segment[0].thrust: unknown key; known here: controller"),
         (
             'receiver = "lost"',
             'receiver = "off"',

@@ -26,6 +26,7 @@ BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 BETAFLIGHT = BUILD.with_name("BETAFLIGHT")
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "betaflight")
+CONTROLLERS = ("policy", "pid")
 COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
 WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
 
@@ -44,6 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="the build to fly; default: build/HOST, with betaflight build/BETAFLIGHT",
+    )
+    parser.add_argument(
+        "--controller",
+        choices=CONTROLLERS,
+        default=CONTROLLERS[0],
+        help="what the pilot's switch chooses: the policy, or the PID that is built in beside it",
     )
     parser.add_argument(
         "--scenario", default="pulse", metavar="NAME|FILE", help="pulse, pulses, roll, flip or a .toml file"
@@ -107,6 +114,10 @@ def run(args: argparse.Namespace) -> int:
     default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
     count = default_count if args.count is None else args.count
     scenario = load_scenario(args.scenario, args.seed, count, mount)
+    if args.controller == "pid":
+        if args.on == "betaflight":
+            raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
+        scenario = scenario.under_pid()
     if args.ground and scenario.mount is not Mount.FREE:
         raise NeuroflightError(
             f"--ground: the aircraft hangs in mount {scenario.mount.value}, expected free; add --mount free"
@@ -166,6 +177,7 @@ def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -
 def _open(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
     """What `--on` names."""
     from sim.host_port import HostPort
+    from sim.port import twin_settings
     from sim.reference_port import ReferencePort
     from toolchain.report import built_idle
 
@@ -173,9 +185,9 @@ def _open(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
         return _open_betaflight(args, aircraft)
     name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
     product = (args.build or BUILD) / name
-    port: FirmwarePort = kind(product, args.gyro_hz)
+    port: FirmwarePort = kind(product, args.gyro_hz, twin_settings(aircraft))
     try:
-        return _Entry("firmware", port, built_idle(product))
+        return _Entry("firmware", port, built_idle(product, pid=args.controller == "pid"))
     except NeuroflightError:
         port.close()
         raise
@@ -264,7 +276,8 @@ def _conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
         words.append("over ground")
     if args.on == "betaflight":
         return [*words, "Betaflight 4.6 with its default PID, airmode and idle"]
-    return [*words, f"firmware on {args.on}"]
+    flown = "its PID" if args.controller == "pid" else "its policy"
+    return [*words, f"firmware on {args.on}, {flown}"]
 
 
 def _check_air(args: argparse.Namespace) -> None:
@@ -285,6 +298,7 @@ def _document(
 
     return {
         "on": args.on,
+        "controller": args.controller,
         "scenario": scenario.name,
         "seed": args.seed,
         "episodes": scenario.episodes(),

@@ -74,6 +74,8 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	};
 
 	memset(r, 0, sizeof *r);
+	if (gyro_hz == 0)
+		return NF_ERR_GYRO_RATE;
 	if (count > NF_SETTING_COUNT)
 		return NF_ERR_SETTINGS;
 	for (size_t i = 0; i < count; i++)
