@@ -143,12 +143,17 @@ def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row
     routes: dict[Route, None] = {}
     between: dict[Route, None] = {}
     armed_steps = 0
-    for index, (step, heard) in enumerate(zip(flown, _line(flown), strict=True)):
-        control = index % (GYRO_HZ // report.policy.control_rate_hz) == 0
-        route = board.sample(step, heard, watch=step.armed, background=index % EVERY == EVERY - 1)
-        if route is not None:
-            (routes if control else between)[route] = None
-            armed_steps += control
+    with board.core.recording() as runs:
+        for index, (step, heard) in enumerate(zip(flown, _line(flown), strict=True)):
+            control = index % (GYRO_HZ // report.policy.control_rate_hz) == 0
+            board.edges(step, heard)
+            runs.clear()
+            board.take(step)
+            if step.armed:
+                (routes if control else between)[route_of(runs)] = None
+                armed_steps += control
+            if index % EVERY == EVERY - 1:
+                board.background()
     code = disassemble(folder / "MATEKF722" / "neuroflight.elf", lines=True)
     priced, reason = _priced(list(routes), code)
     least_between = [cost.instructions for cost in route_costs(list(between), code, price=False)]
@@ -266,57 +271,51 @@ class _Board:
         Chip(sketch, 0x70)
         program = load_program(elf)
         sketch.run(program.symbol("msp_uart_serve").address)
-        self._core = CortexM7(program, MEMORY)
+        self.core = CortexM7(program, MEMORY)
         for region in MEMORY:
-            self._core.write(region.address, bytes(sketch.uc.mem_read(region.address, region.size)))
+            self.core.write(region.address, bytes(sketch.uc.mem_read(region.address, region.size)))
         at = {name: program.symbol(name).address for name in program.symbols}
         self._response, self._ring = at["gyro_response"], at["receiver_ring_bytes"]
         self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
         self._firmware = at["firmware"]
         self._head = 0
         counts = round(PACK_MV / 3300 * 4095)
-        self._core.write(self._conversions, struct.pack("<64H", *[counts, 0] * 32))
+        self.core.write(self._conversions, struct.pack("<64H", *[counts, 0] * 32))
 
-    def sample(self, step: Step, heard: bytes, *, watch: bool, background: bool) -> Route | None:
-        """One gyro sample, before which the receiver's line was heard. Returns its route if watched."""
+    def edges(self, step: Step, heard: bytes) -> None:
+        """The chip's data-ready edges of one sample, which DMA then reads; the receiver's line was heard."""
         self._hear(heard)
         for _ in range(GYRO_EDGE_RATE_HZ // GYRO_HZ):
-            self._core.call("gyro_edge_handler")
-        route = self._take(step, watch)
+            self.core.call("gyro_edge_handler")
+        self._finish(step)
+
+    def take(self, step: Step) -> None:
+        """The interrupt of the finished read: the task itself."""
+        self.core.call("gyro_sample_handler")
+        self._poke(DMA2_LISR, 0)
         if (dshot := self._frame()) != step.dshot:
             raise AssertionError(f"the image sends {dshot}, the host {step.dshot}: not the same firmware")
         self._end(1)
-        if background:
-            self._poke(DMA2_LISR, ADC_DONE)
-            self._core.call("on_background", self._firmware)
-            self._poke(DMA2_LISR, 0)
-        return route
+
+    def background(self) -> None:
+        """One round of it, the battery measured meanwhile."""
+        self._poke(DMA2_LISR, ADC_DONE)
+        self.core.call("on_background", self._firmware)
+        self._poke(DMA2_LISR, 0)
 
     def device_accesses(self) -> int:
         """How often a control step touches a register of a peripheral."""
         most = 0
         for _ in range(2 * GYRO_HZ // 1000):
-            self._core.call("gyro_edge_handler")
+            self.core.call("gyro_edge_handler")
             self._finish(Step((0, 0, 0), (0, 0, 0), b"", (), armed=False))
-            most = max(most, self._core.accesses(PERIPHERALS, "gyro_sample_handler"))
+            most = max(most, self.core.accesses(PERIPHERALS, "gyro_sample_handler"))
             self._end(1)
         return most
 
-    def _take(self, step: Step, watch: bool) -> Route | None:
-        self._finish(step)
-        route = None
-        if watch:
-            with self._core.recording() as runs:
-                self._core.call("gyro_sample_handler")
-            route = route_of(runs)
-        else:
-            self._core.call("gyro_sample_handler")
-        self._poke(DMA2_LISR, 0)
-        return route
-
     def _finish(self, step: Step) -> None:
         """DMA has moved what the chip said."""
-        self._core.write(self._response, struct.pack(">B7h", 0, *step.accel, 0, *step.gyro))
+        self.core.write(self._response, struct.pack(">B7h", 0, *step.accel, 0, *step.gyro))
         for stream in (2, 3):
             self._end(stream)
         self._poke(DMA2_LISR, GYRO_DONE)
@@ -327,20 +326,20 @@ class _Board:
 
     def _hear(self, heard: bytes) -> None:
         for byte in heard:
-            self._core.write(self._ring + self._head, bytes([byte]))
+            self.core.write(self._ring + self._head, bytes([byte]))
             self._head = (self._head + 1) % RING_BYTES
         self._poke(DMA1_S5NDTR, RING_BYTES - self._head)
 
     def _frame(self) -> tuple[int, ...]:
         """The motor values in the frame that DMA would send."""
-        slots = struct.unpack("<64I", self._core.read(self._slots, 256))
+        slots = struct.unpack("<64I", self.core.read(self._slots, 256))
         return tuple(_value(slots[motor::4]) for motor in range(4))
 
     def _peek(self, address: int) -> int:
-        return int.from_bytes(self._core.read(address, 4), "little")
+        return int.from_bytes(self.core.read(address, 4), "little")
 
     def _poke(self, address: int, value: int) -> None:
-        self._core.write(address, value.to_bytes(4, "little"))
+        self.core.write(address, value.to_bytes(4, "little"))
 
 
 def _value(ticks: Sequence[int]) -> int:

@@ -11,8 +11,9 @@ OUTPUTS := $(addprefix $(BUILD)/neuroflight.,elf bin hex)
 $(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o: CFLAGS += -mgeneral-regs-only
 $(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o $(OBJ)/hal/stm32f7/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
 
-# It waits for flash in scarce ITCM: small, not quick.
-$(OBJ)/hal/stm32f7/flash_memory.o: CFLAGS += -Os
+# ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
+# waits for flash there.
+$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/flash_memory.o: CFLAGS += -Os
 
 .SECONDEXPANSION:
 $(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)
