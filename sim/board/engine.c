@@ -124,6 +124,8 @@ uint64_t core_cycles_at(const struct engine *e, uint64_t time)
 {
 	const struct state *s = &e->s;
 
+	if (s->core_hz == TIME_HZ)
+		return s->core_cycles + ((time - s->core_time) >> FRACTION);
 	return s->core_cycles + (uint64_t)(((unsigned __int128)(time - s->core_time) * s->core_hz / TIME_HZ) >> FRACTION);
 }
 
@@ -133,6 +135,8 @@ uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles)
 
 	if (cycles <= s->core_cycles)
 		return s->core_time;
+	if (s->core_hz == TIME_HZ)
+		return s->core_time + ((cycles - s->core_cycles) << FRACTION);
 	const unsigned __int128 ticks = (unsigned __int128)(cycles - s->core_cycles) << FRACTION;
 	return s->core_time + (uint64_t)((ticks * TIME_HZ + s->core_hz - 1u) / s->core_hz);
 }
@@ -199,7 +203,8 @@ void mix(struct engine *e, uint64_t value)
 /* The first `count` instructions of the block have been executed. */
 static void account(struct engine *e, uint32_t count)
 {
-	const struct block *b = e->block;
+	struct block *const block = e->block;
+	const struct block *const b = block;
 	const uint32_t bytes = count < b->count ? b->offsets[count] & ~1u : b->size;
 
 	e->block = NULL;
@@ -212,8 +217,12 @@ static void account(struct engine *e, uint32_t count)
 	e->s.last_end = e->start + bytes;
 	e->s.time += count * e->s.tick;
 	e->s.instructions += count;
-	++e->enters[e->code];
-	++e->leaves[e->code + bytes / 2u];
+	if (count == b->count) {
+		++block->times;
+	} else {
+		++e->enters[e->code];
+		++e->leaves[e->code + bytes / 2u];
+	}
 	if (e->profiling) {
 		e->nodes[e->s.node].instructions += count;
 		e->s.called = b->calls && count == b->count ? e->s.last_end : NOWHERE;
@@ -405,14 +414,39 @@ static void on_code(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 		consider(e, (uint32_t)address);
 }
 
+static void count_block(struct engine *e, struct block *block)
+{
+	e->enters[block->code] += block->times;
+	e->leaves[block->code + block->size / 2u] += block->times;
+	block->times = 0;
+}
+
+static void drop_block(struct engine *e, uint32_t row)
+{
+	if (e->blocks[row] != NULL)
+		count_block(e, e->blocks[row]);
+	block_free(e->blocks[row]);
+	e->blocks[row] = NULL;
+}
+
+/* The counts of blocks that are still in use, into the books. */
+static void count_all(struct engine *e)
+{
+	for (uint32_t row = 0; row < CODE_HALFWORDS; ++row)
+		if (e->blocks[row] != NULL)
+			count_block(e, e->blocks[row]);
+}
+
 static struct block *find_block(struct engine *e, uint32_t start, uint32_t size, uint32_t opening)
 {
 	struct block **place = &e->blocks[e->code];
 
 	if (*place != NULL && (*place)->size == size && (*place)->opening == opening)
 		return *place;
-	block_free(*place);
+	drop_block(e, e->code);
 	*place = block_decode(host(e, start, size), size, opening);
+	if (*place != NULL)
+		(*place)->code = e->code;
 	return *place;
 }
 
@@ -575,10 +609,8 @@ static void write_ppb(uc_engine *uc, uint64_t offset, unsigned size, uint64_t va
 static void forget_code(struct engine *e)
 {
 	e->code_changed = false;
-	for (uint32_t i = 0; i < CODE_HALFWORDS; ++i) {
-		block_free(e->blocks[i]);
-		e->blocks[i] = NULL;
-	}
+	for (uint32_t row = 0; row < CODE_HALFWORDS; ++row)
+		drop_block(e, row);
 	uc_ctl_flush_tb(e->uc);
 	uc_ctl_flush_tlb(e->uc);
 }
@@ -1088,11 +1120,13 @@ const struct task *engine_task(const struct engine *e, uint32_t exception)
 
 uint64_t *engine_enters(struct engine *e)
 {
+	count_all(e);
 	return e->enters;
 }
 
 uint64_t *engine_leaves(struct engine *e)
 {
+	count_all(e);
 	return e->leaves;
 }
 

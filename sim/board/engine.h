@@ -103,6 +103,8 @@ struct block {
 	uint16_t opening;        /* instructions at its start that an IT before it covers */
 	uint16_t open;           /* instructions after its end that its last IT covers */
 	bool calls;              /* ends in BL or BLX */
+	uint32_t code;           /* row in `enters` that it begins at */
+	uint64_t times;          /* executed to its end, and not yet in `enters` */
 	uint16_t *offsets;       /* of each instruction; bit 0: inside an IT, where nothing stops */
 	struct special *specials;
 };
