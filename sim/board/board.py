@@ -60,19 +60,24 @@ class Hardware:
         options: OptionBytes | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
+        in_c: bool = True,
     ) -> None:
-        """`watchdog_resets`: a missed watchdog resets the chip, as it does; else it is an error."""
+        """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error.
+
+        in_c: the busy peripherals are C's, where an engine is there to hold them; else all are Python's,
+        twenty times slower and the same.
+        """
         self.context = context
+        engine = context if in_c and isinstance(context, BoardEngine) else None
         self.rcc, self.pwr = Rcc(context), Pwr(context)
         self.flash = Flash(context, options, seed)
-        in_c = isinstance(context, BoardEngine)
-        self.pins = HotPins(context) if in_c else Pins(context)
-        self.syscfg = (HotSyscfg if in_c else Syscfg)(context)
-        self.exti = (HotExti if in_c else Exti)(context, self.syscfg)
-        self.dma = HotDmaSystem(context) if in_c else DmaSystem(context)
+        self.pins = HotPins(context) if engine else Pins(context)
+        self.syscfg = (HotSyscfg if engine else Syscfg)(context)
+        self.exti = (HotExti if engine else Exti)(context, self.syscfg)
+        self.dma = HotDmaSystem(context) if engine else DmaSystem(context)
         self.gyro = GyroChip(context, self.pins, chip)
-        self.spi = (HotSpi if in_c else Spi)(context, self.dma, self.pins, self.gyro, seed)
-        timer_type = HotTimer if in_c else Timer
+        self.spi = (HotSpi if engine else Spi)(context, self.dma, self.pins, self.gyro, seed)
+        timer_type = HotTimer if engine else Timer
         self.timers = {name: timer_type(context, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
@@ -91,9 +96,10 @@ class Hardware:
         self.hot: Hot | None = None
         if isinstance(context, BoardEngine):
             self.registers.attach(context)
+        if engine is not None:
             assert isinstance(self.dma, HotDmaSystem)
             assert isinstance(self.pins, HotPins)
-            self.hot = Hot(context, self.registers, self.dma, self.pins, self.gyro)
+            self.hot = Hot(engine, self.registers, self.dma, self.pins, self.gyro)
             self.registers.accompany(self.spi, self.hot)
         self._wire(watchdog_resets)
         for address, data in signature():
@@ -203,16 +209,18 @@ class Board:
         options: OptionBytes | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
+        in_c: bool = True,
     ) -> None:
         """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        in_c: False puts the busy peripherals into Python too, to hold one against the other.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
         self.engine = BoardEngine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
         self.hardware = Hardware(
-            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
+            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets, in_c=in_c
         )
         self.engine.vectors = self.hardware.flash.options.boot_address
         self.engine.power_cycle()
@@ -232,6 +240,11 @@ class Board:
     def reset(self) -> None:
         """The supply goes and comes back: all starts anew but flash, option bytes and the time."""
         self.engine.power_cycle()
+
+    def brown_out(self) -> None:
+        """The supply dips: the processor resets with the next instruction, the gyro chip at once."""
+        self.hardware.gyro.power_on()
+        self.engine.system_reset("brown-out")
 
     def run_to(self, cycle: int) -> None:
         """Run until `cycle`. Raises BoardError for what a board does not forgive."""

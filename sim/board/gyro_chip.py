@@ -31,7 +31,6 @@ _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
 PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
-RESET_MS = 100  # after DEVICE_RESET (register map, PWR_MGMT_1; "wait 100 ms")
 REGISTER_HZ = 1_000_000  # SCK at most, all registers
 FULL_SCALE = 3  # GYRO_CONFIG FS_SEL and ACCEL_CONFIG AFS_SEL of the counts that the loop sets
 
@@ -61,6 +60,7 @@ class GyroKind:
     data_hz: int  # SCK at most while data and interrupt registers are read
     power_management: int  # PWR_MGMT_1 after reset
     start_ms: int  # from power to answers, typical
+    reset_ms: int = 100  # from DEVICE_RESET to answers (register map, PWR_MGMT_1)
 
 
 MPU6500 = GyroKind("MPU6500", 0x70, 20_000_000, 0x01, 11)
@@ -259,7 +259,7 @@ class GyroChip:
             )
         if address == PWR_MGMT_1 and value & _DEVICE_RESET:
             self._clear()
-            self._ready_at = self.context.cycle + RESET_MS * _MILLISECOND
+            self._ready_at = self.context.cycle + self.kind.reset_ms * _MILLISECOND
             self._ready_why = "its reset"
         elif address == SIGNAL_PATH_RESET:
             self._data = bytes(DATA_BYTES)  # the bits clear themselves
