@@ -16,7 +16,7 @@ VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
-.PHONY: help setup arm cppcheck firmware host train fly test prove bench lint clean
+.PHONY: coverage help setup arm cppcheck firmware host train fly test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -56,6 +56,9 @@ test: firmware host ## the tests
 
 prove: firmware host ## the long version of what the tests sample
 	@$(VENV)/bin/python -m pytest -m "prove or not prove" $(ARGS)
+
+coverage: setup ## what the tests reach of the firmware's core, under sanitizers
+	@$(VENV)/bin/python -m tests.coverage $(ARGS)
 
 bench: setup arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
