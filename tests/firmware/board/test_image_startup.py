@@ -88,6 +88,15 @@ def test_the_board_serves_without_a_gyro_when_nothing_answers(sketch: Any, symbo
     assert (sketch.peek(0x4001100C), sketch.peek(0x4000440C)) == (938, 540)
 
 
+def test_a_deadline_is_missed_when_a_control_step_takes_longer_than_its_period(
+    make_booted: Callable[[], Any], symbols: dict[str, int]
+) -> None:
+    board = make_booted()
+    millisecond = 216_000  # cycles: the period of a policy at 1 kHz
+    assert not board.call_with(symbols["hal_deadline_missed"], millisecond) & 0xFF
+    assert board.call_with(symbols["hal_deadline_missed"], millisecond + 1) & 0xFF
+
+
 def test_memory_is_closed_or_uncached_where_it_must_be_when_started(
     sketch: Any, symbols: dict[str, int]
 ) -> None:
