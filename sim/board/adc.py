@@ -210,7 +210,7 @@ class Adc(Device):
         sequence = self._sequence()
         times = [self._cycles(channel) for channel in sequence]
         if self.get("CR2", "DMA"):
-            wanted = self._dma.available("ADC1")
+            wanted = self._dma.until_flag("ADC1")
             if not wanted or self._stalled:
                 return
         elif self.get("CR1", "EOCIE"):

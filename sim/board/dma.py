@@ -122,6 +122,12 @@ class Dma(Device):
         """The requests that drive each enabled stream."""
         return self._sources
 
+    def until_flag(self, stream: int) -> int:
+        """Items until the stream is half through or at its end."""
+        total, moved = self._totals[stream], self._moved[stream]
+        half = total - total // 2
+        return (half if moved < half else total) - moved
+
     def target(self, stream: int) -> int:
         """The peripheral address."""
         return self.words[f"S{stream}PAR"]
@@ -368,6 +374,11 @@ class DmaSystem:
         """Items that a stream would move for `source` before it ends or wraps; 0: none is enabled."""
         found = self._streams.get(source)
         return found[0].available(found[1]) if found else 0
+
+    def until_flag(self, source: str) -> int:
+        """Items until the stream that serves `source` raises its next flag; 0: none is enabled."""
+        found = self._streams.get(source)
+        return found[0].until_flag(found[1]) if found else 0
 
     def target(self, source: str) -> int:
         """The peripheral address of the stream that serves `source`."""

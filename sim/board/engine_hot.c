@@ -305,6 +305,8 @@ enum { S_CR = 4, S_NDTR = 5, S_PAR = 6, S_M0AR = 7, S_STEP = 6 }; /* words of st
 enum { CR_EN = 1u << 0, CR_CIRC = 1u << 8, CR_MINC = 1u << 10, CR_INTERRUPTS = 0x1Eu };
 enum { FLAG_HT = 1u << 4, FLAG_TC = 1u << 5, FLAGS = 0x3Du, FLAGS_WITH_INTERRUPT = 0x3Cu };
 
+static uint64_t byte_cycles(const struct hot *h);
+static uint32_t spi_waiting(struct hot *h);
 static void spi_sync(struct hot *h);
 static void spi_dma_changed(struct hot *h);
 static void timer_sync(struct hot *h, uint32_t t);
@@ -353,8 +355,8 @@ static void drive(struct hot *h, int32_t source, bool sync)
 	if (source < 0)
 		return;
 	if (source >= PYTHON_SOURCE) {
-		if (!sync || (h->lazy >> source & 1u) != 0u)
-			h->source((uint32_t)source, sync);
+		if (!sync)
+			h->source((uint32_t)source, false); /* flags rise with Python's alarms, without being asked */
 	} else if (source < TIMER_SOURCE) {
 		(sync ? spi_sync : spi_dma_changed)(h);
 	} else {
@@ -365,6 +367,30 @@ static void drive(struct hot *h, int32_t source, bool sync)
 static void stream_sync(struct hot *h, uint32_t controller, uint32_t stream)
 {
 	drive(h, h->s.streams[controller][stream].sources[0], true);
+}
+
+/* Before its count is read or it is stopped: what moves without alarms shows itself too. */
+static void drive_for(struct hot *h, uint32_t controller, uint32_t stream)
+{
+	const int32_t source = h->s.streams[controller][stream].sources[0];
+
+	if (source >= PYTHON_SOURCE && (h->lazy >> source & 1u) != 0u)
+		h->source((uint32_t)source, true);
+	else
+		stream_sync(h, controller, stream);
+}
+
+/* Items until a stream is half through or at its end. */
+uint32_t hot_until_flag(struct hot *h, uint32_t source)
+{
+	const int16_t place = h->s.stream_of[source];
+
+	if (place < 0)
+		return 0;
+	const struct stream *const s = &h->s.streams[place / STREAMS][place % STREAMS];
+	const uint32_t half = s->total - s->total / 2u;
+
+	return (s->moved < half ? half : s->total) - s->moved;
 }
 
 uint32_t hot_available(struct hot *h, uint32_t source)
@@ -507,7 +533,7 @@ static void stream_write_cr(struct hot *h, uint32_t controller, uint32_t stream,
 	const uint32_t device = h->controllers[controller], slot = S_CR + S_STEP * stream;
 	struct stream *const s = &h->s.streams[controller][stream];
 
-	stream_sync(h, controller, stream);
+	drive_for(h, controller, stream);
 	const uint32_t before = words(h, device)[slot];
 
 	if ((before & CR_EN) != 0u && ((before ^ value) & ~(uint32_t)(CR_EN | CR_INTERRUPTS)) != 0u) {
@@ -527,6 +553,22 @@ static void stream_write_cr(struct hot *h, uint32_t controller, uint32_t stream,
 	stream_update(h, controller, stream);
 }
 
+/* Can what has passed have ended the stream? Programs poll for that while bytes are on the wire. */
+static bool stream_may_have_ended(struct hot *h, uint32_t controller, uint32_t stream)
+{
+	const int32_t source = h->s.streams[controller][stream].sources[0];
+
+	if (source != SPI_RX && source != SPI_TX)
+		return true;
+	if (h->s.begun == NEVER)
+		return true;
+	const uint64_t passed = (now(h) - h->s.begun) / byte_cycles(h);
+
+	if (source == SPI_RX)
+		return passed >= hot_available(h, SPI_RX);
+	return h->s.sending_count + spi_waiting(h) <= passed + FIFO_BYTES + 1u;
+}
+
 static uint32_t dma_read(struct hot *h, uint32_t device, uint32_t slot)
 {
 	const uint32_t controller = h->numbers[device];
@@ -534,8 +576,11 @@ static uint32_t dma_read(struct hot *h, uint32_t device, uint32_t slot)
 	if (slot == LISR || slot == HISR) {
 		for (uint32_t i = 0; i < 4u; ++i)
 			stream_sync(h, controller, i + (slot == HISR ? 4u : 0u));
-	} else if (slot >= S_CR && (slot - S_CR) % S_STEP < 2u) {
-		stream_sync(h, controller, (slot - S_CR) / S_STEP);
+	} else if (slot >= S_CR && (slot - S_CR) % S_STEP == 0u) {
+		if (stream_may_have_ended(h, controller, (slot - S_CR) / S_STEP))
+			stream_sync(h, controller, (slot - S_CR) / S_STEP);
+	} else if (slot >= S_CR && (slot - S_CR) % S_STEP == 1u) {
+		drive_for(h, controller, (slot - S_CR) / S_STEP);
 	}
 	return words(h, device)[slot];
 }

@@ -195,6 +195,16 @@ class GyroChip:
             return None
         if mode not in (0, 3):
             self.context.fail(f"the {self.kind.name} is addressed in SPI mode {mode}, expected 0 or 3")
+        if self._address is None and len(sent) > 2:
+            first = self._byte(sent[0], hz)
+            rest = len(sent) - 1
+            assert self._address is not None
+            place = self._address - DATA
+            if self._reads and 0 <= place <= DATA_BYTES - rest:
+                self._judge_clock(hz)
+                self._address += rest
+                return [first, *self._shadow[place : place + rest]]
+            return [first, *(self._byte(value, hz) for value in sent[1:])]
         return [self._byte(value, hz) for value in sent]
 
     def _byte(self, value: int, hz: float) -> int:

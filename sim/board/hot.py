@@ -83,6 +83,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "level": (c_bool, c_void_p, c_uint32, c_uint32),
     "watch": (None, c_void_p, c_uint32, c_uint32),
     "available": (c_uint32, c_void_p, c_uint32),
+    "until_flag": (c_uint32, c_void_p, c_uint32),
     "target": (c_uint32, c_void_p, c_uint32),
     "circular": (c_bool, c_void_p, c_uint32),
     "take": (c_uint32, c_void_p, c_uint32, POINTER(c_uint32), c_uint32),
@@ -300,6 +301,10 @@ class HotDmaSystem(DmaSystem):
     def available(self, source: str) -> int:
         assert self._hot is not None
         return int(self._hot.library.hot_available(self._hot.handle, self._ids[source]))
+
+    def until_flag(self, source: str) -> int:
+        assert self._hot is not None
+        return int(self._hot.library.hot_until_flag(self._hot.handle, self._ids[source]))
 
     def target(self, source: str) -> int:
         assert self._hot is not None
