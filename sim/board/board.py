@@ -13,7 +13,7 @@ from sim.board.bus import Companion, Device, Registers, Touch
 from sim.board.context import TIME_HZ, Context
 from sim.board.dma import DmaSystem
 from sim.board.dshot import Esc, Frame
-from sim.board.engine import CPI, Note
+from sim.board.engine import CPI, Engine, Note
 from sim.board.exti import Exti
 from sim.board.flash import Flash
 from sim.board.gpio import Pins
@@ -94,7 +94,7 @@ class Hardware:
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.hot: Hot | None = None
-        if isinstance(context, BoardEngine):
+        if isinstance(context, Engine):
             self.registers.attach(context)
         if engine is not None:
             assert isinstance(self.dma, HotDmaSystem)
@@ -163,6 +163,8 @@ class Hardware:
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
             self.gyro.power_on()
+        for esc in self.escs:
+            esc.silence(cause == "power")
 
     def _fail(self, message: str) -> NoReturn:
         self.context.fail(message)

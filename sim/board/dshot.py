@@ -73,6 +73,13 @@ class Esc:
             if len(self._bits) == FRAME_BITS:
                 self._close(start + position * length)
 
+    def silence(self, forget: bool) -> None:
+        """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""
+        self._bits = ()
+        self._rest_since = -TIME_HZ
+        if forget:
+            self.protocol = self.last = None
+
     def state(self) -> Any:  # noqa: ANN401
         return (self.protocol, self.frames, self.last, self._bits, self._length, self._rest_since)
 
