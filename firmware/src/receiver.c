@@ -87,8 +87,11 @@ static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *
 	const uint8_t *at = *bytes, *const end = at + *count;
 	bool frame = false;
 
-	while (at < end && !frame)
-		frame = push_sbus(receiver, *at++);
+	while (at < end && !frame) {
+		at += sbus_fill(&receiver->line.sbus, at, (size_t)(end - at));
+		if (at < end)
+			frame = push_sbus(receiver, *at++);
+	}
 	*bytes = at;
 	*count = (size_t)(end - at);
 	return frame;

@@ -1,5 +1,7 @@
 #include "sbus.h"
 
+#include <string.h>
+
 #include "channels.h"
 
 #define FLAGS (NF_SBUS_FRAME_BYTES - 2)
@@ -51,4 +53,16 @@ bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame)
 	decode(sbus->bytes, frame);
 	sbus_reset(sbus);
 	return true;
+}
+
+size_t sbus_fill(struct sbus *sbus, const uint8_t *bytes, size_t count)
+{
+	if (sbus->count == 0)
+		return 0;
+	const size_t room = NF_SBUS_FRAME_BYTES - 1u - sbus->count;
+	const size_t taken = count < room ? count : room;
+
+	memcpy(sbus->bytes + sbus->count, bytes, taken);
+	sbus->count = (uint8_t)(sbus->count + taken);
+	return taken;
 }

@@ -3,6 +3,7 @@
 #define NF_SBUS_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #include "nf_contract.h"
@@ -24,5 +25,8 @@ void sbus_reset(struct sbus *sbus);
 /* Takes one byte. Returns whether it completed a frame, which is then in `frame`; otherwise `frame` is
  * left alone. SBUS has no checksum: a frame is 25 bytes with the right first, flag and last one. */
 bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame);
+
+/* Takes bytes that sbus_push would only keep, because they lie within a frame; returns how many, at most `count`. */
+size_t sbus_fill(struct sbus *sbus, const uint8_t *bytes, size_t count);
 
 #endif

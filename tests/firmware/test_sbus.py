@@ -90,3 +90,24 @@ def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any, sbus: E
         assert not puppet.lib.sbus_push(parser, byte, frame)
     puppet.lib.sbus_reset(parser)
     assert [puppet.lib.sbus_push(parser, byte, frame) for byte in good] == [False] * 24 + [True]
+
+
+def test_frames_are_the_same_when_bytes_within_them_are_taken_in_runs(puppet: Any, sbus: Encode) -> None:
+    rng = np.random.default_rng(11)
+    data = b"".join(
+        sbus(VALUES) if rng.random() < 0.5 else rng.choice([0x00, 0x0F, 0x55], 40).astype(np.uint8).tobytes()
+        for _ in range(200)
+    )
+    single, runs, frame = (puppet.new(f"struct {name} *") for name in ("sbus", "sbus", "sbus_frame"))
+    expected = [at for at, byte in enumerate(data) if puppet.lib.sbus_push(single, byte, frame)]
+    found, at = [], 0
+    while at < len(data):
+        end = min(len(data), at + int(rng.integers(1, 40)))
+        while at < end:
+            at += puppet.lib.sbus_fill(runs, data[at:end], end - at)
+            if at < end:
+                if puppet.lib.sbus_push(runs, data[at], frame):
+                    found.append(at)
+                at += 1
+    assert found == expected
+    assert len(expected) > 50
