@@ -1,4 +1,4 @@
-/* The engine of the emulated board, from the inside: what its C files share. Python sees engine.c's functions only.
+/* The engine of the emulated board, from the inside: what its C files share. Python sees engine_api.c's functions.
  *
  * Time is kept in 1/65536 of a cycle of 216 MHz. Between callbacks it stands at the start of the running block; the
  * instruction at hand is `now()`. Everything that decides what happens next is in `struct state`, plain values that
@@ -49,6 +49,11 @@ enum {
 /* Where code may run, as one row of halfwords: ITCM, then flash. */
 #define ITCM_HALFWORDS (ITCM_BYTES / 2u)
 #define CODE_HALFWORDS (ITCM_HALFWORDS + FLASH_BYTES / 2u)
+
+static inline bool inside(uint32_t address, uint32_t size, uint32_t base, uint32_t bytes)
+{
+	return address >= base && address - base < bytes && size <= bytes - (address - base);
+}
 
 enum exception {
 	EXC_THREAD = 0,
@@ -260,17 +265,31 @@ struct engine {
 };
 
 /* engine.c */
+void mix(struct engine *e, uint64_t value);
+void count_all(struct engine *e);                    /* counts of blocks in use, into enters and leaves */
+void forget_code(struct engine *e);                  /* it was changed from outside; not while unicorn runs */
+uc_err hooks_add(struct engine *e);
+
+/* engine_time.c */
+uint32_t index_at(const struct engine *e, uint32_t address); /* of an instruction in the block that runs */
 uint64_t now(const struct engine *e);                /* time of the instruction at hand */
 uint64_t core_cycles_at(const struct engine *e, uint64_t time);
 uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles);
+void set_core_clock(struct engine *e, uint64_t hz);
 void look_again(struct engine *e);                   /* something changed: decide anew after this instruction */
 void alarms_changed(struct engine *e);
+void fire_due(struct engine *e);
+
+/* engine_memory.c */
+extern const int general[16];                        /* unicorn's names of r0 to pc */
 void fail(struct engine *e, const char *format, ...) __attribute__((format(printf, 2, 3)));
 uint32_t reg(struct engine *e, int name);
 void set_reg(struct engine *e, int name, uint32_t value);
 uint8_t *host(struct engine *e, uint32_t address, uint32_t size); /* NULL: not memory */
-void mix(struct engine *e, uint64_t value);
 uint32_t row_of(uint32_t address);                   /* in CODE_HALFWORDS, NOWHERE: no code */
+uint32_t device_read(struct engine *e, uint32_t address, uint32_t size);
+void device_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
+uc_err memory_map(struct engine *e);
 
 /* engine_thumb.c */
 struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);

@@ -46,7 +46,8 @@ HANDLER reset(void)
     __asm volatile("cpsid i\\n cpsie f\\n msr basepri, r0\\n mrs r0, control\\n mrs r1, ipsr\\n"
         "ldrex r2, [r3, #4]\\n strex r2, r4, [r3]\\n stmdb r5, {r0, r1}\\n ldr.w r0, [r1, #-3]!\\n"
         "ldrsh.w r0, [r1], #6\\n pld [r2]\\n it eq\\n ldreq r0, [r1, r2, lsl #3]\\n"
-        "vpush {s0}\\n vstr s1, [r5, #-4]\\n vldmia r5!, {s0-s3}\\n ldr r0, [sp, #4]\\n strd r2, r3, [r4, #-8]!\\n vmov r0, s1\\n vmsr fpscr, r0\\n"
+        "vpush {s0}\\n vstr s1, [r5, #-4]\\n vldmia r5!, {s0-s3}\\n"
+        "ldr r0, [sp, #4]\\n strd r2, r3, [r4, #-8]!\\n vmov r0, s1\\n vmsr fpscr, r0\\n"
         "push {r4, lr}\\n ldr r0, [pc, #4]\\n nop\\n nop");
     many((void *)0x20003000, (void *)0x20004000, 3, 1.0f);
     REST();

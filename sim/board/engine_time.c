@@ -1,0 +1,96 @@
+/* Time: where it stands inside a run of instructions, the core's clock, and what is due when. */
+#include "engine.h"
+
+/* Index of the instruction at `address` in the block. */
+uint32_t index_at(const struct engine *e, uint32_t address)
+{
+	const struct block *b = e->block;
+	const uint32_t offset = address - e->start;
+	uint32_t low = 0, high = b->count;
+
+	while (high - low > 1u) {
+		const uint32_t middle = (low + high) / 2u;
+
+		if ((b->offsets[middle] & ~1u) <= offset)
+			low = middle;
+		else
+			high = middle;
+	}
+	return low;
+}
+
+uint64_t now(const struct engine *e)
+{
+	return e->block == NULL ? e->s.time : e->s.time + index_at(e, e->at) * e->s.tick;
+}
+
+uint64_t core_cycles_at(const struct engine *e, uint64_t time)
+{
+	const struct state *s = &e->s;
+
+	if (s->core_hz == TIME_HZ)
+		return s->core_cycles + ((time - s->core_time) >> FRACTION);
+	return s->core_cycles + (uint64_t)(((unsigned __int128)(time - s->core_time) * s->core_hz / TIME_HZ) >> FRACTION);
+}
+
+uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles)
+{
+	const struct state *s = &e->s;
+
+	if (cycles <= s->core_cycles)
+		return s->core_time;
+	if (s->core_hz == TIME_HZ)
+		return s->core_time + ((cycles - s->core_cycles) << FRACTION);
+	const unsigned __int128 ticks = (unsigned __int128)(cycles - s->core_cycles) << FRACTION;
+	return s->core_time + (uint64_t)((ticks * TIME_HZ + s->core_hz - 1u) / s->core_hz);
+}
+
+void set_core_clock(struct engine *e, uint64_t hz)
+{
+	const uint64_t time = now(e), cycles = core_cycles_at(e, time);
+
+	e->s.core_time = time;
+	e->s.core_cycles = cycles;
+	e->s.core_hz = hz;
+	/* The rest of the block that runs is taken at the old rate: it moves by less than a block. */
+	e->s.tick = e->s.cpi * TIME_HZ / hz;
+	alarms_changed(e);
+}
+
+void look_again(struct engine *e)
+{
+	e->attention = true;
+	e->stop_at = e->event_stop = 0;
+}
+
+void alarms_changed(struct engine *e)
+{
+	uint64_t next = systick_due(e);
+
+	for (uint32_t i = 0; i < e->alarm_count; ++i)
+		if (e->s.due[i] != NEVER && e->s.due[i] << FRACTION < next)
+			next = e->s.due[i] << FRACTION;
+	e->next_due = next;
+	look_again(e);
+}
+
+void fire_due(struct engine *e)
+{
+	while (!e->failed && e->next_due <= e->s.time) {
+		uint64_t first = systick_due(e);
+		uint32_t which = ALARM_MAX;
+
+		for (uint32_t i = 0; i < e->alarm_count; ++i)
+			if (e->s.due[i] != NEVER && e->s.due[i] << FRACTION < first) {
+				first = e->s.due[i] << FRACTION;
+				which = i;
+			}
+		if (which == ALARM_MAX) {
+			systick_fire(e);
+		} else {
+			e->s.due[which] = NEVER;
+			e->on_alarm(which);
+		}
+		alarms_changed(e);
+	}
+}
