@@ -23,6 +23,7 @@ struct setting_change; /* background.h */
 /* What the board is. Filled by hal_init. */
 struct hal_info {
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
+	enum gyro_chip gyro_chip;       /* which one that is */
 	unsigned gyro_rate_hz;          /* 0: as set; another: asked for on this start, whatever the settings say */
 	const struct setting_change *changes; /* of this start to the stored settings; they live as long */
 	size_t change_count;

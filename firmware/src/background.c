@@ -60,6 +60,7 @@ static enum nf_err start_firmware(struct background *background)
 	const struct firmware_config firmware = {
 		.gyro_rate_hz = background->settings.gyro_rate_hz,
 		.alignment = alignment(background),
+		.gyro_chip = config->gyro_chip,
 		.settings = &background->settings,
 		.weights = config->weights,
 		.policy_idle = good ? background->slots.idle : NF_IDLE_DEFAULT,

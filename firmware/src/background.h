@@ -44,6 +44,7 @@ struct background_config {
 	float *weights;                     /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
 	struct task_stats *stats;           /* [TASK_COUNT], by enum nf_task */
 	enum board_alignment alignment;     /* of the gyro chip, where the settings say "board" */
+	enum gyro_chip gyro_chip;
 	const struct pid_gains *pid;
 	const struct msp_identity *identity;
 	const struct fault_record *fault;   /* what ended the run before; NULL: no fault did */

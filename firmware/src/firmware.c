@@ -29,11 +29,12 @@ static enum nf_err check_rates(unsigned gyro_rate_hz)
 	return NF_ERR_GYRO_RATE;
 }
 
+/* Does the tilt allow arming? Of no matter, and not looked at, while the motors turn. */
 static bool level(const struct firmware *fw)
 {
 	float up[3];
 
-	if (fw->level_cosine == ANY_TILT)
+	if (safety_motors(&fw->safety) || fw->level_cosine == ANY_TILT)
 		return true;
 	attitude_up(&fw->attitude, up);
 	return attitude_known(&fw->attitude) && up[2] >= fw->level_cosine;
@@ -95,6 +96,8 @@ static void report(struct firmware *fw)
 	status->pid_built_in = control->good[CONTROLLER_PID];
 	status->pid_flies = control->flying == CONTROLLER_PID;
 	status->idle = control->mixers[control->flying].idle;
+	if (fw->gyro.last.temperature != 0)
+		status->temperature_deg_c = gyro_temperature_c(&fw->gyro, fw->gyro_chip);
 	status->attitude_known = attitude_known(&fw->attitude);
 }
 
@@ -114,6 +117,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 
 	memset(fw, 0, sizeof *fw);
 	fw->gyro_rate_hz = config->gyro_rate_hz;
+	fw->gyro_chip = config->gyro_chip;
 	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
 	fw->grace_left = config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u;
 	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) : ANY_TILT;

@@ -28,6 +28,7 @@
 struct firmware_config {
 	unsigned gyro_rate_hz;              /* one of NF_GYRO_RATES_HZ, a multiple of POLICY_CONTROL_RATE_HZ */
 	enum board_alignment alignment;
+	enum gyro_chip gyro_chip;           /* whose temperature is told */
 	const struct nf_settings *settings; /* must outlive the firmware, as all that follows */
 	const float *weights;               /* [POLICY_WEIGHT_COUNT], 8-byte aligned, where they are read in flight */
 	float policy_idle;
@@ -46,6 +47,7 @@ struct firmware {
 	struct control control;
 	struct motor_test motor_test;        /* the background asks it for tests */
 	struct dshot_command dshot_command;  /* and this for commands */
+	enum gyro_chip gyro_chip;
 	uint32_t gyro_rate_hz;
 	uint32_t control_divider;       /* gyro samples a control step */
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */

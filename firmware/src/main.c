@@ -128,6 +128,7 @@ static enum nf_err boot(void)
 		.weights = weights,
 		.stats = stats,
 		.alignment = info.alignment,
+		.gyro_chip = info.gyro_chip,
 		.pid = &pid_gains_built_in,
 		.identity = &info.identity,
 		.fault = faulted ? &fault : NULL,

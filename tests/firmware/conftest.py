@@ -236,7 +236,7 @@ class Bench:
         weights = core.lib.policy_weights
         config = core.new(
             "struct firmware_config *",
-            (gyro_hz, alignment, self.settings, weights, 0.0, policy_good, self.pid),
+            (gyro_hz, alignment, 0, self.settings, weights, 0.0, policy_good, self.pid),
         )
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect

@@ -30,7 +30,7 @@ from toolchain.cortex_m7 import CortexM7, load_program
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the board
 TRACE_BYTES = 34 + 2 * 4  # struct control_trace up to the last motor; without pointers, so equal on both
-GYRO_HZ, CW180 = 1000, 2
+GYRO_HZ, CW180, MPU6500 = 1000, 2, 0
 G_COUNTS = 2048
 BOOT_STEPS, FLIGHT_STEPS = 1010, 400
 OBSERVATION_BYTES = 2048  # struct observation has some 1100
@@ -56,7 +56,7 @@ class Board:
         self._argument, self._out = self._core.allocate(64), self._core.allocate(8)
         settings, pid = (self._kept(data) for data in (host.settings_bytes(), host.pid_bytes()))
         weights = self._kept(host.weights_bytes())
-        # unsigned, enum and bool: AAPCS gives a small enum and a bool one byte, the others are padding.
+        # AAPCS gives a small enum and a bool one byte, the others are padding.
         words = (GYRO_HZ, CW180, settings, weights)
         config = b"".join(word.to_bytes(4, "little") for word in words) + np.float32(host.idle).tobytes()
         config += (1).to_bytes(4, "little") + pid.to_bytes(4, "little")
@@ -91,7 +91,7 @@ class Host:
         self.idle = lib.policy_blob.header.idle
         config = core.new(
             "struct firmware_config *",
-            (GYRO_HZ, CW180, self.settings, lib.policy_weights, self.idle, True, self._pid),
+            (GYRO_HZ, CW180, MPU6500, self.settings, lib.policy_weights, self.idle, True, self._pid),
         )
         assert lib.firmware_init(self.firmware, config) == 0
         lib.firmware_forbid(self.firmware, ArmingReason.BATTERY_UNKNOWN, False)
@@ -139,7 +139,9 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         x, y, z = np.clip(rng.normal(40, sigma, 3).round(), -32768, 32767).astype(int).tolist()
         sticks = rng.integers(172, 1812, 4)
         sticks[2] = 192 if step < BOOT_STEPS + 20 else sticks[2]
-        frame = sbus([*sticks.tolist(), 1792 if flying else 192, *[992] * 11]) if step % 7 == 0 else b""
+        pid = 1792 if step // 90 % 2 else 192  # the controllers take turns
+        channels = [*sticks.tolist(), 1792 if flying else 192, pid, *[992] * 10]
+        frame = sbus(channels) if step % 7 == 0 else b""
         if flying and step == BOOT_STEPS:
             frame = sbus([992, 992, 192, 992, 1792, *[992] * 11])
         sample = sample_bytes(step, (x, y, z))

@@ -40,9 +40,10 @@ static const struct chip {
 	uint8_t reset_paths; /* SIGNAL_PATH_RESET: all there are */
 	enum spi_speed speed;/* of data; registers take 1 MHz */
 	enum board_alignment alignment;
+	enum gyro_chip kind;
 } chips[] = {
-	{0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT},  /* 20 MHz at most */
-	{0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT}, /* 8 MHz at most */
+	{0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT, GYRO_MPU6500},    /* 20 MHz at most */
+	{0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT, GYRO_ICM20689},  /* 8 MHz at most */
 };
 
 /* Written in this order, each read back; the same numbers for both chips. */
@@ -130,7 +131,7 @@ static bool configure(void)
 	return true;
 }
 
-bool gyro_start(enum board_alignment *alignment)
+bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
 {
 	gpio_output(BOARD_GYRO_CS, true);
 	gpio_input(BOARD_GYRO_READY, GPIO_PULL_DOWN);
@@ -151,6 +152,7 @@ bool gyro_start(enum board_alignment *alignment)
 		return false;
 	gyro.chip = chip;
 	*alignment = chip->alignment;
+	*kind = chip->kind;
 	return true;
 }
 

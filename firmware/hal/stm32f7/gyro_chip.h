@@ -7,10 +7,10 @@
 
 #include "hal/hal.h"
 
-/* Identifies and configures the chip (takes 0.2 s) and says how it is turned on this board. False: absent,
- * unknown, or it does not keep what is written to it; `alignment` is then left alone. Needs the clocks at full
- * speed. */
-bool gyro_start(enum board_alignment *alignment);
+/* Identifies and configures the chip (takes 0.2 s) and says how it is turned on this board, and which one it is.
+ * False: absent, unknown, or it does not keep what is written to it; both are then left alone. Needs the clocks at
+ * full speed. */
+bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind);
 
 /* From now on `handlers->sample` gets `rate_hz` samples a second (one of NF_GYRO_RATES_HZ), from interrupts, and
  * `handlers->gyro_silent` is called whenever NF_GYRO_BAD_MS pass without one: also where gyro_start failed. */

@@ -38,7 +38,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	msp_uart_start();
 	power_start();
 	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
-	(void)gyro_start(&info->alignment);        /* the core hears of its silence */
+	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
 	watchdog_feed();
 
 	info->gyro_rate_hz = 0;
