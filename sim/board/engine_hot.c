@@ -287,6 +287,12 @@ void hot_drive(struct hot *h, uint32_t port, uint32_t pin, bool level)
 	tell_pins(h, port);
 }
 
+void hot_pulse(struct hot *h, uint32_t port, uint32_t pin)
+{
+	hot_drive(h, port, pin, false);
+	hot_drive(h, port, pin, true);
+}
+
 bool hot_level(struct hot *h, uint32_t port, uint32_t pin)
 {
 	return pin_level(h, port, pin);

@@ -148,6 +148,11 @@ class Pins:
             port.driven[pin] = level
             self.on_drive(port.letter, pin, level)
 
+    def pulse(self, name: str) -> None:
+        """The board lets a pin rise; where it was high still, it falls first."""
+        self.drive(name, False)
+        self.drive(name, True)
+
     def watch(self, name: str, listener: Callable[[bool], None]) -> None:
         """`listener(level)` runs whenever the level on a pin that the image drives changes."""
         port, pin = self._place(name)

@@ -126,6 +126,7 @@ class GyroChip:
         self._fall_alarm = context.alarm("gyro.fall", lambda: pins.drive(READY, False))
         self._powered_at = 0
         self._due: int | None = None  # cycle of the next sample
+        self._period = 0  # between samples [cycles]
         self._start()
         pins.watch(CS, self.select)
         self.rest()
@@ -179,9 +180,8 @@ class GyroChip:
         """The cycle of the next sample and data-ready pulse; None: the chip is not set up to give any."""
         return self._due
 
-    @property
-    def period(self) -> int:
-        """Cycles between samples, as configured."""
+    def _configured_period(self) -> int:
+        """Cycles between samples."""
         filtered = self._registers[CONFIG] & 7
         if filtered in (0, 7):
             return TIME_HZ // 8000  # whatever the divider says
@@ -286,13 +286,16 @@ class GyroChip:
         if not awake or not self._registers[INT_ENABLE] & 1:
             self._due = None
             self._sample_alarm.cancel()
-        elif self._due is None:
-            self._due = self.context.cycle + self.period
+            return
+        self._period = self._configured_period()
+        if self._due is None:
+            self._due = self.context.cycle + self._period
             self._sample_alarm.set(self._due)
 
     def _sample(self) -> None:
-        now = self.context.cycle
-        self._due = now + self.period
+        assert self._due is not None
+        now = self._due  # the core may have been in the middle of an instruction then
+        self._due = now + self._period
         self._sample_alarm.set(self._due)
         self.before_sample(self.samples)
         self.samples += 1
@@ -300,9 +303,7 @@ class GyroChip:
             return
         self._latch()
         self._interrupt = True
-        if self._fall_alarm.due is None:
-            self._pins.drive(READY, False)
-        self._pins.drive(READY, True)
+        self._pins.pulse(READY)
         if self.watches_fall():
             self._fall_alarm.set(now + PULSE)
 
@@ -318,7 +319,7 @@ class GyroChip:
 
     _KEPT = (
         "samples", "silent", "_measured", "_ready_at", "_ready_why", "_selected", "_address", "_reads",
-        "_shadow", "_due", "_registers", "_data", "_interrupt", "_powered_at",
+        "_shadow", "_due", "_period", "_registers", "_data", "_interrupt", "_powered_at",
     )  # fmt: skip
 
     def state(self) -> Any:  # noqa: ANN401

@@ -80,6 +80,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "state": (c_void_p, c_void_p),
     "state_bytes": (c_uint32,),
     "drive": (None, c_void_p, c_uint32, c_uint32, c_bool),
+    "pulse": (None, c_void_p, c_uint32, c_uint32),
     "level": (c_bool, c_void_p, c_uint32, c_uint32),
     "watch": (None, c_void_p, c_uint32, c_uint32),
     "available": (c_uint32, c_void_p, c_uint32),
@@ -220,6 +221,10 @@ class HotPins(Pins):
     def drive(self, name: str, level: bool) -> None:
         if self._hot is not None:
             self._hot.library.hot_drive(self._hot.handle, PORTS.index(name[1]), int(name[2:]), level)
+
+    def pulse(self, name: str) -> None:
+        if self._hot is not None:
+            self._hot.library.hot_pulse(self._hot.handle, PORTS.index(name[1]), int(name[2:]))
 
     def watch(self, name: str, listener: Callable[[bool], None]) -> None:
         port, pin = self._place(name)

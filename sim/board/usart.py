@@ -61,7 +61,7 @@ class Usart(Device):
     """One USART."""
 
     kept = (
-        "_arriving", "_line_free", "_idle_at", "_received", "_holding", "_shifting",
+        "_arriving", "_line_free", "_idle_at", "_received", "_holding", "_shifting", "_sent_at",
         "mismatches", "lost", "sent",
     )  # fmt: skip
 
@@ -87,6 +87,7 @@ class Usart(Device):
         self._received = 0
         self._holding: int | None = None  # TDR, while the shift register is busy
         self._shifting: int | None = None
+        self._sent_at = 0  # cycle at which the byte in the shift register has gone
 
     def reset(self) -> None:
         super().reset()
@@ -249,8 +250,8 @@ class Usart(Device):
 
     # Sending
 
-    def _load(self) -> None:
-        """Fill the data register from memory and the shift register from that."""
+    def _load(self, begin: int | None = None) -> None:
+        """Fill the data register from memory and the shift register from that, at `begin` or now."""
         if not self.words["CR1"] & 1 or not self.get("CR1", "TE"):
             return
         for _ in range(2):
@@ -261,13 +262,14 @@ class Usart(Device):
                 self._pins.expect(f"{self.name}_TX", f"{self.name} sends")
                 self._shifting, self._holding = self._holding, None
                 self.words["ISR"] |= _TXE
-                self._tx.set(self.context.cycle + self.format.byte_cycles)
+                self._sent_at = (self.context.cycle if begin is None else begin) + self.format.byte_cycles
+                self._tx.set(self._sent_at)
 
     def _sent(self) -> None:
         byte, self._shifting = self._shifting, None
         assert byte is not None
         self.sent += 1
-        self._load()
+        self._load(self._sent_at)
         if self._shifting is None:
             self.words["ISR"] |= _TC
         self.on_sent(byte)
