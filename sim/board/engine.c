@@ -446,6 +446,14 @@ static void supervisor_call(struct engine *e)
 		raise_fault(e, &escalated);
 }
 
+/* YIELD and WFE, which unicorn does not know what to do with: a program may go on behind them (B1.5.18). */
+static bool is_hint(struct engine *e, uint32_t address)
+{
+	const uint8_t *const code = host(e, address, 2);
+
+	return code != NULL && code[1] == 0xBFu && (code[0] == 0x10u || code[0] == 0x20u);
+}
+
 /* Unicorn has come back by itself or because of us. */
 static void settle(struct engine *e, uc_err error)
 {
@@ -459,6 +467,12 @@ static void settle(struct engine *e, uc_err error)
 	e->s.pc = reg(e, UC_ARM_REG_PC);
 	if (e->block != NULL) {
 		const bool whole = error == UC_ERR_OK || fetch;
+
+		if (error == UC_ERR_INSN_INVALID && is_hint(e, e->at)) {
+			e->s.pc = e->at + 2u;
+			account(e, index_at(e, e->at) + 1u);
+			return;
+		}
 
 		if (!whole)
 			e->s.pc = e->at;

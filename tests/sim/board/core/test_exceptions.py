@@ -428,3 +428,69 @@ def test_the_process_stack_is_kept_when_interrupts_use_the_main_one(boot: Boot, 
     engine = boot(source)
     engine.run()
     assert results(engine, 5) == [0x20001000, 0xFFFFFFFD, 0x20005000 - 0x20, 0x20005000, 2]
+
+
+def test_the_core_sleeps_on_when_a_handler_ends_and_it_was_told_to(boot: Boot, results: Results) -> None:
+    source = """
+    HANDLER handler(void) { if (++RESULT[0] == 3) REG(0xE000ED10) = 0; }
+    HANDLER reset(void) { RESULT[0] = RESULT[1] = 0; REG(0xE000ED10) = 2;
+        REG(0xE000E014) = 999; REG(0xE000E018) = 0; REG(0xE000E010) = 7;
+        __asm volatile("dsb\\n wfi" ::: "memory"); RESULT[1] = RESULT[0]; REST(); }
+    VECTORS([15] = handler);
+    """
+    engine = boot(source)
+    engine.run_to(1_000_000)
+    assert results(engine, 2)[1] == 3
+
+
+def test_wfe_and_yield_go_on_when_nothing_waits(boot: Boot, results: Results) -> None:
+    source = """
+    HANDLER reset(void) { RESULT[0] = 0;
+        __asm volatile("sev\\n wfe\\n yield\\n wfe" ::: "memory"); RESULT[0] = 1; REST(); }
+    VECTORS();
+    """
+    engine = boot(source)
+    assert engine.run() is Outcome.ASLEEP
+    assert results(engine, 1) == [1]
+
+
+def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, results: Results) -> None:
+    source = """
+    static volatile uint32_t n;
+    HANDLER low(void) { RESULT[n++] = 1; }
+    HANDLER high(void) { RESULT[n++] = 2; }
+    HANDLER reset(void) { n = 0; PRIORITY(8, 0x80); PRIORITY(9, 0x10); ENABLE(8); ENABLE(9); REST(); }
+    VECTORS([24] = low, high);
+    """
+    engine = boot(source)
+
+    def both() -> None:
+        engine.irq(8, True)
+        engine.irq(9, True)
+        engine.irq(8, False)
+        engine.irq(9, False)
+
+    engine.alarm("both", both).set(100_000)
+    engine.run()
+    assert results(engine, 2) == [2, 1]
+
+
+def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot, results: Results) -> None:
+    source = """
+    static volatile uint32_t n;
+    HANDLER low(void) { RESULT[n++] = 1; }
+    HANDLER high(void) { RESULT[n++] = 2; }
+    HANDLER reset(void) { n = 0; PRIORITY(8, 0x80); PRIORITY(9, 0x10); ENABLE(8); ENABLE(9); REST(); }
+    VECTORS([24] = low, high);
+    """
+    engine = boot(source)
+    engine.core_clock(216_000_000)
+
+    def pulse(irq: int) -> None:
+        engine.irq(irq, True)
+        engine.irq(irq, False)
+
+    engine.alarm("low", lambda: pulse(8)).set(100_000)
+    engine.alarm("high", lambda: pulse(9)).set(100_006)  # entry takes 12
+    engine.run()
+    assert results(engine, 2) == [2, 1]
