@@ -150,6 +150,8 @@ class Hardware:
         for esc, (timer, channel) in zip(self.escs, MOTORS, strict=True):
             esc.on_frame = self._on_frame
             self.timers[timer].outputs[channel] = esc.pulses
+            if self.hot is not None:
+                self.hot.listen(timer, channel, esc)
         self.iwdg.by_hardware = lambda: self.flash.options.hardware_watchdog
         self.iwdg.reset()
         if not watchdog_resets:
@@ -165,6 +167,8 @@ class Hardware:
             self.gyro.power_on()
         for esc in self.escs:
             esc.silence(cause == "power")
+        if self.hot is not None:
+            self.hot.tell_escs()
 
     def _fail(self, message: str) -> NoReturn:
         self.context.fail(message)

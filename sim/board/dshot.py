@@ -11,6 +11,7 @@ ours: what a good controller keeps to, and an ESC takes however its oscillator s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -73,6 +74,21 @@ class Esc:
             if len(self._bits) == FRAME_BITS:
                 self._close(start + position * length)
 
+    def accept(self, frame: Frame) -> None:
+        """A frame that was decoded elsewhere."""
+        self._rest_since = frame.cycle
+        self.frames += 1
+        self.last = frame
+        self.on_frame(frame)
+
+    @property
+    def known(self) -> tuple[int, int, int]:
+        """When the last frame ended, and the shortest and longest bit that is taken [cycles]; 0: any."""
+        if self.protocol is None:
+            return 0, 0, 0
+        bit = TIME_HZ / PROTOCOLS[self.protocol]
+        return max(self._rest_since, 0), math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
+
     def silence(self, forget: bool) -> None:
         """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""
         self._bits = ()
@@ -110,10 +126,7 @@ class Esc:
         value, wrong = _decode(bits, self._length)
         if wrong:
             self._fail(f"motor {self.motor}: {wrong}")
-        self._rest_since = end
-        self.frames += 1
-        self.last = Frame(self.motor, end, value >> 1, bool(value & 1), self.protocol)
-        self.on_frame(self.last)
+        self.accept(Frame(self.motor, end, value >> 1, bool(value & 1), self.protocol))
 
 
 @lru_cache(maxsize=4096)

@@ -5,6 +5,7 @@
  *
  * Of the engine only its public functions are used. */
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -36,6 +37,9 @@ enum {
 	STEADY_PERIODS = 20,
 	PERIODS = 512,        /* handled at once */
 	TRAIN = 16,           /* the bits of a DShot frame */
+	FRAMES = 256,         /* kept for Python */
+	GAP = 432,            /* least rest before a frame: 2 us [cycles] */
+	DRAIN = SOURCES,      /* in place of a source: Python is to take the frames */
 	PYTHON_SOURCE = 32,   /* sources from here on are Python's */
 };
 
@@ -87,6 +91,17 @@ struct train {
 	uint32_t count, highs[TRAIN];
 };
 
+/* What is known of the ESC on a channel. Python decodes whatever does not fit this, and the first frame. */
+struct esc {
+	uint64_t rest_since;      /* end of the last frame */
+	uint32_t shortest, longest; /* of a bit [cycles]; longest 0: nothing is known yet */
+};
+
+struct frame {
+	uint64_t cycle;
+	uint32_t timer, channel, data; /* data: value and telemetry bit */
+};
+
 struct timer {
 	uint64_t anchor;
 	uint32_t ccr[CHANNELS], arr, psc;
@@ -94,6 +109,7 @@ struct timer {
 	uint32_t judged[CHANNELS]; /* epoch in which the output was found right */
 	uint32_t ccmr[CHANNELS];   /* of its register then */
 	struct train trains[CHANNELS];
+	struct esc escs[CHANNELS];
 };
 
 struct hot_state {
@@ -111,6 +127,8 @@ struct hot_state {
 	uint32_t overrun, spi_epoch, spi_cr1, spi_cr2;
 	uint32_t selected, transaction;
 	uint64_t apb2, timer_clock[2];
+	struct frame frames[FRAMES];
+	uint32_t frame_count;
 	uint32_t epoch; /* rises with what judgements depend on: pins, clocks of peripherals */
 };
 
@@ -938,6 +956,39 @@ static void timer_update_irq(struct hot *h, uint32_t t)
 	engine_irq(h->e, h->irqs[device][0], (words(h, device)[T_SR] & words(h, device)[T_DIER] & UIF) != 0u);
 }
 
+/* Takes a train for a DShot frame; false: it is none, or Python has to say what is wrong with it. */
+static bool take_frame(struct hot *h, uint32_t t, uint32_t channel, const struct train *train)
+{
+	struct esc *const esc = &h->s.timers[t].escs[channel];
+	const uint64_t length = train->length;
+	uint32_t frame = 0;
+
+	if (length < esc->shortest || length > esc->longest || train->start < esc->rest_since + GAP)
+		return false;
+	for (uint32_t i = 0; i < TRAIN; ++i) {
+		/* 37.5 % of the bit for a 0, 75 % for a 1, within 5 % of that: sim/board/dshot.py. */
+		const uint64_t high = 8u * (uint64_t)train->highs[i];
+		const uint64_t nominal = 16u * (uint64_t)train->highs[i] > 9u * length ? 6u * length : 3u * length;
+
+		if (20u * (high > nominal ? high - nominal : nominal - high) > nominal)
+			return false;
+		frame = frame << 1 | (nominal == 6u * length);
+	}
+	const uint32_t data = frame >> 4;
+
+	if ((frame & 15u) != ((data ^ data >> 4 ^ data >> 8) & 15u))
+		return false;
+	if (h->s.frame_count == FRAMES)
+		h->source(DRAIN, 0);
+	if (h->s.frame_count == FRAMES)
+		return false;
+	esc->rest_since = train->start + TRAIN * length;
+	h->s.frames[h->s.frame_count++] = (struct frame){
+		.cycle = esc->rest_since, .timer = t, .channel = channel + 1u, .data = data,
+	};
+	return true;
+}
+
 /* One period more of a channel. Python sees trains as a whole: up to a rest, or as long as a frame can be. */
 static void timer_show(struct hot *h, uint32_t t, uint32_t channel, uint64_t start, uint32_t high)
 {
@@ -956,7 +1007,8 @@ static void timer_show(struct hot *h, uint32_t t, uint32_t channel, uint64_t sta
 	}
 	train->highs[train->count++] = high;
 	if (high == 0u || train->count == TRAIN) {
-		h->pulses(t, channel + 1u, train->start, length, train->count, train->highs);
+		if (high == 0u || !take_frame(h, t, channel, train))
+			h->pulses(t, channel + 1u, train->start, length, train->count, train->highs);
 		train->count = 0;
 	}
 }
@@ -1397,6 +1449,22 @@ void hot_rule(struct hot *h, uint32_t device, uint32_t slot, const struct rule *
 	h->s.words[device][slot] = rule->reset;
 }
 
+/* What Python has found out about an ESC; `longest` 0: nothing. */
+void hot_esc(struct hot *h, uint32_t t, uint32_t channel, uint64_t rest_since, uint32_t shortest, uint32_t longest)
+{
+	h->s.timers[t].escs[channel - 1u] = (struct esc){rest_since, shortest, longest};
+}
+
+/* Hands over the frames that have come; returns how many there are. They are gone with the next frame. */
+uint32_t hot_frames(struct hot *h, const struct frame **frames)
+{
+	const uint32_t count = h->s.frame_count;
+
+	*frames = h->s.frames;
+	h->s.frame_count = 0;
+	return count;
+}
+
 void hot_lazy(struct hot *h, uint32_t source)
 {
 	h->lazy |= UINT64_C(1) << source;
@@ -1467,7 +1535,7 @@ void hot_reset(struct hot *h, uint32_t device)
 		engine_irq(h->e, h->irqs[device][0], false);
 		break;
 	case TIMER:
-		memset(&h->s.timers[number], 0, sizeof h->s.timers[number]);
+		memset(&h->s.timers[number], 0, offsetof(struct timer, escs)); /* ESCs live on */
 		timer_load(h, number);
 		engine_set_alarm(h->e, h->alarms[device], NEVER);
 		engine_irq(h->e, h->irqs[device][0], false);

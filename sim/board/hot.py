@@ -26,6 +26,7 @@ from sim.board.bus import Block, Device, Register, Registers
 from sim.board.context import Context
 from sim.board.cpu_library import AlarmCallback, ReadCallback, WriteCallback
 from sim.board.dma import Dma, DmaSystem, Driver
+from sim.board.dshot import Esc, Frame
 from sim.board.engine import Engine, Outcome
 from sim.board.exti import Exti
 from sim.board.gpio import PORTS, Pins, Port
@@ -40,7 +41,7 @@ PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.c
 ASK_ENABLE, ASK_CHANGED, ASK_FROZEN, ASK_TWICE, ASK_CACHED = range(5)  # enum question
 ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR = range(5, 12)
 _STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
-_TIMER_SOURCE, _PYTHON_SOURCE = 2, 32
+_TIMER_SOURCE, _PYTHON_SOURCE, _DRAIN = 2, 32, 64
 _TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
 
 _Refuse = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32, c_uint32)
@@ -60,6 +61,12 @@ class _Rule(ctypes.Structure):
     )
 
 
+class _Frame(ctypes.Structure):
+    """`struct frame` of engine_hot.c."""
+
+    _fields_ = (("cycle", c_uint64), *((name, c_uint32) for name in ("timer", "channel", "data")))
+
+
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "new": (
         c_void_p, c_void_p, ReadCallback, WriteCallback, AlarmCallback, _Refuse, _Judge, _Source, _Exchange,
@@ -69,6 +76,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "select": (None, c_void_p),
     "device": (None, c_void_p, *[c_uint32] * 6, c_bool),
     "rule": (None, c_void_p, c_uint32, c_uint32, POINTER(_Rule)),
+    "esc": (None, c_void_p, c_uint32, c_uint32, c_uint64, c_uint32, c_uint32),
+    "frames": (c_uint32, c_void_p, POINTER(POINTER(_Frame))),
     "lazy": (None, c_void_p, c_uint32),
     "irq": (None, c_void_p, c_uint32, c_uint32, c_uint32),
     "clock": (None, c_void_p, c_uint32, c_bool),
@@ -100,7 +109,11 @@ class BoardEngine(Engine):
 
     def run(self, cycle: int = NEVER, instructions: int = NEVER) -> Outcome:
         self._select()
-        return super().run(cycle, instructions)
+        try:
+            return super().run(cycle, instructions)
+        finally:
+            if self.hot is not None:
+                self.hot.drain()
 
     def load(self, address: int, size: int) -> int:
         self._select()
@@ -352,6 +365,7 @@ class Hot:
         """The devices' registers move into C, with their values of power-up."""
         self.engine, self.library = engine, engine.library
         self._registers, self._dma, self._pins, self._chip = registers, dma, pins, chip
+        self._escs: dict[tuple[int, int], Esc] = {}
         self._transaction = 0  # of the SPI bus, as the chip knows
         self.clocks = Clocks(16_000_000, 16_000_000, 16_000_000, 16_000_000, 16_000_000)
         for name, (result, *arguments) in _SIGNATURES.items():
@@ -394,6 +408,26 @@ class Hot:
         """The clock tree has changed."""
         self.clocks = clocks
         self.library.hot_clocks(self.handle, clocks.apb2, clocks.timer1, clocks.timer2)
+
+    def listen(self, timer: str, channel: int, esc: Esc) -> None:
+        """`esc` is on the line of a timer's channel: C takes the frames that are as they should be."""
+        self._escs[_TIMERS.index(timer), channel] = esc
+
+    def tell_escs(self) -> None:
+        """C's knowledge of ESCs is what Python knows."""
+        for (timer, channel), esc in self._escs.items():
+            self.library.hot_esc(self.handle, timer, channel, *esc.known)
+
+    def drain(self) -> None:
+        """Hand the frames that C has taken to their ESCs."""
+        frames = POINTER(_Frame)()
+        count = self.library.hot_frames(self.handle, ctypes.byref(frames))
+        for i in range(count):
+            found = frames[i]
+            esc = self._escs[found.timer, found.channel]
+            assert esc.protocol is not None
+            data = found.data
+            esc.accept(Frame(esc.motor, found.cycle, data >> 1, bool(data & 1), esc.protocol))
 
     def state(self) -> Any:  # noqa: ANN401
         """All of C's state."""
@@ -495,6 +529,9 @@ class Hot:
             timer.read_dmar()
 
     def _source(self, source: int, sync: int) -> None:
+        if source == _DRAIN:
+            self.drain()
+            return
         driver = self._dma.driver(self._dma.name(source))
         if sync:
             driver.sync()
@@ -523,7 +560,11 @@ class Hot:
         assert isinstance(device, Timer)
         output = device.outputs.get(channel)
         if output is not None:
+            self.drain()
             output(start, length, highs[:count])
+            esc = self._escs.get((timer, channel))
+            if esc is not None:
+                self.library.hot_esc(self.handle, timer, channel, *esc.known)
 
     def _pin(self, port: int, pin: int, level: int) -> None:
         self._pins.ports[PORTS[port]].listeners[pin](bool(level))

@@ -93,6 +93,45 @@ def test_frames_follow_each_other_when_sent_again_and_again(fast: Bench) -> None
     assert [f.value for f in frames] == [v + 10 * i for v in range(100, 105) for i in range(4)]
 
 
+@pytest.mark.parametrize(
+    ("bit", "spoil", "message"),
+    [
+        (396, {}, r"motor 1: a bit lasts 1\.833 us"),
+        (BIT, {4 * 10 + 2: 135}, "motor 3: frame 0x.* has the checksum"),
+        (BIT, {4 * 7 + 1: 190}, r"motor 2: bit 8 is high for 0\.880 us"),
+        (BIT, {4 * 9 + 3: 0}, "motor 4: a frame ends after 9 bits"),
+    ],
+)
+def test_frame_is_refused_when_only_a_later_one_is_wrong(
+    fast: Bench, bit: int, spoil: dict[int, int], message: str
+) -> None:
+    frames = listen(fast)
+    start_tim8(fast)
+    for _ in range(3):
+        send(fast, (99, 99, 99, 99))
+        fast.context.run(250)
+    fast.write("TIM8_ARR", bit - 1)
+    send(fast, (99, 99, 99, 99), bit)
+    for slot, ticks in spoil.items():
+        fast.context.set_memory(SLOTS + 4 * slot, ticks.to_bytes(4, "little"))
+    with pytest.raises(BoardError, match=message):
+        fast.context.run(250)
+    assert len(frames) >= 12
+
+
+def test_esc_takes_another_protocol_when_the_supply_was_gone(fast: Bench) -> None:
+    frames = listen(fast)
+    start_tim8(fast)
+    send(fast, (99, 99, 99, 99))
+    fast.context.run(250)
+    fast.reset("power")
+    fast.full_speed()
+    start_tim8(fast, 2 * BIT)
+    send(fast, (99, 99, 99, 99), 2 * BIT)
+    fast.context.run(250)
+    assert [f.protocol for f in frames] == [600] * 4 + [300] * 4
+
+
 def test_stream_is_busy_until_the_line_rests_when_asked_meanwhile(fast: Bench) -> None:
     frames = listen(fast)
     start_tim8(fast)
