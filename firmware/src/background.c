@@ -5,6 +5,7 @@
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
 #define FRACTION_PER_US 0.001f
+_Static_assert(NF_DSHOT_ALL_MOTORS == UINT8_MAX, "as MSP says it");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US says otherwise");
 
 /* --- Boot --------------------------------------------------------------------------------------------- */
@@ -97,7 +98,8 @@ static enum nf_refusal test_motors(void *context, uint32_t magic)
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
-	return motor_test_ask(&fw->motor_test, magic, firmware_stopped(fw));
+	return motor_test_ask(&fw->motor_test, magic,
+			      fw->status.state == NF_FLIGHT_DISARMED && !dshot_command_busy(&fw->dshot_command));
 }
 
 static enum nf_refusal turn_motors(void *context, const uint16_t values_us[], size_t count)
@@ -117,8 +119,8 @@ static enum nf_refusal command_motors(void *context, unsigned motor, unsigned co
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
-	return dshot_command_ask(&fw->dshot_command, command, motor == UINT8_MAX ? NF_DSHOT_ALL_MOTORS : motor,
-				 firmware_stopped(fw));
+	return dshot_command_ask(&fw->dshot_command, command, motor,
+				 !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test));
 }
 
 static enum nf_refusal reboot(void *context)

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CHANNEL_ROLL, CHANNEL_YAW
+from toolchain.contract import (
+    CHANNEL_ROLL,
+    CHANNEL_YAW,
+    GYRO_BAD_MS,
+    ArmingReason,
+    DshotCommand,
+    FlightState,
+    GyroHealth,
+)
 
 Make = Callable[..., Any]
 
@@ -158,3 +166,81 @@ def test_any_receiver_bytes_are_survived_when_they_are_random(bench: Make) -> No
     for _ in range(3000):
         b.send(rng.integers(0, 256, rng.integers(0, 60), np.uint8).tobytes())
         assert b.sample() == [0, 0, 0, 0]
+
+
+def test_a_dshot_command_reaches_the_motors_and_nothing_arms_when_one_is_asked_for(
+    bench: Make, puppet: Any
+) -> None:
+    b = bench(1000)
+    b.run(1100)
+    command = puppet.ffi.addressof(b.fw, "dshot_command")
+    assert puppet.lib.dshot_command_ask(command, DshotCommand.DIRECTION_2, 1, True) == 0
+    rows = [b.sample() for _ in range(100)]
+    assert [0, 8, 0, 0] in rows
+    assert {tuple(row) for row in rows} <= {(0, 0, 0, 0), (0, 8, 0, 0)}
+    assert puppet.lib.dshot_command_ask(command, DshotCommand.BEACON_1, 0, True) == 0
+    b.run(20, arm=2000)
+    assert not b.armed
+    assert b.reasons & 1 << ArmingReason.MOTOR_TEST
+
+
+def test_motors_stop_and_everything_waits_on_when_the_gyro_is_silent(bench: Make, puppet: Any) -> None:
+    b = bench(1000)
+    b.arm()
+    puppet.lib.puppet_action = [0.5] * 4
+    assert min(b.run(20, arm=2000)) > 48
+    values = puppet.new("uint16_t[4]", [9] * 4)
+    before = puppet.lib.firmware_samples(b.fw)
+    puppet.lib.firmware_gyro_silent(b.fw, values)
+    assert list(values) == [0] * 4
+    assert puppet.lib.firmware_samples(b.fw) == before + GYRO_BAD_MS
+    assert (b.status.state, b.status.gyro_health) == (FlightState.FAULT, GyroHealth.SILENT)
+    assert b.run(100, arm=2000) == [0] * 4
+    assert b.status.gyro_health == GyroHealth.GOOD
+
+
+def test_a_silent_gyro_lets_the_receiver_age_when_nothing_flies(bench: Make, puppet: Any) -> None:
+    b = bench(1000)
+    b.run(1100)
+    values = puppet.new("uint16_t[4]")
+    for _ in range(50):
+        puppet.lib.firmware_gyro_silent(b.fw, values)
+    assert b.reasons & 1 << ArmingReason.RECEIVER_LOST
+    assert b.reasons & 1 << ArmingReason.GYRO_BAD
+    assert b.status.state == FlightState.DISARMED
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "level"), [(0, True), (24, True), (26, False), (90, False), (180, False)]
+)
+def test_it_arms_only_within_the_tilt_that_is_set_when_it_stands_still(
+    bench: Make, tilt_deg: float, level: bool
+) -> None:
+    b = bench(1000)
+    angle = np.radians(tilt_deg)
+    b.accel = (0, round(2048 * np.sin(angle)), round(2048 * np.cos(angle)))
+    b.run(1100)
+    assert b.reasons == (0 if level else 1 << ArmingReason.NOT_LEVEL)
+    b.run(20, arm=2000)
+    assert b.armed is level
+
+
+def test_motors_stand_with_the_throttle_low_when_motor_stop_is_set(bench: Make) -> None:
+    b = bench(1000, motor_stop=1)
+    b.arm()
+    assert b.run(20, arm=2000) == [0] * 4
+    assert b.armed
+    assert min(b.run(20, arm=2000, throttle=1300)) > 48
+
+
+def test_reasons_of_the_background_forbid_arming_when_they_hold(bench: Make, puppet: Any) -> None:
+    b = bench(1000)
+    b.run(1100)
+    for reason in (ArmingReason.BATTERY_UNKNOWN, ArmingReason.FAULT, ArmingReason.STORING):
+        puppet.lib.firmware_forbid(b.fw, reason, True)
+        b.run(20, arm=2000)
+        assert not b.armed
+        assert b.reasons & 1 << reason
+        puppet.lib.firmware_forbid(b.fw, reason, False)
+        b.run(20)
+        assert b.reasons == 0

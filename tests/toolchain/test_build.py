@@ -8,12 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from toolchain.build import TARGETS, MakeError, build
 from toolchain.errors import BuildError, NeuroflightError, PolicyError
 from toolchain.image import read_image
 from toolchain.mca import find_pricer
+from toolchain.pid_table import PidTable
+from toolchain.report import built_idle
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
@@ -166,6 +169,34 @@ def test_report_says_what_was_built_when_it_succeeds(tmp_path: Path, policy_file
     ]
     generated = sorted(p.name for p in (root / "firmware" / "generated" / "HOST").iterdir())
     assert generated == ["nf_contract.h", "pid_table.c", "policy.c", "policy.h"]
+
+
+def table(motors: int) -> PidTable:
+    return PidTable("nf9", "tuned", np.full((3, 3), 0.5), 15.0, 0.125, np.ones((motors, 3)))
+
+
+def test_the_pid_stands_in_report_and_sources_when_one_is_given(tmp_path: Path, policy_file: Path) -> None:
+    root = project(tmp_path / "root")
+    build("HOST", policy_file, root, pid=table(4))
+    written = json.loads((root / "build" / "HOST" / "report.json").read_text())
+    assert written["pid"] == {"aircraft": "nf9", "name": "tuned", "idle": 0.125}
+    source = (root / "firmware" / "generated" / "HOST" / "pid_table.c").read_text()
+    assert "PID tuned of aircraft nf9" in source and ".idle = 0.125f" in source
+    product = root / "build" / "HOST" / "neuroflight"
+    assert built_idle(product, pid=True) == 0.125
+    build("HOST", policy_file, root)
+    assert json.loads((root / "build" / "HOST" / "report.json").read_text())["pid"] is None
+    with pytest.raises(BuildError, match="has no PID built in; build it with --aircraft"):
+        built_idle(product, pid=True)
+
+
+def test_build_is_refused_when_the_pid_is_of_another_number_of_motors(
+    tmp_path: Path, policy_file: Path
+) -> None:
+    root = project(tmp_path / "root")
+    with pytest.raises(BuildError, match="the PID of aircraft nf9 drives 6 motors, HOST has 4"):
+        build("HOST", policy_file, root, pid=table(6))
+    assert not (root / "build").exists()
 
 
 def test_products_and_sources_keep_their_dates_when_nothing_changed(
