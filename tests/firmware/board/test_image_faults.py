@@ -212,3 +212,12 @@ def test_the_watchdog_waits_half_a_second_and_stands_still_for_a_debugger_when_s
     assert fast > 0.3 and slow < 1
     assert sketch.field("DBGMCU_APB1FZ", "DBG_IWDG_STOP") == 1
     assert sketch.sins == []
+
+
+def test_the_watchdog_runs_all_the_same_when_it_does_not_take_its_numbers(
+    make_sketch: Callable[..., Any], symbols: dict[str, int]
+) -> None:
+    sketch = make_sketch()
+    sketch.on_read = lambda register: sketch.poke(register.address, 3) if register.name == "IWDG_SR" else None
+    sketch.run(symbols["power_start"])
+    assert sketch.sins == []

@@ -204,3 +204,12 @@ def test_reading_is_memory_when_asked_where(flash: Flash, symbols: dict[str, int
     assert (
         flash.sketch.call_with(symbols["hal_flash_at"], FLASH_SECTORS[4].address) == FLASH_SECTORS[4].address
     )
+
+
+def test_nothing_is_written_when_flash_stays_busy(flash: Flash) -> None:
+    flash.busy = 1 << 30
+    flash.sketch.poke(0x40023C0C, BSY)
+    assert not flash.program(FLASH_SECTORS[4].address, b"\0" * 4)
+    assert flash.words == []
+    assert flash.control & LOCK
+    assert flash.fed_while_busy > 0

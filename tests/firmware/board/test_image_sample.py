@@ -121,11 +121,12 @@ def test_an_icm20689_is_read_more_slowly_when_it_answers(board_with: Callable[[i
     assert flight.counts == [(1, 2, 3)]
 
 
-@pytest.mark.parametrize(("identity", "alignment"), [(0x70, 2), (0x98, 1)])  # CW180, CW90
-def test_the_board_says_how_its_chip_is_turned_when_it_is_known(
-    identity: int, alignment: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
+@pytest.mark.parametrize(("identity", "alignment", "chip"), [(0x70, 2, 0), (0x98, 1, 1)])  # CW180, CW90
+def test_the_board_says_which_chip_it_has_and_how_it_is_turned_when_it_is_known(
+    identity: int, alignment: int, chip: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
 ) -> None:
-    assert board_with(identity).sketch.peek(symbols["info"]) == alignment  # struct hal_info begins with it
+    sketch = board_with(identity).sketch
+    assert bytes(sketch.uc.mem_read(symbols["info"], 2)) == bytes([alignment, chip])  # struct hal_info
 
 
 def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[[int], Flight]) -> None:
