@@ -404,6 +404,7 @@ static void explain(struct engine *e, uc_err error)
 		const bool write = error == UC_ERR_WRITE_UNMAPPED || error == UC_ERR_WRITE_PROT;
 		const bool closed = mpu_closes(e, at);
 		const char *where = at < RAM_BASE && at >= RAM_BASE - 0x10000u ? "below DTCM: the stack overflows" :
+				    e->flash_stored          ? "the second store to flash by one instruction" :
 				    at < ITCM_BYTES && write ? "in ITCM after its copy" :
 				    host(e, at, 1) != NULL   ? "in memory that is read-only" :
 							       "where nothing is";

@@ -218,6 +218,17 @@ def test_a_store_to_flash_goes_to_its_controller_when_there_is_one(boot: Boot) -
     assert engine.memory(0x00210008, 4) == b"\xcd\xab\xff\xff"
 
 
+def test_two_stores_to_flash_are_an_error_when_one_instruction_makes_them(boot: Boot) -> None:
+    source = (
+        'HANDLER reset(void) { __asm volatile("strd r0, r1, [%0]" :: "r"(0x08010000)); REST(); } VECTORS();'
+    )
+    engine = boot(source)
+    engine.on_flash_store(lambda address, size, value: None)
+    with pytest.raises(BoardError, match="0x08010004, the second store to flash by one instruction"):
+        engine.run()
+    assert engine.memory(0x08010000, 8) == b"\xff" * 8
+
+
 def test_fetches_from_flash_wait_when_it_is_busy(boot: Boot, attach: Callable[..., Any]) -> None:
     source = (
         'HANDLER reset(void) { REG(DEVICE + 4) = 1; __asm volatile("nop"); REG(DEVICE + 4) = 2; REST(); }'
