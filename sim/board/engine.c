@@ -258,7 +258,7 @@ static void drop_block(struct engine *e, uint32_t row)
 {
 	if (e->blocks[row] != NULL)
 		count_block(e, e->blocks[row]);
-	block_free(e->blocks[row]);
+	free(e->blocks[row]);
 	e->blocks[row] = NULL;
 }
 

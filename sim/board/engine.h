@@ -293,7 +293,6 @@ uc_err memory_map(struct engine *e);
 
 /* engine_thumb.c */
 struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);
-void block_free(struct block *block);
 
 /* engine_exception.c */
 void exceptions_reset(struct engine *e);

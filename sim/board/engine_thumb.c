@@ -196,7 +196,9 @@ static bool is_known(const struct special *s, uint32_t aligned, uint32_t seen)
 
 struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 {
-	struct block *block = calloc(1, sizeof *block);
+	/* One piece of memory: a run of code touches as few places as it may. */
+	const size_t most = size / 2u + 1u;
+	struct block *const block = calloc(1, sizeof *block + most * (sizeof *block->specials + sizeof *block->offsets));
 	uint32_t aligned = 0, seen = 0, covered = opening;
 
 	if (block == NULL)
@@ -204,12 +206,8 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 	block->size = size;
 	block->opening = (uint16_t)opening;
 	block->float_offset = UINT16_MAX;
-	block->offsets = calloc(size / 2u + 1u, sizeof *block->offsets);
-	block->specials = calloc(size / 2u + 1u, sizeof *block->specials);
-	if (block->offsets == NULL || block->specials == NULL) {
-		block_free(block);
-		return NULL;
-	}
+	block->specials = (struct special *)(block + 1);
+	block->offsets = (uint16_t *)(block->specials + most);
 	for (uint32_t at = 0; at < size;) {
 		struct instruction i = decode(code + at, size - at);
 
@@ -233,13 +231,4 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 	}
 	block->open = (uint16_t)covered;
 	return block;
-}
-
-void block_free(struct block *block)
-{
-	if (block == NULL)
-		return;
-	free(block->offsets);
-	free(block->specials);
-	free(block);
 }

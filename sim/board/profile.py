@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim.board.cpu_library import Node, Task
 from sim.board.engine import CODE_HALFWORDS, FRACTION, ITCM_BYTES, Engine, code_row, row_address
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
+from toolchain.disassembly import disassemble
 from toolchain.errors import BuildError
 
 EXCEPTIONS = 16 + 104
@@ -50,6 +51,21 @@ class FunctionCount:
     instructions: int
     calls: int  # how often its first instruction was executed
     covered: int  # different instructions that were executed
+
+
+@dataclass(frozen=True)
+class FunctionCoverage:
+    """A function of the image and what of it was never executed."""
+
+    name: str
+    address: int
+    instructions: int  # that it has
+    missed: tuple[int, ...]  # their addresses
+
+    @property
+    def share(self) -> float:
+        """Of its instructions that were executed, 0 to 1."""
+        return 1 - len(self.missed) / self.instructions
 
 
 def execution_counts(engine: Engine) -> dict[int, int]:
@@ -99,6 +115,26 @@ def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
     return tuple(
         FunctionCount(names[start], start, total, executed.get(start, 0), covered[start])
         for start, total in sorted(instructions.items(), key=lambda item: (-item[1], item[0]))
+    )
+
+
+def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
+    """Every function of the image, executed or not, by address. Raises BuildError without an ELF."""
+    if engine.places is None:
+        raise BuildError("coverage needs the image's ELF file")
+    executed = execution_counts(engine)
+    functions: dict[int, list[int]] = {}
+    names: dict[int, str] = {}
+    for address in disassemble(engine.places.path):
+        symbol = engine.places.function(address)
+        if symbol is not None:
+            names[symbol.address] = symbol.name
+            functions.setdefault(symbol.address, []).append(address)
+    return tuple(
+        FunctionCoverage(
+            names[start], start, len(addresses), tuple(a for a in addresses if a not in executed)
+        )
+        for start, addresses in sorted(functions.items())
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from sim.board.engine import Engine
 from sim.board.profile import (
+    coverage,
     execution_counts,
     folded_stacks,
     function_counts,
@@ -106,6 +107,16 @@ def test_counts_lie_on_instructions_when_held_against_the_disassembly(boot: Boot
     executed = execution_counts(engine)
     assert set(executed) <= set(code)
     assert sum(executed.values()) == engine.instructions
+
+
+def test_what_was_never_executed_is_named_when_asked_for(boot: Boot) -> None:
+    engine = boot(CALLING)
+    engine.run()
+    found = {f.name: f for f in coverage(engine)}
+    assert found["never"].share == 0 and len(found["never"].missed) == 2
+    assert found["leaf"].share == 1
+    assert len(found["reset"].missed) == 1  # the branch behind the last WFI
+    assert found["reset"].missed[0] in range(engine.symbols["reset"], engine.symbols["reset"] + 80)
 
 
 def test_one_line_says_so_when_there_is_nothing_to_name_functions_by(boot: Boot) -> None:
