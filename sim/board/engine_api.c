@@ -114,11 +114,14 @@ void engine_reset(struct engine *e, uint32_t vectors)
 
 int engine_attach(struct engine *e, uint32_t base, uint32_t size)
 {
-	int16_t *pages = base - APB_BASE < APB_BYTES   ? &e->apb[(base - APB_BASE) >> 10] :
-			 base - AHB2_BASE < AHB2_BYTES ? &e->ahb2[(base - AHB2_BASE) >> 10] :
-			 base >= PPB_BASE && base - PPB_BASE < PPB_BYTES ? &e->ppb[(base - PPB_BASE) >> 10] :
-									   NULL;
+	int16_t *pages = NULL;
 
+	if (inside(base, size, APB_BASE, APB_BYTES))
+		pages = &e->apb[(base - APB_BASE) >> 10];
+	else if (inside(base, size, AHB2_BASE, AHB2_BYTES))
+		pages = &e->ahb2[(base - AHB2_BASE) >> 10];
+	else if (inside(base, size, PPB_BASE, PPB_BYTES))
+		pages = &e->ppb[(base - PPB_BASE) >> 10];
 	if (pages == NULL || e->window_count == WINDOW_MAX || (base | size) & 0x3FFu)
 		return -1;
 	for (uint32_t i = 0; i < size >> 10; ++i)

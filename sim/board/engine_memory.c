@@ -67,11 +67,11 @@ void fail(struct engine *e, const char *format, ...)
 
 static int window_at(const struct engine *e, uint32_t address)
 {
-	if (address - APB_BASE < APB_BYTES)
+	if (inside(address, 1, APB_BASE, APB_BYTES))
 		return e->apb[(address - APB_BASE) >> 10];
-	if (address - AHB2_BASE < AHB2_BYTES)
+	if (inside(address, 1, AHB2_BASE, AHB2_BYTES))
 		return e->ahb2[(address - AHB2_BASE) >> 10];
-	return address >= PPB_BASE && address - PPB_BASE < PPB_BYTES ? e->ppb[(address - PPB_BASE) >> 10] : -1;
+	return inside(address, 1, PPB_BASE, PPB_BYTES) ? e->ppb[(address - PPB_BASE) >> 10] : -1;
 }
 
 uint32_t device_read(struct engine *e, uint32_t address, uint32_t size)

@@ -128,7 +128,7 @@ def test_accesses_carry_their_exact_time_when_they_share_a_run(
 def test_a_place_is_refused_when_it_is_taken(boot: Boot, attach: Callable[..., Any]) -> None:
     engine = boot(NOTHING)
     device = attach(engine)
-    for base, size in ((0x40000000, 0x400), (0x40000200, 0x400), (0x20000000, 0x400)):
+    for base, size in ((0x40000000, 0x400), (0x40000200, 0x400), (0x20000000, 0x400), (0x4007FC00, 0x800)):
         with pytest.raises(ValueError, match="taken"):
             engine.attach(base, size, device, "OTHER")
 
