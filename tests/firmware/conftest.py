@@ -458,8 +458,12 @@ class Program:
 
     def close(self) -> None:
         if self.process.poll() is None:
+            self.process.terminate()  # and it writes down what a measured build has counted
+        try:
+            self.process.wait(WAIT_S)
+        except subprocess.TimeoutExpired:
             self.process.kill()
-        self.process.wait()
+            self.process.wait()
         for stream in (self.process.stdout, self.process.stderr):
             if stream is not None:
                 stream.close()
