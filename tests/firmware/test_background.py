@@ -1,0 +1,215 @@
+"""background.c: the boot, what MSP may change and when, and what the background tells, around the puppet."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flash import messages, records
+from flash.client import Client
+from sim import sticks
+from sim.reference_port import Reference
+from toolchain.contract import (
+    MOTOR_TEST_MAGIC,
+    MOTOR_TEST_TIMEOUT_MS,
+    DshotCommand,
+    FlightState,
+    GyroHealth,
+    Msp,
+    Task,
+)
+from toolchain.errors import LinkError
+
+G = 9.80665
+Make = Callable[..., "Board"]
+
+
+class Board:
+    """The whole firmware as a library, a millisecond a step."""
+
+    def __init__(self, library: Path, **settings: float) -> None:
+        self.core = Reference(library, 1000, settings)
+        self.client = Client(self.core)
+        self.ms, self.arm, self.heard, self.values = 0, False, True, b""
+
+    def run(self, ms: int, force: tuple[float, float, float] = (0.0, 0.0, G)) -> list[int]:
+        for _ in range(ms):
+            if self.heard and self.ms % 10 == 0:
+                self.core.receiver(sticks.channels((0.0, 0.0, 0.0), 0.0, armed=self.arm).tolist())
+            x, y, z = force
+            self.values = self.core.sample(np.zeros(3), np.array([x, y, z + 0.01 * (self.ms % 2)]))
+            self.ms += 1
+        return list(np.frombuffer(self.values, np.uint16)[:4])
+
+    def fly(self) -> None:
+        self.run(1100)
+        self.arm = True
+        self.run(30)
+        assert self.safety.state == FlightState.ARMED
+
+    def ask(self, command: Msp, payload: bytes = b"") -> bytes:
+        return self.client.request(command, payload)
+
+    @property
+    def safety(self) -> records.Safety:
+        return records.safety(self.ask(Msp.SAFETY))
+
+    @property
+    def reasons(self) -> set[str]:
+        return set(messages.arming_reasons(self.safety.arming_flags))
+
+
+@pytest.fixture
+def board(puppet_build: Path, puppet: Any) -> Make:
+    """Boots boards; the puppet's strings hang loose."""
+    puppet.lib.puppet_action = [0.0] * 4
+    return lambda **settings: Board(puppet_build / "libneuroflight.so", **settings)
+
+
+def test_it_boots_and_is_ready_when_all_is_well(board: Make) -> None:
+    b = board()
+    b.run(1100)
+    assert b.reasons == set()
+    state = messages.battery_state(b.ask(Msp.BATTERY_STATE))
+    assert (state.cells, state.level) == (4, messages.BatteryLevel.GOOD)
+    assert state.voltage_v == pytest.approx(16.8, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"battery_low_v": 4.0},
+        {"map_roll": 1},
+        {"nothing": 1},
+        {"roll_expo": 2.0},
+        {"gyro_stuck_ms": -1},
+        {"gyro_stuck_ms": 2**33},
+        {"failsafe_stage": 0.5},
+        {"a_name_that_is_longer_than_that_of_any_setting": 1},
+    ],
+)
+def test_it_does_not_boot_when_settings_are_none_or_contradict_each_other(
+    board: Make, settings: dict[str, float]
+) -> None:
+    with pytest.raises(LinkError, match="refuses the settings"):
+        board(**settings)
+
+
+@pytest.mark.parametrize(
+    "filters", [{"filter1_kind": 1}, {"dynamic_notch_count": 1, "dynamic_notch_high_hz": 300}]
+)
+def test_the_policy_is_bad_when_it_was_trained_behind_other_filters(
+    board: Make, filters: dict[str, float]
+) -> None:
+    b = board(**filters)
+    b.run(1100)
+    assert b.reasons == {"POLICY_BAD"}
+
+
+def test_the_chip_is_turned_as_set_when_the_board_is_not_asked(board: Make) -> None:
+    straight, turned = board(), board(gyro_alignment=1)
+    for b in (straight, turned):
+        for _ in range(5):
+            b.core.sample(np.array([0.5, 0.25, 0.1]), np.array([0.0, 0.0, G]))
+    assert list(straight.core.trace().gyro) == pytest.approx([0.5, 0.25, 0.1], abs=1e-3)
+    assert list(turned.core.trace().gyro) == pytest.approx([-0.5, -0.25, 0.1], abs=1e-3)
+
+
+def test_settings_are_saved_only_when_nothing_flies(board: Make) -> None:
+    b = board()
+    b.run(1100)
+    b.ask(Msp.EEPROM_WRITE)
+    b.run(20)
+    assert b.reasons == set()
+    b.arm = True
+    b.run(30)
+    with pytest.raises(LinkError):
+        b.ask(Msp.EEPROM_WRITE)
+    b.run(30)
+    assert b.safety.state == FlightState.ARMED
+
+
+def test_it_starts_anew_only_when_nothing_flies(board: Make) -> None:
+    b = board()
+    b.run(1100)
+    b.ask(Msp.REBOOT)
+    b.arm = True
+    b.run(30)
+    with pytest.raises(LinkError):
+        b.ask(Msp.REBOOT)
+
+
+def test_a_motor_turns_while_its_value_is_given_anew_when_the_test_is_open(board: Make) -> None:
+    b = board()
+    b.run(1100)
+    with pytest.raises(LinkError):
+        b.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
+    for _ in range(2):
+        b.ask(Msp.MOTOR_TEST, struct.pack("<I", MOTOR_TEST_MAGIC))
+        b.run(2)
+    b.ask(Msp.SET_MOTOR, struct.pack("<4H", 1000, 1100, 1000, 1000))
+    assert b.run(5) == [0, 248, 0, 0]
+    with pytest.raises(LinkError):
+        b.ask(Msp.DSHOT_COMMAND, bytes([0, DshotCommand.BEACON_1]))
+    with pytest.raises(LinkError):
+        b.ask(Msp.SET_MOTOR, struct.pack("<9H", *[1000] * 9))
+    assert b.run(MOTOR_TEST_TIMEOUT_MS + 2) == [0] * 4
+    b.arm = True
+    b.run(30)
+    assert b.safety.state == FlightState.DISARMED, "the switch came too early"
+
+
+def test_a_silent_gyro_keeps_the_background_going_when_it_is_told(board: Make) -> None:
+    b = board()
+    b.fly()
+    assert not any(b.core.silent())
+    assert b.safety.gyro_health == GyroHealth.SILENT
+    assert b.safety.state == FlightState.FAULT
+    runs = {load.task: load.runs for load in records.tasks(b.ask(Msp.TASKS)).loads}
+    b.run(100)
+    later = {load.task: load.runs for load in records.tasks(b.ask(Msp.TASKS)).loads}
+    assert later[Task.BATTERY] - runs[Task.BATTERY] in (10, 11, 12)
+
+
+def test_the_tasks_run_at_their_rates_when_samples_come(board: Make) -> None:
+    b = board()
+    b.run(1005)
+    loads = {load.task: load for load in records.tasks(b.ask(Msp.TASKS)).loads}
+    # Due at sample 0, and again at 1000.
+    assert loads[Task.BATTERY].runs == loads[Task.BATTERY].rate_hz + 1 == 101
+    assert loads[Task.ALERT].runs == loads[Task.ALERT].rate_hz + 1 == 51
+    assert loads[Task.CONTROL].rate_hz == 1000
+
+
+def test_sticks_by_msp_are_refused_when_the_receiver_is_another(board: Make) -> None:
+    b = board()
+    b.run(100)
+    with pytest.raises(LinkError):
+        b.ask(Msp.SET_RAW_RC, struct.pack("<16H", *[1500] * 16))
+
+
+def test_sticks_by_msp_are_flown_one_frame_a_step_when_that_is_the_receiver(board: Make) -> None:
+    b = board(receiver_protocol=2)
+    b.heard = False
+    frame = struct.pack("<16H", 1600, 1500, 1000, 1500, *[1000] * 12)
+    for _ in range(30):
+        b.ask(Msp.SET_RAW_RC, frame)
+        with pytest.raises(LinkError):
+            b.ask(Msp.SET_RAW_RC, frame)
+        b.run(10)
+    assert np.rad2deg(list(b.core.trace().setpoint)) == pytest.approx([200, 0, 0])
+
+
+def test_the_link_is_lost_and_the_motors_descend_when_that_is_the_stage(board: Make) -> None:
+    b = board(failsafe_stage=1, failsafe_descend_ms=200, failsafe_throttle=0.5)
+    b.fly()
+    b.heard = False
+    assert b.run(390) == [48] * 4
+    assert b.run(100) == [1048] * 4
+    assert b.safety.state == FlightState.FAILSAFE_DROP
+    assert b.run(200) == [0] * 4
