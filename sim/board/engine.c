@@ -524,10 +524,13 @@ static void execute(struct engine *e)
 /* What a first instruction in ITCM, or one in busy flash, must wait for. */
 static void prepare_fetch(struct engine *e)
 {
-	if (e->s.pc < ITCM_BYTES)
+	if (e->s.pc < ITCM_BYTES) {
 		close_itcm(e);
-	else if (e->s.flash_busy << FRACTION > e->s.time)
-		e->s.time = e->next_due < e->s.flash_busy << FRACTION ? e->next_due : e->s.flash_busy << FRACTION;
+	} else if (e->s.flash_busy << FRACTION > e->s.time) {
+		e->s.time = e->s.flash_busy << FRACTION;
+		e->s.time = e->next_due < e->s.time ? e->next_due : e->s.time;
+		e->s.time = e->until < e->s.time ? e->until : e->s.time;
+	}
 }
 
 static bool is_stalled(const struct engine *e)
@@ -562,7 +565,7 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 			}
 		}
 		prepare_fetch(e);
-		if (is_stalled(e) || e->next_due <= e->s.time)
+		if (is_stalled(e) || e->next_due <= e->s.time || e->s.time >= e->until)
 			continue;
 		const uint32_t exception = deliverable(e);
 		if (exception != EXC_THREAD) {

@@ -243,6 +243,8 @@ def test_fetches_from_flash_wait_when_it_is_busy(boot: Boot, attach: Callable[..
             engine.flash_busy(5_000_000)
 
     engine._writes[0] = busy
+    engine.run_to(3_000_000)
+    assert engine.cycle == 3_000_000  # nothing runs past the time asked for
     engine.run()
     assert device.times[0] < 1000
     assert device.times[1] >= 5_000_000
