@@ -403,6 +403,7 @@ class DmaSystem:
     # Of the controllers
 
     def link(self, sources: tuple[str, ...], controller: Dma, stream: int) -> None:
+        self.sync(sources)  # what has passed until now passed without the stream
         for source in sources:
             other = self._streams.get(source)
             if other is not None:

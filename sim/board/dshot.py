@@ -49,6 +49,7 @@ class Esc:
         self._fail = fail
         self._bits: tuple[int, ...] = ()  # high times [cycles] of a frame that is not complete yet
         self._length = 0  # of its bits [cycles]
+        self._next = 0  # cycle at which its next bit has to begin
         self._rest_since = -TIME_HZ  # the end of the last frame's last bit
 
     def pulses(self, start: int, length: int, highs: Sequence[int]) -> None:
@@ -65,12 +66,15 @@ class Esc:
                 self._fail(
                     f"motor {self.motor}: a bit lasts {_us(length)}, the one before it {_us(self._length)}"
                 )
+            elif start + position * length != self._next:
+                self._fail(f"motor {self.motor}: a frame pauses after {len(self._bits)} bits")
             taken = tuple(highs[position : position + FRAME_BITS - len(self._bits)])
             if 0 in taken:
                 missing = len(self._bits) + taken.index(0)
                 self._fail(f"motor {self.motor}: a frame ends after {missing} bits, expected {FRAME_BITS}")
             self._bits += taken
             position += len(taken)
+            self._next = start + position * length
             if len(self._bits) == FRAME_BITS:
                 self._close(start + position * length)
 
@@ -97,10 +101,12 @@ class Esc:
             self.protocol = self.last = None
 
     def state(self) -> Any:  # noqa: ANN401
-        return (self.protocol, self.frames, self.last, self._bits, self._length, self._rest_since)
+        bits = (self._bits, self._length, self._next)
+        return (self.protocol, self.frames, self.last, self._rest_since, bits)
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.protocol, self.frames, self.last, self._bits, self._length, self._rest_since = state
+        self.protocol, self.frames, self.last, self._rest_since, bits = state
+        self._bits, self._length, self._next = bits
 
     def _open(self, cycle: int, length: int) -> None:
         gap = (cycle - self._rest_since) / TIME_HZ

@@ -539,6 +539,11 @@ static void stream_enable(struct hot *h, uint32_t controller, uint32_t stream)
 			return;
 		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = h->s.epoch;
 	}
+	/* What has passed until now passed without the stream. */
+	if (s->judged[0] >= PYTHON_SOURCE)
+		h->source((uint32_t)s->judged[0], true);
+	else
+		drive(h, s->judged[0], true);
 	memcpy(s->sources, s->judged, sizeof s->sources);
 	s->total = w[1];
 	s->moved = 0;
@@ -724,20 +729,11 @@ static void spi_exchange(struct hot *h, uint8_t *bytes, uint32_t count)
 	}
 }
 
-static void spi_sync(struct hot *h)
+/* Moves up to `passed` bytes; false: the line rests. */
+static bool spi_shift(struct hot *h, uint64_t passed)
 {
 	uint8_t bytes[PERIODS];
 
-	if (h->s.begun == NEVER) {
-		spi_fetch(h);
-		return;
-	}
-	const uint64_t length = byte_cycles(h);
-	uint64_t passed = (now(h) - h->s.begun) / length;
-	const uint64_t all = h->s.sending_count + spi_waiting(h);
-
-	passed = passed < all ? passed : all;
-	spi_fetch(h);
 	while (passed != 0u && !h->failed) {
 		const uint32_t part = passed < PERIODS ? (uint32_t)passed : PERIODS;
 		uint32_t count = 0;
@@ -745,19 +741,31 @@ static void spi_sync(struct hot *h)
 		while (count < part && h->s.sending_count != 0u) {
 			bytes[count++] = h->s.sending[0];
 			memmove(h->s.sending, h->s.sending + 1, --h->s.sending_count);
-			if (count < part || h->s.sending_count < FIFO_BYTES)
-				spi_fetch(h);
+			spi_fetch(h);
 		}
-		if (count == 0u)
-			break;
-		h->s.begun += count * length;
+		h->s.begun += count * byte_cycles(h);
 		passed -= count;
 		spi_exchange(h, bytes, count);
-		if (h->s.sending_count == 0u && spi_waiting(h) == 0u) {
+		if (h->s.sending_count == 0u) {
 			h->s.begun = NEVER;
-			break;
+			return false;
 		}
 	}
+	return true;
+}
+
+static void spi_sync(struct hot *h)
+{
+	while (h->s.begun != NEVER && !h->failed) {
+		const uint64_t passed = (now(h) - h->s.begun) / byte_cycles(h);
+		const uint64_t all = h->s.sending_count + spi_waiting(h);
+
+		spi_fetch(h);
+		if (passed == 0u || !spi_shift(h, passed < all ? passed : all))
+			break;
+	}
+	if (h->s.begun == NEVER)
+		spi_fetch(h);
 	spi_update(h);
 }
 
@@ -995,7 +1003,7 @@ static void timer_show(struct hot *h, uint32_t t, uint32_t channel, uint64_t sta
 	struct train *const train = &h->s.timers[t].trains[channel];
 	const uint64_t length = timer_period(h, t);
 
-	if (train->count != 0u && train->length != length) {
+	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
 		h->pulses(t, channel + 1u, train->start, train->length, train->count, train->highs);
 		train->count = 0;
 	}
@@ -1203,7 +1211,7 @@ static uint32_t timer_read(struct hot *h, uint32_t device, uint32_t slot)
 		ask(h, ASK_DMAR, t, 0, 0);
 		return 0;
 	}
-	if (slot != T_CNT && slot != T_SR && slot != T_CR1)
+	if (slot != T_CNT && slot != T_SR && slot != T_CR1 && (slot < T_CCR1 || slot > T_CCR4))
 		return w[slot];
 	timer_sync(h, t);
 	if (slot == T_CNT)

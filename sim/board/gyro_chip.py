@@ -189,6 +189,11 @@ class GyroChip:
 
     # On the bus
 
+    @property
+    def selected(self) -> bool:
+        """Whether its select line is low."""
+        return self._selected
+
     def exchange(self, sent: Sequence[int], hz: float, mode: int) -> list[int] | None:
         """Bytes of a transaction (sim.board.spi.SpiSlave)."""
         if not self._selected:

@@ -80,18 +80,16 @@ class Spi(Device):
 
     def sync(self) -> None:
         """Move the bytes that have passed up to now."""
-        if self._begun is None:
-            self._fetch(0)
-            return
-        done = (self.context.cycle - self._begun) // self.byte_cycles
-        waiting = self._from_memory()
-        done = min(done, len(self._sending) + waiting)
-        self._fetch(done)
-        if not done:
-            return
-        self._exchange(done)
-        self._begun = self._begun + done * self.byte_cycles if self._sending else None
-        self._update_irq()
+        while self._begun is not None:
+            done = (self.context.cycle - self._begun) // self.byte_cycles
+            done = min(done, len(self._sending) + self._from_memory())
+            self._fetch(done)
+            if not done:
+                return
+            self._exchange(done)
+            self._begun = self._begun + done * self.byte_cycles if self._sending else None
+            self._update_irq()
+        self._fetch(0)
 
     def dma_changed(self) -> None:
         self.sync()

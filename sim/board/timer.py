@@ -44,6 +44,7 @@ class Timer(Device):
         for source in self._sources.values():
             dma.connect(source, self)
         for i in range(1, CHANNELS + 1):
+            setattr(self, f"read_ccr{i}", lambda i=i: self._read_ccr(i))
             setattr(self, f"write_ccr{i}", lambda value, i=i: self._write_ccr(i, value))
 
     def _begin(self) -> None:
@@ -170,6 +171,25 @@ class Timer(Device):
             self._arr = value
         self._plan()
 
+    def read_cr1(self) -> int:
+        self.sync()  # in one-pulse mode the counter stops by itself
+        return self.words["CR1"]
+
+    def write_psc(self, value: int) -> None:
+        self.sync()
+        self.keep("PSC", value)
+        self._plan()
+
+    def write_dcr(self, value: int) -> None:
+        self.sync()
+        self.keep("DCR", value)
+        self._plan()
+
+    def write_cr2(self, value: int) -> None:
+        self.sync()
+        self.keep("CR2", value)
+        self._plan()
+
     def write_ccmr1(self, value: int) -> None:
         self.sync()
         self.keep("CCMR1", value)
@@ -199,6 +219,10 @@ class Timer(Device):
 
     def write_dmar(self, value: int) -> None:
         self.context.fail(f"{self.name}_DMAR is written by the program, expected by DMA")
+
+    def _read_ccr(self, channel: int) -> int:
+        self.sync()
+        return self.words[f"CCR{channel}"]
 
     def _write_ccr(self, channel: int, value: int) -> None:
         self.sync()

@@ -327,6 +327,13 @@ def test_frame_is_refused_when_an_esc_would_not_take_it(pulses: list[int], messa
         Esc(3, refuse).pulses(0, BIT, pulses)
 
 
+def test_bits_are_refused_when_there_is_a_pause_between_them() -> None:
+    esc = Esc(2, refuse)
+    esc.pulses(0, BIT, highs(frame_bits(48))[:8])
+    with pytest.raises(RefusedError, match="motor 2: a frame pauses after 8 bits"):
+        esc.pulses(9 * BIT, BIT, highs(frame_bits(48))[8:])
+
+
 def test_bits_are_refused_when_their_length_changes_within_a_frame() -> None:
     esc = Esc(2, refuse)
     esc.pulses(0, BIT, highs(frame_bits(48))[:8])
