@@ -310,10 +310,26 @@ int execution_priority(struct engine *e, bool with_primask);
 void system_reset_registers(struct engine *e);
 uint32_t system_read(struct engine *e, uint32_t address, uint32_t size);
 void system_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
+
+/* engine_counters.c */
+void counters_reset(struct engine *e);
 void systick_fire(struct engine *e);
 uint64_t systick_due(const struct engine *e);        /* time, NEVER */
+uint32_t systick_read(struct engine *e, uint32_t offset); /* from 0xE000E000 */
+void systick_write(struct engine *e, uint32_t offset, uint32_t value);
+void demcr_write(struct engine *e, uint32_t value);
+uint32_t dwt_read(struct engine *e, uint32_t offset); /* from 0xE0001000 */
+void dwt_write(struct engine *e, uint32_t offset, uint32_t value);
+
+/* engine_nvic.c; offsets from 0xE000E000 */
 bool mpu_closes(const struct engine *e, uint32_t address);
 bool data_is_cached(const struct engine *e, uint32_t address);
+uint32_t mpu_read(struct engine *e, uint32_t offset);
+void mpu_write(struct engine *e, uint32_t offset, uint32_t value);
+uint32_t nvic_read(struct engine *e, uint32_t offset);
+void nvic_write(struct engine *e, uint32_t offset, uint32_t value);
+uint32_t priorities(const struct engine *e, uint32_t exception, uint32_t size);
+void set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value);
 
 /* engine_profile.c */
 void profile_block(struct engine *e);

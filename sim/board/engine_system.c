@@ -1,5 +1,5 @@
-/* The core's own registers: NVIC, SCB, SysTick, MPU, floating point, caches, DWT (ARMv7-M DDI 0403E B3, C1;
- * Cortex-M7 TRM 3 to 5). Reserved bits set, and registers that are not here, are errors of the image. */
+/* The core's own registers (ARMv7-M DDI 0403E B3; Cortex-M7 TRM 3 to 5): SCB, floating point, caches, and where the
+ * others are found. Reserved bits set, and registers that are not here, are errors of the image. */
 #include <string.h>
 
 #include "engine.h"
@@ -15,16 +15,7 @@
 #define MVFR2 0x00000040u
 #define FPCCR_RESET 0xC0000000u
 #define MPU_TYPE (MPU_REGIONS << 8)
-#define DWT_UNLOCK 0xC5ACCE55u
-#define DWT_CYCCNTENA 1u
-#define DWT_CTRL_RESET 0x40000000u /* four comparators, which are not modelled */
-#define DEMCR_TRCENA (1u << 24)
-#define SYST_ENABLE 1u
-#define SYST_TICKINT 2u
-#define SYST_CORE 4u
-#define SYST_COUNTFLAG (1u << 16)
 #define VECTKEY 0x05FAu
-#define PRIORITY_BITS 0xF0u
 
 void system_reset_registers(struct engine *e)
 {
@@ -39,224 +30,7 @@ void system_reset_registers(struct engine *e)
 	s->mpu_ctrl = s->mpu_rnr = 0;
 	memset(s->mpu_rbar, 0, sizeof s->mpu_rbar);
 	memset(s->mpu_rasr, 0, sizeof s->mpu_rasr);
-	s->demcr = 0;
-	s->dwt_ctrl = DWT_CTRL_RESET;
-	s->dwt_held = s->dwt_zero = 0;
-	s->dwt_unlocked = false;
-	s->syst_csr = s->syst_rvr = s->syst_held = 0;
-	s->syst_zero = NEVER;
-}
-
-/* ---- SysTick (B3.3): counts core cycles; CLKSOURCE 0 is the core clock by 8 (RM0431 5.2) ---- */
-
-static uint64_t step(const struct state *s)
-{
-	return s->syst_csr & SYST_CORE ? 1u : 8u;
-}
-
-static uint64_t core_now(const struct engine *e)
-{
-	return core_cycles_at(e, now(e));
-}
-
-uint64_t systick_due(const struct engine *e)
-{
-	return e->s.syst_zero == NEVER ? NEVER : time_of_core_cycles(e, e->s.syst_zero);
-}
-
-void systick_fire(struct engine *e)
-{
-	struct state *s = &e->s;
-
-	s->syst_csr |= SYST_COUNTFLAG;
-	if (s->syst_csr & SYST_TICKINT)
-		pend(e, EXC_SYSTICK);
-	s->syst_zero = s->syst_rvr ? s->syst_zero + (s->syst_rvr + UINT64_C(1)) * step(s) : NEVER;
-	s->syst_held = 0;
-}
-
-static uint32_t systick_value(const struct engine *e)
-{
-	const struct state *s = &e->s;
-
-	if (s->syst_zero == NEVER)
-		return s->syst_held;
-	const uint64_t left = (s->syst_zero - core_now(e) + step(s) - 1u) / step(s);
-	return left > s->syst_rvr ? 0u : (uint32_t)left;
-}
-
-/* The counter stands at `value` and goes on from there, when it may. */
-static void systick_go(struct engine *e, uint32_t value)
-{
-	struct state *s = &e->s;
-	const uint64_t left = value ? value : s->syst_rvr + UINT64_C(1);
-
-	s->syst_held = value;
-	s->syst_zero = s->syst_csr & SYST_ENABLE && s->syst_rvr + value != 0u ? core_now(e) + left * step(s) : NEVER;
-	alarms_changed(e);
-}
-
-/* ---- DWT (C1.8): the counter follows the core's cycles while DEMCR and DWT_CTRL let it ---- */
-
-static bool dwt_counts(const struct state *s)
-{
-	return s->demcr & DEMCR_TRCENA && s->dwt_ctrl & DWT_CYCCNTENA;
-}
-
-static uint32_t dwt_value(const struct engine *e)
-{
-	return dwt_counts(&e->s) ? (uint32_t)core_now(e) - e->s.dwt_zero : e->s.dwt_held;
-}
-
-static void dwt_change(struct engine *e, uint32_t demcr, uint32_t ctrl, uint32_t value)
-{
-	e->s.demcr = demcr;
-	e->s.dwt_ctrl = ctrl;
-	e->s.dwt_held = value;
-	e->s.dwt_zero = (uint32_t)core_now(e) - value;
-}
-
-/* ---- MPU (B3.5): kept and looked at when an access finds nothing ---- */
-
-/* RASR of the region that rules `address`: the highest one that covers it (B3.5.1); 0: none. */
-static uint32_t mpu_attributes(const struct engine *e, uint32_t address)
-{
-	if ((e->s.mpu_ctrl & 1u) == 0u)
-		return 0;
-	for (uint32_t i = MPU_REGIONS; i-- > 0u;) {
-		const uint32_t rasr = e->s.mpu_rasr[i], bits = (rasr >> 1 & 31u) + 1u;
-		const uint64_t offset = (uint64_t)address - (e->s.mpu_rbar[i] & ~31u);
-		const bool part_off = bits >= 8u && bits < 33u && rasr >> 8 >> (offset >> (bits - 3u) & 7u) & 1u;
-
-		if (rasr & 1u && bits >= 5u && offset < UINT64_C(1) << bits && !part_off)
-			return rasr;
-	}
-	return 0;
-}
-
-bool mpu_closes(const struct engine *e, uint32_t address)
-{
-	const uint32_t rasr = mpu_attributes(e, address);
-
-	return rasr != 0u && (rasr >> 24 & 7u) == 0u;
-}
-
-/* SRAM1, SRAM2 and flash are cached by default (B3.1); a region makes them otherwise when it is not normal memory
- * with a cached inner policy: TEX, C, B of table B3-13. Shared memory is not cached by this core (TRM 5.2). */
-bool data_is_cached(const struct engine *e, uint32_t address)
-{
-	const uint32_t rasr = mpu_attributes(e, address);
-	const uint32_t tex = rasr >> 19 & 7u, shared = rasr >> 18 & 1u, c = rasr >> 17 & 1u, b = rasr >> 16 & 1u;
-	const bool memory = (address >= RAM_BASE + DTCM_BYTES && address - RAM_BASE < RAM_BYTES) ||
-			    address - FLASH_BASE < FLASH_BYTES;
-
-	if ((e->s.ccr >> 16 & 1u) == 0u || !memory)
-		return false;
-	return rasr == 0u || (!shared && (tex & 4u ? c | b : c & (tex == 0u || b)));
-}
-
-static uint32_t *mpu_register(struct engine *e, uint32_t offset, uint32_t *region)
-{
-	*region = e->s.mpu_rnr;
-	if ((offset - 0xD9Cu) % 8u == 0u)
-		return e->s.mpu_rbar;
-	return e->s.mpu_rasr;
-}
-
-static void mpu_write(struct engine *e, uint32_t offset, uint32_t value)
-{
-	uint32_t region;
-	uint32_t *const registers = mpu_register(e, offset, &region);
-
-	if (registers == e->s.mpu_rbar && value & 0x10u)
-		region = e->s.mpu_rnr = value & 15u;
-	if (region >= MPU_REGIONS) {
-		fail(e, "MPU region %u, the core has %u", region, MPU_REGIONS);
-		return;
-	}
-	if (registers == e->s.mpu_rasr && value & 0xE8C000C0u)
-		fail(e, "MPU_RASR = 0x%08X sets reserved bits", value);
-	registers[region] = registers == e->s.mpu_rbar ? value & ~31u : value;
-}
-
-/* ---- NVIC (B3.4) ---- */
-
-static uint32_t bits_of(const struct flags *flags, uint32_t word)
-{
-	uint32_t bits = 0;
-
-	for (uint32_t i = 0; i < 32u && word * 32u + i < IRQ_COUNT; ++i)
-		bits |= (uint32_t)get(flags, EXC_IRQ0 + word * 32u + i) << i;
-	return bits;
-}
-
-static uint32_t nvic_read(struct engine *e, uint32_t offset)
-{
-	const uint32_t word = offset >> 2 & 7u;
-
-	switch (offset & 0xF80u) {
-	case 0x100u:
-	case 0x180u:
-		return bits_of(&e->s.enabled, word);
-	case 0x200u:
-	case 0x280u:
-		return bits_of(&e->s.pending, word);
-	default:
-		return bits_of(&e->s.is_active, word);
-	}
-}
-
-static void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
-{
-	const uint32_t word = offset >> 2 & 7u;
-
-	for (uint32_t i = 0; i < 32u; ++i) {
-		const uint32_t exception = EXC_IRQ0 + word * 32u + i;
-
-		if ((value >> i & 1u) == 0u)
-			continue;
-		if (exception >= EXCEPTION_COUNT) {
-			fail(e, "interrupt %u in the NVIC, the chip has %u", exception - EXC_IRQ0, IRQ_COUNT);
-			return;
-		}
-		switch (offset & 0xF80u) {
-		case 0x100u:
-			if (!get(&e->s.enabled, exception))
-				e->s.pended_at[exception] = now(e); /* it waits from now on */
-			put(&e->s.enabled, exception, true);
-			break;
-		case 0x180u:
-			put(&e->s.enabled, exception, false);
-			break;
-		case 0x200u:
-			pend(e, exception);
-			break;
-		case 0x280u: /* a line that is still high makes it pending again */
-			put(&e->s.pending, exception, get(&e->s.line, exception) && !get(&e->s.is_active, exception));
-			break;
-		default:
-			fail(e, "write of NVIC_IABR, which is read-only");
-			return;
-		}
-	}
-	look_again(e);
-}
-
-static void set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value)
-{
-	for (uint32_t i = 0; i < size; ++i, value >>= 8)
-		if (exception + i < EXCEPTION_COUNT)
-			e->s.priority[exception + i] = value & PRIORITY_BITS;
-	look_again(e);
-}
-
-static uint32_t priorities(const struct engine *e, uint32_t exception, uint32_t size)
-{
-	uint32_t value = 0;
-
-	for (uint32_t i = 0; i < size && exception + i < EXCEPTION_COUNT; ++i)
-		value |= (uint32_t)e->s.priority[exception + i] << 8 * i;
-	return value;
+	counters_reset(e);
 }
 
 /* ---- SCB (B3.2) ---- */
@@ -378,30 +152,20 @@ static uint32_t *stored(struct engine *e, uint32_t offset, uint32_t *allowed)
 static uint32_t scs_read(struct engine *e, uint32_t offset)
 {
 	struct state *s = &e->s;
-	uint32_t region, allowed, value;
+	uint32_t allowed;
 
 	if (offset >= 0x100u && offset < 0x340u)
 		return nvic_read(e, offset);
-	if (offset >= 0xD9Cu && offset <= 0xDB8u) {
-		const uint32_t *const registers = mpu_register(e, offset, &region);
-		return registers[region] | (registers == s->mpu_rbar ? region : 0u);
-	}
+	if (offset >= 0xD9Cu && offset <= 0xDB8u)
+		return mpu_read(e, offset);
+	if (offset >= 0x010u && offset < 0x020u)
+		return systick_read(e, offset);
 	const uint32_t *const plain = stored(e, offset, &allowed);
 	if (plain != NULL)
 		return *plain;
 	switch (offset) {
 	case 0x004u:
 		return (IRQ_COUNT - 1u) / 32u;
-	case 0x010u:
-		value = s->syst_csr;
-		s->syst_csr &= ~SYST_COUNTFLAG;
-		return value;
-	case 0x014u:
-		return s->syst_rvr;
-	case 0x018u:
-		return systick_value(e);
-	case 0x01Cu:
-		return 0x40000000u; /* no exact 10 ms known */
 	case 0xD00u:
 		return CPUID;
 	case 0xD04u:
@@ -459,6 +223,10 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		mpu_write(e, offset, value);
 		return;
 	}
+	if (offset >= 0x010u && offset < 0x01Cu) {
+		systick_write(e, offset, value);
+		return;
+	}
 	if (is_cache_operation(offset))
 		return; /* memory is always what the caches would hold */
 	plain = stored(e, offset, &allowed);
@@ -470,24 +238,6 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		return;
 	}
 	switch (offset) {
-	case 0x010u: {
-		const uint32_t held = systick_value(e);
-
-		if (value & ~0x10007u)
-			fail(e, "SYST_CSR = 0x%08X sets reserved bits", value);
-		s->syst_csr = (s->syst_csr & SYST_COUNTFLAG) | (value & 7u);
-		systick_go(e, held);
-		return;
-	}
-	case 0x014u:
-		if (value >> 24)
-			fail(e, "SYST_RVR = 0x%08X, the counter has 24 bits", value);
-		s->syst_rvr = value & 0xFFFFFFu;
-		return;
-	case 0x018u:
-		s->syst_csr &= ~SYST_COUNTFLAG;
-		systick_go(e, 0);
-		return;
 	case 0xD04u:
 		icsr_write(e, value);
 		return;
@@ -514,9 +264,7 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		s->dfsr &= ~value;
 		return;
 	case 0xDFCu:
-		if (value & ~(DEMCR_TRCENA | 0x000107F1u))
-			fail(e, "DCB_DEMCR = 0x%08X sets reserved bits", value);
-		dwt_change(e, value, s->dwt_ctrl, dwt_value(e));
+		demcr_write(e, value);
 		return;
 	case 0xF00u:
 		if (value >= IRQ_COUNT)
@@ -536,40 +284,6 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 	default:
 		fail(e, "write of 0x%08X to 0x%08X, a register of the core that is not modelled or not writable", value,
 		     0xE000E000u + offset);
-	}
-}
-
-static uint32_t dwt_read(struct engine *e, uint32_t offset)
-{
-	switch (offset) {
-	case 0x000u:
-		return e->s.dwt_ctrl;
-	case 0x004u:
-		return dwt_value(e);
-	case 0xFB4u:
-		return e->s.dwt_unlocked ? 1u : 3u;
-	default:
-		fail(e, "read of 0x%08X, a register of the DWT that is not modelled", 0xE0001000u + offset);
-		return 0;
-	}
-}
-
-/* Locked, the unit ignores what is written to it, as on the chip. */
-static void dwt_write(struct engine *e, uint32_t offset, uint32_t value)
-{
-	struct state *s = &e->s;
-
-	if (offset == 0xFB0u)
-		s->dwt_unlocked = value == DWT_UNLOCK;
-	else if (offset != 0x000u && offset != 0x004u)
-		fail(e, "write of 0x%08X, a register of the DWT that is not modelled", 0xE0001000u + offset);
-	else if (s->dwt_unlocked && s->demcr & DEMCR_TRCENA) {
-		if (offset == 0x004u)
-			dwt_change(e, s->demcr, s->dwt_ctrl, value);
-		else if ((value ^ s->dwt_ctrl) & ~DWT_CYCCNTENA)
-			fail(e, "DWT_CTRL = 0x%08X, only CYCCNTENA is modelled", value);
-		else
-			dwt_change(e, s->demcr, value, dwt_value(e));
 	}
 }
 

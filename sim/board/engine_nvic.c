@@ -1,0 +1,155 @@
+/* Interrupts' enables and priorities (ARMv7-M DDI 0403E B3.4) and the regions of the MPU (B3.5). */
+#include "engine.h"
+
+#define PRIORITY_BITS 0xF0u /* that the chip has */
+
+/* ---- MPU: kept, and looked at when an access finds nothing ---- */
+
+/* RASR of the region that rules `address`: the highest one that covers it (B3.5.1); 0: none. */
+static uint32_t mpu_attributes(const struct engine *e, uint32_t address)
+{
+	if ((e->s.mpu_ctrl & 1u) == 0u)
+		return 0;
+	for (uint32_t i = MPU_REGIONS; i-- > 0u;) {
+		const uint32_t rasr = e->s.mpu_rasr[i], bits = (rasr >> 1 & 31u) + 1u;
+		const uint64_t offset = (uint64_t)address - (e->s.mpu_rbar[i] & ~31u);
+		const bool part_off = bits >= 8u && bits < 33u && rasr >> 8 >> (offset >> (bits - 3u) & 7u) & 1u;
+
+		if (rasr & 1u && bits >= 5u && offset < UINT64_C(1) << bits && !part_off)
+			return rasr;
+	}
+	return 0;
+}
+
+bool mpu_closes(const struct engine *e, uint32_t address)
+{
+	const uint32_t rasr = mpu_attributes(e, address);
+
+	return rasr != 0u && (rasr >> 24 & 7u) == 0u;
+}
+
+/* SRAM1, SRAM2 and flash are cached by default (B3.1); a region makes them otherwise when it is not normal memory
+ * with a cached inner policy: TEX, C, B of table B3-13. Shared memory is not cached by this core (TRM 5.2). */
+bool data_is_cached(const struct engine *e, uint32_t address)
+{
+	const uint32_t rasr = mpu_attributes(e, address);
+	const uint32_t tex = rasr >> 19 & 7u, shared = rasr >> 18 & 1u, c = rasr >> 17 & 1u, b = rasr >> 16 & 1u;
+	const bool memory = (address >= RAM_BASE + DTCM_BYTES && address - RAM_BASE < RAM_BYTES) ||
+			    address - FLASH_BASE < FLASH_BYTES;
+
+	if ((e->s.ccr >> 16 & 1u) == 0u || !memory)
+		return false;
+	return rasr == 0u || (!shared && (tex & 4u ? c | b : c & (tex == 0u || b)));
+}
+
+static uint32_t *mpu_register(struct engine *e, uint32_t offset, uint32_t *region)
+{
+	*region = e->s.mpu_rnr;
+	if ((offset - 0xD9Cu) % 8u == 0u)
+		return e->s.mpu_rbar;
+	return e->s.mpu_rasr;
+}
+
+void mpu_write(struct engine *e, uint32_t offset, uint32_t value)
+{
+	uint32_t region;
+	uint32_t *const registers = mpu_register(e, offset, &region);
+
+	if (registers == e->s.mpu_rbar && value & 0x10u)
+		region = e->s.mpu_rnr = value & 15u;
+	if (region >= MPU_REGIONS) {
+		fail(e, "MPU region %u, the core has %u", region, MPU_REGIONS);
+		return;
+	}
+	if (registers == e->s.mpu_rasr && value & 0xE8C000C0u)
+		fail(e, "MPU_RASR = 0x%08X sets reserved bits", value);
+	registers[region] = registers == e->s.mpu_rbar ? value & ~31u : value;
+}
+
+uint32_t mpu_read(struct engine *e, uint32_t offset)
+{
+	uint32_t region;
+	const uint32_t *const registers = mpu_register(e, offset, &region);
+
+	return registers[region] | (registers == e->s.mpu_rbar ? region : 0u);
+}
+
+/* ---- NVIC ---- */
+
+static uint32_t bits_of(const struct flags *flags, uint32_t word)
+{
+	uint32_t bits = 0;
+
+	for (uint32_t i = 0; i < 32u && word * 32u + i < IRQ_COUNT; ++i)
+		bits |= (uint32_t)get(flags, EXC_IRQ0 + word * 32u + i) << i;
+	return bits;
+}
+
+uint32_t nvic_read(struct engine *e, uint32_t offset)
+{
+	const uint32_t word = offset >> 2 & 7u;
+
+	switch (offset & 0xF80u) {
+	case 0x100u:
+	case 0x180u:
+		return bits_of(&e->s.enabled, word);
+	case 0x200u:
+	case 0x280u:
+		return bits_of(&e->s.pending, word);
+	default:
+		return bits_of(&e->s.is_active, word);
+	}
+}
+
+void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
+{
+	const uint32_t word = offset >> 2 & 7u;
+
+	for (uint32_t i = 0; i < 32u; ++i) {
+		const uint32_t exception = EXC_IRQ0 + word * 32u + i;
+
+		if ((value >> i & 1u) == 0u)
+			continue;
+		if (exception >= EXCEPTION_COUNT) {
+			fail(e, "interrupt %u in the NVIC, the chip has %u", exception - EXC_IRQ0, IRQ_COUNT);
+			return;
+		}
+		switch (offset & 0xF80u) {
+		case 0x100u:
+			if (!get(&e->s.enabled, exception))
+				e->s.pended_at[exception] = now(e); /* it waits from now on */
+			put(&e->s.enabled, exception, true);
+			break;
+		case 0x180u:
+			put(&e->s.enabled, exception, false);
+			break;
+		case 0x200u:
+			pend(e, exception);
+			break;
+		case 0x280u: /* a line that is still high makes it pending again */
+			put(&e->s.pending, exception, get(&e->s.line, exception) && !get(&e->s.is_active, exception));
+			break;
+		default:
+			fail(e, "write of NVIC_IABR, which is read-only");
+			return;
+		}
+	}
+	look_again(e);
+}
+
+void set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value)
+{
+	for (uint32_t i = 0; i < size; ++i, value >>= 8)
+		if (exception + i < EXCEPTION_COUNT)
+			e->s.priority[exception + i] = value & PRIORITY_BITS;
+	look_again(e);
+}
+
+uint32_t priorities(const struct engine *e, uint32_t exception, uint32_t size)
+{
+	uint32_t value = 0;
+
+	for (uint32_t i = 0; i < size && exception + i < EXCEPTION_COUNT; ++i)
+		value |= (uint32_t)e->s.priority[exception + i] << 8 * i;
+	return value;
+}
