@@ -225,6 +225,7 @@ class Dma(Device):
         return self.words[register]
 
     def _set(self, stream: int, name: str, value: int) -> None:
+        self.sync()
         if self.words[f"S{stream}CR"] & _EN:
             self.refuse_frozen(stream, name)
         self.keep(f"S{stream}{name}", value)

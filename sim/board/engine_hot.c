@@ -632,9 +632,12 @@ static void dma_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t va
 	}
 	const uint32_t stream = (slot - S_CR) / S_STEP;
 
-	if ((slot - S_CR) % S_STEP == 0u)
+	if ((slot - S_CR) % S_STEP == 0u) {
 		stream_write_cr(h, controller, stream, value);
-	else if ((words(h, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
+		return;
+	}
+	stream_sync(h, controller, stream);
+	if ((words(h, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
 		ask(h, ASK_FROZEN, controller, stream, slot);
 	else
 		keep(h, device, slot, value);
@@ -688,16 +691,11 @@ static void spi_update(struct hot *h)
 /* Fills the FIFO from memory. */
 static void spi_fetch(struct hot *h)
 {
-	uint32_t items[FIFO_BYTES + 1];
-	const uint32_t capacity = FIFO_BYTES + (h->s.begun != NEVER), waiting = spi_waiting(h);
-	const uint32_t room = capacity - h->s.sending_count, count = room < waiting ? room : waiting;
+	const uint32_t capacity = FIFO_BYTES + (h->s.begun != NEVER);
+	uint32_t item;
 
-	if (h->s.sending_count >= capacity || count == 0u)
-		return;
-	const uint32_t taken = hot_take(h, SPI_TX, items, count);
-
-	for (uint32_t i = 0; i < taken; ++i)
-		h->s.sending[h->s.sending_count++] = (uint8_t)items[i];
+	while (h->s.sending_count < capacity && spi_waiting(h) != 0u && hot_take(h, SPI_TX, &item, 1) == 1u)
+		h->s.sending[h->s.sending_count++] = (uint8_t)item;
 }
 
 /* `count` bytes have passed: out, in, and to memory. */
@@ -1132,8 +1130,10 @@ static uint64_t timer_run(struct hot *h, uint32_t t, uint64_t updates)
 	} else {
 		for (uint32_t c = 0; c < CHANNELS; ++c)
 			timer_pulses(h, t, c, 0, 1, &s->ccr[c]);
+		const uint64_t length = timer_period(h, t);
+
 		timer_load(h, t);
-		if (fed == 0u)
+		if (fed == 0u && timer_period(h, t) == length)
 			count = timer_free_run(h, t, updates);
 		for (uint32_t k = 0; k <= CHANNELS; ++k)
 			if (fed >> k & 1u)

@@ -152,9 +152,11 @@ class Spi(Device):
 
     def _fetch(self, done: int) -> None:
         """Take from memory what finds room when `done` more bytes have passed."""
-        room = done + FIFO_BYTES + (self._begun is not None) - len(self._sending)
-        count = min(room, self._from_memory())
-        if count > 0:
+        while True:  # a circular stream may begin anew on the way
+            room = done + FIFO_BYTES + (self._begun is not None) - len(self._sending)
+            count = min(room, self._from_memory())
+            if count <= 0:
+                return
             self._sending += self._dma.take("SPI1_TX", count)
 
     def _start(self) -> None:

@@ -90,13 +90,11 @@ class Timer(Device):
             length = self.period  # of the periods that end now
             done = self._run(updates)
             self._anchor += done * length
-            updates -= done
             if self.get("CR1", "OPM"):
                 self.put("CR1", "CEN", 0)
                 self._stopped_at = 0
                 break
-            if updates:
-                updates = (self.context.cycle - self._anchor) // self.period  # ARR or PSC may be others now
+            updates = (self.context.cycle - self._anchor) // self.period  # ARR or PSC may be others now
 
     def dma_changed(self) -> None:
         self.sync()
@@ -274,8 +272,9 @@ class Timer(Device):
         else:
             count = 1
             self._pulses([[c] for c in self._ccr], 0)
+            length = self.period
             self._load()
-            if not fed:
+            if not fed and self.period == length:
                 count = self._free_run(updates)
             for source in fed:
                 self._feed(source, 1)
