@@ -150,11 +150,25 @@ class FakeContext:
 WAIT = struct.pack("<IIHH", 0x20010000, 0x00200009, 0xBF30, 0xE7FD)  # vectors; wfi, and again
 
 
+class WatchedEngine(BoardEngine):
+    """Notes what a core that only waits would not show."""
+
+    core_hz = 16_000_000
+    nmis = 0
+
+    def core_clock(self, hz: int) -> None:
+        self.core_hz = hz
+        super().core_clock(hz)
+
+    def nmi(self) -> None:
+        self.nmis += 1
+
+
 class EngineContext:
     """The engine, with a core that only waits, as a test sees it."""
 
     def __init__(self) -> None:
-        self.engine = BoardEngine(WAIT)
+        self.engine = WatchedEngine(WAIT)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.engine, name)

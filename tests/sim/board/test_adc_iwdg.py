@@ -12,6 +12,13 @@ from sim.board.option_bytes import OptionBytes
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
+
+@pytest.fixture(params=["python", "c"])
+def kind(request: pytest.FixtureRequest) -> str:
+    """The peripherals as classes, and the busy ones in C."""
+    return str(request.param)
+
+
 BUFFER = 0x20006000
 ADON, CONT, DMA, DDS, SWSTART = 1 << 0, 1 << 1, 1 << 8, 1 << 9, 1 << 30
 CONVERSION = 492 / 27  # us: 480 sampling cycles and 12, at 27 MHz
@@ -126,9 +133,9 @@ def test_watchdog_is_missed_when_not_fed(bench: Bench, make_bench: type[Bench]) 
     other = make_bench(watchdog_resets=True)
     start_watchdog(other)
     other.context.run(500_900)
-    assert other.context.resets == []
+    assert "iwdg" not in other.context.resets
     other.context.run(200)
-    assert other.context.resets == ["iwdg"]
+    assert other.context.resets[-1] == "iwdg"
 
 
 def test_watchdog_is_refused_when_locked(bench: Bench) -> None:
@@ -143,6 +150,6 @@ def test_watchdog_is_refused_when_locked(bench: Bench) -> None:
 def test_watchdog_runs_from_reset_when_the_options_say_so(make_bench: type[Bench]) -> None:
     bench = make_bench(options=OptionBytes(optcr=0xC0FFAADC), watchdog_resets=True)
     bench.context.run(511_000)
-    assert bench.context.resets == []
+    assert "iwdg" not in bench.context.resets
     bench.context.run(2000)
-    assert bench.context.resets == ["iwdg"]
+    assert bench.context.resets[-1] == "iwdg"
