@@ -18,16 +18,8 @@ from sim.board.exti import Exti
 from sim.board.flash import Flash
 from sim.board.gpio import Pins
 from sim.board.gyro_chip import MPU6500, READY, GyroChip, GyroKind
-from sim.board.hot import (
-    BoardEngine,
-    Hot,
-    HotDmaSystem,
-    HotExti,
-    HotPins,
-    HotSpi,
-    HotSyscfg,
-    HotTimer,
-)
+from sim.board.hot import BoardEngine, Hot
+from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr

@@ -1,13 +1,13 @@
-"""The busy peripherals in C: `engine_hot.c` behind the classes that describe them.
+"""The busy peripherals in C: `engine_hot.c` between the engine and the classes of `sim.board.hot_devices`.
 
-Each class here is its parent with registers and time in C. The parent's judgements stay: C asks for them
-when it meets a set-up that it has not seen yet, and they read the same registers through `_Words`.
+C moves registers and time. It asks Python to judge a set-up that it has not seen yet, for what the gyro chip
+answers, and for pulses that are no ordinary DShot frame.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable
 from ctypes import (
     CFUNCTYPE,
     POINTER,
@@ -22,15 +22,15 @@ from ctypes import (
 )
 from typing import Any
 
-from sim.board.bus import Block, Device, Register, Registers
-from sim.board.context import Context
+from sim.board.bus import Device, Registers
 from sim.board.cpu_library import AlarmCallback, ReadCallback, WriteCallback
-from sim.board.dma import Dma, DmaSystem, Driver
+from sim.board.dma import Dma
 from sim.board.dshot import Esc, Frame
 from sim.board.engine import Engine, Outcome
 from sim.board.exti import Exti
-from sim.board.gpio import PORTS, Pins, Port
+from sim.board.gpio import PORTS, Port
 from sim.board.gyro_chip import GyroChip
+from sim.board.hot_devices import TIMER_NAMES, HotDmaSystem, HotPins, InC
 from sim.board.rcc import Clocks
 from sim.board.spi import Spi
 from sim.board.syscfg import Syscfg
@@ -41,8 +41,7 @@ PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.c
 ASK_ENABLE, ASK_CHANGED, ASK_FROZEN, ASK_TWICE, ASK_CACHED = range(5)  # enum question
 ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR = range(5, 12)
 _STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
-_TIMER_SOURCE, _PYTHON_SOURCE, _DRAIN = 2, 32, 64
-_TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
+_DRAIN = 64  # in place of a source
 
 _Refuse = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32, c_uint32)
 _Judge = CFUNCTYPE(c_int, c_uint32, c_uint32, c_uint32, c_uint32)
@@ -145,217 +144,6 @@ class BoardEngine(Engine):
             self.library.hot_select(self.hot.handle)
 
 
-class _Words(MutableMapping[str, int]):
-    """A device's registers by name, kept in C."""
-
-    def __init__(self, block: Block, array: Any) -> None:  # noqa: ANN401 - a pointer of ctypes
-        self._places = {r.name: r.offset >> 2 for r in block.registers.values() if r.modelled}
-        self._array = array
-
-    def __getitem__(self, name: str) -> int:
-        return int(self._array[self._places[name]])
-
-    def __setitem__(self, name: str, value: int) -> None:
-        self._array[self._places[name]] = value
-
-    def __delitem__(self, name: str) -> None:
-        raise TypeError("a register stays")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-
-class _InC(Device):
-    """What all devices in C have in common. Until `adopt`, a plain device."""
-
-    _hot: Hot | None = None
-    _number = 0
-    _clocked = True
-
-    def adopt(self, hot: Hot, number: int) -> None:
-        """From now on the registers are those of C's device `number`."""
-        self._hot, self._number = hot, number
-        array = hot.library.hot_words(hot.handle, number)
-        self.words = _Words(self.block, array)  # type: ignore[assignment]
-        hot.library.hot_clock(hot.handle, number, self._clocked)
-
-    @property
-    def clocked(self) -> bool:  # type: ignore[override]
-        return self._clocked
-
-    @clocked.setter
-    def clocked(self, on: bool) -> None:
-        self._clocked = on
-        if self._hot is not None:
-            self._hot.library.hot_clock(self._hot.handle, self._number, on)
-
-    def reset(self) -> None:
-        if self._hot is not None:
-            self._hot.library.hot_reset(self._hot.handle, self._number)
-
-    def counts(self, register: Register) -> tuple[int, int] | None:
-        if self._hot is None:
-            return None
-        touched, handle, slot = self._hot.library.hot_touched, self._hot.handle, register.offset >> 2
-        return int(touched(handle, self._number, slot, False)), int(touched(handle, self._number, slot, True))
-
-    def state(self) -> Any:  # noqa: ANN401
-        return self._clocked  # the rest is Hot's
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self._clocked = state
-
-
-class HotPort(_InC, Port):
-    """GPIO in C."""
-
-    def level(self, pin: int) -> bool:
-        assert self._hot is not None
-        return bool(self._hot.library.hot_level(self._hot.handle, PORTS.index(self.letter), pin))
-
-
-class HotPins(Pins):
-    """All ports in C."""
-
-    _hot: Hot | None = None
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.ports = {letter: HotPort(context, letter) for letter in PORTS}
-        self._context = context
-
-    def adopt(self, hot: Hot) -> None:
-        """The ports are C's from now on."""
-        self._hot = hot
-
-    def drive(self, name: str, level: bool) -> None:
-        if self._hot is not None:
-            self._hot.library.hot_drive(self._hot.handle, PORTS.index(name[1]), int(name[2:]), level)
-
-    def pulse(self, name: str) -> None:
-        if self._hot is not None:
-            self._hot.library.hot_pulse(self._hot.handle, PORTS.index(name[1]), int(name[2:]))
-
-    def watch(self, name: str, listener: Callable[[bool], None]) -> None:
-        port, pin = self._place(name)
-        port.listeners[pin] = listener
-        if self._hot is not None:
-            self._hot.library.hot_watch(self._hot.handle, PORTS.index(name[1]), pin)
-
-    def expect(self, signal: str, user: str) -> None:
-        self._good.clear()
-        super().expect(signal, user)
-
-
-class HotSyscfg(_InC, Syscfg):
-    """SYSCFG in C."""
-
-
-class HotExti(_InC, Exti):
-    """EXTI in C."""
-
-    def edge(self, port: str, line: int, rising: bool) -> None:
-        raise AssertionError("edges come by the pins, in C")
-
-
-class HotSpi(_InC, Spi):
-    """SPI1 in C; what the chip answers comes from Python."""
-
-    def state(self) -> Any:  # noqa: ANN401
-        return {"clocked": self._clocked, "rate": self.bit_error_rate, "random": self._random.getstate()}
-
-    def restore(self, state: Any) -> None:  # noqa: ANN401
-        self._clocked, self.bit_error_rate = state["clocked"], state["rate"]
-        self._random.setstate(state["random"])
-
-    @property
-    def clock_hz(self) -> float:
-        assert self._hot is not None
-        return self._hot.clocks.apb2 / (2 << self.get("CR1", "BR"))
-
-
-class HotTimer(_InC, Timer):
-    """A timer in C; its pulses come to `outputs` as ever."""
-
-
-class HotDma(_InC, Dma):
-    """A controller in C."""
-
-
-class HotDmaSystem(DmaSystem):
-    """Both controllers in C, for the drivers in Python."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self.controllers = {number: HotDma(context, number, self) for number in (1, 2)}
-        self._hot: Hot | None = None
-        self._names: dict[int, str] = {}
-        self._ids = {"SPI1_RX": 0, "SPI1_TX": 1}
-        for number, timer in enumerate(_TIMERS):
-            names = (f"{timer}_UP", *(f"{timer}_CH{i}" for i in range(1, CHANNELS + 1)))
-            self._ids |= {name: _TIMER_SOURCE + 5 * number + k for k, name in enumerate(names)}
-
-    def adopt(self, hot: Hot) -> None:
-        """The controllers are C's from now on."""
-        self._hot = hot
-
-    def connect(self, source: str, driver: Driver) -> None:
-        if source not in self._ids:
-            self._ids[source] = max(_PYTHON_SOURCE, *(i + 1 for i in self._ids.values()))
-        self._names[self._ids[source]] = source
-        super().connect(source, driver)
-
-    def id(self, source: str) -> int:
-        """C's number of a request."""
-        return self._ids[source]
-
-    def name(self, number: int) -> str:
-        """The inverse."""
-        return self._names[number]
-
-    def available(self, source: str) -> int:
-        assert self._hot is not None
-        return int(self._hot.library.hot_available(self._hot.handle, self._ids[source]))
-
-    def until_flag(self, source: str) -> int:
-        assert self._hot is not None
-        return int(self._hot.library.hot_until_flag(self._hot.handle, self._ids[source]))
-
-    def target(self, source: str) -> int:
-        assert self._hot is not None
-        return int(self._hot.library.hot_target(self._hot.handle, self._ids[source]))
-
-    def circular(self, source: str) -> bool:
-        assert self._hot is not None
-        return bool(self._hot.library.hot_circular(self._hot.handle, self._ids[source]))
-
-    def take(self, source: str, count: int) -> list[int]:
-        assert self._hot is not None
-        items = (c_uint32 * count)()
-        taken = self._hot.library.hot_take(self._hot.handle, self._ids[source], items, count)
-        self._hot.engine.raise_now()
-        return list(items[:taken])
-
-    def give(self, source: str, items: Sequence[int]) -> None:
-        assert self._hot is not None
-        array = (c_uint32 * len(items))(*items)
-        self._hot.library.hot_give(self._hot.handle, self._ids[source], array, len(items))
-        self._hot.engine.raise_now()
-
-    def forget(self, number: int) -> None:
-        """C forgets by itself."""
-
-    def relink(self) -> None:
-        """C's state says what serves what."""
-
-    def driver(self, source: str) -> Driver:
-        """Who makes a request."""
-        return self._drivers[source]
-
-
 class Hot:
     """The part in C of one board: made last, when all devices are there."""
 
@@ -373,7 +161,7 @@ class Hot:
             function.restype, function.argtypes = result, arguments
         self._devices = [
             *pins.ports.values(),
-            *(registers.devices[name] for name in ("SYSCFG", "EXTI", "DMA1", "DMA2", "SPI1", *_TIMERS)),
+            *(registers.devices[name] for name in ("SYSCFG", "EXTI", "DMA1", "DMA2", "SPI1", *TIMER_NAMES)),
         ]
         through = (
             ReadCallback(("hot_read", self.library)),
@@ -392,7 +180,7 @@ class Hot:
         self.handle: int = self.library.hot_new(engine.handle, *before[:3], *self._callbacks)
         self._hang_up()
         for number, device in enumerate(self._devices):
-            assert isinstance(device, _InC)
+            assert isinstance(device, InC)
             device.adopt(self, number)
         self.library.hot_lazy(self.handle, dma.id("ADC1"))  # USARTs move by alarms alone
         dma.adopt(self)
@@ -411,7 +199,7 @@ class Hot:
 
     def listen(self, timer: str, channel: int, esc: Esc) -> None:
         """`esc` is on the line of a timer's channel: C takes the frames that are as they should be."""
-        self._escs[_TIMERS.index(timer), channel] = esc
+        self._escs[TIMER_NAMES.index(timer), channel] = esc
 
     def tell_escs(self) -> None:
         """C's knowledge of ESCs is what Python knows."""
@@ -514,7 +302,7 @@ class Hot:
         {ASK_SPI: spi.judge, ASK_SPI_BUSY: spi.refuse_busy, ASK_SPI_FULL: spi.refuse_full}[question]()
 
     def _judge_timer(self, question: int, number: int, b: int) -> None:
-        timer = self._registers.devices[_TIMERS[number]]
+        timer = self._registers.devices[TIMER_NAMES[number]]
         assert isinstance(timer, Timer)
         names = ("UP", *(f"CH{i}" for i in range(1, CHANNELS + 1)))
         if question == ASK_OUTPUT:
@@ -556,7 +344,7 @@ class Hot:
         count: int,
         highs: Any,  # noqa: ANN401
     ) -> None:
-        device = self._registers.devices[_TIMERS[timer]]
+        device = self._registers.devices[TIMER_NAMES[timer]]
         assert isinstance(device, Timer)
         output = device.outputs.get(channel)
         if output is not None:
