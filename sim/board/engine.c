@@ -21,11 +21,13 @@
 #define FAULT_BUS_INSTRUCTION (1u << 8)
 #define FAULT_BUS_PRECISE (1u << 9)
 #define FAULT_UNDEFINED (1u << 16)
+#define FAULT_STATE (1u << 17)
 #define FAULT_NO_COPROCESSOR (1u << 19)
 #define FAULT_UNALIGNED (1u << 24)
 #define FAULT_DIVIDE (1u << 25)
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
+#define XPSR_THUMB (1u << 24)
 
 /* Unicorn's numbers. */
 enum { INTERRUPT_SVC = 2, INTERRUPT_PREFETCH = 3, INTERRUPT_BKPT = 7, INTERRUPT_EXCEPTION_RETURN = 8 };
@@ -199,6 +201,11 @@ static __attribute__((noinline)) void consider(struct engine *e, uint32_t addres
 {
 	const struct block *b = e->block;
 
+	if (address < NULL_PAGE_BYTES) {
+		refuse(e, EXC_MEM, FAULT_INSTRUCTION_ACCESS, "execution at 0x%08X, in the null page", address);
+		e->fault.jumped = true;
+		return;
+	}
 	if (address >= e->event_stop && (b->offsets[index_at(e, address)] & 1u) == 0u) {
 		bool stop = true;
 
@@ -316,7 +323,7 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 	if (e->profiling)
 		profile_block(e);
 	plan(e);
-	if (e->attention || (start < ITCM_BYTES && !e->s.itcm_closed) ||
+	if (e->attention || (start < ITCM_BYTES && !e->s.itcm_closed) || start < NULL_PAGE_BYTES ||
 	    (start >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time)) {
 		e->attention = true;
 		e->event_stop = 0;
@@ -420,14 +427,19 @@ static void explain(struct engine *e, uc_err error)
 		f->exception = error == UC_ERR_FETCH_PROT ? EXC_MEM : EXC_BUS;
 		f->cfsr = error == UC_ERR_FETCH_PROT ? FAULT_INSTRUCTION_ACCESS : FAULT_BUS_INSTRUCTION;
 		f->has_address = false;
+		f->jumped = true;
 		snprintf(f->text, sizeof f->text, "execution at 0x%08X, %s", e->s.pc,
 			 error == UC_ERR_FETCH_PROT ? "in RAM; code runs from flash and ITCM" : "where nothing is");
 		break;
 	case UC_ERR_INSN_INVALID:
 		f->exception = EXC_USAGE;
-		f->cfsr = FAULT_UNDEFINED;
 		f->has_address = false;
-		snprintf(f->text, sizeof f->text, "undefined instruction");
+		f->jumped = (reg(e, UC_ARM_REG_XPSR) & XPSR_THUMB) == 0u;
+		f->cfsr = f->jumped ? FAULT_STATE : FAULT_UNDEFINED;
+		if (f->jumped)
+			snprintf(f->text, sizeof f->text, "a branch to 0x%08X, which is no Thumb address", e->s.pc);
+		else
+			snprintf(f->text, sizeof f->text, "undefined instruction");
 		break;
 	default:
 		f->exception = EXC_THREAD;

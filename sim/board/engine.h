@@ -206,6 +206,7 @@ struct fault {
 	uint32_t cfsr, hfsr;
 	uint32_t address;
 	bool has_address;
+	bool jumped; /* the branch before is to blame */
 	char text[MESSAGE_BYTES];
 };
 

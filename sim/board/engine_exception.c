@@ -333,11 +333,13 @@ void exception_return(struct engine *e, uint32_t exc_return)
 
 	if (s->depth == 0u) {
 		fail(e, "a branch to 0x%08X outside a handler", exc_return);
+		e->last_pc = s->last_end - 2u;
 		return;
 	}
 	if ((exc_return & 0xFFFFFFE0u) != 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 13u) ||
 	    (kind == 1u) != (s->depth > 1u)) {
 		fail(e, "exception return by 0x%08X with %u exceptions active", exc_return, s->depth);
+		e->last_pc = s->last_end - 2u;
 		return;
 	}
 	if (s->active[s->depth].exception != EXC_NMI)
@@ -364,6 +366,8 @@ void raise_fault(struct engine *e, const struct fault *fault)
 
 	if (e->strict) {
 		fail(e, "%s", fault->text);
+		if (fault->jumped && s->last_end != NOWHERE)
+			e->last_pc = s->last_end - 2u;
 		return;
 	}
 	s->cfsr |= fault->cfsr;

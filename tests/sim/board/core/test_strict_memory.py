@@ -70,6 +70,12 @@ SINS = {
     ),
     "code in RAM": ("((void (*)(void))(0x20003001 + zero))();", "execution at 0x20003000, in RAM"),
     "code nowhere": ("((void (*)(void))(0x70000001 + zero))();", "execution at 0x70000000, where nothing is"),
+    "code in the null page": (
+        "((void (*)(void))(0x21 + zero))();",
+        "execution at 0x00000020, in the null page",
+    ),
+    "null function": ("((void (*)(void))zero)();", "a branch to 0x00000000, which is no Thumb address"),
+    "no Thumb address": ("((void (*)(void))(0x08000400 + zero))();", "0x08000400, which is no Thumb address"),
     "undefined": ('__asm volatile("udf #3");', "undefined instruction"),
     "breakpoint": ('__asm volatile("bkpt #3");', "a BKPT instruction"),
     "write to ITCM": (CALL_ITCM + " REG(0x3000 + zero) = 1;", "0x00003000, in ITCM after its copy"),
@@ -152,9 +158,8 @@ def test_the_error_names_the_sin_when_the_image_commits_it(sinner: Callable[...,
     with pytest.raises(BoardError) as caught:
         engine.run()
     assert SINS[sin][1] in str(caught.value)
-    if "execution at" not in str(caught.value) and sin != "return outside a handler":
-        assert "in sinner+0x" in str(caught.value)
-        assert f"(sins.c:{100 + list(ACTS).index(sin)})" in str(caught.value)
+    assert "in sinner+0x" in str(caught.value)
+    assert f"(sins.c:{100 + list(ACTS).index(sin)})" in str(caught.value)
     assert engine.load(0x20002018, 4) != 0x600D
 
 
