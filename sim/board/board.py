@@ -57,7 +57,7 @@ class Hardware:
         """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error.
 
         in_c: the busy peripherals are C's, where an engine is there to hold them; else all are Python's,
-        twenty times slower and the same.
+        more than ten times slower and the same.
         """
         self.context = context
         engine = context if in_c and isinstance(context, BoardEngine) else None
