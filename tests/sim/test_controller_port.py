@@ -55,9 +55,9 @@ def armed_port(controller: Echo) -> ControllerPort:
 def test_gyro_is_the_firmwares_bits_when_both_hear_the_same_noise(reference_library: Path) -> None:
     rng = np.random.default_rng(1)
     ours, theirs = ControllerPort(Echo(), 4), ReferencePort(reference_library)
-    for k in range(4400):  # a second of calibration, then a tenth of fast motion
+    for k in range(4400):  # a second of calibration, then a tenth of motion as fast as a gyro tells
         noise = rng.normal((0.1, -0.05, 0.02), 0.02)
-        gyro = noise if k < 4000 else rng.uniform(-34, 34, 3)
+        gyro = noise if k < 4000 else noise + 33.0 * np.sin(0.3 * k + np.array([0.0, 2.0, 4.0]))
         a, b = ours.exchange(sample(gyro), OFF), theirs.exchange(sample(gyro), OFF)
         assert a.gyro.tolist() == b.gyro.tolist()  # a zero's sign is the chip's alignment's
         assert (a.step, a.armed) == (b.step, b.armed)
