@@ -57,7 +57,7 @@ def test_gyro_is_the_firmwares_bits_when_both_hear_the_same_noise(reference_libr
     ours, theirs = ControllerPort(Echo(), 4), ReferencePort(reference_library)
     for k in range(4400):  # a second of calibration, then a tenth of motion as fast as a gyro tells
         noise = rng.normal((0.1, -0.05, 0.02), 0.02)
-        gyro = noise if k < 4000 else noise + 33.0 * np.sin(0.3 * k + np.array([0.0, 2.0, 4.0]))
+        gyro = noise if k < 4000 else noise + 33.0 * np.sin(0.3 * (k - 4000)) * np.array([1.0, -0.8, 0.6])
         a, b = ours.exchange(sample(gyro), OFF), theirs.exchange(sample(gyro), OFF)
         assert a.gyro.tolist() == b.gyro.tolist()  # a zero's sign is the chip's alignment's
         assert (a.step, a.armed) == (b.step, b.armed)
