@@ -3,11 +3,13 @@
 At each sample the port gets the twin's gyro and answers with DShot values, which act on the twin from
 the next sample on. Until the firmware is armed the aircraft is held where it is. Receiver frames go out
 just before the control step they belong to: when the sticks changed, but no closer than SBUS can send
-them, and every 10 ms in any case.
+them, and every 10 ms in any case. A frame takes its time on a line, so the pilot decides for each
+FRAME_SPACING_S ahead, on every port alike; a port that has such a line hears of it then.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim import sticks
 from sim.motors import motor_fractions
-from sim.port import FirmwarePort, Reply, Sample, control_divider
+from sim.port import FirmwarePort, ForeseeingPort, Reply, Sample, control_divider
 from sim.scenario import Scenario
 from sim.trace import Trace
 from sim.twin import Twin
@@ -46,14 +48,14 @@ def fly(
     firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests.
     Raises LinkError when the firmware does not arm or the link fails, ScenarioError on impossible sticks.
     """
-    channels, heard = scenario.timeline(port.control_rate_hz)
-    link = _Lockstep(twin, port, motor_order)
-    steps = len(channels)
+    pilot = _Pilot(scenario, port.control_rate_hz)
+    link = _Lockstep(twin, port, pilot, motor_order)
+    steps = pilot.steps
     rows = np.zeros(steps, _row(port.motor_count))
-    rows[0] = _arm(link, scenario, channels[0])
+    rows[0] = _arm(link, scenario)
     every = max(1, round(PROGRESS_S * port.control_rate_hz))
     for k in range(1, steps):
-        rows[k] = link.control_step(channels[k] if heard[k] else None)
+        rows[k] = link.control_step()
         if progress is not None and k % every == 0:
             progress(k / steps)
     return Trace(
@@ -79,10 +81,38 @@ def _row(motors: int) -> np.dtype[np.void]:
     )
 
 
+class _Pilot:
+    """Sticks low and the switch off and on until the firmware is armed; from then on the scenario."""
+
+    def __init__(self, scenario: Scenario, control_rate_hz: int) -> None:
+        self._channels, self._heard = scenario.timeline(control_rate_hz)
+        self.steps = len(self._channels)
+        self._off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
+        self._on = self._channels[0].copy()
+        self._on[CHANNEL_THROTTLE] = self._off[CHANNEL_THROTTLE]
+        self._first = round(SWITCH_OFF_S * control_rate_hz)
+        self._period = round(SWITCH_PERIOD_S * control_rate_hz)
+
+    def switched(self, step: int) -> bool:
+        """Whether the switch is on at control step `step`, while it has not armed yet."""
+        phase = step - self._first
+        return phase >= 0 and phase % self._period < self._period // 2
+
+    def sticks(self, step: int, armed_at: int | None) -> NDArray[np.uint16] | None:
+        """Channels at control step `step`; None: nothing is sent. armed_at: the first armed step."""
+        if armed_at is None:
+            return self._on if self.switched(step) else self._off
+        k = step - armed_at
+        return self._channels[k] if k < self.steps and self._heard[k] else None
+
+
 class _Lockstep:
     """Twin and firmware together, advanced by whole control steps."""
 
-    def __init__(self, twin: Twin, port: FirmwarePort, motor_order: Sequence[int] | None) -> None:
+    def __init__(
+        self, twin: Twin, port: FirmwarePort, pilot: _Pilot, motor_order: Sequence[int] | None
+    ) -> None:
         motors = twin.aircraft.motor_count
         if twin.count != 1:
             raise ValueError(f"the loop flies one aircraft, the twin has {twin.count}")
@@ -98,11 +128,14 @@ class _Lockstep:
         order = list(range(motors)) if motor_order is None else list(motor_order)
         if sorted(order) != list(range(motors)):
             raise ValueError(f"motor order {order} is no permutation of {motors} motors")
-        self._twin, self._port, self._order = twin, port, order
+        self._twin, self._port, self.pilot, self._order = twin, port, pilot, order
+        self._foreseeing = port if isinstance(port, ForeseeingPort) else None
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
         self._period = round(FRAME_PERIOD_S * port.control_rate_hz)
-        self._frame: NDArray[np.uint16] | None = None  # the last one sent
+        self._lead = math.ceil(FRAME_SPACING_S * port.control_rate_hz)  # steps ahead that frames are decided
+        self._planned: dict[int, NDArray[np.uint16]] = {}  # frames by control step
+        self._frame: NDArray[np.uint16] | None = None  # the last one planned
         self._frame_step = 0
         self._sample = 0
         self._held = True
@@ -110,31 +143,39 @@ class _Lockstep:
         self._values: bytes | None = None  # DShot values that `_motors` stands for
         self.step = 0  # control steps so far
         self.armed = False  # at the last of them
+        self._armed_at: int | None = None  # the first of them that was
         self.control_rate_hz = port.control_rate_hz
 
-    def control_step(self, channels: NDArray[np.uint16] | None) -> Row:
-        """Run one control period with the sticks at `channels`; None: the transmitter is silent."""
+    def control_step(self) -> Row:
+        """Run one control period."""
         rate = self._twin.rate[0].copy()
-        reply = self._exchange(channels if self._due(channels) else None)
+        reply = self._exchange(self._planned.pop(self.step, None))
+        self.armed = reply.armed
+        if reply.armed and self._armed_at is None:
+            self._armed_at = self.step
+        self._plan(self.step + self._lead)
         for _ in range(1, self._divider):
             self._exchange(None)
         self.step += 1
-        self.armed = reply.armed
         return reply.setpoint, rate, reply.gyro, reply.dshot, reply.throttle
 
     def arming_reasons(self) -> str:
         """What the firmware says keeps it disarmed."""
         return ", ".join(self._port.arming_reasons()) or "it names no reason"
 
-    def _due(self, channels: NDArray[np.uint16] | None) -> bool:
+    def _plan(self, step: int) -> None:
+        """Decide whether a frame belongs to control step `step`."""
+        channels = self.pilot.sticks(step, self._armed_at)
         if channels is None:
-            return False
-        since = self.step - self._frame_step
+            return
+        since = step - self._frame_step
         changed = self._frame is None or not np.array_equal(channels, self._frame)
         if self._frame is not None and since < (self._spacing if changed else self._period):
-            return False
-        self._frame, self._frame_step = channels, self.step
-        return True
+            return
+        self._frame, self._frame_step = channels, step
+        self._planned[step] = channels
+        if self._foreseeing is not None:
+            self._foreseeing.announce(channels.tolist(), step * self._divider - self._sample)
 
     def _exchange(self, channels: NDArray[np.uint16] | None) -> Reply:
         twin = self._twin
@@ -165,20 +206,11 @@ class _Lockstep:
         return reply
 
 
-def _arm(link: _Lockstep, scenario: Scenario, first: NDArray[np.uint16]) -> Row:
-    """Boot with the switch off, then switch on until armed; returns the first armed control step.
-
-    The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
-    """
-    off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
-    on = first.copy()
-    on[CHANNEL_THROTTLE] = off[CHANNEL_THROTTLE]
-    rate = link.control_rate_hz
-    period = round(SWITCH_PERIOD_S * rate)
-    while link.step < ARM_LIMIT_S * rate:
-        phase = link.step - round(SWITCH_OFF_S * rate)
-        switched = phase >= 0 and phase % period < period // 2
-        row = link.control_step(on if switched else off)
+def _arm(link: _Lockstep, scenario: Scenario) -> Row:
+    """Boot with the switch off, then switch on until armed; returns the first armed control step."""
+    while link.step < ARM_LIMIT_S * link.control_rate_hz:
+        switched = link.pilot.switched(link.step)
+        row = link.control_step()
         if link.armed and not switched:
             raise LinkError("the firmware is armed with the switch off: start a fresh one for each flight")
         if link.armed:

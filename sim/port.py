@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,18 @@ class FirmwarePort(Protocol):
 
     def close(self) -> None:
         """End the firmware. May be called twice."""
+        ...
+
+
+@runtime_checkable
+class ForeseeingPort(FirmwarePort, Protocol):
+    """A port whose receiver frames come over a line on which they take their time."""
+
+    def announce(self, channels_us: Sequence[int], samples: int) -> None:
+        """The exchange after `samples` more will come with these channels: they go on the line now.
+
+        0 more is the next exchange. Frames are announced in order, each before its exchange.
+        """
         ...
 
 
