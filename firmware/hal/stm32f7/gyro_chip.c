@@ -9,6 +9,7 @@
 #include "spi.h"
 #include "targets/MATEKF722/board.h"
 #include "time.h"
+#include "watchdog.h"
 
 #define AF_SPI1 5u
 #define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */
@@ -32,6 +33,7 @@ enum chip_register {
 };
 #define READ 0x80u
 #define DEVICE_RESET 0x80u /* PWR_MGMT_1 */
+#define START_MS 100u      /* at most, from power to the first access (PS-MPU-6500A-01, start-up time) */
 #define RESET_MS 100u      /* of the chip, and again of its signal paths */
 
 /* What the chips differ in. */
@@ -141,6 +143,8 @@ bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
 	gpio_alternate(BOARD_GYRO_MOSI, AF_SPI1, GPIO_FLOATING, GPIO_FAST);
 	spi_configure(SPI_844K);
 
+	time_delay_ms(START_MS); /* the chip's supply may have come with the processor's */
+	watchdog_feed();         /* its half second may be a third, and resets follow */
 	if (!write_register(PWR_MGMT_1, DEVICE_RESET))
 		return false;
 	time_delay_ms(RESET_MS);

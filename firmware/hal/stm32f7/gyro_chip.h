@@ -7,7 +7,7 @@
 
 #include "hal/hal.h"
 
-/* Identifies and configures the chip (takes 0.2 s) and says how it is turned on this board, and which one it is.
+/* Identifies and configures the chip (takes 0.3 s) and says how it is turned on this board, and which one it is.
  * False: absent, unknown, or it does not keep what is written to it; both are then left alone. Needs the clocks at
  * full speed. */
 bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind);
