@@ -16,7 +16,7 @@ VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
-.PHONY: coverage help setup arm cppcheck firmware host train fly test prove bench lint clean
+.PHONY: coverage help setup arm cppcheck firmware host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -50,6 +50,11 @@ train: setup ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
 	@$(RUN) fly --on $(ON) --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
+
+emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, 60 s of commands
+	@sha256sum build/MATEKF722/neuroflight.bin
+	@for scenario in roll flip sim/scenarios/split_s.toml pulses; do \
+	  $(RUN) fly --on emulator --aircraft $(AIRCRAFT) --scenario $$scenario --count 14 --seed $(SEED) $(ARGS) || exit 1; done
 
 test: firmware host ## the tests
 	@$(VENV)/bin/python -m pytest $(ARGS)

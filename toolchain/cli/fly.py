@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from sim.scenario import Scenario
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
-BETAFLIGHT = BUILD.with_name("BETAFLIGHT")
+BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 MOUNTS = ("centre", "rig", "free")
-FIRMWARES = ("reference", "host", "betaflight")
+FIRMWARES = ("reference", "host", "emulator", "betaflight")
 CONTROLLERS = ("policy", "pid")
 COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
 WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
@@ -38,13 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=FIRMWARES,
         default="host",
         help="what runs the firmware: host, the program over UDP; reference, its C core as a library; "
+        "emulator, the image for the MATEKF722 on an emulated board; "
         "betaflight, Betaflight with its default PID instead, fetched and built at first use",
     )
     parser.add_argument(
         "--build",
         type=Path,
         metavar="DIR",
-        help="the build to fly; default: build/HOST, with betaflight build/BETAFLIGHT",
+        help="the build to fly; default: build/HOST, with emulator build/MATEKF722, with betaflight "
+        "build/BETAFLIGHT",
     )
     parser.add_argument(
         "--controller",
@@ -183,11 +185,34 @@ def _open(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
+    if args.on == "emulator":
+        return _open_emulator(args, aircraft)
     name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
     product = (args.build or BUILD) / name
     port: FirmwarePort = kind(product, args.gyro_hz, twin_settings(aircraft))
     try:
         return _Entry("firmware", port, built_idle(product, pid=args.controller == "pid"))
+    except NeuroflightError:
+        port.close()
+        raise
+
+
+def _open_emulator(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
+    """The image on a board of its own, with the settings that it has when freshly flashed."""
+    from sim.emulated_port import EmulatedPort
+    from sim.port import setting_changes, twin_settings
+    from toolchain.report import built_idle
+
+    image = (args.build or BOARD) / "neuroflight.bin"
+    changes = setting_changes(twin_settings(aircraft))
+    if changes:
+        raise NeuroflightError(
+            f"--on emulator: aircraft {aircraft.name} needs the settings {', '.join(changes)}, the image "
+            f"flies with its own; use --on host"
+        )
+    port = EmulatedPort(image, args.gyro_hz)
+    try:
+        return _Entry("firmware", port, built_idle(image, pid=args.controller == "pid"))
     except NeuroflightError:
         port.close()
         raise
