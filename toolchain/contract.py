@@ -63,8 +63,7 @@ CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
 RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
 RECEIVER_LOST_MS = 400  # silence after which the configured failsafe stage begins
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
-GYRO_GLITCH_MS = 2  # bad samples shorter than this: the last good one stands in for them
-GYRO_BAD_MS = 10  # bad, stuck, saturated or silent for longer: the motors stop
+GYRO_BAD_MS = 10  # bad, stuck, saturated or silent: so long the last good sample stands in, then motors stop
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
 # A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so
 # much more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.

@@ -6,7 +6,6 @@
 #include "nf_math.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
-#define STANDARD_GRAVITY 9.80665f /* m/s^2 */
 #define ANY_TILT (-2.0f)          /* below every cosine */
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
@@ -261,7 +260,7 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 	gyro_acceleration(&fw->gyro, acceleration);
 	attitude_step(&fw->attitude, rate, acceleration);
 	for (int i = 0; i < 3; i++)
-		fw->status.accel_g[i] = acceleration[i] * (1.0f / STANDARD_GRAVITY);
+		fw->status.accel_g[i] = acceleration[i] * (1.0f / NF_GRAVITY);
 	safety_tick(&fw->safety);
 	receive_posted(fw);
 	if (fw->heard)
