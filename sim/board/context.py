@@ -21,15 +21,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NoReturn, Protocol
 
-from toolchain.errors import NeuroflightError
+from toolchain.errors import LinkError
 
 TIME_HZ = 216_000_000  # of `Context.cycle`
 
 
-class BoardError(NeuroflightError):
+class BoardError(LinkError):
     """The image did something that the chip does not do, does not allow or does not forgive.
 
-    The message ends in the place: program counter, function, file and line.
+    The message ends in the place: program counter, function, file and line. Behind a port it is what every
+    failure of the other side is, a LinkError.
     """
 
 
@@ -102,18 +103,6 @@ class Context(Protocol):
 
     def nmi(self) -> None:
         """The non-maskable interrupt (clock security system)."""
-        ...
-
-    def dma_request(self, controller: int, stream: int, channel: int, asserted: bool = True) -> None:
-        """The request line that is wired to `channel` of `stream` of DMA `controller` (1 or 2).
-
-        Keep it asserted while data is wanted or waits; the controller takes it as often as it can serve it.
-        Goes to what `serve_dma` named.
-        """
-        ...
-
-    def serve_dma(self, controller: int, callback: Callable[[int, int, bool], None]) -> None:
-        """DMA `controller` takes its requests by `callback(stream, channel, asserted)`."""
         ...
 
     def load(self, address: int, size: int) -> int:

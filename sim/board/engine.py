@@ -127,7 +127,6 @@ class Engine:
         self._writes: list[Callable[[int, int, int], None]] = []
         self._rings: list[Callable[[], None]] = []
         self._reset_listeners: list[Callable[[str], None]] = []
-        self._dma: dict[int, Callable[[int, int, bool], None]] = {}
         self._flash_store: Callable[[int, int, int], None] | None = None
         self._error: BaseException | None = None
         self._cause = ""
@@ -299,15 +298,6 @@ class Engine:
     def nmi(self) -> None:
         """The non-maskable interrupt."""
         self.library.engine_nmi(self.handle)
-
-    def dma_request(self, controller: int, stream: int, channel: int, asserted: bool = True) -> None:
-        """A request line of a DMA controller."""
-        if controller in self._dma:
-            self._dma[controller](stream, channel, asserted)
-
-    def serve_dma(self, controller: int, callback: Callable[[int, int, bool], None]) -> None:
-        """Where `dma_request` goes."""
-        self._dma[controller] = callback
 
     def load(self, address: int, size: int) -> int:
         """What a bus master reads."""

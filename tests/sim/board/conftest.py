@@ -75,12 +75,6 @@ class FakeContext:
     def nmi(self) -> None:
         self.nmis += 1
 
-    def dma_request(self, controller: int, stream: int, channel: int, asserted: bool = True) -> None:
-        raise AssertionError("no peripheral here asks by lines")
-
-    def serve_dma(self, controller: int, callback: Callable[[int, int, bool], None]) -> None:
-        raise AssertionError("no controller here is asked by lines")
-
     def load(self, address: int, size: int) -> int:
         return int.from_bytes(self.memory(address, size), "little")
 
