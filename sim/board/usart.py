@@ -114,6 +114,11 @@ class Usart(Device):
 
     # For the loop
 
+    @property
+    def arriving(self) -> int:
+        """Bytes on the line that have not come to their end."""
+        return len(self._arriving)
+
     def feed(self, data: bytes, format: Format, *, end: int | None = None, broken: Sequence[int] = ()) -> int:
         """Bytes come in over the line, one after another; returns the cycle at which the last one ends.
 
