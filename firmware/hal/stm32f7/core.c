@@ -17,7 +17,7 @@ static const struct region {
 	/* No external memory on this board; a speculative read there may stall the bus for good. */
 	{0x60000000u, 29, NO_ACCESS},
 	{0x80000000u, 29, NO_ACCESS},
-	{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers of the background */
+	{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers */
 };
 
 static void protect_memory(void)

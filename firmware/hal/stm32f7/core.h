@@ -45,6 +45,12 @@ static inline void interrupts_enable(void)
 	__asm volatile("cpsie i\n\tisb" ::: "memory");
 }
 
+/* Until the next interrupt has been served. The tick ends every sleep within a millisecond. */
+static inline void wait_for_interrupt(void)
+{
+	__asm volatile("dsb\n\twfi" ::: "memory");
+}
+
 /* Faults by name instead of one hard fault; traps on division by zero and unaligned access; null page and
  * the empty external memory closed, SRAM2 not cached; both caches on. Interrupts off or not yet enabled. */
 void core_start(void);

@@ -1,4 +1,4 @@
-/* One DMA stream: set up once, started for each transfer. Direct mode, one memory buffer (in DTCM).
+/* One DMA stream: set up once, started for each transfer. Direct mode, one memory buffer.
  * With constant arguments every function folds into a few register accesses. */
 #ifndef STM32F7_DMA_H
 #define STM32F7_DMA_H
@@ -10,8 +10,10 @@
 #include "registers.h"
 #include "time.h"
 
-/* Every buffer that DMA touches, so that no cache maintenance is ever due: those of the control path in DTCM (the
- * linker script holds all of .bss there), those of the background in memory that core_start leaves uncached. */
+/* Every buffer that DMA touches, so that no cache maintenance is ever due. What DMA writes and the control path reads
+ * lies in DTCM (the linker script holds all of .bss there). What DMA reads never does: the vendor's errata for this
+ * family say that DTCM answers no such read while the core sleeps. It lies, with the background's buffers, in memory
+ * that core_start leaves uncached. */
 #define DMA_BUFFER __attribute__((section(".bss.dma_buffers"), aligned(4)))
 #define DMA_BUFFER_SLOW __attribute__((section(".uncached"), aligned(4)))
 

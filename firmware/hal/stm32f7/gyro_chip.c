@@ -71,7 +71,7 @@ static const struct setting {
 #define GYRO_OFFSET 9u
 #define TRANSFER_BYTES 15u
 
-static DMA_BUFFER uint8_t gyro_request[TRANSFER_BYTES];
+static DMA_BUFFER_SLOW uint8_t gyro_request[TRANSFER_BYTES];
 static DMA_BUFFER uint8_t gyro_response[TRANSFER_BYTES];
 
 /* Between gyro_run, the edge handler, the sample handler and the tick. */
@@ -181,11 +181,6 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	EXTI_PR = EXTI_PR_PR3;
 	EXTI_IMR |= EXTI_IMR_IM3;
 	interrupt_enable(IRQ_EXTI3, PRIORITY_GYRO_EDGE);
-}
-
-bool gyro_busy(void)
-{
-	return dma_busy(DMA_GYRO_TX);
 }
 
 void gyro_tick(void)

@@ -19,7 +19,4 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz);
 /* A millisecond has passed. From the tick, which shares the samples' priority. */
 void gyro_tick(void);
 
-/* Does DMA still read the request? */
-bool gyro_busy(void);
-
 #endif

@@ -52,16 +52,6 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	return HAL_RUN;
 }
 
-/* Sleeps until the next interrupt, but never while DMA reads from DTCM: the vendor's errata for this family
- * say such reads return nothing while the core sleeps. The tick ends every sleep within a millisecond. */
-static void rest(void)
-{
-	interrupts_disable();
-	if (!motors_busy() && !gyro_busy() && !msp_uart_busy())
-		__asm volatile("dsb\n\twfi" ::: "memory");
-	interrupts_enable();
-}
-
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
 	receiver_line_start(settings->receiver_protocol);
@@ -70,7 +60,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 	for (;;) {
 		handlers->background(handlers->context);
 		msp_uart_serve(handlers);
-		rest();
+		wait_for_interrupt();
 	}
 }
 

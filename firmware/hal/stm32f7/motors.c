@@ -33,9 +33,9 @@ _Static_assert(OUTPUT_COUNT == BOARD_MOTOR_COUNT, "one pin a motor");
 /* Pulse widths, bit by bit, as DMA moves them: four motors side by side for the burst, then one alone. The
  * trailing slots stay 0. */
 #define BURST_WIDTH 4u
-static DMA_BUFFER uint32_t motor_slots[SLOTS * BURST_WIDTH];
-static DMA_BUFFER uint32_t motor_5_slots[SLOTS];
-static DMA_BUFFER uint32_t motor_6_slots[SLOTS];
+static DMA_BUFFER_SLOW uint32_t motor_slots[SLOTS * BURST_WIDTH];
+static DMA_BUFFER_SLOW uint32_t motor_5_slots[SLOTS];
+static DMA_BUFFER_SLOW uint32_t motor_6_slots[SLOTS];
 
 /* A timer and the motors that it drives. */
 static const struct bank {
@@ -135,13 +135,13 @@ void motors_run(uint32_t protocol, size_t count)
 	banks_in_use = used;
 }
 
-bool motors_busy(void)
+/* Does DMA still read a frame? */
+static bool busy(void)
 {
-	bool busy = false;
-
 	for (uint32_t i = 0; i < banks_in_use; ++i)
-		busy |= dma_busy(banks[i].stream);
-	return busy;
+		if (dma_busy(banks[i].stream))
+			return true;
+	return false;
 }
 
 /* No request may straddle an update, or motors of one bank would get a bit later than the others: requests are
@@ -156,7 +156,7 @@ static void send(const struct bank *bank)
 
 void motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 {
-	if (motors_busy())
+	if (busy())
 		return;
 	for (uint32_t i = 0; i < banks_in_use; ++i) {
 		const struct bank *const bank = &banks[i];

@@ -18,9 +18,6 @@ void motors_run(uint32_t protocol, size_t count);
  * handler or the tick only. */
 void motors_write(const uint16_t dshot[], size_t count, bool telemetry);
 
-/* Does DMA still read a frame? */
-bool motors_busy(void);
-
 /* Takes the pins from the timers and drives them low, from any state of the chip. */
 void motors_force_low(void);
 

@@ -26,17 +26,12 @@ void msp_uart_start(void)
 		       USART_CR3_DMAR | USART_CR3_DMAT);
 }
 
-bool msp_uart_busy(void)
-{
-	return dma_busy(DMA_MSP_TX);
-}
-
 void msp_uart_serve(const struct hal_handlers *handlers)
 {
 	uint8_t bytes[64];
 
-	if (msp_uart_busy())
-		return;
+	if (dma_busy(DMA_MSP_TX))
+		return; /* the reply is still being read */
 	const size_t count = uart_ring_read(&ring, bytes, sizeof bytes);
 	const uint32_t now = time_ms();
 

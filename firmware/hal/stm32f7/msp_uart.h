@@ -12,7 +12,4 @@ void msp_uart_start(void);
  * the ring. */
 void msp_uart_serve(const struct hal_handlers *handlers);
 
-/* Does DMA still read the reply? */
-bool msp_uart_busy(void);
-
 #endif

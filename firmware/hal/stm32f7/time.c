@@ -19,10 +19,10 @@ bool time_cycles_start(void)
 
 void time_delay_ms(uint32_t milliseconds)
 {
-	const uint32_t start = time_cycles();
+	const uint32_t start = time_ms(); /* a part of this millisecond has passed: it does not count */
 
-	while (time_cycles() - start < milliseconds * (CLOCK_CORE_HZ / 1000u))
-		;
+	while (time_ms() - start <= milliseconds)
+		wait_for_interrupt(); /* the cycle counter may stand meanwhile */
 }
 
 void time_tick_start(void)

@@ -29,7 +29,8 @@ static inline bool time_wait(const volatile uint32_t *reg, uint32_t mask, uint32
 	return (*reg & mask) == value;
 }
 
-/* Waits at 216 MHz; for set-up only. At most 19 s. */
+/* Sleeps for that long, up to one more; for set-up only, interrupts on, after time_tick_start. Without a tick the
+ * watchdog ends it. */
 void time_delay_ms(uint32_t milliseconds);
 
 /* Starts the millisecond interrupt; the core runs at 216 MHz from here on. */

@@ -48,6 +48,8 @@ GARBAGE = 0xA5  # what RAM holds at power-up
 STEPS_MAX = 20_000_000
 ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)
 RETURN = FLASH_BASE + 0x3F00  # an address that no code uses, where `call` ends
+WFI = b"\x30\xbf"
+TICKS_MAX = 2000  # milliseconds that a start-up sleeps, at most
 
 CHIP_READ = 0x80  # of a register's address on the gyro chip's bus
 CHIP_SELECT = 2  # of port C, active low
@@ -131,7 +133,8 @@ def processor() -> Any:
 
 class Sketch:
     """The board as far as start-up needs it. `dead` names ready bits that never come true;
-    the cycle counter moves by `cycles_a_read` whenever it is read, so that waits pass quickly.
+    the cycle counter moves by `cycles_a_read` whenever it is read, so that waits pass quickly, and a sleep is
+    a millisecond.
 
     Registers are memory with the vendor's reset values, ready bits follow their enable bits, nothing answers
     on SPI unless a test does. It minds what the chip minds and notes it in `sins`: registers nobody stated,
@@ -146,6 +149,9 @@ class Sketch:
         cycles_a_read: int = 20000,
     ) -> None:
         self._made_of = elf, table
+        table_of_names = elf.get_section_by_name(".symtab")
+        assert isinstance(table_of_names, SymbolTableSection)
+        self._milliseconds = table_of_names.get_symbol_by_name("milliseconds_passed")[0]["st_value"]
         self.by_address = {r.address: r for r in table.registers}
         self.by_name = {(r.name, r.instance): r for r in table.registers}
         self.dead = dead
@@ -211,7 +217,12 @@ class Sketch:
         stack, reset = struct.unpack("<II", self.uc.mem_read(FLASH_ALIAS, 8))
         self.uc.reg_write(UC_ARM_REG_SP, stack)
         self.uc.ctl_flush_tb()  # what an earlier run translated does not know this one's end
-        self.uc.emu_start(reset, until & ~1, count=steps)
+        for _ in range(TICKS_MAX):
+            self.uc.emu_start(reset, until & ~1, count=steps)
+            reset = self.uc.reg_read(UC_ARM_REG_PC) | 1
+            if reset & ~1 == until & ~1 or bytes(self.uc.mem_read((reset & ~1) - 2, 2)) != WFI:
+                break
+            self.poke(self._milliseconds, self.peek(self._milliseconds) + 1)
 
     def call(self, function: int) -> None:
         """Run a handler of the image as the core would on its interrupt, on top of what `run` left."""
