@@ -14,9 +14,13 @@ from dataclasses import dataclass
 
 from toolchain.disassembly import Instruction
 from toolchain.errors import BuildError
-from toolchain.mca import block_cycles
+from toolchain.mca import PricingError, block_cycles, pricer_version
 
 CORE_HZ = 216_000_000  # of the MATEKF722: firmware/hal/stm32f7/clock.h
+# llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at
+# half or a quarter of the core's clock: so much more for each access, and for each barrier, is assumed.
+DEVICE_CYCLES = 12
+BARRIERS = ("dsb", "isb")
 
 Route = frozenset[tuple[tuple[int, int], int]]  # ((address, size) of a run of code, times executed)
 
@@ -62,6 +66,26 @@ class RouteCost:
         totals = [block.total_cycles for block in self.blocks]
         return None if None in totals else sum(total for total in totals if total is not None)
 
+    @property
+    def barriers(self) -> int:
+        """Executed instructions that wait for memory."""
+        return sum(
+            block.times * sum(i.operation in BARRIERS for i in block.instructions) for block in self.blocks
+        )
+
+    def cycles_with_devices(self, accesses: int) -> float | None:
+        """Predicted, with what `accesses` of peripherals' registers and the barriers are assumed to take."""
+        return None if self.cycles is None else self.cycles + DEVICE_CYCLES * (accesses + self.barriers)
+
+
+@dataclass(frozen=True)
+class Priced:
+    """What routes cost, in cycles as well where there is a model."""
+
+    costs: tuple[RouteCost, ...]
+    pricer: str  # which model priced cycles; "" for none
+    no_cycles_reason: str | None  # why there are none
+
 
 def route_of(runs: Iterable[tuple[int, int]]) -> Route:
     """The route of a call from the runs of code it executed (`CortexM7.recording`)."""
@@ -87,6 +111,18 @@ def route_costs(routes: Sequence[Route], code: Mapping[int, Instruction], *, pri
         )
         for counts in executed
     ]
+
+
+def price_routes(routes: Sequence[Route], code: Mapping[int, Instruction]) -> Priced:
+    """The cost of each route; where llvm-mca is missing or lacks an instruction, without cycles.
+
+    Raises BuildError where code was executed that the disassembly does not have.
+    """
+    try:
+        pricer = pricer_version()
+        return Priced(tuple(route_costs(routes, code, price=True)), pricer, None)
+    except PricingError as error:
+        return Priced(tuple(route_costs(routes, code, price=False)), "", str(error))
 
 
 def _executed(route: Route, code: Mapping[int, Instruction]) -> Counter[int]:

@@ -11,10 +11,9 @@ import numpy as np
 from toolchain.arm_policy import ArmPolicy, build_policy_elf, compiler_version, state_bytes
 from toolchain.compiler import CompiledPolicy
 from toolchain.cortex_m7 import CortexM7, load_program
-from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
+from toolchain.cycles import CORE_HZ, Route, RouteCost, price_routes, route_of
 from toolchain.disassembly import disassemble
 from toolchain.float32 import Float32
-from toolchain.mca import PricingError, pricer_version
 
 STACK_ROUTES = 100  # whose stack is measured
 ONE_OF = 3  # observations in so many are of unit scale; as many of any scale, as many hold an extreme value
@@ -142,11 +141,8 @@ def call_cost(
         machine.write(place, values[number].tobytes())
         stack = max(stack, machine.stack_bytes(*call))
     code = disassemble(machine.program.path, lines=True)
-    try:
-        pricer = pricer_version()
-        return Cost(tuple(route_costs(list(seen), code, price=True)), stack, pricer, None)
-    except PricingError as error:
-        return Cost(tuple(route_costs(list(seen), code, price=False)), stack, "", str(error))
+    priced = price_routes(list(seen), code)
+    return Cost(priced.costs, stack, priced.pricer, priced.no_cycles_reason)
 
 
 def mixed_observations(count: int, inputs: int, seed: int = 0) -> Float32:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,19 +40,14 @@ from toolchain.contract import (
     Region,
 )
 from toolchain.cortex_m7 import CortexM7, load_program
-from toolchain.cycles import CORE_HZ, Route, RouteCost, route_costs, route_of
-from toolchain.disassembly import Instruction, disassemble
-from toolchain.mca import PricingError
+from toolchain.cycles import CORE_HZ, DEVICE_CYCLES, Route, price_routes, route_costs, route_of
+from toolchain.disassembly import disassemble
 from toolchain.registers import load
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ("nf1", "nf1-six")  # the shipped one, and 6-64-64-4
 AIRCRAFT, SEED, GYRO_HZ = "nf1", 1, 4000
 CYCLES_BAR, VARIES_BAR = 22_000, 0.05
-# llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at
-# half or a quarter of the core's clock: so much more for each access, and for each barrier, is assumed.
-DEVICE_CYCLES = 12
-BARRIERS = ("dsb", "isb")
 
 PERIPHERALS = Region("peripherals", 0x40000000, 0x80000)
 SYSTEM = Region("system", 0xE0000000, 0x100000)
@@ -155,15 +150,12 @@ def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row
             if index % EVERY == EVERY - 1:
                 board.background()
     code = disassemble(folder / "MATEKF722" / "neuroflight.elf", lines=True)
-    priced, reason = _priced(list(routes), code)
+    priced = price_routes(list(routes), code)
     least_between = [cost.instructions for cost in route_costs(list(between), code, price=False)]
-    counts = [cost.instructions for cost in priced]
+    counts = [cost.instructions for cost in priced.costs]
     accesses = board.device_accesses()
-    cycles = [
-        cost.cycles + DEVICE_CYCLES * (accesses + _barriers(cost))
-        for cost in priced
-        if cost.cycles is not None
-    ]
+    taken = [cost.cycles_with_devices(accesses) for cost in priced.costs]
+    cycles = [cycles for cycles in taken if cycles is not None]
     return Row(
         policy=name,
         network=report.policy.network,
@@ -171,24 +163,10 @@ def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row
         routes=len(routes),
         instructions=(min(counts), max(counts)),
         cycles=(min(cycles), max(cycles)) if cycles else None,
-        no_cycles_reason=reason,
+        no_cycles_reason=priced.no_cycles_reason,
         device_accesses=accesses,
         between=(min(least_between), max(least_between)),
     )
-
-
-def _barriers(cost: RouteCost) -> int:
-    """Executed instructions that wait for memory."""
-    return sum(
-        block.times * sum(i.operation in BARRIERS for i in block.instructions) for block in cost.blocks
-    )
-
-
-def _priced(routes: Sequence[Route], code: Mapping[int, Instruction]) -> tuple[list[RouteCost], str | None]:
-    try:
-        return route_costs(routes, code, price=True), None
-    except PricingError as error:
-        return route_costs(routes, code, price=False), str(error)
 
 
 # --- The recorded flight ------------------------------------------------------------------------------
