@@ -1,10 +1,11 @@
 """The lockstep loop: a twin and a firmware behind a port, one gyro sample at a time.
 
 At each sample the port gets the twin's gyro and answers with DShot values, which act on the twin from
-the next sample on. Until the firmware is armed the aircraft is held where it is. Receiver frames go out
-just before the control step they belong to: when the sticks changed, but no closer than SBUS can send
-them, and every 10 ms in any case. A frame takes its time on a line, so the pilot decides for each
-FRAME_SPACING_S ahead, on every port alike; a port that has such a line hears of it then.
+the next sample on. Until the firmware is armed the aircraft is held where it is; after the scenario the
+pilot closes the throttle and switches off, and the motors must stop. Receiver frames go out just before the
+control step they belong to: when the sticks changed, but no closer than SBUS can send them, and every 10 ms
+in any case. A frame takes its time on a line, so the pilot decides for each FRAME_SPACING_S ahead, on every
+port alike; a port that has such a line hears of it then.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sim.port import FirmwarePort, ForeseeingPort, Reply, Sample, control_divide
 from sim.scenario import Scenario
 from sim.trace import Trace
 from sim.twin import Twin
-from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_THROTTLE
+from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
 from toolchain.errors import LinkError
 
 FRAME_SPACING_S = 0.004  # an SBUS frame is 25 x 12 bits at 100 kbaud = 3 ms, and a gap
@@ -29,6 +30,7 @@ FRAME_PERIOD_S = 0.010  # between frames of unchanged sticks
 SWITCH_OFF_S = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 50) / 1000  # before the first try to arm
 SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
 ARM_LIMIT_S = 10.0  # from power-on; a noisy gyro may need more than one calibration
+DISARM_LIMIT_S = 1.0  # from the pilot's switch to motors that stand
 PROGRESS_S = 0.1  # of flight between two calls of `progress`
 
 Progress = Callable[[float], None]  # gets the flown part, 0..1
@@ -42,11 +44,14 @@ def fly(
     motor_order: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> Trace:
-    """Boot and arm the firmware, then fly `scenario`; row 0 is the first armed control step.
+    """Boot and arm the firmware, fly `scenario` and disarm; row 0 is the first armed control step.
+
+    What comes after the scenario is flown but is in no row.
 
     twin: one aircraft at rest, at the port's gyro rate. port: freshly booted. motor_order: output i of the
     firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests.
-    Raises LinkError when the firmware does not arm or the link fails, ScenarioError on impossible sticks.
+    Raises LinkError when the firmware does not arm or disarm or the link fails, ScenarioError on impossible
+    sticks.
     """
     pilot = _Pilot(scenario, port.control_rate_hz)
     link = _Lockstep(twin, port, pilot, motor_order)
@@ -58,6 +63,7 @@ def fly(
         rows[k] = link.control_step()
         if progress is not None and k % every == 0:
             progress(k / steps)
+    _disarm(link)
     return Trace(
         t=np.arange(steps) / port.control_rate_hz,
         motors=motor_fractions(rows["dshot"]),
@@ -82,7 +88,7 @@ def _row(motors: int) -> np.dtype[np.void]:
 
 
 class _Pilot:
-    """Sticks low and the switch off and on until the firmware is armed; from then on the scenario."""
+    """Sticks low and the switch off and on until the firmware is armed; the scenario; the switch off."""
 
     def __init__(self, scenario: Scenario, control_rate_hz: int) -> None:
         self._channels, self._heard = scenario.timeline(control_rate_hz)
@@ -91,6 +97,8 @@ class _Pilot:
         # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
         self._on = self._channels[0].copy()
         self._on[CHANNEL_THROTTLE] = self._off[CHANNEL_THROTTLE]
+        self._landed = self._channels[-1].copy()
+        self._landed[[CHANNEL_THROTTLE, CHANNEL_ARM]] = self._off[[CHANNEL_THROTTLE, CHANNEL_ARM]]
         self._first = round(SWITCH_OFF_S * control_rate_hz)
         self._period = round(SWITCH_PERIOD_S * control_rate_hz)
 
@@ -104,7 +112,9 @@ class _Pilot:
         if armed_at is None:
             return self._on if self.switched(step) else self._off
         k = step - armed_at
-        return self._channels[k] if k < self.steps and self._heard[k] else None
+        if k >= self.steps:
+            return self._landed
+        return self._channels[k] if self._heard[k] else None
 
 
 class _Lockstep:
@@ -218,4 +228,18 @@ def _arm(link: _Lockstep, scenario: Scenario) -> Row:
     raise LinkError(
         f"the firmware did not arm within {ARM_LIMIT_S:g} s of scenario {scenario.name}'s boot: "
         f"{link.arming_reasons()}"
+    )
+
+
+def _disarm(link: _Lockstep) -> None:
+    """Go on with the switch off until no motor is told to turn."""
+    values = None
+    for _ in range(math.ceil(DISARM_LIMIT_S * link.control_rate_hz)):
+        values = link.control_step()[3]
+        if not link.armed and not values.any():
+            return
+    assert values is not None
+    raise LinkError(
+        f"the firmware did not disarm within {DISARM_LIMIT_S:g} s of the pilot's switch: "
+        f"it is {'armed' if link.armed else 'disarmed'}, DShot {values.tolist()}"
     )

@@ -26,6 +26,8 @@ HOLD = Scenario("hold", (Segment(0.02), Segment(0.03, (100.0, -50.0, 20.0), 0.4)
 class Recorder:
     """Arms with the switch after a second; answers a DShot value that tells control step and motor."""
 
+    disarms = True
+
     def __init__(self, gyro_rate_hz: int = 4000, motors: int = 4, arms: bool = True) -> None:
         self.motor_count, self.gyro_rate_hz, self.control_rate_hz = motors, gyro_rate_hz, 1000
         self.samples: list[Sample] = []
@@ -40,7 +42,8 @@ class Recorder:
             self.frames.append((number, list(channels_us)))
         channels = self.frames[-1][1] if self.frames else UNHEARD
         step = number // (self.gyro_rate_hz // 1000)
-        armed = self._arms and step >= 1000 and channels[CHANNEL_ARM] >= ARM_ON_US
+        stays = not self.disarms and step > 0 and self.replies[-1].armed
+        armed = self._arms and step >= 1000 and (channels[CHANNEL_ARM] >= ARM_ON_US or stays)
         dshot = np.array([48 + 10 * (step % 100) + motor for motor in range(self.motor_count)]) * armed
         reply = Reply(
             dshot.astype(np.uint16),
@@ -85,10 +88,10 @@ def flown(port: Recorder, scenario: Scenario = HOLD) -> tuple[Watched, Trace, in
 def test_every_sample_is_answered_and_flown_once_when_in_lockstep() -> None:
     port = Recorder()
     twin, trace, start = flown(port)
-    assert len(port.samples) == start + 4 * 100
-    assert len(twin.given) == 4 * 100  # held while disarmed
+    assert len(port.samples) == start + 4 * 101  # the last step is disarmed
+    assert len(twin.given) == 4 * 101  # held until armed
     assert [sample.time_s for sample in port.samples[:3]] == [0.0, 0.00025, 0.0005]
-    for reply, given in zip(port.replies[start:], twin.given, strict=True):
+    for reply, given in zip(port.replies[start:-4], twin.given[:-4], strict=True):
         assert given == [(int(value) - 48) / 1999 for value in reply.dshot]
     assert trace.t.tolist() == [k / 1000 for k in range(100)]
 
@@ -97,12 +100,12 @@ def test_rows_begin_at_the_first_armed_control_step_when_traced() -> None:
     port = Recorder()
     twin, trace, start = flown(port)
     assert start % 4 == 0
-    controls = port.replies[start::4]
+    controls = port.replies[start:-4:4]
     assert trace.dshot.tolist() == [reply.dshot.tolist() for reply in controls]
     assert trace.setpoint.tolist() == [reply.setpoint.tolist() for reply in controls]
-    assert trace.rate.tolist() == [rate.tolist() for rate in twin.rates[:-1:4]]
+    assert trace.rate.tolist() == [rate.tolist() for rate in twin.rates[:-5:4]]
     assert trace.gyro.tolist() == [reply.gyro.tolist() for reply in controls]
-    assert trace.motors.tolist() == twin.given[::4]
+    assert trace.motors.tolist() == twin.given[:-4:4]
 
 
 def test_setpoints_follow_the_scenario_to_the_step_when_flown() -> None:
@@ -165,6 +168,34 @@ def test_stops_when_the_firmware_turns_motors_while_disarmed() -> None:
         flown(Runaway())
 
 
+def test_the_pilot_switches_off_and_the_motors_stand_when_the_scenario_is_over() -> None:
+    port = Recorder()
+    twin, trace, start = flown(port, Scenario("short", (Segment(0.05, (100.0, 0.0, 0.0), 0.4),)))
+    number, last = port.frames[-1]
+    assert (last[CHANNEL_ARM], last[CHANNEL_THROTTLE]) == (1000, 1000)
+    assert number == start + 4 * 50  # not before the last row
+    assert not port.replies[-1].dshot.any()
+    assert (len(trace.t), twin.given[-1]) == (50, [0.0] * 4)
+
+
+def test_it_says_so_when_the_firmware_does_not_disarm() -> None:
+    class Stubborn(Recorder):
+        disarms = False
+
+    class Spinning(Recorder):
+        def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+            reply = super().exchange(sample, channels_us)
+            return reply if reply.armed or not self.frames[-1:] else replace(reply, dshot=self._spin(reply))
+
+        def _spin(self, reply: Reply) -> np.ndarray:
+            flew = any(reply.armed for reply in self.replies)
+            return np.full(4, 48 if flew else 0, np.uint16)
+
+    for port, state in ((Stubborn(1000), "it is armed"), (Spinning(1000), "it is disarmed, DShot .48, 48")):
+        with pytest.raises(LinkError, match=rf"did not disarm within 1 s.*{state}"):
+            flown(port)
+
+
 def test_no_frames_come_when_the_transmitter_is_silent() -> None:
     port = Recorder()
     _, _, start = flown(port, Scenario("lost", (Segment(0.05), Segment(0.2, receiver=False), Segment(0.05))))
@@ -177,8 +208,8 @@ def test_motors_are_crossed_when_an_order_is_given() -> None:
     port, twin = Recorder(1000), Watched(1000)
     fly(twin, port, HOLD, motor_order=(0, 2, 1, 3))
     twin.close()
-    last = port.replies[-1].dshot.tolist()
-    assert twin.given[-1] == [(last[i] - 48) / 1999 for i in (0, 2, 1, 3)]
+    last = port.replies[-2].dshot.tolist()
+    assert twin.given[-2] == [(last[i] - 48) / 1999 for i in (0, 2, 1, 3)]
 
 
 def test_progress_rises_to_the_end_when_asked_for() -> None:
@@ -205,7 +236,7 @@ def test_it_gives_up_with_the_reasons_when_the_firmware_does_not_arm() -> None:
 def test_it_refuses_when_the_firmware_is_armed_from_an_earlier_flight() -> None:
     port, twin = Recorder(1000), Watched(1000)
     fly(twin, port, HOLD)
-    port.exchange = lambda sample, channels_us: port.replies[-1]  # type: ignore[method-assign]
+    port.exchange = lambda sample, channels_us: port.replies[-2]  # type: ignore[method-assign]
     with pytest.raises(LinkError, match="armed with the switch off"):
         fly(twin, port, HOLD)
     twin.close()
