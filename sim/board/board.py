@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from sim.board.adc import Adc, AdcCommon
-from sim.board.bus import Companion, Device, Registers, Touch
+from sim.board.bus import Companion, Device, Registers, Touch, load_table
 from sim.board.context import TIME_HZ, Context
 from sim.board.dma import DmaSystem
 from sim.board.dshot import Esc, Frame
@@ -23,14 +23,17 @@ from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSys
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr
-from sim.board.rcc import Rcc
+from sim.board.rcc import MICROSECOND, Rcc
 from sim.board.spi import Spi
 from sim.board.syscfg import Syscfg
 from sim.board.timer import Timer
 from sim.board.usart import Usart
+from toolchain.contract import DSHOT_MIN
 
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
+ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
+SILENCE = TIME_HZ // 10  # an ESC that hears nothing for so long has stopped its motor [cycles]
 # Timer and channel behind each motor's line, motors 1 to 8 (the eighth's pin is USART2's transmitter too).
 MOTORS = (
     *(("TIM8", channel) for channel in range(1, 5)),
@@ -88,6 +91,9 @@ class Hardware:
         self.hot: Hot | None = None
         if isinstance(context, Engine):
             self.registers.attach(context)
+            edge = f"EXTI{int(READY[2:])}"
+            name = f"the gyro's data-ready edge ({edge})"
+            context.bound_entry(load_table().interrupt(edge), ENTRY_BOUND, name)
         if engine is not None:
             assert isinstance(self.dma, HotDmaSystem)
             assert isinstance(self.pins, HotPins)
@@ -124,6 +130,7 @@ class Hardware:
         rcc.govern(self.registers.devices)
         rcc.latency, rcc.scale = self.flash.latency, lambda: pwr.scale
         self.flash.on_latency = pwr.on_change = rcc.check
+        self.flash.on_begin = self._refuse_in_flight
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)
         if self.hot is not None:
             rcc.on_clocks.append(self.hot.set_clock)
@@ -161,6 +168,18 @@ class Hardware:
             esc.silence(cause == "power")
         if self.hot is not None:
             self.hot.tell_escs()
+
+    def _refuse_in_flight(self, what: str) -> None:
+        """Erasing and programming hold up code and samples, which nothing in flight can wait for."""
+        if self.hot is not None:
+            self.hot.drain()
+        for esc in self.escs:
+            last = esc.last
+            if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > SILENCE:
+                continue
+            self._fail(
+                f"{what} while motor {esc.motor} turns (DShot value {last.value}), expected motors at rest"
+            )
 
     def _fail(self, message: str) -> NoReturn:
         self.context.fail(message)

@@ -101,7 +101,7 @@ _SIGNATURES = {
     "instructions": (c_uint64, c_void_p),
     "hash": (c_uint64, c_void_p),
     "cached": (c_bool, c_void_p, c_uint32),
-    "bound_entry": (None, c_void_p, c_uint32, c_uint64),
+    "bound_entry": (None, c_void_p, c_uint32, c_uint64, c_char_p),
     "depth": (c_uint32, c_void_p),
     "sleeping": (c_bool, c_void_p),
     "task": (POINTER(Task), c_void_p, c_uint32),

@@ -542,6 +542,7 @@ static void prepare_fetch(struct engine *e)
 		e->s.time = e->s.flash_busy << FRACTION;
 		e->s.time = e->next_due < e->s.time ? e->next_due : e->s.time;
 		e->s.time = e->until < e->s.time ? e->until : e->s.time;
+		e->s.stalled = e->s.time;
 	}
 }
 

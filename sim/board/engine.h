@@ -161,12 +161,16 @@ struct state {
 	uint64_t hash;
 	uint64_t due[ALARM_MAX];     /* cycle */
 	uint64_t flash_busy;         /* cycle until which fetches from flash wait */
+	uint64_t flash_rested;       /* cycle at which it was busy last */
+	uint64_t stalled;            /* time at which a fetch waited for it last */
 	uint32_t last_end;           /* where the last block ended */
 	uint32_t pc;                 /* valid between blocks */
 	uint32_t depth;              /* of `active` */
 	struct activation active[DEPTH_MAX + 1]; /* [0] is the thread */
 	struct task tasks[EXCEPTION_COUNT];
 	uint64_t pended_at[EXCEPTION_COUNT];
+	uint32_t pended_pc[EXCEPTION_COUNT];    /* what ran then */
+	uint8_t pended_in[EXCEPTION_COUNT];     /* exception whose handler that was, EXC_THREAD: none */
 	struct flags pending, is_active, enabled, line;
 	uint8_t priority[EXCEPTION_COUNT];
 	uint32_t node;               /* of the call tree, where the program is */
@@ -232,6 +236,7 @@ struct engine {
 	uint64_t next_due;           /* time of the earliest alarm or SysTick */
 
 	uint64_t entry_bound[EXCEPTION_COUNT]; /* time that a request may wait; 0: any */
+	const char *bound_name[EXCEPTION_COUNT]; /* what such a request is called */
 	bool strict;                 /* a fault is an error of the image, not an exception to take */
 	bool failed, reset_wanted;
 	char message[MESSAGE_BYTES];

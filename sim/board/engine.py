@@ -130,6 +130,7 @@ class Engine:
         self._flash_store: Callable[[int, int, int], None] | None = None
         self._error: BaseException | None = None
         self._cause = ""
+        self._bound: dict[int, bytes] = {}  # names of bounded interrupts, which C only points to
         self._closed = False
         self._hang_up()
         self.poke(FLASH_BASE, flash)
@@ -251,9 +252,13 @@ class Engine:
         if self.library.engine_set_breakpoints(self.handle, array, len(wanted)):
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
-    def bound_entry(self, irq: int, cycles: int) -> None:
-        """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none."""
-        self.library.engine_bound_entry(self.handle, 16 + irq, cycles)
+    def bound_entry(self, irq: int, cycles: int, name: str = "") -> None:
+        """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none.
+
+        Unless code outside flash holds it back while flash is erased or programmed. name: what raises it.
+        """
+        self._bound[irq] = (name or f"interrupt {irq}").encode()
+        self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq])
 
     def skip_breakpoint(self) -> None:
         """The next `run` does not stop where it stands."""

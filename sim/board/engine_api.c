@@ -83,7 +83,7 @@ void engine_reset(struct engine *e, uint32_t vectors)
 	system_reset_registers(e);
 	e->s.vtor = vectors;
 	e->s.sleeping = e->s.itcm_closed = false;
-	e->s.flash_busy = 0;
+	e->s.flash_busy = e->s.flash_rested = e->s.stalled = 0;
 	for (uint32_t i = 0; i < ALARM_MAX; ++i)
 		e->s.due[i] = NEVER;
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, UC_PROT_ALL);
@@ -215,6 +215,7 @@ void engine_core_clock(struct engine *e, uint64_t hz)
 void engine_flash_busy(struct engine *e, uint64_t until)
 {
 	e->s.flash_busy = until > NEVER >> FRACTION ? NEVER >> FRACTION : until;
+	e->s.flash_rested = until != 0u ? e->s.flash_busy : now(e) >> FRACTION;
 	look_again(e);
 }
 
@@ -295,11 +296,14 @@ bool engine_cached(const struct engine *e, uint32_t address)
 	return data_is_cached(e, address);
 }
 
-/* A request of `exception` that waits longer than `cycles` (of 216 MHz) is an error; 0: it may wait. */
-void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles)
+/* A request of `exception`, called `name`, that waits longer than `cycles` (of 216 MHz) is an error; 0: it may wait.
+ * The caller keeps `name`. */
+void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name)
 {
-	if (exception < EXCEPTION_COUNT)
-		e->entry_bound[exception] = cycles << FRACTION;
+	if (exception >= EXCEPTION_COUNT)
+		return;
+	e->entry_bound[exception] = cycles << FRACTION;
+	e->bound_name[exception] = name;
 }
 
 uint32_t engine_depth(const struct engine *e)

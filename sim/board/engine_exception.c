@@ -129,6 +129,8 @@ void pend(struct engine *e, uint32_t exception)
 	if (!get(&e->s.pending, exception)) {
 		put(&e->s.pending, exception, true);
 		e->s.pended_at[exception] = now(e);
+		e->s.pended_pc[exception] = e->block == NULL ? e->s.pc : e->at;
+		e->s.pended_in[exception] = (uint8_t)e->s.active[e->s.depth].exception;
 	}
 	look_again(e);
 }
@@ -213,6 +215,27 @@ static double us(uint64_t time)
 	return (double)(time >> FRACTION) * 1e6 / (double)TIME_HZ;
 }
 
+/* A request has waited. Who masks interrupts while flash is erased or programmed does so with reason, but not from
+ * flash itself, whose code stands still for as long. */
+static void judge_wait(struct engine *e, uint32_t exception, uint64_t waited)
+{
+	const struct state *s = &e->s;
+	const uint64_t bound = e->entry_bound[exception], since = s->pended_at[exception];
+	const uint32_t in = s->pended_in[exception];
+	const bool stalled = s->stalled != 0u && s->stalled >= since;
+	char why[48] = "interrupts were masked";
+
+	if (bound == 0u || waited <= bound || (!stalled && s->flash_rested << FRACTION > since))
+		return;
+	if (stalled)
+		snprintf(why, sizeof why, "the core waited for busy flash");
+	else if (in != EXC_THREAD && group_priority(e, in) <= group_priority(e, exception))
+		snprintf(why, sizeof why, "the handler of exception %u ran", in);
+	fail(e, "%s waited %.2f us for its handler, at most %.2f us are allowed: %s", e->bound_name[exception], us(waited),
+	     us(bound), why);
+	e->last_pc = s->pended_pc[exception];
+}
+
 /* The handler's first instruction, IPSR, and the books. */
 static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
 {
@@ -244,11 +267,7 @@ static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint
 		task->latest_at = s->time;
 		task->latest_pc = s->pc;
 	}
-	if (e->entry_bound[exception] != 0u && waited > e->entry_bound[exception]) {
-		fail(e, "interrupt %d waited %.2f us for its handler, at most %.2f us are allowed",
-		     (int)exception - EXC_IRQ0, us(waited), us(e->entry_bound[exception]));
-		e->last_pc = task->latest_pc;
-	}
+	judge_wait(e, exception, waited);
 	s->time += time_of(s, cycles);
 	++task->activations;
 	++s->depth;

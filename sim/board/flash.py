@@ -37,6 +37,7 @@ class Flash(Device):
         self.options = options or OptionBytes()
         super().__init__(context, "FLASH")
         self.on_latency: Callable[[], None] = lambda: None
+        self.on_begin: Callable[[str], None] = lambda what: None  # gets what is about to be done; may fail
         self.operations = 0  # erasures, programmed units and option writes begun since the board was made
         self.cut_at: int | None = None  # power goes in the middle of this operation, counted from 0
         self._seed = seed
@@ -179,6 +180,9 @@ class Flash(Device):
 
     def _begin(self, operation: tuple[str, int, int, int], cycles: int) -> None:
         now = self.context.cycle
+        kind, address, _, _ = operation
+        verb = {"program": "programmed", "erase": "erased"}.get(kind)
+        self.on_begin("option bytes are written" if verb is None else f"flash at 0x{address:08X} is {verb}")
         self._pending = operation
         self.put("SR", "BSY", 1)
         self.context.flash_busy(now + cycles)

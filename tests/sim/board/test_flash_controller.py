@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sim.board.context import BoardError
+from sim.board.dshot import Frame
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -165,3 +166,17 @@ def test_options_are_refused_when_they_would_lock_the_chip(bench: Bench) -> None
     bench.set("FLASH_OPTCR", RDP=0xCC)
     with pytest.raises(BoardError, match="RDP 0xCC would lock the chip"):
         bench.set("FLASH_OPTCR", OPTSTRT=1)
+
+
+@pytest.mark.parametrize(("value", "silent_ms"), [(48, 0), (47, 0), (2047, 101)])
+def test_flash_is_left_alone_when_a_motor_turns(bench: Bench, value: int, silent_ms: int) -> None:
+    unlock(bench)
+    bench.write("FLASH_CR", WORDS | SER | 1 << 3)
+    bench.hardware.escs[2].accept(Frame(3, bench.context.cycle, value, False, 600))
+    bench.context.run(1000 * silent_ms)
+    if value == 48:
+        with pytest.raises(BoardError, match=r"0x08004000 is erased while motor 3 turns \(DShot value 48\)"):
+            bench.write("FLASH_CR", WORDS | SER | STRT | 1 << 3)
+    else:
+        bench.write("FLASH_CR", WORDS | SER | STRT | 1 << 3)
+        assert bench.get("FLASH_SR", "BSY") == 1

@@ -394,7 +394,70 @@ def test_a_wait_is_an_error_when_it_exceeds_its_bound(boot: Boot) -> None:
     engine.run()
     engine = late(boot)
     engine.bound_entry(5, 200)
-    with pytest.raises(BoardError, match=r"interrupt 5 waited 1\.\d\d us .*0\.93 us .*in masked"):
+    with pytest.raises(
+        BoardError, match=r"interrupt 5 waited 1\.\d\d us .*0\.93 us .*were masked; .*in masked"
+    ):
+        engine.run()
+
+
+def test_the_handler_is_named_when_a_bounded_interrupt_waits_for_it(boot: Boot) -> None:
+    source = """
+    HANDLER handler(void) { }
+    HANDLER other(void) { for (int i = 0; i < 100; ++i) __asm volatile("nop"); }
+    HANDLER reset(void) { ENABLE(5); ENABLE(6); PEND(6); __asm volatile("dsb\\n isb"); REST(); }
+    VECTORS([21] = handler, [22] = other);
+    """
+    engine = boot(source, cpi=1)
+    engine.core_clock(216_000_000)
+    engine.alarm("pulse", lambda: (engine.irq(5, True), engine.irq(5, False))).set(100)
+    engine.bound_entry(5, 100, "the button")
+    with pytest.raises(
+        BoardError, match=r"the button waited .*: the handler of exception 22 ran; .*in other"
+    ):
+        engine.run()
+
+
+def erasing(boot: Boot, where: str) -> Engine:
+    """A program that masks an interrupt in `where` while flash is busy for 1000 cycles."""
+    source = """
+    HANDLER handler(void) { }
+    extern uint32_t itcm_load[], itcm_start[], itcm_end[];
+    #define MASKED { __asm volatile("cpsid i"); \
+        for (int i = 0; i < 300; ++i) __asm volatile("nop"); __asm volatile("cpsie i\\n isb"); }
+    __attribute__((section(".itcm"), noinline, used)) void in_itcm(void) MASKED
+    __attribute__((noinline, used)) void in_flash(void) MASKED
+    HANDLER reset(void) { ENABLE(5);
+        for (uint32_t i = 0; itcm_start + i < itcm_end; ++i) itcm_start[i] = itcm_load[i];
+        ((void (*volatile)(void))WHERE)(); REST(); }
+    VECTORS([21] = handler);
+    """
+    engine = boot(source.replace("WHERE", where), cpi=1)
+    engine.core_clock(216_000_000)
+    engine.bound_entry(5, 100, "the button")
+
+    def begin() -> None:
+        assert where in engine.place()
+        engine.flash_busy(engine.cycle + 1000)
+        engine.irq(5, True)
+        engine.irq(5, False)
+
+    engine.alarm("begin", begin).set(400)
+    return engine
+
+
+def test_a_bounded_interrupt_may_wait_when_code_in_itcm_erases_flash(boot: Boot) -> None:
+    engine = erasing(boot, "in_itcm")
+    engine.run()
+    (task,) = [t for t in task_counts(engine) if t.exception == 21]
+    assert task.activations == 1
+    assert task.latest > 100
+
+
+def test_a_bounded_interrupt_may_not_wait_when_code_in_flash_erases_it(boot: Boot) -> None:
+    engine = erasing(boot, "in_flash")
+    with pytest.raises(
+        BoardError, match=r"the button waited .*: the core waited for busy flash; .*in in_flash"
+    ):
         engine.run()
 
 
