@@ -97,7 +97,7 @@ class _Pilot:
         # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
         self._on = self._channels[0].copy()
         self._on[CHANNEL_THROTTLE] = self._off[CHANNEL_THROTTLE]
-        self._landed = self._channels[-1].copy()
+        self._landed: NDArray[np.uint16] = self._channels[-1].copy()
         self._landed[[CHANNEL_THROTTLE, CHANNEL_ARM]] = self._off[[CHANNEL_THROTTLE, CHANNEL_ARM]]
         self._first = round(SWITCH_OFF_S * control_rate_hz)
         self._period = round(SWITCH_PERIOD_S * control_rate_hz)
