@@ -145,6 +145,10 @@ class Context(Protocol):
         """`callback(cause)` runs at every reset before peripherals reset; RCC notes the cause for its CSR."""
         ...
 
+    def on_sleep(self, callback: Callable[[], None]) -> None:
+        """`callback()` runs whenever time is about to pass while the core sleeps (WFI)."""
+        ...
+
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
         """`callback(address, size, value)` takes what the program stores into flash (0x08000000 on).
 

@@ -42,6 +42,7 @@ ReadCallback = CFUNCTYPE(c_uint32, c_uint32, c_uint32, c_uint32)
 WriteCallback = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32)
 AlarmCallback = CFUNCTYPE(None, c_uint32)
 FlashCallback = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32)
+SleepCallback = CFUNCTYPE(None)
 
 
 class Task(ctypes.Structure):
@@ -72,7 +73,7 @@ _SIGNATURES = {
     "new": (c_void_p, c_uint64, c_bool, c_bool, POINTER(c_uint16)),
     "open": (c_int, c_void_p),
     "free": (None, c_void_p),
-    "callbacks": (None, c_void_p, ReadCallback, WriteCallback, AlarmCallback, FlashCallback),
+    "callbacks": (None, c_void_p, ReadCallback, WriteCallback, AlarmCallback, FlashCallback, SleepCallback),
     "reset": (None, c_void_p, c_uint32),
     "run": (c_int, c_void_p, c_uint64, c_uint64),
     "attach": (c_int, c_void_p, c_uint32, c_uint32),

@@ -260,6 +260,26 @@ class Dma(Device):
             f"(0x{before:08X} to 0x{value:08X})"
         )
 
+    def judge_sleep(self) -> None:
+        """The core sleeps. Fail if a stream reads DTCM, which does not answer then."""
+        for stream in range(STREAMS):
+            if self._reads_dtcm(stream):
+                self.sync()  # it may have ended
+                if self._reads_dtcm(stream):
+                    self.refuse_asleep(stream)
+
+    def _reads_dtcm(self, stream: int) -> bool:
+        control, address = self.words[f"S{stream}CR"], self.words[f"S{stream}M0AR"]
+        reads = control & _EN and self.get(f"S{stream}CR", "DIR") == _TO_PERIPHERAL
+        return bool(reads) and DTCM.address <= address < DTCM.address + DTCM.size
+
+    def refuse_asleep(self, stream: int) -> NoReturn:
+        """A stream reads DTCM while the core sleeps (the vendor's errata for the STM32F7)."""
+        self.context.fail(
+            f"{self.name} stream {stream} reads DTCM (0x{self.words[f'S{stream}M0AR']:08X}) while the core "
+            f"sleeps, which gives nothing; expected its buffer in SRAM1 or SRAM2, or no WFI meanwhile"
+        )
+
     def refuse_twice(self, stream: int, source: str, other: str) -> NoReturn:
         """Another stream serves `source` already."""
         self.context.fail(
@@ -366,6 +386,7 @@ class DmaSystem:
         self._drivers: dict[str, Driver] = {}
         self._streams: dict[str, tuple[Dma, int]] = {}  # request: the enabled stream that serves it
         self._context = context
+        context.on_sleep(self._judge_sleep)
 
     def connect(self, source: str, driver: Driver) -> None:
         """`driver` makes the requests called `source`, e.g. "SPI1_RX"."""
@@ -400,6 +421,10 @@ class DmaSystem:
         """Items to memory; no more than are available unless the stream is circular."""
         controller, stream = self._streams[source]
         controller.give(stream, items)
+
+    def _judge_sleep(self) -> None:
+        for controller in self.controllers.values():
+            controller.judge_sleep()
 
     # Of the controllers
 

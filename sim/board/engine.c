@@ -551,6 +551,18 @@ static bool is_stalled(const struct engine *e)
 	return e->s.pc >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time;
 }
 
+/* The core sleeps until something is due. An error is told at the instruction that sent it to sleep. */
+static void pass_asleep(struct engine *e)
+{
+	const uint8_t *const before = host(e, e->s.pc - 2u, 2);
+
+	e->on_sleep();
+	if (!e->failed)
+		e->s.time = e->next_due < e->until ? e->next_due : e->until;
+	else if (before != NULL && before[0] == 0x30u && before[1] == 0xBFu)
+		e->last_pc = e->s.pc - 2u;
+}
+
 /* Runs until `cycle` (of 216 MHz) or for at most `instructions`. Returns an enum outcome. */
 int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 {
@@ -573,7 +585,7 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 			} else if (e->next_due == NEVER && e->until == NEVER) {
 				return RUN_ASLEEP;
 			} else {
-				e->s.time = e->next_due < e->until ? e->next_due : e->until;
+				pass_asleep(e);
 				continue;
 			}
 		}

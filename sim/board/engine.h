@@ -191,6 +191,7 @@ typedef uint32_t (*read_callback)(uint32_t window, uint32_t offset, uint32_t siz
 typedef void (*write_callback)(uint32_t window, uint32_t offset, uint32_t size, uint32_t value);
 typedef void (*alarm_callback)(uint32_t alarm);
 typedef void (*flash_callback)(uint32_t address, uint32_t size, uint32_t value);
+typedef void (*sleep_callback)(void);
 
 struct engine;
 
@@ -254,6 +255,7 @@ struct engine {
 	write_callback on_write;
 	alarm_callback on_alarm;
 	flash_callback on_flash;
+	sleep_callback on_sleep;
 
 	uint32_t flash_patch;        /* a store to flash: offset whose bytes are set right after it */
 	uint8_t flash_bytes[8];

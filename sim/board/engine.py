@@ -22,6 +22,7 @@ from sim.board.cpu_library import (
     AlarmCallback,
     FlashCallback,
     ReadCallback,
+    SleepCallback,
     WriteCallback,
     load_library,
 )
@@ -127,6 +128,7 @@ class Engine:
         self._writes: list[Callable[[int, int, int], None]] = []
         self._rings: list[Callable[[], None]] = []
         self._reset_listeners: list[Callable[[str], None]] = []
+        self._sleep_listeners: list[Callable[[], None]] = []
         self._flash_store: Callable[[int, int, int], None] | None = None
         self._error: BaseException | None = None
         self._cause = ""
@@ -355,6 +357,10 @@ class Engine:
         """Tell `callback` of every reset and its cause."""
         self._reset_listeners.append(callback)
 
+    def on_sleep(self, callback: Callable[[], None]) -> None:
+        """Tell `callback` before time passes while the core sleeps."""
+        self._sleep_listeners.append(callback)
+
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
         """Who takes what the program stores into flash."""
         self._flash_store = callback
@@ -404,8 +410,15 @@ class Engine:
             except BaseException as error:
                 self._note_error(error)
 
+        def sleep() -> None:
+            try:
+                for listener in self._sleep_listeners:
+                    listener()
+            except BaseException as error:
+                self._note_error(error)
+
         callbacks: tuple[Any, ...] = (ReadCallback(read), WriteCallback(write))
-        callbacks += (AlarmCallback(ring), FlashCallback(flash))
+        callbacks += (AlarmCallback(ring), FlashCallback(flash), SleepCallback(sleep))
         self._callbacks = callbacks
         self.library.engine_callbacks(self.handle, *callbacks)
 

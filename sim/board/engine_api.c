@@ -62,12 +62,13 @@ void engine_free(struct engine *e)
 }
 
 void engine_callbacks(struct engine *e, read_callback read, write_callback write, alarm_callback alarm,
-		      flash_callback flash)
+		      flash_callback flash, sleep_callback sleep)
 {
 	e->on_read = read;
 	e->on_write = write;
 	e->on_alarm = alarm;
 	e->on_flash = flash;
+	e->on_sleep = sleep;
 }
 
 /* A system reset: registers as ARMv7-M B1.5.5 says, RAM as it is. The stack and the first instruction come from

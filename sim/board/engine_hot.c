@@ -20,6 +20,7 @@ bool engine_cached(const struct engine *e, uint32_t address);
 
 #define TIME_HZ UINT64_C(216000000)
 #define NEVER UINT64_MAX
+#define DTCM_BASE 0x20000000u
 #define SRAM_BASE 0x20010000u /* SRAM1 and SRAM2, which may be cached */
 #define SRAM_END 0x20040000u
 
@@ -60,6 +61,7 @@ enum question {
 	ASK_TARGET,   /* timer, source: feeds no register that it may */
 	ASK_COMPARE,  /* timer, source: asks at compare */
 	ASK_DMAR,     /* timer, write: DMAR by the program */
+	ASK_ASLEEP,   /* controller, stream: reads DTCM while the core sleeps */
 };
 
 struct rule {
@@ -326,7 +328,7 @@ void hot_watch(struct hot *h, uint32_t port, uint32_t pin)
 
 enum { LISR = 0, HISR = 1, LIFCR = 2, HIFCR = 3 };
 enum { S_CR = 4, S_NDTR = 5, S_PAR = 6, S_M0AR = 7, S_STEP = 6 }; /* words of stream 0 */
-enum { CR_EN = 1u << 0, CR_CIRC = 1u << 8, CR_MINC = 1u << 10, CR_INTERRUPTS = 0x1Eu };
+enum { CR_EN = 1u << 0, CR_DIR = 3u << 6, CR_READS = 1u << 6, CR_CIRC = 1u << 8, CR_MINC = 1u << 10, CR_INTERRUPTS = 0x1Eu };
 enum { FLAG_HT = 1u << 4, FLAG_TC = 1u << 5, FLAGS = 0x3Du, FLAGS_WITH_INTERRUPT = 0x3Cu };
 
 static uint64_t byte_cycles(const struct hot *h);
@@ -641,6 +643,27 @@ static void dma_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t va
 		ask(h, ASK_FROZEN, controller, stream, slot);
 	else
 		keep(h, device, slot, value);
+}
+
+static bool reads_dtcm(const uint32_t *w)
+{
+	return (w[0] & (CR_EN | CR_DIR)) == (CR_EN | CR_READS) && w[3] >= DTCM_BASE && w[3] < SRAM_BASE;
+}
+
+void hot_sleep(void)
+{
+	struct hot *const h = current;
+
+	h->failed = false;
+	for (uint32_t i = 0; i < 2u * STREAMS && !h->failed; ++i) {
+		const uint32_t controller = i / STREAMS, stream = i % STREAMS;
+
+		if (!reads_dtcm(stream_words(h, controller, stream)))
+			continue;
+		drive_for(h, controller, stream); /* it may have ended */
+		if (reads_dtcm(stream_words(h, controller, stream)))
+			ask(h, ASK_ASLEEP, controller, stream, 0);
+	}
 }
 
 /* ---- SPI1 ---- */

@@ -23,7 +23,7 @@ from ctypes import (
 from typing import Any
 
 from sim.board.bus import Device, Registers
-from sim.board.cpu_library import AlarmCallback, ReadCallback, WriteCallback
+from sim.board.cpu_library import AlarmCallback, ReadCallback, SleepCallback, WriteCallback
 from sim.board.dma import Dma
 from sim.board.dshot import Esc, Frame
 from sim.board.engine import Engine, Outcome
@@ -40,6 +40,7 @@ NEVER = 2**64 - 1
 PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.c
 ASK_ENABLE, ASK_CHANGED, ASK_FROZEN, ASK_TWICE, ASK_CACHED = range(5)  # enum question
 ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR = range(5, 12)
+ASK_ASLEEP = 12
 _STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
 _DRAIN = 64  # in place of a source
 
@@ -132,11 +133,11 @@ class BoardEngine(Engine):
         if error is not None:
             raise error
 
-    def listen_through(self, read: Any, write: Any, alarm: Any) -> tuple[Any, ...]:  # noqa: ANN401
+    def listen_through(self, read: Any, write: Any, alarm: Any, sleep: Any) -> tuple[Any, ...]:  # noqa: ANN401
         """Let C functions answer the core first; returns the callbacks that answered until now."""
         before = self._callbacks
-        self._callbacks = (read, write, alarm, before[3], before)
-        self.library.engine_callbacks(self.handle, read, write, alarm, before[3])
+        self._callbacks = (read, write, alarm, before[3], sleep, before)
+        self.library.engine_callbacks(self.handle, read, write, alarm, before[3], sleep)
         return before
 
     def _select(self) -> None:
@@ -167,6 +168,7 @@ class Hot:
             ReadCallback(("hot_read", self.library)),
             WriteCallback(("hot_write", self.library)),
             AlarmCallback(("hot_alarm", self.library)),
+            SleepCallback(("hot_sleep", self.library)),
         )
         before = engine.listen_through(*through)
         self._callbacks = (
@@ -293,6 +295,8 @@ class Hot:
             dma.refuse_frozen(stream, _STREAM_WORDS[(c - 4) % 6])
         elif question == ASK_TWICE:
             dma.refuse_twice(stream, self._dma.name(c), "another stream")
+        elif question == ASK_ASLEEP:
+            dma.refuse_asleep(stream)
         else:
             dma.refuse_cached(stream, c)
 

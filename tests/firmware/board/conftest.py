@@ -149,9 +149,11 @@ class Sketch:
         cycles_a_read: int = 20000,
     ) -> None:
         self._made_of = elf, table
-        table_of_names = elf.get_section_by_name(".symtab")
-        assert isinstance(table_of_names, SymbolTableSection)
-        self._milliseconds = table_of_names.get_symbol_by_name("milliseconds_passed")[0]["st_value"]
+        names = elf.get_section_by_name(".symtab")
+        assert isinstance(names, SymbolTableSection)
+        counter = names.get_symbol_by_name("milliseconds_passed")
+        assert counter is not None
+        self._milliseconds = int(counter[0]["st_value"])
         self.by_address = {r.address: r for r in table.registers}
         self.by_name = {(r.name, r.instance): r for r in table.registers}
         self.dead = dead

@@ -56,6 +56,7 @@ class FakeContext:
         self.resets: list[str] = []
         self.notes: list[str] = []
         self.listeners: list[Callable[[str], None]] = []
+        self.sleepers: list[Callable[[], None]] = []
         self.regions = {
             base: bytearray(data)
             for base, data in (
@@ -107,6 +108,9 @@ class FakeContext:
     def on_system_reset(self, callback: Callable[[str], None]) -> None:
         self.listeners.append(callback)
 
+    def on_sleep(self, callback: Callable[[], None]) -> None:
+        self.sleepers.append(callback)
+
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
         self.flash_store = callback
 
@@ -129,6 +133,11 @@ class FakeContext:
 
     def run(self, microseconds: float) -> None:
         self.run_to(self.cycle + round(microseconds * MICROSECOND))
+
+    def sleep(self) -> None:
+        """As a core that executes WFI."""
+        for sleeper in self.sleepers:
+            sleeper()
 
     def asserted(self, name: str) -> bool:
         """Whether interrupt line `name` is up."""
@@ -185,6 +194,10 @@ class EngineContext:
 
     def run(self, microseconds: float) -> None:
         self.run_to(self.engine.cycle + round(microseconds * MICROSECOND))
+
+    def sleep(self) -> None:
+        """The core executes WFI and sleeps."""
+        self.run_to(self.engine.cycle + 1)
 
     def forgive(self) -> None:
         """After what a test has seen raised."""

@@ -23,7 +23,7 @@ FLAGS = ("-mcpu=cortex-m7", "-mthumb", "-O2", "-std=c11", "-ffreestanding", "-no
 PLACES = """SECTIONS {
     . = 0x08000000;
     .text : { KEEP(*(.vectors)) *(.text*) *(.rodata*) }
-    . = 0x20000100;
+    . = 0x20010000;
     .bss (NOLOAD) : { bss_start = .; *(.bss*) bss_end = .; }
     /DISCARD/ : { *(.ARM.*) }
 }"""
@@ -187,6 +187,11 @@ def test_report_names_every_register_when_the_program_has_run(make_board: Callab
         ("|= 0xAA000u", "|= 0xA8000u", "TIM8 makes pulses on channel 1: PC6 is an input"),
         ("pause_us(2100)", "pause_us(1500)", "addressed 0.5 ms before it answers after its reset"),
         ("until(PWR + 4, 1u << 16, 1u << 16);", "", "ODSWEN is set before PWR_CSR1 ODRDY"),
+        (
+            "(u32)request;",
+            "0x20000100;",
+            r"DMA2 stream 3 reads DTCM \(0x20000100\) while the core sleeps",
+        ),
         ("(u32)response;", "0x00000200;", "memory 0x00000200 to 0x0000020E is out of the reach of DMA"),
         ("R(SYSCFG + 8) = 2u << 12;", "R(0x40005400) = 1;", "I2C1 is not modelled"),
         (

@@ -13,7 +13,7 @@ from sim.board.context import BoardError
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
-BUFFER = 0x20001000
+BUFFER = 0x20011000
 TIM8_DMAR, TIM8_CCR2, SPI1_DR = 0x4001044C, 0x40010438, 0x4001300C
 
 # Values that make something happen, by register; a stream's CR without EN comes before one with it.

@@ -120,6 +120,31 @@ def test_stream_is_refused_when_its_buffer_is_cached(fast: Bench) -> None:
         fast.set("DMA2_S5CR", EN=1)
 
 
+def send(bench: Bench, memory: int) -> None:
+    """Four bytes out of USART1 by DMA2 stream 7."""
+    bench.alternate("PA9", 7)
+    bench.write("USART1_BRR", 938)
+    bench.write("USART1_CR3", bench.bits("USART1_CR3", "DMAT"))
+    bench.write("USART1_CR1", bench.bits("USART1_CR1", "TE", "UE"))
+    bench.write("DMA2_S7PAR", USART1_RDR + 4)
+    bench.write("DMA2_S7M0AR", memory)
+    bench.write("DMA2_S7NDTR", 4)
+    bench.write("DMA2_S7CR", 4 << 25 | 1 << 6 | MINC | 1)
+
+
+def test_stream_is_refused_when_it_reads_dtcm_while_the_core_sleeps(fast: Bench) -> None:
+    send(fast, DTCM)
+    with pytest.raises(BoardError, match=r"DMA2 stream 7 reads DTCM \(0x20000100\) while the core sleeps"):
+        fast.context.sleep()
+
+
+def test_the_core_may_sleep_when_a_stream_reads_sram_or_writes_dtcm(fast: Bench) -> None:
+    send(fast, SRAM1)
+    prepare(fast, DTCM)
+    fast.set("DMA2_S5CR", EN=1)
+    fast.context.sleep()
+
+
 def test_stream_is_refused_when_its_flags_are_set(fast: Bench) -> None:
     prepare(fast, count=1)
     fast.set("DMA2_S5CR", EN=1)

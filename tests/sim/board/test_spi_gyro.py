@@ -20,7 +20,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-TX, RX = 0x20001000, 0x20002000
+TX, RX = 0x20011000, 0x20002000
 SLOW, FAST = 6, 2  # BR: 0.84 and 13.5 MHz
 CR2 = 7 << 8 | 1 << 12  # DS, FRXTH
 

@@ -20,7 +20,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-SLOTS = 0x20003000
+SLOTS = 0x20013000
 BIT = 360  # ticks of a 216 MHz timer, DShot600
 
 

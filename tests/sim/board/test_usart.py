@@ -19,7 +19,7 @@ def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-RING, REPLY = 0x20004000, 0x20005000
+RING, REPLY = 0x20004000, 0x20015000
 MSP = Format(115_200)
 UE, RE, TE, RXNEIE, IDLEIE = 1 << 0, 1 << 2, 1 << 3, 1 << 5, 1 << 4
 DMAR, DMAT, OVRDIS = 1 << 6, 1 << 7, 1 << 12
