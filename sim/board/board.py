@@ -243,6 +243,8 @@ class Board:
         self.engine.power_cycle()
         self.engine.resets.clear()
         self.engine.resets.append("power")
+        # Who runs the core until a cycle: what stops it on the way puts itself here.
+        self.runner: Callable[[int], None] = self.engine.run_to
 
     @property
     def cycle(self) -> int:
@@ -265,7 +267,7 @@ class Board:
 
     def run_to(self, cycle: int) -> None:
         """Run until `cycle`. Raises BoardError for what a board does not forgive."""
-        self.engine.run_to(cycle)
+        self.runner(cycle)
 
     def run(self, seconds: float) -> None:
         """Run for so long."""
