@@ -16,10 +16,13 @@ enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define ERRORS                                                                                          \
 	(FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
 
-/* Waits are counted in looks at the register, each of more than four cycles: the cycle counter may wrap before a
- * sector is erased. The data sheet's longest times are 31 ms a kilobyte and 0.1 ms a word. */
-#define ERASE_LOOKS_A_KILOBYTE (CLOCK_CORE_HZ / 100u)
-#define WORD_LOOKS (CLOCK_CORE_HZ / 1000u)
+/* Waits are counted in looks at the register, each after a pause of as many turns, a cycle and more each: the cycle
+ * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most,
+ * 16 us a word as a rule. */
+#define PAUSE_TURNS 128u
+#define LOOKS_A_SECOND (CLOCK_CORE_HZ / PAUSE_TURNS)
+#define ERASE_LOOKS_A_KILOBYTE (LOOKS_A_SECOND / 25u)
+#define WORD_LOOKS (LOOKS_A_SECOND / 250u)
 
 /* The sectors of the contract's map that hold no code. */
 static const struct sector {
@@ -50,6 +53,12 @@ static void unlock(void)
 	FLASH_KEYR = KEY_2;
 }
 
+static void pause(void)
+{
+	for (uint32_t turns = PAUSE_TURNS; turns != 0u; --turns)
+		__asm volatile("");
+}
+
 /* Waits for the operation under way, the watchdog content. */
 static bool rested(uint32_t looks)
 {
@@ -57,6 +66,7 @@ static bool rested(uint32_t looks)
 		if (looks-- == 0u)
 			return false;
 		watchdog_feed();
+		pause();
 	}
 	return true;
 }
@@ -76,7 +86,7 @@ static void forget_cached(void)
 	core_clean_caches();
 }
 
-/* From here to `end` nothing reads flash and nothing interrupts: neither code nor vectors nor tables. */
+/* From here on nothing reads flash and nothing interrupts, neither code nor vectors nor tables, until `end`. */
 static bool begin(void)
 {
 	interrupts_disable();
@@ -89,8 +99,8 @@ static bool begin(void)
 static void end(void)
 {
 	FLASH_CR = FLASH_CR_LOCK;
-	forget_cached();
 	interrupts_enable();
+	forget_cached(); /* takes longer than the gyro waits, and no handler reads what was written */
 }
 
 /* `size`: of the sector [bytes]. */
