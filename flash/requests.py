@@ -17,6 +17,7 @@ from toolchain.contract import (
     CHANNEL_MIN_US,
     MOTOR_COUNT_MAX,
     MSP_PAYLOAD_MAX,
+    SETTINGS,
     Msp,
     Refusal,
 )
@@ -36,7 +37,7 @@ REASONS = {
     Refusal.PAYLOAD: "the request has a length or a value that the command does not take",
     Refusal.INDEX: "there is none of that number",
     Refusal.RANGE: "the value is beyond the setting's limits",
-    Refusal.CONFLICT: "setting {detail} and those beside it do not go together",
+    Refusal.CONFLICT: "{setting} does not fit the policy or the settings beside it, see docs/settings.md",
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
     Refusal.ORDER: "a policy slot is begun, then written in order, then ended",
     Refusal.BLOB: "the policy is none for this firmware (error {detail} of nf_err.h)",
@@ -150,4 +151,6 @@ def refusal(payload: bytes) -> str:
         return ""
     reason, detail = struct.unpack("<Bh", payload)
     known = {int(reason): text for reason, text in REASONS.items()}
-    return known.get(reason, f"reason {reason}, which this tool does not know").format(detail=detail)
+    setting = SETTINGS[detail].name if 0 <= detail < len(SETTINGS) else f"setting {detail}"
+    text = known.get(reason, f"reason {reason}, which this tool does not know")
+    return text.format(detail=detail, setting=setting)

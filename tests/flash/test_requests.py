@@ -60,7 +60,8 @@ def test_a_value_is_refused_in_one_line_when_the_command_cannot_take_it(
 def test_each_refusal_has_its_words_when_a_firmware_says_no() -> None:
     assert set(requests.REASONS) == set(Refusal) - {Refusal.NONE}
     assert "disarm" in requests.refusal(struct.pack("<Bh", Refusal.ARMED, 0))
-    assert "setting 44" in requests.refusal(struct.pack("<Bh", Refusal.CONFLICT, 44))
+    assert "gyro_rate_hz does not fit" in requests.refusal(struct.pack("<Bh", Refusal.CONFLICT, 0))
+    assert "setting 999 does not fit" in requests.refusal(struct.pack("<Bh", Refusal.CONFLICT, 999))
     assert "error -10" in requests.refusal(struct.pack("<Bh", Refusal.BLOB, -10))
 
 

@@ -1,0 +1,97 @@
+"""A firmware's settings over MSP, by name: read, change, store."""
+
+from __future__ import annotations
+
+import struct
+
+from flash import requests
+from flash.client import Client
+from flash.requests import SettingInfo
+from toolchain.contract import SETTINGS, Msp, Setting
+from toolchain.errors import LinkError
+
+_BY_NAME = {setting.name: (index, setting) for index, setting in enumerate(SETTINGS)}
+
+
+def parse_change(text: str) -> tuple[str, float]:
+    """Read NAME=VALUE, the value a number or, where a setting has a choice, its name: `filter1_kind=notch`.
+
+    Raises LinkError for a setting that is unknown, and for a value that is none of it.
+    """
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals:
+        raise LinkError(f"setting {text!r}, expected NAME=VALUE such as gyro_rate_hz=8000")
+    setting = _setting(name)
+    if value in setting.choices:
+        return name, float(setting.choices.index(value))
+    try:
+        number = float(value)
+    except ValueError:
+        expected = f"one of {', '.join(setting.choices)}" if setting.choices else "a number"
+        raise LinkError(f"setting {name} got {value!r}, expected {expected}") from None
+    return name, number
+
+
+class Settings:
+    """The settings of the firmware behind a client."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._known: dict[str, tuple[int, SettingInfo]] = {}
+
+    def info(self, name: str) -> SettingInfo:
+        """What the firmware tells about the setting called `name`. Raises LinkError where it has none."""
+        return self._find(name)[1]
+
+    def get(self, name: str) -> float:
+        """Its value, as it is stored or will be. Raises LinkError."""
+        index, _ = self._find(name)
+        return requests.setting_value(self._client.request(Msp.SETTING_GET, requests.setting_index(index)))
+
+    def set(self, name: str, value: float) -> None:
+        """Change it until the next boot, or for good once `save` was called.
+
+        Raises LinkError for a value beyond its limits, and while the motors are armed.
+        """
+        index, info = self._find(name)
+        if not info.low <= value <= info.high or (info.whole and value != int(value)):
+            kind = "a whole number from " if info.whole else ""
+            span = f"{kind}{info.low:g} to {info.high:g} {info.unit}".rstrip()
+            raise LinkError(f"setting {name} got {value:g}, expected {span}")
+        self._client.request(Msp.SETTING_SET, requests.setting_set(index, value, info.whole))
+
+    def save(self) -> None:
+        """Store all as they are now. Raises LinkError when they do not go together or flash fails."""
+        self._client.request(Msp.EEPROM_WRITE)
+
+    def _find(self, name: str) -> tuple[int, SettingInfo]:
+        if name not in self._known:
+            guess = _BY_NAME[name][0] if name in _BY_NAME else 0  # in a firmware of this version
+            first = self._ask(guess)
+            for index in range(first.count):
+                if name in self._known:
+                    break
+                if index != guess:
+                    self._ask(index)
+        if name not in self._known:
+            raise LinkError(f"setting {name!r}: the firmware has none of that name; see docs/settings.md")
+        return self._known[name]
+
+    def _ask(self, index: int) -> SettingInfo:
+        told = self._client.request(Msp.SETTING_INFO, requests.setting_index(index))
+        info = requests.setting_info(told)
+        self._known[info.name] = index, info
+        return info
+
+
+def as_stored(name: str, value: float) -> float:
+    """`value` as the setting called `name` holds it: rounded to float32 where it is no whole number."""
+    if _setting(name).kind == "uint32_t":
+        return value
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def _setting(name: str) -> Setting:
+    if name not in _BY_NAME:
+        raise LinkError(f"setting {name!r} is unknown, expected one of docs/settings.md")
+    return _BY_NAME[name][1]
