@@ -33,7 +33,7 @@ from toolchain.contract import DSHOT_MIN
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
-SILENCE = TIME_HZ // 10  # an ESC that hears nothing for so long has stopped its motor [cycles]
+SILENCE = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not being flown [cycles]
 # Timer and channel behind each motor's line, motors 1 to 8 (the eighth's pin is USART2's transmitter too).
 MOTORS = (
     *(("TIM8", channel) for channel in range(1, 5)),
