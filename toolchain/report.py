@@ -89,8 +89,19 @@ class BuildReport:
         return asdict(self) | {"stack": stack}
 
 
-def built_idle(product: Path, *, pid: bool = False) -> float:
-    """Idle of the policy inside `product`, a file of a build, or of its PID, by the report.json beside it.
+@dataclass(frozen=True)
+class Built:
+    """What the report of a build says of one of its files."""
+
+    sha256: str  # of the file
+    policy: str  # its network, as "6-64-64-4 tanh"
+    policy_sha256: str
+    policy_idle: float
+    pid_idle: float | None  # None: no PID is built in
+
+
+def built(product: Path) -> Built:
+    """What is inside `product`, a file of a build, by the report.json beside it.
 
     Raises BuildError, one line, where that cannot be told, or tells of another file.
     """
@@ -100,18 +111,37 @@ def built_idle(product: Path, *, pid: bool = False) -> float:
             raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
         report = json.loads(path.read_bytes())
         known = {str(file["sha256"]) for file in report["files"]}
-        if pid and report["pid"] is None:
-            raise BuildError(f"{product} has no PID built in; build it with --aircraft NAME|FILE")
-        idle = float(report["pid" if pid else "policy"]["idle"])
+        policy, pid = report["policy"], report["pid"]
+        found = Built(
+            sha256=hashlib.sha256(product.read_bytes()).hexdigest(),
+            policy=str(policy["network"]),
+            policy_sha256=str(policy["sha256"]),
+            policy_idle=float(policy["idle"]),
+            pid_idle=None if pid is None else float(pid["idle"]),
+        )
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise BuildError(f"{path} does not tell the idle of the policy; build {product.name} anew") from error
-    if not 0.0 <= idle <= IDLE_MAX:
-        raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")
-    if hashlib.sha256(product.read_bytes()).hexdigest() not in known:
+    for idle in (found.policy_idle, found.pid_idle or 0.0):
+        if not 0.0 <= idle <= IDLE_MAX:
+            raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")
+    if found.sha256 not in known:
         raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
-    return idle
+    return found
+
+
+def built_idle(product: Path, *, pid: bool = False) -> float:
+    """Idle of the policy inside `product`, a file of a build, or of its PID.
+
+    Raises BuildError as `built`, and when there is no PID.
+    """
+    found = built(product)
+    if not pid:
+        return found.policy_idle
+    if found.pid_idle is None:
+        raise BuildError(f"{product} has no PID built in; build it with --aircraft NAME|FILE")
+    return found.pid_idle
 
 
 def print_report(report: BuildReport, console: Console) -> None:

@@ -20,7 +20,7 @@ from sim.board.board import Board
 from sim.board.engine import CODE_HALFWORDS, Outcome, code_row, row_address
 from sim.board.variables import read_variables
 from toolchain.cycles import Priced, Route, RouteCost, price_routes
-from toolchain.disassembly import Instruction, disassemble
+from toolchain.disassembly import Instruction
 from toolchain.errors import BuildError
 
 HANDLER = "gyro_sample_handler"  # from the gyro's bytes in memory to the motors' frame
@@ -105,8 +105,8 @@ class _Key:
 class ControlMeter:
     """Keeps what the control tasks execute on a board, which runs through it from its making on."""
 
-    def __init__(self, board: Board, elf: Path) -> None:
-        """board: booted, its vectors in their place. elf: of the image on it.
+    def __init__(self, board: Board, elf: Path, code: Mapping[int, Instruction]) -> None:
+        """board: booted, its vectors in their place. elf: of the image on it. code: its disassembly.
 
         Raises BuildError when `elf` lacks the functions and variables that are looked for.
         """
@@ -122,8 +122,7 @@ class ControlMeter:
         table = self._engine.load(VTOR, 4)
         vectors = (self._engine.load(table + 4 * number, 4) for number in range(1, VECTORS))
         self._handlers = {vector & ~1 for vector in vectors if vector}
-        self._instructions = disassemble(elf, lines=True)
-        self._code = _Code(self._instructions)
+        self._code = _Code(code)
         size = (CODE_HALFWORDS + 1,)
         library, handle = self._engine.library, self._engine.handle
         self._enters = np.ctypeslib.as_array(library.engine_enters(handle), size).view(np.int64)
@@ -151,14 +150,6 @@ class ControlMeter:
             kind: tuple(Run(self._route(key), key.accesses, times) for key, times in counted.items())
             for kind, counted in self._runs.items()
         }
-
-    def costs(self) -> tuple[tuple[TaskCost, ...], Priced]:
-        """What each kind took, and the prices of all routes. Raises BuildError as `runs`."""
-        runs = self.runs()
-        routes = list(dict.fromkeys(run.route for found in runs.values() for run in found))
-        priced = price_routes(routes, self._instructions)
-        costs = dict(zip(routes, priced.costs, strict=True))
-        return tuple(task_cost(kind, found, costs) for kind, found in runs.items()), priced
 
     # ---- stops ----
 
@@ -281,8 +272,17 @@ class _Code:
                 yield (row_address(first), 2 * (end - first)), times
 
 
-def task_cost(kind: Kind, runs: Sequence[Run], costs: Mapping[Route, RouteCost]) -> TaskCost:
-    """What `runs` of one kind took, by the cost of their routes."""
+def task_costs(
+    runs: Mapping[Kind, Sequence[Run]], code: Mapping[int, Instruction]
+) -> tuple[tuple[TaskCost, ...], Priced]:
+    """What each kind of run took, and the prices behind it. code: the image's disassembly."""
+    routes = list(dict.fromkeys(run.route for found in runs.values() for run in found))
+    priced = price_routes(routes, code)
+    costs = dict(zip(routes, priced.costs, strict=True))
+    return tuple(_task_cost(kind, found, costs) for kind, found in runs.items()), priced
+
+
+def _task_cost(kind: Kind, runs: Sequence[Run], costs: Mapping[Route, RouteCost]) -> TaskCost:
     instructions = [costs[run.route].instructions for run in runs]
     accesses = [run.accesses for run in runs]
     taken = [costs[run.route].cycles_with_devices(run.accesses) for run in runs]

@@ -21,7 +21,7 @@ COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
     "compile": "turn policy.onnx into policy.c and policy.h",
     "verify": "run a policy on every machine, from torch to the Cortex-M7, and compare them",
-    "timing": "count what a policy takes on the board: instructions, predicted cycles, memory",
+    "timing": "count what a policy, or an image in flight, takes on the board: instructions, cycles",
     "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
     "train": "synthesize a policy in the twin of an aircraft",
     "sweep": "train many policies at once and show which of them nothing beats",

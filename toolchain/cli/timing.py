@@ -1,4 +1,7 @@
-"""`neuroflight timing POLICY.onnx`: instructions, predicted cycles and memory of a policy on the board."""
+"""`neuroflight timing POLICY.onnx`: instructions, predicted cycles and memory of a policy on the board.
+
+Of an image, `neuroflight timing IMAGE.bin`, the control tasks: `timing_image.py`.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +19,57 @@ if TYPE_CHECKING:
     from toolchain.cycles import BlockCost
     from toolchain.timing import Timing
 
-INPUTS, INPUTS_MAX = 300, 1_000_000
+INPUTS_MAX = 1_000_000
+DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("policy", type=Path, metavar="POLICY.onnx")
     parser.add_argument(
-        "--inputs", type=int, default=INPUTS, metavar="N", help=f"observations to try; default: {INPUTS}"
+        "policy",
+        type=Path,
+        metavar="POLICY.onnx|IMAGE.bin",
+        help="a policy, of which the step is counted, or an image, whose control tasks are counted in flight",
+    )
+    parser.add_argument(
+        "--inputs", type=int, metavar="N", help=f"observations to try; default: {DEFAULTS['inputs']}"
     )
     parser.add_argument("--blocks", action="store_true", help="where the worst case spends its cycles")
+    parser.add_argument(
+        "--aircraft", metavar="NAME|FILE", help=f"whose twin an image flies; default: {DEFAULTS['aircraft']}"
+    )
+    parser.add_argument(
+        "--count", type=int, metavar="N", help=f"commands that it flies; default: {DEFAULTS['count']}"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="S", help=f"of commands and noise; default: {DEFAULTS['seed']}"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Print what a policy or an image takes on the board."""
+    from toolchain.cli import timing_image
+
+    of_image = args.policy.suffix == ".bin"
+    _refuse(args, ("inputs", "blocks") if of_image else ("aircraft", "count", "seed"), of_image)
+    for name, default in DEFAULTS.items():
+        if getattr(args, name) is None:
+            setattr(args, name, default)
+    return timing_image.run(args) if of_image else _time_policy(args)
+
+
+def _refuse(args: argparse.Namespace, names: Sequence[str], of_image: bool) -> None:
+    """Say which option has no meaning for what was given."""
+    from toolchain.errors import NeuroflightError
+
+    for name in names:
+        if getattr(args, name) not in (None, False):
+            other = "a policy, and this is an image" if of_image else "an image, and this is a policy"
+            raise NeuroflightError(f"--{name}: is about {other}; leave it out")
+
+
+def _time_policy(args: argparse.Namespace) -> int:
     """Build the policy for the Cortex-M7, run it there on many observations and print what it takes."""
     from rich.console import Console
     from rich.progress import Progress
