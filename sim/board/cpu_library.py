@@ -33,7 +33,7 @@ from toolchain.files import replacing
 
 HERE = Path(__file__).parent
 SOURCES = tuple(sorted(HERE.glob("engine*.c")))
-HEADERS = (HERE / "engine.h",)
+HEADERS = tuple(sorted(HERE.glob("engine*.h")))
 CACHE = HERE.parents[1] / "build" / "engine"
 FLAGS = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")

@@ -1,4 +1,4 @@
-"""The busy peripherals in C: `engine_hot.c` between the engine and the classes of `sim.board.hot_devices`.
+"""The busy peripherals in C: `engine_hot*.c` between the engine and the classes of `sim.board.hot_devices`.
 
 C moves registers and time. It asks Python to judge a set-up that it has not seen yet, for what the gyro chip
 answers, and for pulses that are no ordinary DShot frame.
@@ -37,7 +37,7 @@ from sim.board.syscfg import Syscfg
 from sim.board.timer import CHANNELS, Timer
 
 NEVER = 2**64 - 1
-PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.c
+PORT, SYSCFG, EXTI, DMA, SPI, TIMER = range(1, 7)  # enum kind of engine_hot.h
 ASK_ENABLE, ASK_CHANGED, ASK_FROZEN, ASK_TWICE, ASK_CACHED = range(5)  # enum question
 ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DMAR = range(5, 12)
 ASK_ASLEEP = 12
@@ -53,7 +53,7 @@ _Pin = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32)
 
 
 class _Rule(ctypes.Structure):
-    """`struct rule` of engine_hot.c."""
+    """`struct rule` of engine_hot.h."""
 
     _fields_ = (
         *((name, c_uint32) for name in ("reset", "fixed", "writable")),
@@ -62,7 +62,7 @@ class _Rule(ctypes.Structure):
 
 
 class _Frame(ctypes.Structure):
-    """`struct frame` of engine_hot.c."""
+    """`struct frame` of engine_hot.h."""
 
     _fields_ = (("cycle", c_uint64), *((name, c_uint32) for name in ("timer", "channel", "data")))
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim.board.hot import Hot
 
 TIMER_NAMES = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")  # in C's order
-TIMER_SOURCE, PYTHON_SOURCE = 2, 32  # enum source of engine_hot.c
+TIMER_SOURCE, PYTHON_SOURCE = 2, 32  # enum source of engine_hot.h
 
 
 class _Words(MutableMapping[str, int]):
