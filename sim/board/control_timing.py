@@ -45,7 +45,7 @@ class Kind:
     """What is told apart."""
 
     work: Work
-    armed: bool  # after it
+    armed: bool  # after it; of an algorithm True: it is only asked where the motors may turn
     controller: str  # that was asked in it, of CONTROLLERS' values; "" for none
 
 
