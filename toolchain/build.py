@@ -106,7 +106,7 @@ def build(
     generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
     with _locked(out):
         _write_generated(compiled, pid, known, generated)
-        built = _make(known, root, out, generated)
+        built = run_make(known, root, out, generated)
         made = out / "make" / known.products[0]
         image = read_image(made)
         memory = memory_use(image) if known.has_board_memory else ()
@@ -209,8 +209,11 @@ def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, target: Tar
     write_text_if_changed(directory / "nf_contract.h", render_contract())
 
 
-def _make(target: Target, root: Path, out: Path, generated: Path) -> int:
-    """Run make. Returns how many files it compiled."""
+def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
+    """Compile and link root/firmware around the sources in `generated`; returns how many files that took.
+
+    Objects and products go to out/make. Raises MakeError.
+    """
     command = ["make", "-C", str(root / "firmware"), f"-j{os.cpu_count() or 1}"]
     command += [f"TARGET={target.name}", f"BUILD={out / 'make'}", f"GENERATED={generated.resolve()}"]
     done = subprocess.run(command, capture_output=True, text=True, env=_environment(os.environ))
