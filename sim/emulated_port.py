@@ -3,11 +3,16 @@
 The board is powered with the port and stands, between two exchanges, one cycle before the edge of the gyro
 chip's data-ready line that the firmware reads next. An exchange lets the chip measure, and the board run to
 the cycle before the edge after that: motor frames, receiver bytes and everything else take their time in it.
+
+Once a fault is there, neither edges nor firmware can be relied on. Exchanges keep their times; the chip
+measures what each brings, whenever it does, and motors do what their ESCs make of frames that come or not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +22,20 @@ from numpy.typing import NDArray
 from flash.messages import arming_reasons
 from sim.board.board import Board
 from sim.board.context import TIME_HZ
+from sim.board.desk import configured
+from sim.board.faults import Fault, FaultPlan
 from sim.board.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
-from sim.board.usart import SBUS
+from sim.board.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.usart import CRSF, SBUS, Format
 from sim.board.variables import Variable, read_variables
 from sim.port import Reply, Sample, control_divider
+from sim.receiver_frames import crsf_frame, sbus_frame
 from toolchain.contract import (
-    CHANNEL_COUNT,
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
-    SBUS_FOOTER,
-    SBUS_FRAME_BYTES,
-    SBUS_HEADER,
+    SETTINGS,
+    FlightState,
+    StopCause,
 )
 from toolchain.errors import LinkError
 
@@ -36,40 +44,91 @@ FULL_VOLTS = 16.8  # of the pack that feeds it: four cells, full, at rest
 RECEIVER = "USART2"
 BOOT_S = 5.0  # from power to the first sample that the firmware reads
 EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ
-_SBUS_ZERO_US, _SBUS_VALUE_MAX = 880, 2047
 _READY_LINE = int(READY[2:])
-_TRACE, _SAMPLES, _REASONS, _DIVIDER, _RATE = (
-    f"firmware.{name}"
-    for name in ("status.trace", "samples", "status.arming_reasons", "control_divider", "gyro_rate_hz")
+_STATUS, _SAMPLES, _DIVIDER, _RATE = (
+    f"firmware.{name}" for name in ("status", "samples", "control_divider", "gyro_rate_hz")
 )
+_NO_RATES = np.zeros(3, np.float32)
+
+RunTo = Callable[[int], None]  # lets a board run to a cycle
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """What speaks on the receiver's line."""
+
+    frame: Callable[[Sequence[int]], bytes]
+    format: Format
+
+
+RECEIVERS = {"sbus": Receiver(sbus_frame, SBUS), "crsf": Receiver(crsf_frame, CRSF)}
+RECEIVER_SETTING = next(setting for setting in SETTINGS if setting.name == "receiver_protocol")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to the firmware."""
+
+    at_s: float  # after the first armed control step; before it negative
+    what: str
+    stops: bool = False  # the motors, which the firmware let turn until then
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A port between two exchanges, to go on from as often as wanted."""
+
+    board: Snapshot
+    port: dict[str, Any]
 
 
 class EmulatedPort:
     """FirmwarePort around a board of its own. What the board does not forgive comes as BoardError."""
 
-    def __init__(self, image: Path, gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ) -> None:
+    def __init__(
+        self,
+        image: Path,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
+        settings: Mapping[str, float] | None = None,
+        *,
+        receiver: str = "sbus",
+        faults: Sequence[Fault] = (),
+        profile: bool = False,
+        attach: Callable[[Board], RunTo] = lambda board: board.run_to,
+    ) -> None:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
-        Raises LinkError when either is missing, or the firmware does not come to read its gyro at that rate,
-        BuildError when the ELF is none of ours, BoardError for what the image does wrong.
+        settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
+        itself before, as `configured` does. receiver: of RECEIVERS. profile: keep who calls whom.
+        attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
+        Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
+        read its gyro at that rate, BuildError when the ELF is none of ours, BoardError for what the image
+        does wrong.
         """
         elf = image.with_suffix(".elf")
         for path in (image, elf):
             if not path.is_file():
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
-        names = (_TRACE, _SAMPLES, _REASONS, _DIVIDER, _RATE)
+        names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
-        self._trace = self._variables[_TRACE]
-        self.board = Board(image.read_bytes(), elf=elf, chip=MPU6500)
+        self._receiver = RECEIVERS[receiver]
+        self._plan = FaultPlan(faults, gyro_rate_hz)
+        self._begin()
+        wanted = _stored(settings or {}, gyro_rate_hz, receiver)
+        flash = configured(image, wanted) if wanted else image.read_bytes()
+        self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
         try:
             self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
+            self._run_to = attach(self.board)
+            self._inject()
             self._edge = self._boot()  # the cycle of the edge that the firmware reads next
+            self._up, self._resets = True, len(self.board.engine.resets)
             self.gyro_rate_hz = int(self._read(_RATE))
-            self.motor_count = int(self._read(_TRACE)["motor_count"])
+            self.motor_count = int(self._read(_STATUS)["trace"]["motor_count"])
             if self.gyro_rate_hz != gyro_rate_hz:
                 raise LinkError(
-                    f"{image}: reads its gyro at {self.gyro_rate_hz} Hz as flashed, asked for "
-                    f"{gyro_rate_hz} Hz: fly at {self.gyro_rate_hz} Hz"
+                    f"{image}: reads its gyro at {self.gyro_rate_hz} Hz, asked for {gyro_rate_hz} Hz: "
+                    f"do not set gyro_rate_hz beside"
                 )
         except BaseException:
             self.board.close()
@@ -78,9 +137,22 @@ class EmulatedPort:
         self.control_rate_hz = self.gyro_rate_hz // self._divider
         assert control_divider(self.gyro_rate_hz, self.control_rate_hz) == self._divider
         self._period = TIME_HZ // self.gyro_rate_hz
+
+    def _begin(self) -> None:
+        """What changes in a flight."""
+        self._edge = 0
         self._samples = 0
         self._announced: list[tuple[int, list[int]]] = []  # number of the sample, channels
         self._reply: Reply | None = None
+        self._armed_at: int | None = None  # number of the first armed sample
+        self._state, self._armed = FlightState.BOOT, False  # as last read
+        self._events: list[tuple[int, str, bool]] = []  # number of the sample, what, stops
+        self._up, self._resets = False, 1  # the firmware reads its gyro; resets seen
+
+    _KEPT = (
+        "_edge", "_samples", "_announced", "_reply", "_armed_at", "_state", "_armed", "_events", "_up",
+        "_resets", "_plan",
+    )  # fmt: skip
 
     def announce(self, channels_us: Sequence[int], samples: int) -> None:
         """See ForeseeingPort. The frame's last byte ends one gyro period before the sample's edge.
@@ -88,7 +160,9 @@ class EmulatedPort:
         Raises LinkError when it is too late for that.
         """
         wanted = self._edge + (samples - 1) * self._period
-        end = self.board.hardware.usarts[RECEIVER].feed(sbus_frame(channels_us), SBUS, end=wanted)
+        sender = self._receiver
+        frame, broken = self._plan.damaged(sender.frame(channels_us), sender.format)
+        end = self.board.hardware.usarts[RECEIVER].feed(frame, sender.format, end=wanted, broken=broken)
         if end > wanted:
             late = 1e6 * (end - wanted) / TIME_HZ
             raise LinkError(f"a receiver frame is announced {late:.0f} us too late for its time on the line")
@@ -101,82 +175,157 @@ class EmulatedPort:
             raise LinkError("a receiver frame for the board must be announced before its time on the line")
         if not (np.isfinite(sample.gyro).all() and np.isfinite(sample.specific_force).all()):
             raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
+        self._inject()
         self.board.hardware.gyro.measure(
             accel_counts(sample.specific_force.tolist(), ALIGNMENT),
             0,
             gyro_counts(sample.gyro.tolist(), ALIGNMENT),
         )
         self._edge += self._period
-        self.board.run_to(self._edge - 1)
+        self._run_to(self._edge - 1)
         self._samples += 1
+        values = self._dshot()
+        if self._plan.begun:
+            self._reply = self._reply_in_trouble(values)
+            return self._reply
         if int(self._read(_SAMPLES)) != self._samples:
             raise LinkError(
                 f"the firmware has taken {self._read(_SAMPLES)} gyro samples, it was given {self._samples}"
             )
-        values = self._dshot()
         control_step = (self._samples - 1) % self._divider == 0
         if control_step or self._reply is None or values.tobytes() != self._reply.dshot.tobytes():
-            trace = self._read(_TRACE)
-            self._reply = Reply(
-                dshot=values,
-                step=int(trace["step"]),
-                setpoint=trace["setpoint"].astype(np.float32),
-                gyro=trace["gyro"].astype(np.float32),
-                throttle=float(trace["throttle"]),
-                armed=bool(trace["armed"]),
-            )
+            self._reply = self._told(values)
         return self._reply
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort."""
-        return arming_reasons(int(self._read(_REASONS)))
+        return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
 
     def close(self) -> None:
         """Give the board's memory back."""
         self.board.close()
 
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened since the firmware armed, and faults before: states, resets, faults."""
+        zero = 0 if self._armed_at is None else self._armed_at
+        return tuple(
+            Event((number - zero) / self.gyro_rate_hz, what, stops) for number, what, stops in self._events
+        )
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose time has not come."""
+        return self._plan.waiting
+
+    def save(self) -> Moment:
+        """This moment, between two exchanges."""
+        kept = {name: getattr(self, name) for name in self._KEPT}
+        return Moment(take_snapshot(self.board.engine), copy.deepcopy(kept))
+
+    def restore(self, moment: Moment, faults: Sequence[Fault] | None = None) -> None:
+        """Go on from `moment`, of this port or one like it; `faults`: instead of those that it was given."""
+        restore_snapshot(self.board.engine, moment.board)
+        for name, value in copy.deepcopy(moment.port).items():
+            setattr(self, name, value)
+        if faults is not None:
+            self._plan = FaultPlan(faults, self.gyro_rate_hz)
+            if self._armed_at is not None:
+                self._plan.start(self._armed_at)
+
+    # ---- the board ----
+
     def _boot(self) -> int:
         """Run until the cycle before the first edge that the firmware listens to; that edge's cycle."""
-        board, gyro, exti = self.board, self.board.hardware.gyro, self.board.hardware.exti
+        board, gyro = self.board, self.board.hardware.gyro
         limit = round(BOOT_S * TIME_HZ)
         while board.cycle < limit:
             edge = gyro.next_sample
             if edge is None:
-                board.run_to(board.cycle + EDGE_CYCLES // 2)
+                self._run_to(board.cycle + EDGE_CYCLES // 2)
             elif board.cycle < edge - 1:
-                board.run_to(edge - 1)
-            elif exti.words["IMR"] >> _READY_LINE & 1:
+                self._run_to(edge - 1)
+            elif self._listens():
                 return edge
             else:
-                board.run_to(edge + EDGE_CYCLES // 2)
-        reasons = ", ".join(self.arming_reasons()) or "it names no reason"
-        raise LinkError(f"the firmware reads no gyro sample within {BOOT_S:g} s of its boot: {reasons}")
+                self._run_to(edge + EDGE_CYCLES // 2)
+        reasons = arming_reasons(int(self._read(_STATUS)["arming_reasons"]))
+        told = "; ".join([", ".join(reasons) or "it names no reason", *(what for _, what, _ in self._events)])
+        raise LinkError(f"the firmware reads no gyro sample within {BOOT_S:g} s of its boot: {told}")
+
+    def _listens(self) -> bool:
+        """Whether the firmware has opened the gyro's line, as the last thing of its boot."""
+        return bool(self.board.hardware.exti.words["IMR"] >> _READY_LINE & 1)
 
     def _next_frame(self) -> int | None:
         return self._announced[0][0] if self._announced else None
 
     def _dshot(self) -> NDArray[np.uint16]:
-        """What each motor's ESC was told last; 0 until it was told anything."""
-        last = [esc.last for esc in self.board.hardware.escs[: self.motor_count]]
-        return np.array([0 if frame is None else frame.value for frame in last], np.uint16)
+        """What each motor's ESC obeys."""
+        cycle = self.board.cycle
+        return np.array([esc.obeys(cycle) for esc in self.board.hardware.escs[: self.motor_count]], np.uint16)
+
+    def _told(self, values: NDArray[np.uint16]) -> Reply:
+        """What the firmware says of its last control step."""
+        status = self._read(_STATUS)
+        trace = status["trace"]
+        armed = bool(trace["armed"])
+        if armed and self._armed_at is None:
+            self._armed_at = self._samples - 1
+            self._plan.start(self._armed_at)
+        self._note_state(status, armed)
+        return Reply(
+            dshot=values,
+            step=int(trace["step"]),
+            setpoint=trace["setpoint"].astype(np.float32),
+            gyro=trace["gyro"].astype(np.float32),
+            throttle=float(trace["throttle"]),
+            armed=armed,
+        )
+
+    def _reply_in_trouble(self, values: NDArray[np.uint16]) -> Reply:
+        """Likewise, of a firmware that may be in the middle of a boot, or stand for good."""
+        engine = self.board.engine
+        while self._resets < len(engine.resets):
+            self._happened(f"reset: {engine.resets[self._resets]}", stops=self._armed)
+            self._up, self._armed, self._resets = False, False, self._resets + 1
+            self._state = FlightState.BOOT
+        if not self._up and self._listens():
+            self._up = True
+            self._happened("the firmware has booted and reads its gyro")
+        if self._up:
+            return self._told(values)
+        step = 0 if self._reply is None else self._reply.step
+        return Reply(values, step, _NO_RATES, _NO_RATES, 0.0, armed=False)
 
     def _read(self, name: str) -> Any:  # noqa: ANN401 - a number or a record
         variable: Variable = self._variables[name]
         data = self.board.engine.memory(variable.address, variable.size)
         return np.frombuffer(data, variable.dtype)[0]
 
+    # ---- what happens ----
 
-def sbus_frame(channels_us: Sequence[int]) -> bytes:
-    """The frame that a receiver sends for CHANNEL_COUNT pulse widths [us].
+    def _note_state(self, status: Any, armed: bool) -> None:  # noqa: ANN401 - a record
+        state, before = FlightState(int(status["state"])), self._state
+        stops, self._state, self._armed = self._armed and not armed, state, armed
+        if (state != before or stops) and (self._armed_at is not None or self._plan.begun):
+            cause = f": {StopCause(int(status['stop_cause'])).name}" if stops else ""
+            self._happened(f"{state.name}{cause}", stops=stops)
 
-    Those outside 880..2159 are sent as the nearer end; whole microseconds between come out as they went in.
-    """
-    if len(channels_us) != CHANNEL_COUNT:
-        raise ValueError(f"{len(channels_us)} channels, expected {CHANNEL_COUNT}")
-    bits = 0
-    for number, us in enumerate(channels_us):
-        value = min(max(us - _SBUS_ZERO_US, 0) * 8 // 5, _SBUS_VALUE_MAX)
-        bits |= value << 11 * number
-    frame = bytes([SBUS_HEADER]) + bits.to_bytes(2 * 11, "little") + bytes([0, SBUS_FOOTER])
-    assert len(frame) == SBUS_FRAME_BYTES
-    return frame
+    def _inject(self) -> None:
+        """Let the faults come whose time it is."""
+        for what in self._plan.inject(self.board, self._samples):
+            self._happened(what)
+
+    def _happened(self, what: str, *, stops: bool = False) -> None:
+        self._events.append((max(self._samples - 1, 0), what, stops))
+
+
+def _stored(settings: Mapping[str, float], gyro_rate_hz: int, receiver: str) -> dict[str, float]:
+    """Settings that the image must have stored to fly so."""
+    wanted = dict(settings)
+    if gyro_rate_hz != GYRO_RATE_DEFAULT_HZ:
+        wanted["gyro_rate_hz"] = gyro_rate_hz
+    if receiver != "sbus":
+        wanted["receiver_protocol"] = RECEIVER_SETTING.choices.index(receiver)
+    return wanted

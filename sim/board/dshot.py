@@ -7,6 +7,10 @@ exclusive or of the three nibbles before it; between frames the line rests low f
 The protocol states nominal times only. Decoders compare each pulse with half of the frame's mean bit, which
 leaves a quarter of a bit to either side; ESCs measure with RC oscillators of some per cent. `TOLERANCE` is
 ours: what a good controller keeps to, and an ESC takes however its oscillator stands.
+
+An ESC whose line is silent stops its motor: AM32 half a second after the last frame (Src/main.c, signal
+timeout when armed), BLHeli_S and Bluejay 160 ms after it (ten overflows of timer 2 at 16 ms). `SILENT_S` is
+the longer: what an aircraft has to live with.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from sim.board.context import TIME_HZ
 PROTOCOLS = {300: 300_000, 600: 600_000}  # bits a second
 TOLERANCE = 0.05  # of a nominal time
 GAP_S = 2e-6  # least rest between frames
+SILENT_S = 0.5  # without a frame, then the motor stops
 FRAME_BITS = 16
 _HIGH = (0.375, 0.75)  # of a bit, for 0 and 1
 
@@ -77,6 +82,12 @@ class Esc:
             self._next = start + position * length
             if len(self._bits) == FRAME_BITS:
                 self._close(start + position * length)
+
+    def obeys(self, cycle: int) -> int:
+        """The value that the motor follows at `cycle`: the last frame's, 0 before any or after a silence."""
+        if self.last is None or cycle - self.last.cycle > SILENT_S * TIME_HZ:
+            return 0
+        return self.last.value
 
     def accept(self, frame: Frame) -> None:
         """A frame that was decoded elsewhere."""

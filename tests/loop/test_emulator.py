@@ -10,12 +10,12 @@ import pytest
 
 from sim import sticks
 from sim.board.variables import read_variables
-from sim.emulated_port import EmulatedPort, sbus_frame
+from sim.emulated_port import EmulatedPort
+from sim.host_port import HostPort
 from sim.port import Sample
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment, load_scenario
 from sim.trace import Trace
-from toolchain.contract import CHANNEL_COUNT
 from toolchain.errors import BuildError, LinkError
 
 Flown = Callable[..., Trace]
@@ -33,13 +33,14 @@ def image(board_image: Path) -> Path:
 
 
 @pytest.mark.parametrize("controller", ["policy", "pid"])
-def test_the_image_flies_the_bits_of_the_host_build_when_the_scenario_is_busy(
-    image: Path, reference_library: Path, flown: Flown, controller: str
+def test_every_array_of_the_trace_is_the_host_builds_when_the_scenario_is_busy(
+    image: Path, host_program: Path, reference_library: Path, flown: Flown, controller: str
 ) -> None:
     scenario = BUSY if controller == "policy" else BUSY.under_pid()
     on_board = flown(EmulatedPort(image), scenario)
     assert np.ptp(on_board.dshot, axis=0).min() > 100  # every motor has something to do
     assert flown(ReferencePort(reference_library), scenario).same(on_board)
+    assert flown(HostPort(host_program), scenario).same(on_board)
 
 
 def test_policy_and_pid_differ_when_flown_on_the_reference(reference_library: Path, flown: Flown) -> None:
@@ -59,6 +60,13 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
     assert flown(ReferencePort(reference_library), scenario, seed=5).same(on_board)
 
 
+def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
+    image: Path, reference_library: Path, flown: Flown
+) -> None:
+    on_board = flown(EmulatedPort(image, 2000, receiver="crsf"), BUSY)
+    assert flown(ReferencePort(reference_library, 2000), BUSY).same(on_board)
+
+
 def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> None:
     channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False).tolist()
     port = EmulatedPort(image)
@@ -69,11 +77,9 @@ def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> No
     port.close()
 
 
-def test_it_says_why_when_the_image_is_missing_or_set_otherwise(image: Path, tmp_path: Path) -> None:
+def test_it_says_why_when_the_image_is_missing(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="not built yet"):
         EmulatedPort(tmp_path / "neuroflight.bin")
-    with pytest.raises(LinkError, match="reads its gyro at 4000 Hz as flashed, asked for 8000 Hz"):
-        EmulatedPort(image, 8000)
 
 
 def test_variables_are_found_by_name_or_named_when_they_are_not_there(board_image: Path) -> None:
@@ -86,12 +92,3 @@ def test_variables_are_found_by_name_or_named_when_they_are_not_there(board_imag
         read_variables(board_image, "firmware.status.trace.stap")
     with pytest.raises(BuildError, match="0 variables named firmwar,"):
         read_variables(board_image, "firmwar.status")
-
-
-def test_a_frame_holds_every_channel_when_its_bits_are_read_back() -> None:
-    channels = [880, 881, 988, 1000, 1500, 1501, 1999, 2000, 2012, 2159, 1234, 1357, 1111, 1789, 1023, 1777]
-    frame = sbus_frame(channels)
-    bits = "".join(f"{byte:08b}"[::-1] for byte in frame[1:23])
-    values = [int(bits[11 * i : 11 * i + 11][::-1], 2) for i in range(CHANNEL_COUNT)]
-    assert [880 + (5 * value + 4) // 8 for value in values] == channels
-    assert (frame[0], *frame[23:]) == (0x0F, 0, 0)

@@ -1,0 +1,213 @@
+"""What the firmware makes of faults, on the emulated board, as docs/safety.md says."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim import sticks
+from sim.board.dshot import SILENT_S
+from sim.board.faults import FAULTS, Fault, parse_fault
+from sim.emulated_port import EmulatedPort, Event, Moment
+from sim.port import Reply, Sample
+from toolchain.contract import GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
+from toolchain.errors import LinkError, ScenarioError
+
+RATE = 4000  # of gyro samples
+FRAME, LEAD = 40, 16  # samples between two receiver frames, and from the announcement to the frame
+START_S = 0.05  # of the flight, when the drills begin
+NOTHING = Reply(np.zeros(4, np.uint16), 0, np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0, armed=False)
+
+
+class Still:
+    """A still aircraft with a live gyro, and a pilot who holds his sticks."""
+
+    def __init__(self, port: EmulatedPort) -> None:
+        self.port = port
+        self._number = 0
+        self._planned: dict[int, list[int]] = {}
+        self._rng = np.random.default_rng(1)
+
+    def fly(
+        self, seconds: float, *, armed: bool = True, until: Callable[[Reply], bool] | None = None
+    ) -> list[Reply]:
+        """The replies to so many samples, or up to the one that is waited for."""
+        channels = sticks.channels((0.0, 0.0, 0.0), 0.3 if until is None and armed else 0.0, armed=armed)
+        replies = []
+        for _ in range(round(seconds * RATE)):
+            if self._number % FRAME == 0:
+                self._planned[self._number + LEAD] = channels.tolist()
+                self.port.announce(channels.tolist(), LEAD)
+            gyro, force = self._rng.normal(0.0, 0.01, 3), np.array([0.0, 0.0, GRAVITY])
+            sample = Sample(0.0, gyro, np.eye(3), np.zeros(3), np.zeros(3), force)
+            replies.append(self.port.exchange(sample, self._planned.pop(self._number, None)))
+            self._number += 1
+            if until is not None and until(replies[-1]):
+                return replies
+        assert until is None
+        return replies
+
+    def save(self) -> Any:
+        return self.port.save(), copy.deepcopy((self._number, self._planned, self._rng))
+
+    def restore(self, moment: tuple[Moment, Any], *faults: str) -> None:
+        self.port.restore(moment[0], [parse_fault(fault) for fault in faults])
+        self._number, self._planned, self._rng = copy.deepcopy(moment[1])
+
+
+@pytest.fixture(scope="module")
+def image(board_image: Path) -> Path:
+    """What is flashed."""
+    return board_image.with_suffix(".bin")
+
+
+@pytest.fixture(scope="module")
+def started(image: Path) -> Iterator[tuple[Still, Any]]:
+    """A flight of 50 ms, and that moment."""
+    still = Still(EmulatedPort(image))
+    still.fly(1.1, armed=False)
+    still.fly(0.2, until=lambda reply: reply.armed)
+    still.fly(START_S - 1 / RATE)
+    yield still, still.save()
+    still.port.close()
+
+
+Drill = Callable[..., tuple[list[Reply], list[Event]]]
+
+
+@pytest.fixture
+def drill(started: tuple[Still, Any]) -> Drill:
+    """Flies on from that moment with faults; the replies, and what happened but the arming and the faults."""
+    still, moment = started
+
+    def run(*faults: str, seconds: float = 0.1) -> tuple[list[Reply], list[Event]]:
+        still.restore(moment, *faults)
+        replies = still.fly(seconds)
+        armed, *events = still.port.events
+        assert armed == Event(0.0, "ARMED")
+        return replies, [event for event in events if not event.what.startswith("fault ")]
+
+    return run
+
+
+def turning(replies: list[Reply]) -> float:
+    """For how long the motors turned [s]."""
+    return [bool(reply.dshot.any()) for reply in [*replies, NOTHING]].index(False) / RATE
+
+
+def test_the_motors_stop_when_the_gyro_is_silent(drill: Drill, started: tuple[Still, Any]) -> None:
+    replies, (stop,) = drill("gyro-silent@0.06")
+    assert (stop.what, stop.stops) == ("FAULT: GYRO_SILENT", True)
+    assert GYRO_BAD_MS - 1 <= 1000 * (stop.at_s - 0.06) <= GYRO_BAD_MS + 1
+    assert turning(replies) == pytest.approx(stop.at_s - START_S, abs=2 / RATE)
+    assert {"GYRO_BAD", "FAULT"} <= set(started[0].port.arming_reasons())
+
+
+def test_it_flies_on_when_the_gyro_is_silent_for_less_than_it_bears(drill: Drill) -> None:
+    replies, events = drill(f"gyro-silent={(GYRO_BAD_MS - 3) / 1000}@0.06")
+    assert not events
+    assert all(reply.armed and reply.dshot.all() for reply in replies)
+    steps = np.diff([reply.step for reply in replies])
+    assert len(replies) // 4 - sum(steps) == pytest.approx(GYRO_BAD_MS - 3, abs=1)  # those were not flown
+
+
+def test_spikes_are_flown_when_bits_of_the_gyro_turn_over(drill: Drill) -> None:
+    replies, events = drill("spi-bit-errors=0.01@0.06")
+    rates = np.abs([reply.gyro for reply in replies[::4]]).max(axis=1)
+    hit = rates > 0.1  # of a gyro with a noise of 0.01 rad/s
+    assert not events  # no sum goes with the chip's bytes: nothing tells a spike from motion
+    assert not hit[:9].any()
+    assert 0.1 < hit[10:].mean() < 0.5  # of 48 bits, some 2/3 of which are worth 0.1 rad/s
+
+
+def test_it_boots_disarmed_and_remembers_when_the_supply_dips(
+    drill: Drill, started: tuple[Still, Any]
+) -> None:
+    replies, (reset, boot, calibrates) = drill("brown-out@0.06", seconds=0.45)
+    assert (reset, calibrates.what) == (Event(0.06, "reset: brown-out", stops=True), "CALIBRATING")
+    assert 0.2 < boot.at_s - reset.at_s < 0.4
+    # Its ESCs keep the battery's power and their last value until frames come again, which say 0.
+    assert turning(replies) == pytest.approx(boot.at_s - START_S, abs=0.002)
+    assert not any(reply.armed for reply in replies[round(0.02 * RATE) :])
+    assert {"FAULT", "SWITCH_NOT_CYCLED"} <= set(started[0].port.arming_reasons())
+
+
+def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) -> None:
+    _, events = drill("brown-out@0.06", "flash-cut@0.06", seconds=0.75)
+    assert [event.what for event in events[:3]] == [
+        "reset: brown-out",
+        "reset: power",
+        "the firmware has booted and reads its gyro",
+    ]
+
+
+def test_it_stands_for_good_and_the_escs_stop_when_the_crystal_fails(drill: Drill) -> None:
+    replies, (reset,) = drill("crystal@0.06", seconds=0.6)
+    assert reset == Event(0.06, "reset: software", stops=True)
+    assert turning(replies) == pytest.approx(0.06 - START_S + SILENT_S, abs=0.002)
+
+
+def test_the_failsafe_acts_when_every_receiver_frame_is_broken(drill: Drill) -> None:
+    replies, (hold, drop) = drill("receiver-broken@0.06", seconds=0.5)
+    assert (hold.what, drop.what) == ("FAILSAFE_HOLD", "FAILSAFE_DROP: RECEIVER")
+    # Two frames may have been on their way: one in the loop's hands, one just heard.
+    late = FRAME / RATE
+    assert RECEIVER_HOLD_MS / 1000 - late <= hold.at_s - 0.06 <= RECEIVER_HOLD_MS / 1000 + late
+    assert drop.at_s - hold.at_s == pytest.approx((RECEIVER_LOST_MS - RECEIVER_HOLD_MS) / 1000, abs=0.001)
+    assert turning(replies) == pytest.approx(drop.at_s - START_S, abs=2 / RATE)
+    assert drop.stops and not hold.stops
+
+
+def test_it_flies_on_when_some_receiver_frames_are_broken(drill: Drill) -> None:
+    replies, events = drill("receiver-broken=0.5@0.06", seconds=0.2)
+    assert not events
+    assert all(reply.armed for reply in replies)
+
+
+def test_a_moment_is_flown_on_to_the_bit_when_it_is_restored(drill: Drill) -> None:
+    first, second = (drill("spi-bit-errors=0.01@0.06")[0] for _ in range(2))
+    assert [reply.dshot.tobytes() for reply in first] == [reply.dshot.tobytes() for reply in second]
+
+
+def test_it_boots_when_power_goes_at_a_flash_operation_of_the_boot(image: Path) -> None:
+    port = EmulatedPort(image, faults=[parse_fault("flash-cut=3@boot")])
+    assert port.board.engine.resets == ["power", "power"]
+    port.close()
+
+
+def test_it_says_so_when_a_fault_lets_the_firmware_never_boot(image: Path) -> None:
+    with pytest.raises(LinkError, match=r"reads no gyro sample within 5 s of its boot: .*fault crystal@boot"):
+        EmulatedPort(image, faults=[parse_fault("crystal@boot")])
+
+
+def test_faults_are_told_as_they_are_written_when_read() -> None:
+    written = ("gyro-silent@1.5", "gyro-silent=0.005@0", "flash-cut=7@boot", "spi-bit-errors=1e-05@3")
+    assert [str(parse_fault(text)) for text in written] == list(written)
+    assert parse_fault("brown-out@2") == Fault("brown-out", 0.0, 2.0)
+    for name in FAULTS:
+        assert parse_fault(f"{name}@1").name == name
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("gyro-silent", "expected NAME"),
+        ("gyro-loud@1", "fault 'gyro-loud' is unknown, expected one of gyro-silent, "),
+        ("brown-out=2@1", "got the value '2', expected none"),
+        ("spi-bit-errors=2@1", "got '2', expected 1e-09 to 1"),
+        ("flash-cut=1.5@boot", "expected a whole number from 1 to"),
+        ("crystal@soon", "its time: got 'soon', expected 0 to 3600"),
+        ("crystal@-1", "its time: got '-1'"),
+        ("crystal@nan", "its time: got 'nan'"),
+    ],
+)
+def test_a_fault_is_refused_in_one_line_when_it_is_none(text: str, message: str) -> None:
+    with pytest.raises(ScenarioError) as refusal:
+        parse_fault(text)
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
