@@ -15,9 +15,9 @@ from typing import Protocol
 
 import serial
 
+from toolchain.contract import MSP_BAUD_DEFAULT
 from toolchain.errors import LinkError
 
-BAUD_DEFAULT = 115200  # the ecosystem's default for MSP
 CONNECT_TIMEOUT_S = 3.0
 WRITE_TIMEOUT_S = 2.0
 READ_BYTES_MAX = 4096
@@ -59,7 +59,7 @@ class SerialPort:
     """A serial device and its speed in baud."""
 
     device: str
-    baud: int = BAUD_DEFAULT
+    baud: int = MSP_BAUD_DEFAULT
 
     def __str__(self) -> str:
         return f"serial:{self.device}:{self.baud}"
@@ -96,7 +96,7 @@ def _parse_tcp(text: str, rest: str) -> TcpPort:
 def _parse_serial(text: str, rest: str) -> SerialPort:
     device, separator, baud = rest.rpartition(":")
     if not separator:
-        device, baud = rest, str(BAUD_DEFAULT)
+        device, baud = rest, str(MSP_BAUD_DEFAULT)
     if not device or not _is_number(baud) or int(baud) < 1:
         raise LinkError(f"port {text!r} names no serial port, expected serial:DEVICE[:BAUD], BAUD above 0")
     return SerialPort(device, int(baud))

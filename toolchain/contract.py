@@ -392,6 +392,8 @@ MSP_PROTOCOL_VERSION = 0
 MSP_API_MAJOR, MSP_API_MINOR = 1, 46
 MSP_VARIANT = "NRFL"
 MSP_PAYLOAD_MAX = 512
+MSP_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)  # of the line, 8N1
+MSP_BAUD_DEFAULT = 115200  # the ecosystem's
 MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX
 VERSION = (0, 1, 0)
 CRC8_DVB_S2_POLY = 0xD5
@@ -426,7 +428,7 @@ class ArmingReason(IntEnum):
     FAULT = 9  # a fault record that nobody acknowledged
     CRASHED = 10
     MOTOR_TEST = 11
-    STORING = 12  # flash is being erased or written
+    STORING = 12  # flash is being erased or written, or the board is about to start anew
     PID_MISSING = 13  # the switch chooses a PID that is not built in
 
 
@@ -532,6 +534,7 @@ class FilterKind(IntEnum):
 _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
+_MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
     _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
@@ -550,6 +553,7 @@ SETTINGS = (
     _number("dynamic_notch_high_hz", 60.0, 2000.0, 600.0, "Hz", "highest centre"),
     _number("dynamic_notch_q", 0.5, 20.0, 3.0, "1", "quality"),
     _choice("receiver_protocol", "sbus", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
+    _whole("msp_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", _MSP_BAUD_MEANING),
     *(
         _whole(f"map_{name}", 0, CHANNEL_COUNT - 1, channel, "channel", f"of the receiver that is {name}")
         for name, channel in (

@@ -100,7 +100,8 @@ bool hal_flash_program(uint32_t address, const void *words, size_t bytes);
 bool hal_fault_take(struct fault_record *record);
 void hal_fault_clear(void);
 
-/* Starts anew, motors stopped. Board: never returns. Host: ends the program with success when hal_run returns. */
+/* Asks to start anew, motors stopped, when what MSP has replied so far is sent: hal_run then never returns (board;
+ * 1.5 s from now at the latest) or returns with success (host). From `msp`; nothing may arm from here on. */
 void hal_reset(void);
 
 #endif

@@ -79,10 +79,10 @@ static enum nf_refusal storing(void *context, bool busy)
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
 
-	firmware_forbid(fw, NF_ARMING_REASON_STORING, busy);
+	firmware_forbid(fw, NF_ARMING_REASON_STORING, busy || background->rebooting);
 	if (!busy || firmware_stopped(fw))
 		return NF_REFUSAL_NONE;
-	firmware_forbid(fw, NF_ARMING_REASON_STORING, false);
+	firmware_forbid(fw, NF_ARMING_REASON_STORING, background->rebooting);
 	return NF_REFUSAL_ARMED;
 }
 
@@ -127,9 +127,11 @@ static enum nf_refusal reboot(void *context)
 {
 	struct background *background = context;
 	const struct background_io *io = &background->config.io;
+	const enum nf_refusal refusal = storing(context, true);
 
-	if (!firmware_stopped(background->config.firmware))
-		return NF_REFUSAL_ARMED;
+	if (refusal != NF_REFUSAL_NONE)
+		return refusal;
+	background->rebooting = true; /* nothing arms while the reply is on its way */
 	io->reset(io->context);
 	return NF_REFUSAL_NONE;
 }

@@ -64,6 +64,7 @@ struct background {
 	struct battery battery;
 	struct alert alert;
 	bool heard;                         /* the receiver, since boot */
+	bool rebooting;                     /* was asked to, and is about to */
 	struct msp msp;
 	struct msp_services services;
 };

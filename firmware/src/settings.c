@@ -78,6 +78,17 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 }
 
 /* --- What settings may not be together -------------------------------------------------------------- */
+static bool msp_baud_fits(const struct nf_settings *settings, unsigned first)
+{
+	static const uint32_t known[] = NF_MSP_BAUDS;
+
+	(void)first;
+	for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
+		if (known[i] == settings->msp_baud)
+			return true;
+	return false;
+}
+
 static bool gyro_rate_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_GYRO_RATES_HZ;
@@ -148,6 +159,7 @@ static const struct rule {
 	{ dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
 	{ map_fits, SETTING_AT_map_roll, SETTING_AT_map_beeper },
 	{ battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
+	{ msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 };
 _Static_assert(SETTING_AT_map_beeper - SETTING_AT_map_roll == NF_CHANNEL_BEEPER, "all of the map, side by side");
 _Static_assert(NF_FILTER_STAGES == 4, "a rule each");

@@ -40,7 +40,7 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 
 /* Index of the first setting that does not go with others or with this image's policy: a gyro rate that is none or
  * no multiple of the control rate; a filter at or above half the gyro rate; notch limits, battery limits or channels
- * that contradict each other. NF_SETTING_COUNT: all go together. */
+ * that contradict each other; a baud rate that is none. NF_SETTING_COUNT: all go together. */
 unsigned settings_conflict(const struct nf_settings *settings);
 
 /* Sets to their defaults those that settings_conflict finds; all others are kept. */

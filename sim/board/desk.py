@@ -18,9 +18,9 @@ from flash.settings import Settings, as_stored
 from sim.board.board import Board
 from sim.board.context import TIME_HZ
 from sim.board.gyro_chip import MPU6500, Alignment, accel_counts, gyro_counts
-from sim.board.line import BAUD_DEFAULT, MSP_UART, Bridge, LineTransport, UartLine
+from sim.board.line import MSP_UART, Bridge, LineTransport, UartLine
 from sim.board.usart import Format
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, GRAVITY
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, GRAVITY, MSP_BAUD_DEFAULT
 from toolchain.errors import LinkError
 
 STEP = TIME_HZ // 1000  # cycles between two measurements, and two looks at the lines: 1 ms
@@ -59,7 +59,7 @@ class Desk:
                 self._measured = self.board.cycle // STEP * STEP + STEP
             self.board.run_to(min(cycle, self._measured))
 
-    def client(self, baud: float = BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
+    def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
         """An MSP client on the other end of `uart`, in lockstep with the board."""
         transport = LineTransport(UartLine(self.board, uart, Format(baud)), self.run_to)
         return Client(transport, transport.clock)

@@ -22,10 +22,10 @@ from typing import Protocol
 from sim.board.board import Board
 from sim.board.context import TIME_HZ
 from sim.board.usart import Format
+from toolchain.contract import MSP_BAUD_DEFAULT
 from toolchain.errors import LinkError
 
 MSP_UART = "USART1"
-BAUD_DEFAULT = 115200
 SLICE = TIME_HZ // 10_000  # cycles between two looks for what the board has sent: 100 us
 PENDING_MAX = 64 * 1024  # bytes kept for a program that does not read; what comes then is lost, as on wires
 READ_MAX = 4096
@@ -42,7 +42,7 @@ class UartLine:
         if uart not in board.hardware.usarts:
             raise ValueError(f"a line on {uart!r}, expected one of {', '.join(board.hardware.usarts)}")
         self.board, self.uart = board, uart
-        self.format = format or Format(BAUD_DEFAULT)
+        self.format = format or Format(MSP_BAUD_DEFAULT)
         self._usart = board.hardware.usarts[uart]
         self._usart.on_sent = self._hear
         self._heard = bytearray()

@@ -136,12 +136,23 @@ def test_settings_are_saved_only_when_nothing_flies(board: Make) -> None:
 
 def test_it_starts_anew_only_when_nothing_flies(board: Make) -> None:
     b = board()
-    b.run(1100)
-    b.ask(Msp.REBOOT)
-    b.arm = True
-    b.run(30)
+    b.fly()
     with pytest.raises(LinkError):
         b.ask(Msp.REBOOT)
+    b.run(30)
+    assert b.safety.state == FlightState.ARMED
+
+
+def test_nothing_arms_when_it_is_about_to_start_anew(board: Make) -> None:
+    b = board()
+    b.run(1100)
+    b.ask(Msp.REBOOT)
+    b.ask(Msp.EEPROM_WRITE)  # whose end allows arming else
+    b.run(20)
+    assert b.reasons == {"STORING"}
+    b.arm = True
+    b.run(30)
+    assert b.safety.state == FlightState.DISARMED
 
 
 def test_a_motor_turns_while_its_value_is_given_anew_when_the_test_is_open(board: Make) -> None:

@@ -135,6 +135,7 @@ CONFLICTS = {
     ),
     "map": ({"map_roll": 1, "map_arm": 9}, "map_roll", {"map_roll", "map_arm"}),
     "map's ends": ({"map_beeper": 0}, "map_roll", {"map_beeper"}),
+    "baud of no UART": ({"msp_baud": 100_000}, "msp_baud", {"msp_baud"}),
     "battery": ({"battery_low_v": 3.5}, "battery_warn_v", {"battery_low_v"}),
 }
 

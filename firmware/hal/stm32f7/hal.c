@@ -20,6 +20,13 @@
 _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
 #define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
+#define RESET_WAIT_MS 1500u /* the longest replies take 1.1 s at 9600 baud */
+
+/* The background's alone. */
+static struct {
+	bool wanted;
+	uint32_t since_ms;
+} restart;
 
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
@@ -35,7 +42,6 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
 	time_tick_start();
-	msp_uart_start();
 	power_start();
 	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
 	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
@@ -54,12 +60,16 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
+	msp_uart_start(settings->msp_baud);
 	receiver_line_start(settings->receiver_protocol);
 	motors_run(settings->motor_protocol, POLICY_ACTION_COUNT);
 	gyro_run(handlers, settings->gyro_rate_hz);
 	for (;;) {
 		handlers->background(handlers->context);
-		msp_uart_serve(handlers);
+		if (!restart.wanted)
+			msp_uart_serve(handlers);
+		else if (!msp_uart_sending() || time_ms() - restart.since_ms > RESET_WAIT_MS)
+			fault_reset();
 		wait_for_interrupt();
 	}
 }
@@ -149,5 +159,6 @@ void hal_fault_clear(void)
 
 void hal_reset(void)
 {
-	fault_reset();
+	restart.wanted = true;
+	restart.since_ms = time_ms();
 }

@@ -5,7 +5,6 @@
 #include "uart.h"
 
 #define AF_USART1 7u
-#define BAUD 115200u
 #define REPLY_BYTES 1024u
 #define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
 
@@ -16,14 +15,20 @@ static DMA_BUFFER_SLOW uint8_t msp_reply_bytes[REPLY_BYTES];
 static struct uart_ring ring = {.stream = DMA_MSP_RX, .bytes = msp_ring_bytes};
 static uint32_t last_byte_ms;
 
-void msp_uart_start(void)
+void msp_uart_start(uint32_t baud)
 {
 	gpio_alternate(BOARD_MSP_TX, AF_USART1, GPIO_PULL_UP, GPIO_SLOW);
 	gpio_alternate(BOARD_MSP_RX, AF_USART1, GPIO_PULL_UP, GPIO_SLOW);
 	uart_ring_start(&ring, USART1);
 	dma_setup(DMA_MSP_TX, &USART_TDR(USART1), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
-	uart_configure(USART1, CLOCK_APB2_HZ, BAUD, USART_CR1_RE | USART_CR1_TE, 0,
+	uart_configure(USART1, CLOCK_APB2_HZ, baud, USART_CR1_RE | USART_CR1_TE, 0,
 		       USART_CR3_DMAR | USART_CR3_DMAT);
+}
+
+/* The last byte is still in the UART when DMA has handed it over. */
+bool msp_uart_sending(void)
+{
+	return dma_busy(DMA_MSP_TX) || (USART_ISR(USART1) & USART_ISR_TC) == 0u;
 }
 
 void msp_uart_serve(const struct hal_handlers *handlers)

@@ -274,6 +274,7 @@
 #define USART_ISR_PE BIT(0)
 #define USART_ISR_FE BIT(1)
 #define USART_ISR_IDLE BIT(4)
+#define USART_ISR_TC BIT(6)
 #define USART_ICR(uart) REGISTER((uart) + 0x20u)
 #define USART_ICR_PECF BIT(0)
 #define USART_ICR_FECF BIT(1)

@@ -8,7 +8,7 @@
 
 #include "dma.h"
 
-#define UART_RING_BYTES 256u /* 22 ms of MSP, 28 ms of SBUS */
+#define UART_RING_BYTES 256u /* 22 ms of MSP at 115200 baud, 2.8 ms at 921600; 28 ms of SBUS */
 
 struct uart_ring {
 	struct dma_stream stream;

@@ -192,7 +192,7 @@ def test_the_board_rests_and_shows_it_when_it_faults_again_and_again(board: Boar
 
 
 def test_a_board_that_was_asked_starts_anew_with_its_motors_low(board: Board) -> None:
-    board.sketch.call_to_reset(board.symbols["hal_reset"])
+    board.sketch.call_to_reset(board.symbols["fault_reset"])
     assert board.sketch.peek(0x40020800) >> 12 & 0xFF == 0b01010101  # PC6..PC9 outputs
     board.boot(SOFTWARE)
     assert board.take() is None
