@@ -59,12 +59,12 @@ class GyroKind:
     who_am_i: int
     data_hz: int  # SCK at most while data and interrupt registers are read
     power_management: int  # PWR_MGMT_1 after reset
-    start_ms: int  # from power to answers, typical
+    start_ms: int  # from power to answers, at most (specification: 11 typical)
     reset_ms: int = 100  # from DEVICE_RESET to answers (register map, PWR_MGMT_1)
 
 
-MPU6500 = GyroKind("MPU6500", 0x70, 20_000_000, 0x01, 11)
-ICM20689 = GyroKind("ICM20689", 0x98, 8_000_000, 0x41, 11)
+MPU6500 = GyroKind("MPU6500", 0x70, 20_000_000, 0x01, 100)
+ICM20689 = GyroKind("ICM20689", 0x98, 8_000_000, 0x41, 100)
 
 
 class Alignment(IntEnum):
@@ -229,8 +229,20 @@ class GyroChip:
 
     def select(self, level: bool) -> None:
         """The level of the chip's select line, low while it is spoken to."""
+        self._judge_end()
         self._selected = not level
         self._address = None
+
+    def _judge_end(self) -> None:
+        """A transaction has ended: it has read whole values."""
+        if not self._reads or self._address is None:
+            return
+        count = self._address - DATA
+        if count & 1 and 0 < count < DATA_BYTES:
+            self.context.fail(
+                f"the data of the {self.kind.name} was read up to 0x{self._address - 1:02X}, the upper half of "
+                f"a value; expected both its bytes in one transaction"
+            )
 
     def _judge_time(self) -> None:
         if self.context.cycle < self._ready_at:
