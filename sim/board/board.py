@@ -20,6 +20,7 @@ from sim.board.gpio import Pins
 from sim.board.gyro_chip import MPU6500, READY, GyroChip, GyroKind
 from sim.board.hot import BoardEngine, Hot
 from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
+from sim.board.hot_gyro import HotGyroChip
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr
@@ -70,7 +71,7 @@ class Hardware:
         self.syscfg = (HotSyscfg if engine else Syscfg)(context)
         self.exti = (HotExti if engine else Exti)(context, self.syscfg)
         self.dma = HotDmaSystem(context) if engine else DmaSystem(context)
-        self.gyro = GyroChip(context, self.pins, chip)
+        self.gyro = (HotGyroChip if engine else GyroChip)(context, self.pins, chip)
         self.spi = (HotSpi if engine else Spi)(context, self.dma, self.pins, self.gyro, seed)
         timer_type = HotTimer if engine else Timer
         self.timers = {name: timer_type(context, name, self.dma, self.pins) for name in TIMERS}
@@ -97,6 +98,9 @@ class Hardware:
         if engine is not None:
             assert isinstance(self.dma, HotDmaSystem)
             assert isinstance(self.pins, HotPins)
+            assert isinstance(self.gyro, HotGyroChip)
+            assert isinstance(self.spi, HotSpi)
+            self.spi.on_errors = self.gyro.errors_on_the_bus
             self.hot = Hot(engine, self.registers, self.dma, self.pins, self.gyro)
             self.registers.accompany(self.spi, self.hot)
         self._wire(watchdog_resets)

@@ -85,6 +85,10 @@ void hot_alarm(uint32_t alarm)
 		spi_start(h);
 		return;
 	}
+	if (alarm == h->gyro_alarm && h->gyro_samples) {
+		gyro_sample(h);
+		return;
+	}
 	for (uint32_t t = 0; t < TIMERS; ++t) {
 		if (alarm == h->alarms[h->timer_devices[t]]) {
 			timer_sync(h, t);

@@ -21,6 +21,7 @@ bool engine_cached(const struct engine *e, uint32_t address);
 
 #define TIME_HZ UINT64_C(216000000)
 #define NEVER UINT64_MAX
+#define NO_ADDRESS UINT32_MAX
 #define DTCM_BASE 0x20000000u
 #define SRAM_BASE 0x20010000u /* SRAM1 and SRAM2, which may be cached */
 #define SRAM_END 0x20040000u
@@ -40,6 +41,8 @@ enum {
 	PERIODS = 512,        /* handled at once */
 	TRAIN = 16,           /* the bits of a DShot frame */
 	FRAMES = 256,         /* kept for Python */
+	GYRO_VALUES = 7,      /* accelerometer, temperature, gyro */
+	GYRO_BYTES = 2 * GYRO_VALUES,
 	GAP = 432,            /* least rest before a frame: 2 us [cycles] */
 	DRAIN = SOURCES,      /* in place of a source: Python is to take the frames */
 	PYTHON_SOURCE = 32,   /* sources from here on are Python's */
@@ -115,6 +118,19 @@ struct timer {
 	struct esc escs[CHANNELS];
 };
 
+/* The chip's state, which Python sees as well. */
+struct gyro {
+	uint64_t due, period;    /* of samples [cycles]; due NEVER: there are none */
+	uint64_t samples;
+	uint64_t ready_at;       /* before this cycle the chip does not answer */
+	uint32_t address;        /* of the next byte, NO_ADDRESS: the next byte is one */
+	uint32_t transaction;    /* of the bus */
+	int16_t measured[GYRO_VALUES];
+	uint8_t data[GYRO_BYTES];
+	uint8_t shadow[GYRO_BYTES]; /* data as the transaction sees them */
+	uint8_t interrupt, reads, selected;
+};
+
 struct hot_state {
 	uint32_t words[DEVICES][SLOTS];
 	uint64_t reads[DEVICES][SLOTS], writes[DEVICES][SLOTS];
@@ -130,6 +146,7 @@ struct hot_state {
 	uint32_t overrun, spi_epoch, spi_cr1, spi_cr2;
 	uint32_t selected, transaction;
 	uint64_t apb2, timer_clock[2];
+	struct gyro gyro;
 	struct frame frames[FRAMES];
 	uint32_t frame_count;
 	uint32_t epoch; /* rises with what judgements depend on: pins, clocks of peripherals */
@@ -156,6 +173,10 @@ struct hot {
 	uint32_t alarms[DEVICES];
 	uint8_t advanced[TIMERS];
 	uint16_t watched[PORTS];
+	uint32_t gyro_alarm, gyro_fall_alarm;
+	uint64_t gyro_pulse;
+	double gyro_data_hz;
+	bool gyro_samples, gyro_answers; /* they are plain: C's */
 	uint64_t lazy; /* sources of Python whose drivers have something to bring up to now */
 	bool failed; /* Python has raised during this access */
 };
@@ -193,8 +214,10 @@ static inline uint32_t keep(struct hot *h, uint32_t device, uint32_t slot, uint3
 /* engine_hot_pins.c */
 enum { MODER = 0, OTYPER = 1, PUPDR = 3, IDR = 4, ODR = 5, BSRR = 6 }; /* words of GPIO */
 void exti_update(struct hot *h);
+bool exti_watches_fall(const struct hot *h, uint32_t line);
 void exti_write(struct hot *h, uint32_t slot, uint32_t value);
 void tell_pins(struct hot *h, uint32_t port);
+void hot_pulse(struct hot *h, uint32_t port, uint32_t pin);
 uint32_t port_read(struct hot *h, uint32_t device, uint32_t slot);
 void port_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t value);
 
@@ -217,6 +240,11 @@ void spi_start(struct hot *h);
 void spi_dma_changed(struct hot *h);
 uint32_t spi_read(struct hot *h, uint32_t slot, uint32_t size);
 void spi_write(struct hot *h, uint32_t slot, uint32_t size, uint32_t value);
+
+/* engine_hot_gyro.c */
+void gyro_sample(struct hot *h);
+/* Bytes of a transaction, answered in place; false: Python is to answer. */
+bool gyro_exchange(struct hot *h, uint8_t *bytes, uint32_t count, double hz, uint32_t mode);
 
 /* engine_hot_timer.c */
 uint64_t timer_cycles(const struct hot *h, uint32_t t, uint64_t counts);

@@ -17,6 +17,11 @@ void exti_update(struct hot *h)
 			engine_irq(h->e, h->irqs[h->exti][i], (pending & lines[i]) != 0u);
 }
 
+bool exti_watches_fall(const struct hot *h, uint32_t line)
+{
+	return h->s.words[h->exti][EXTI_FTSR] >> line & 1u;
+}
+
 static void exti_edge(struct hot *h, uint32_t port, uint32_t line, bool rising)
 {
 	uint32_t *const w = words(h, h->exti);

@@ -62,8 +62,11 @@ static void spi_exchange(struct hot *h, uint8_t *bytes, uint32_t count)
 	uint32_t items[PERIODS], given = 0;
 
 	if (h->s.selected) {
-		h->exchange(bytes, count, h->s.transaction, (double)h->s.apb2 / (double)(2u << (w[SPI_CR1] >> 3 & 7u)),
-			    (w[SPI_CR1] & 1u) | (w[SPI_CR1] & 2u)); /* CPHA, CPOL */
+		const double hz = (double)h->s.apb2 / (double)(2u << (w[SPI_CR1] >> 3 & 7u));
+		const uint32_t mode = w[SPI_CR1] & 3u; /* CPHA, CPOL */
+
+		if (!gyro_exchange(h, bytes, count, hz, mode))
+			h->exchange(bytes, count, h->s.transaction, hz, mode);
 	} else {
 		const uint32_t *const port = words(h, h->ports[0]);
 

@@ -29,8 +29,8 @@ from sim.board.dshot import Esc, Frame
 from sim.board.engine import Engine, Outcome
 from sim.board.exti import Exti
 from sim.board.gpio import PORTS, Port
-from sim.board.gyro_chip import GyroChip
-from sim.board.hot_devices import TIMER_NAMES, HotDmaSystem, HotPins, InC
+from sim.board.hot_devices import TIMER_NAMES, HotDmaSystem, HotPins, HotSpi, InC
+from sim.board.hot_gyro import HotGyroChip
 from sim.board.rcc import Clocks
 from sim.board.spi import Spi
 from sim.board.syscfg import Syscfg
@@ -88,6 +88,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "touch_epoch": (None, c_void_p),
     "state": (c_void_p, c_void_p),
     "state_bytes": (c_uint32,),
+    "gyro": (None, c_void_p, c_uint32, c_uint32, c_uint64, c_double),
+    "gyro_plain": (None, c_void_p, c_bool, c_bool),
+    "gyro_state": (c_void_p, c_void_p),
     "drive": (None, c_void_p, c_uint32, c_uint32, c_bool),
     "pulse": (None, c_void_p, c_uint32, c_uint32),
     "level": (c_bool, c_void_p, c_uint32, c_uint32),
@@ -149,13 +152,12 @@ class Hot:
     """The part in C of one board: made last, when all devices are there."""
 
     def __init__(
-        self, engine: BoardEngine, registers: Registers, dma: HotDmaSystem, pins: HotPins, chip: GyroChip
+        self, engine: BoardEngine, registers: Registers, dma: HotDmaSystem, pins: HotPins, chip: HotGyroChip
     ) -> None:
         """The devices' registers move into C, with their values of power-up."""
         self.engine, self.library = engine, engine.library
         self._registers, self._dma, self._pins, self._chip = registers, dma, pins, chip
         self._escs: dict[tuple[int, int], Esc] = {}
-        self._transaction = 0  # of the SPI bus, as the chip knows
         self.clocks = Clocks(16_000_000, 16_000_000, 16_000_000, 16_000_000, 16_000_000)
         for name, (result, *arguments) in _SIGNATURES.items():
             function = getattr(self.library, f"hot_{name}")
@@ -187,6 +189,7 @@ class Hot:
         self.library.hot_lazy(self.handle, dma.id("ADC1"))  # USARTs move by alarms alone
         dma.adopt(self)
         pins.adopt(self)
+        chip.adopt(self)
         engine.hot = self
 
     def __del__(self) -> None:
@@ -222,10 +225,10 @@ class Hot:
     def state(self) -> Any:  # noqa: ANN401
         """All of C's state."""
         data = ctypes.string_at(self.library.hot_state(self.handle), self.library.hot_state_bytes())
-        return (data, self._transaction, self.clocks)
+        return (data, self.clocks)
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        data, self._transaction, self.clocks = state
+        data, self.clocks = state
         ctypes.memmove(self.library.hot_state(self.handle), data, len(data))
 
     def _hang_up(self) -> None:
@@ -331,11 +334,11 @@ class Hot:
             driver.dma_changed()
 
     def _exchange(self, data: Any, count: int, transaction: int, hz: float, mode: int) -> None:  # noqa: ANN401
-        if transaction != self._transaction:
-            self._transaction = transaction
+        if transaction != self._chip.transaction:
+            self._chip.transaction = transaction
             self._chip.select(False)
         spi = self._registers.devices["SPI1"]
-        assert isinstance(spi, Spi)
+        assert isinstance(spi, HotSpi)
         answer = spi.answer(data[:count], hz, mode)
         ctypes.memmove(data, bytes(answer), count)
 

@@ -143,7 +143,19 @@ class HotExti(InC, Exti):
 
 
 class HotSpi(InC, Spi):
-    """SPI1 in C; what the chip answers comes from Python."""
+    """SPI1 in C; what the chip answers comes from Python, but for its data."""
+
+    on_errors: Callable[[bool], None] = staticmethod(lambda any_: None)  # hears whether there are any
+
+    @property
+    def bit_error_rate(self) -> float:  # type: ignore[override]
+        """Of received bits, as injected by a fault campaign."""
+        return self._bit_error_rate
+
+    @bit_error_rate.setter
+    def bit_error_rate(self, rate: float) -> None:
+        self._bit_error_rate = rate
+        self.on_errors(rate > 0.0)
 
     def state(self) -> Any:  # noqa: ANN401
         return {"clocked": self._clocked, "rate": self.bit_error_rate, "random": self._random.getstate()}
