@@ -1,13 +1,14 @@
 """FLASH: wait states, keys, erasing and programming with their real times, and power that goes meanwhile.
 
 Programming clears bits only. The image must not ask for a 1 where a 0 is: the chip would answer with the
-bitwise and of both. An operation cut short leaves arbitrary bits behind, here from a seed.
+bitwise and of both. An operation cut short leaves arbitrary bits behind, here from a seed: see `Cut`.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from enum import Enum, auto
 from typing import Any
 
 from sim.board.bus import Device, load_table
@@ -26,6 +27,17 @@ _OPTIONS_MS = 250  # as the smallest sector
 _MILLISECOND = 1000 * MICROSECOND
 _ERRORS = ("OPERR", "WRPERR", "PGAERR", "PGPERR", "ERSERR")
 _UNPROTECTED = 0xAA
+_WORD_BYTES = 4
+
+
+class Cut(Enum):
+    """What an operation cut short leaves of what it was to change."""
+
+    BEFORE = auto()  # all as it was
+    AFTER = auto()  # all as asked for
+    BETWEEN = auto()  # each bit the one or the other
+    WORDS = auto()  # each word the one or the other
+    NOISE = auto()  # any bits
 
 
 class Flash(Device):
@@ -40,6 +52,7 @@ class Flash(Device):
         self.on_begin: Callable[[str], None] = lambda what: None  # gets what is about to be done; may fail
         self.operations = 0  # erasures, programmed units and option writes begun since the board was made
         self.cut_at: int | None = None  # power goes in the middle of this operation, counted from 0
+        self.cut = Cut.BETWEEN
         self._seed = seed
         self._irq = load_table().interrupt("FLASH")
         self._keys: list[int] = []
@@ -223,8 +236,8 @@ class Flash(Device):
         self._done.cancel()
         if kind != "options":
             old = int.from_bytes(self.context.memory(address, size), "little")
-            some = random.Random(self._seed * 1_000_003 + self.operations).getrandbits(8 * size)
-            left = old & (value | some) if kind == "program" else old | some
+            new = old & value if kind == "program" else (1 << 8 * size) - 1
+            left = _torn(self.cut, old, new, size, random.Random(self._seed * 1_000_003 + self.operations))
             self.context.set_memory(address, left.to_bytes(size, "little"))
 
     def _raise(self, error: str) -> None:
@@ -242,11 +255,24 @@ class Flash(Device):
         self.words["OPTCR1"], self.words["OPTCR2"] = self.options.optcr1, self.options.optcr2
 
     def state(self) -> Any:  # noqa: ANN401
-        return {**super().state(), "cut_at": self.cut_at}
+        return {**super().state(), "cut_at": self.cut_at, "cut": self.cut}
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
         super().restore(state)
-        self.cut_at = state["cut_at"]
+        self.cut_at, self.cut = state["cut_at"], state["cut"]
+
+
+def _torn(cut: Cut, old: int, new: int, size: int, rng: random.Random) -> int:
+    """What is left of `size` bytes that were to become `new` from `old`."""
+    if cut in (Cut.BEFORE, Cut.AFTER):
+        return old if cut is Cut.BEFORE else new
+    some = rng.getrandbits(8 * size)
+    if cut is Cut.NOISE:
+        return some
+    if cut is Cut.WORDS:
+        whole = (1 << 8 * min(size, _WORD_BYTES)) - 1
+        some = sum(whole << 8 * at for at in range(0, size, _WORD_BYTES) if rng.getrandbits(1))
+    return old & some | new & ~some
 
 
 def _sector_of(address: int) -> int:

@@ -9,6 +9,7 @@ import pytest
 
 from sim.board.context import BoardError
 from sim.board.dshot import Frame
+from sim.board.flash import Cut
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -180,3 +181,38 @@ def test_flash_is_left_alone_when_a_motor_turns(bench: Bench, value: int, silent
     else:
         bench.write("FLASH_CR", WORDS | SER | STRT | 1 << 3)
         assert bench.get("FLASH_SR", "BSY") == 1
+
+
+@pytest.mark.parametrize(
+    ("cut", "words"),
+    [
+        (Cut.BEFORE, {0x00FF00FF}),
+        (Cut.AFTER, {0xFFFFFFFF}),
+        (Cut.WORDS, {0x00FF00FF, 0xFFFFFFFF}),
+    ],
+)
+def test_each_word_is_the_old_or_the_new_one_when_an_erase_is_cut_so(
+    bench: Bench, cut: Cut, words: set[int]
+) -> None:
+    assert set(_cut_erase(bench, cut)) == words
+
+
+def test_bits_are_as_before_or_erased_or_any_when_an_erase_is_cut_so(
+    bench: Bench, make_bench: type[Bench]
+) -> None:
+    between, noise = _cut_erase(bench, Cut.BETWEEN), _cut_erase(make_bench(), Cut.NOISE)
+    assert all(word & 0x00FF00FF == 0x00FF00FF for word in between)
+    assert len(set(between)) > 1000
+    assert any(word & 0x00FF00FF != 0x00FF00FF for word in noise)
+
+
+def _cut_erase(board: Bench, cut: Cut) -> list[int]:
+    """Words of a sector of 0x00FF00FF after power went while it was erased."""
+    board.context.set_memory(SECTOR_1, bytes.fromhex("ff00ff00") * 0x1000)
+    unlock(board)
+    board.hardware.flash.cut_at, board.hardware.flash.cut = 0, cut
+    board.write("FLASH_CR", WORDS | SER | 1 << 3)
+    board.set("FLASH_CR", STRT=1)
+    board.context.run(300_000)
+    data = board.context.memory(SECTOR_1, 0x4000)
+    return [int.from_bytes(data[i : i + 4], "little") for i in range(0, len(data), 4)]
