@@ -1,0 +1,199 @@
+"""The image that is flashed flies the bits of the host build on the emulated board, and flies them again."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft import load_aircraft
+from sim.board.control_timing import ControlMeter, Work
+from sim.board.profile import TaskCount, task_counts
+from sim.emulated_port import EmulatedPort, Moment
+from sim.host_port import HostPort
+from sim.loop import fly
+from sim.port import Reply, Sample
+from sim.reference_port import ReferencePort
+from sim.scenario import Scenario, Segment, load_scenario
+from sim.trace import Trace
+from sim.twin import Twin
+from toolchain.cycles import Route
+from toolchain.disassembly import disassemble
+
+Flown = Callable[..., Trace]
+MINUTE = load_scenario("pulses", seed=5, count=14)
+CHANGE, HOLD_S = 5, 0.25  # commands from one controller to the other; how long each is held
+
+
+def five_seconds() -> Scenario:
+    """Commands like those of `pulses`, closer together; the PID begins, the policy takes over, twice."""
+    commands = np.random.default_rng(5).normal(0.0, 100.0, (20, 3)).tolist()
+    return Scenario(
+        "five seconds",
+        tuple(
+            Segment(HOLD_S, (roll, pitch, yaw), 0.1 * (k % 9), pid=k // CHANGE % 2 == 0)
+            for k, (roll, pitch, yaw) in enumerate(commands)
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def image(board_image: Path) -> Path:
+    """What is flashed."""
+    return board_image.with_suffix(".bin")
+
+
+def test_the_image_flies_the_bits_of_the_host_program_when_controllers_change(
+    image: Path, host_program: Path, flown: Flown
+) -> None:
+    on_board = flown(EmulatedPort(image), five_seconds())
+    assert len(on_board.t) == 5_000
+    assert np.ptp(on_board.dshot, axis=0).min() > 1_000  # every motor has something to do
+    assert flown(HostPort(host_program), five_seconds()).same(on_board)
+
+
+def test_flights_differ_when_another_controller_flies(reference_library: Path, flown: Flown) -> None:
+    policy = Scenario("half a second", five_seconds().segments[CHANGE : CHANGE + 2])
+    flights = [flown(ReferencePort(reference_library), each) for each in (policy, policy.under_pid())]
+    assert not np.array_equal(flights[0].dshot, flights[1].dshot)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("controller", ["policy", "pid"])
+def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
+    image: Path, host_program: Path, reference_library: Path, flown: Flown, controller: str
+) -> None:
+    scenario = MINUTE if controller == "policy" else MINUTE.under_pid()
+    on_board = flown(EmulatedPort(image), scenario, seed=5)
+    assert len(on_board.t) >= 60_000
+    assert (on_board.dshot > 0).all()
+    assert flown(HostPort(host_program), scenario, seed=5).same(on_board)
+    assert flown(ReferencePort(reference_library), scenario, seed=5).same(on_board)
+
+
+# ---- the same again ----
+HANDLER = "gyro_sample_handler"
+
+
+class RecordedPort(EmulatedPort):
+    """Keeps a moment of the flight and all that it was asked from there on."""
+
+    def __init__(self, image: Path, armed_for: int) -> None:
+        """armed_for: samples with the motors armed until that moment."""
+        super().__init__(image)
+        self._until = armed_for
+        self.moment: Moment | None = None
+        self._asked: list[tuple[Callable[..., object], tuple[object, ...]]] = []
+
+    def announce(self, channels_us: Sequence[int], samples: int) -> None:
+        self._asked.append((EmulatedPort.announce, (list(channels_us), samples)))
+        super().announce(channels_us, samples)
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        if self._until == 0:
+            self.moment = self.save()
+            self._asked.clear()
+        kept = Sample(
+            sample.time_s,
+            *(sample.gyro.copy(), sample.rotation.copy(), sample.velocity.copy()),
+            *(sample.position.copy(), sample.specific_force.copy()),
+        )
+        self._asked.append((EmulatedPort.exchange, (kept, channels_us)))
+        reply = super().exchange(sample, channels_us)
+        self._until -= reply.armed
+        return reply
+
+    def again(self, port: EmulatedPort) -> None:
+        """Let `port`, this one or one with the same image, go on from the moment as this one did."""
+        assert self.moment is not None
+        port.restore(self.moment)
+        for ask, arguments in self._asked:
+            ask(port, *arguments)
+
+
+def facts(port: EmulatedPort) -> tuple[object, ...]:
+    """All that may tell one run from another."""
+    engine, report = port.board.engine, port.board.report()
+    ram = engine.memory(0x20000000, 0x40000)
+    return engine.cycle, engine.instructions, engine.trace_hash, ram, str(report), task_counts(engine)
+
+
+def flown_once(port: EmulatedPort, scenario: Scenario) -> Trace:
+    """A flight after which the port is still open."""
+    rng = np.random.default_rng((1, 1))
+    with closing(
+        Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+    ) as twin:
+        return fly(twin, port, scenario)
+
+
+@pytest.fixture(scope="module")
+def recorded(image: Path) -> Iterator[RecordedPort]:
+    """A flight of 0.3 s with a moment in its middle, in which the policy takes over from the PID."""
+    segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
+    scenario = Scenario("some", (Segment(0.15, segments[0].setpoint_deg_s, pid=True), segments[1]))
+    with closing(RecordedPort(image, armed_for=560)) as port:
+        flown_once(port, scenario)
+        yield port
+
+
+def test_a_flight_goes_on_identically_when_its_middle_is_restored(recorded: RecordedPort) -> None:
+    assert recorded.moment is not None
+    first = facts(recorded)
+    recorded.restore(recorded.moment)
+    assert facts(recorded)[2] != first[2]
+    recorded.again(recorded)
+    assert facts(recorded) == first
+
+
+def test_a_flight_is_the_same_when_its_control_tasks_are_counted(recorded: RecordedPort, image: Path) -> None:
+    first = facts(recorded)
+    assert recorded.moment is not None
+    recorded.restore(recorded.moment)
+    before = handled(recorded)
+    code = disassemble(image.with_suffix(".elf"))
+    meter = ControlMeter(recorded.board, image.with_suffix(".elf"), code)
+    recorded.again(recorded)
+    recorded.board.runner = recorded.board.engine.run_to
+    assert facts(recorded) == first
+    addresses = list(code)
+    runs = [
+        (run.times, instructions(run.route, addresses))
+        for kind, found in meter.runs().items()
+        for run in found
+        if kind.work is not Work.ALGORITHM
+    ]
+    after = handled(recorded)
+    assert sum(times for times, _ in runs) == after.activations - before.activations
+    assert sum(times * taken for times, taken in runs) == after.instructions - before.instructions
+    controllers = {kind.controller for kind in meter.runs() if kind.work is Work.TASK}
+    assert controllers == {"policy", "pid", ""}  # the last one disarmed
+
+
+def instructions(route: Route, addresses: Sequence[int]) -> int:
+    """How many a route executes; `addresses`: of all there are, ascending."""
+    return sum(
+        times * (bisect_left(addresses, start + size) - bisect_left(addresses, start))
+        for (start, size), times in route
+    )
+
+
+def handled(port: EmulatedPort) -> TaskCount:
+    """What the handler of the gyro's samples has taken so far."""
+    return next(task for task in task_counts(port.board.engine) if task.handler == HANDLER)
+
+
+@pytest.mark.prove
+def test_two_flights_are_the_same_when_they_begin_alike_or_in_the_middle_of_one(image: Path) -> None:
+    scenario = Scenario("two seconds", five_seconds().segments[:8])
+    with closing(RecordedPort(image, armed_for=4_000)) as port, closing(EmulatedPort(image)) as other:
+        trace = flown_once(port, scenario)
+        first = facts(port)
+        assert flown_once(other, scenario).same(trace)
+        assert facts(other) == first
+        port.again(other)
+        assert facts(other) == first
