@@ -23,6 +23,7 @@ enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define LOOKS_A_SECOND (CLOCK_CORE_HZ / PAUSE_TURNS)
 #define ERASE_LOOKS_A_KILOBYTE (LOOKS_A_SECOND / 25u)
 #define WORD_LOOKS (LOOKS_A_SECOND / 250u)
+#define LOOKS_A_FEED 256u /* of the watchdog: not much more than a millisecond */
 
 /* The sectors of the contract's map that hold no code. */
 static const struct sector {
@@ -65,7 +66,8 @@ static bool rested(uint32_t looks)
 	while ((FLASH_SR & FLASH_SR_BSY) != 0u) {
 		if (looks-- == 0u)
 			return false;
-		watchdog_feed();
+		if (looks % LOOKS_A_FEED == 0u)
+			watchdog_feed();
 		pause();
 	}
 	return true;
@@ -90,6 +92,7 @@ static void forget_cached(void)
 static bool begin(void)
 {
 	interrupts_disable();
+	watchdog_feed();
 	unlock();
 	const bool ready = rested(WORD_LOOKS);
 	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
