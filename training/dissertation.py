@@ -36,6 +36,24 @@ class Row:
     printed: bool = False  # in the dissertation, with the digits it has there
 
 
+@dataclass(frozen=True)
+class Timing:
+    """How long something took on the dissertation's board, a MATEKF722 at 216 MHz."""
+
+    label: str
+    work: str  # as `neuroflight timing` names it
+    worst_us: float
+    best_us: float
+
+
+# Koch 2019, chapter 4: the policy is one of 6-32-32-4.
+PRINTED_TIMING = (
+    Timing("dissertation, policy 6-32-32-4, armed", "control algorithm", 210, 195),
+    Timing("dissertation, Betaflight's PID", "control algorithm", 15, 9),
+    Timing("dissertation, policy 6-32-32-4, armed", "control task", 423, 263),
+    Timing("dissertation, policy 6-32-32-4, disarmed", "control task", 244, 229),
+    Timing("dissertation, Betaflight", "control task", 238, 78),
+)
 # Koch 2019, chapter 5: the NF1 in simulation, 100 unseen pulses.
 PRINTED_PULSES = (
     Row(

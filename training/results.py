@@ -1,8 +1,8 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is what `compare`, `evaluate`, `robustness`, `fly` or `stability` printed with --json, or the
-training.json of a run. What kind it is follows from its keys, what table it belongs to from its task and
-aircraft; nothing depends on a file's name but the order of rows.
+A stored result is what `compare`, `evaluate`, `robustness`, `fly`, `timing` or `stability` printed with
+--json, or the training.json of a run. What kind it is follows from its keys, what table it belongs to from
+its task and aircraft; nothing depends on a file's name but the order of rows.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from training.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, D
 from training.markdown import axes, number, table
 from training.results_robustness import robustness_section
 from training.results_rows import ALL_AXES, STEADY, SUMS, compared_rows, digests, evaluated_row, flown_rows
+from training.results_timing import timing_section
 from training.results_training import training_section
 from training.stored import Stored
 
@@ -20,12 +21,14 @@ from training.stored import Stored
 def render(results: Sequence[Stored]) -> str:
     """The page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[Row]] = {}
-    drifts, runs, robust = [], [], []
+    drifts, runs, robust, timed = [], [], [], []
     for stored in results:
         if stored.has("runs"):
             drifts.append(stored)
         elif stored.has("robustness"):
             robust.append(stored)
+        elif stored.has("board_timing"):
+            timed.append(stored)
         elif stored.has("config"):
             runs.append(stored)
         elif stored.has("flights"):
@@ -46,6 +49,7 @@ def render(results: Sequence[Stored]) -> str:
     blocks += [robustness_section(stored) for stored in robust]
     if runs:
         blocks.append(training_section(runs))
+    blocks += [timing_section(stored) for stored in timed]
     blocks += [_drift_section(stored) for stored in drifts]
     blocks.append(_sources(results))
     return "\n\n".join(blocks) + "\n"

@@ -111,6 +111,8 @@ def digests(stored: Stored) -> Sequence[str]:
         name, sha256 = (stored.text("config", "aircraft", key) for key in ("name", "sha256"))
         return [f"{name} `{sha256[:12]}`"]
     found = [f"{stored.text('aircraft')} `{stored.text('aircraft_sha256')[:12]}`"]
+    if stored.has("image_sha256"):
+        found.append(f"image `{stored.text('image_sha256')[:12]}`")
     for entry in (stored, *(each for path in ENTRIES if stored.has(*path) for each in stored.entries(*path))):
         if entry.has("policy_sha256"):
             found.append(f"policy `{entry.text('policy_sha256')[:12]}`")

@@ -309,6 +309,69 @@ def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> No
     assert row(text, "maximal", 1) == ["0.25", "0.01", ""]
 
 
+def timed(**more: Any) -> Document:
+    """What `timing IMAGE.bin --json` prints, as far as the page reads it."""
+
+    def entry(work: str, controller: str | None, *, armed: bool = True) -> Document:
+        return {
+            "work": work,
+            "armed": armed,
+            "controller": controller,
+            "runs": 4500,
+            "instructions": {"worst": 12_900, "best": 12_300},
+            "predicted_cycles": {"worst": 21_600.0, "best": 19_440.0},
+            "variability": 0.1,
+        }
+
+    return {
+        "command": "neuroflight timing neuroflight.bin",
+        "image_sha256": "ef" * 32,
+        "network": "6-32-32-4 tanh",
+        "policy_sha256": "cd" * 32,
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "count": 3,
+        "core_hz": 216_000_000,
+        "device_cycles": 12,
+        "model": "LLVM 14.0.6",
+        "predicted_cycles_reason": None,
+        "interruptions": 7,
+        "edge_instructions": {"worst": 66, "best": 11},
+        "board_timing": [
+            entry("control algorithm", "policy"),
+            entry("control task", "pid"),
+            entry("control task", None, armed=False),
+        ],
+    } | more
+
+
+def test_tasks_stand_above_the_dissertations_when_an_image_was_timed() -> None:
+    text = page(timed())
+    ours = ["4,500", "12,900 / 12,300", "21,600 / 19,440", "100.0 / 90.0", "10.0"]
+    assert row(text, "policy 6-32-32-4 tanh, armed") == ours
+    assert row(text, "PID, armed") == row(text, "disarmed") == ours
+    printed = "dissertation, policy 6-32-32-4, armed"
+    assert row(text, printed) == ["", "", "", "210 / 195", "7.1"]
+    assert row(text, printed, 1) == ["", "", "", "423 / 263", "37.8"]
+    assert text.index("| control algorithm,") < text.index("| PID, armed") < text.index("| disarmed")
+    assert "predicted by LLVM 14.0.6's model of the Cortex-M7, with 12 more" in text.replace("\n", " ")
+    assert "they came 7 times" in text
+    image = [
+        "`neuroflight timing neuroflight.bin`",
+        "nf1 `abababababab`, image `efefefefefef`, policy `cdcdcdcdcdcd`",
+    ]
+    assert row(text, "`0.json`") == image
+
+
+def test_tasks_have_instructions_only_when_there_is_no_model() -> None:
+    plain = timed(model=None, predicted_cycles_reason="llvm-mca is not installed")
+    for entry in plain["board_timing"]:
+        entry["predicted_cycles"] = None
+    text = page(plain)
+    assert row(text, "PID, armed") == ["4,500", "12,900 / 12,300", "", "", "10.0"]
+    assert "No cycles: llvm-mca is not installed." in text.replace("\n", " ")
+
+
 def test_sources_name_command_and_digests_when_listed() -> None:
     text = page(evaluated("mine.onnx", policy_sha256="ef" * 32))
     assert row(text, "`0.json`") == [
