@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from sim.board.board import Board
 from sim.board.engine import CODE_HALFWORDS, Outcome, code_row, row_address
+from sim.board.profile import task_counts
 from sim.board.variables import read_variables
 from toolchain.cycles import Priced, Route, RouteCost, price_routes
 from toolchain.disassembly import Instruction
 from toolchain.errors import BuildError
 
 HANDLER = "gyro_sample_handler"  # from the gyro's bytes in memory to the motors' frame
+EDGE_HANDLER = "gyro_edge_handler"  # before it: starts the chip's read
 CONTROLLERS = {"policy_step": "policy", "pid_step": "pid"}  # which of them a step asked, by its function
 VTOR, VECTORS = 0xE000ED08, 16 + 104
 STACKED_PC = 0x18  # in an exception's frame (ARMv7-M B1.5.6)
@@ -78,6 +80,16 @@ class TaskCost:
         return (worst - best) / worst
 
 
+@dataclass(frozen=True)
+class Metered:
+    """What a meter has seen of a flight."""
+
+    runs: Mapping[Kind, tuple[Run, ...]]
+    interruptions: int  # of what is measured, by other handlers
+    interrupting: int  # instructions of theirs
+    edge: tuple[int, int]  # fewest and most instructions of a run of EDGE_HANDLER
+
+
 @dataclass
 class _Call:
     """A function that has begun and not yet ended."""
@@ -130,8 +142,7 @@ class ControlMeter:
         self._windows = np.ctypeslib.as_array(library.engine_window(handle, 0), (len(self._engine.windows),))
         self._open: list[_Call] = []
         self._runs: dict[Kind, Counter[_Key]] = {}
-        self.interruptions = 0  # of what is measured, by other handlers
-        self.interrupting = 0  # instructions of theirs
+        self.interruptions = self.interrupting = 0
         board.runner = self.run_to
         self._watch()
 
@@ -143,6 +154,14 @@ class ControlMeter:
             else:
                 self._open.clear()
             self._watch()
+
+    def metered(self) -> Metered:
+        """All of it. Raises BuildError as `runs`, and where EDGE_HANDLER never ran."""
+        for task in task_counts(self._engine):
+            if task.handler == EDGE_HANDLER:
+                edge = (task.least, task.most)
+                return Metered(self.runs(), self.interruptions, self.interrupting, edge)
+        raise BuildError(f"the image never ran {EDGE_HANDLER}")
 
     def runs(self) -> dict[Kind, tuple[Run, ...]]:
         """All that was measured so far. Raises BuildError where code ran that is not the ELF's."""

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from sim.aircraft import Aircraft
-    from sim.board.control_timing import ControlMeter, Kind, Run, TaskCost
+    from sim.board.control_timing import Kind, Metered, Run, TaskCost
     from sim.scenario import Scenario
     from toolchain.cycles import Priced
     from toolchain.disassembly import Instruction
+    from toolchain.report import Built
 
 SCENARIO, COUNT_MAX = "pulses", 100
 
@@ -40,16 +41,14 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(SCENARIO, args.seed, args.count)
     code = disassemble(image.with_suffix(".elf"), lines=True)
     flights = [scenario] if inside.pid_idle is None else [scenario, scenario.under_pid()]
-    meters = _fly_all(args, aircraft, flights, code)
+    metered = _fly_all(args, aircraft, flights, code)
     runs: dict[Kind, tuple[Run, ...]] = {}
-    for meter in meters:
-        for kind, found in meter.runs().items():
+    for flight in metered:
+        for kind, found in flight.runs.items():
             runs[kind] = (*runs.get(kind, ()), *found)
     costs, priced = task_costs(runs, code)
     costs = tuple(sorted(costs, key=_place))
-    document = _document(args, aircraft, meters, costs, priced)
-    document |= {"image_sha256": inside.sha256, "policy_sha256": inside.policy_sha256}
-    document |= {"network": inside.policy}
+    document = _document(args, inside, aircraft, metered, costs, priced)
     if args.json:
         print(json.dumps(document, indent=2))
     else:
@@ -59,21 +58,21 @@ def run(args: argparse.Namespace) -> int:
 
 def _fly_all(
     args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario], code: Mapping[int, Instruction]
-) -> list[ControlMeter]:
+) -> list[Metered]:
     from rich.console import Console
     from rich.progress import Progress
 
     quiet = args.json or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        meters = []
+        metered = []
         for scenario, name in zip(scenarios, ("policy", "PID"), strict=False):
             task = bar.add_task(name, total=1.0)
 
             def show(part: float, task: TaskID = task) -> None:
                 bar.update(task, completed=part)
 
-            meters.append(_fly(args, aircraft, scenario, code, show))
-        return meters
+            metered.append(_fly(args, aircraft, scenario, code, show))
+        return metered
 
 
 def _fly(
@@ -82,8 +81,8 @@ def _fly(
     scenario: Scenario,
     code: Mapping[int, Instruction],
     progress: Callable[[float], None],
-) -> ControlMeter:
-    """One flight on a board of its own, its meter after it."""
+) -> Metered:
+    """One flight on a board of its own."""
     import numpy as np
 
     from sim.board.control_timing import ControlMeter
@@ -97,7 +96,7 @@ def _fly(
         twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
         with closing(twin):
             fly(twin, port, scenario, progress=progress)
-        return meter
+            return meter.metered()
 
 
 def _place(cost: TaskCost) -> tuple[int, bool, bool]:
@@ -108,8 +107,9 @@ def _place(cost: TaskCost) -> tuple[int, bool, bool]:
 
 def _document(
     args: argparse.Namespace,
+    inside: Built,
     aircraft: Aircraft,
-    meters: list[ControlMeter],
+    metered: list[Metered],
     costs: tuple[TaskCost, ...],
     priced: Priced,
 ) -> dict[str, Any]:
@@ -120,6 +120,9 @@ def _document(
     return {
         "command": command_line("timing", str(args.policy), **given),
         "image": str(args.policy),
+        "image_sha256": inside.sha256,
+        "network": inside.policy,
+        "policy_sha256": inside.policy_sha256,
         "aircraft": aircraft.name,
         "aircraft_sha256": aircraft.sha256,
         "scenario": SCENARIO,
@@ -129,8 +132,12 @@ def _document(
         "device_cycles": DEVICE_CYCLES,
         "model": priced.pricer or None,
         "predicted_cycles_reason": priced.no_cycles_reason,
-        "interruptions": sum(meter.interruptions for meter in meters),
-        "interrupting_instructions": sum(meter.interrupting for meter in meters),
+        "interruptions": sum(flight.interruptions for flight in metered),
+        "interrupting_instructions": sum(flight.interrupting for flight in metered),
+        "edge_instructions": {
+            "worst": max(flight.edge[1] for flight in metered),
+            "best": min(flight.edge[0] for flight in metered),
+        },
         "board_timing": [_row(cost) for cost in costs],
     }
 
