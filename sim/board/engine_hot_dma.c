@@ -77,6 +77,13 @@ static void drive_for(struct hot *h, uint32_t controller, uint32_t stream)
 		stream_sync(h, controller, stream);
 }
 
+/* All streams of a controller have moved what they have until now. */
+void hot_sync(struct hot *h, uint32_t controller)
+{
+	for (uint32_t stream = 0; stream < STREAMS; ++stream)
+		drive_for(h, controller, stream);
+}
+
 /* Items until a stream is half through or at its end. */
 uint32_t hot_until_flag(struct hot *h, uint32_t source)
 {

@@ -240,8 +240,8 @@ class GyroChip:
         count = self._address - DATA
         if count & 1 and 0 < count < DATA_BYTES:
             self.context.fail(
-                f"the data of the {self.kind.name} was read up to 0x{self._address - 1:02X}, the upper half of "
-                f"a value; expected both its bytes in one transaction"
+                f"the data of the {self.kind.name} was read up to 0x{self._address - 1:02X}, the upper half "
+                f"of a value; expected both its bytes in one transaction"
             )
 
     def _judge_time(self) -> None:

@@ -79,6 +79,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "esc": (None, c_void_p, c_uint32, c_uint32, c_uint64, c_uint32, c_uint32),
     "frames": (c_uint32, c_void_p, POINTER(POINTER(_Frame))),
     "lazy": (None, c_void_p, c_uint32),
+    "sync": (None, c_void_p, c_uint32),
     "irq": (None, c_void_p, c_uint32, c_uint32, c_uint32),
     "clock": (None, c_void_p, c_uint32, c_bool),
     "clocks": (None, c_void_p, c_uint64, c_uint64, c_uint64),

@@ -177,6 +177,10 @@ class HotTimer(InC, Timer):
 class HotDma(InC, Dma):
     """A controller in C."""
 
+    def sync(self) -> None:
+        assert self._hot is not None
+        self._hot.library.hot_sync(self._hot.handle, self.number - 1)
+
 
 class HotDmaSystem(DmaSystem):
     """Both controllers in C, for the drivers in Python."""

@@ -409,7 +409,8 @@ def test_the_handler_is_named_when_a_bounded_interrupt_waits_for_it(boot: Boot) 
     """
     engine = boot(source, cpi=1)
     engine.core_clock(216_000_000)
-    engine.alarm("pulse", lambda: (engine.irq(5, True), engine.irq(5, False))).set(100)
+    engine.alarm("rise", lambda: engine.irq(5, True)).set(100)
+    engine.alarm("fall", lambda: engine.irq(5, False)).set(101)
     engine.bound_entry(5, 100, "the button")
     with pytest.raises(
         BoardError, match=r"the button waited .*: the handler of exception 22 ran; .*in other"

@@ -1,0 +1,87 @@
+"""What no single access shows: set-ups that are legal one by one, and with which nothing ever happens.
+
+A look at the board every 10 ms, and where something stands still two more soon after it, at distances that
+fit no beat of an image: who is at work moves something between them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sim.board.context import TIME_HZ, Context
+from sim.board.dma import STREAMS, DmaSystem
+from sim.board.exti import Exti
+from sim.board.rcc import MICROSECOND
+
+PERIOD = TIME_HZ // 100  # [cycles]
+AGAIN = (100 * MICROSECOND, 117 * MICROSECOND)  # one after the other
+
+Stream = tuple[int, int, int]  # controller, stream, items left
+
+
+class Inspection:
+    """Streams that wait for a request which nobody makes, and the gyro's pulse taken by its wrong edge."""
+
+    def __init__(self, context: Context, dma: DmaSystem, exti: Exti, line: int) -> None:
+        """line: of EXTI, to which the data-ready line leads."""
+        self._context, self._dma, self._exti, self._line = context, dma, exti, line
+        self._alarm = context.alarm("inspection", self._look)
+        self._rest()
+
+    def _rest(self) -> None:
+        self._waiting: frozenset[Stream] = frozenset()  # as seen 10 ms ago, and at all looks since then
+        self._again = 0  # looks that have followed the one after 10 ms
+
+    def restart(self) -> None:
+        """The chip was reset and with it all alarms."""
+        self._rest()
+        self._alarm.set(self._context.cycle + PERIOD)
+
+    def _look(self) -> None:
+        self._judge_edge()
+        waiting = frozenset(self._to_peripherals())
+        still = self._waiting & waiting
+        if still and self._again < len(AGAIN):
+            self._waiting = still
+            self._alarm.set(self._context.cycle + AGAIN[self._again])
+            self._again += 1
+            return
+        if still:
+            self._refuse(*min(still))
+        self._waiting, self._again = waiting, 0
+        self._alarm.set(self._context.cycle + PERIOD)
+
+    def _to_peripherals(self) -> list[Stream]:
+        """What enabled streams to peripherals still have to move."""
+        found = []
+        for number, controller in self._dma.controllers.items():
+            controller.sync()
+            for stream in range(STREAMS):
+                if controller.get(f"S{stream}CR", "EN") and controller.get(f"S{stream}CR", "DIR"):
+                    found.append((number, stream, controller.words[f"S{stream}NDTR"]))
+        return found
+
+    def _refuse(self, number: int, stream: int, left: int) -> None:
+        controller = self._dma.controllers[number]
+        channel = controller.get(f"S{stream}CR", "CHSEL")
+        self._context.fail(
+            f"{controller.name} stream {stream} has waited more than {1000 * PERIOD // TIME_HZ} ms to move "
+            f"{left} items to 0x{controller.target(stream):08X}, but nothing makes the requests of its "
+            f"channel {channel}"
+        )
+
+    def _judge_edge(self) -> None:
+        """The pulse begins with the sample and is 50 us long."""
+        bit = 1 << self._line
+        words = self._exti.words
+        if words["IMR"] & words["FTSR"] & bit and not words["RTSR"] & bit:
+            self._context.fail(
+                f"EXTI line {self._line} takes the falling edge of the gyro's data-ready pulse, 50 us after "
+                f"the sample; expected the rising edge (EXTI_RTSR TR{self._line})"
+            )
+
+    def state(self) -> Any:  # noqa: ANN401
+        return (self._waiting, self._again)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self._waiting, self._again = state
