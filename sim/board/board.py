@@ -8,6 +8,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim.board.adc import Adc, AdcCommon
 from sim.board.bus import Companion, Device, Registers, Touch, load_table
 from sim.board.context import TIME_HZ, Context
@@ -20,8 +23,8 @@ from sim.board.gpio import Pins
 from sim.board.gyro_chip import MPU6500, READY, GyroChip, GyroKind
 from sim.board.hot import BoardEngine, Hot
 from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
+from sim.board.hot_esc import HotEsc
 from sim.board.hot_gyro import HotGyroChip
-from sim.board.inspection import Inspection
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr
@@ -82,13 +85,13 @@ class Hardware:
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
         self.iwdg = Iwdg(context)
-        self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
-        self.escs = tuple(Esc(number, self._fail) for number in range(1, len(MOTORS) + 1))
-        self.on_frame: Callable[[Frame], None] = lambda frame: None
+        esc_type = HotEsc if engine else Esc
+        self.escs = tuple(esc_type(number, self._fail) for number in range(1, len(MOTORS) + 1))
+        self._hears_frame: Callable[[Frame], None] = lambda frame: None
         self.registers = Registers(context)
         for device in self._devices():
             self.registers.add(device)
-        companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs)
+        companions: tuple[Companion, ...] = (self.gyro, *self.escs)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.hot: Hot | None = None
@@ -156,7 +159,8 @@ class Hardware:
             esc.on_frame = self._on_frame
             self.timers[timer].outputs[channel] = esc.pulses
             if self.hot is not None:
-                self.hot.listen(timer, channel, esc)
+                assert isinstance(esc, HotEsc)
+                self.hot.wire(timer, channel, esc)
         self.iwdg.by_hardware = lambda: self.flash.options.hardware_watchdog
         self.iwdg.reset()
         if not watchdog_resets:
@@ -164,22 +168,35 @@ class Hardware:
                 f"the watchdog was not fed for {self.iwdg.timeout_s * 1e3:.0f} ms: it would reset the chip"
             )
 
+    @property
+    def on_frame(self) -> Callable[[Frame], None]:
+        """Hears of every frame that an ESC takes."""
+        return self._hears_frame
+
+    @on_frame.setter
+    def on_frame(self, callback: Callable[[Frame], None]) -> None:
+        self._hears_frame = callback
+        if self.hot is not None:
+            self.hot.listen()
+
+    def obeyed(self, count: int) -> NDArray[np.uint16]:
+        """The DShot values that the ESCs of the first `count` motors obey now."""
+        if self.hot is not None:
+            return self.hot.obeyed(count)
+        cycle = self.context.cycle
+        return np.array([esc.obeys(cycle) for esc in self.escs[:count]], np.uint16)
+
     def _on_frame(self, frame: Frame) -> None:
-        self.on_frame(frame)
+        self._hears_frame(frame)
 
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
             self.gyro.power_on()
-        self.inspection.restart()
         for esc in self.escs:
             esc.silence(cause == "power")
-        if self.hot is not None:
-            self.hot.tell_escs()
 
     def _refuse_in_flight(self, what: str) -> None:
         """Erasing and programming hold up code and samples, which nothing in flight can wait for."""
-        if self.hot is not None:
-            self.hot.drain()
         for esc in self.escs:
             last = esc.last
             if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > SILENCE:
@@ -250,8 +267,6 @@ class Board:
         self.engine.power_cycle()
         self.engine.resets.clear()
         self.engine.resets.append("power")
-        # Who runs the core until a cycle: what stops it on the way puts itself here.
-        self.runner: Callable[[int], None] = self.engine.run_to
 
     @property
     def cycle(self) -> int:
@@ -274,7 +289,7 @@ class Board:
 
     def run_to(self, cycle: int) -> None:
         """Run until `cycle`. Raises BoardError for what a board does not forgive."""
-        self.runner(cycle)
+        self.engine.run_to(cycle)
 
     def run(self, seconds: float) -> None:
         """Run for so long."""

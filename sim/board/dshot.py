@@ -97,12 +97,12 @@ class Esc:
         self.on_frame(frame)
 
     @property
-    def known(self) -> tuple[int, int, int]:
-        """When the last frame ended, and the shortest and longest bit that is taken [cycles]; 0: any."""
+    def bit_cycles(self) -> tuple[int, int]:
+        """The shortest and the longest bit that is taken [cycles]; 0: none is known yet."""
         if self.protocol is None:
-            return 0, 0, 0
+            return 0, 0
         bit = TIME_HZ / PROTOCOLS[self.protocol]
-        return max(self._rest_since, 0), math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
+        return math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
 
     def silence(self, forget: bool) -> None:
         """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""

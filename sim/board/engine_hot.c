@@ -164,10 +164,31 @@ void hot_rule(struct hot *h, uint32_t device, uint32_t slot, const struct rule *
 	h->s.words[device][slot] = rule->reset;
 }
 
-/* What Python has found out about an ESC; `longest` 0: nothing. */
-void hot_esc(struct hot *h, uint32_t t, uint32_t channel, uint64_t rest_since, uint32_t shortest, uint32_t longest)
+/* The ESC of motor `motor` (from 0) is on that channel. */
+struct esc *hot_esc(struct hot *h, uint32_t motor, uint32_t t, uint32_t channel)
 {
-	h->s.timers[t].escs[channel - 1u] = (struct esc){rest_since, shortest, longest};
+	struct esc *const esc = &h->s.timers[t].escs[channel - 1u];
+
+	h->motors[motor] = esc;
+	return esc;
+}
+
+/* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. */
+void hot_obeyed(const struct hot *h, uint32_t count, uint64_t silent, uint16_t *values)
+{
+	const uint64_t cycle = now(h);
+
+	for (uint32_t i = 0; i < count; ++i) {
+		const struct esc *const esc = h->motors[i];
+		const bool hears = esc->last != UINT32_MAX && (cycle <= esc->last_cycle || cycle - esc->last_cycle <= silent);
+
+		values[i] = hears ? (uint16_t)(esc->last >> 1) : 0u;
+	}
+}
+
+void hot_listen(struct hot *h, bool listening)
+{
+	h->listening = listening;
 }
 
 /* Hands over the frames that have come; returns how many there are. They are gone with the next frame. */

@@ -34,13 +34,14 @@ enum {
 	STREAMS = 8,
 	TIMERS = 6,
 	CHANNELS = 4,
+	MOTORS = 8,
 	SOURCES = 64,
 	SHARED = 3,           /* requests that may share a place */
 	FIFO_BYTES = 4,
 	STEADY_PERIODS = 20,
 	PERIODS = 512,        /* handled at once */
 	TRAIN = 16,           /* the bits of a DShot frame */
-	FRAMES = 256,         /* kept for Python */
+	FRAMES = 256,         /* kept for Python, if it listens */
 	GYRO_VALUES = 7,      /* accelerometer, temperature, gyro */
 	GYRO_BYTES = 2 * GYRO_VALUES,
 	GAP = 432,            /* least rest before a frame: 2 us [cycles] */
@@ -97,9 +98,12 @@ struct train {
 	uint32_t count, highs[TRAIN];
 };
 
-/* What is known of the ESC on a channel. Python decodes whatever does not fit this, and the first frame. */
+/* The ESC on a channel, which Python sees as well. Python decodes whatever does not fit this, and the first frame. */
 struct esc {
-	uint64_t rest_since;      /* end of the last frame */
+	int64_t rest_since;         /* end of the last frame */
+	uint64_t frames;
+	uint64_t last_cycle;        /* of the last frame */
+	uint32_t last;              /* its value and telemetry bit; UINT32_MAX: there is none */
 	uint32_t shortest, longest; /* of a bit [cycles]; longest 0: nothing is known yet */
 };
 
@@ -177,6 +181,8 @@ struct hot {
 	uint64_t gyro_pulse;
 	double gyro_data_hz;
 	bool gyro_samples, gyro_answers; /* they are plain: C's */
+	const struct esc *motors[MOTORS];
+	bool listening; /* Python wants to hear of every frame */
 	uint64_t lazy; /* sources of Python whose drivers have something to bring up to now */
 	bool failed; /* Python has raised during this access */
 };

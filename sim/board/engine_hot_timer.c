@@ -106,7 +106,7 @@ static bool take_frame(struct hot *h, uint32_t t, uint32_t channel, const struct
 	const uint64_t length = train->length;
 	uint32_t frame = 0;
 
-	if (length < esc->shortest || length > esc->longest || train->start < esc->rest_since + GAP)
+	if (length < esc->shortest || length > esc->longest || (int64_t)train->start < esc->rest_since + GAP)
 		return false;
 	for (uint32_t i = 0; i < TRAIN; ++i) {
 		/* 37.5 % of the bit for a 0, 75 % for a 1, within 5 % of that: sim/board/dshot.py. */
@@ -125,10 +125,14 @@ static bool take_frame(struct hot *h, uint32_t t, uint32_t channel, const struct
 		h->source(DRAIN, 0);
 	if (h->s.frame_count == FRAMES)
 		return false;
-	esc->rest_since = train->start + TRAIN * length;
-	h->s.frames[h->s.frame_count++] = (struct frame){
-		.cycle = esc->rest_since, .timer = t, .channel = channel + 1u, .data = data,
-	};
+	esc->last_cycle = train->start + TRAIN * length;
+	esc->rest_since = (int64_t)esc->last_cycle;
+	esc->last = data;
+	++esc->frames;
+	if (h->listening)
+		h->s.frames[h->s.frame_count++] = (struct frame){
+			.cycle = esc->last_cycle, .timer = t, .channel = channel + 1u, .data = data,
+		};
 	return true;
 }
 

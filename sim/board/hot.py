@@ -22,14 +22,19 @@ from ctypes import (
 )
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim.board.bus import Device, Registers
+from sim.board.context import TIME_HZ
 from sim.board.cpu_library import AlarmCallback, ReadCallback, SleepCallback, WriteCallback
 from sim.board.dma import Dma
-from sim.board.dshot import Esc, Frame
+from sim.board.dshot import SILENT_S, Frame
 from sim.board.engine import Engine, Outcome
 from sim.board.exti import Exti
 from sim.board.gpio import PORTS, Port
 from sim.board.hot_devices import TIMER_NAMES, HotDmaSystem, HotPins, HotSpi, InC
+from sim.board.hot_esc import HotEsc
 from sim.board.hot_gyro import HotGyroChip
 from sim.board.rcc import Clocks
 from sim.board.spi import Spi
@@ -43,6 +48,7 @@ ASK_SPI, ASK_SPI_BUSY, ASK_SPI_FULL, ASK_OUTPUT, ASK_TARGET, ASK_COMPARE, ASK_DM
 ASK_ASLEEP = 12
 _STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
 _DRAIN = 64  # in place of a source
+_MOTORS = 8  # MOTORS of engine_hot.h
 
 _Refuse = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32, c_uint32)
 _Judge = CFUNCTYPE(c_int, c_uint32, c_uint32, c_uint32, c_uint32)
@@ -76,10 +82,11 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "select": (None, c_void_p),
     "device": (None, c_void_p, *[c_uint32] * 6, c_bool),
     "rule": (None, c_void_p, c_uint32, c_uint32, POINTER(_Rule)),
-    "esc": (None, c_void_p, c_uint32, c_uint32, c_uint64, c_uint32, c_uint32),
+    "esc": (c_void_p, c_void_p, c_uint32, c_uint32, c_uint32),
+    "obeyed": (None, c_void_p, c_uint32, c_uint64, c_void_p),
+    "listen": (None, c_void_p, c_bool),
     "frames": (c_uint32, c_void_p, POINTER(POINTER(_Frame))),
     "lazy": (None, c_void_p, c_uint32),
-    "sync": (None, c_void_p, c_uint32),
     "irq": (None, c_void_p, c_uint32, c_uint32, c_uint32),
     "clock": (None, c_void_p, c_uint32, c_bool),
     "clocks": (None, c_void_p, c_uint64, c_uint64, c_uint64),
@@ -116,7 +123,7 @@ class BoardEngine(Engine):
         try:
             return super().run(cycle, instructions)
         finally:
-            if self.hot is not None:
+            if self.hot is not None and self.hot.listening:
                 self.hot.drain()
 
     def load(self, address: int, size: int) -> int:
@@ -158,7 +165,9 @@ class Hot:
         """The devices' registers move into C, with their values of power-up."""
         self.engine, self.library = engine, engine.library
         self._registers, self._dma, self._pins, self._chip = registers, dma, pins, chip
-        self._escs: dict[tuple[int, int], Esc] = {}
+        self._escs: dict[tuple[int, int], HotEsc] = {}
+        self.listening = False  # somebody wants to hear of every frame
+        self._obeyed = np.zeros(_MOTORS, np.uint16)
         self.clocks = Clocks(16_000_000, 16_000_000, 16_000_000, 16_000_000, 16_000_000)
         for name, (result, *arguments) in _SIGNATURES.items():
             function = getattr(self.library, f"hot_{name}")
@@ -203,17 +212,25 @@ class Hot:
         self.clocks = clocks
         self.library.hot_clocks(self.handle, clocks.apb2, clocks.timer1, clocks.timer2)
 
-    def listen(self, timer: str, channel: int, esc: Esc) -> None:
+    def wire(self, timer: str, channel: int, esc: HotEsc) -> None:
         """`esc` is on the line of a timer's channel: C takes the frames that are as they should be."""
-        self._escs[TIMER_NAMES.index(timer), channel] = esc
+        number = TIMER_NAMES.index(timer)
+        self._escs[number, channel] = esc
+        esc.adopt(self.library.hot_esc(self.handle, esc.motor - 1, number, channel), self.listen)
 
-    def tell_escs(self) -> None:
-        """C's knowledge of ESCs is what Python knows."""
-        for (timer, channel), esc in self._escs.items():
-            self.library.hot_esc(self.handle, timer, channel, *esc.known)
+    def listen(self) -> None:
+        """From now on every frame is told to its ESC's `on_frame`."""
+        self.listening = True
+        self.library.hot_listen(self.handle, True)
+
+    def obeyed(self, count: int) -> NDArray[np.uint16]:
+        """What the ESCs of the first `count` motors obey now."""
+        values = self._obeyed
+        self.library.hot_obeyed(self.handle, count, round(SILENT_S * TIME_HZ), values.ctypes.data)
+        return values[:count].copy()
 
     def drain(self) -> None:
-        """Hand the frames that C has taken to their ESCs."""
+        """Tell of the frames that C has taken."""
         frames = POINTER(_Frame)()
         count = self.library.hot_frames(self.handle, ctypes.byref(frames))
         for i in range(count):
@@ -221,7 +238,7 @@ class Hot:
             esc = self._escs[found.timer, found.channel]
             assert esc.protocol is not None
             data = found.data
-            esc.accept(Frame(esc.motor, found.cycle, data >> 1, bool(data & 1), esc.protocol))
+            esc.on_frame(Frame(esc.motor, found.cycle, data >> 1, bool(data & 1), esc.protocol))
 
     def state(self) -> Any:  # noqa: ANN401
         """All of C's state."""
@@ -358,9 +375,6 @@ class Hot:
         if output is not None:
             self.drain()
             output(start, length, highs[:count])
-            esc = self._escs.get((timer, channel))
-            if esc is not None:
-                self.library.hot_esc(self.handle, timer, channel, *esc.known)
 
     def _pin(self, port: int, pin: int, level: int) -> None:
         self._pins.ports[PORTS[port]].listeners[pin](bool(level))
