@@ -115,10 +115,10 @@ class _Key:
 
 
 class ControlMeter:
-    """Keeps what the control tasks execute on a board, which runs through it from its making on."""
+    """Runs a board and keeps what the control tasks execute on it."""
 
     def __init__(self, board: Board, elf: Path, code: Mapping[int, Instruction]) -> None:
-        """board: booted, its vectors in their place. elf: of the image on it. code: its disassembly.
+        """elf: of the image on `board`. code: its disassembly.
 
         Raises BuildError when `elf` lacks the functions and variables that are looked for.
         """
@@ -131,9 +131,7 @@ class ControlMeter:
         )
         self._handler = board.symbols[HANDLER] & ~1
         self._controllers = {board.symbols[name] & ~1: name for name in CONTROLLERS}
-        table = self._engine.load(VTOR, 4)
-        vectors = (self._engine.load(table + 4 * number, 4) for number in range(1, VECTORS))
-        self._handlers = {vector & ~1 for vector in vectors if vector}
+        self._handlers: frozenset[int] = frozenset()  # of all exceptions
         self._code = _Code(code)
         size = (CODE_HALFWORDS + 1,)
         library, handle = self._engine.library, self._engine.handle
@@ -143,16 +141,16 @@ class ControlMeter:
         self._open: list[_Call] = []
         self._runs: dict[Kind, Counter[_Key]] = {}
         self.interruptions = self.interrupting = 0
-        board.runner = self.run_to
         self._watch()
 
     def run_to(self, cycle: int) -> None:
-        """Run until `cycle`. Raises BoardError."""
+        """Run until `cycle`, as `Board.run_to`. Raises BoardError."""
         while (outcome := self._engine.run(cycle)) is not Outcome.REACHED:
             if outcome is Outcome.BREAKPOINT:
                 self._stop()
             else:
                 self._open.clear()
+                self._handlers = frozenset()
             self._watch()
 
     def metered(self) -> Metered:
@@ -175,6 +173,8 @@ class ControlMeter:
     def _stop(self) -> None:
         engine = self._engine
         pc, depth = engine.pc, engine.library.engine_depth(engine.handle)
+        if not self._handlers:  # the image has put its vectors in their place by now
+            self._handlers = self._read_vectors()
         # A handler is over when its exception is, also where another follows without a return in between.
         while self._open and (
             depth < self._open[-1].depth
@@ -189,6 +189,11 @@ class ControlMeter:
         elif pc in self._controllers and self._open and self._open[-1].name == HANDLER:
             self._open[-1].controller = CONTROLLERS[self._controllers[pc]]
             self._begin(self._controllers[pc], engine.register(14) & ~1, depth)
+
+    def _read_vectors(self) -> frozenset[int]:
+        table = self._engine.load(VTOR, 4)
+        vectors = np.frombuffer(self._engine.memory(table, 4 * VECTORS), "<u4")[1:]
+        return frozenset((vectors[vectors != 0] & ~np.uint32(1)).tolist())
 
     def _watch(self) -> None:
         """Where to stop next: where what runs may end, and where what interests may begin."""

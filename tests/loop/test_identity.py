@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft import load_aircraft
+from sim.board.board import Board
 from sim.board.control_timing import ControlMeter, Work
 from sim.board.profile import TaskCount, task_counts
 from sim.emulated_port import EmulatedPort, Moment
@@ -150,27 +151,35 @@ def test_a_flight_goes_on_identically_when_its_middle_is_restored(recorded: Reco
     assert facts(recorded) == first
 
 
-def test_a_flight_is_the_same_when_its_control_tasks_are_counted(recorded: RecordedPort, image: Path) -> None:
-    first = facts(recorded)
-    assert recorded.moment is not None
-    recorded.restore(recorded.moment)
-    before = handled(recorded)
-    code = disassemble(image.with_suffix(".elf"))
-    meter = ControlMeter(recorded.board, image.with_suffix(".elf"), code)
-    recorded.again(recorded)
-    recorded.board.runner = recorded.board.engine.run_to
-    assert facts(recorded) == first
+def test_a_flight_is_the_same_when_its_control_tasks_are_counted_on_another_board(
+    recorded: RecordedPort, image: Path
+) -> None:
+    elf = image.with_suffix(".elf")
+    code = disassemble(elf)
+    meters: list[ControlMeter] = []
+
+    def attach(board: Board) -> Callable[[int], None]:
+        meters.append(ControlMeter(board, elf, code))
+        return meters[0].run_to
+
+    with closing(EmulatedPort(image, attach=attach)) as port:
+        assert recorded.moment is not None
+        port.restore(recorded.moment)
+        before = handled(port)
+        recorded.again(port)
+        assert facts(port) == facts(recorded)
+        after = handled(port)
+    runs = meters[0].runs()
     addresses = list(code)
-    runs = [
+    taken = [
         (run.times, instructions(run.route, addresses))
-        for kind, found in meter.runs().items()
+        for kind, found in runs.items()
         for run in found
         if kind.work is not Work.ALGORITHM
     ]
-    after = handled(recorded)
-    assert sum(times for times, _ in runs) == after.activations - before.activations
-    assert sum(times * taken for times, taken in runs) == after.instructions - before.instructions
-    controllers = {kind.controller for kind in meter.runs() if kind.work is Work.TASK}
+    assert sum(times for times, _ in taken) == after.activations - before.activations
+    assert sum(times * one for times, one in taken) == after.instructions - before.instructions
+    controllers = {kind.controller for kind in runs if kind.work is Work.TASK}
     assert controllers == {"policy", "pid", ""}  # the last one disarmed
 
 

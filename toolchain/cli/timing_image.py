@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from sim.aircraft import Aircraft
+    from sim.board.board import Board
     from sim.board.control_timing import Kind, Metered, Run, TaskCost
     from sim.scenario import Scenario
     from toolchain.cycles import Priced
@@ -91,12 +92,17 @@ def _fly(
     from sim.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))
-    with closing(EmulatedPort(args.policy)) as port:
-        meter = ControlMeter(port.board, args.policy.with_suffix(".elf"), code)
+    meters: list[ControlMeter] = []
+
+    def attach(board: Board) -> Callable[[int], None]:
+        meters.append(ControlMeter(board, args.policy.with_suffix(".elf"), code))
+        return meters[0].run_to
+
+    with closing(EmulatedPort(args.policy, attach=attach)) as port:
         twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
         with closing(twin):
             fly(twin, port, scenario, progress=progress)
-            return meter.metered()
+            return meters[0].metered()
 
 
 def _place(cost: TaskCost) -> tuple[int, bool, bool]:

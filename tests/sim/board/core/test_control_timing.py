@@ -68,7 +68,7 @@ def flown(compile_program: Callable[[str], Any]) -> Iterator[Flown]:
     code = disassemble(program.elf)
     board = Board(program.flash, elf=program.elf)
     meter = ControlMeter(board, program.elf, code)
-    board.run_to(CYCLES)
+    meter.run_to(CYCLES)
     yield board, meter, code
     board.close()
 
@@ -165,7 +165,7 @@ def test_it_refuses_another_images_listing_when_runs_are_asked_for(
     less = {address: found for address, found in code.items() if found.function != "policy_step"}
     board = Board(program.flash, elf=program.elf)
     meter = ControlMeter(board, program.elf, less)
-    board.run_to(CYCLES)
+    meter.run_to(CYCLES)
     with pytest.raises(BuildError, match="of them in the ELF file"):
         meter.runs()
     board.close()
