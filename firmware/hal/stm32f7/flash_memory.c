@@ -63,10 +63,10 @@ static void pause(void)
 /* Waits for the operation under way, the watchdog content. */
 static bool rested(uint32_t looks)
 {
-	while ((FLASH_SR & FLASH_SR_BSY) != 0u) {
-		if (looks-- == 0u)
+	for (uint32_t look = 0; (FLASH_SR & FLASH_SR_BSY) != 0u; ++look) {
+		if (look == looks)
 			return false;
-		if (looks % LOOKS_A_FEED == 0u)
+		if (look % LOOKS_A_FEED == 0u)
 			watchdog_feed();
 		pause();
 	}
@@ -92,7 +92,6 @@ static void forget_cached(void)
 static bool begin(void)
 {
 	interrupts_disable();
-	watchdog_feed();
 	unlock();
 	const bool ready = rested(WORD_LOOKS);
 	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
