@@ -11,6 +11,7 @@ measures what each brings, whenever it does, and motors do what their ESCs make 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,7 @@ from sim.board.faults import Fault, FaultPlan
 from sim.board.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
 from sim.board.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.usart import CRSF, SBUS, Format
-from sim.board.variables import Variable, read_variables
+from sim.board.variables import read_variables
 from sim.port import Reply, Sample, control_divider
 from sim.receiver_frames import crsf_frame, sbus_frame
 from toolchain.contract import (
@@ -111,6 +112,7 @@ class EmulatedPort:
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
+        self._views: dict[str, NDArray[Any]] = {}  # of the board's memory
         self._receiver = RECEIVERS[receiver]
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
@@ -173,14 +175,11 @@ class EmulatedPort:
         due = self._announced.pop(0)[1] if self._next_frame() == self._samples else None
         if due != (None if channels_us is None else list(channels_us)):
             raise LinkError("a receiver frame for the board must be announced before its time on the line")
-        if not (np.isfinite(sample.gyro).all() and np.isfinite(sample.specific_force).all()):
+        gyro, force = sample.gyro.tolist(), sample.specific_force.tolist()
+        if not math.isfinite(sum(gyro) + sum(force)):
             raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
         self._inject()
-        self.board.hardware.gyro.measure(
-            accel_counts(sample.specific_force.tolist(), ALIGNMENT),
-            0,
-            gyro_counts(sample.gyro.tolist(), ALIGNMENT),
-        )
+        self.board.hardware.gyro.measure(accel_counts(force, ALIGNMENT), 0, gyro_counts(gyro, ALIGNMENT))
         self._edge += self._period
         self._run_to(self._edge - 1)
         self._samples += 1
@@ -262,8 +261,7 @@ class EmulatedPort:
 
     def _dshot(self) -> NDArray[np.uint16]:
         """What each motor's ESC obeys."""
-        cycle = self.board.cycle
-        return np.array([esc.obeys(cycle) for esc in self.board.hardware.escs[: self.motor_count]], np.uint16)
+        return self.board.hardware.obeyed(self.motor_count)
 
     def _told(self, values: NDArray[np.uint16]) -> Reply:
         """What the firmware says of its last control step."""
@@ -299,9 +297,12 @@ class EmulatedPort:
         return Reply(values, step, _NO_RATES, _NO_RATES, 0.0, armed=False)
 
     def _read(self, name: str) -> Any:  # noqa: ANN401 - a number or a record
-        variable: Variable = self._variables[name]
-        data = self.board.engine.memory(variable.address, variable.size)
-        return np.frombuffer(data, variable.dtype)[0]
+        seen = self._views.get(name)
+        if seen is None:
+            variable = self._variables[name]
+            data = self.board.engine.view(variable.address, variable.size)
+            seen = self._views[name] = np.frombuffer(data, variable.dtype)
+        return seen[0]
 
     # ---- what happens ----
 

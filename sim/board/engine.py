@@ -321,6 +321,13 @@ class Engine:
             raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
         return ctypes.string_at(found, size)
 
+    def view(self, address: int, size: int) -> memoryview:
+        """The same bytes as the engine has them: they change as it runs, and die with it."""
+        found = self.library.engine_memory(self.handle, address, size)
+        if not found:
+            raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
+        return memoryview((ctypes.c_uint8 * size).from_address(ctypes.addressof(found.contents))).cast("B")
+
     def set_memory(self, address: int, data: bytes) -> None:
         """Change flash, RAM or system memory. Raises ValueError where nothing is."""
         self.poke(address, data)

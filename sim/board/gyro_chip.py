@@ -30,6 +30,7 @@ _DATA = struct.Struct(">7h")
 _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
+_DEGREES = 180.0 / math.pi
 PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
 REGISTER_HZ = 1_000_000  # SCK at most, all registers
 FULL_SCALE = 3  # GYRO_CONFIG FS_SEL and ACCEL_CONFIG AFS_SEL of the counts that the loop sets
@@ -98,7 +99,7 @@ def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
 
     The same arithmetic in the same order as the host build's, so that both see the same counts.
     """
-    scaled = [rate * (180.0 / math.pi) * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S for rate in rates]
+    scaled = [rate * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S for rate in rates]
     return _mounted(scaled, alignment, 1.0)
 
 
@@ -108,8 +109,10 @@ def accel_counts(force: Sequence[float], alignment: Alignment) -> Counts:
 
 
 def _mounted(vector: Sequence[float], alignment: Alignment, scale: float) -> Counts:
-    axes, signs = _AXES[alignment], _SIGNS[alignment]
-    x, y, z = (max(-32768, min(32767, round(signs[i] * vector[axes[i]] * scale))) for i in range(3))
+    (i, j, k), (a, b, c) = _AXES[alignment], _SIGNS[alignment]
+    x, y, z = round(a * vector[i] * scale), round(b * vector[j] * scale), round(c * vector[k] * scale)
+    if not (-32768 <= x <= 32767 and -32768 <= y <= 32767 and -32768 <= z <= 32767):
+        x, y, z = (max(-32768, min(32767, value)) for value in (x, y, z))
     return x, y, z
 
 
