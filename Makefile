@@ -52,9 +52,8 @@ fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10]
 	@$(RUN) fly --on $(ON) --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, 60 s of commands
-	@sha256sum build/MATEKF722/neuroflight.bin
-	@for scenario in roll flip sim/scenarios/split_s.toml pulses; do \
-	  $(RUN) fly --on emulator --aircraft $(AIRCRAFT) --scenario $$scenario --count 14 --seed $(SEED) $(ARGS) || exit 1; done
+	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft $(AIRCRAFT) --seed $(SEED) \
+	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
 
 test: firmware host ## the tests
 	@$(VENV)/bin/python -m pytest $(ARGS)

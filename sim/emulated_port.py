@@ -316,7 +316,7 @@ class EmulatedPort:
     def _inject(self) -> None:
         """Let the faults come whose time it is."""
         for what in self._plan.inject(self.board, self._samples):
-            self._happened(what)
+            self._events.append((self._samples, what, False))
 
     def _happened(self, what: str, *, stops: bool = False) -> None:
         self._events.append((max(self._samples - 1, 0), what, stops))

@@ -10,7 +10,7 @@ import pytest
 
 from sim.aircraft import load_aircraft
 from sim.trace import load_trace
-from toolchain.cli import fly as command
+from toolchain.cli import fly_ports as command
 from toolchain.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from collections.abc import Callable
-from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from toolchain.cli.fly_emulator import add_emulator_arguments, check_emulator, exit_code
+from toolchain.cli.fly_output import Flown, conditions, document, print_flight, print_several
+from toolchain.cli.fly_ports import Entry, open_firmware, open_pid, quiet
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
 
@@ -18,12 +20,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from sim.aircraft import Aircraft
-    from sim.port import FirmwarePort
-    from sim.report import Flight
     from sim.scenario import Scenario
 
-BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
-BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
 CONTROLLERS = ("policy", "pid")
@@ -55,7 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what the pilot's switch chooses: the policy, or the PID that is built in beside it",
     )
     parser.add_argument(
-        "--scenario", default="pulse", metavar="NAME|FILE", help="pulse, pulses, roll, flip or a .toml file"
+        "--scenario",
+        nargs="+",
+        default=["pulse"],
+        metavar="NAME|FILE",
+        help="pulse, pulses, roll, flip or a .toml file; of several only the firmware's flights, a row each",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
     parser.add_argument(
@@ -66,6 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose twin is flown")
     parser.add_argument("--gyro-hz", type=int, choices=GYRO_RATES_HZ, default=GYRO_RATE_DEFAULT_HZ)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="fly with this setting of the firmware, see docs/settings.md",
+    )
     parser.add_argument("--mount", choices=MOUNTS, help="what holds the aircraft; default: the scenario's")
     parser.add_argument(
         "--battery",
@@ -95,38 +104,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_emulator_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly, write what was asked for, print the figures. Returns 0."""
-    from toolchain.cli.output import check_output
-
-    for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
-        check_output(path, suffix)
-    _check_air(args)
-
+    """Fly, write what was asked for, print the figures. Returns 0, or STOPPED."""
     from sim.aircraft import load_aircraft
     from sim.report import save_plot, save_report
-    from sim.scenario import load_scenario
     from sim.trace import save_trace
-    from sim.world import Mount
 
+    _check(args)
     aircraft = load_aircraft(args.aircraft)
-    mount = None if args.mount is None else Mount(args.mount)
-    default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
-    count = default_count if args.count is None else args.count
-    scenario = load_scenario(args.scenario, args.seed, count, mount)
-    if args.controller == "pid":
-        if args.on == "betaflight":
-            raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
-        scenario = scenario.under_pid()
-    if args.ground and scenario.mount is not Mount.FREE:
-        raise NeuroflightError(
-            f"--ground: the aircraft hangs in mount {scenario.mount.value}, expected free; add --mount free"
-        )
-    flights = _fly_all(args, aircraft, scenario)
+    scenarios = _scenarios(args)
+    if len(scenarios) > 1:
+        return _run_several(args, aircraft, scenarios)
+    (scenario,) = scenarios
+    flown = _fly_all(args, aircraft, scenario)
+    flights = [one.flight for one in flown]
     title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
-    note = ", ".join(_conditions(args, scenario))
+    note = ", ".join(conditions(args, scenario))
     if args.trace:
         save_trace(args.trace, flights[0].trace)
     if args.plot:
@@ -134,129 +130,102 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         save_report(args.report, flights, title, note)
     if args.json:
-        print(json.dumps(_document(args, aircraft, scenario, flights), indent=2))
+        print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
     else:
-        _print(title, note, flights)
+        print_flight(title, note, flown)
+    return exit_code(args, flown[0].report)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what could not be flown or written, before anything is loaded."""
+    from toolchain.cli.output import check_output
+
+    for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
+        check_output(path, suffix)
+    _check_air(args)
+    check_emulator(args)
+    if args.on == "betaflight" and args.set:
+        raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
+    if len(args.scenario) > 1:
+        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault"):
+            if getattr(args, name) not in (None, []):
+                raise NeuroflightError(f"--{name}: belongs to one flight; give one scenario")
+
+
+def _scenarios(args: argparse.Namespace) -> list[Scenario]:
+    """What is flown, one after another."""
+    from sim.scenario import load_scenario
+    from sim.world import Mount
+
+    mount = None if args.mount is None else Mount(args.mount)
+    default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
+    count = default_count if args.count is None else args.count
+    scenarios = [load_scenario(name, args.seed, count, mount) for name in args.scenario]
+    if args.controller == "pid":
+        if args.on == "betaflight":
+            raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
+        scenarios = [scenario.under_pid() for scenario in scenarios]
+    for scenario in scenarios:
+        if args.ground and scenario.mount is not Mount.FREE:
+            raise NeuroflightError(
+                f"--ground: the aircraft hangs in mount {scenario.mount.value}, expected free; "
+                f"add --mount free"
+            )
+    return scenarios
+
+
+def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario]) -> int:
+    """The firmware's flight of each, in one table."""
+    flown = []
+    for scenario in scenarios:
+        with _bar(args) as show:
+            flown.append(_fly(args, aircraft, scenario, open_firmware(args, aircraft), show(scenario.name)))
+    if args.json:
+        documents = [
+            document(args, aircraft, scenario, [one]) for scenario, one in zip(scenarios, flown, strict=True)
+        ]
+        print(json.dumps(documents, indent=2))
+    else:
+        print_several(f"{aircraft.name}, seed {args.seed}", args, scenarios, flown)
     return 0
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A controller that takes part, freshly booted."""
-
-    name: str
-    port: FirmwarePort
-    idle: float  # motor fraction of its armed motors at zero thrust
-    own_mixer: bool = False  # it lays the throttle on by another rule than ours
+Show = Callable[[float], None]  # gets the flown part, 0..1
 
 
-def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flight]:
-    """The firmware's flight, then the PID's if the aircraft has gains for one."""
+@contextmanager
+def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
+    """Progress of flights by name, while somebody watches."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn())
-    flights = []
-    firmware = _open(args, aircraft)
-    with (
-        closing(firmware.port),
-        Progress(*columns, console=Console(stderr=True), transient=True, disable=_quiet(args)) as progress,
-    ):
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet(args)) as progress:
+
+        def begin(name: str) -> Show:
+            task: TaskID = progress.add_task(name, total=1.0)
+            return lambda part: progress.update(task, completed=part)
+
+        yield begin
+
+
+def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
+    """The firmware's flight, then the PID's if the aircraft has gains for one."""
+    firmware = open_firmware(args, aircraft)
+    with closing(firmware), _bar(args) as show:
         entries = [firmware]
         if aircraft.pids:
-            entries.append(_pid(args, aircraft, firmware.port.control_rate_hz))
-        for entry in entries:
-            task = progress.add_task(entry.name, total=1.0)
-
-            def show(part: float, task: TaskID = task) -> None:
-                progress.update(task, completed=part)
-
-            flights.append(_fly(args, aircraft, scenario, entry, show))
-            show(1.0)
-    return flights
-
-
-def _open(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
-    """What `--on` names."""
-    from sim.host_port import HostPort
-    from sim.port import twin_settings
-    from sim.reference_port import ReferencePort
-    from toolchain.report import built_idle
-
-    if args.on == "betaflight":
-        return _open_betaflight(args, aircraft)
-    if args.on == "emulator":
-        return _open_emulator(args, aircraft)
-    name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
-    product = (args.build or BUILD) / name
-    port: FirmwarePort = kind(product, args.gyro_hz, twin_settings(aircraft))
-    try:
-        return _Entry("firmware", port, built_idle(product, pid=args.controller == "pid"))
-    except NeuroflightError:
-        port.close()
-        raise
-
-
-def _open_emulator(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
-    """The image on a board of its own, with the settings that it has when freshly flashed."""
-    from sim.emulated_port import EmulatedPort
-    from sim.port import setting_changes, twin_settings
-    from toolchain.report import built_idle
-
-    image = (args.build or BOARD) / "neuroflight.bin"
-    changes = setting_changes(twin_settings(aircraft))
-    if changes:
-        raise NeuroflightError(
-            f"--on emulator: aircraft {aircraft.name} needs the settings {', '.join(changes)}, the image "
-            f"flies with its own; use --on host"
-        )
-    port = EmulatedPort(image, args.gyro_hz)
-    try:
-        return _Entry("firmware", port, built_idle(image, pid=args.controller == "pid"))
-    except NeuroflightError:
-        port.close()
-        raise
-
-
-def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> _Entry:
-    """Betaflight, built first where it is not yet; each stage of that is told on stderr."""
-    from rich.console import Console
-
-    from sim.betaflight_build import build_betaflight
-    from sim.betaflight_port import IDLE, BetaflightPort, aircraft_settings
-
-    settings = aircraft_settings(aircraft)
-    console = Console(stderr=True)
-    with nullcontext() if _quiet(args) else console.status("Betaflight") as status:
-
-        def say(stage: str) -> None:
-            console.print(f"Betaflight is not built yet, once: {stage}", highlight=False)
-            if status is not None:
-                status.update(stage)
-
-        betaflight = build_betaflight(args.build or BETAFLIGHT, say)
-        port = BetaflightPort(betaflight, args.gyro_hz, settings)
-    return _Entry("Betaflight", port, IDLE, own_mixer=True)
-
-
-def _pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> _Entry:
-    """The aircraft's PID behind the firmware's frame."""
-    from sim.controller_port import ControllerPort
-    from sim.pid import aircraft_pid, pid_settings
-
-    idle = pid_settings(aircraft).idle
-    pid = aircraft_pid(aircraft, 1, control_rate_hz)
-    port = ControllerPort(pid, aircraft.motor_count, args.gyro_hz, control_rate_hz, idle)
-    return _Entry("PID", port, idle)
+            entries.append(open_pid(args, aircraft, firmware.port.control_rate_hz))
+        return [_fly(args, aircraft, scenario, entry, show(entry.name)) for entry in entries]
 
 
 def _fly(
     args: argparse.Namespace,
     aircraft: Aircraft,
     scenario: Scenario,
-    entry: _Entry,
-    progress: Callable[[float], None],
-) -> Flight:
+    entry: Entry,
+    progress: Show,
+) -> Flown:
     """One flight in a fresh twin of the seed; closes the port."""
     import numpy as np
 
@@ -266,7 +235,7 @@ def _fly(
     from sim.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
-    with closing(entry.port) as port:
+    with closing(entry):
         twin = Twin(
             aircraft,
             rate_hz=args.gyro_hz,
@@ -278,31 +247,12 @@ def _fly(
             rng=rng,
         )
         with closing(twin):
-            trace = fly(twin, port, scenario, progress=progress)
+            trace = fly(twin, entry.port, scenario, progress=progress)
+        report = None if entry.report is None else entry.report(scenario.duration_s)
+    progress(1.0)
     # A mixer that is not ours cannot be undone: its output is then all that it asks of the motors.
     asked = replace(trace, throttle=np.zeros_like(trace.throttle)) if entry.own_mixer else trace
-    return Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle))
-
-
-def _quiet(args: argparse.Namespace) -> bool:
-    return bool(args.json) or not sys.stderr.isatty()
-
-
-def _conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
-    """In words, what was flown and where."""
-    words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
-    if args.battery is not None:
-        words.append(f"battery charged to {100 * args.battery:g} %")
-    if any(args.wind):
-        words.append(f"wind {', '.join(f'{speed:g}' for speed in args.wind)} m/s")
-    if args.gust:
-        words.append(f"gusts of a wind of {args.gust:g} m/s")
-    if args.ground:
-        words.append("over ground")
-    if args.on == "betaflight":
-        return [*words, "Betaflight 4.6 with its default PID, airmode and idle"]
-    flown = "its PID" if args.controller == "pid" else "its policy"
-    return [*words, f"firmware on {args.on}, {flown}"]
+    return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report)
 
 
 def _check_air(args: argparse.Namespace) -> None:
@@ -314,49 +264,3 @@ def _check_air(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--wind: got {wind}, expected at most {WIND_MAX:g} m/s each way")
     if not 0.0 <= args.gust <= WIND_MAX:
         raise NeuroflightError(f"--gust: got {args.gust:g}, expected 0 to {WIND_MAX:g} m/s")
-
-
-def _document(
-    args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flights: list[Flight]
-) -> dict[str, Any]:
-    from toolchain.cli.output import plain
-
-    return {
-        "on": args.on,
-        "controller": args.controller,
-        "scenario": scenario.name,
-        "seed": args.seed,
-        "episodes": scenario.episodes(),
-        "duration_s": scenario.duration_s,
-        "mount": scenario.mount.value,
-        "gyro_rate_hz": args.gyro_hz,
-        "battery": args.battery,
-        "wind_m_s": list(args.wind),
-        "gust_m_s": args.gust,
-        "ground": args.ground,
-        "aircraft": aircraft.name,
-        "aircraft_sha256": aircraft.sha256,
-        "flights": {
-            # The first flight is the firmware's, whichever it is: "on" says.
-            name: plain({**asdict(flight.figures), "armed": flight.armed})
-            for name, flight in zip(("firmware", "PID"), flights, strict=False)
-        },
-    }
-
-
-def _print(title: str, note: str, flights: list[Flight]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from sim.report import table
-
-    heading, *rows = table(flights)
-    shown = Table(
-        title=Text(title), caption=Text(note), title_justify="left", caption_justify="left", box=None
-    )
-    for number, cell in enumerate(heading):
-        shown.add_column(cell, justify="right" if number else "left")
-    for row in rows:
-        shown.add_row(*row)
-    Console().print(shown)

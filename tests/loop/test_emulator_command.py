@@ -1,0 +1,172 @@
+"""`neuroflight fly --on emulator` as a user types it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flash.client import Client, read_info
+from flash.transport import TcpPort, TcpTransport
+from sim.trace import load_trace
+from toolchain.cli import fly_ports
+from toolchain.cli.fly_emulator import STOPPED
+from toolchain.cli.main import main
+from toolchain.errors import LinkError
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def fly(
+    board_image: Path,
+    host_program: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Command:
+    """Flies a tenth of a second; exit code, stdout and stderr."""
+    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
+    monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
+    scenario = tmp_path / "short.toml"
+    scenario.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
+
+    def run(*arguments: str, on: str = "emulator") -> tuple[int, str, str]:
+        code = main(["fly", "--on", on, "--scenario", str(scenario), *arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
+    fly: Command, board_image: Path, tmp_path: Path
+) -> None:
+    trace, profile = tmp_path / "a.npz", tmp_path / "new" / "profile"
+    code, out, _ = fly("--json", "--trace", str(trace), "--profile", str(profile))
+    document = json.loads(out)
+    told = document["emulator"]
+    assert code == 0
+    assert told["sha256"] == hashlib.sha256(board_image.with_suffix(".bin").read_bytes()).hexdigest()
+    assert (told["outcome"], told["stopped_s"], told["resets"]) == ("flown, disarmed", None, ["power"])
+    assert [event["what"] for event in told["events"]] == ["ARMED", "DISARMED: SWITCH"]
+    assert told["events"][1]["at_s"] == pytest.approx(0.1, abs=0.01)
+    assert told["board_s"] == pytest.approx(0.3 + 1.05 + 0.1, abs=0.2)
+    assert told["instructions"] > 1e7 and told["real_time"] > 0
+    assert 0 <= told["gyro_wait_us"] < 5
+    assert 0.1 < told["watchdog_margin_s"] < 0.5
+    assert len(load_trace(trace).t) == 100
+    tasks, functions, coverage, registers, stacks, flame = (
+        (profile / name).read_text()
+        for name in (
+            *("tasks.txt", "functions.txt", "coverage.txt", "registers.txt", "stacks.folded", "flame.svg"),
+        )
+    )
+    assert "gyro_edge_handler" in tasks and "tick_handler" in tasks
+    assert "policy_step" in functions and "SPI1_DR" in registers
+    assert sum(int(line.rsplit(" ", 1)[1]) for line in stacks.splitlines()) == told["instructions"]
+    assert any(line.startswith("policy_step ") and "100.0%" in line for line in coverage.splitlines())
+    assert "gyro_sample_handler" in flame and flame.startswith("<svg")
+
+
+def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_stops_it(fly: Command) -> None:
+    code, out, _ = fly("--fault", "gyro-silent@0.05", "--fault", "brown-out@9")
+    assert code == STOPPED == 3
+    words = " ".join(out.split())
+    assert "flight motors stopped at 0.0" in words
+    assert "0.0500 s fault gyro-silent@0.05" in words
+    assert "FAULT: GYRO_SILENT" in words
+    assert "GYRO_BAD" in words
+    assert "never came brown-out@9" in words
+
+
+def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
+    fly: Command, tmp_path: Path
+) -> None:
+    port = free_port()
+    heard: list[Any] = []
+
+    def ask() -> None:
+        transport = None
+        while transport is None:
+            try:
+                transport = TcpTransport(TcpPort("127.0.0.1", port))
+            except LinkError:
+                continue
+        with Client(transport) as client:
+            heard.append(read_info(client))
+
+    client = threading.Thread(target=ask)
+    client.start()
+    trace = tmp_path / "a.npz"
+    settings = [f"--set={name}=500" for name in ("roll_rate", "roll_max")]
+    code, _, err = fly("--serial", f"tcp:{port}", *settings, "--trace", str(trace))
+    client.join(10)
+    assert code == 0
+    assert f"USART1 at tcp:127.0.0.1:{port}" in err
+    assert heard and heard[0].policy.good
+    # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
+    assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
+
+
+def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text("[[segment]]\nduration_s = 0.05\nsetpoint_deg_s = [0, 0, 0]\n")
+    code, out, err = fly("--scenario", str(tmp_path / "short.toml"), str(other))
+    lines = out.splitlines()
+    assert (code, err) == (0, "")
+    assert [line.split()[:2] for line in lines if "flown, disarmed" in line] == [
+        ["short", "0.1"],
+        ["other", "0.05"],
+    ]
+    assert "sha256" in out and "real time" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
+        (["--receiver", "crsf"], "--receiver: only on the emulated board"),
+        (["--profile", "d"], "--profile: only on the emulated board"),
+        (["--gdb", "0"], "--gdb: only on the emulated board"),
+        (["--on", "emulator", "--serial", "usb"], "--serial: got 'usb', expected pty, tcp or tcp:PORT"),
+        (["--on", "emulator", "--serial", "tcp:99999"], "--serial: got 'tcp:99999'"),
+        (["--on", "emulator", "--gdb", "-1"], "--gdb: got -1, expected a port"),
+        (["--on", "emulator", "--fault", "crystal"], "expected NAME"),
+        (["--on", "emulator", "--set", "gyro_rate_hz=8000"], "has an option of its own; use --gyro-hz"),
+        (["--on", "emulator", "--set", "receiver_protocol=crsf"], "use --receiver"),
+        (["--on", "emulator", "--set", "rol_rate=3"], "setting 'rol_rate' is unknown"),
+        (["--on", "emulator", "--profile", "file"], "file is a file, expected a directory"),
+        (["--on", "betaflight", "--set", "roll_rate=3"], "Betaflight has settings of its own"),
+        (["--scenario", "roll", "flip", "--trace", "a.npz"], "--trace: belongs to one flight"),
+        (["--on", "emulator", "--build", "nowhere"], "build it with `make firmware TARGET=MATEKF722`"),
+    ],
+)
+def test_it_refuses_in_one_line_before_flying_when_an_option_cannot_be(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert main(["fly", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

@@ -1,0 +1,189 @@
+"""`neuroflight fly --on emulator`: what may be asked of the emulated board, and what it tells."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.board.board import Board
+    from sim.emulated_port import EmulatedPort
+    from sim.emulated_report import EmulatedReport
+
+STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
+RECEIVERS = ("sbus", "crsf")
+OPTIONS: dict[str, object] = {  # and their defaults
+    "receiver": "sbus",
+    "fault": [],
+    "serial": None,
+    "gdb": None,
+    "profile": None,
+}
+BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
+PORT_MAX = 65535
+SLICE_S = 0.001  # of the board's time between two looks at the serial line, at most
+
+
+def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what only the emulated board takes."""
+    group = parser.add_argument_group("with --on emulator", "see docs/emulated-board.md")
+    group.add_argument(
+        "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
+    )
+    group.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]@SECONDS",
+        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal or "
+        f"receiver-broken; @boot: from power on. Exit code {STOPPED} if the motors stop before the end",
+    )
+    group.add_argument(
+        "--serial", metavar="pty|tcp[:PORT]", help="lead USART1, where MSP is spoken, to other programs"
+    )
+    group.add_argument(
+        "--gdb", type=int, metavar="PORT", help="wait for gdb on this port, at the first instruction"
+    )
+    group.add_argument("--profile", type=Path, metavar="DIR", help="write what the image executed into DIR")
+
+
+def check_emulator(args: argparse.Namespace) -> None:
+    """Refuse what cannot be, before anything is opened."""
+    if args.on != "emulator":
+        for name, default in OPTIONS.items():
+            if getattr(args, name) != default:
+                raise NeuroflightError(f"--{name}: only on the emulated board; add --on emulator")
+        return
+    _serial(args.serial)
+    if args.gdb is not None and not 0 <= args.gdb <= PORT_MAX:
+        raise NeuroflightError(f"--gdb: got {args.gdb}, expected a port of 0 to {PORT_MAX}, 0 for any")
+    if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
+        raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
+
+
+def open_image(
+    args: argparse.Namespace, image: Path, settings: Mapping[str, float], ends: ExitStack
+) -> EmulatedPort:
+    """The image on a board of its own; what was attached to it ends with `ends`."""
+    from sim.board.faults import parse_fault
+    from sim.emulated_port import EmulatedPort
+
+    return EmulatedPort(
+        image,
+        args.gyro_hz,
+        settings,
+        receiver=args.receiver,
+        faults=[parse_fault(text) for text in args.fault],
+        profile=args.profile is not None,
+        attach=lambda board: _attach(args, board, image, ends),
+    )
+
+
+def emulator_document(report: EmulatedReport) -> dict[str, Any]:
+    """As JSON has it."""
+    return {**asdict(report), "outcome": report.outcome}
+
+
+def exit_code(args: argparse.Namespace, report: EmulatedReport | None) -> int:
+    """STOPPED after faults that the motors did not survive, else 0."""
+    return STOPPED if args.fault and report is not None and report.stopped_s is not None else 0
+
+
+def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
+    """Label and text of each line."""
+    waited = f"; {report.gyro_wait_place}" if report.gyro_wait_place else ""
+    margin = report.watchdog_margin_s
+    told = [
+        ("image", report.image),
+        ("sha256", report.sha256),
+        ("flight", report.outcome),
+        (
+            "board",
+            f"{report.board_s:.3f} s of its time, {report.real_time:.2f} of real time; "
+            f"{report.instructions:,} instructions",
+        ),
+        ("gyro edge", f"waited {report.gyro_wait_us:.2f} us at most for its handler{waited}"),
+        ("watchdog", "never fed" if margin is None else f"{1e3 * margin:.0f} ms left at least"),
+    ]
+    told += [(f"{event.at_s:.4f} s", event.what) for event in report.events]
+    if report.arming_reasons:
+        told.append(("held by", ", ".join(report.arming_reasons)))
+    told += [("never came", fault) for fault in report.waiting]
+    told += [("note", f"{note.message} ({note.times} times, first at {note.place})") for note in report.notes]
+    return told
+
+
+EMULATOR_HEADINGS = ("flight", "real time", "edge waits", "feed left")
+
+
+def emulator_cells(report: EmulatedReport) -> tuple[str, ...]:
+    """Under EMULATOR_HEADINGS."""
+    margin = report.watchdog_margin_s
+    return (
+        report.outcome,
+        f"{report.real_time:.2f}",
+        f"{report.gyro_wait_us:.2f} us",
+        "never fed" if margin is None else f"{1e3 * margin:.0f} ms",
+    )
+
+
+def save_profile(directory: Path, board: Board) -> None:
+    """Write the profile and say where."""
+    from sim.board.profile_write import write_profile
+
+    names = write_profile(directory, board)
+    print(f"{directory}: {', '.join(names)}", file=sys.stderr)
+
+
+def _serial(text: str | None) -> tuple[str, int] | None:
+    """Kind of end and TCP port."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(pty)|tcp(?::(\d{1,5}))?", text)
+    if found is None or int(found[2] or 0) > PORT_MAX:
+        raise NeuroflightError(f"--serial: got {text!r}, expected pty, tcp or tcp:PORT")
+    return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
+
+
+def _attach(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
+    """Put debugger and serial line before the board; both wait for nobody but gdb."""
+    from sim.board.context import TIME_HZ
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+
+    run_to: Callable[[int], None] = board.run_to
+    if args.gdb is not None:
+        server = GdbServer(board.engine, args.gdb)
+        ends.callback(server.close)
+        elf = image.with_suffix(".elf")
+        _say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
+        server.wait()
+        run_to = server.run_to
+    serial = _serial(args.serial)
+    if serial is None:
+        return run_to
+    kind, port = serial
+    end = PtyEnd() if kind == "pty" else TcpEnd(port)
+    bridge = Bridge(UartLine(board), end)
+    ends.callback(bridge.close)
+    _say(f"USART1 at {end.name}, 115200 baud")
+
+    def run_with_line(cycle: int) -> None:
+        while board.cycle < cycle:
+            until = min(cycle, board.cycle + round(SLICE_S * TIME_HZ))
+            bridge.exchange(until - board.cycle)
+            run_to(until)
+
+    return run_with_line
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
