@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ class Places:
         )
         self.functions: tuple[Symbol, ...] = tuple({symbol.address: symbol for symbol in functions}.values())
         self._starts = [symbol.address for symbol in self.functions]
+        self._rows: dict[int, list[tuple[int, str]]] = {}
 
     def function(self, address: int) -> Symbol | None:
         """The function that `address` lies in."""
@@ -39,8 +39,9 @@ class Places:
 
     def line(self, address: int) -> str:
         """file:line of the instruction at `address`, or "?"."""
-        found = bisect_right(self._line_starts, address) - 1
-        return self._lines[found][1] if found >= 0 else NOWHERE
+        rows = self._unit_rows(address)
+        found = bisect_right(rows, address, key=lambda row: row[0]) - 1
+        return rows[found][1] if found >= 0 else NOWHERE
 
     def describe(self, address: int) -> str:
         """pc 0x08020304, in gyro_edge_handler+0x1a (gyro_chip.c:120)."""
@@ -49,30 +50,39 @@ class Places:
             return f"pc 0x{address:08X}, in no function"
         return f"pc 0x{address:08X}, in {symbol.name}+0x{address - symbol.address:x} ({self.line(address)})"
 
-    @cached_property
-    def _lines(self) -> list[tuple[int, str]]:
-        with self.path.open("rb") as file:
-            elf = ELFFile(file)
-            return sorted(_rows(elf.get_dwarf_info())) if elf.has_dwarf_info() else []
+    def _unit_rows(self, address: int) -> list[tuple[int, str]]:
+        """Addresses and lines of the source that the code at `address` comes from, ascending."""
+        if address not in self._rows:
+            with self.path.open("rb") as file:
+                elf = ELFFile(file)
+                # Where one row ends and others begin, the last of these.
+                self._rows[address] = sorted(_rows(elf, address), key=lambda row: (row[0], row[1] != NOWHERE))
+        return self._rows[address]
 
-    @cached_property
-    def _line_starts(self) -> list[int]:
-        return [address for address, _ in self._lines]
 
-
-def _rows(dwarf: Any) -> Iterator[tuple[int, str]]:  # noqa: ANN401 - pyelftools has no types
-    for unit in dwarf.iter_CUs():
-        program = dwarf.line_program_for_CU(unit)
-        if program is None:
+def _rows(elf: ELFFile, address: int) -> Iterator[tuple[int, str]]:
+    dwarf: Any = elf.get_dwarf_info() if elf.has_dwarf_info() else None  # pyelftools has no types
+    offset = None if dwarf is None else _unit_offset(dwarf, address)
+    if offset is None:
+        return
+    program = dwarf.line_program_for_CU(dwarf.get_CU_at(offset))
+    if program is None:
+        return
+    version, files = program["version"], program["file_entry"]
+    for entry in program.get_entries():
+        state = entry.state
+        if state is None:
             continue
-        version, files = program["version"], program["file_entry"]
-        for entry in program.get_entries():
-            state = entry.state
-            if state is None:
-                continue
-            if state.end_sequence:
-                yield state.address, NOWHERE
-                continue
-            number = state.file if version >= 5 else state.file - 1
-            name = files[number].name.decode() if 0 <= number < len(files) else NOWHERE
-            yield state.address, f"{Path(name).name}:{state.line}"
+        if state.end_sequence:
+            yield state.address, NOWHERE
+            continue
+        number = state.file if version >= 5 else state.file - 1
+        name = files[number].name.decode() if 0 <= number < len(files) else NOWHERE
+        yield state.address, f"{Path(name).name}:{state.line}"
+
+
+def _unit_offset(dwarf: Any, address: int) -> int | None:  # noqa: ANN401
+    """Where in the tables the source of the code at `address` is told of."""
+    ranges = dwarf.get_aranges()
+    offset: int | None = None if ranges is None else ranges.cu_offset_at_addr(address)
+    return offset

@@ -166,6 +166,7 @@ struct state {
 	uint32_t last_end;           /* where the last block ended */
 	uint32_t pc;                 /* valid between blocks */
 	uint32_t depth;              /* of `active` */
+	uint32_t repeats;            /* a handler's runs in a row, its request up at the end of each */
 	struct activation active[DEPTH_MAX + 1]; /* [0] is the thread */
 	struct task tasks[EXCEPTION_COUNT];
 	uint64_t pended_at[EXCEPTION_COUNT];

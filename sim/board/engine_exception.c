@@ -18,6 +18,7 @@ enum {
 	ENTRY_CYCLES = 12,
 	RETURN_CYCLES = 10,
 	CHAIN_CYCLES = 6,
+	REPEATS_MAX = 1000,
 };
 
 #define SHCSR_MEMFAULTENA (1u << 16)
@@ -363,9 +364,17 @@ void exception_return(struct engine *e, uint32_t exc_return)
 	}
 	if (s->active[s->depth].exception != EXC_NMI)
 		set_reg(e, UC_ARM_REG_FAULTMASK, 0);
+	const uint32_t ended = s->active[s->depth].exception;
+
 	close_books(e);
 	/* Tail-chaining: the next handler finds the frame as it lies. */
 	const uint32_t next = deliverable(e);
+	s->repeats = next == ended && get(&s->line, ended) ? s->repeats + 1u : 0;
+	if (s->repeats >= REPEATS_MAX) {
+		fail(e, "the handler of exception %u has run %u times in a row and leaves its request up", ended, s->repeats);
+		e->last_pc = s->last_end - 2u;
+		return;
+	}
 	if (next != EXC_THREAD) {
 		s->pc = exc_return;
 		take(e, next, exc_return, CHAIN_CYCLES);

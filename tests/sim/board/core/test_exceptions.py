@@ -558,3 +558,22 @@ def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot, re
     engine.alarm("high", lambda: pulse(9)).set(100_006)  # entry takes 12
     engine.run()
     assert results(engine, 2) == [2, 1]
+
+
+def test_a_handler_is_named_when_it_never_clears_its_request(boot: Boot) -> None:
+    source = """
+    HANDLER handler(void) { ++RESULT[0]; }
+    HANDLER reset(void) { RESULT[0] = 0; ENABLE(5); REST(); }
+    VECTORS([21] = handler);
+    """
+    engine = boot(source)
+    engine.irq(5, True)
+    with pytest.raises(
+        BoardError, match=r"handler of exception 21 has run 1000 times .* its request up; .*in handler"
+    ):
+        engine.run()
+    engine = boot(source)
+    engine.alarm("fall", lambda: engine.irq(5, False)).set(50_000)
+    engine.irq(5, True)
+    engine.run()
+    assert 100 < engine.load(0x20002000, 4) < 1000
