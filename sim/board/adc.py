@@ -16,6 +16,7 @@ CLOCK_MAX_HZ = 36_000_000  # data sheet, ADC characteristics
 STABILIZATION = 3 * MICROSECOND  # from ADON to the first conversion
 _SAMPLING = (3, 15, 28, 56, 84, 112, 144, 480)  # SMP [converter's cycles]
 _BITS = (12, 10, 8, 6)  # CR1 RES; as many cycles to convert
+_TIMING = ("SQR1", "SQR2", "SQR3", "SMPR1", "SMPR2", "CR1")  # what a sequence's times depend on
 _EOC, _STRT, _OVR = 1 << 1, 1 << 4, 1 << 5
 
 
@@ -43,6 +44,8 @@ class Adc(Device):
         self._alarm = context.alarm("adc1.end", self._wake)
         self._pins_v: dict[int, float] = {}  # by channel
         self._apb2 = TIME_HZ // 2
+        # The sequence and its times, for registers and clocks of these values.
+        self._order: tuple[tuple[int, ...], list[int], list[int]] = ((), [], [])
         self._begin()
         dma.connect("ADC1", self)
 
@@ -146,6 +149,15 @@ class Adc(Device):
         places += [self.words["SQR1"] >> 5 * i & 31 for i in range(4)]
         return places[: self.get("SQR1", "L") + 1]
 
+    def _times(self) -> list[int]:
+        """How long each conversion of a sequence takes."""
+        words = self.words
+        key = (*(words[name] for name in _TIMING), self._common.divider, self._apb2)
+        if key != self._order[0]:
+            sequence = self._sequence()
+            self._order = (key, sequence, [self._cycles(channel) for channel in sequence])
+        return self._order[2]
+
     def _cycles(self, channel: int) -> int:
         """How long a conversion takes."""
         register, place = ("SMPR1", channel - 10) if channel >= 10 else ("SMPR2", channel)
@@ -161,9 +173,8 @@ class Adc(Device):
         """Do the conversions that have ended up to now."""
         if not self._running:
             return
-        sequence = self._sequence()
-        times = [self._cycles(channel) for channel in sequence]
-        codes = [self._code(channel) for channel in sequence]
+        times = self._times()
+        codes = [self._code(channel) for channel in self._order[1]]
         ended: list[int] = []
         left = self.context.cycle - self._at
         if self._next == 0 and self.get("CR2", "CONT"):
@@ -174,7 +185,7 @@ class Adc(Device):
             left -= times[self._next]
             ended.append(codes[self._next])
             self._next += 1
-            if self._next == len(sequence):
+            if self._next == len(times):
                 self._next = 0
                 if not self.get("CR2", "CONT"):
                     self._running = False
@@ -207,8 +218,7 @@ class Adc(Device):
         self._alarm.cancel()
         if not self._running:
             return
-        sequence = self._sequence()
-        times = [self._cycles(channel) for channel in sequence]
+        times = self._times()
         if self.get("CR2", "DMA"):
             wanted = self._dma.until_flag("ADC1")
             if not wanted or self._stalled:

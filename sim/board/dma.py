@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NoReturn, Protocol
 
 from sim.board.bus import Device, load_table
-from sim.board.context import Context
+from sim.board.context import Alarm, Context
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, SRAM1, SRAM2
 
 # Which request drives a stream on a channel: (controller, stream, channel) (RM0431 8.3.3, DMA1 and DMA2
@@ -396,6 +396,16 @@ class DmaSystem:
         """Items that a stream would move for `source` before it ends or wraps; 0: none is enabled."""
         found = self._streams.get(source)
         return found[0].available(found[1]) if found else 0
+
+    def wake(self, source: str, alarm: Alarm, cycle: int | None) -> None:
+        """At `cycle` the driver of `source` has something to move: `alarm` rings then; None: it has nothing.
+
+        Where nobody could notice until then, it may be asked to `sync` instead when the program looks.
+        """
+        if cycle is None:
+            alarm.cancel()
+        else:
+            alarm.set(cycle)
 
     def until_flag(self, source: str) -> int:
         """Items until the stream that serves `source` raises its next flag; 0: none is enabled."""

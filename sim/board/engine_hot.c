@@ -118,8 +118,11 @@ struct hot *hot_new(struct engine *e, read_function on_read, write_function on_w
 	h->s.apb2 = h->s.timer_clock[0] = h->s.timer_clock[1] = 16000000;
 	for (uint32_t i = 0; i < WINDOWS; ++i)
 		h->device_of[i] = -1;
-	for (uint32_t i = 0; i < SOURCES; ++i)
+	for (uint32_t i = 0; i < SOURCES; ++i) {
 		h->s.stream_of[i] = -1;
+		h->s.due[i] = NEVER;
+		h->s.source_alarms[i] = UINT32_MAX;
+	}
 	for (uint32_t i = 0; i < 2u * STREAMS; ++i)
 		for (uint32_t k = 0; k < SHARED; ++k)
 			h->s.streams[i / STREAMS][i % STREAMS].sources[k] = -1;

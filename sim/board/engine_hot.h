@@ -143,6 +143,8 @@ struct hot_state {
 	uint32_t exti_asserted;
 	struct stream streams[2][STREAMS];
 	int16_t stream_of[SOURCES];
+	uint32_t source_alarms[SOURCES];
+	uint64_t due[SOURCES]; /* of Python's sources: cycle at which there is something to move; NEVER: nothing */
 	struct timer timers[TIMERS];
 	uint8_t sending[FIFO_BYTES + 1], received[FIFO_BYTES];
 	uint32_t sending_count, received_count, last;
@@ -183,7 +185,7 @@ struct hot {
 	bool gyro_samples, gyro_answers; /* they are plain: C's */
 	const struct esc *motors[MOTORS];
 	bool listening; /* Python wants to hear of every frame */
-	uint64_t lazy; /* sources of Python whose drivers have something to bring up to now */
+	uint64_t lazy; /* sources of Python that move between their dues as well */
 	bool failed; /* Python has raised during this access */
 };
 

@@ -46,6 +46,12 @@ void stream_unlink(struct hot *h, uint32_t controller, uint32_t stream)
 		s->sources[i] = -1;
 }
 
+static void source_sync(struct hot *h, uint32_t source)
+{
+	h->s.due[source] = NEVER; /* it says anew */
+	h->source(source, true);
+}
+
 /* The driver of a request brings itself up to now, or hears that a stream came or went. */
 static void drive(struct hot *h, int32_t source, bool sync)
 {
@@ -53,7 +59,9 @@ static void drive(struct hot *h, int32_t source, bool sync)
 		return;
 	if (source >= PYTHON_SOURCE) {
 		if (!sync)
-			h->source((uint32_t)source, false); /* flags rise with Python's alarms, without being asked */
+			h->source((uint32_t)source, false);
+		else if (now(h) >= h->s.due[source])
+			source_sync(h, (uint32_t)source);
 	} else if (source < TIMER_SOURCE) {
 		(sync ? spi_sync : spi_dma_changed)(h);
 	} else {
@@ -72,9 +80,28 @@ static void drive_for(struct hot *h, uint32_t controller, uint32_t stream)
 	const int32_t source = h->s.streams[controller][stream].sources[0];
 
 	if (source >= PYTHON_SOURCE && (h->lazy >> source & 1u) != 0u)
-		h->source((uint32_t)source, true);
+		source_sync(h, (uint32_t)source);
 	else
 		stream_sync(h, controller, stream);
+}
+
+/* An alarm is only for what interrupts: otherwise the driver is asked when the program looks. */
+static void source_plan(struct hot *h, uint32_t source)
+{
+	const int16_t place = h->s.stream_of[source];
+	const bool interrupts =
+		place < 0 || (stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+
+	if (h->s.source_alarms[source] != UINT32_MAX)
+		engine_set_alarm(h->e, h->s.source_alarms[source], interrupts ? h->s.due[source] : NEVER);
+}
+
+/* At `cycle` a source of Python will have something to move. */
+void hot_wake(struct hot *h, uint32_t source, uint32_t alarm, uint64_t cycle)
+{
+	h->s.due[source] = cycle;
+	h->s.source_alarms[source] = alarm;
+	source_plan(h, source);
 }
 
 /* All streams of a controller have moved what they have until now. */
@@ -260,6 +287,8 @@ static void stream_write_cr(struct hot *h, uint32_t controller, uint32_t stream,
 		drive(h, source, false);
 	}
 	stream_update(h, controller, stream);
+	if (s->sources[0] >= PYTHON_SOURCE)
+		source_plan(h, (uint32_t)s->sources[0]);
 }
 
 /* Can what has passed have ended the stream? Programs poll for that while bytes are on the wire. */

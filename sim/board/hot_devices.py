@@ -11,8 +11,10 @@ from ctypes import c_uint32
 from typing import TYPE_CHECKING, Any
 
 from sim.board.bus import Block, Device, Register
-from sim.board.context import Context
+from sim.board.context import Alarm, Context
 from sim.board.dma import Dma, DmaSystem, Driver
+from sim.board.engine import NEVER
+from sim.board.engine import Alarm as EngineAlarm
 from sim.board.exti import Exti
 from sim.board.gpio import PORTS, Pins, Port
 from sim.board.spi import Spi
@@ -216,6 +218,12 @@ class HotDmaSystem(DmaSystem):
     def available(self, source: str) -> int:
         assert self._hot is not None
         return int(self._hot.library.hot_available(self._hot.handle, self._ids[source]))
+
+    def wake(self, source: str, alarm: Alarm, cycle: int | None) -> None:
+        assert self._hot is not None
+        assert isinstance(alarm, EngineAlarm)
+        when = NEVER if cycle is None else cycle
+        self._hot.library.hot_wake(self._hot.handle, self._ids[source], alarm.number, when)
 
     def until_flag(self, source: str) -> int:
         assert self._hot is not None

@@ -62,7 +62,7 @@ class Usart(Device):
 
     kept = (
         "_arriving", "_line_free", "_idle_at", "_received", "_holding", "_shifting", "_sent_at",
-        "mismatches", "lost", "sent",
+        "_mismatches", "_lost", "sent",
     )  # fmt: skip
 
     def __init__(
@@ -75,7 +75,12 @@ class Usart(Device):
         self._tx = context.alarm(f"{name.lower()}.tx", self._sent)
         self._idle = context.alarm(f"{name.lower()}.idle", self._update)
         self.on_sent: Callable[[int], None] = lambda byte: None  # a byte has left the board
-        self.mismatches = self.lost = self.sent = 0  # bytes: of another format; while off or overrun; sent
+        self._mismatches = self._lost = self.sent = 0
+        # What would interrupt when bytes come or the line rests, of CR1 and CR3.
+        self._own_interrupts = (
+            self.mask("CR1", "RXNEIE", "IDLEIE", "PEIE"),
+            self.mask("CR3", "EIE"),
+        )
         self._arriving: list[tuple[int, int, Format, bool]] = []  # end, byte, format, parity is wrong
         self._line_free = 0  # cycle at which the last byte of `_arriving` ends
         self._begin()
@@ -117,7 +122,20 @@ class Usart(Device):
     @property
     def arriving(self) -> int:
         """Bytes on the line that have not come to their end."""
+        self.sync()
         return len(self._arriving)
+
+    @property
+    def mismatches(self) -> int:
+        """Bytes that came in another format."""
+        self.sync()
+        return self._mismatches
+
+    @property
+    def lost(self) -> int:
+        """Bytes that came while the receiver was off or had not been read."""
+        self.sync()
+        return self._lost
 
     def feed(self, data: bytes, format: Format, *, end: int | None = None, broken: Sequence[int] = ()) -> int:
         """Bytes come in over the line, one after another; returns the cycle at which the last one ends.
@@ -136,17 +154,22 @@ class Usart(Device):
         return self._line_free
 
     def sync(self) -> None:
-        """Bytes come and go by alarms of their own."""
+        """Take the bytes that have come up to now."""
+        if self._arriving and self._arriving[0][0] <= self.context.cycle:
+            self._arrive()
 
     def dma_changed(self) -> None:
+        self.sync()
         if self._dma.available(f"{self.name}_RX") and self.words["ISR"] & _RXNE and self._receives_by_dma():
             self._hand_over()
         self._load()
+        self._plan_arrival()
         self._update()
 
     # What the image reads and writes
 
     def write_cr1(self, value: int) -> None:
+        self.sync()
         was_on = self.words["CR1"] & 1
         changed = self.words["CR1"] ^ value
         if was_on and value & 1:
@@ -161,19 +184,23 @@ class Usart(Device):
         if changed & self.words["CR1"] & 1:
             _ = self.format  # judged when the USART goes on
         self._load()
+        self._plan_arrival()
         self._update()
 
     def write_cr2(self, value: int) -> None:
         self._write_fixed("CR2", value)
 
     def write_cr3(self, value: int) -> None:
+        self.sync()
         self._write_fixed("CR3", value)
         self.dma_changed()
+        self._plan_arrival()
 
     def write_brr(self, value: int) -> None:
         self._write_fixed("BRR", value)
 
     def write_rqr(self, value: int) -> None:
+        self.sync()
         if value & self.mask("RQR", "RXFRQ"):
             self.words["ISR"] &= ~_RXNE
         if value & self.mask("RQR", "TXFRQ"):
@@ -182,6 +209,7 @@ class Usart(Device):
         self._update()
 
     def read_isr(self) -> int:
+        self.sync()
         self._update()
         busy = (
             _BUSY
@@ -192,12 +220,14 @@ class Usart(Device):
         return self.words["ISR"] | busy
 
     def write_icr(self, value: int) -> None:
+        self.sync()
         self._update()
         # Flags are cleared by bits in their own places (RM0431, interrupt flag clear register).
         self.words["ISR"] &= ~(value & 0x15F)
         self._update()
 
     def read_rdr(self) -> int:
+        self.sync()
         self.words["ISR"] &= ~_RXNE
         self._update()
         return self._received
@@ -215,32 +245,77 @@ class Usart(Device):
     # Receiving
 
     def _plan_arrival(self) -> None:
-        if self._arriving:
-            self._rx.set(self._arriving[0][0])
+        """The alarm for the next byte; where DMA takes it and nothing interrupts, it may be taken later."""
+        due = self._arriving[0][0] if self._arriving else None
+        quiet = self._takes_by_dma() and not self._interrupts()
+        if not quiet:
+            self._dma.wake(f"{self.name}_RX", self._rx, None)
+            if due is not None:
+                self._rx.set(due)
+        else:
+            self._dma.wake(f"{self.name}_RX", self._rx, due)
+
+    def _interrupts(self) -> int:
+        return self.words["CR1"] & self._own_interrupts[0] or self.words["CR3"] & self._own_interrupts[1]
+
+    def _takes_by_dma(self) -> bool:
+        on = self.words["CR1"] & 1 and self.get("CR1", "RE") and self._receives_by_dma()
+        return bool(on and not self.words["ISR"] & _RXNE and self._dma.available(f"{self.name}_RX"))
 
     def _arrive(self) -> None:
-        now, byte, sender, broken = self._arriving.pop(0)
+        """Take the bytes that have come."""
+        now, count = self.context.cycle, 0
+        if self._takes_by_dma():
+            own, sender = self.format, self._arriving[0][2]
+            for end, _, format, broken in self._arriving:
+                if end > now or format is not sender or broken:
+                    break
+                count += 1
+            if self._dma.circular(f"{self.name}_RX") and own.understands(sender):
+                self._take(count, own)
+        while self._arriving and self._arriving[0][0] <= now:
+            self._take_next()
         self._plan_arrival()
+
+    def _take(self, count: int, own: Format) -> None:
+        """The next bytes, in a format that is understood, go to memory."""
+        self._pins.expect(f"{self.name}_RX", f"{self.name} receives")
+        taken, self._arriving = self._arriving[:count], self._arriving[count:]
+        time = own.byte_cycles
+        for end, byte, sender, _ in taken:
+            if self._idle_at is not None and end - sender.byte_cycles >= self._idle_at:
+                self.words["ISR"] |= _IDLE
+            self._idle_at = end + time
+            self._received = self._with_parity(byte, own)
+        if taken:
+            self._dma.give(f"{self.name}_RX", [byte for _, byte, _, _ in taken])
+            self._update()
+
+    def _with_parity(self, byte: int, own: Format, broken: bool = False) -> int:
+        parity = byte.bit_count() & 1 ^ (own.parity == "O") ^ broken
+        return byte | (parity << own.data_bits if own.parity != "N" else 0)
+
+    def _take_next(self) -> None:
+        now, byte, sender, broken = self._arriving.pop(0)
         if not self.words["CR1"] & 1 or not self.get("CR1", "RE"):
-            self.lost += 1
+            self._lost += 1
             return
         self._pins.expect(f"{self.name}_RX", f"{self.name} receives")
         own = self.format
         flags = 0
         if not own.understands(sender):
-            self.mismatches += 1
+            self._mismatches += 1
             byte, flags = byte ^ 0xFF, _FE
         elif broken:
             flags = _PE if own.parity != "N" else _FE
         self._idle_at = now + own.byte_cycles
         if self.words["ISR"] & _RXNE:
-            self.lost += 1
+            self._lost += 1
             if not self.get("CR3", "OVRDIS"):
                 self.words["ISR"] |= _ORE
                 self._update()
                 return
-        parity = byte.bit_count() & 1 ^ (own.parity == "O") ^ broken
-        self._received = byte | (parity << own.data_bits if own.parity != "N" else 0)
+        self._received = self._with_parity(byte, own, broken)
         self.words["ISR"] |= flags | _RXNE
         if self._receives_by_dma() and self._dma.available(f"{self.name}_RX"):
             self._hand_over()
