@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
+import re
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from flash.client import Client, read_info
+from flash.client import Client, Info, read_info
 from flash.transport import TcpPort, TcpTransport
+from sim.board.board import Board
 from sim.trace import load_trace
-from toolchain.cli import fly_ports
+from toolchain.cli import fly_emulator, fly_ports
 from toolchain.cli.fly_emulator import STOPPED
 from toolchain.cli.main import main
-from toolchain.errors import LinkError
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -46,11 +49,27 @@ def fly(
     return run
 
 
-def free_port() -> int:
-    """A TCP port that nobody listens on."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[int], None]], list[str]]]:
+    """Runs a client in a thread of its own as soon as its TCP port is told; what was told."""
+    told: list[str] = []
+    threads: list[threading.Thread] = []
+
+    def expect(run: Callable[[int], None]) -> list[str]:
+        def say(words: str) -> None:
+            told.append(words)
+            found = re.search(r":(\d+)(?![\d.])", words)
+            assert found is not None
+            threads.append(threading.Thread(target=run, args=(int(found[1]),)))
+            threads[-1].start()
+
+        monkeypatch.setattr(fly_emulator, "say", say)
+        return told
+
+    yield expect
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
 
 
 def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
@@ -95,30 +114,21 @@ def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_sto
 
 
 def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
-    fly: Command, tmp_path: Path
+    fly: Command, client: Any, tmp_path: Path
 ) -> None:
-    port = free_port()
-    heard: list[Any] = []
+    heard: list[Info] = []
 
-    def ask() -> None:
-        transport = None
-        while transport is None:
-            try:
-                transport = TcpTransport(TcpPort("127.0.0.1", port))
-            except LinkError:
-                continue
-        with Client(transport) as client:
-            heard.append(read_info(client))
+    def ask(port: int) -> None:
+        with Client(TcpTransport(TcpPort("127.0.0.1", port))) as asking:
+            heard.append(read_info(asking))
 
-    client = threading.Thread(target=ask)
-    client.start()
+    told = client(ask)
     trace = tmp_path / "a.npz"
     settings = [f"--set={name}=500" for name in ("roll_rate", "roll_max")]
-    code, _, err = fly("--serial", f"tcp:{port}", *settings, "--trace", str(trace))
-    client.join(10)
+    code, _, _ = fly("--serial", "tcp", *settings, "--trace", str(trace))
     assert code == 0
-    assert f"USART1 at tcp:127.0.0.1:{port}" in err
-    assert heard and heard[0].policy.good
+    assert told[0].startswith("USART1 at tcp:127.0.0.1:")
+    assert heard and heard[0].policy is not None and heard[0].policy.good
     # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
 
@@ -126,14 +136,57 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
 def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text("[[segment]]\nduration_s = 0.05\nsetpoint_deg_s = [0, 0, 0]\n")
-    code, out, err = fly("--scenario", str(tmp_path / "short.toml"), str(other))
-    lines = out.splitlines()
+    both = ("--scenario", str(tmp_path / "short.toml"), str(other))
+    code, out, err = fly(*both, on="reference")
     assert (code, err) == (0, "")
-    assert [line.split()[:2] for line in lines if "flown, disarmed" in line] == [
+    assert [line.split()[:2] for line in out.splitlines() if "100.0 %" in line] == [
         ["short", "0.1"],
         ["other", "0.05"],
     ]
-    assert "sha256" in out and "real time" in out
+    documents = json.loads(fly(*both, "--json", on="reference")[1])
+    assert [(one["scenario"], list(one["flights"])) for one in documents] == [
+        ("short", ["firmware"]),
+        ("other", ["firmware"]),
+    ]
+
+
+@pytest.mark.prove
+def test_the_image_flies_what_make_emulate_flies_and_disarms_each_time(fly: Command) -> None:
+    names = ["roll", "flip", "sim/scenarios/split_s.toml", "pulses"]
+    code, out, _ = fly("--scenario", *names, "--count", "14")
+    assert code == 0
+    flown = [line.split()[0] for line in out.splitlines() if "flown, disarmed" in line]
+    assert flown == ["roll", "flip", "split_s", "pulses"]
+    assert "sha256" in out
+
+
+def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
+    client: Any, board_image: Path
+) -> None:
+    image = board_image.with_suffix(".bin")
+    board = Board(image.read_bytes(), elf=board_image)
+    start = board.engine.pc
+    heard: list[bytes] = []
+
+    def debug(port: int) -> None:
+        with socket.create_connection(("127.0.0.1", port), 10) as gdb:
+            gdb.sendall(b"$pf#d6")  # register 15, the program counter
+            while b"#" not in b"".join(heard):
+                heard.append(gdb.recv(64))
+            gdb.sendall(b"+$c#63")
+            while gdb.recv(64):  # until the board is gone
+                pass
+
+    told = client(debug)
+    with ExitStack() as ends:
+        args = argparse.Namespace(gdb=0, serial=None)
+        run_to = fly_emulator.attached(args, board, image, ends)
+        assert board.cycle == 0
+        run_to(10_000)
+        assert board.cycle >= 10_000
+    board.close()
+    assert str(board_image) in told[0]
+    assert start.to_bytes(4, "little").hex().encode() in b"".join(heard)
 
 
 @pytest.mark.parametrize(

@@ -83,8 +83,40 @@ def open_image(
         receiver=args.receiver,
         faults=[parse_fault(text) for text in args.fault],
         profile=args.profile is not None,
-        attach=lambda board: _attach(args, board, image, ends),
+        attach=lambda board: attached(args, board, image, ends),
     )
+
+
+def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
+    """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
+    from sim.board.context import TIME_HZ
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+
+    run_to: Callable[[int], None] = board.run_to
+    if args.gdb is not None:
+        server = GdbServer(board.engine, args.gdb)
+        ends.callback(server.close)
+        elf = image.with_suffix(".elf")
+        say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
+        server.wait()
+        run_to = server.run_to
+    serial = _serial(args.serial)
+    if serial is None:
+        return run_to
+    kind, port = serial
+    end = PtyEnd() if kind == "pty" else TcpEnd(port)
+    bridge = Bridge(UartLine(board), end)
+    ends.callback(bridge.close)
+    say(f"USART1 at {end.name}, 115200 baud")
+
+    def run_with_line(cycle: int) -> None:
+        while board.cycle < cycle:
+            until = min(cycle, board.cycle + round(SLICE_S * TIME_HZ))
+            bridge.exchange(until - board.cycle)
+            run_to(until)
+
+    return run_with_line
 
 
 def emulator_document(report: EmulatedReport) -> dict[str, Any]:
@@ -153,37 +185,5 @@ def _serial(text: str | None) -> tuple[str, int] | None:
     return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
 
 
-def _attach(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
-    """Put debugger and serial line before the board; both wait for nobody but gdb."""
-    from sim.board.context import TIME_HZ
-    from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
-
-    run_to: Callable[[int], None] = board.run_to
-    if args.gdb is not None:
-        server = GdbServer(board.engine, args.gdb)
-        ends.callback(server.close)
-        elf = image.with_suffix(".elf")
-        _say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
-        server.wait()
-        run_to = server.run_to
-    serial = _serial(args.serial)
-    if serial is None:
-        return run_to
-    kind, port = serial
-    end = PtyEnd() if kind == "pty" else TcpEnd(port)
-    bridge = Bridge(UartLine(board), end)
-    ends.callback(bridge.close)
-    _say(f"USART1 at {end.name}, 115200 baud")
-
-    def run_with_line(cycle: int) -> None:
-        while board.cycle < cycle:
-            until = min(cycle, board.cycle + round(SLICE_S * TIME_HZ))
-            bridge.exchange(until - board.cycle)
-            run_to(until)
-
-    return run_with_line
-
-
-def _say(words: str) -> None:
+def say(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
