@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 from training.dissertation import PRINTED_TIMING, Timing
 from training.markdown import number, table
 from training.stored import Stored
 
+PAGE_WIDTH = 108
 NAMES = {"policy": "policy", "pid": "PID"}
 
 
@@ -15,22 +18,20 @@ def timing_section(stored: Stored) -> str:
     tables: dict[str, list[tuple[str, ...]]] = {}
     for entry in stored.entries("board_timing"):
         tables.setdefault(entry.text("work"), []).append(_row(stored, entry, core_hz))
-    priced = stored.get("model") is not None
-    parts = [
-        f"## Timing on the board, {stored.text('aircraft')}",
-        ABOUT.format(
-            count=f"{stored.number('count'):.0f}",
-            image=stored.text("image_sha256")[:12],
-            cycles=ABOUT_CYCLES.format(
-                model=stored.text("model"), device=f"{stored.number('device_cycles'):.0f}"
-            )
-            if priced
-            else f"No cycles: {stored.text('predicted_cycles_reason')}.",
-            mhz=f"{core_hz / 1e6:g}",
-            interruptions=f"{stored.number('interruptions'):,.0f}",
-            edge=f"{stored.number('edge_instructions', 'worst'):.0f}",
-        ),
-    ]
+    if stored.get("model") is None:
+        cycles = f"No cycles: {stored.text('predicted_cycles_reason')}."
+    else:
+        device = f"{stored.number('device_cycles'):.0f}"
+        cycles = ABOUT_CYCLES.format(model=stored.text("model"), device=device)
+    about = ABOUT.format(
+        count=f"{stored.number('count'):.0f}",
+        image=stored.text("image_sha256")[:12],
+        cycles=cycles,
+        mhz=f"{core_hz / 1e6:g}",
+        interruptions=f"{stored.number('interruptions'):,.0f}",
+        edge=f"{stored.number('edge_instructions', 'worst'):.0f}",
+    )
+    parts = [f"## Timing on the board, {stored.text('aircraft')}", fill(about, PAGE_WIDTH)]
     headings = ("runs", "instructions", "predicted cycles", "µs", "variability, %")
     for work, rows in tables.items():
         printed = [_printed(timing) for timing in PRINTED_TIMING if timing.work == work]
