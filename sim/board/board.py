@@ -25,6 +25,7 @@ from sim.board.hot import BoardEngine, Hot
 from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
 from sim.board.hot_esc import HotEsc
 from sim.board.hot_gyro import HotGyroChip
+from sim.board.inspection import Inspection
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
 from sim.board.pwr import Pwr
@@ -85,13 +86,14 @@ class Hardware:
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
         self.iwdg = Iwdg(context)
+        self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
         esc_type = HotEsc if engine else Esc
         self.escs = tuple(esc_type(number, self._fail) for number in range(1, len(MOTORS) + 1))
         self._hears_frame: Callable[[Frame], None] = lambda frame: None
         self.registers = Registers(context)
         for device in self._devices():
             self.registers.add(device)
-        companions: tuple[Companion, ...] = (self.gyro, *self.escs)
+        companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.hot: Hot | None = None
@@ -192,6 +194,7 @@ class Hardware:
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
             self.gyro.power_on()
+        self.inspection.restart()
         for esc in self.escs:
             esc.silence(cause == "power")
 
