@@ -35,7 +35,8 @@ HERE = Path(__file__).parent
 SOURCES = tuple(sorted(HERE.glob("engine*.c")))
 HEADERS = tuple(sorted(HERE.glob("engine*.h")))
 CACHE = HERE.parents[1] / "build" / "engine"
-FLAGS = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
+FLAGS = ("-std=c11", "-O2", "-fno-semantic-interposition", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
+WHOLE = ("-flto",)  # across files, where the compiler brings all that it takes
 COMPILERS = ("cc", "gcc", "clang")
 
 ReadCallback = CFUNCTYPE(c_uint32, c_uint32, c_uint32, c_uint32)
@@ -131,11 +132,13 @@ def build_library(folder: Path) -> Path:
     if compiler is None:
         raise BuildError("the emulated board needs a C compiler of this machine, found none; install gcc")
     include, shared = _unicorn()
-    target = folder / f"engine-{_key(compiler, shared)}.so"
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
+    flags = FLAGS + WHOLE if "Free Software Foundation" in version else FLAGS
+    target = folder / f"engine-{_key(compiler, version, flags, shared)}.so"
     if target.is_file():
         return target
     with replacing(target) as aside:
-        command = [compiler, *FLAGS, f"-I{include}", *map(str, SOURCES), str(shared)]
+        command = [compiler, *flags, f"-I{include}", *map(str, SOURCES), str(shared)]
         command += [f"-Wl,-rpath,{shared.parent}", "-o", str(aside)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode != 0:
@@ -159,9 +162,8 @@ def _shared(folder: Path) -> Iterator[Path]:
     yield from sorted(folder.glob("libunicorn*.dylib"))
 
 
-def _key(compiler: str, shared: Path) -> str:
-    version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
-    digest = hashlib.sha256(f"{compiler}\n{version}\n{shared}\n{unicorn.__version__}\n{FLAGS}".encode())
+def _key(compiler: str, version: str, flags: tuple[str, ...], shared: Path) -> str:
+    digest = hashlib.sha256(f"{compiler}\n{version}\n{shared}\n{unicorn.__version__}\n{flags}".encode())
     for source in (*SOURCES, *HEADERS):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

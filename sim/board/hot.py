@@ -49,6 +49,7 @@ ASK_ASLEEP = 12
 _STREAM_WORDS = ("CR", "NDTR", "PAR", "M0AR", "M1AR", "FCR")
 _DRAIN = 64  # in place of a source
 _MOTORS = 8  # MOTORS of engine_hot.h
+_SILENT = round(SILENT_S * TIME_HZ)  # [cycles]
 
 _Refuse = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32, c_uint32)
 _Judge = CFUNCTYPE(c_int, c_uint32, c_uint32, c_uint32, c_uint32)
@@ -170,6 +171,7 @@ class Hot:
         self._escs: dict[tuple[int, int], HotEsc] = {}
         self.listening = False  # somebody wants to hear of every frame
         self._obeyed = np.zeros(_MOTORS, np.uint16)
+        self._obeyed_at = self._obeyed.ctypes.data
         self.clocks = Clocks(16_000_000, 16_000_000, 16_000_000, 16_000_000, 16_000_000)
         for name, (result, *arguments) in _SIGNATURES.items():
             function = getattr(self.library, f"hot_{name}")
@@ -227,9 +229,8 @@ class Hot:
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
         """What the ESCs of the first `count` motors obey now."""
-        values = self._obeyed
-        self.library.hot_obeyed(self.handle, count, round(SILENT_S * TIME_HZ), values.ctypes.data)
-        return values[:count].copy()
+        self.library.hot_obeyed(self.handle, count, _SILENT, self._obeyed_at)
+        return self._obeyed[:count].copy()
 
     def drain(self) -> None:
         """Tell of the frames that C has taken."""
