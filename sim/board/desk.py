@@ -160,6 +160,7 @@ def configured(image: Path, settings: Mapping[str, float]) -> bytes:
             asked.set(name, value)
         asked.save()
         desk.board.reset()
+        asked = Settings(desk.client(settings.get("msp_baud", MSP_BAUD_DEFAULT)))
         for name, value in settings.items():
             if (got := asked.get(name)) != (wanted := as_stored(name, value)):
                 raise LinkError(f"{image}: setting {name} is {got:g} after a reset, {wanted:g} was stored")

@@ -124,10 +124,10 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
 
     told = client(ask)
     trace = tmp_path / "a.npz"
-    settings = [f"--set={name}=500" for name in ("roll_rate", "roll_max")]
+    settings = [f"--set={change}" for change in ("roll_rate=500", "roll_max=500", "msp_baud=921600")]
     code, _, _ = fly("--serial", "tcp", *settings, "--trace", str(trace))
     assert code == 0
-    assert told[0].startswith("USART1 at tcp:127.0.0.1:")
+    assert told[0].startswith("USART1 at tcp:127.0.0.1:") and told[0].endswith(", 921600 baud")
     assert heard and heard[0].policy is not None and heard[0].policy.good
     # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)

@@ -89,9 +89,12 @@ def open_image(
 
 def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
     """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
+    from flash.settings import parse_change
     from sim.board.context import TIME_HZ
     from sim.board.gdb import GdbServer
     from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+    from sim.board.usart import Format
+    from toolchain.contract import MSP_BAUD_DEFAULT
 
     run_to: Callable[[int], None] = board.run_to
     if args.gdb is not None:
@@ -106,9 +109,10 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
         return run_to
     kind, port = serial
     end = PtyEnd() if kind == "pty" else TcpEnd(port)
-    bridge = Bridge(UartLine(board), end)
+    baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
+    bridge = Bridge(UartLine(board, format=Format(baud)), end)
     ends.callback(bridge.close)
-    say(f"USART1 at {end.name}, 115200 baud")
+    say(f"USART1 at {end.name}, {baud:.0f} baud")
 
     def run_with_line(cycle: int) -> None:
         while board.cycle < cycle:
