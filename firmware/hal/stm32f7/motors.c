@@ -164,11 +164,11 @@ void motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 		for (uint32_t motor = 0; motor < bank->width; ++motor) {
 			const uint32_t index = bank->first + motor;
 			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry);
+			const uint32_t one = pulses[i].one, zero = pulses[i].zero, width = bank->width;
+			uint32_t *slot = bank->slots + motor;
 
-			for (uint32_t bit = 0; bit < FRAME_BITS; ++bit) {
-				const bool high = (frame >> (FRAME_BITS - 1u - bit) & 1u) != 0u;
-				bank->slots[bit * bank->width + motor] = high ? pulses[i].one : pulses[i].zero;
-			}
+			for (uint32_t bit = 1u << (FRAME_BITS - 1u); bit != 0u; bit >>= 1, slot += width)
+				*slot = (frame & bit) != 0u ? one : zero;
 		}
 		send(bank);
 	}
