@@ -272,7 +272,7 @@ static void drop_block(struct engine *e, uint32_t row)
 /* The counts of blocks that are still in use, into the books. */
 void count_all(struct engine *e)
 {
-	for (uint32_t row = 0; row < CODE_HALFWORDS; ++row)
+	for (uint32_t row = 0; row < e->block_rows; ++row)
 		if (e->blocks[row] != NULL)
 			count_block(e, e->blocks[row]);
 }
@@ -284,6 +284,8 @@ static struct block *find_block(struct engine *e, uint32_t start, uint32_t size,
 	if (*place != NULL && (*place)->size == size && (*place)->opening == opening)
 		return *place;
 	drop_block(e, e->code);
+	if (e->code >= e->block_rows)
+		e->block_rows = e->code + 1u;
 	*place = block_decode(host(e, start, size), size, opening);
 	if (*place != NULL)
 		(*place)->code = e->code;
@@ -388,7 +390,7 @@ uc_err hooks_add(struct engine *e)
 void forget_code(struct engine *e)
 {
 	e->code_changed = false;
-	for (uint32_t row = 0; row < CODE_HALFWORDS; ++row)
+	for (uint32_t row = 0; row < e->block_rows; ++row)
 		drop_block(e, row);
 	uc_ctl_flush_tb(e->uc);
 	uc_ctl_flush_tlb(e->uc);

@@ -247,6 +247,7 @@ struct engine {
 	uint32_t last_pc;            /* where it stood when it failed */
 
 	struct block **blocks;       /* CODE_HALFWORDS */
+	uint32_t block_rows;         /* of them, the first ones, that may hold any */
 	uint64_t *enters, *leaves;   /* CODE_HALFWORDS + 1: counts by differences */
 
 	struct window windows[WINDOW_MAX];
