@@ -124,7 +124,8 @@ class EmulatedPort:
             self._run_to = attach(self.board)
             self._inject()
             self._edge = self._boot()  # the cycle of the edge that the firmware reads next
-            self._up, self._resets = True, len(self.board.engine.resets)
+            self._note_resets()
+            self._up = True
             self.gyro_rate_hz = int(self._read(_RATE))
             self.motor_count = int(self._read(_STATUS)["trace"]["motor_count"])
             if self.gyro_rate_hz != gyro_rate_hz:
@@ -283,11 +284,7 @@ class EmulatedPort:
 
     def _reply_in_trouble(self, values: NDArray[np.uint16]) -> Reply:
         """Likewise, of a firmware that may be in the middle of a boot, or stand for good."""
-        engine = self.board.engine
-        while self._resets < len(engine.resets):
-            self._happened(f"reset: {engine.resets[self._resets]}", stops=self._armed)
-            self._up, self._armed, self._resets = False, False, self._resets + 1
-            self._state = FlightState.BOOT
+        self._note_resets()
         if not self._up and self._listens():
             self._up = True
             self._happened("the firmware has booted and reads its gyro")
@@ -312,6 +309,13 @@ class EmulatedPort:
         if (state != before or stops) and (self._armed_at is not None or self._plan.begun):
             cause = f": {StopCause(int(status['stop_cause'])).name}" if stops else ""
             self._happened(f"{state.name}{cause}", stops=stops)
+
+    def _note_resets(self) -> None:
+        resets = self.board.engine.resets
+        while self._resets < len(resets):
+            self._happened(f"reset: {resets[self._resets]}", stops=self._armed)
+            self._up, self._armed, self._resets = False, False, self._resets + 1
+            self._state = FlightState.BOOT
 
     def _inject(self) -> None:
         """Let the faults come whose time it is."""

@@ -113,6 +113,19 @@ def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_sto
     assert "never came brown-out@9" in words
 
 
+def test_what_the_board_does_not_forgive_is_one_line_when_the_image_does_it(
+    fly: Command, board_image: Path, tmp_path: Path
+) -> None:
+    image = bytearray(board_image.with_suffix(".bin").read_bytes())
+    image[4:8] = (0x08070001).to_bytes(4, "little")  # the boot part's reset vector: into erased flash
+    for name in ("neuroflight.elf", "report.json"):
+        (tmp_path / name).write_bytes((board_image.parent / name).read_bytes())
+    (tmp_path / "neuroflight.bin").write_bytes(image)
+    code, out, err = fly("--build", str(tmp_path))
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith("neuroflight: ") and "0x08070000" in err
+
+
 def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
     fly: Command, client: Any, tmp_path: Path
 ) -> None:

@@ -177,6 +177,7 @@ def test_a_moment_is_flown_on_to_the_bit_when_it_is_restored(drill: Drill) -> No
 def test_it_boots_when_power_goes_at_a_flash_operation_of_the_boot(image: Path) -> None:
     port = EmulatedPort(image, faults=[parse_fault("flash-cut=3@boot")])
     assert port.board.engine.resets == ["power", "power"]
+    assert [event.what for event in port.events] == ["fault flash-cut=3@boot", "reset: power"]
     port.close()
 
 
