@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.cli.fly_emulator import add_emulator_arguments, check_emulator, exit_code
+from toolchain.cli.fly_emulator import add_emulator_arguments, check_emulator, emulator_words, exit_code
 from toolchain.cli.fly_output import Flown, conditions, document, print_flight, print_several
 from toolchain.cli.fly_ports import Entry, open_firmware, open_pid, quiet
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         save_plot(args.plot, flights, title)
     if args.report:
-        save_report(args.report, flights, title, note)
+        save_report(args.report, flights, title, note + emulator_words(flown[0].report))
     if args.json:
         print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
     else:

@@ -133,6 +133,11 @@ def exit_code(args: argparse.Namespace, report: EmulatedReport | None) -> int:
     return STOPPED if args.fault and report is not None and report.stopped_s is not None else 0
 
 
+def emulator_words(report: EmulatedReport | None) -> str:
+    """For the line below a page's title."""
+    return "" if report is None else f"; {report.outcome}; image sha256 {report.sha256}"
+
+
 def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
     """Label and text of each line."""
     waited = f"; {report.gyro_wait_place}" if report.gyro_wait_place else ""
