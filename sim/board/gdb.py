@@ -54,6 +54,16 @@ class GdbServer:
         self._client.setblocking(True)
         self._halted = True
 
+    @property
+    def holds(self) -> bool:
+        """Whether the debugger keeps the core from running."""
+        return self._halted
+
+    def look(self) -> None:
+        """Take up a debugger that has come since; it finds the core halted. Waits for none."""
+        if self._client is None and select.select([self._listener], [], [], 0)[0]:
+            self.wait()
+
     def close(self) -> None:
         """No debugger any more; the core runs free."""
         self._leave()

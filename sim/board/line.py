@@ -55,6 +55,11 @@ class UartLine:
         return self._usart.mismatches
 
     @property
+    def board_format(self) -> Format:
+        """What the board speaks and understands. Raises BoardError before it has set up its UART."""
+        return self._usart.format
+
+    @property
     def pending(self) -> int:
         """Bytes on their way to the board."""
         return self._usart.arriving

@@ -33,6 +33,7 @@ COMMANDS = {
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",
     "fly": "fly a firmware against the twin and print tracking figures",
+    "board": "run the image on an emulated board on the desk, for other programs to talk to",
     "twin": "measure what a twin should know of the real aircraft",
     "aircraft": "check and draw an aircraft file",
     "msp": "ask a running firmware over MSP",

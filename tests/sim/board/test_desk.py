@@ -55,6 +55,14 @@ def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) ->
     desk.close()
 
 
+def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> None:
+    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
+    desk.boot()
+    assert desk.board.cycle < TIME_HZ
+    assert desk.client().request(Msp.FC_VARIANT, retries=0) == b"NRFL"
+    desk.close()
+
+
 def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: Path) -> None:
     flash = configured(image, {"gyro_rate_hz": 8000, "roll_expo": 0.1, "filter1_kind": 5})
     assert len(flash) == FLASH_BYTES

@@ -1,0 +1,229 @@
+"""`neuroflight board`: the image on an emulated board that lies on the desk and talks to other programs."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import signal
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.board.desk import Desk
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, End
+
+BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
+PORT_MAX = 65535
+BAUD_MAX = 10_000_000
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+VOLTS_DEFAULT, VOLTS_MAX = 16.8, 36.0  # four cells, full; what the converter's pin can see
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is flashed, how it is reached, and what is kept."""
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--image", type=Path, metavar="FILE.bin", help="what is flashed")
+    what.add_argument("--build", type=Path, metavar="DIR", help="its build; default: build/MATEKF722")
+    parser.add_argument(
+        "--serial",
+        default="pty",
+        metavar="pty|tcp[:PORT]",
+        help="where programs find UART1, which speaks MSP: a pseudo terminal, or TCP on this computer",
+    )
+    parser.add_argument(
+        "--baud",
+        type=int,
+        default=MSP_BAUD_DEFAULT,
+        metavar="N",
+        help=f"speed of that line; default {MSP_BAUD_DEFAULT}, as the setting msp_baud",
+    )
+    parser.add_argument("--gdb", type=int, metavar="PORT", help="let gdb in there, at any time; 0: any port")
+    parser.add_argument(
+        "--flash",
+        type=Path,
+        metavar="FILE",
+        help="keep settings, policies and fault log here between two runs; the image is always the one given",
+    )
+    parser.add_argument(
+        "--volts",
+        type=float,
+        default=VOLTS_DEFAULT,
+        metavar="V",
+        help=f"of the battery; default {VOLTS_DEFAULT}",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="N",
+        help="of the board's time, from its boot on; default: until Ctrl-C",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the end. Returns 0; raises BoardError for what the image does wrong."""
+    kind, port = _serial(args.serial)
+    _check(args)
+    image = args.image or (args.build or BUILD) / "neuroflight.bin"
+    if not image.is_file():
+        raise NeuroflightError(f"{image}: there is no image; build it with `make firmware TARGET=MATEKF722`")
+
+    from sim.board.desk import Desk, Keeper, serve, with_image
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+    from sim.board.usart import Format
+
+    kept = _kept(args.flash)
+    elf = image.with_suffix(".elf")
+    with ExitStack() as ends:
+        end = PtyEnd() if kind == "pty" else TcpEnd(port)
+        ends.callback(end.close)
+        desk = Desk(
+            with_image(image.read_bytes(), kept), elf=elf if elf.is_file() else None, volts=args.volts
+        )
+        ends.callback(desk.close)
+        keeper = Keeper(desk, lambda content: _keep(args.flash, content))
+        if args.flash is not None and kept is None:
+            _keep(args.flash, desk.flash())
+        ends.callback(keeper.look, at_once=True)
+        desk.boot()  # what is sent before would be lost
+        bridge = Bridge(UartLine(desk.board, format=Format(args.baud)), end)
+        ends.callback(bridge.close)
+        debugger = None
+        if args.gdb is not None:
+            debugger = GdbServer(desk.board.engine, args.gdb)
+            ends.callback(debugger.close)
+            desk.run_core = debugger.run_to
+        interrupt = ends.enter_context(_Interrupt(debugger))
+        _tell(image, args.baud, end, debugger)
+        watch = _SpeedWatch(bridge)
+
+        def look() -> None:
+            interrupt.look()
+            keeper.look()
+            watch.look()
+            if debugger is not None:
+                debugger.look()
+
+        try:
+            serve(desk, [bridge], seconds=args.seconds, look=look)
+        except KeyboardInterrupt:
+            print(flush=True)  # behind the terminal's ^C
+        print(_summary(desk), flush=True)
+    return 0
+
+
+class _Interrupt:
+    """Ctrl-C and SIGTERM end the run between two slices of the board's: inside one they would be lost."""
+
+    def __init__(self, debugger: GdbServer | None) -> None:
+        self._debugger = debugger
+        self._came = False
+
+    def __enter__(self) -> _Interrupt:
+        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def look(self) -> None:
+        """Raise KeyboardInterrupt if one has come."""
+        if self._came:
+            raise KeyboardInterrupt
+
+    def _note(self, number: int, frame: object) -> None:
+        self._came = True
+        if self._debugger is not None and self._debugger.holds:
+            raise KeyboardInterrupt  # no slice is run, and none will be
+
+
+class _SpeedWatch:
+    """Says once that both ends of the line run at different speeds."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._line = bridge.line
+        self._said = False
+
+    def look(self) -> None:
+        line = self._line
+        if not self._said and line.refused + line.framing_errors:
+            self._said = True
+            print(
+                f"the board's line runs at {line.board_format.baud:.0f} baud, this end at "
+                f"{line.format.baud:.0f}: nobody understands anything; end this and give --baud as "
+                f"the setting msp_baud",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def _serial(text: str) -> tuple[str, int]:
+    """Kind of end and TCP port."""
+    found = re.fullmatch(r"(pty)|tcp(?::(\d{1,5}))?", text)
+    if found is None or int(found[2] or 0) > PORT_MAX:
+        raise NeuroflightError(f"--serial: got {text!r}, expected pty, tcp or tcp:PORT")
+    return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
+
+
+def _check(args: argparse.Namespace) -> None:
+    if not 1 <= args.baud <= BAUD_MAX:
+        raise NeuroflightError(f"--baud: got {args.baud}, expected 1 to {BAUD_MAX}")
+    if args.gdb is not None and not 0 <= args.gdb <= PORT_MAX:
+        raise NeuroflightError(f"--gdb: got {args.gdb}, expected a port of 0 to {PORT_MAX}, 0 for any")
+    if not 0.0 <= args.volts <= VOLTS_MAX:
+        raise NeuroflightError(f"--volts: got {args.volts:g}, expected 0 to {VOLTS_MAX:g}")
+    if args.seconds is not None and not (math.isfinite(args.seconds) and args.seconds > 0.0):
+        raise NeuroflightError(f"--seconds: got {args.seconds:g}, expected a number above 0")
+
+
+def _kept(path: Path | None) -> bytes | None:
+    """What the file holds; None: there is none yet."""
+    if path is None or not path.exists():
+        return None
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size == FLASH_BYTES else b""
+    except OSError as error:
+        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be read") from None
+    if len(data) != FLASH_BYTES:
+        raise NeuroflightError(
+            f"--flash {path}: {size} bytes, expected the {FLASH_BYTES} of a flash that this command has "
+            f"kept; it is left alone, name another one"
+        )
+    return data
+
+
+def _keep(path: Path | None, content: bytes) -> None:
+    from toolchain.files import write_bytes
+
+    if path is None:
+        return
+    try:
+        write_bytes(path, content)
+    except OSError as error:
+        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
+
+
+def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
+    print(f"board  {image}")
+    print(f"MSP    {end.name}, {baud} baud; neuroflight msp --port {end.name} info")
+    if debugger is not None:
+        elf = image.with_suffix(".elf")
+        print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -ex 'target remote :{debugger.port}' {elf}")
+    print("Ctrl-C ends it", flush=True)
+
+
+def _summary(desk: Desk) -> str:
+    from sim.board.context import TIME_HZ
+
+    report = desk.board.report()
+    resets = ", ".join(report.resets[1:]) or "none"
+    return f"{report.cycles / TIME_HZ:.1f} s on the board, resets: {resets}"
