@@ -35,7 +35,7 @@ class AdcCommon(Device):
 class Adc(Device):
     """ADC1, started by software, once or continuously."""
 
-    kept = ("_pins_v", "_on_at", "_running", "_next", "_at", "_apb2", "_stalled")
+    kept = ("_pins_v", "_on_at", "_running", "_next", "_at", "_apb2", "_stalled", "_same")
 
     def __init__(self, context: Context, common: AdcCommon, dma: DmaSystem, pins: Pins) -> None:
         super().__init__(context, "ADC1")
@@ -55,6 +55,7 @@ class Adc(Device):
         self._stalled = False  # DMA asked for no more, or came too late
         self._at = 0  # cycle at which the conversion under way began
         self._next = 0  # place of that conversion in the sequence
+        self._same = 0  # conversions to memory since anything changed
 
     def reset(self) -> None:
         super().reset()
@@ -80,6 +81,7 @@ class Adc(Device):
         if self._pins_v.get(channel) != volts:
             self.sync()
             self._pins_v[channel] = volts
+            self._changed()
 
     # What the image reads and writes
 
@@ -103,7 +105,7 @@ class Adc(Device):
     def write_cr1(self, value: int) -> None:
         self.sync()
         self.keep("CR1", value)
-        self._plan()
+        self._changed()
 
     def write_cr2(self, value: int) -> None:
         self.sync()
@@ -118,7 +120,7 @@ class Adc(Device):
             self._running = self._running and self._next != 0
         if start:
             self._start()
-        self._plan()
+        self._changed()
 
     def _start(self) -> None:
         fail, now = self.context.fail, self.context.cycle
@@ -154,7 +156,7 @@ class Adc(Device):
         words = self.words
         key = (*(words[name] for name in _TIMING), self._common.divider, self._apb2)
         if key != self._order[0]:
-            sequence = self._sequence()
+            sequence, self._same = self._sequence(), 0
             self._order = (key, sequence, [self._cycles(channel) for channel in sequence])
         return self._order[2]
 
@@ -193,9 +195,15 @@ class Adc(Device):
         self._at = self.context.cycle - left
         if ended:
             self._deliver(ended)
+            self._same += len(ended)
+            self._plan()
 
     def dma_changed(self) -> None:
         self.sync()
+        self._changed()
+
+    def _changed(self) -> None:
+        self._same = 0
         self._plan()
 
     def _deliver(self, codes: list[int]) -> None:
@@ -216,6 +224,7 @@ class Adc(Device):
 
     def _plan(self) -> None:
         self._alarm.cancel()
+        self._dma.wake("ADC1", self._alarm, None)
         if not self._running:
             return
         times = self._times()
@@ -229,11 +238,19 @@ class Adc(Device):
             return
         rounds, rest = divmod(wanted, len(times))
         cycles = rounds * sum(times) + sum(times[(self._next + i) % len(times)] for i in range(rest))
-        self._alarm.set(self._at + cycles)
+        if self.get("CR2", "DMA") and not self.get("CR1", "OVRIE"):
+            self._dma.wake("ADC1", self._alarm, self._at + cycles, quiet=self._writes_the_same(len(times)))
+        else:
+            self._alarm.set(self._at + cycles)
+
+    def _writes_the_same(self, places: int) -> bool:
+        """Does every further conversion write what its place in memory holds already?"""
+        total = self._dma.total("ADC1")
+        endless = self._dma.circular("ADC1") and self.get("CR2", "DDS")
+        return bool(endless and self._same >= total + places and total % places == 0)
 
     def _wake(self) -> None:
         self.sync()
-        self._plan()
 
     def _update_irq(self) -> None:
         status = self.words["SR"]

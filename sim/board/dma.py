@@ -117,6 +117,10 @@ class Dma(Device):
         """Items that the stream moves before it ends or begins anew."""
         return self._totals[stream] - self._moved[stream]
 
+    def total(self, stream: int) -> int:
+        """Items of the transfer under way."""
+        return self._totals[stream]
+
     @property
     def sources(self) -> list[tuple[str, ...]]:
         """The requests that drive each enabled stream."""
@@ -397,15 +401,21 @@ class DmaSystem:
         found = self._streams.get(source)
         return found[0].available(found[1]) if found else 0
 
-    def wake(self, source: str, alarm: Alarm, cycle: int | None) -> None:
+    def wake(self, source: str, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
         """At `cycle` the driver of `source` has something to move: `alarm` rings then; None: it has nothing.
 
-        Where nobody could notice until then, it may be asked to `sync` instead when the program looks.
+        quiet: nobody could notice but by looking at DMA's registers or the driver's. Then it may be asked to
+        `sync` instead, when the program does.
         """
         if cycle is None:
             alarm.cancel()
         else:
             alarm.set(cycle)
+
+    def total(self, source: str) -> int:
+        """Items of the whole transfer for `source`; 0: no stream is enabled."""
+        found = self._streams.get(source)
+        return found[0].total(found[1]) if found else 0
 
     def until_flag(self, source: str) -> int:
         """Items until the stream that serves `source` raises its next flag; 0: none is enabled."""

@@ -144,6 +144,7 @@ struct hot_state {
 	struct stream streams[2][STREAMS];
 	int16_t stream_of[SOURCES];
 	uint32_t source_alarms[SOURCES];
+	uint64_t quiet; /* sources of Python whose moves nobody could notice but by looking */
 	uint64_t due[SOURCES]; /* of Python's sources: cycle at which there is something to move; NEVER: nothing */
 	struct timer timers[TIMERS];
 	uint8_t sending[FIFO_BYTES + 1], received[FIFO_BYTES];

@@ -48,7 +48,8 @@ void stream_unlink(struct hot *h, uint32_t controller, uint32_t stream)
 
 static void source_sync(struct hot *h, uint32_t source)
 {
-	h->s.due[source] = NEVER; /* it says anew */
+	if (now(h) >= h->s.due[source])
+		h->s.due[source] = NEVER; /* it says anew */
 	h->source(source, true);
 }
 
@@ -85,23 +86,39 @@ static void drive_for(struct hot *h, uint32_t controller, uint32_t stream)
 		stream_sync(h, controller, stream);
 }
 
-/* An alarm is only for what interrupts: otherwise the driver is asked when the program looks. */
+/* An alarm is for what interrupts or can be noticed: otherwise the driver is asked when the program looks. */
 static void source_plan(struct hot *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
-	const bool interrupts =
-		place < 0 || (stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+	const bool rings =
+		place < 0 || (h->s.quiet >> source & 1u) == 0u || (stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
 
 	if (h->s.source_alarms[source] != UINT32_MAX)
-		engine_set_alarm(h->e, h->s.source_alarms[source], interrupts ? h->s.due[source] : NEVER);
+		engine_set_alarm(h->e, h->s.source_alarms[source], rings ? h->s.due[source] : NEVER);
 }
 
 /* At `cycle` a source of Python will have something to move. */
-void hot_wake(struct hot *h, uint32_t source, uint32_t alarm, uint64_t cycle)
+void hot_wake(struct hot *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet)
 {
+	const uint64_t bit = UINT64_C(1) << source;
+
 	h->s.due[source] = cycle;
+	h->s.quiet = quiet ? h->s.quiet | bit : h->s.quiet & ~bit;
 	h->s.source_alarms[source] = alarm;
 	source_plan(h, source);
+}
+
+/* Before flags are read. Of a quiet stream that goes round and round they stay as they are once both are up. */
+static void flags_sync(struct hot *h, uint32_t controller, uint32_t stream)
+{
+	const int32_t source = h->s.streams[controller][stream].sources[0];
+	const uint32_t flags = words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> flag_shift(stream);
+	const bool rounds = (stream_words(h, controller, stream)[0] & CR_CIRC) != 0u;
+
+	if (source >= PYTHON_SOURCE && rounds && (h->lazy & h->s.quiet) >> source & 1u &&
+	    (flags & (FLAG_HT | FLAG_TC)) == (FLAG_HT | FLAG_TC))
+		return;
+	stream_sync(h, controller, stream);
 }
 
 /* All streams of a controller have moved what they have until now. */
@@ -122,6 +139,13 @@ uint32_t hot_until_flag(struct hot *h, uint32_t source)
 	const uint32_t half = s->total - s->total / 2u;
 
 	return (s->moved < half ? half : s->total) - s->moved;
+}
+
+uint32_t hot_total(struct hot *h, uint32_t source)
+{
+	const int16_t place = h->s.stream_of[source];
+
+	return place < 0 ? 0 : h->s.streams[place / STREAMS][place % STREAMS].total;
 }
 
 uint32_t hot_available(struct hot *h, uint32_t source)
@@ -313,7 +337,7 @@ uint32_t dma_read(struct hot *h, uint32_t device, uint32_t slot)
 
 	if (slot == LISR || slot == HISR) {
 		for (uint32_t i = 0; i < 4u; ++i)
-			stream_sync(h, controller, i + (slot == HISR ? 4u : 0u));
+			flags_sync(h, controller, i + (slot == HISR ? 4u : 0u));
 	} else if (slot >= S_CR && (slot - S_CR) % S_STEP == 0u) {
 		if (stream_may_have_ended(h, controller, (slot - S_CR) / S_STEP))
 			stream_sync(h, controller, (slot - S_CR) / S_STEP);

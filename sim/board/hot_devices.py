@@ -219,11 +219,15 @@ class HotDmaSystem(DmaSystem):
         assert self._hot is not None
         return int(self._hot.library.hot_available(self._hot.handle, self._ids[source]))
 
-    def wake(self, source: str, alarm: Alarm, cycle: int | None) -> None:
+    def total(self, source: str) -> int:
+        assert self._hot is not None
+        return int(self._hot.library.hot_total(self._hot.handle, self._ids[source]))
+
+    def wake(self, source: str, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
         assert self._hot is not None
         assert isinstance(alarm, EngineAlarm)
         when = NEVER if cycle is None else cycle
-        self._hot.library.hot_wake(self._hot.handle, self._ids[source], alarm.number, when)
+        self._hot.library.hot_wake(self._hot.handle, self._ids[source], alarm.number, when, quiet)
 
     def until_flag(self, source: str) -> int:
         assert self._hot is not None
