@@ -1,0 +1,256 @@
+"""Mistakes with the core: memory, interrupts, faults and flash."""
+
+from __future__ import annotations
+
+from tests.sim.board.mutants.mutant import Mutant
+
+GYRO = "hal/stm32f7/gyro_chip.c"
+HAL = "hal/stm32f7/hal.c"
+FLASH = "hal/stm32f7/flash_memory.c"
+MAIN = "src/main.c"
+LINKER = "targets/MATEKF722/image.ld"
+BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
+
+CORE_MUTANTS = (
+    Mutant(
+        name="floating-point unit not enabled",
+        file="hal/stm32f7/startup.c",
+        old="\tSCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */\n",
+        new="",
+        message=r"a floating-point instruction while CPACR = 0x00000000 does not allow it",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="stack overflow by a large local in the control task",
+        file=MAIN,
+        old="\tuint16_t dshot[POLICY_ACTION_COUNT];\n\n\tif (control_step) {",
+        new="\tuint16_t dshot[POLICY_ACTION_COUNT];\n\tvolatile uint8_t scratch[8192];\n\n"
+        "\tscratch[0] = (uint8_t)start;\n\t(void)scratch[0];\n\tif (control_step) {",
+        message=r"(write|read) of \d bytes at 0x1FFF\w{4}, below DTCM: the stack overflows",
+        place="on_sample",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="stack overflow by recursion in flight",
+        file="src/mixer.c",
+        old="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n",
+        new="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n\t\tif (mixed < 2.0f)\n"
+        "\t\t\tmixer_step(mixer, output, throttle, output);\n",
+        message=r"below DTCM: the stack overflows",
+        place="mixer_step",
+        seconds=1.6,
+        flown=True,
+        prove=True,
+    ),
+    Mutant(
+        name="null pointer read",
+        file=GYRO,
+        old="\tgyro.handlers = handlers; /* from here on the tick watches */",
+        new="\t(void)handlers;",
+        message=r"access at 0x0000000\w, in the null page",
+        place="gyro_sample_handler",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="null pointer called",
+        file=GYRO,
+        old="\tgyro.handlers->sample(gyro.handlers->context, &sample);",
+        new="\tconst struct hal_handlers *volatile none = &(const struct hal_handlers){0};\n\n"
+        "\tnone->sample(gyro.handlers->context, &sample);",
+        message=r"a branch to 0x00000000, which is no Thumb address|execution at 0x00000000",
+        place="gyro_sample_handler",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="handler missing in the vector table",
+        file="hal/stm32f7/vectors.c",
+        old="[IRQ_DMA2_STREAM2] = gyro_sample_handler,",
+        new="[IRQ_DMA2_STREAM2] = 0,",
+        message=r"exception 74 has no vector at 0x\w+",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="handler that never clears its request",
+        file=GYRO,
+        old="\tEXTI_PR = EXTI_PR_PR3;\n\tbarrier(); /* cleared before the handler can return, or it would "
+        "run twice */\n",
+        new="",
+        message=r"the handler of exception 25 has run 1000 times in a row and leaves its request up",
+        place="gyro_edge_handler",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="background masks the gyro's interrupt",
+        file=HAL,
+        old="\t\thandlers->background(handlers->context);\n",
+        new="\t\tinterrupts_disable();\n\t\thandlers->background(handlers->context);\n\t\t"
+        + BURN
+        + "\n\t\tinterrupts_enable();\n",
+        message=r"the gyro's data-ready edge \(EXTI3\) waited \d+\.\d\d us for its handler, at most 5\.00 us "
+        r"are allowed: interrupts were masked",
+        seconds=1.0,
+    ),
+    Mutant(
+        name="handler that delays the gyro's interrupt",
+        file=HAL,
+        old="\ttime_tick();\n\tgyro_tick();\n",
+        new="\tinterrupts_disable();\n\ttime_tick();\n\tgyro_tick();\n\t"
+        + BURN
+        + "\n\tinterrupts_enable();\n",
+        message=r"data-ready edge \(EXTI3\) waited .*: interrupts were masked",
+        seconds=1.0,
+        prove=True,
+    ),
+    Mutant(
+        name="handler that is as urgent as the gyro's edge",
+        file=GYRO,
+        old="\tgyro.until_read = gyro.divider;\n",
+        new="\tgyro.until_read = gyro.divider;\n\t" + BURN + "\n",
+        message=r"data-ready edge \(EXTI3\) waited .*: the handler of exception 25 ran",
+        place="gyro_edge_handler",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="code in RAM",
+        file=LINKER,
+        old="\t\titcm_end = .;\n\t} > ITCM AT > BANK_A",
+        new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK_A",
+        message=r"execution at 0x2001\w{4}, in RAM; code runs from flash and ITCM",
+        seconds=0.05,
+    ),
+    Mutant(
+        name="write to code",
+        file="hal/stm32f7/core.c",
+        old="\tNVIC_ISER(irq / 32u) =",
+        new="\tREGISTER(0x200u + 4u * (16u + irq)) = 0x08020401u; /* the vector, in ITCM */\n"
+        "\tNVIC_ISER(irq / 32u) =",
+        message=r"write of 4 bytes at 0x00000\w+, in ITCM after its copy",
+        place="interrupt_enable|gyro_run",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="unaligned words",
+        file="hal/stm32f7/memory.c",
+        old="& 3u) == 0u",
+        new="& 0u) == 0u",
+        message=r"unaligned access at 0x\w+, this instruction needs \d bytes' alignment",
+        place="memcpy",
+        seconds=0.5,
+    ),
+    Mutant(
+        name="unaligned double word",
+        file=GYRO,
+        old="\tsample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        new="\tuint32_t pair[2];\n\n"
+        '\t__asm volatile("ldrd %0, %1, [%2]" : "=r"(pair[0]), "=r"(pair[1]) : "r"(gyro_response + 7));\n'
+        "\tsample.temperature = (int16_t)pair[0];\n",
+        message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
+        place="gyro_sample_handler",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="unaligned floats",
+        file=GYRO,
+        old="\tsample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        new="\tfloat first;\n\n"
+        '\t__asm volatile("vldmia %1, {%0}" : "=t"(first) : "r"(gyro_response + 7));\n'
+        "\tsample.temperature = first > 0.0f;\n",
+        message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
+        place="gyro_sample_handler",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="unaligned access to a register",
+        file="hal/stm32f7/power.c",
+        old="\tADC1_CR1 = ADC1_CR1_SCAN;\n",
+        new='\t__asm volatile("str %0, [%1]" ::"r"(ADC1_CR1_SCAN), "r"(0x40012006u));\n',
+        message=r"unaligned access at 0x40012006, this instruction needs 4 bytes' alignment",
+        place="power_start",
+        prove=True,
+    ),
+    Mutant(
+        name="register written by a byte",
+        file="hal/stm32f7/power.c",
+        old="\tADC1_CR1 = ADC1_CR1_SCAN;\n",
+        new="\t*(volatile uint8_t *)0x40012005u = 1u;\n",
+        message=r"ADC1_CR1 has a write of 8 bits, but takes 32",
+        place="power_start",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="division by zero",
+        file=GYRO,
+        old="gyro.divider = NF_GYRO_EDGE_RATE_HZ / rate_hz;",
+        new="gyro.divider = NF_GYRO_EDGE_RATE_HZ / (rate_hz / 8001u);",
+        message=r"division by zero",
+        place="gyro_run|hal_run",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="flash programmed without erasing it",
+        file="src/fault_log.c",
+        old="flash_program(flash, address_of(index), &entry,",
+        new="flash_program(flash, address_of(0), &entry,",
+        message=r"flash at 0x0800C\w{3} is 0x\w{8} and is to become 0x\w{8}: programming a 1 over a 0",
+        seconds=0.4,
+        boots=2,
+    ),
+    Mutant(
+        name="flash driven by code in flash",
+        file=LINKER,
+        old="\t\t*hal/stm32f7/flash_memory.o(.text .text.*)\n",
+        new="",
+        message=r"data-ready edge \(EXTI3\) waited .*: the core waited for busy flash",
+        seconds=1.2,
+        saves=0.5,
+        prove=True,
+    ),
+    Mutant(
+        name="flash written while motors turn",
+        file="src/background.c",
+        old="static void run_storage(void *context)\n{\n\tstruct background *background = context;\n",
+        new="static void run_storage(void *context)\n{\n\tstruct background *background = context;\n"
+        "\tstatic const uint32_t mark = 0;\n\n"
+        "\t(void)flash_program(&background->config.flash, NF_FLASH_FAULT_RECORD_ADDRESS + 0x3F00u, &mark,\n"
+        "\t\t\t    sizeof mark);\n",
+        message=r"flash at 0x0800FF00 is programmed while motor 1 turns \(DShot value \d+\)",
+        place="flash_memory_program",
+        seconds=1.8,
+        flown=True,
+        prove=True,
+    ),
+    Mutant(
+        name="flash unlocked by a wrong key",
+        file=FLASH,
+        old="#define KEY_2 0xCDEF89ABu",
+        new="#define KEY_2 0xCDEF89ACu",
+        message=r"FLASH_KEYR = 0xCDEF89AC, expected 0xCDEF89AB while locked",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="option bytes written while they are locked",
+        file=FLASH,
+        old="\tFLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */\n",
+        new="\tFLASH_SR = ERRORS | FLASH_SR_EOP;\n\tFLASH_OPTCR |= BIT(1); /* OPTSTRT */\n",
+        message=r"FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before",
+        place="begin",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
+        name="flash written before it has rested",
+        file=FLASH,
+        old="(FLASH_SR & FLASH_SR_BSY) != 0u; ++look",
+        new="(FLASH_SR & FLASH_SR_OPERR) != 0u; ++look",
+        message=r"is written while the controller is busy, expected FLASH_SR BSY 0 before",
+        seconds=0.4,
+        prove=True,
+    ),
+)

@@ -1,0 +1,70 @@
+"""The real firmware with one mistake each: the emulated board names all of them, and where they were made."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sim.board.context import BoardError
+from tests.conftest import ROOT
+from tests.sim.board.mutants.bus_mutants import BUS_MUTANTS
+from tests.sim.board.mutants.clock_mutants import CLOCK_MUTANTS
+from tests.sim.board.mutants.core_mutants import CORE_MUTANTS
+from tests.sim.board.mutants.mutant import Mutant
+from toolchain.contract import DSHOT_MIN
+
+if TYPE_CHECKING:
+    from tests.sim.board.mutants.conftest import Fly
+
+MUTANTS = (*CLOCK_MUTANTS, *BUS_MUTANTS, *CORE_MUTANTS)
+UNCHANGED = Mutant(
+    name="none",
+    file="src/main.c",
+    old="static void on_sample(",
+    new="static void on_sample(",
+    message="",
+)
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    [
+        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.prove] if m.prove else [])
+        for m in MUTANTS
+    ],
+)
+def test_mistake_is_named_when_the_firmware_makes_it(fly_mutant: Fly, mutant: Mutant) -> None:
+    with pytest.raises(BoardError, match=mutant.message) as caught:
+        fly_mutant(mutant)
+    if mutant.place:
+        assert re.search(rf"in {mutant.place}\+0x\w+ \(", str(caught.value)), caught.value
+
+
+def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fly) -> None:
+    flight = fly_mutant(replace(UNCHANGED, seconds=1.8, flown=True))
+    assert flight.report.resets == ("power",)
+    assert min(flight.values) >= DSHOT_MIN
+
+
+def test_firmware_saves_its_settings_when_it_is_built_and_asked_as_mutants_are(fly_mutant: Fly) -> None:
+    report = fly_mutant(replace(UNCHANGED, seconds=0.8, saves=0.5, boots=2)).report
+    assert report.resets == ("power", "power")
+    assert report.flash_operations > 2 * 50  # settings; the log of boots takes 25 of each
+
+
+def test_image_is_the_same_when_it_is_built_as_mutants_are(
+    build_mutant: Callable[[Mutant], Path], board_image: Path
+) -> None:
+    assert build_mutant(UNCHANGED).with_suffix(".bin").read_bytes() == (
+        board_image.with_suffix(".bin").read_bytes()
+    )
+
+
+def test_mistakes_have_their_places_in_the_sources_of_today() -> None:
+    stale = [m.name for m in MUTANTS if (ROOT / "firmware" / m.file).read_text().count(m.old) != 1]
+    assert not stale, "choose other places for these mistakes"
