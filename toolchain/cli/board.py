@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from toolchain.cli.board_line import check_gdb, open_end, parse_serial
 from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
 from toolchain.errors import NeuroflightError
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from sim.board.line import Bridge, End
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
-PORT_MAX = 65535
 BAUD_MAX = 10_000_000
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 VOLTS_DEFAULT, VOLTS_MAX = 16.8, 36.0  # four cells, full; what the converter's pin can see
@@ -68,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the end. Returns 0; raises BoardError for what the image does wrong."""
-    kind, port = _serial(args.serial)
+    serial = parse_serial(args.serial)
     _check(args)
     image = args.image or (args.build or BUILD) / "neuroflight.bin"
     if not image.is_file():
@@ -76,13 +75,13 @@ def run(args: argparse.Namespace) -> int:
 
     from sim.board.desk import Desk, Keeper, serve, with_image
     from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+    from sim.board.line import Bridge, UartLine
     from sim.board.usart import Format
 
     kept = _kept(args.flash)
     elf = image.with_suffix(".elf")
     with ExitStack() as ends:
-        end = PtyEnd() if kind == "pty" else TcpEnd(port)
+        end = open_end(serial)
         ends.callback(end.close)
         desk = Desk(
             with_image(image.read_bytes(), kept), elf=elf if elf.is_file() else None, volts=args.volts
@@ -165,19 +164,10 @@ class _SpeedWatch:
             )
 
 
-def _serial(text: str) -> tuple[str, int]:
-    """Kind of end and TCP port."""
-    found = re.fullmatch(r"(pty)|tcp(?::(\d{1,5}))?", text)
-    if found is None or int(found[2] or 0) > PORT_MAX:
-        raise NeuroflightError(f"--serial: got {text!r}, expected pty, tcp or tcp:PORT")
-    return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
-
-
 def _check(args: argparse.Namespace) -> None:
     if not 1 <= args.baud <= BAUD_MAX:
         raise NeuroflightError(f"--baud: got {args.baud}, expected 1 to {BAUD_MAX}")
-    if args.gdb is not None and not 0 <= args.gdb <= PORT_MAX:
-        raise NeuroflightError(f"--gdb: got {args.gdb}, expected a port of 0 to {PORT_MAX}, 0 for any")
+    check_gdb(args.gdb)
     if not 0.0 <= args.volts <= VOLTS_MAX:
         raise NeuroflightError(f"--volts: got {args.volts:g}, expected 0 to {VOLTS_MAX:g}")
     if args.seconds is not None and not (math.isfinite(args.seconds) and args.seconds > 0.0):

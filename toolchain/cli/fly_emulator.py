@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -11,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from toolchain.cli.board_line import check_gdb, open_end, parse_serial
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ OPTIONS: dict[str, object] = {  # and their defaults
     "profile": None,
 }
 BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
-PORT_MAX = 65535
 SLICE_S = 0.001  # of the board's time between two looks at the serial line, at most
 
 
@@ -62,9 +61,9 @@ def check_emulator(args: argparse.Namespace) -> None:
             if getattr(args, name) != default:
                 raise NeuroflightError(f"--{name}: only on the emulated board; add --on emulator")
         return
-    _serial(args.serial)
-    if args.gdb is not None and not 0 <= args.gdb <= PORT_MAX:
-        raise NeuroflightError(f"--gdb: got {args.gdb}, expected a port of 0 to {PORT_MAX}, 0 for any")
+    if args.serial is not None:
+        parse_serial(args.serial)
+    check_gdb(args.gdb)
     if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
         raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
 
@@ -92,7 +91,7 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
     from flash.settings import parse_change
     from sim.board.context import TIME_HZ
     from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, PtyEnd, TcpEnd, UartLine
+    from sim.board.line import Bridge, UartLine
     from sim.board.usart import Format
     from toolchain.contract import MSP_BAUD_DEFAULT
 
@@ -104,11 +103,9 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
         say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
         server.wait()
         run_to = server.run_to
-    serial = _serial(args.serial)
-    if serial is None:
+    if args.serial is None:
         return run_to
-    kind, port = serial
-    end = PtyEnd() if kind == "pty" else TcpEnd(port)
+    end = open_end(parse_serial(args.serial))
     baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
     bridge = Bridge(UartLine(board, format=Format(baud)), end)
     ends.callback(bridge.close)
@@ -182,16 +179,6 @@ def save_profile(directory: Path, board: Board) -> None:
 
     names = write_profile(directory, board)
     print(f"{directory}: {', '.join(names)}", file=sys.stderr)
-
-
-def _serial(text: str | None) -> tuple[str, int] | None:
-    """Kind of end and TCP port."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"(pty)|tcp(?::(\d{1,5}))?", text)
-    if found is None or int(found[2] or 0) > PORT_MAX:
-        raise NeuroflightError(f"--serial: got {text!r}, expected pty, tcp or tcp:PORT")
-    return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
 
 
 def say(words: str) -> None:
