@@ -1,7 +1,7 @@
 """What no single access shows: set-ups that are legal one by one, and with which nothing ever happens.
 
 A look at the board every 10 ms, and where something stands still two more soon after it, at distances that
-fit no beat of an image: who is at work moves something between them.
+fit no beat of an image and are longer than a byte at 9600 baud: who is at work moves something between them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from sim.board.exti import Exti
 from sim.board.rcc import MICROSECOND
 
 PERIOD = TIME_HZ // 100  # [cycles]
-AGAIN = (100 * MICROSECOND, 117 * MICROSECOND)  # one after the other
+AGAIN = (1300 * MICROSECOND, 1700 * MICROSECOND)  # one after the other
 
 Stream = tuple[int, int, int]  # controller, stream, items left
 
