@@ -18,6 +18,9 @@ on. On the board they are read and written over MSP (`SETTING_INFO`, `SETTING_GE
 A policy flies behind the gyro filters that it was trained with: one that was trained without any cannot arm
 while `filter1_kind` and its like are other than `none`. The PID flies behind all of them.
 
+`msp_baud` is the speed of the very line that settings go over: from the next boot on both ends have to speak
+at the new one. The host program has no such line and takes no notice.
+
 This page is written by `python -m toolchain.settings_page docs/settings.md`.
 
 | setting | range | default | unit | meaning |

@@ -133,6 +133,13 @@ def test_a_setting_is_flown_from_the_next_start_on_when_it_was_saved(start: Star
         assert requests.setting_value(told) == 2000
 
 
+def test_the_reply_comes_before_the_end_when_it_is_told_to_start_anew(start: Start) -> None:
+    p = start()
+    with ask(p) as client:
+        assert client.request(Msp.REBOOT, retries=0) == b""
+    assert p.process.wait(WAIT_S) == 0
+
+
 def test_a_setting_is_forgotten_when_it_was_not_saved(start: Start, tmp_path: Path) -> None:
     option = f"--settings={tmp_path / 'flash.bin'}"
     p = start(option)
