@@ -32,7 +32,7 @@ READ_MAX = 4096
 
 
 class UartLine:
-    """The far end of one UART's wires. Only one may be on a UART."""
+    """The far end of one UART's wires. A newer one on the same UART takes its place."""
 
     def __init__(self, board: Board, uart: str = MSP_UART, format: Format | None = None) -> None:
         """format: what this end speaks and understands; default: 115200 baud 8N1.
@@ -48,6 +48,11 @@ class UartLine:
         self._heard = bytearray()
         self.framing_errors = 0  # bytes of the board's that were none at this end's speed
         self.last_heard: int | None = None  # cycle at which the board's last byte ended
+
+    @property
+    def connected(self) -> bool:
+        """Whether no other line has taken its place."""
+        return self._usart.on_sent == self._hear
 
     @property
     def refused(self) -> int:
@@ -132,6 +137,8 @@ class LineTransport:
     def _check(self) -> None:
         if self._closed:
             raise LinkError(f"{self.name}: the line was closed, expected it to stay open")
+        if not self._line.connected:
+            raise LinkError(f"{self.name}: another line has taken its place, expected one at a time")
 
 
 class End(Protocol):

@@ -108,6 +108,14 @@ def test_it_says_so_when_the_line_was_closed_or_there_is_none(board: Board) -> N
         UartLine(board, "UART9")
 
 
+def test_it_says_so_when_another_line_has_taken_its_place(board: Board) -> None:
+    first = ask(UartLine(board))
+    with ask(UartLine(board)) as second:
+        assert second.request(Msp.FC_VARIANT) == b"NRFL"
+    with pytest.raises(LinkError, match="another line has taken its place, expected one at a time"):
+        first.request(Msp.FC_VARIANT)
+
+
 def run(board: Board, bridge: Bridge, seconds: float) -> None:
     """As whoever runs the board does."""
     end = board.cycle + round(seconds * TIME_HZ)
