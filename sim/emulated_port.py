@@ -218,6 +218,11 @@ class EmulatedPort:
         """Faults whose time has not come."""
         return self._plan.waiting
 
+    @property
+    def running(self) -> bool:
+        """Whether the firmware has booted, up to its first look for the gyro's samples."""
+        return self._up
+
     def save(self) -> Moment:
         """This moment, between two exchanges."""
         kept = {name: getattr(self, name) for name in self._KEPT}

@@ -32,6 +32,7 @@ class EmulatedReport:
     resets: tuple[str, ...]  # their causes, the first one power
     events: tuple[Event, ...]
     stopped_s: float | None  # when the firmware stopped its motors before the end; None: it flew to the end
+    running: bool  # at the end: not in a boot, nor stopped for good
     arming_reasons: tuple[str, ...]  # what keeps it disarmed, after the pilot has switched off
     waiting: tuple[str, ...]  # faults whose time did not come
     notes: tuple[Note, ...]  # of the board
@@ -65,6 +66,7 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
         resets=report.resets,
         events=port.events,
         stopped_s=stops[0] if stops and stops[0] < flight_s else None,
+        running=port.running,
         arming_reasons=port.arming_reasons(),
         waiting=tuple(str(fault) for fault in port.waiting),
         notes=report.notes,

@@ -146,10 +146,13 @@ def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) 
     ]
 
 
-def test_it_stands_for_good_and_the_escs_stop_when_the_crystal_fails(drill: Drill) -> None:
+def test_it_stands_for_good_and_the_escs_stop_when_the_crystal_fails(
+    drill: Drill, started: tuple[Still, Any]
+) -> None:
     replies, (reset,) = drill("crystal@0.06", seconds=0.6)
     assert reset == Event(0.06, "reset: software", stops=True)
     assert turning(replies) == pytest.approx(0.06 - START_S + SILENT_S, abs=0.002)
+    assert not started[0].port.running
 
 
 def test_the_failsafe_acts_when_every_receiver_frame_is_broken(drill: Drill) -> None:

@@ -152,6 +152,8 @@ def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
         ("watchdog", "never fed" if margin is None else f"{1e3 * margin:.0f} ms left at least"),
     ]
     told += [(f"{event.at_s:.4f} s", event.what) for event in report.events]
+    if not report.running:
+        told.append(("at the end", "the firmware has not come back from its last reset"))
     if report.arming_reasons:
         told.append(("held by", ", ".join(report.arming_reasons)))
     told += [("never came", fault) for fault in report.waiting]
