@@ -166,16 +166,17 @@ static void timer_pulses(struct hot *h, uint32_t t, uint32_t channel, uint32_t o
 {
 	const uint32_t *const w = words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
+	const bool off = h->advanced[t] && (w[T_BDTR] & MOE) == 0u;
 	uint32_t highs[PERIODS];
 	bool any = false;
 
-	if (count == 0u || (h->advanced[t] && (w[T_BDTR] & MOE) == 0u) || (w[T_CCER] >> 4u * channel & 1u) == 0u)
+	if (count == 0u || (w[T_CCER] >> 4u * channel & 1u) == 0u)
 		return;
 	for (uint32_t i = 0; i < count; ++i) {
 		highs[i] = (uint32_t)timer_cycles(h, t, compares[i]);
 		any = any || compares[i] != 0u;
 	}
-	if (any && (s->judged[channel] != h->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
+	if (any && (off || s->judged[channel] != h->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
 		ask(h, ASK_OUTPUT, t, channel + 1u, 0);
 		if (h->failed)
 			return;

@@ -329,8 +329,6 @@ class Timer(Device):
 
     def _pulses(self, compares: list[list[int]], first: int) -> None:
         """The periods that began with update `first` after the anchor had these compare values."""
-        if self.name in ADVANCED and not self.get("BDTR", "MOE"):
-            return
         start, length = self._anchor + first * self.period, self.period
         for i, values in enumerate(compares):
             channel = i + 1
@@ -347,6 +345,8 @@ class Timer(Device):
         register = "CCMR1" if channel < 3 else "CCMR2"
         mode = self.get(register, f"OC{channel}M")
         signal = f"{self.name}_CH{channel}"
+        if self.name in ADVANCED and not self.get("BDTR", "MOE"):
+            self.context.fail(f"{signal} makes pulses while {self.name}_BDTR MOE is 0, expected 1")
         if mode != _PWM_1:
             self.context.fail(f"{signal} is driven with OC{channel}M {mode}, expected 6: PWM mode 1")
         if signal not in SIGNALS:

@@ -119,6 +119,19 @@ def test_frame_is_refused_when_only_a_later_one_is_wrong(
     assert len(frames) >= 12
 
 
+def test_frame_is_refused_when_the_main_output_goes_off(fast: Bench) -> None:
+    frames = listen(fast)
+    start_tim8(fast)
+    send(fast, (99, 99, 99, 99))
+    fast.context.run(250)
+    fast.set("TIM8_BDTR", MOE=0)
+    fast.context.run(250)  # nothing to send: nothing wrong
+    send(fast, (99, 99, 99, 99))
+    with pytest.raises(BoardError, match="TIM8_CH1 makes pulses while TIM8_BDTR MOE is 0, expected 1"):
+        fast.context.run(250)
+    assert len(frames) == 4
+
+
 def test_esc_takes_another_protocol_when_the_supply_was_gone(fast: Bench) -> None:
     frames = listen(fast)
     start_tim8(fast)

@@ -193,6 +193,15 @@ BUS_MUTANTS = (
         prove=True,
     ),
     Mutant(
+        name="motors' timer with its main output off",
+        file=MOTORS,
+        old="TIM_BDTR(bank->timer) |= TIM_BDTR_MOE;",
+        new="TIM_BDTR(bank->timer) &= ~TIM_BDTR_MOE;",
+        message=r"TIM8_CH1 makes pulses while TIM8_BDTR MOE is 0, expected 1",
+        seconds=0.4,
+        prove=True,
+    ),
+    Mutant(
         name="DShot burst into the next register",
         file=MOTORS,
         old="BURST_OF_4 = 3",
