@@ -81,6 +81,7 @@ static struct {
 	uint32_t divider;        /* edges a sample */
 	uint32_t until_read;     /* edges until the next read; the edge handler's alone */
 	uint32_t silent_ms;      /* since the last sample; sample handler and tick, which share a priority */
+	volatile uint32_t samples; /* taken; written by the sample handler alone */
 	volatile bool reading;   /* a transfer was started and not yet taken */
 } gyro;
 
@@ -183,6 +184,11 @@ void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz)
 	interrupt_enable(IRQ_EXTI3, PRIORITY_GYRO_EDGE);
 }
 
+uint32_t gyro_samples(void)
+{
+	return gyro.samples;
+}
+
 void gyro_tick(void)
 {
 	if (gyro.handlers == NULL || ++gyro.silent_ms < NF_GYRO_BAD_MS)
@@ -242,5 +248,6 @@ void gyro_sample_handler(void)
 	sample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);
 	interrupts_enable();
 	gyro.silent_ms = 0;
+	++gyro.samples;
 	gyro.handlers->sample(gyro.handlers->context, &sample);
 }

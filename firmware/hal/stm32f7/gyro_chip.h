@@ -16,6 +16,9 @@ bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind);
  * `handlers->gyro_silent` is called whenever NF_GYRO_BAD_MS pass without one: also where gyro_start failed. */
 void gyro_run(const struct hal_handlers *handlers, unsigned rate_hz);
 
+/* Samples taken so far, wraps at 2^32. */
+uint32_t gyro_samples(void);
+
 /* A millisecond has passed. From the tick, which shares the samples' priority. */
 void gyro_tick(void);
 

@@ -65,12 +65,16 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 	motors_run(settings->motor_protocol, POLICY_ACTION_COUNT);
 	gyro_run(handlers, settings->gyro_rate_hz);
 	for (;;) {
+		const uint32_t samples = gyro_samples(), milliseconds = time_ms();
+
 		handlers->background(handlers->context);
 		if (!restart.wanted)
 			msp_uart_serve(handlers);
 		else if (!msp_uart_sending() || time_ms() - restart.since_ms > RESET_WAIT_MS)
 			fault_reset();
-		wait_for_interrupt();
+		/* Most interrupts only begin the read of a sample; there is work when one was taken, or by the clock. */
+		while (gyro_samples() == samples && time_ms() == milliseconds)
+			wait_for_interrupt();
 	}
 }
 
