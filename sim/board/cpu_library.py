@@ -106,6 +106,8 @@ _SIGNATURES = {
     "bound_entry": (None, c_void_p, c_uint32, c_uint64, c_char_p),
     "depth": (c_uint32, c_void_p),
     "sleeping": (c_bool, c_void_p),
+    "clock": (None, c_void_p, c_bool),
+    "spent": (POINTER(c_uint64), c_void_p),
     "task": (POINTER(Task), c_void_p, c_uint32),
     "enters": (POINTER(c_uint64), c_void_p),
     "leaves": (POINTER(c_uint64), c_void_p),

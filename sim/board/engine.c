@@ -525,7 +525,11 @@ static void execute(struct engine *e)
 	e->stopped = e->waiting = e->flash_stored = false;
 	e->interrupt = UINT32_MAX;
 	e->fault.exception = EXC_THREAD;
-	settle(e, uc_emu_start(e->uc, e->s.pc | 1u, BLOCK_ADDRESSES_END, 0, 0));
+	const uint64_t began = clock_ns(e), devices = e->spent[SPENT_DEVICES];
+	const uc_err error = uc_emu_start(e->uc, e->s.pc | 1u, BLOCK_ADDRESSES_END, 0, 0);
+
+	e->spent[SPENT_CODE] += clock_ns(e) - began - (e->spent[SPENT_DEVICES] - devices);
+	settle(e, error);
 	if (e->code_changed)
 		forget_code(e);
 	if (e->flash_stored) { /* unicorn has stored the plain value: put back what the flash made of it */

@@ -216,6 +216,9 @@ struct fault {
 	char text[MESSAGE_BYTES];
 };
 
+/* Where the time of this machine goes [ns], when asked for. */
+enum { SPENT_CODE, SPENT_DEVICES, SPENT_COUNT }; /* unicorn with its hooks; accesses to peripherals and their alarms */
+
 struct engine {
 	struct state s;
 	uc_engine *uc;
@@ -270,6 +273,8 @@ struct engine {
 	/* The call tree, when asked for. */
 	bool profiling;
 	const uint16_t *function_of; /* CODE_HALFWORDS */
+	bool clocked;
+	uint64_t spent[SPENT_COUNT];
 	struct node *nodes;
 	uint32_t node_count, node_capacity;
 };
@@ -289,6 +294,8 @@ void set_core_clock(struct engine *e, uint64_t hz);
 void look_again(struct engine *e);                   /* something changed: decide anew after this instruction */
 void alarms_changed(struct engine *e);
 void fire_due(struct engine *e);
+
+uint64_t clock_ns(const struct engine *e);           /* of this machine; 0 when nobody asks */
 
 /* engine_memory.c */
 extern const int general[16];                        /* unicorn's names of r0 to pc */

@@ -242,6 +242,16 @@ class Engine:
         """In WFI."""
         return bool(self.library.engine_sleeping(self.handle))
 
+    def clock(self, on: bool = True) -> None:
+        """From now on measure where this machine's time goes; or no longer."""
+        self.library.engine_clock(self.handle, on)
+
+    @property
+    def spent_s(self) -> tuple[float, float]:
+        """Since `clock` [s]: in unicorn with the engine's hooks, in peripherals and their alarms."""
+        code, devices = self.library.engine_spent(self.handle)[:2]
+        return code / 1e9, devices / 1e9
+
     @property
     def symbols(self) -> dict[str, int]:
         """Address of every name of the ELF; empty without one."""

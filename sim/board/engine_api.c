@@ -312,6 +312,18 @@ uint32_t engine_depth(const struct engine *e)
 	return e->s.depth;
 }
 
+/* Begins, or ends, to measure where this machine's time goes. */
+void engine_clock(struct engine *e, bool on)
+{
+	e->clocked = on;
+	memset(e->spent, 0, sizeof e->spent);
+}
+
+const uint64_t *engine_spent(const struct engine *e)
+{
+	return e->spent;
+}
+
 bool engine_sleeping(const struct engine *e)
 {
 	return e->s.sleeping;

@@ -79,8 +79,12 @@ uint32_t device_read(struct engine *e, uint32_t address, uint32_t size)
 	const int found = window_at(e, address);
 
 	if (found >= 0) {
+		const uint64_t began = clock_ns(e);
+
 		++e->windows[found].reads;
-		return e->on_read((uint32_t)found, address - e->windows[found].base, size);
+		const uint32_t value = e->on_read((uint32_t)found, address - e->windows[found].base, size);
+		e->spent[SPENT_DEVICES] += clock_ns(e) - began;
+		return value;
 	}
 	if (address >= PPB_BASE)
 		return system_read(e, address, size);
@@ -93,8 +97,11 @@ void device_write(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 	const int found = window_at(e, address);
 
 	if (found >= 0) {
+		const uint64_t began = clock_ns(e);
+
 		++e->windows[found].writes;
 		e->on_write((uint32_t)found, address - e->windows[found].base, size, value);
+		e->spent[SPENT_DEVICES] += clock_ns(e) - began;
 	} else if (address >= PPB_BASE) {
 		system_write(e, address, size, value);
 	} else {

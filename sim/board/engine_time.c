@@ -1,5 +1,18 @@
 /* Time: where it stands inside a run of instructions, the core's clock, and what is due when. */
+#define _POSIX_C_SOURCE 199309L
+#include <time.h>
+
 #include "engine.h"
+
+uint64_t clock_ns(const struct engine *e)
+{
+	struct timespec now;
+
+	if (!e->clocked)
+		return 0;
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (uint64_t)now.tv_sec * UINT64_C(1000000000) + (uint64_t)now.tv_nsec;
+}
 
 /* Index of the instruction at `address` in the block. */
 uint32_t index_at(const struct engine *e, uint32_t address)
@@ -89,7 +102,10 @@ void fire_due(struct engine *e)
 			systick_fire(e);
 		} else {
 			e->s.due[which] = NEVER;
+			const uint64_t began = clock_ns(e);
+
 			e->on_alarm(which);
+			e->spent[SPENT_DEVICES] += clock_ns(e) - began;
 		}
 		alarms_changed(e);
 	}

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-SUBJECTS = ("twin", "training", "compiler", "firmware")
+SUBJECTS = ("twin", "training", "compiler", "firmware", "board")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         document |= measure_compiler(args)
     if "firmware" in args.only:
         document |= measure_firmware(args)
+    if "board" in args.only:
+        document |= measure_board(args)
     if args.json:
         print(json.dumps(document))
     return 0
@@ -83,6 +85,16 @@ def measure_firmware(args: argparse.Namespace) -> dict[str, Any]:
     if not args.json:
         print_table(measured)
     return {"firmware": [asdict(row) | {"varies": row.varies} for row in measured]}
+
+
+def measure_board(args: argparse.Namespace) -> dict[str, Any]:
+    """How fast the emulated board flies, and where the time goes."""
+    from tests.bench.board import document, measure, print_table
+
+    speed = measure(lambda text: print(text, file=sys.stderr))
+    if not args.json:
+        print_table(speed)
+    return {"board": document(speed)}
 
 
 if __name__ == "__main__":

@@ -1,0 +1,228 @@
+"""How fast the emulated board flies, beside the clock on the wall, and where the time goes.
+
+The image of a policy is built, and flown by `fly` on the emulated board with its twin, first with nothing but
+a clock before and after, then once more with a stopwatch at every border between the parts.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from sim.aircraft import load_aircraft
+from sim.board.context import TIME_HZ
+from sim.board.hot import BoardEngine, Hot
+from sim.emulated_port import EmulatedPort
+from sim.loop import fly
+from sim.pid_table import pid_table
+from sim.scenario import Scenario, load_scenario
+from sim.twin import Twin
+from toolchain.build import build
+
+ROOT = Path(__file__).resolve().parents[2]
+POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
+AIRCRAFT, SCENARIO, SEED, COUNT = "nf1", "pulses", 1, 1
+DESK_S = 2.0
+BAR = 1.0  # of real time, with a policy flying
+PARTS = (
+    "instructions, and the engine's look at each (unicorn)",
+    "exceptions, events, time (engine)",
+    "peripherals in C",
+    "peripherals in Python",
+    "twin",
+    "loop and port",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A flight, or the board on the desk."""
+
+    name: str
+    board_s: float  # time of the board
+    wall_s: float
+    cpu_s: float
+    instructions: int
+
+    @property
+    def factor(self) -> float:
+        """Of real time, by the clock on the wall."""
+        return self.board_s / self.wall_s
+
+    @property
+    def cpu_factor(self) -> float:
+        """Of real time, by the seconds of a processor that nobody else would have had."""
+        return self.board_s / self.cpu_s
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What was measured."""
+
+    rows: tuple[Row, ...]
+    shares: dict[str, float]  # of the policy's flight, by part; together 1
+
+
+class Stopwatch:
+    """Time by part: what a part calls of another one is the other's."""
+
+    def __init__(self, rest: str) -> None:
+        self.spent: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+        self._parts = [rest]
+        self._since = time.perf_counter()
+
+    def _turn(self) -> None:
+        now = time.perf_counter()
+        self.spent[self._parts[-1]] += now - self._since
+        self._since = now
+
+    def stop(self) -> None:
+        """The last part ends."""
+        self._turn()
+
+    def of(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function`, its time charged to `part`."""
+
+        @wraps(function)
+        def timed(*arguments: Any, **named: Any) -> Any:
+            self._turn()
+            self._parts.append(part)
+            try:
+                return function(*arguments, **named)
+            finally:
+                self._turn()
+                self._parts.pop()
+
+        return timed
+
+
+def measure(report: Callable[[str], None]) -> Speed:
+    """Build the image, fly and rest; `report` hears of the progress."""
+    with tempfile.TemporaryDirectory() as folder:
+        build("MATEKF722", POLICY, ROOT, Path(folder), pid_table(load_aircraft(AIRCRAFT)))
+        image = Path(folder) / "MATEKF722" / "neuroflight.bin"
+        policy = load_scenario(SCENARIO, seed=SEED, count=COUNT)
+        rows = []
+        for name, scenario in (("policy flies", policy), ("PID flies", policy.under_pid())):
+            report(f"board: {name}")
+            rows.append(_flight(name, image, scenario))
+        report("board: on the desk")
+        rows.append(_desk(image))
+        report("board: where the time goes")
+        return Speed(tuple(rows), _shares(image, policy))
+
+
+def _twin(port: EmulatedPort, scenario: Scenario) -> Twin:
+    rng = np.random.default_rng((SEED, 1))
+    return Twin(load_aircraft(AIRCRAFT), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+
+
+@contextmanager
+def _measured(name: str, port: EmulatedPort, rows: list[Row]) -> Iterator[None]:
+    board = port.board
+    cycle, instructions = board.cycle, board.engine.instructions
+    wall, cpu = time.perf_counter(), time.process_time()
+    yield
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    passed = (board.cycle - cycle) / TIME_HZ
+    rows.append(Row(name, passed, wall, cpu, board.engine.instructions - instructions))
+
+
+def _flight(name: str, image: Path, scenario: Scenario) -> Row:
+    rows: list[Row] = []
+    with closing(EmulatedPort(image)) as port:
+        twin = _twin(port, scenario)
+        with _measured(name, port, rows):
+            fly(twin, port, scenario)
+        twin.close()
+    return rows[0]
+
+
+def _desk(image: Path) -> Row:
+    """Powered, booted, at rest: nobody measures, nobody flies."""
+    rows: list[Row] = []
+    with closing(EmulatedPort(image)) as port, _measured("on the desk", port, rows):
+        port.board.run(DESK_S)
+    return rows[0]
+
+
+def _shares(image: Path, scenario: Scenario) -> dict[str, float]:
+    code, engine, devices, python, twin_part, rest = PARTS
+    watch = Stopwatch(rest)
+    callbacks = ("_source", "_exchange", "_pulses", "_judge", "_pin", "_refuse")
+    patches: list[Any] = [
+        *(mock.patch.object(Hot, name, watch.of(python, getattr(Hot, name))) for name in callbacks),
+        mock.patch.object(BoardEngine, "run", watch.of(engine, BoardEngine.run)),
+        *(mock.patch.object(Twin, name, watch.of(twin_part, getattr(Twin, name))) for name in ("step",)),
+    ]
+    for patch in patches:
+        patch.start()
+    try:
+        with closing(EmulatedPort(image)) as port:
+            core = port.board.engine
+            for listeners in (core._reads, core._writes, core._rings):
+                listeners[:] = [watch.of(python, listener) for listener in listeners]
+            twin = _twin(port, scenario)
+            core.clock()
+            watch.stop()
+            watch.spent.update(dict.fromkeys(PARTS, 0.0))
+            fly(twin, port, scenario)
+            watch.stop()
+            spent = watch.spent
+            in_code, in_devices = core.spent_s
+            twin.close()
+    finally:
+        for patch in patches:
+            patch.stop()
+    # Python's peripherals are called from within the others, and from the port as well.
+    spent[code] = in_code
+    spent[devices] = max(0.0, in_devices - spent[python])
+    spent[engine] -= in_code + spent[devices]
+    total = sum(spent.values())
+    return {part: spent[part] / total for part in PARTS}
+
+
+def print_table(speed: Speed, line: Callable[[str], None] = print) -> None:
+    """For people."""
+    line(
+        f"{'emulated board':18}{'real time':>11}{'of CPU':>9}{'M instructions a second':>26}{'a board second':>16}"
+    )
+    for row in speed.rows:
+        million = row.instructions / 1e6
+        line(
+            f"{row.name:18}{row.factor:>10.2f}x{row.cpu_factor:>8.2f}x{million / row.wall_s:>26.1f}"
+            f"{million / row.board_s:>16.1f}"
+        )
+    first = speed.rows[0]
+    met = "met" if first.factor >= BAR else "missed"
+    line(f"bar: {BAR:g}x of real time while a policy flies: {met}")
+    line("where the time of the policy's flight goes")
+    for part in PARTS:
+        line(f"  {part:56}{speed.shares[part]:>5.0%}")
+
+
+def document(speed: Speed) -> dict[str, Any]:
+    """For programs."""
+    return {
+        "rows": [
+            {
+                "name": row.name,
+                "real_time_factor": round(row.factor, 3),
+                "cpu_factor": round(row.cpu_factor, 3),
+                "instructions_a_second": round(row.instructions / row.wall_s),
+                "instructions_a_board_second": round(row.instructions / row.board_s),
+            }
+            for row in speed.rows
+        ],
+        "shares": {part: round(share, 4) for part, share in speed.shares.items()},
+        "bar": BAR,
+    }
