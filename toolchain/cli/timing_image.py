@@ -89,6 +89,7 @@ def _fly(
     from sim.board.control_timing import ControlMeter
     from sim.emulated_port import EmulatedPort
     from sim.loop import fly
+    from sim.port import twin_settings
     from sim.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))
@@ -98,7 +99,8 @@ def _fly(
         meters.append(ControlMeter(board, args.policy.with_suffix(".elf"), code))
         return meters[0].run_to
 
-    with closing(EmulatedPort(args.policy, attach=attach)) as port:
+    settings = twin_settings(aircraft)
+    with closing(EmulatedPort(args.policy, settings=settings, attach=attach)) as port:
         twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
         with closing(twin):
             fly(twin, port, scenario, progress=progress)
