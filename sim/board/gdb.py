@@ -18,6 +18,8 @@ from toolchain.errors import LinkError
 SLICE = 2_160_000  # cycles between two looks for the debugger's Ctrl-C: 10 ms
 PACKET_BYTES = 0x1000
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
+# Registers that reading leaves alone: system control block, floating-point context (ARMv7-M B3.2, B4.6).
+READABLE = (*range(0xE000ED00, 0xE000ED40, 4), 0xE000EF34, 0xE000EF38, 0xE000EF3C)
 REGISTERS = 17  # r0 to r12, sp, lr, pc, xPSR
 TARGET = """<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-target.dtd"><target>
 <architecture>arm</architecture><feature name="org.gnu.gdb.arm.m-profile">{registers}</feature></target>"""
@@ -218,8 +220,10 @@ class GdbServer:
         return "OK"
 
     def _read(self, rest: str) -> str:
-        """Memory only: reading a register of a peripheral may change it."""
+        """Memory, and what gdb needs to see through exceptions; reading other registers may change them."""
         address, size = (int(part, 16) for part in rest.split(","))
+        if size == 4 and address in READABLE:
+            return _word(self._engine.load(address, size))
         return self._engine.memory(address, min(size, PACKET_BYTES // 2)).hex()
 
     def _write(self, rest: str) -> str:

@@ -207,7 +207,8 @@ def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
     print(f"MSP    {end.name}, {baud} baud; neuroflight msp --port {end.name} info")
     if debugger is not None:
         elf = image.with_suffix(".elf")
-        print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -ex 'target remote :{debugger.port}' {elf}")
+        remote = f"-ex 'target remote :{debugger.port}'"
+        print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
     print("Ctrl-C ends it", flush=True)
 
 

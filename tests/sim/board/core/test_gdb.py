@@ -93,6 +93,8 @@ def test_registers_and_memory_are_read_and_written_when_it_is_halted(session: Se
     assert client.ask("P3=78563412") == "OK" and client.word("p3") == 0x12345678
     assert client.ask("M20003000,4:01020304") == "OK" and client.ask("m20003000,2") == "0102"
     assert client.ask("m70000000,4") == "E01"
+    assert client.ask("m40023800,4") == "E01", "reading RCC could change it"
+    assert client.word("me000ef34,4") == 0xC0000000, "FPCCR after reset"
     assert client.ask("qXfer:features:read:target.xml:0,fff").startswith("l<?xml")
     assert client.ask("vMustReplyEmpty") == ""
 
