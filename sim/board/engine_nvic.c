@@ -50,6 +50,30 @@ static uint32_t *mpu_register(struct engine *e, uint32_t offset, uint32_t *regio
 	return e->s.mpu_rasr;
 }
 
+static bool meets(uint64_t first, uint64_t bytes, uint32_t base, uint32_t size)
+{
+	return first < (uint64_t)base + size && base < first + bytes;
+}
+
+/* A region that takes away what the model goes on allowing would make a board of its own. The null page is closed
+ * without the MPU, and stores to flash and ITCM are refused by themselves. */
+static void judge_region(struct engine *e, uint32_t region)
+{
+	const uint32_t rasr = e->s.mpu_rasr[region], access = rasr >> 24 & 7u;
+	const uint64_t first = e->s.mpu_rbar[region], bytes = UINT64_C(2) << (rasr >> 1 & 31u);
+	const bool null_page = first + bytes <= 2u * NULL_PAGE_BYTES, no_code = rasr >> 28 & 1u;
+	const bool on_code = meets(first, bytes, ITCM_BASE, ITCM_BYTES) || meets(first, bytes, ALIAS_BASE, FLASH_BYTES) ||
+			     meets(first, bytes, FLASH_BASE, FLASH_BYTES);
+	const bool on_data = meets(first, bytes, RAM_BASE, RAM_BYTES) || meets(first, bytes, APB_BASE, APB_BYTES) ||
+			     meets(first, bytes, AHB2_BASE, AHB2_BYTES);
+
+	if ((rasr & 1u) == 0u || null_page)
+		return;
+	if ((on_code && (access == 0u || no_code)) || (on_data && (access == 0u || access > 3u)))
+		fail(e, "MPU region %u (MPU_RASR 0x%08X) closes 0x%08X to 0x%08X, where the image's memory or registers are",
+		     region, rasr, (uint32_t)first, (uint32_t)(first + bytes - 1u));
+}
+
 void mpu_write(struct engine *e, uint32_t offset, uint32_t value)
 {
 	uint32_t region;
@@ -64,6 +88,8 @@ void mpu_write(struct engine *e, uint32_t offset, uint32_t value)
 	if (registers == e->s.mpu_rasr && value & 0xE8C000C0u)
 		fail(e, "MPU_RASR = 0x%08X sets reserved bits", value);
 	registers[region] = registers == e->s.mpu_rbar ? value & ~31u : value;
+	if (registers == e->s.mpu_rasr)
+		judge_region(e, region);
 }
 
 uint32_t mpu_read(struct engine *e, uint32_t offset)

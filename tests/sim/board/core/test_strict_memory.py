@@ -104,6 +104,18 @@ SINS = {
     ),
     "division with the trap on": ("REG(0xE000ED14) |= 16; RESULT[0] = 5 / zero;", "division by zero"),
     "return outside a handler": ('__asm volatile("bx %0" :: "r"(0xFFFFFFF9 + zero));', "outside a handler"),
+    "memory closed by the MPU": (
+        "REG(0xE000ED9C) = 0x2003C000 | 0x11; REG(0xE000EDA0) = 13u << 1 | 1;",
+        "MPU region 1 (MPU_RASR 0x0000001B) closes 0x2003C000 to 0x2003FFFF",
+    ),
+    "memory made read-only by the MPU": (
+        "REG(0xE000ED9C) = 0x20000000 | 0x12; REG(0xE000EDA0) = 6u << 24 | 15u << 1 | 1;",
+        "MPU region 2 (MPU_RASR 0x0600001F) closes 0x20000000 to 0x2000FFFF",
+    ),
+    "code closed by the MPU": (
+        "REG(0xE000ED9C) = 0x08000000 | 0x13; REG(0xE000EDA0) = 1u << 28 | 3u << 24 | 18u << 1 | 1;",
+        "MPU region 3 (MPU_RASR 0x13000025) closes 0x08000000 to 0x0807FFFF",
+    ),
     "stack overflow by an interrupt": (
         '__asm volatile("mov sp, %0\\n cpsie i" :: "r"(0x20000010 + zero)); ENABLE(0); PEND(0); '
         '__asm volatile("dsb");',
@@ -121,6 +133,8 @@ ALLOWED = {
     "aligned words": '__asm volatile("vldr s0, [%0, #8]\\n ldrd r2, r3, [%0, #4]" '
     ':: "r"(0x20003000 + zero) : "r2", "r3");',
     "code in ITCM": CALL_ITCM + CALL_ITCM + " RESULT[0] = REG(0x200 + zero);",
+    "flash made read-only by the MPU": "REG(0xE000ED9C) = 0x08000000 | 0x11; "
+    "REG(0xE000EDA0) = 6u << 24 | 18u << 1 | 1;",
     "alias and unique id": "RESULT[0] = REG(0x00208000 + zero) + REG(0x1FF07A10 + zero);",
 }
 OTHERS = {

@@ -113,6 +113,15 @@ CORE_MUTANTS = (
         seconds=0.4,
     ),
     Mutant(
+        name="memory of DMA buffers closed to the core",
+        file="hal/stm32f7/core.c",
+        old="{0x2003C000u, 14, UNCACHED}",
+        new="{0x2003C000u, 14, NO_ACCESS}",
+        message=r"MPU region 3 \(MPU_RASR 0x1000001B\) closes 0x2003C000 to 0x2003FFFF",
+        place="core_start",
+        prove=True,
+    ),
+    Mutant(
         name="code in RAM",
         file=LINKER,
         old="\t\titcm_end = .;\n\t} > ITCM AT > BANK_A",
