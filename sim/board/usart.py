@@ -37,6 +37,11 @@ class Format:
     stop_bits: float = 1.0
     inverted: bool = False
 
+    def __str__(self) -> str:
+        """100000 baud 8E2 inverted."""
+        inverted = " inverted" if self.inverted else ""
+        return f"{self.baud:.0f} baud {self.data_bits}{self.parity}{self.stop_bits:g}{inverted}"
+
     @property
     def byte_cycles(self) -> int:
         """How long a byte takes on the line."""
@@ -305,6 +310,7 @@ class Usart(Device):
         flags = 0
         if not own.understands(sender):
             self._mismatches += 1
+            self.context.note(f"{self.name} listens at {own}, but is sent {sender}")
             byte, flags = byte ^ 0xFF, _FE
         elif broken:
             flags = _PE if own.parity != "N" else _FE

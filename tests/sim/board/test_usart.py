@@ -91,6 +91,7 @@ def test_bytes_break_when_the_sender_speaks_another_format(fast: Bench, sender: 
     usart.feed(b"\x0f", sender)
     fast.context.run(1000)
     assert usart.mismatches == 1
+    assert list(fast.context.notes) == [f"USART2 listens at 100000 baud 8E2 inverted, but is sent {sender}"]
     assert fast.get("USART2_ISR", "FE") == 1
     assert fast.context.memory(RING, 1) == b"\xf0"
 

@@ -57,6 +57,27 @@ def test_firmware_saves_its_settings_when_it_is_built_and_asked_as_mutants_are(f
     assert report.flash_operations > 2 * 50  # settings; the log of boots takes 25 of each
 
 
+@pytest.mark.prove
+def test_line_is_noted_when_the_firmware_listens_at_another_baud(fly_mutant: Fly) -> None:
+    """No error: a receiver of another kind may be plugged in. The firmware does not arm."""
+    wrong = Mutant(
+        name="receiver's line at another baud",
+        file="hal/stm32f7/receiver_line.c",
+        old=".baud = 100000,",
+        new=".baud = 115200,",
+        message="",
+        seconds=1.8,
+        flown=True,
+    )
+    flight = fly_mutant(wrong)
+    (note,) = flight.report.notes
+    assert note.message == (
+        "USART2 listens at 115139 baud 8E2 inverted, but is sent 100000 baud 8E2 inverted"
+    )
+    assert note.times > 25
+    assert not any(flight.values)
+
+
 def test_image_is_the_same_when_it_is_built_as_mutants_are(
     build_mutant: Callable[[Mutant], Path], board_image: Path
 ) -> None:
