@@ -67,8 +67,8 @@ def _both(values: list[float], digits: int) -> str:
 
 
 ABOUT = """The image `{image}`, every run of its control task in flight on the emulated board: {count}
-`pulses` under its policy, {count} under its PID. The control algorithm is the controller's own function.
-The control task is the interrupt that has a gyro sample, where it is a control step: sample, filters,
+`pulses` under its policy, {count} under its PID. The control algorithm is the controller's own function;
+disarmed none is asked. The control task is the interrupt that has a gyro sample, where it is a control step: sample, filters,
 receiver, attitude, safety, controller, mixer, motors' frame, to its return. Between two come samples that
 are only filtered. Variability is (worst - best) / worst. Instructions are exact. {cycles} µs are at {mhz}
 MHz. What other interrupts execute in between is left out; they came {interruptions} times. Left out as
