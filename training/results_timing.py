@@ -68,12 +68,13 @@ def _both(values: list[float], digits: int) -> str:
 
 ABOUT = """The image `{image}`, every run of its control task in flight on the emulated board: {count}
 `pulses` under its policy, {count} under its PID. The control algorithm is the controller's own function;
-disarmed none is asked. The control task is the interrupt that has a gyro sample, where it is a control step: sample, filters,
-receiver, attitude, safety, controller, mixer, motors' frame, to its return. Between two come samples that
-are only filtered. Variability is (worst - best) / worst. Instructions are exact. {cycles} µs are at {mhz}
-MHz. What other interrupts execute in between is left out; they came {interruptions} times. Left out as
-well: 22 cycles of entering and leaving the interrupt, and the interrupt before it that starts the chip's
-read, of {edge} instructions at most. No board has confirmed the cycles yet. The dissertation's figures were
-measured on a MATEKF722 at 216 MHz, with another firmware and a smaller network."""
+disarmed none is asked. The control task is the interrupt that has a gyro sample, where it is a control
+step: sample, filters, receiver, attitude, safety, controller, mixer, motors' frame, to its return. Between
+two come samples that are only filtered. Variability is (worst - best) / worst. Instructions are exact.
+{cycles} µs are at {mhz} MHz. What other interrupts execute in between is left out; they came
+{interruptions} times. Left out as well: 22 cycles of entering and leaving the interrupt, and the interrupt
+before it that starts the chip's read, of {edge} instructions at most. No board has confirmed the cycles
+yet. The dissertation's figures were measured on a MATEKF722 at 216 MHz, with another firmware and a smaller
+network."""
 ABOUT_CYCLES = """Cycles are predicted by {model}'s model of the Cortex-M7, with {device} more for each
 access to a peripheral's register and for each barrier ([timing.md](timing.md))."""
