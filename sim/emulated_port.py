@@ -160,9 +160,11 @@ class EmulatedPort:
     def announce(self, channels_us: Sequence[int], samples: int) -> None:
         """See ForeseeingPort. The frame's last byte ends one gyro period before the sample's edge.
 
-        Raises LinkError when it is too late for that.
+        Half a period where every sample is a control step, or it would be heard by the one before. Raises
+        LinkError when it is too late for that.
         """
-        wanted = self._edge + (samples - 1) * self._period
+        before = self._period if self._divider > 1 else self._period // 2
+        wanted = self._edge + samples * self._period - before
         sender = self._receiver
         frame, broken = self._plan.damaged(sender.frame(channels_us), sender.format)
         end = self.board.hardware.usarts[RECEIVER].feed(frame, sender.format, end=wanted, broken=broken)

@@ -5,7 +5,7 @@ the next sample on. Until the firmware is armed the aircraft is held where it is
 pilot closes the throttle and switches off, and the motors must stop. Receiver frames go out just before the
 control step they belong to: when the sticks changed, but no closer than SBUS can send them, and every 10 ms
 in any case. A frame takes its time on a line, so the pilot decides for each FRAME_SPACING_S ahead, on every
-port alike; a port that has such a line hears of it then.
+port alike, or further where gyro samples are rare; a port that has such a line hears of it then.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from sim.twin import Twin
 from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
 from toolchain.errors import LinkError
 
-FRAME_SPACING_S = 0.004  # an SBUS frame is 25 x 12 bits at 100 kbaud = 3 ms, and a gap
+FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
+FRAME_SPACING_S = 0.004  # a frame and a gap
 FRAME_PERIOD_S = 0.010  # between frames of unchanged sticks
 SWITCH_OFF_S = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 50) / 1000  # before the first try to arm
 SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
@@ -143,7 +144,9 @@ class _Lockstep:
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
         self._period = round(FRAME_PERIOD_S * port.control_rate_hz)
-        self._lead = math.ceil(FRAME_SPACING_S * port.control_rate_hz)  # steps ahead that frames are decided
+        # Steps ahead that frames are decided: after a sample, for one that they have to end a sample before.
+        lead_s = max(FRAME_SPACING_S, FRAME_S + 2 / port.gyro_rate_hz)
+        self._lead = math.ceil(round(lead_s * port.control_rate_hz, 6))
         self._planned: dict[int, NDArray[np.uint16]] = {}  # frames by control step
         self._frame: NDArray[np.uint16] | None = None  # the last one planned
         self._frame_step = 0

@@ -34,8 +34,8 @@ def image(board_image: Path) -> Path:
 def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
     image: Path, reference_library: Path, flown: Flown
 ) -> None:
-    on_board = flown(EmulatedPort(image, 2000, receiver="crsf"), BUSY)
-    assert flown(ReferencePort(reference_library, 2000), BUSY).same(on_board)
+    on_board = flown(EmulatedPort(image, 1000, receiver="crsf"), BUSY)
+    assert flown(ReferencePort(reference_library, 1000), BUSY).same(on_board)
 
 
 def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> None:

@@ -105,7 +105,7 @@ def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
 
 
 def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_stops_it(fly: Command) -> None:
-    code, out, _ = fly("--fault", "gyro-silent@0.05", "--fault", "brown-out@9")
+    code, out, _ = fly("--gyro-hz", "1000", "--fault", "gyro-silent@0.05", "--fault", "brown-out@9")
     assert code == STOPPED == 3
     words = " ".join(out.split())
     assert "flight motors stopped at 0.0" in words

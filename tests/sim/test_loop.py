@@ -137,6 +137,13 @@ def test_frames_come_at_control_steps_as_a_receiver_sends_them_when_flown() -> N
     assert changed[0] == start + 4 * 20
 
 
+@pytest.mark.parametrize(("gyro_rate_hz", "first_ms"), [(8000, 4), (4000, 4), (2000, 4), (1000, 5)])
+def test_the_first_frame_is_heard_when_a_line_can_have_carried_it(gyro_rate_hz: int, first_ms: int) -> None:
+    port = Recorder(gyro_rate_hz)
+    flown(port, Scenario("short", (Segment(0.01),)))
+    assert port.frames[0][0] == first_ms * gyro_rate_hz // 1000
+
+
 def test_boot_keeps_switch_and_throttle_low_when_not_yet_armed() -> None:
     port = Recorder()
     _, _, start = flown(port)
