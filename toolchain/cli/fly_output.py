@@ -43,6 +43,7 @@ def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
 def document(
     args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flown: list[Flown]
 ) -> dict[str, Any]:
+    """All that is told of one scenario, as JSON has it."""
     from toolchain.cli.output import plain
 
     report = flown[0].report
@@ -71,6 +72,7 @@ def document(
 
 
 def print_flight(title: str, note: str, flown: list[Flown]) -> None:
+    """A column a flight, and what the emulated board says of the first."""
     from sim.report import table
 
     report = flown[0].report
