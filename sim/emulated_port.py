@@ -84,7 +84,7 @@ class Moment:
 
 
 class EmulatedPort:
-    """FirmwarePort around a board of its own. What the board does not forgive comes as BoardError."""
+    """FirmwarePort around a board of its own. What the board does not forgive is the LinkError BoardError."""
 
     def __init__(
         self,
@@ -191,8 +191,10 @@ class EmulatedPort:
             self._reply = self._reply_in_trouble(values)
             return self._reply
         if int(self._read(_SAMPLES)) != self._samples:
+            resets = ", ".join(self.board.engine.resets[self._resets :])
             raise LinkError(
                 f"the firmware has taken {self._read(_SAMPLES)} gyro samples, it was given {self._samples}"
+                f"{'; it was reset: ' if resets else ''}{resets}"
             )
         control_step = (self._samples - 1) % self._divider == 0
         if control_step or self._reply is None or values.tobytes() != self._reply.dshot.tobytes():

@@ -48,6 +48,16 @@ def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> No
     port.close()
 
 
+def test_it_says_so_when_the_firmware_resets_that_nobody_asked_to(image: Path) -> None:
+    port = EmulatedPort(image)
+    port.exchange(STILL, None)
+    port.board.brown_out()
+    with pytest.raises(LinkError, match=r"it was given \d+; it was reset: brown-out"):
+        for _ in range(8):
+            port.exchange(STILL, None)
+    port.close()
+
+
 def test_it_says_why_when_the_image_is_missing(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="not built yet"):
         EmulatedPort(tmp_path / "neuroflight.bin")
