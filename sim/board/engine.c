@@ -261,35 +261,57 @@ static void count_block(struct engine *e, struct block *block)
 	block->times = 0;
 }
 
-static void drop_block(struct engine *e, uint32_t row)
-{
-	if (e->blocks[row] != NULL)
-		count_block(e, e->blocks[row]);
-	free(e->blocks[row]);
-	e->blocks[row] = NULL;
-}
-
 /* The counts of blocks that are still in use, into the books. */
 void count_all(struct engine *e)
 {
 	for (uint32_t row = 0; row < e->block_rows; ++row)
-		if (e->blocks[row] != NULL)
-			count_block(e, e->blocks[row]);
+		for (struct block *block = e->blocks[row]; block != NULL; block = block->other)
+			count_block(e, block);
 }
 
-static struct block *find_block(struct engine *e, uint32_t start, uint32_t size, uint32_t opening)
+void drop_blocks(struct engine *e, uint32_t row)
 {
-	struct block **place = &e->blocks[e->code];
+	while (e->blocks[row] != NULL) {
+		struct block *const block = e->blocks[row];
 
-	if (*place != NULL && (*place)->size == size && (*place)->opening == opening)
-		return *place;
-	drop_block(e, e->code);
-	if (e->code >= e->block_rows)
-		e->block_rows = e->code + 1u;
-	*place = block_decode(host(e, start, size), size, opening);
-	if (*place != NULL)
-		(*place)->code = e->code;
-	return *place;
+		e->blocks[row] = block->other;
+		free(block);
+	}
+}
+
+static bool is_it(const struct block *block, uint32_t start, uint32_t size, uint32_t opening)
+{
+	return block != NULL && block->start == start && block->size == size && block->opening == opening;
+}
+
+/* The block that begins at `start`; NULL: no code can be there. What followed `before` last is likely to do so again,
+ * and lies in this machine's cache. */
+static struct block *find_block(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
+{
+	if (before != NULL && is_it(before->next, start, size, opening))
+		return before->next;
+	const uint32_t row = row_of(start);
+
+	if (row == NOWHERE)
+		return NULL;
+	struct block *found = e->blocks[row];
+
+	while (found != NULL && !is_it(found, start, size, opening))
+		found = found->other;
+	if (found == NULL) {
+		found = block_decode(host(e, start, size), size, opening);
+		if (found == NULL)
+			return NULL;
+		found->start = start;
+		found->code = row;
+		found->other = e->blocks[row];
+		e->blocks[row] = found;
+		if (row >= e->block_rows)
+			e->block_rows = row + 1u;
+	}
+	if (before != NULL)
+		before->next = found;
+	return found;
 }
 
 /* ITCM is written by start-up once; from its first instruction on it is read-only. */
@@ -305,23 +327,25 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 {
 	struct engine *e = user;
 	const uint32_t start = (uint32_t)address;
+	struct block *const before = e->block;
 	uint32_t opening = 0;
 
 	(void)uc;
-	if (e->block != NULL) {
-		opening = e->start + e->block->size == start ? e->block->open : 0;
-		account(e, e->block->count);
+	if (before != NULL) {
+		opening = e->start + before->size == start ? before->open : 0;
+		account(e, before->count);
 	}
 	e->at = e->start = e->s.pc = start;
-	e->code = row_of(start);
 	e->next_special = 0;
 	e->stopped = false;
-	e->block = e->code == NOWHERE ? NULL : find_block(e, start, size, opening);
+	e->block = find_block(e, before, start, size, opening);
 	if (e->block == NULL) {
 		fail(e, "execution at 0x%08X", start);
 		uc_emu_stop(e->uc);
 		return;
 	}
+	e->code = e->block->code;
+	__builtin_prefetch(e->block->next);
 	if (e->profiling)
 		profile_block(e);
 	plan(e);
@@ -390,8 +414,9 @@ uc_err hooks_add(struct engine *e)
 void forget_code(struct engine *e)
 {
 	e->code_changed = false;
+	count_all(e);
 	for (uint32_t row = 0; row < e->block_rows; ++row)
-		drop_block(e, row);
+		drop_blocks(e, row);
 	uc_ctl_flush_tb(e->uc);
 	uc_ctl_flush_tlb(e->uc);
 }

@@ -101,7 +101,8 @@ struct special {
 
 /* A run of instructions that unicorn translated as one. */
 struct block {
-	uint32_t size; /* bytes */
+	uint32_t start;          /* address */
+	uint32_t size;           /* bytes */
 	uint16_t count;
 	uint16_t special_count;
 	uint16_t float_offset;   /* of the first floating-point instruction, UINT16_MAX: none */
@@ -112,6 +113,8 @@ struct block {
 	uint64_t times;          /* executed to its end, and not yet in `enters` */
 	uint16_t *offsets;       /* of each instruction; bit 0: inside an IT, where nothing stops */
 	struct special *specials;
+	struct block *next;      /* what ran after it last; NULL: not known */
+	struct block *other;     /* from the same address, but of another length or under an IT */
 };
 
 struct activation {
@@ -249,7 +252,7 @@ struct engine {
 	uint32_t fault_type, fault_at, fault_size, fault_value; /* as unicorn told */
 	uint32_t last_pc;            /* where it stood when it failed */
 
-	struct block **blocks;       /* CODE_HALFWORDS */
+	struct block **blocks;       /* CODE_HALFWORDS, by where they begin */
 	uint32_t block_rows;         /* of them, the first ones, that may hold any */
 	uint64_t *enters, *leaves;   /* CODE_HALFWORDS + 1: counts by differences */
 
@@ -282,6 +285,7 @@ struct engine {
 /* engine.c */
 void mix(struct engine *e, uint64_t value);
 void count_all(struct engine *e);                    /* counts of blocks in use, into enters and leaves */
+void drop_blocks(struct engine *e, uint32_t row);
 void forget_code(struct engine *e);                  /* it was changed from outside; not while unicorn runs */
 uc_err hooks_add(struct engine *e);
 

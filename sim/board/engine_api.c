@@ -49,7 +49,7 @@ void engine_free(struct engine *e)
 	if (e->uc != NULL)
 		uc_close(e->uc);
 	for (uint32_t i = 0; i < CODE_HALFWORDS; ++i)
-		free(e->blocks[i]);
+		drop_blocks(e, i);
 	free(e->itcm);
 	free(e->flash);
 	free(e->system);

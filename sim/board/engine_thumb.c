@@ -4,6 +4,7 @@
 
 #include "engine.h"
 
+enum { LINE = 64 }; /* bytes, of this machine's cache */
 enum { NONE = 15, ALL = 0xFFFF, SP = 13, PC = 15 };
 
 struct instruction {
@@ -198,11 +199,13 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 {
 	/* One piece of memory: a run of code touches as few places as it may. */
 	const size_t most = size / 2u + 1u;
-	struct block *const block = calloc(1, sizeof *block + most * (sizeof *block->specials + sizeof *block->offsets));
+	const size_t bytes = sizeof(struct block) + most * (sizeof(struct special) + sizeof(uint16_t));
+	struct block *const block = aligned_alloc(LINE, (bytes + LINE - 1u) / LINE * LINE);
 	uint32_t aligned = 0, seen = 0, covered = opening;
 
 	if (block == NULL)
 		return NULL;
+	memset(block, 0, bytes);
 	block->size = size;
 	block->opening = (uint16_t)opening;
 	block->float_offset = UINT16_MAX;

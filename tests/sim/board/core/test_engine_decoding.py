@@ -70,7 +70,7 @@ class Block(ctypes.Structure):
     """`struct block` of engine.h."""
 
     _fields_ = (
-        ("size", ctypes.c_uint32),
+        *((name, ctypes.c_uint32) for name in ("start", "size")),
         *((name, ctypes.c_uint16) for name in ("count", "special_count", "float_offset", "opening", "open")),
         *(("calls", ctypes.c_bool), ("code", ctypes.c_uint32), ("times", ctypes.c_uint64)),
         *(("offsets", ctypes.POINTER(ctypes.c_uint16)), ("specials", ctypes.POINTER(Special))),
