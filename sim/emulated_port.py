@@ -27,10 +27,9 @@ from sim.board.desk import configured
 from sim.board.faults import Fault, FaultPlan
 from sim.board.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
 from sim.board.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.usart import CRSF, SBUS, Format
 from sim.board.variables import read_variables
 from sim.port import Reply, Sample, control_divider
-from sim.receiver_frames import crsf_frame, sbus_frame
+from sim.receiver_frames import RECEIVERS
 from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
@@ -54,15 +53,6 @@ _NO_RATES = np.zeros(3, np.float32)
 RunTo = Callable[[int], None]  # lets a board run to a cycle
 
 
-@dataclass(frozen=True)
-class Receiver:
-    """What speaks on the receiver's line."""
-
-    frame: Callable[[Sequence[int]], bytes]
-    format: Format
-
-
-RECEIVERS = {"sbus": Receiver(sbus_frame, SBUS), "crsf": Receiver(crsf_frame, CRSF)}
 RECEIVER_SETTING = next(setting for setting in SETTINGS if setting.name == "receiver_protocol")
 
 

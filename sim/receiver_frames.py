@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+from sim.board.usart import CRSF, SBUS, Format
 from toolchain.contract import (
     CHANNEL_COUNT,
     CRC8_DVB_S2_POLY,
@@ -52,3 +54,14 @@ def _crc8(data: bytes) -> int:
         for _ in range(8):
             crc = (crc << 1 ^ (CRC8_DVB_S2_POLY if crc & 0x80 else 0)) & 0xFF
     return crc
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """What speaks on the receiver's line."""
+
+    frame: Callable[[Sequence[int]], bytes]  # of channels [us]
+    format: Format
+
+
+RECEIVERS = {"sbus": Receiver(sbus_frame, SBUS), "crsf": Receiver(crsf_frame, CRSF)}
