@@ -198,3 +198,20 @@ def test_settings_can_be_stored_when_the_last_save_was_cut(save: Save) -> None:
     save.desk.board.reset()
     save.desk.boot()
     assert held(save.desk) == NEW
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("cut", Cut)
+def test_the_board_boots_when_power_goes_while_a_boot_is_logged(board_image: Path, cut: Cut) -> None:
+    image = board_image.with_suffix(".bin").read_bytes()
+    operation, resets = 0, 2
+    while resets == 2:  # until there is no such operation any more
+        desk = Desk(image, elf=board_image)
+        desk.board.hardware.flash.cut_at, desk.board.hardware.flash.cut = operation, cut
+        desk.boot()
+        with desk.client() as client:
+            assert "FAULT" not in read_info(client).arming_reasons
+        resets = len(desk.board.engine.resets)
+        desk.close()
+        operation += 1
+    assert operation > 20
