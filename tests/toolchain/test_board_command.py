@@ -96,7 +96,9 @@ def test_settings_are_there_in_the_next_run_when_flash_is_kept(
     assert board.baud == 921_600
     with Client(open_transport(board.port)) as client:
         assert Settings(client).get("msp_baud") == 921_600
-    assert board.interrupt()[0] == 0
+        client.request(Msp.REBOOT)
+        assert Settings(client).get("msp_baud") == 921_600, "the line stays"
+    assert board.interrupt()[1].endswith("resets: software\n")
 
 
 def test_yamspy_reads_who_and_how_it_is_when_it_opens_the_pseudo_terminal(
