@@ -213,6 +213,10 @@ class Adc(Device):
         elif not self._stalled:
             available = self._dma.available("ADC1")
             endless = available and self._dma.circular("ADC1") and self.get("CR2", "DDS")
+            if endless and self._writes_the_same(len(self._order[2])):
+                # Whole rounds of the buffer change nothing once it has gone round.
+                total = self._dma.total("ADC1")
+                codes = codes[-(total + len(codes) % total) :]
             taken = len(codes) if endless else min(available, len(codes))
             if taken:
                 self._dma.give("ADC1", codes[:taken])

@@ -25,6 +25,7 @@ from sim.board.hot import BoardEngine, Hot
 from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
 from sim.board.hot_esc import HotEsc
 from sim.board.hot_gyro import HotGyroChip
+from sim.board.hot_iwdg import HotIwdg
 from sim.board.inspection import Inspection
 from sim.board.iwdg import Iwdg
 from sim.board.option_bytes import OptionBytes, signature
@@ -85,7 +86,7 @@ class Hardware:
         }
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
-        self.iwdg = Iwdg(context)
+        self.iwdg = (HotIwdg if engine else Iwdg)(context)
         self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
         esc_type = HotEsc if engine else Esc
         self.escs = tuple(esc_type(number, self._fail) for number in range(1, len(MOTORS) + 1))

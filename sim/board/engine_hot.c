@@ -5,6 +5,8 @@
 
 #include "engine_hot.h"
 
+enum { WATCHDOG_FEED = 0xAAAA };
+
 _Thread_local struct hot *hot_current;
 
 /* ---- the engine's callbacks ---- */
@@ -37,13 +39,32 @@ uint32_t hot_read(uint32_t window, uint32_t offset, uint32_t size)
 	return size == 4u ? value : value >> 8u * (offset & 3u) & ((1u << 8u * size) - 1u);
 }
 
+/* sim/board/iwdg.py says why; whatever is no plain feed is Python's. */
+static bool feeds_watchdog(struct hot *h, uint32_t window, uint32_t offset, uint32_t size, uint32_t value)
+{
+	struct watchdog *const w = &h->s.watchdog;
+
+	if (window != h->watchdog_window || offset != h->watchdog_offset || size != 4u || value != WATCHDOG_FEED ||
+	    w->period == 0u)
+		return false;
+	const uint64_t due = engine_due(h->e, h->watchdog_alarm), cycle = now(h);
+
+	if (due != NEVER && due >= cycle && due - cycle < w->closest)
+		w->closest = due - cycle;
+	++w->feeds;
+	++w->writes;
+	engine_set_alarm(h->e, h->watchdog_alarm, cycle + w->period);
+	return true;
+}
+
 void hot_write(uint32_t window, uint32_t offset, uint32_t size, uint32_t value)
 {
 	struct hot *const h = hot_current;
 	const int16_t device = h->device_of[window];
 
 	if (device < 0) {
-		h->on_write(window, offset, size, value);
+		if (!feeds_watchdog(h, window, offset, size, value))
+			h->on_write(window, offset, size, value);
 		return;
 	}
 	const uint32_t slot = offset >> 2;
@@ -114,6 +135,7 @@ struct hot *hot_new(struct engine *e, read_function on_read, write_function on_w
 	h->refuse = refuse, h->judge = judge, h->source = source;
 	h->exchange = exchange, h->pulses = pulses, h->pin = pin;
 	h->s.begun = NEVER;
+	h->watchdog_window = UINT32_MAX;
 	h->s.epoch = 1;
 	h->s.apb2 = h->s.timer_clock[0] = h->s.timer_clock[1] = 16000000;
 	for (uint32_t i = 0; i < WINDOWS; ++i)
@@ -187,6 +209,15 @@ void hot_obeyed(const struct hot *h, uint32_t count, uint64_t silent, uint16_t *
 
 		values[i] = hears ? (uint16_t)(esc->last >> 1) : 0u;
 	}
+}
+
+/* Where the watchdog's key register lies, and its alarm. */
+struct watchdog *hot_watchdog(struct hot *h, uint32_t window, uint32_t offset, uint32_t alarm)
+{
+	h->watchdog_window = window;
+	h->watchdog_offset = offset;
+	h->watchdog_alarm = alarm;
+	return &h->s.watchdog;
 }
 
 void hot_listen(struct hot *h, bool listening)

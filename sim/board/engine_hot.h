@@ -16,6 +16,7 @@ struct engine;
 uint64_t engine_cycle(const struct engine *e);
 void engine_irq(struct engine *e, uint32_t number, bool asserted);
 void engine_set_alarm(struct engine *e, uint32_t alarm, uint64_t cycle);
+uint64_t engine_due(const struct engine *e, uint32_t alarm);
 uint8_t *engine_memory(struct engine *e, uint32_t address, uint32_t size);
 bool engine_cached(const struct engine *e, uint32_t address);
 
@@ -135,6 +136,14 @@ struct gyro {
 	uint8_t interrupt, reads, selected;
 };
 
+/* The watchdog, which Python sees as well. */
+struct watchdog {
+	uint64_t period;  /* from a feed to the reset [cycles]; 0: feeding is Python's */
+	uint64_t feeds;
+	uint64_t closest; /* cycles that were left at the latest feed; NEVER: there was none */
+	uint64_t writes;  /* of the key register */
+};
+
 struct hot_state {
 	uint32_t words[DEVICES][SLOTS];
 	uint64_t reads[DEVICES][SLOTS], writes[DEVICES][SLOTS];
@@ -154,6 +163,7 @@ struct hot_state {
 	uint32_t selected, transaction;
 	uint64_t apb2, timer_clock[2];
 	struct gyro gyro;
+	struct watchdog watchdog;
 	struct frame frames[FRAMES];
 	uint32_t frame_count;
 	uint32_t epoch; /* rises with what judgements depend on: pins, clocks of peripherals */
@@ -180,6 +190,7 @@ struct hot {
 	uint32_t alarms[DEVICES];
 	uint8_t advanced[TIMERS];
 	uint16_t watched[PORTS];
+	uint32_t watchdog_window, watchdog_offset, watchdog_alarm;
 	uint32_t gyro_alarm, gyro_fall_alarm;
 	uint64_t gyro_pulse;
 	double gyro_data_hz;

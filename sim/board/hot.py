@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.bus import Device, Registers
+from sim.board.bus import WINDOW, Device, Registers
 from sim.board.context import TIME_HZ
 from sim.board.cpu_library import AlarmCallback, ReadCallback, SleepCallback, WriteCallback
 from sim.board.dma import Dma
@@ -36,6 +36,7 @@ from sim.board.gpio import PORTS, Port
 from sim.board.hot_devices import TIMER_NAMES, HotDmaSystem, HotPins, HotSpi, InC
 from sim.board.hot_esc import HotEsc
 from sim.board.hot_gyro import HotGyroChip
+from sim.board.hot_iwdg import HotIwdg
 from sim.board.rcc import Clocks
 from sim.board.spi import Spi
 from sim.board.syscfg import Syscfg
@@ -86,6 +87,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "esc": (c_void_p, c_void_p, c_uint32, c_uint32, c_uint32),
     "obeyed": (None, c_void_p, c_uint32, c_uint64, c_void_p),
     "listen": (None, c_void_p, c_bool),
+    "watchdog": (c_void_p, c_void_p, c_uint32, c_uint32, c_uint32),
     "frames": (c_uint32, c_void_p, POINTER(POINTER(_Frame))),
     "wake": (None, c_void_p, c_uint32, c_uint32, c_uint64, c_bool),
     "total": (c_uint32, c_void_p, c_uint32),
@@ -205,6 +207,10 @@ class Hot:
         dma.adopt(self)
         pins.adopt(self)
         chip.adopt(self)
+        watchdog = registers.devices["IWDG"]
+        assert isinstance(watchdog, HotIwdg)
+        name = registers.window_name(watchdog)
+        watchdog.adopt(self, engine.windows[name], watchdog.block.base % WINDOW)
         engine.hot = self
 
     def __del__(self) -> None:
