@@ -7,6 +7,7 @@ white noise and what the rotors shake. What an aircraft file leaves out is skipp
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 Array = NDArray[np.float64]
 Which = NDArray[np.intp] | slice  # some of the aircraft
 EVERYONE = slice(None)
+ONE = 1.0  # times the noise of the settings
 
 # Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle.
 VIBRATION_PHASE = np.array([0.0, math.pi / 2, math.pi / 4])
@@ -32,13 +34,21 @@ def measured_rate(
     bias: Array,
     noise: Gyro | Accelerometer,
     rng: np.random.Generator,
-    factor: Array | float = 1.0,
+    factor: Array | float = ONE,
 ) -> Array:
     """What an ideal converter would read, (N, 3): the true value with bias and `factor` times white noise.
 
     factor: one for all or (N, 1).
     """
-    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * (np.array(noise.noise) * factor))
+    scale = _noise_of(noise.noise)
+    if factor is not ONE:
+        scale = scale * factor
+    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * scale)
+
+
+@lru_cache(maxsize=16)
+def _noise_of(noise: tuple[float, float, float]) -> Array:
+    return np.array(noise)
 
 
 def counts(rate: Array) -> NDArray[np.int16]:
@@ -106,7 +116,7 @@ class _Sensor:
             value = lagged + self._follow * (value - lagged)
             self._lagged[which] = value
             self._fresh[which] = False
-        factor = 1.0 if self._factor is None else self._factor[which]
+        factor = ONE if self._factor is None else self._factor[which]
         reading = measured_rate(value, self._bias[which], self._settings, self._rng, factor)
         if self.vibrates:
             if phase is None:

@@ -7,6 +7,7 @@ mass, in body axes, stacked as a wrench (N, 6): force [N], then moment [N m].
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def next_speed(
     away = target - speed
     if isinstance(response, TorqueResponse):
         inertia = propulsion.rotor_inertia
-        settle = -np.expm1(-response.gain / inertia * passed)
+        settle = _settled(-response.gain / inertia * passed)
         up = response.torque_up / inertia * passed
         down = response.torque_down / inertia * passed
         change = np.minimum(np.maximum(settle * away, -down), up)
@@ -55,6 +56,18 @@ def next_speed(
         change = np.where(away > 0, rise, fall) * away
     after: Array = np.maximum(speed + change, 0.0)
     return after
+
+
+def _settled(passed: Array | float) -> Array | float:
+    """1 - exp(passed)."""
+    return -np.expm1(passed) if isinstance(passed, np.ndarray) else _settled_alike(passed)
+
+
+@lru_cache(maxsize=16)
+def _settled_alike(passed: float) -> float:
+    """The same for all rotors, and at every step."""
+    settled: np.float64 = -np.expm1(passed)
+    return settled
 
 
 def coefficient(polynomial: tuple[float, ...], speed: Array) -> Array | float:

@@ -176,6 +176,8 @@ class Adc(Device):
         if not self._running:
             return
         times = self._times()
+        if self.context.cycle - self._at < times[self._next]:
+            return
         codes = [self._code(channel) for channel in self._order[1]]
         ended: list[int] = []
         left = self.context.cycle - self._at
