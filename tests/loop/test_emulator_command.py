@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import re
+import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -147,6 +149,15 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
     assert heard == [MSP_VARIANT]
     # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
+
+
+def test_a_flight_ends_when_it_is_interrupted_wherever_the_board_is(fly: Command, client: Any) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    client(lambda port: os.kill(os.getpid(), signal.SIGINT))
+    code, out, err = fly("--serial", "tcp")
+    assert (code, out) == (130, "")
+    assert err.startswith("neuroflight: interrupted")
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path: Path) -> None:

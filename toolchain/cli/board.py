@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.cli.board_line import check_gdb, open_end, parse_serial
+from toolchain.cli.board_line import Interrupt, check_gdb, open_end, parse_serial
 from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
 from toolchain.errors import NeuroflightError
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
 VOLTS_DEFAULT, VOLTS_MAX = 16.8, 36.0  # four cells, full; what the converter's pin can see
 
 
@@ -99,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
             debugger = GdbServer(desk.board.engine, args.gdb)
             ends.callback(debugger.close)
             desk.run_core = debugger.run_to
-        interrupt = ends.enter_context(_Interrupt(debugger))
+        interrupt = ends.enter_context(Interrupt(debugger))
         _tell(image, args.baud, end, debugger)
         watch = _SpeedWatch(bridge)
 
@@ -116,32 +114,6 @@ def run(args: argparse.Namespace) -> int:
             print(flush=True)  # behind the terminal's ^C
         print(_summary(desk), flush=True)
     return 0
-
-
-class _Interrupt:
-    """Ctrl-C and SIGTERM end the run between two slices of the board's: inside one they would be lost."""
-
-    def __init__(self, debugger: GdbServer | None) -> None:
-        self._debugger = debugger
-        self._came = False
-
-    def __enter__(self) -> _Interrupt:
-        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def look(self) -> None:
-        """Raise KeyboardInterrupt if one has come."""
-        if self._came:
-            raise KeyboardInterrupt
-
-    def _note(self, number: int, frame: object) -> None:
-        self._came = True
-        if self._debugger is not None and self._debugger.holds:
-            raise KeyboardInterrupt  # no slice is run, and none will be
 
 
 class _SpeedWatch:

@@ -1,16 +1,19 @@
-"""What commands on the emulated board share: where other programs reach it."""
+"""What commands on the emulated board share: where other programs reach it, and how Ctrl-C does."""
 
 from __future__ import annotations
 
 import re
+import signal
 from typing import TYPE_CHECKING
 
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
+    from sim.board.gdb import GdbServer
     from sim.board.line import End
 
 PORT_MAX = 65535
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def parse_serial(text: str) -> tuple[str, int]:
@@ -33,3 +36,29 @@ def check_gdb(port: int | None) -> None:
     """Refuse a `--gdb PORT` that is none."""
     if port is not None and not 0 <= port <= PORT_MAX:
         raise NeuroflightError(f"--gdb: got {port}, expected a port of 0 to {PORT_MAX}, 0 for any")
+
+
+class Interrupt:
+    """Ctrl-C and SIGTERM end the run between two slices of the board's: inside one they would be lost."""
+
+    def __init__(self, debugger: GdbServer | None) -> None:
+        self._debugger = debugger
+        self._came = False
+
+    def __enter__(self) -> Interrupt:
+        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def look(self) -> None:
+        """Raise KeyboardInterrupt if one has come."""
+        if self._came:
+            raise KeyboardInterrupt
+
+    def _note(self, number: int, frame: object) -> None:
+        self._came = True
+        if self._debugger is not None and self._debugger.holds:
+            raise KeyboardInterrupt  # no slice is run, and none will be

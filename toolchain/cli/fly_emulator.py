@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from toolchain.cli.board_line import check_gdb, open_end, parse_serial
+from toolchain.cli.board_line import Interrupt, check_gdb, open_end, parse_serial
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ OPTIONS: dict[str, object] = {  # and their defaults
     "profile": None,
 }
 BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
-SLICE_S = 0.001  # of the board's time between two looks at the serial line, at most
+SLICE = 216_000  # cycles between two looks at serial line and Ctrl-C, at most: 1 ms
 
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,13 +89,13 @@ def open_image(
 def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
     """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
     from flash.settings import parse_change
-    from sim.board.context import TIME_HZ
     from sim.board.gdb import GdbServer
     from sim.board.line import Bridge, UartLine
     from sim.board.usart import Format
     from toolchain.contract import MSP_BAUD_DEFAULT
 
     run_to: Callable[[int], None] = board.run_to
+    server = None
     if args.gdb is not None:
         server = GdbServer(board.engine, args.gdb)
         ends.callback(server.close)
@@ -103,21 +103,24 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
         say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
         server.wait()
         run_to = server.run_to
-    if args.serial is None:
-        return run_to
-    end = open_end(parse_serial(args.serial))
-    baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
-    bridge = Bridge(UartLine(board, format=Format(baud)), end)
-    ends.callback(bridge.close)
-    say(f"USART1 at {end.name}, {baud:.0f} baud")
+    interrupt = ends.enter_context(Interrupt(server))
+    bridge = None
+    if args.serial is not None:
+        end = open_end(parse_serial(args.serial))
+        baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
+        bridge = Bridge(UartLine(board, format=Format(baud)), end)
+        ends.callback(bridge.close)
+        say(f"USART1 at {end.name}, {baud:.0f} baud")
 
-    def run_with_line(cycle: int) -> None:
+    def run(cycle: int) -> None:
         while board.cycle < cycle:
-            until = min(cycle, board.cycle + round(SLICE_S * TIME_HZ))
-            bridge.exchange(until - board.cycle)
+            until = min(cycle, board.cycle + SLICE)
+            if bridge is not None:
+                bridge.exchange(until - board.cycle)
             run_to(until)
+            interrupt.look()
 
-    return run_with_line
+    return run
 
 
 def emulator_document(report: EmulatedReport) -> dict[str, Any]:
