@@ -11,7 +11,7 @@ import copy
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
@@ -34,7 +34,7 @@ class Field:
     access: str  # r, w or rw
     modelled: bool
 
-    @property
+    @cached_property
     def mask(self) -> int:
         return ((1 << self.width) - 1) << self.lsb
 
@@ -51,17 +51,17 @@ class Register:
     sizes: tuple[int, ...]  # bytes an access may have
     fields: dict[str, Field]
 
-    @property
+    @cached_property
     def reserved(self) -> int:
         """Bits that no field covers; they keep their reset value."""
         return WORD & ~self._mask(lambda field: True)
 
-    @property
+    @cached_property
     def unmodelled(self) -> int:
         """Bits of fields that a program may write but the emulator does not know."""
         return self._mask(lambda field: not field.modelled and "w" in field.access) & ~self.writable
 
-    @property
+    @cached_property
     def writable(self) -> int:
         """Bits of fields that take what is written."""
         return self._mask(lambda field: field.modelled and "w" in field.access)

@@ -56,6 +56,9 @@ class Outcome(IntEnum):
     ASLEEP = 5  # in WFI with nothing that could end it
 
 
+_OUTCOMES = tuple(Outcome)
+
+
 @dataclass(frozen=True)
 class Note:
     """Something for the report."""
@@ -151,7 +154,7 @@ class Engine:
 
     def run_to(self, cycle: int) -> None:
         """Run until `cycle`; resets of the chip happen on the way. Raises BoardError."""
-        while self.run(cycle) == Outcome.RESET:
+        while self.run(cycle) is Outcome.RESET:
             pass
 
     def run(self, cycle: int = NEVER, instructions: int = NEVER) -> Outcome:
@@ -159,7 +162,7 @@ class Engine:
 
         Raises BoardError for what the image did wrong, and what a peripheral raised.
         """
-        outcome = Outcome(self.library.engine_run(self.handle, cycle, instructions))
+        outcome = _OUTCOMES[int(self.library.engine_run(self.handle, cycle, instructions))]
         if outcome is Outcome.RESET:
             self._reset(self._cause or "software")
         elif outcome is Outcome.FAILED:

@@ -141,8 +141,13 @@ int engine_new_alarm(struct engine *e)
 
 void engine_set_alarm(struct engine *e, uint32_t alarm, uint64_t cycle)
 {
-	e->s.due[alarm] = cycle > NEVER >> FRACTION ? NEVER : cycle;
-	alarms_changed(e);
+	const uint64_t before = e->s.due[alarm], after = cycle > NEVER >> FRACTION ? NEVER : cycle;
+
+	e->s.due[alarm] = after;
+	/* Most alarms are set again and again behind the one that comes first. */
+	if (before == after || (before != NEVER && before << FRACTION <= e->next_due) ||
+	    (after != NEVER && after << FRACTION < e->next_due))
+		alarms_changed(e);
 }
 
 uint64_t engine_due(const struct engine *e, uint32_t alarm)

@@ -125,12 +125,15 @@ class BoardEngine(Engine):
     hot: Hot | None = None
 
     def run(self, cycle: int = NEVER, instructions: int = NEVER) -> Outcome:
-        self._select()
+        hot = self.hot
+        if hot is None:
+            return super().run(cycle, instructions)
+        self.library.hot_select(hot.handle)
         try:
             return super().run(cycle, instructions)
         finally:
-            if self.hot is not None and self.hot.listening:
-                self.hot.drain()
+            if hot.listening:
+                hot.drain()
 
     def load(self, address: int, size: int) -> int:
         self._select()
