@@ -62,6 +62,41 @@ def test_battery_is_measured_when_converted_round_by_round(fast: Bench) -> None:
     assert fast.read("ADC1_SR") & 1 << 5 == 0
 
 
+def test_buffer_follows_the_battery_when_nobody_looked_for_long(fast: Bench) -> None:
+    configure(fast)
+    fast.context.run(5)
+    fast.hardware.adc.set_battery(16.8, 20.0)
+    start_dma(fast)
+    fast.write("ADC1_CR2", ADON | CONT | DMA | DDS)
+    fast.set("ADC1_CR2", SWSTART=1)
+    fast.context.run(200 * CONVERSION + 0.1)
+    fast.write("DMA2_LIFCR", 0x3D)
+    assert fast.read("DMA2_S0NDTR") == 64 - 200 % 64
+    fast.context.run(5000 * CONVERSION)
+    assert fast.read("DMA2_LISR") & 0x3D == 1 << 4 | 1 << 5  # half through, and through
+    assert fast.read("DMA2_S0NDTR") == 64 - 5200 % 64
+    fast.hardware.adc.set_battery(15.0, 20.0)
+    fast.context.run(130 * CONVERSION)
+    raw = fast.context.memory(BUFFER, 128)
+    volts = {int.from_bytes(raw[i : i + 2], "little") for i in range(0, 128, 4)}
+    assert volts == {round(15.0 / 11 / 3.3 * 4095)}
+
+
+def test_interrupt_comes_in_time_when_a_quiet_stream_is_to_interrupt(fast: Bench) -> None:
+    configure(fast)
+    fast.context.run(5)
+    start_dma(fast)
+    fast.write("ADC1_CR2", ADON | CONT | DMA | DDS)
+    fast.set("ADC1_CR2", SWSTART=1)
+    fast.context.run(200 * CONVERSION + 0.1)
+    fast.write("DMA2_LIFCR", 0x3D)
+    fast.set("DMA2_S0CR", TCIE=1)  # 56 conversions before the end of the fourth round
+    fast.context.run(55 * CONVERSION)
+    assert not fast.context.asserted("DMA2_STREAM0")
+    fast.context.run(2 * CONVERSION)
+    assert fast.context.asserted("DMA2_STREAM0")
+
+
 def test_converter_overruns_when_dma_takes_no_more(fast: Bench) -> None:
     configure(fast)
     fast.context.run(5)
@@ -124,6 +159,9 @@ def test_watchdog_is_content_when_fed(bench: Bench) -> None:
     left = bench.hardware.iwdg.closest
     assert left is not None
     assert abs(left - 101_000 * 216) < 10  # 501 ticks of 1 ms
+    assert bench.hardware.iwdg.feeds == 7  # the start and what `start_watchdog` did
+    touched = {touch.register: touch.writes for touch in bench.hardware.touched()}
+    assert touched["IWDG_KR"] == 8
 
 
 def test_watchdog_is_missed_when_not_fed(bench: Bench, make_bench: type[Bench]) -> None:
