@@ -122,7 +122,7 @@ def built(product: Path) -> Built:
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise BuildError(f"{path} does not tell the idle of the policy; build {product.name} anew") from error
+        raise BuildError(f"{path} does not tell what is inside; build {product.name} anew") from error
     for idle in (found.policy_idle, found.pid_idle or 0.0):
         if not 0.0 <= idle <= IDLE_MAX:
             raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")

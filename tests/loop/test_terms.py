@@ -31,6 +31,7 @@ TERMS = (
     "rate_error,rate_error_integral,rate,rate~15Hz,rate_error_delta~80Hz@1,"
     "previous_action~40Hz@2,throttle@16,throttle~5Hz,rate_error@1"
 )
+REPORT = '{"policy": {"network": "19-16-4 tanh", "sha256": "", "idle": %g}, "pid": null, "files": []}'
 BUSY = Scenario(
     "busy",
     tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(5)),
@@ -130,15 +131,15 @@ def test_fly_tells_the_policys_own_output_when_it_has_an_idle(
     ("damage", "words"),
     [
         (None, "cannot read"),
-        ("{}", "does not tell the idle of the policy"),
-        ("[" * 100_000, "does not tell the idle of the policy"),
-        ('{"policy": {"idle": 0.7}, "files": []}', "the policy's idle is 0.7, expected 0 to 0.5"),
-        ('{"policy": {"idle": 0.1}, "files": []}', "is the report of another build than libneuroflight.so"),
+        ("{}", "does not tell what is inside"),
+        ("[" * 100_000, "does not tell what is inside"),
+        (REPORT % 0.7, "the policy's idle is 0.7, expected 0 to 0.5"),
+        (REPORT % 0.1, "is the report of another build than libneuroflight.so"),
         (" " * (1 << 20) + "{}", "expected at most 1048576"),
     ],
     ids=["absent", "empty", "deep", "out of range", "of another build", "large"],
 )
-def test_fly_refuses_a_build_when_its_report_does_not_tell_the_idle(
+def test_fly_refuses_a_build_when_its_report_does_not_fit(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str | None, words: str
 ) -> None:
     (tmp_path / "libneuroflight.so").write_bytes((folder / "libneuroflight.so").read_bytes())
