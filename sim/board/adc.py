@@ -181,17 +181,18 @@ class Adc(Device):
         codes = [self._code(channel) for channel in self._order[1]]
         ended: list[int] = []
         left = self.context.cycle - self._at
-        if self._next == 0 and self.get("CR2", "CONT"):
-            rounds = left // sum(times)
-            ended += codes * rounds
-            left -= rounds * sum(times)
+        endless, whole = self.get("CR2", "CONT"), sum(times)
         while left >= times[self._next]:
+            if self._next == 0 and endless and left >= whole:
+                ended += codes * (left // whole)
+                left %= whole
+                continue
             left -= times[self._next]
             ended.append(codes[self._next])
             self._next += 1
             if self._next == len(times):
                 self._next = 0
-                if not self.get("CR2", "CONT"):
+                if not endless:
                     self._running = False
                     break
         self._at = self.context.cycle - left
