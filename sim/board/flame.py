@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import html
 import zlib
 from collections.abc import Iterator, Sequence
@@ -80,4 +81,6 @@ def _boxes(name: str, box: _Box, whole: int, x: float, y: float) -> Iterator[str
 def _colour(name: str) -> str:
     """The same for the same function, warm and light enough for dark letters."""
     number = zlib.crc32(name.encode())
-    return f"hsl({8 + number % 47} {70 + number // 47 % 25}% {66 + number // 1175 % 14}%)"
+    hue, saturation, lightness = 8 + number % 47, 70 + number // 47 % 25, 66 + number // 1175 % 14
+    rgb = colorsys.hls_to_rgb(hue / 360, lightness / 100, saturation / 100)
+    return "#" + "".join(f"{round(255 * part):02x}" for part in rgb)
