@@ -108,7 +108,6 @@ class Twin:
         self._phase_rng = rng.spawn(1)[0]
         self.gyro = np.zeros((count, 3))
         self._acceleration = np.zeros((count, 3))  # [m/s^2], read off the centre
-        self._support = np.tile([0.0, 0.0, GRAVITY], (count, 1))  # [m/s^2], world axes
         self._everyone = np.arange(count)
         if variation is not None:
             self.vary(self._everyone, variation)
@@ -147,7 +146,8 @@ class Twin:
         feels it alone and without noise.
         """
         if self.mount is Mount.CENTRE:
-            return turned_back(self._world.rotation, self._support)
+            upwards: Array = self._world.rotation[:, 2] * GRAVITY  # the world's upward axis in the body's
+            return upwards
         return self._acceleration
 
     @property
