@@ -11,6 +11,7 @@ measures what each brings, whenever it does, and motors do what their ESCs make 
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -107,7 +108,9 @@ class EmulatedPort:
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
         wanted = _stored(settings or {}, gyro_rate_hz, receiver)
-        flash = configured(image, wanted) if wanted else image.read_bytes()
+        flashed = image.read_bytes()
+        self.image_sha256 = hashlib.sha256(flashed).hexdigest()
+        flash = configured(flashed, elf, wanted) if wanted else flashed
         self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
         try:
             self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +55,7 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
     stops = [event.at_s for event in port.events if event.stops]
     return EmulatedReport(
         image=str(image),
-        sha256=hashlib.sha256(image.read_bytes()).hexdigest(),
+        sha256=port.image_sha256,
         board_s=report.cycles / TIME_HZ,
         real_time=report.cycles / TIME_HZ / took_s,
         instructions=report.instructions,

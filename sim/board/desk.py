@@ -155,13 +155,13 @@ def with_image(image: bytes, kept: bytes | None) -> bytes:
     return bytes(flash)
 
 
-def configured(image: Path, settings: Mapping[str, float]) -> bytes:
-    """Flash with `image`, a .bin with its ELF beside it, and `settings` stored by the image itself.
+def configured(image: bytes, elf: Path, settings: Mapping[str, float]) -> bytes:
+    """Flash with `image` and `settings`, stored by the image itself; elf: the image's, for names and lines.
 
     A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
     Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.
     """
-    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
+    desk = Desk(image, elf=elf)
     try:
         desk.boot()
         asked = Settings(desk.client())
@@ -173,7 +173,7 @@ def configured(image: Path, settings: Mapping[str, float]) -> bytes:
         asked = Settings(desk.client(settings.get("msp_baud", MSP_BAUD_DEFAULT)))
         for name, value in settings.items():
             if (got := asked.get(name)) != (wanted := as_stored(name, value)):
-                raise LinkError(f"{image}: setting {name} is {got:g} after a reset, {wanted:g} was stored")
+                raise LinkError(f"{elf}: setting {name} is {got:g} after a reset, {wanted:g} was stored")
         return desk.flash()
     finally:
         desk.close()

@@ -64,7 +64,11 @@ def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> N
 
 
 def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: Path) -> None:
-    flash = configured(image, {"gyro_rate_hz": 8000, "roll_expo": 0.1, "filter1_kind": 5})
+    flash = configured(
+        image.read_bytes(),
+        image.with_suffix(".elf"),
+        {"gyro_rate_hz": 8000, "roll_expo": 0.1, "filter1_kind": 5},
+    )
     assert len(flash) == FLASH_BYTES
     assert flash[: FLASH_BOOT.size] == image.read_bytes()[: FLASH_BOOT.size]
     desk = Desk(flash, elf=image.with_suffix(".elf"))
@@ -90,7 +94,7 @@ def test_a_setting_is_refused_with_the_reason_when_the_image_does_not_take_it(
     monkeypatch.setattr(desk_module, "Desk", lambda *_, **__: desk)  # booted once for all
     monkeypatch.setattr(desk, "close", lambda: None)
     with pytest.raises(LinkError, match=words):
-        configured(image, settings)
+        configured(image.read_bytes(), image.with_suffix(".elf"), settings)
 
 
 def test_the_board_runs_no_faster_than_the_wall_clock_when_it_could(desk: Desk) -> None:
