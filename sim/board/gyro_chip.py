@@ -124,6 +124,7 @@ class GyroChip:
         self._pins = pins
         self.before_sample: Callable[[int], None] = lambda number: None  # may call `measure`
         self.watches_fall: Callable[[], bool] = lambda: True
+        self.phase = 0  # by how much later its samples begin: its clock is its own [cycles]
         self.silent = False  # no data-ready pulses, as injected by a fault campaign
         self._sample_alarm = context.alarm("gyro.sample", self._sample)
         self._fall_alarm = context.alarm("gyro.fall", lambda: pins.drive(READY, False))
@@ -309,7 +310,7 @@ class GyroChip:
             return
         self._period = self._configured_period()
         if self._due is None:
-            self._due = self.context.cycle + self._period
+            self._due = self.context.cycle + self._period + self.phase
             self._sample_alarm.set(self._due)
 
     def _sample(self) -> None:

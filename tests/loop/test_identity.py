@@ -12,6 +12,7 @@ import pytest
 
 from sim.aircraft import load_aircraft
 from sim.board.board import Board
+from sim.board.context import TIME_HZ
 from sim.board.control_timing import ControlMeter, Work
 from sim.board.profile import TaskCount, task_counts
 from sim.emulated_port import EmulatedPort, Moment
@@ -74,6 +75,25 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
     assert (on_board.dshot > 0).all()
     assert flown(HostPort(host_program), scenario, seed=5).same(on_board)
     assert flown(ReferencePort(reference_library), scenario, seed=5).same(on_board)
+
+
+@pytest.mark.parametrize(
+    "phase_us",
+    [pytest.param(us, marks=[] if us == 60 else [pytest.mark.prove]) for us in range(0, 125, 4)],
+)
+def test_the_bits_are_the_same_when_the_chips_clock_stands_elsewhere(
+    image: Path, reference_library: Path, flown: Flown, phase_us: int
+) -> None:
+    segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
+    scenario = Scenario("some", segments)
+
+    def later(board: Board) -> Callable[[int], None]:
+        board.hardware.gyro.phase = phase_us * TIME_HZ // 1_000_000
+        return board.run_to
+
+    port = EmulatedPort(image, attach=later)
+    on_board = flown(port, scenario)
+    assert flown(ReferencePort(reference_library), scenario).same(on_board)
 
 
 # ---- the same again ----
