@@ -258,7 +258,8 @@ class TcpEnd:
         self._listener.close()
 
     def _accept(self) -> None:
-        while True:
+        """Let the next program in, or turn it away while one is there; unread bytes are read first."""
+        while not self._holds_unread():
             try:
                 peer, _ = self._listener.accept()
             except BlockingIOError:
@@ -273,6 +274,20 @@ class TcpEnd:
             peer.setblocking(False)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = peer
+
+    def _holds_unread(self) -> bool:
+        """Whether the program has sent something that was not taken yet; notices that it has gone."""
+        if self._client is None:
+            return False
+        try:
+            if self._client.recv(1, socket.MSG_PEEK):
+                return True
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass
+        self._leave()
+        return False
 
     def _leave(self) -> None:
         if self._client is not None:

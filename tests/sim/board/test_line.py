@@ -160,6 +160,22 @@ def test_a_second_program_is_turned_away_and_a_later_one_served_when_it_is_tcp(b
     bridge.close()
 
 
+def test_the_next_program_is_served_when_the_one_before_went_unnoticed(board: Board) -> None:
+    end = TcpEnd()
+    bridge = Bridge(UartLine(board), end)
+    with socket.create_connection(("127.0.0.1", end.port), 5.0) as first:
+        first.sendall(QUESTION)
+        run(board, bridge, 0.01)
+        assert first.recv(100) == ANSWER
+        first.sendall(QUESTION)  # and does not wait for the answer
+    with socket.create_connection(("127.0.0.1", end.port), 5.0) as second:
+        run(board, bridge, 0.01)
+        second.sendall(QUESTION)
+        run(board, bridge, 0.01)
+        assert second.recv(100).endswith(ANSWER)
+    bridge.close()
+
+
 def test_a_sender_has_to_wait_when_it_is_faster_than_the_line(board: Board) -> None:
     end = PtyEnd()
     bridge = Bridge(UartLine(board), end)
