@@ -39,6 +39,7 @@ from toolchain.contract import (
     StopCause,
 )
 from toolchain.errors import LinkError
+from toolchain.image import read_flashable
 
 ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
 FULL_VOLTS = 16.8  # of the pack that feeds it: four cells, full, at rest
@@ -94,8 +95,8 @@ class EmulatedPort:
         itself before, as `configured` does. receiver: of RECEIVERS. profile: keep who calls whom.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
         Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
-        read its gyro at that rate, BuildError when the ELF is none of ours, BoardError for what the image
-        does wrong.
+        read its gyro at that rate, BuildError when image or ELF is none of ours, BoardError for what the
+        image does wrong.
         """
         elf = image.with_suffix(".elf")
         for path in (image, elf):
@@ -108,7 +109,7 @@ class EmulatedPort:
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
         wanted = _stored(settings or {}, gyro_rate_hz, receiver)
-        flashed = image.read_bytes()
+        flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         flash = configured(flashed, elf, wanted) if wanted else flashed
         self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))

@@ -24,6 +24,22 @@ RAM_BUDGET = 96 * 1024
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 
 
+def read_flashable(path: Path) -> bytes:
+    """Content of a .bin, at most what the flash holds. Raises BuildError where it is not."""
+    try:
+        size = path.stat().st_size
+        if not 0 < size <= FLASH_BYTES:
+            raise BuildError(
+                f"{path}: {size} bytes, expected an image of 1 to {FLASH_BYTES}; build it with "
+                f"`make firmware TARGET=MATEKF722`"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise BuildError(
+            f"{path}: {error.strerror}; build it with `make firmware TARGET=MATEKF722`, or name another one"
+        ) from None
+
+
 @dataclass(frozen=True)
 class Section:
     """A section that occupies memory while the program runs."""

@@ -203,7 +203,8 @@ def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.Capt
         (["--gdb=-1"], "--gdb: got -1, expected a port of 0 to 65535, 0 for any"),
         (["--volts=99"], "--volts: got 99, expected 0 to 36"),
         (["--seconds=0"], "--seconds: got 0, expected a number above 0"),
-        (["--image=nowhere.bin"], "nowhere.bin: there is no image; build it with `make firmware"),
+        (["--image=nowhere.bin"], "nowhere.bin: No such file or directory; build it with `make firmware"),
+        (["--image=large.bin"], "large.bin: 524289 bytes, expected an image of 1 to 524288; build it with"),
         (
             ["--flash=photo.jpg"],
             "photo.jpg: 5 bytes, expected the 524288 of a flash that this command has kept",
@@ -221,6 +222,7 @@ def test_it_says_what_is_wrong_when_the_user_errs(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "no").mkdir()
+    (tmp_path / "large.bin").write_bytes(bytes(FLASH_BYTES + 1))
     for name in ("photo.jpg", "no/photo.jpg"):
         (tmp_path / name).write_bytes(b"photo")
     given = [] if options[0].startswith("--image") else ["--image", str(image)]

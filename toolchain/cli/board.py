@@ -68,22 +68,19 @@ def run(args: argparse.Namespace) -> int:
     serial = parse_serial(args.serial)
     _check(args)
     image = args.image or (args.build or BUILD) / "neuroflight.bin"
-    if not image.is_file():
-        raise NeuroflightError(f"{image}: there is no image; build it with `make firmware TARGET=MATEKF722`")
 
     from sim.board.desk import Desk, Keeper, serve, with_image
     from sim.board.gdb import GdbServer
     from sim.board.line import Bridge, UartLine
     from sim.board.usart import Format
+    from toolchain.image import read_flashable
 
-    kept = _kept(args.flash)
+    flashed, kept = read_flashable(image), _kept(args.flash)
     elf = image.with_suffix(".elf")
     with ExitStack() as ends:
         end = open_end(serial)
         ends.callback(end.close)
-        desk = Desk(
-            with_image(image.read_bytes(), kept), elf=elf if elf.is_file() else None, volts=args.volts
-        )
+        desk = Desk(with_image(flashed, kept), elf=elf if elf.is_file() else None, volts=args.volts)
         ends.callback(desk.close)
         keeper = Keeper(desk, lambda content: _keep(args.flash, content))
         if args.flash is not None and kept is None:
