@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sim.board.board import Board
-from sim.board.gyro_chip import MPU6500
 from sim.board.profile import coverage, execution_counts, task_counts
 from sim.board.snapshot import restore_snapshot, take_snapshot
 from toolchain.disassembly import disassemble
 
-PATIENT = dataclasses.replace(MPU6500, start_ms=0)  # answers as soon as it has power
 MIDDLE, END = 150_000_123, 200_000_000  # cycles: samples have begun
 
 
 @pytest.fixture
 def make(board_image: Path) -> Callable[[], Board]:
     """Boards with the image, just powered."""
-    return lambda: Board(board_image.with_suffix(".bin").read_bytes(), elf=board_image, chip=PATIENT)
+    return lambda: Board(board_image.with_suffix(".bin").read_bytes(), elf=board_image)
 
 
 def facts(board: Board) -> tuple[object, ...]:
@@ -30,7 +27,6 @@ def facts(board: Board) -> tuple[object, ...]:
     return engine.cycle, engine.instructions, engine.trace_hash, memory, str(board.report())
 
 
-@pytest.mark.prove
 def test_the_image_flies_on_identically_when_restored(make: Callable[[], Board]) -> None:
     board = make()
     board.run_to(MIDDLE)
@@ -46,7 +42,6 @@ def test_the_image_flies_on_identically_when_restored(make: Callable[[], Board])
     assert facts(again) == first
 
 
-@pytest.mark.prove
 def test_counts_lie_on_the_images_instructions_when_it_has_run(
     make: Callable[[], Board], board_image: Path
 ) -> None:
