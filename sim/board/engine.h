@@ -204,11 +204,28 @@ struct window {
 	uint64_t reads, writes;
 };
 
+/* Where unicorn hands accesses on: what it says of an address counts from `base`. */
+struct region {
+	struct engine *engine;
+	uint32_t base;
+};
+
 struct node { /* of the call tree */
 	uint32_t function, parent, child, sibling;
 	uint32_t return_to; /* address, NOWHERE: a handler or the thread */
 	uint64_t instructions;
 };
+
+/* CFSR, what of it more than one file tells (B3.2.15). */
+#define FAULT_INSTRUCTION_ACCESS 1u
+#define FAULT_DATA_ACCESS (1u << 1)
+#define FAULT_BUS_INSTRUCTION (1u << 8)
+#define FAULT_BUS_PRECISE (1u << 9)
+#define FAULT_UNDEFINED (1u << 16)
+#define FAULT_STATE (1u << 17)
+#define FAULT_NO_COPROCESSOR (1u << 19)
+#define FAULT_UNALIGNED (1u << 24)
+#define FAULT_DIVIDE (1u << 25)
 
 struct fault {
 	enum exception exception; /* EXC_THREAD: none */
@@ -256,6 +273,7 @@ struct engine {
 	uint32_t block_rows;         /* of them, the first ones, that may hold any */
 	uint64_t *enters, *leaves;   /* CODE_HALFWORDS + 1: counts by differences */
 
+	struct region regions[3];    /* of peripherals: APB and AHB1, AHB2, the core's own */
 	struct window windows[WINDOW_MAX];
 	uint32_t window_count, alarm_count;
 	int16_t apb[APB_BYTES >> 10], ahb2[AHB2_BYTES >> 10], ppb[PPB_BYTES >> 10];
@@ -282,7 +300,9 @@ struct engine {
 	uint32_t node_count, node_capacity;
 };
 
-/* engine.c */
+/* engine_hooks.c */
+void account(struct engine *e, uint32_t count);      /* the first `count` instructions of the block have been executed */
+void close_itcm(struct engine *e);                   /* read-only from its first instruction on */
 void mix(struct engine *e, uint64_t value);
 void count_all(struct engine *e);                    /* counts of blocks in use, into enters and leaves */
 void drop_blocks(struct engine *e, uint32_t row);

@@ -109,40 +109,28 @@ void device_write(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 	}
 }
 
-static uint64_t read_apb(uc_engine *uc, uint64_t offset, unsigned size, void *user)
+static uint64_t read_region(uc_engine *uc, uint64_t offset, unsigned size, void *user)
 {
+	const struct region *const r = user;
+
 	(void)uc;
-	return device_read(user, APB_BASE + (uint32_t)offset, size);
+	return device_read(r->engine, r->base + (uint32_t)offset, size);
 }
 
-static void write_apb(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
+static void write_region(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
 {
+	const struct region *const r = user;
+
 	(void)uc;
-	device_write(user, APB_BASE + (uint32_t)offset, size, (uint32_t)value);
+	device_write(r->engine, r->base + (uint32_t)offset, size, (uint32_t)value);
 }
 
-static uint64_t read_ahb2(uc_engine *uc, uint64_t offset, unsigned size, void *user)
+static uc_err map_region(struct engine *e, uint32_t number, uint32_t base, uint32_t bytes)
 {
-	(void)uc;
-	return device_read(user, AHB2_BASE + (uint32_t)offset, size);
-}
+	struct region *const r = &e->regions[number];
 
-static void write_ahb2(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
-{
-	(void)uc;
-	device_write(user, AHB2_BASE + (uint32_t)offset, size, (uint32_t)value);
-}
-
-static uint64_t read_ppb(uc_engine *uc, uint64_t offset, unsigned size, void *user)
-{
-	(void)uc;
-	return device_read(user, PPB_BASE + (uint32_t)offset, size);
-}
-
-static void write_ppb(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
-{
-	(void)uc;
-	device_write(user, PPB_BASE + (uint32_t)offset, size, (uint32_t)value);
+	*r = (struct region){.engine = e, .base = base};
+	return uc_mmio_map(e->uc, base, bytes, read_region, r, write_region, r);
 }
 
 /* The chip's memory and the windows of its peripherals, as unicorn sees them. */
@@ -156,7 +144,7 @@ uc_err memory_map(struct engine *e)
 	error = error ? error : uc_mem_map_ptr(uc, FLASH_BASE, FLASH_BYTES, code, e->flash);
 	error = error ? error : uc_mem_map_ptr(uc, SYSTEM_BASE, SYSTEM_BYTES, UC_PROT_READ, e->system);
 	error = error ? error : uc_mem_map_ptr(uc, RAM_BASE, RAM_BYTES, data, e->ram);
-	error = error ? error : uc_mmio_map(uc, APB_BASE, APB_BYTES, read_apb, e, write_apb, e);
-	error = error ? error : uc_mmio_map(uc, AHB2_BASE, AHB2_BYTES, read_ahb2, e, write_ahb2, e);
-	return error ? error : uc_mmio_map(uc, PPB_BASE, PPB_BYTES, read_ppb, e, write_ppb, e);
+	error = error ? error : map_region(e, 0, APB_BASE, APB_BYTES);
+	error = error ? error : map_region(e, 1, AHB2_BASE, AHB2_BYTES);
+	return error ? error : map_region(e, 2, PPB_BASE, PPB_BYTES);
 }
