@@ -40,7 +40,9 @@ from toolchain.contract import DSHOT_MIN
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
-SILENCE = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not being flown [cycles]
+UNFLOWN = (
+    TIME_HZ // 10
+)  # nobody flies a motor whose ESC hears nothing for so long, if it still turns [cycles]
 # Timer and channel behind each motor's line, motors 1 to 8 (the eighth's pin is USART2's transmitter too).
 MOTORS = (
     *(("TIM8", channel) for channel in range(1, 5)),
@@ -203,7 +205,7 @@ class Hardware:
         """Erasing and programming hold up code and samples, which nothing in flight can wait for."""
         for esc in self.escs:
             last = esc.last
-            if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > SILENCE:
+            if last is None or last.value < DSHOT_MIN or self.context.cycle - last.cycle > UNFLOWN:
                 continue
             self._fail(
                 f"{what} while motor {esc.motor} turns (DShot value {last.value}), expected motors at rest"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sim.board.context import BoardError
-from sim.board.dma import REQUESTS
+from sim.board.dma_requests import REQUESTS
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -143,6 +143,7 @@ def test_the_core_may_sleep_when_a_stream_reads_sram_or_writes_dtcm(fast: Bench)
     prepare(fast, DTCM)
     fast.set("DMA2_S5CR", EN=1)
     fast.context.sleep()
+    assert (fast.get("DMA2_S7CR", "EN"), fast.get("DMA2_S5CR", "EN")) == (1, 1)
 
 
 def test_stream_is_refused_when_its_flags_are_set(fast: Bench) -> None:
