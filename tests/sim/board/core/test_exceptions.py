@@ -518,15 +518,17 @@ def test_wfe_and_yield_go_on_when_nothing_waits(boot: Boot, results: Results) ->
     assert results(engine, 1) == [1]
 
 
-def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, results: Results) -> None:
-    source = """
+LOW_AND_HIGH = """
     static volatile uint32_t n;
     HANDLER low(void) { RESULT[n++] = 1; }
     HANDLER high(void) { RESULT[n++] = 2; }
     HANDLER reset(void) { n = 0; PRIORITY(8, 0x80); PRIORITY(9, 0x10); ENABLE(8); ENABLE(9); REST(); }
     VECTORS([24] = low, high);
     """
-    engine = boot(source)
+
+
+def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, results: Results) -> None:
+    engine = boot(LOW_AND_HIGH)
 
     def both() -> None:
         engine.irq(8, True)
@@ -540,14 +542,7 @@ def test_the_higher_handler_goes_first_when_both_come_at_once(boot: Boot, result
 
 
 def test_a_higher_request_interrupts_when_it_arrives_during_entry(boot: Boot, results: Results) -> None:
-    source = """
-    static volatile uint32_t n;
-    HANDLER low(void) { RESULT[n++] = 1; }
-    HANDLER high(void) { RESULT[n++] = 2; }
-    HANDLER reset(void) { n = 0; PRIORITY(8, 0x80); PRIORITY(9, 0x10); ENABLE(8); ENABLE(9); REST(); }
-    VECTORS([24] = low, high);
-    """
-    engine = boot(source)
+    engine = boot(LOW_AND_HIGH)
     engine.core_clock(216_000_000)
 
     def pulse(irq: int) -> None:
