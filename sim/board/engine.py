@@ -1,4 +1,4 @@
-"""The emulated core: memory, time, exceptions and what peripherals need of them. `engine.c` does the work.
+"""The emulated core: memory, time, exceptions and what peripherals need of them. `engine*.c` do the work.
 
 `Engine` is the `Context` and the `Bus` of `sim.board.context`. Time advances by `cpi` cycles of the core for
 each executed instruction, by 12, 10 and 6 cycles for entry, return and tail-chaining of an exception, and by
