@@ -14,11 +14,11 @@ import pytest
 import serial
 from yamspy import MSPy
 
+from cli.main import main
 from flash.client import Client, Info, read_info
 from flash.messages import DECODERS
 from flash.msp import Decoder, Direction, Message, Version, encode
 from flash.transport import open_transport
-from toolchain.cli.main import main
 from toolchain.contract import (
     BOOT_GRACE_MS,
     CALIBRATION_MS,

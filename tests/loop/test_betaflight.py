@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.main import main
 from sim.aircraft import load_aircraft
 from sim.betaflight_build import Betaflight, build_betaflight
 from sim.betaflight_port import IDLE, SETTINGS, BetaflightPort
@@ -23,7 +24,6 @@ from sim.scenario import Scenario, Segment, pulses
 from sim.trace import Trace
 from sim.twin import Twin
 from sim.world import Mount
-from toolchain.cli.main import main
 from toolchain.errors import LinkError
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"

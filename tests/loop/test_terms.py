@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cli.main import main
 from sim.aircraft import load_aircraft
 from sim.controller import PolicyController
 from sim.controller_port import ControllerPort
@@ -18,7 +19,6 @@ from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment
 from sim.trace import Trace
 from toolchain.build import build
-from toolchain.cli.main import main
 from toolchain.contract import observation_blocks, observation_count
 from toolchain.freeze import to_onnx
 from toolchain.network import read_policy

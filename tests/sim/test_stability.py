@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.main import main
 from sim.aircraft import Aircraft, load_aircraft
 from sim.stability import FORMULATIONS, RATE_MAX, STEPS_MS, Drift, drift, worst_by_rate
 from sim.stability_plot import draw
 from sim.twin import Twin
 from sim.world import Mount
-from toolchain.cli.main import main
 from toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")

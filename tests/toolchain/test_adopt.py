@@ -11,9 +11,9 @@ import numpy as np
 import onnx
 import pytest
 
+from cli.main import main
 from sim.aircraft import load_aircraft
 from toolchain.adopt import PolicyClaims, adopt, adopted_model
-from toolchain.cli.main import main
 from toolchain.errors import PolicyError
 from toolchain.evaluate import evaluate
 from toolchain.network import parse_policy, read_policy

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from onnx import helper
 
-from toolchain.cli.main import main
+from cli.main import main
 from toolchain.explain import describe, explain_policy
 from toolchain.graph import Network, Node
 from toolchain.network import parse_policy
@@ -175,10 +175,7 @@ def test_explained_policy_is_the_same_when_it_is_written(
 
 
 def test_onnxruntime_is_not_waited_for_when_nothing_is_explained(policy_file: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys; from toolchain.cli.main import main; main(sys.argv[1:]); "
-        "sys.exit('onnxruntime' in sys.modules)"
-    )
+    code = "import sys; from cli.main import main; main(sys.argv[1:]); sys.exit('onnxruntime' in sys.modules)"
     words = ["compile", str(policy_file), "--out", str(tmp_path / "out")]
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
 

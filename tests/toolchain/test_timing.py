@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from cli.main import main
 from toolchain.arm_policy import ArmPolicy, build_policy_elf, compile_arm, state_bytes
-from toolchain.cli.main import main
 from toolchain.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, Region, observation_blocks
 from toolchain.cortex_m7 import load_program

@@ -14,7 +14,7 @@ import onnx
 import pytest
 import torch
 
-from toolchain.cli.main import main
+from cli.main import main
 from toolchain.compiler import CompiledPolicy
 from toolchain.contract import CHECKPOINT_FORMAT, CHECKPOINT_VERSION
 from toolchain.emit import literal

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cli.main import main
 from sim.aircraft import load_aircraft
 from sim.metrics import Tracking
 from sim.spectrum import Spectrum
-from toolchain.cli.main import main
 from toolchain.errors import AircraftError, PolicyError
 from training.comparison import curves, differences, document, enter, means, significant
 from training.comparison_plot import draw

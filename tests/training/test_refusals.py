@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cli.main import main
+from cli.main import main
 
 Capture = pytest.CaptureFixture[str]
 WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"

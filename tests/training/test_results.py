@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from cli.main import main
 from sim.aircraft import load_aircraft
-from toolchain.cli.main import main
 from training.results import render
 from training.stored import ResultsError, Stored, read_commands, read_results
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cli.main import main
+from cli.main import main
 from toolchain.network import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,8 +33,8 @@ STOPPED_AT = 0.7  # of the run: within the sixth leg
 # The command in a process that sends itself a signal when it has come that far.
 SCRIPT = """
 import os, signal, sys
-from toolchain.cli import train_display
-from toolchain.cli.main import main
+from cli.training import train_display
+from cli.main import main
 
 class Stopped(train_display.Display):
     def progressed(self, progress):

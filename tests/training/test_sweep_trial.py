@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from toolchain.cli.main import main
+from cli.main import main
 from toolchain.errors import BuildError, TrainingError
 from training import sweep_trial
 from training.sweep import Sweep, load_sweep

@@ -8,11 +8,11 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
+from cli.main import main
 from sim.aircraft import GRAVITY, load_aircraft, shipped
 from sim.pid import aircraft_pid, pid_settings
 from sim.twin import Twin
 from sim.world import Mount
-from toolchain.cli.main import main
 from toolchain.contract import AXES
 from training.evaluation import evaluate
 from training.task import EpisodicTask

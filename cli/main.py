@@ -1,0 +1,86 @@
+"""The `neuroflight` command: parses, makes one call into a room, prints, returns an exit code.
+
+Each module named in `COMMANDS` owns one subcommand: `add_arguments(parser)` and `run(args) -> int`.
+It imports its room inside `run`, so that `--help` stays quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from toolchain.errors import NeuroflightError
+
+SUMMARY = (
+    "From the digital twin of an aircraft to a flight firmware whose rate controller is a neural network."
+)
+ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
+    "toolchain": ("build", "compile", "verify", "timing", "freeze"),
+    "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
+    "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
+    "flash": ("msp",),
+}
+COMMANDS = {
+    "build": "build a firmware image or the host program around a policy",
+    "compile": "turn policy.onnx into policy.c and policy.h",
+    "verify": "run a policy on every machine, from torch to the Cortex-M7, and compare them",
+    "timing": "count what a policy, or an image in flight, takes on the board: instructions, cycles",
+    "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
+    "train": "synthesize a policy in the twin of an aircraft",
+    "sweep": "train many policies at once and show which of them nothing beats",
+    "tune-pid": "find the gains of a PID for an aircraft in its twin",
+    "evaluate": "measure a policy or the PID on unseen commands",
+    "compare": "hold policies and PIDs against each other on the same unseen commands",
+    "robustness": "measure what controllers make of an aircraft that is not as its file says",
+    "dyno": "measure a rotor on a simulated dynamometer, or fit one to a real one's log",
+    "stability": "measure how far the links of an aircraft drift apart in pybullet",
+    "results": "write the page of results from stored figures",
+    "fly": "fly a firmware against the twin and print tracking figures",
+    "board": "run the image on an emulated board on the desk, for other programs to talk to",
+    "twin": "measure what a twin should know of the real aircraft",
+    "aircraft": "check and draw an aircraft file",
+    "msp": "ask a running firmware over MSP",
+}
+# Matrices here are small: a second thread gains little, loses twenty times as much to a busy neighbour, and
+# may round otherwise than the first alone, so that a seed would no longer say what a run gives.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(prog="neuroflight", description=SUMMARY)
+    room_of = {name: room for room, names in ROOMS.items() for name in names}
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary)
+        module = importlib.import_module(f"cli.{room_of[name]}.{name.replace('-', '_')}")
+        module.add_arguments(sub)
+        sub.set_defaults(run=module.run)
+    return top
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
+    for name in THREADS:  # numpy and torch read them when they are first imported, in a command's run
+        os.environ.setdefault(name, "1")
+    args = parser().parse_args(argv)
+    try:
+        code = int(args.run(args))
+        sys.stdout.flush()
+        return code
+    except NeuroflightError as error:
+        print(f"neuroflight: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("neuroflight: interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

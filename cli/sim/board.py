@@ -1,0 +1,189 @@
+"""`neuroflight board`: the image on an emulated board that lies on the desk and talks to other programs."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
+from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.board.desk import Desk
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, End
+
+BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
+BAUD_MAX = 10_000_000
+VOLTS_DEFAULT, VOLTS_MAX = 16.8, 36.0  # four cells, full; what the converter's pin can see
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is flashed, how it is reached, and what is kept."""
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--image", type=Path, metavar="FILE.bin", help="what is flashed")
+    what.add_argument("--build", type=Path, metavar="DIR", help="its build; default: build/MATEKF722")
+    parser.add_argument(
+        "--serial",
+        default="pty",
+        metavar="pty|tcp[:PORT]",
+        help="where programs find UART1, which speaks MSP: a pseudo terminal, or TCP on this computer",
+    )
+    parser.add_argument(
+        "--baud",
+        type=int,
+        default=MSP_BAUD_DEFAULT,
+        metavar="N",
+        help=f"speed of that line; default {MSP_BAUD_DEFAULT}, as the setting msp_baud",
+    )
+    parser.add_argument("--gdb", type=int, metavar="PORT", help="let gdb in there, at any time; 0: any port")
+    parser.add_argument(
+        "--flash",
+        type=Path,
+        metavar="FILE",
+        help="keep settings, policies and fault log here between two runs; the image is always the one given",
+    )
+    parser.add_argument(
+        "--volts",
+        type=float,
+        default=VOLTS_DEFAULT,
+        metavar="V",
+        help=f"of the battery; default {VOLTS_DEFAULT}",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="N",
+        help="of the board's time, from its boot on; default: until Ctrl-C",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the end. Returns 0; raises BoardError for what the image does wrong."""
+    serial = parse_serial(args.serial)
+    _check(args)
+    image = args.image or (args.build or BUILD) / "neuroflight.bin"
+
+    from sim.board.desk import Desk, Keeper, serve, with_image
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, UartLine
+    from sim.board.usart import Format
+    from toolchain.image import read_flashable
+
+    flashed, kept = read_flashable(image), _kept(args.flash)
+    elf = image.with_suffix(".elf")
+    with ExitStack() as ends:
+        end = open_end(serial)
+        ends.callback(end.close)
+        desk = Desk(with_image(flashed, kept), elf=elf if elf.is_file() else None, volts=args.volts)
+        ends.callback(desk.close)
+        keeper = Keeper(desk, lambda content: _keep(args.flash, content))
+        if args.flash is not None and kept is None:
+            _keep(args.flash, desk.flash())
+        ends.callback(keeper.look, at_once=True)
+        desk.boot()  # what is sent before would be lost
+        bridge = Bridge(UartLine(desk.board, format=Format(args.baud)), end)
+        ends.callback(bridge.close)
+        debugger = None
+        if args.gdb is not None:
+            debugger = GdbServer(desk.board.engine, args.gdb)
+            ends.callback(debugger.close)
+            desk.run_core = debugger.run_to
+        interrupt = ends.enter_context(Interrupt(debugger))
+        _tell(image, args.baud, end, debugger)
+        watch = _SpeedWatch(bridge)
+
+        def look() -> None:
+            interrupt.look()
+            keeper.look()
+            watch.look()
+            if debugger is not None:
+                debugger.look()
+
+        try:
+            serve(desk, [bridge], seconds=args.seconds, look=look)
+        except KeyboardInterrupt:
+            print(flush=True)  # behind the terminal's ^C
+        print(_summary(desk), flush=True)
+    return 0
+
+
+class _SpeedWatch:
+    """Says once that both ends of the line run at different speeds."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._line = bridge.line
+        self._said = False
+
+    def look(self) -> None:
+        line = self._line
+        if not self._said and line.refused + line.framing_errors:
+            self._said = True
+            print(
+                f"the board's line runs at {line.board_format.baud:.0f} baud, this end at "
+                f"{line.format.baud:.0f}: nobody understands anything; end this and give --baud as "
+                f"the setting msp_baud",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def _check(args: argparse.Namespace) -> None:
+    if not 1 <= args.baud <= BAUD_MAX:
+        raise NeuroflightError(f"--baud: got {args.baud}, expected 1 to {BAUD_MAX}")
+    check_gdb(args.gdb)
+    if not 0.0 <= args.volts <= VOLTS_MAX:
+        raise NeuroflightError(f"--volts: got {args.volts:g}, expected 0 to {VOLTS_MAX:g}")
+    if args.seconds is not None and not (math.isfinite(args.seconds) and args.seconds > 0.0):
+        raise NeuroflightError(f"--seconds: got {args.seconds:g}, expected a number above 0")
+
+
+def _kept(path: Path | None) -> bytes | None:
+    """What the file holds; None: there is none yet."""
+    if path is None or not path.exists():
+        return None
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size == FLASH_BYTES else b""
+    except OSError as error:
+        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be read") from None
+    if len(data) != FLASH_BYTES:
+        raise NeuroflightError(
+            f"--flash {path}: {size} bytes, expected the {FLASH_BYTES} of a flash that this command has "
+            f"kept; it is left alone, name another one"
+        )
+    return data
+
+
+def _keep(path: Path | None, content: bytes) -> None:
+    from toolchain.files import write_bytes
+
+    if path is None:
+        return
+    try:
+        write_bytes(path, content)
+    except OSError as error:
+        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
+
+
+def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
+    print(f"board  {image}")
+    print(f"MSP    {end.name}, {baud} baud; neuroflight msp --port {end.name} info")
+    if debugger is not None:
+        elf = image.with_suffix(".elf")
+        remote = f"-ex 'target remote :{debugger.port}'"
+        print(f"gdb    127.0.0.1:{debugger.port}; gdb-multiarch -d firmware {remote} {elf}")
+    print("Ctrl-C ends it", flush=True)
+
+
+def _summary(desk: Desk) -> str:
+    from sim.board.context import TIME_HZ
+
+    report = desk.board.report()
+    resets = ", ".join(report.resets[1:]) or "none"
+    return f"{report.cycles / TIME_HZ:.1f} s on the board, resets: {resets}"

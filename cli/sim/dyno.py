@@ -1,0 +1,359 @@
+"""`neuroflight dyno`: a rotor on the dynamometer, simulated; and a rotor's model from a real one's log."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from sim.dyno import Step
+    from sim.dyno_fit import Fit
+    from sim.dyno_response import ResponseFit
+    from sim.robust import Estimate
+
+COLUMNS = "columns time_s, throttle (0..1), rpm, thrust_n, torque_n_m"
+RATE_HZ_DEFAULT = 500
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare both directions."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    summary = "simulate step (25, 50, 75, 100 %%) and ramp (0-100-0 %% in 40 s) experiments of one rotor"
+    run = actions.add_parser("run", help=summary, description=summary)
+    run.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose rotor")
+    run.add_argument("--experiment", choices=["steps", "ramp", "all"], default="all")
+    run.add_argument("--rate-hz", type=float, default=RATE_HZ_DEFAULT, metavar="HZ", help="rows a second")
+    run.add_argument("--noise", type=float, default=0.0, metavar="PERCENT", help="standard deviation")
+    run.add_argument(
+        "--noise-of",
+        choices=["full-scale", "reading"],
+        default="full-scale",
+        help="what the percentage is of: a channel's largest value, or each value",
+    )
+    run.add_argument(
+        "--outliers", type=float, default=0.0, metavar="PERCENT", help="of each channel's values, gross"
+    )
+    run.add_argument("--uneven", action="store_true", help="rows at uneven times, some of them lost")
+    run.add_argument("--seed", type=int, default=0, metavar="S", help="of noise, outliers and uneven rows")
+    run.add_argument("--out", type=Path, required=True, metavar="DATA.csv", help=COLUMNS)
+    run.add_argument("--plot", type=Path, metavar="FILE.png", help="draw what was recorded")
+    run.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+    summary = "fit speed curve, thrust, torque and response of a rotor to a dynamometer's log"
+    fit = actions.add_parser("fit", help=summary, description=summary)
+    fit.add_argument("data", type=Path, nargs="+", metavar="DATA.csv", help=f"one or more runs: {COLUMNS}")
+    fit.add_argument(
+        "--aircraft", metavar="NAME|FILE", help="whose rotor inertia turns accelerations into torques"
+    )
+    fit.add_argument(
+        "--write",
+        type=Path,
+        metavar="FILE.toml",
+        help="put the fit into this aircraft file; made from --aircraft if that is another",
+    )
+    fit.add_argument(
+        "--response",
+        choices=["auto", "torque", "first_order"],
+        default="auto",
+        help="auto: the one that fits better",
+    )
+    fit.add_argument("--speed-dependent", action="store_true", help="K_T and K_Q may be polynomials of speed")
+    fit.add_argument(
+        "--delay", type=float, metavar="S", help="latency from command to rotor; default: fitted"
+    )
+    fit.add_argument("--inertia", type=float, metavar="KG_M2", help="rotor inertia, instead of the file's")
+    fit.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the model beside the data")
+    fit.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked for. Returns 0."""
+    return _run(args) if args.action == "run" else _fit(args)
+
+
+def _run(args: argparse.Namespace) -> int:
+    import numpy as np
+
+    from cli.output import check_output
+    from sim import dyno
+    from sim.aircraft import load_aircraft
+    from sim.dyno_data import write_recording
+
+    check_output(args.out, ".csv")
+    check_output(args.plot, ".png")
+    _check_range("--rate-hz", args.rate_hz, dyno.RATE_HZ_MIN, dyno.RATE_HZ_MAX)
+    _check_range("--noise", args.noise, 0, 100)
+    _check_range("--outliers", args.outliers, 0, 50)
+    _check_range("--seed", args.seed, 0, 2**63)
+    aircraft = load_aircraft(args.aircraft)
+    rng = np.random.default_rng(args.seed)
+    experiment = dyno.EXPERIMENTS[args.experiment]
+    time = dyno.sample_times(dyno.duration(experiment), args.rate_hz, rng if args.uneven else None)
+    recording = dyno.disturbed(
+        dyno.run(aircraft.propulsion, experiment, time),
+        rng,
+        noise=args.noise / 100,
+        of_reading=args.noise_of == "reading",
+        outliers=args.outliers / 100,
+    )
+    write_recording(args.out, recording)
+    if args.plot:
+        from sim.dyno_plot import save_recording_plot
+
+        save_recording_plot(args.plot, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
+    steps = dyno.steps(recording)
+    if args.json:
+        document = {
+            "aircraft": aircraft.name,
+            "experiment": args.experiment,
+            "seed": args.seed,
+            "out": str(args.out),
+            "rows": len(recording.time),
+            "duration_s": float(recording.time[-1]),
+            "steps": [_step(step) for step in steps],
+        }
+        print(json.dumps(document, indent=2))
+    else:
+        _print_run(f"{aircraft.name}: {len(recording.time)} rows in {args.out}", steps)
+    return 0
+
+
+def _fit(args: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from cli.output import check_output
+    from sim.aircraft import FOLDER, load_aircraft, shipped
+    from sim.dyno_data import read_recordings
+    from sim.dyno_fit import fit
+    from sim.dyno_response import DELAY_MAX
+
+    check_output(args.plot, ".png")
+    check_output(args.write, ".toml")
+    if args.delay is not None:
+        _check_range("--delay", args.delay, 0, DELAY_MAX)
+    if args.inertia is not None:
+        _check_range("--inertia", args.inertia, 1e-12, 10)
+    name = args.aircraft if args.aircraft is not None else args.write
+    if args.aircraft is None and args.write is not None and not args.write.is_file():
+        raise NeuroflightError(
+            f"--write {args.write}: no such file, expected an aircraft to put the fit into; "
+            f"give --aircraft NAME|FILE to make it from another"
+        )
+    aircraft = load_aircraft(name) if name is not None else None
+    columns = (TextColumn("{task.description:<22}"), BarColumn(), TimeElapsedColumn())
+    quiet = args.json or not sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("reading", total=None)
+        recording = read_recordings(args.data)
+        found = fit(
+            recording,
+            kind=args.response,
+            delay=args.delay,
+            speed_dependent=args.speed_dependent,
+            progress=lambda stage: bar.update(task, description=stage),
+        )
+    title = ", ".join(path.name for path in args.data)
+    if args.write:
+        from sim.dyno_write import write_fit
+
+        source = FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
+        write_fit(source, args.write, found, title, args.inertia)
+    if args.plot:
+        from sim.dyno_plot import save_fit_plot
+
+        save_fit_plot(args.plot, found, f"{title}: dynamometer fit")
+    inertia = args.inertia
+    if inertia is None and aircraft is not None:
+        inertia = aircraft.propulsion.rotor_inertia
+    if args.json:
+        print(json.dumps(_document(args, found, inertia), indent=2))
+    else:
+        _print_fit(title, found, inertia, args.write)
+    return 0
+
+
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:  # NaN included
+        raise NeuroflightError(f"{name} {value:g}, expected {low:g} to {high:g}")
+
+
+def _step(step: Step) -> dict[str, float]:
+    return {
+        "throttle": round(step.level, 4),
+        "rise_0_90_s": step.rise,
+        "rpm": step.speed * 30 / math.pi,
+        "thrust_n": step.thrust,
+        "torque_n_m": step.torque,
+    }
+
+
+def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
+    from sim.aircraft import RPM
+
+    def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | None] | None:
+        if item is None:
+            return None
+        error = item.error * scale
+        return {"value": item.value * scale, "standard_error": error if math.isfinite(error) else None}
+
+    def response(item: ResponseFit | None) -> dict[str, Any] | None:
+        if item is None:
+            return None
+        document: dict[str, Any] = {"kind": item.kind}
+        if item.kind == "first_order":
+            document["time_constant_up_s"] = estimate(item.time_constant_up)
+            document["time_constant_down_s"] = estimate(item.time_constant_down)
+        else:
+            document["gain_per_inertia"] = estimate(item.rate_up)
+            document["up_per_inertia"] = estimate(item.slew_up)
+            document["down_per_inertia"] = estimate(item.slew_down)
+            document["up_reached"], document["down_reached"] = item.reached
+            if inertia is not None:
+                document["gain"] = estimate(item.rate_up, inertia)
+                document["torque_up_n_m"] = estimate(item.slew_up, inertia)
+                document["torque_down_n_m"] = estimate(item.slew_down, inertia)
+        document["delay_s"] = estimate(item.delay)
+        document["speed_rms_percent"] = 100 * item.rms / fit.speed_max
+        return document
+
+    return {
+        "data": [str(path) for path in args.data],
+        "rows": len(fit.recording.time),
+        "runs": len(fit.recording.starts),
+        "speed_max_rpm": fit.speed_max / RPM,
+        "speed_curve_rpm": [estimate(term, 1 / RPM) for term in fit.speed_curve],
+        "thrust_coefficient": [estimate(term) for term in fit.thrust_coefficient],
+        "torque_ratio_m": [estimate(term) for term in fit.torque_ratio],
+        "rotor_inertia_kg_m2": inertia,
+        "response": response(fit.response),
+        "rejected_response": response(fit.rejected),
+        "reason": fit.reason,
+        "notes": list(fit.notes),
+        "speed_errors_percent": [
+            {
+                "throttle": error.level,
+                "mae": 100 * error.mae,
+                "rms": 100 * error.rms,
+                "max": 100 * error.largest,
+                "model_rms": 100 * error.model_rms,
+                "model_max": 100 * error.model_largest,
+            }
+            for error in fit.speed_errors
+        ],
+        "thrust_mae_n": fit.thrust_mae,
+        "torque_mae_n_m": fit.torque_mae,
+        "outliers": dict(
+            zip(("rpm", "thrust", "torque"), (int(off.sum()) for off in fit.outliers), strict=True)
+        ),
+        "written": None if args.write is None else str(args.write),
+    }
+
+
+def _table(title: str, *headings: str) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left", box=None)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left")
+    return table
+
+
+def _print_run(title: str, steps: tuple[Step, ...]) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    if not steps:
+        Console().print(Text(title))
+        return
+    table = _table(title, "step to", "0 to 90 %, ms", "rpm", "thrust, N", "torque, N m")
+    for step in steps:
+        row = _step(step)
+        table.add_row(
+            f"{100 * step.level:.0f} %",
+            f"{1000 * step.rise:.0f}",
+            f"{row['rpm']:,.0f}",
+            f"{step.thrust:.3f}",
+            f"{step.torque:.5f}",
+        )
+    Console().print(table)
+
+
+def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    rows, outliers = len(fit.recording.time), [int(off.sum()) for off in fit.outliers]
+    table = _table(f"{title}: {rows} rows", "", "fitted", "± standard error", "")
+    for label, item, scale, unit in _parameters(fit, inertia):
+        error = f"{item.error * scale:.2g}" if math.isfinite(item.error) else "at least"
+        table.add_row(label, f"{item.value * scale:.5g}", error, unit)
+    console.print(table)
+    table = _table("\nspeed error, % of top speed", "throttle", "MAE", "RMS", "max", "model RMS", "model max")
+    for part in fit.speed_errors:
+        values = (part.mae, part.rms, part.largest, part.model_rms, part.model_largest)
+        level = "elsewhere" if part.level is None else f"step to {100 * part.level:.0f} %"
+        table.add_row(level, *(f"{100 * value:.2f}" for value in values))
+    console.print(table)
+    lines = [
+        "model: data minus model averaged over 50 ms, so that noise is not counted; outliers left out",
+        f"thrust MAE {fit.thrust_mae:.3g} N, torque MAE {fit.torque_mae:.3g} N m; "
+        f"outliers: {outliers[0]} rpm, {outliers[1]} thrust, {outliers[2]} torque",
+        f"response {fit.reason}" if fit.response is not None else fit.reason,
+    ]
+    if fit.response is not None and fit.response.kind == "torque" and inertia is None:
+        lines.append(
+            "a bench shows torques only divided by the rotor's inertia: give --aircraft or --inertia to "
+            "have them in N m"
+        )
+    lines += [f"note: {note}" for note in fit.notes]
+    if written is not None:
+        lines.append(
+            f"wrote {written}; not the latency: an aircraft's delay_s holds the control loop's sample too"
+        )
+    for line in lines:
+        console.print(Text(line))
+
+
+def _parameters(fit: Fit, inertia: float | None) -> list[tuple[str, Estimate, float, str]]:
+    """Label, estimate, scale and unit of everything fitted."""
+    from sim.aircraft import RPM
+
+    rows = [
+        (f"H(u) {power}", term, 1 / RPM, "rpm")
+        for power, term in zip(("u²", "u", "1"), fit.speed_curve, strict=True)
+    ]
+    for name, terms, unit in (
+        ("K_T", fit.thrust_coefficient, "N s²/rad²"),
+        ("K_Q", fit.torque_ratio, "m"),
+    ):
+        for power, term in enumerate(terms):
+            suffix = ("", " ω", " ω²", " ω³")[power]
+            rows.append((f"{name}{suffix}", term, 1.0, unit + (f" (s/rad)^{power}" if power else "")))
+    response = fit.response
+    if response is None:
+        return rows
+    if response.slew_up is None or response.slew_down is None:
+        rows.append(("time constant up", response.time_constant_up, 1000.0, "ms"))
+        rows.append(("time constant down", response.time_constant_down, 1000.0, "ms"))
+    else:
+        torques = (
+            ("gain", response.rate_up, "1/s", "N m s/rad"),
+            ("torque up", response.slew_up, "rad/s²", "N m"),
+            ("torque down", response.slew_down, "rad/s²", "N m"),
+        )
+        rows += [(f"{label} / inertia", item, 1.0, unit) for label, item, unit, _ in torques]
+        if inertia is not None:
+            rows += [(label, item, inertia, unit) for label, item, _, unit in torques]
+    rows.append(("latency", response.delay, 1000.0, "ms"))
+    return rows

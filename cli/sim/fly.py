@@ -1,0 +1,266 @@
+"""`neuroflight fly`: the firmware and a PID fly the same scenario in the same twin, side by side."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.sim.fly_emulator import add_emulator_arguments, check_emulator, emulator_words, exit_code
+from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
+from cli.sim.fly_ports import Entry, open_firmware, open_pid, quiet
+from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+    from sim.aircraft import Aircraft
+    from sim.scenario import Scenario
+
+MOUNTS = ("centre", "rig", "free")
+FIRMWARES = ("reference", "host", "emulator", "betaflight")
+CONTROLLERS = ("policy", "pid")
+COUNT, COUNT_BETAFLIGHT = 100, 10  # commands of `pulses`
+WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what flies, where, and what is kept."""
+    parser.add_argument(
+        "--on",
+        choices=FIRMWARES,
+        default="host",
+        help="what runs the firmware: host, the program over UDP; reference, its C core as a library; "
+        "emulator, the image for the MATEKF722 on an emulated board; "
+        "betaflight, Betaflight with its default PID instead, fetched and built at first use",
+    )
+    parser.add_argument(
+        "--build",
+        type=Path,
+        metavar="DIR",
+        help="the build to fly; default: build/HOST, with emulator build/MATEKF722, with betaflight "
+        "build/BETAFLIGHT",
+    )
+    parser.add_argument(
+        "--controller",
+        choices=CONTROLLERS,
+        default=CONTROLLERS[0],
+        help="what the pilot's switch chooses: the policy, or the PID that is built in beside it",
+    )
+    parser.add_argument(
+        "--scenario",
+        nargs="+",
+        default=["pulse"],
+        metavar="NAME|FILE",
+        help="pulse, pulses, roll, flip or a .toml file; of several only the firmware's flights, a row each",
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
+    parser.add_argument(
+        "--count",
+        type=int,
+        metavar="N",
+        help=f"commands of `pulses`; default: {COUNT}, with betaflight {COUNT_BETAFLIGHT}",
+    )
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose twin is flown")
+    parser.add_argument("--gyro-hz", type=int, choices=GYRO_RATES_HZ, default=GYRO_RATE_DEFAULT_HZ)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="fly with this setting of the firmware, see docs/settings.md",
+    )
+    parser.add_argument("--mount", choices=MOUNTS, help="what holds the aircraft; default: the scenario's")
+    parser.add_argument(
+        "--battery",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="CHARGE",
+        help="fly on the aircraft's battery, charged so far, 0..1 (1); default: the bench supply",
+    )
+    parser.add_argument(
+        "--wind",
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=("NORTH", "WEST", "UP"),
+        help="where the air moves [m/s]",
+    )
+    parser.add_argument(
+        "--gust",
+        type=float,
+        default=0.0,
+        metavar="SPEED",
+        help="wind 20 feet above the ground whose turbulence is flown in [m/s]; 7.7 light, 15.4 moderate",
+    )
+    parser.add_argument("--ground", action="store_true", help="put ground below; with mount free only")
+    parser.add_argument("--trace", type=Path, metavar="FILE.npz", help="keep the firmware's flight")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_emulator_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, write what was asked for, print the figures. Returns 0, or STOPPED."""
+    from sim.aircraft import load_aircraft
+    from sim.report import save_plot, save_report
+    from sim.trace import save_trace
+
+    _check(args)
+    aircraft = load_aircraft(args.aircraft)
+    scenarios = _scenarios(args)
+    if len(scenarios) > 1:
+        return _run_several(args, aircraft, scenarios)
+    (scenario,) = scenarios
+    flown = _fly_all(args, aircraft, scenario)
+    flights = [one.flight for one in flown]
+    title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
+    note = ", ".join(conditions(args, scenario))
+    if args.trace:
+        save_trace(args.trace, flights[0].trace)
+    if args.plot:
+        save_plot(args.plot, flights, title)
+    if args.report:
+        save_report(args.report, flights, title, note + emulator_words(flown[0].report))
+    if args.json:
+        print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
+    else:
+        print_flight(title, note, flown)
+    return exit_code(args, flown[0].report)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what could not be flown or written, before anything is loaded."""
+    from cli.output import check_output
+
+    for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
+        check_output(path, suffix)
+    _check_air(args)
+    check_emulator(args)
+    if args.on == "betaflight" and args.set:
+        raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
+    if len(args.scenario) > 1:
+        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault"):
+            if getattr(args, name) not in (None, []):
+                raise NeuroflightError(f"--{name}: belongs to one flight; give one scenario")
+
+
+def _scenarios(args: argparse.Namespace) -> list[Scenario]:
+    """What is flown, one after another."""
+    from sim.scenario import load_scenario
+    from sim.world import Mount
+
+    mount = None if args.mount is None else Mount(args.mount)
+    default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
+    count = default_count if args.count is None else args.count
+    scenarios = [load_scenario(name, args.seed, count, mount) for name in args.scenario]
+    if args.controller == "pid":
+        if args.on == "betaflight":
+            raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
+        scenarios = [scenario.under_pid() for scenario in scenarios]
+    for scenario in scenarios:
+        if args.ground and scenario.mount is not Mount.FREE:
+            raise NeuroflightError(
+                f"--ground: the aircraft hangs in mount {scenario.mount.value}, expected free; "
+                f"add --mount free"
+            )
+    return scenarios
+
+
+def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario]) -> int:
+    """The firmware's flight of each, in one table."""
+    flown = []
+    for scenario in scenarios:
+        with _bar(args) as show:
+            flown.append(_fly(args, aircraft, scenario, open_firmware(args, aircraft), show(scenario.name)))
+    if args.json:
+        documents = [
+            document(args, aircraft, scenario, [one]) for scenario, one in zip(scenarios, flown, strict=True)
+        ]
+        print(json.dumps(documents, indent=2))
+    else:
+        print_several(f"{aircraft.name}, seed {args.seed}", args, scenarios, flown)
+    return 0
+
+
+Show = Callable[[float], None]  # gets the flown part, 0..1
+
+
+@contextmanager
+def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
+    """Progress of flights by name, while somebody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet(args)) as progress:
+
+        def begin(name: str) -> Show:
+            task: TaskID = progress.add_task(name, total=1.0)
+            return lambda part: progress.update(task, completed=part)
+
+        yield begin
+
+
+def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
+    """The firmware's flight, then the PID's if the aircraft has gains for one."""
+    firmware = open_firmware(args, aircraft)
+    with closing(firmware), _bar(args) as show:
+        entries = [firmware]
+        if aircraft.pids:
+            entries.append(open_pid(args, aircraft, firmware.port.control_rate_hz))
+        return [_fly(args, aircraft, scenario, entry, show(entry.name)) for entry in entries]
+
+
+def _fly(
+    args: argparse.Namespace,
+    aircraft: Aircraft,
+    scenario: Scenario,
+    entry: Entry,
+    progress: Show,
+) -> Flown:
+    """One flight in a fresh twin of the seed; closes the port."""
+    import numpy as np
+
+    from sim.loop import fly
+    from sim.metrics import figures
+    from sim.report import Flight
+    from sim.twin import Twin
+
+    rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
+    with closing(entry):
+        twin = Twin(
+            aircraft,
+            rate_hz=args.gyro_hz,
+            mount=scenario.mount,
+            charge=args.battery,
+            wind=tuple(args.wind),
+            gust=args.gust,
+            ground=args.ground,
+            rng=rng,
+        )
+        with closing(twin):
+            trace = fly(twin, entry.port, scenario, progress=progress)
+        report = None if entry.report is None else entry.report(scenario.duration_s)
+    progress(1.0)
+    # A mixer that is not ours cannot be undone: its output is then all that it asks of the motors.
+    asked = replace(trace, throttle=np.zeros_like(trace.throttle)) if entry.own_mixer else trace
+    return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report)
+
+
+def _check_air(args: argparse.Namespace) -> None:
+    """Refuse a battery, wind or gust that nobody can fly with."""
+    if args.battery is not None and not 0.0 <= args.battery <= 1.0:
+        raise NeuroflightError(f"--battery: got {args.battery:g}, expected a charge of 0 to 1")
+    if not all(abs(speed) <= WIND_MAX for speed in args.wind):
+        wind = " ".join(f"{speed:g}" for speed in args.wind)
+        raise NeuroflightError(f"--wind: got {wind}, expected at most {WIND_MAX:g} m/s each way")
+    if not 0.0 <= args.gust <= WIND_MAX:
+        raise NeuroflightError(f"--gust: got {args.gust:g}, expected 0 to {WIND_MAX:g} m/s")

@@ -1,0 +1,190 @@
+"""`neuroflight fly --on emulator`: what may be asked of the emulated board, and what it tells."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.board.board import Board
+    from sim.emulated_port import EmulatedPort
+    from sim.emulated_report import EmulatedReport
+
+STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
+RECEIVERS = ("sbus", "crsf")
+OPTIONS: dict[str, object] = {  # and their defaults
+    "receiver": "sbus",
+    "fault": [],
+    "serial": None,
+    "gdb": None,
+    "profile": None,
+}
+BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
+SLICE = 216_000  # cycles between two looks at serial line and Ctrl-C, at most: 1 ms
+
+
+def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what only the emulated board takes."""
+    group = parser.add_argument_group("with --on emulator", "see docs/emulated-board.md")
+    group.add_argument(
+        "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
+    )
+    group.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]@SECONDS",
+        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal or "
+        f"receiver-broken; @boot: from power on. Exit code {STOPPED} if the motors stop before the end",
+    )
+    group.add_argument(
+        "--serial", metavar="pty|tcp[:PORT]", help="lead USART1, where MSP is spoken, to other programs"
+    )
+    group.add_argument(
+        "--gdb", type=int, metavar="PORT", help="wait for gdb on this port, at the first instruction"
+    )
+    group.add_argument("--profile", type=Path, metavar="DIR", help="write what the image executed into DIR")
+
+
+def check_emulator(args: argparse.Namespace) -> None:
+    """Refuse what cannot be, before anything is opened."""
+    if args.on != "emulator":
+        for name, default in OPTIONS.items():
+            if getattr(args, name) != default:
+                raise NeuroflightError(f"--{name}: only on the emulated board; add --on emulator")
+        return
+    if args.serial is not None:
+        parse_serial(args.serial)
+    check_gdb(args.gdb)
+    if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
+        raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
+
+
+def open_image(
+    args: argparse.Namespace, image: Path, settings: Mapping[str, float], ends: ExitStack
+) -> EmulatedPort:
+    """The image on a board of its own; what was attached to it ends with `ends`."""
+    from sim.board.faults import parse_fault
+    from sim.emulated_port import EmulatedPort
+
+    return EmulatedPort(
+        image,
+        args.gyro_hz,
+        settings,
+        receiver=args.receiver,
+        faults=[parse_fault(text) for text in args.fault],
+        profile=args.profile is not None,
+        attach=lambda board: attached(args, board, image, ends),
+    )
+
+
+def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
+    """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
+    from flash.settings import parse_change
+    from sim.board.gdb import GdbServer
+    from sim.board.line import Bridge, UartLine
+    from sim.board.usart import Format
+    from toolchain.contract import MSP_BAUD_DEFAULT
+
+    run_to: Callable[[int], None] = board.run_to
+    server = None
+    if args.gdb is not None:
+        server = GdbServer(board.engine, args.gdb)
+        ends.callback(server.close)
+        elf = image.with_suffix(".elf")
+        say(f"waiting for gdb: arm-none-eabi-gdb -ex 'target remote :{server.port}' {elf}")
+        server.wait()
+        run_to = server.run_to
+    interrupt = ends.enter_context(Interrupt(server))
+    bridge = None
+    if args.serial is not None:
+        end = open_end(parse_serial(args.serial))
+        baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
+        bridge = Bridge(UartLine(board, format=Format(baud)), end)
+        ends.callback(bridge.close)
+        say(f"USART1 at {end.name}, {baud:.0f} baud")
+
+    def run(cycle: int) -> None:
+        while board.cycle < cycle:
+            until = min(cycle, board.cycle + SLICE)
+            if bridge is not None:
+                bridge.exchange(until - board.cycle)
+            run_to(until)
+            interrupt.look()
+
+    return run
+
+
+def emulator_document(report: EmulatedReport) -> dict[str, Any]:
+    """As JSON has it."""
+    return {**asdict(report), "outcome": report.outcome}
+
+
+def exit_code(args: argparse.Namespace, report: EmulatedReport | None) -> int:
+    """STOPPED after faults that the motors did not survive, else 0."""
+    return STOPPED if args.fault and report is not None and report.stopped_s is not None else 0
+
+
+def emulator_words(report: EmulatedReport | None) -> str:
+    """For the line below a page's title."""
+    return "" if report is None else f"; {report.outcome}; image sha256 {report.sha256}"
+
+
+def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
+    """Label and text of each line."""
+    waited = f"; {report.gyro_wait_place}" if report.gyro_wait_place else ""
+    margin = report.watchdog_margin_s
+    told = [
+        ("image", report.image),
+        ("sha256", report.sha256),
+        ("flight", report.outcome),
+        (
+            "board",
+            f"{report.board_s:.3f} s of its time, {report.real_time:.2f} of real time; "
+            f"{report.instructions:,} instructions",
+        ),
+        ("gyro edge", f"waited {report.gyro_wait_us:.2f} us at most for its handler{waited}"),
+        ("watchdog", "never fed" if margin is None else f"{1e3 * margin:.0f} ms left at least"),
+    ]
+    told += [(f"{event.at_s:.4f} s", event.what) for event in report.events]
+    if not report.running:
+        told.append(("at the end", "the firmware has not come back from its last reset"))
+    if report.arming_reasons:
+        told.append(("held by", ", ".join(report.arming_reasons)))
+    told += [("never came", fault) for fault in report.waiting]
+    told += [("note", f"{note.message} ({note.times} times, first at {note.place})") for note in report.notes]
+    return told
+
+
+EMULATOR_HEADINGS = ("flight", "real time", "edge waits", "feed left")
+
+
+def emulator_cells(report: EmulatedReport) -> tuple[str, ...]:
+    """Under EMULATOR_HEADINGS."""
+    margin = report.watchdog_margin_s
+    return (
+        report.outcome,
+        f"{report.real_time:.2f}",
+        f"{report.gyro_wait_us:.2f} us",
+        "never fed" if margin is None else f"{1e3 * margin:.0f} ms",
+    )
+
+
+def save_profile(directory: Path, board: Board) -> None:
+    """Write the profile and say where."""
+    from sim.board.profile_write import write_profile
+
+    names = write_profile(directory, board)
+    print(f"{directory}: {', '.join(names)}", file=sys.stderr)
+
+
+def say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)

@@ -1,0 +1,120 @@
+"""`neuroflight fly`: what is printed of flights."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
+
+if TYPE_CHECKING:
+    from sim.aircraft import Aircraft
+    from sim.emulated_report import EmulatedReport
+    from sim.report import Flight
+    from sim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight, and what the emulated board says of it."""
+
+    flight: Flight
+    report: EmulatedReport | None
+
+
+def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
+    """In words, what was flown and where."""
+    words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
+    if args.battery is not None:
+        words.append(f"battery charged to {100 * args.battery:g} %")
+    if any(args.wind):
+        words.append(f"wind {', '.join(f'{speed:g}' for speed in args.wind)} m/s")
+    if args.gust:
+        words.append(f"gusts of a wind of {args.gust:g} m/s")
+    if args.ground:
+        words.append("over ground")
+    if args.on == "betaflight":
+        return [*words, "Betaflight 4.6 with its default PID, airmode and idle"]
+    flown = "its PID" if args.controller == "pid" else "its policy"
+    return [*words, f"firmware on {args.on}, {flown}"]
+
+
+def document(
+    args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flown: list[Flown]
+) -> dict[str, Any]:
+    """All that is told of one scenario, as JSON has it."""
+    from cli.output import plain
+
+    report = flown[0].report
+    return {
+        "on": args.on,
+        "controller": args.controller,
+        "scenario": scenario.name,
+        "seed": args.seed,
+        "episodes": scenario.episodes(),
+        "duration_s": scenario.duration_s,
+        "mount": scenario.mount.value,
+        "gyro_rate_hz": args.gyro_hz,
+        "battery": args.battery,
+        "wind_m_s": list(args.wind),
+        "gust_m_s": args.gust,
+        "ground": args.ground,
+        "aircraft": aircraft.name,
+        "aircraft_sha256": aircraft.sha256,
+        "flights": {
+            # The first flight is the firmware's, whichever it is: "on" says.
+            name: plain({**asdict(one.flight.figures), "armed": one.flight.armed})
+            for name, one in zip(("firmware", "PID"), flown, strict=False)
+        },
+        **({} if report is None else {"emulator": emulator_document(report)}),
+    }
+
+
+def print_flight(title: str, note: str, flown: list[Flown]) -> None:
+    """A column a flight, and what the emulated board says of the first."""
+    from sim.report import table
+
+    report = flown[0].report
+    _table(title, table([one.flight for one in flown]), note)
+    if report is not None:
+        _table("", [("", ""), *emulator_rows(report)], "", left=True)
+
+
+def print_several(
+    title: str, args: argparse.Namespace, scenarios: list[Scenario], flown: list[Flown]
+) -> None:
+    """A row a flight, and of the emulated board what all have in common."""
+    report = flown[0].report
+    headings = EMULATOR_HEADINGS if report else ("armed",)
+    rows: list[tuple[str, ...]] = [("", "length", "MAE, deg/s", *headings)]
+    for scenario, one in zip(scenarios, flown, strict=True):
+        mae = f"{one.flight.figures.tracking.mae.mean():.2f}"
+        armed = (f"{100 * one.flight.armed:.1f} %",)
+        told = armed if one.report is None else emulator_cells(one.report)
+        rows.append((scenario.name, f"{scenario.duration_s:g} s", mae, *told))
+    words = ", ".join(conditions(args, scenarios[0])[2:])
+    if report is not None:
+        words += f"\nflown was the file to be flashed, {report.image}\nsha256 {report.sha256}"
+    _table(title, rows, words)
+
+
+def _table(title: str, rows: list[tuple[str, ...]], note: str, *, left: bool = False) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    heading, *rest = rows
+    shown = Table(
+        title=Text(title) if title else None,
+        caption=Text(note) if note else None,
+        title_justify="left",
+        caption_justify="left",
+        box=None,
+        show_header=any(heading),
+    )
+    for number, cell in enumerate(heading):
+        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
+    for row in rest:
+        shown.add_row(*(Text(cell) for cell in row))
+    Console().print(shown)

@@ -1,0 +1,127 @@
+"""`neuroflight fly`: the controllers that take part, each freshly booted behind its port."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.sim.fly_emulator import BY_OPTION, open_image, save_profile
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.aircraft import Aircraft
+    from sim.emulated_report import EmulatedReport
+    from sim.port import FirmwarePort
+
+BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
+BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A controller that takes part, freshly booted."""
+
+    name: str
+    port: FirmwarePort
+    idle: float  # motor fraction of its armed motors at zero thrust
+    own_mixer: bool = False  # it lays the throttle on by another rule than ours
+    report: Callable[[float], EmulatedReport] | None = None  # of the flight of so many seconds that is over
+    ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
+
+    def close(self) -> None:
+        """End it."""
+        self.ends.close()
+        self.port.close()
+
+
+def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
+    """What `--on` names."""
+    from flash.settings import parse_change
+    from sim.host_port import HostPort
+    from sim.port import twin_settings
+    from sim.reference_port import ReferencePort
+    from toolchain.report import built_idle
+
+    if args.on == "betaflight":
+        return _open_betaflight(args, aircraft)
+    settings = {**twin_settings(aircraft), **dict(parse_change(text) for text in args.set)}
+    for name, option in BY_OPTION.items():
+        if name in settings:
+            raise NeuroflightError(f"--set {name}: has an option of its own; use {option}")
+    settings = {name: int(value) if value == int(value) else value for name, value in settings.items()}
+    if args.on == "emulator":
+        return _open_emulator(args, settings)
+    name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
+    product = (args.build or BUILD) / name
+    port: FirmwarePort = kind(product, args.gyro_hz, settings)
+    try:
+        return Entry("firmware", port, built_idle(product, pid=args.controller == "pid"))
+    except NeuroflightError:
+        port.close()
+        raise
+
+
+def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
+    """The aircraft's PID behind the firmware's frame."""
+    from sim.controller_port import ControllerPort
+    from sim.pid import aircraft_pid, pid_settings
+
+    idle = pid_settings(aircraft).idle
+    pid = aircraft_pid(aircraft, 1, control_rate_hz)
+    port = ControllerPort(pid, aircraft.motor_count, args.gyro_hz, control_rate_hz, idle)
+    return Entry("PID", port, idle)
+
+
+def quiet(args: argparse.Namespace) -> bool:
+    """Whether nobody watches."""
+    return bool(args.json) or not sys.stderr.isatty()
+
+
+def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entry:
+    """The image on a board of its own."""
+    from sim.emulated_report import emulated_report
+    from toolchain.report import built_idle
+
+    image = (args.build or BOARD) / "neuroflight.bin"
+    with ExitStack() as undo:
+        began = time.perf_counter()
+        ends = undo.enter_context(ExitStack())
+        port = open_image(args, image, settings, ends)
+        undo.callback(port.close)
+
+        def report(flight_s: float) -> EmulatedReport:
+            told = emulated_report(port, image, flight_s, time.perf_counter() - began)
+            if args.profile is not None:
+                save_profile(args.profile, port.board)
+            return told
+
+        idle = built_idle(image, pid=args.controller == "pid")
+        undo.pop_all()
+        return Entry("firmware", port, idle, report=report, ends=ends)
+
+
+def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
+    """Betaflight, built first where it is not yet; each stage of that is told on stderr."""
+    from rich.console import Console
+
+    from sim.betaflight_build import build_betaflight
+    from sim.betaflight_port import IDLE, BetaflightPort, aircraft_settings
+
+    settings = aircraft_settings(aircraft)
+    console = Console(stderr=True)
+    with nullcontext() if quiet(args) else console.status("Betaflight") as status:
+
+        def say(stage: str) -> None:
+            console.print(f"Betaflight is not built yet, once: {stage}", highlight=False)
+            if status is not None:
+                status.update(stage)
+
+        betaflight = build_betaflight(args.build or BETAFLIGHT, say)
+        port = BetaflightPort(betaflight, args.gyro_hz, settings)
+    return Entry("Betaflight", port, IDLE, own_mixer=True)

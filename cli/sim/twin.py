@@ -1,0 +1,169 @@
+"""`neuroflight twin`: what a twin should know of the real aircraft."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.noise import Noise, SensorNoise
+
+BIAS_NOTE = (
+    "bias_deg_s is the spread of a bias that is drawn anew for each episode, not the mean of this log: that "
+    "mean is one day's draw, and a policy would learn it by heart. It is given as the RMS of the three "
+    "means, known to about 40 % from one log; logs of several days tell it better."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is measured."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    summary = "measure gyro and accelerometer noise in a log of an aircraft at rest"
+    noise = actions.add_parser(
+        "noise",
+        help=summary,
+        description=f"{summary}: a trace (.npz), or a .csv with columns t_s, gyro_x_deg_s, gyro_y_deg_s, "
+        "gyro_z_deg_s (and acc_x_m_s2, acc_y_m_s2, acc_z_m_s2), or what blackbox_decode makes of a "
+        "Betaflight log. Record a minute or longer on the ground; armed and idling, without propellers, the "
+        "motors' vibration is in it. " + BIAS_NOTE,
+    )
+    noise.add_argument("log", type=Path, metavar="LOG", help="the log")
+    noise.add_argument(
+        "--write", type=Path, metavar="AIRCRAFT.toml", help="put noise and bias into this aircraft file"
+    )
+    noise.add_argument("--plot", type=Path, metavar="FILE.png", help="draw Allan deviation and histogram")
+    noise.add_argument(
+        "--gyro-unit",
+        type=float,
+        default=1.0,
+        metavar="DEG_S",
+        help="one count of a blackbox log's raw gyroADC; default 1, 0.1 with blackbox_high_resolution",
+    )
+    noise.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, write what was asked for, print the figures. Returns 0."""
+    from cli.output import check_output
+
+    check_output(args.plot, ".png")
+    if not (math.isfinite(args.gyro_unit) and args.gyro_unit > 0.0):
+        raise NeuroflightError(f"--gyro-unit {args.gyro_unit}, expected a number above 0")
+
+    from rich.console import Console
+
+    from sim.aircraft_edit import edit_aircraft
+    from sim.noise import aircraft_keys, draw, measure_noise
+    from sim.recording import read_recording
+    from sim.report import png
+    from toolchain.files import write_bytes
+
+    console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
+    with console.status("reading the log") as status:
+        recording = read_recording(args.log, args.gyro_unit)
+        status.update(f"measuring {len(recording.gyro):,} samples")
+        noise = measure_noise(recording)
+        if args.write and noise.moved:
+            raise NeuroflightError(
+                f"{args.log}: the aircraft moved, its figures are not noise alone and are not written to "
+                f"{args.write}; record it at rest on the ground"
+            )
+        what = "not at rest" if noise.moved else "noise at rest"
+        picture = png(draw(noise, recording, f"{args.log.name}: {what}")) if args.plot else b""
+    if args.write:
+        edit_aircraft(args.write, aircraft_keys(noise))
+    if args.plot:
+        write_bytes(args.plot, picture)
+    if args.json:
+        print(json.dumps(_document(args, noise), indent=2))
+    else:
+        _print(args, noise)
+    return 0
+
+
+def _document(args: argparse.Namespace, noise: Noise) -> dict[str, Any]:
+    from sim.noise import aircraft_keys, doubts
+
+    return {
+        "log": str(args.log),
+        "rate_hz": noise.rate_hz,
+        "samples": noise.samples,
+        "duration_s": noise.duration,
+        "gaps": noise.gaps,
+        "moved": noise.moved,
+        "warnings": doubts(noise),
+        "gyro_deg_s": _figures(noise.gyro, math.degrees(1.0)),
+        "accelerometer_m_s2": _figures(noise.accelerometer, 1.0) if noise.accelerometer else None,
+        "aircraft": None if noise.moved else aircraft_keys(noise),
+        "written": str(args.write) if args.write else None,
+    }
+
+
+def _figures(sensor: SensorNoise, scale: float) -> dict[str, Any]:
+    return {
+        "mean": (scale * sensor.mean).tolist(),
+        "sigma": (scale * sensor.sigma).tolist(),
+        "rounded_to": (scale * sensor.step).tolist(),
+        "lag_1_autocorrelation": sensor.lag.tolist(),
+        "bandwidth_hz": [None if math.isnan(value) else value for value in sensor.bandwidth_hz.tolist()],
+        "density_per_sqrt_hz": (scale * sensor.density).tolist(),
+        "bias_instability": (scale * sensor.instability).tolist(),
+        "bias_instability_at_s": sensor.instability_s.tolist(),
+        "bias_instability_is_upper_bound": [not found for found in sensor.floor.tolist()],
+        "allan": {"tau_s": sensor.tau.tolist(), "deviation": (scale * sensor.deviation).T.tolist()},
+    }
+
+
+def _print(args: argparse.Namespace, noise: Noise) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from sim.noise import aircraft_keys, doubts
+    from toolchain.contract import AXES
+
+    title = (
+        f"{args.log.name}: {noise.samples:,} samples, {noise.duration:.1f} s at {noise.rate_hz:,.1f} a second"
+    )
+    shown = Table(box=None, pad_edge=False)
+    for number, heading in enumerate(
+        ("", *(f"{letter}, {axis}" for letter, axis in zip("xyz", AXES, strict=True)))
+    ):
+        shown.add_column(heading, justify="right" if number else "left")
+    sensors = [("gyro", "deg/s", noise.gyro, math.degrees(1.0))]
+    if noise.accelerometer is not None:
+        sensors.append(("accelerometer", "m/s²", noise.accelerometer, 1.0))
+    for name, unit, sensor, scale in sensors:
+        rows = (
+            ("  sigma of a sample", scale * sensor.sigma),
+            ("  mean", scale * sensor.mean),
+            ("  white noise, per √Hz", scale * sensor.density),
+            ("  neighbours correlate", sensor.lag),
+        )
+        shown.add_row(Text(f"{name}, {unit}", style="bold"))
+        for label, values in rows:
+            shown.add_row(label, *(f"{value:.4f}" for value in values))
+        least = zip(scale * sensor.instability, sensor.floor, strict=True)
+        shown.add_row(
+            "  bias instability", *(f"{'' if found else '< '}{value:.4f}" for value, found in least)
+        )
+        shown.add_row("  averaged over, s", *(f"{value:.2g}" for value in sensor.instability_s))
+    console = Console()
+    console.print(Text(title))
+    console.print(shown)
+    for doubt in doubts(noise):
+        console.print(Text(f"warning: {doubt}"))
+    if noise.moved:
+        return
+    console.print(Text(f"\n{'written to ' + str(args.write) if args.write else 'for an aircraft file'}:"))
+    for table, keys in aircraft_keys(noise).items():
+        console.print(Text(f"  [{table}]"))
+        for key, value in keys.items():
+            console.print(Text(f"  {key} = {list(value) if isinstance(value, tuple) else value}"))
+    console.print(Text(BIAS_NOTE))

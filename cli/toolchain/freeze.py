@@ -1,0 +1,128 @@
+"""`neuroflight freeze CHECKPOINT|MODEL.onnx --out POLICY.onnx`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from toolchain.network import PolicyModel
+
+EPILOG = (
+    "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
+    "trainer (ONNX, opset 13 or newer, float32, raw observation in, motor fractions out) is told them here."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the subcommand."""
+    parser.epilog = EPILOG
+    parser.add_argument(
+        "source", type=Path, metavar="CHECKPOINT|MODEL.onnx", help="checkpoint.pt of a training, or any ONNX"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="POLICY.onnx")
+    parser.add_argument("--observation", metavar="BLOCKS", help="what the model observes, e.g. rate,throttle")
+    parser.add_argument("--rate", type=int, metavar="HZ", help="control rate it was trained at")
+    parser.add_argument("--aircraft", metavar="NAME|FILE", help="shipped name or .toml it was trained for")
+    parser.add_argument("--filters", metavar="JSON", help="gyro filters it was trained behind; default: []")
+    parser.add_argument(
+        "--idle",
+        type=float,
+        metavar="U",
+        help="motor fraction without thrust it was trained with; default: 0",
+    )
+    parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
+    parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write POLICY.onnx and say what it holds."""
+    from cli.output import check_output
+    from toolchain.adopt import is_checkpoint
+    from toolchain.freeze import freeze
+    from toolchain.network import read_policy
+
+    check_output(args.out, ".onnx")
+    changes: Sequence[str] = ()
+    if is_checkpoint(args.source):
+        _refuse_claims(args)
+        freeze(args.source, args.out)
+        policy = read_policy(args.out)
+    else:
+        policy, changes = _adopt(args)
+    if args.json:
+        document = {
+            "source": str(args.source),
+            "policy": str(args.out),
+            "policy_sha256": policy.source_sha256,
+            "network": policy.network.text,
+            "observation": policy.observation,
+            "control_rate_hz": policy.control_rate_hz,
+            "filters": policy.filters,
+            "idle": policy.idle,
+            "aircraft": policy.aircraft,
+            "aircraft_sha256": policy.aircraft_sha256,
+            "changes": list(changes),
+        }
+        print(json.dumps(document, indent=2))
+        return 0
+    for change in changes:
+        print(change)
+    print(
+        f"{args.source} -> {args.out}: {policy.network.text}, {policy.aircraft}, {policy.control_rate_hz} Hz"
+    )
+    return 0
+
+
+def _claims(args: argparse.Namespace) -> dict[str, object]:
+    """The options that only a model of another trainer needs, as given."""
+    return {
+        "--observation": args.observation,
+        "--rate": args.rate,
+        "--aircraft": args.aircraft,
+        "--filters": args.filters,
+        "--idle": args.idle,
+        "--output": args.output,
+        "--clip": args.clip or None,
+    }
+
+
+def _refuse_claims(args: argparse.Namespace) -> None:
+    from toolchain.errors import PolicyError
+
+    if given := [name for name, value in _claims(args).items() if value is not None]:
+        raise PolicyError(
+            f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle and "
+            f"aircraft; leave out {', '.join(given)}"
+        )
+
+
+def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
+    from sim.aircraft import load_aircraft
+    from toolchain.adopt import PolicyClaims, adopt
+    from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
+    from toolchain.errors import PolicyError
+
+    needed = ("--observation", "--rate", "--aircraft")
+    if missing := [name for name in needed if _claims(args)[name] is None]:
+        raise PolicyError(
+            f"{args.source} is an ONNX model, of which freeze must be told {', '.join(missing)} "
+            "(a checkpoint of `neuroflight train` knows them)"
+        )
+    if args.idle is not None and not 0.0 <= args.idle <= IDLE_MAX:
+        raise PolicyError(f"--idle {args.idle}, expected 0 to {IDLE_MAX}")
+    aircraft = load_aircraft(args.aircraft)
+    claims = PolicyClaims(
+        observation=args.observation,
+        control_rate_hz=args.rate,
+        filters=args.filters or "[]",
+        aircraft=aircraft.name,
+        aircraft_sha256=aircraft.sha256,
+        motors=aircraft.motor_count,
+        idle=IDLE_DEFAULT if args.idle is None else args.idle,
+    )
+    return adopt(args.source, args.out, claims, clip=args.clip, output=args.output)

@@ -1,0 +1,203 @@
+"""neuroflight compare: policies and PIDs side by side on the same unseen commands."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from cli.training.conditions import (
+    add_condition_arguments,
+    check_throttle,
+    command,
+    conditions,
+    conditions_document,
+    flight_document,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import TaskID
+
+    from sim.confidence import Mean
+    from training.comparison import Entry
+
+CONTENDERS_MAX = 8  # colours that can be told apart, and columns that fit
+THROTTLES_MAX = 20
+TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
+ROWS = (  # heading, figure, factor, digits
+    ("IAE", "iae", 1, 0),
+    ("ISE", "ise", 1, 0),
+    ("ITAE", "itae", 1, 0),
+    ("ITSE", "itse", 1, 0),
+    ("mean output ū", "output", 1, 4),
+    ("mean |Δu| in 1 ms", "change", 1, 5),
+    ("Sm, 1e-6", "smoothness", 1e6, 1),
+    ("success, %", "success", 100, 1),
+    ("  bare 10 % band", "success_bare", 100, 1),
+    ("rise, ms", "rise_ms", 1, 1),
+    ("peak, %", "peak", 1, 1),
+    ("in band, 500 ms+, %", "all_in_band_500", 100, 1),
+    ("  bare", "all_in_band_500_bare", 100, 1),
+    ("in band, 750 ms+, %", "all_in_band_750", 100, 1),
+    ("  bare", "all_in_band_750_bare", 100, 1),
+    ("every sample, %", "steady", 100, 1),
+    ("  bare", "steady_bare", 100, 1),
+)
+NOTE = (
+    "Errors in deg/s against the true rate; ± is 95 % confidence. Differences are paired, command by "
+    "command; ≈ marks those that such confidence does not tell from none. The band is 10 % of the command or "
+    "5 deg/s, whichever is wider, on all axes at once; every sample: from 500 to 1500 ms after the command."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "controllers",
+        nargs="+",
+        metavar="POLICY.onnx|pid[:NAME]",
+        help="policies, or PIDs of the aircraft file; differences are to the first",
+    )
+    add_condition_arguments(parser, episodes=1000)
+    parser.add_argument(
+        "--throttle",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="T",
+        help="pilot's thrust, 0..1; one comparison each, the first is drawn",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly each controller at each throttle and print the figures."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sim.report import png
+    from toolchain.errors import TrainingError
+    from toolchain.files import write_bytes
+    from training.comparison import enter
+    from training.comparison_plot import draw
+    from training.contender import load_contender
+
+    if len(args.controllers) > CONTENDERS_MAX or len(set(args.controllers)) < len(args.controllers):
+        raise TrainingError(
+            f"{len(args.controllers)} controllers, {len(set(args.controllers))} of them different, "
+            f"expected 1 to {CONTENDERS_MAX} different ones"
+        )
+    if len(args.throttle) > THROTTLES_MAX:
+        raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
+    for throttle in args.throttle:
+        check_throttle(throttle)
+    flown = conditions(args)
+    contenders = [load_contender(name, flown.aircraft, args.idle) for name in args.controllers]
+    quiet = args.json or not sys.stderr.isatty()
+    rounds: dict[float, list[Entry]] = {}
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        for throttle in args.throttle:
+            for contender in contenders:
+                task = bar.add_task(f"{contender.label}, throttle {throttle:g}")
+
+                def show(done: int, total: int, task: TaskID = task) -> None:
+                    bar.update(task, completed=done, total=total)
+
+                rounds.setdefault(throttle, []).append(enter(contender, flown, throttle, show))
+    title = f"{flown.aircraft.name}: {flown.episodes} commands of {args.task}, seed {args.seed}"
+    if args.plot:
+        first = args.throttle[0]
+        drawn = title if first == 0.0 else f"{title}, throttle {first:g}"
+        write_bytes(args.plot, png(draw(rounds[first], drawn)))
+    if args.json:
+        told = command("compare", args, *args.controllers, throttle=_told(args.throttle))
+        document = {
+            "command": told,
+            **conditions_document(args, flown),
+            "comparison": [entry for entries in rounds.values() for entry in _documents(entries)],
+        }
+        print(json.dumps(document, indent=2))
+        return 0
+    console = Console()
+    for throttle, entries in rounds.items():
+        _print(console, title if throttle == 0.0 else f"{title}, throttle {throttle:g}", entries)
+    console.print(NOTE, style="dim")
+    return 0
+
+
+def _told(throttles: Sequence[float]) -> Sequence[float] | None:
+    """What of the throttles a command has to say."""
+    return None if list(throttles) == [0.0] else throttles
+
+
+def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
+    from training.comparison import document
+
+    return [
+        {
+            **flight_document(entry.contender, entry.throttle, entry.evaluation),
+            **document(entry, None if entry is entries[0] else entries[0]),
+        }
+        for entry in entries
+    ]
+
+
+def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
+    """The figures, then the differences to the first."""
+    from rich.table import Table
+
+    from toolchain.contract import AXES
+    from training.comparison import differences, means
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for entry in entries:
+        idle = f"\nidle {entry.contender.idle:g}" if entry.contender.idle else ""
+        table.add_column(entry.contender.label + idle, justify="right", no_wrap=True)
+    averages = [means(entry.scores) for entry in entries]
+    for heading, name, digits in TRACKING_ROWS:
+        for axis, word in enumerate(AXES):
+            cells = []
+            for entry in entries:
+                value, margin = (
+                    getattr(part, name)[axis]
+                    for part in (entry.evaluation.tracking, entry.evaluation.tracking_margin)
+                )
+                cells.append(f"{value:,.{digits}f} ± {margin:,.{digits}f}")
+            table.add_row(f"{heading} {word}", *cells)
+        cells = [_interval(each[name], 1, digits) for each in averages]
+        table.add_row(f"{heading} mean", *cells)
+    for heading, name, factor, digits in ROWS:
+        if all(name in each for each in averages):
+            table.add_row(heading, *(_interval(each[name], factor, digits) for each in averages))
+    console.print(table)
+    if len(entries) == 1:
+        return
+    first = entries[0]
+    table = Table(title=f"less {first.contender.label}", title_justify="left", box=None, pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for entry in entries[1:]:
+        table.add_column(entry.contender.label, justify="right", no_wrap=True)
+    found = [differences(first.scores, entry.scores) for entry in entries[1:]]
+    rows = [(f"{heading} mean", name, 1, digits) for heading, name, digits in TRACKING_ROWS]
+    for heading, name, factor, digits in (*rows, *ROWS):
+        if name in found[0]:
+            table.add_row(heading, *(_difference(each[name], factor, digits) for each in found))
+    console.print(table)
+
+
+def _interval(mean: Mean, factor: float, digits: int) -> str:
+    if not mean.count:
+        return "none"
+    value, margin = factor * float(mean.value), factor * float(mean.high - mean.low) / 2
+    return f"{value:,.{digits}f} ± {margin:,.{digits}f}"
+
+
+def _difference(mean: Mean, factor: float, digits: int) -> str:
+    from training.comparison import significant
+
+    mark = "" if significant(mean) or not mean.count else "≈ "
+    sign = "+" if mean.value > 0 else ""
+    return f"{mark}{sign}{_interval(mean, factor, digits)}"

@@ -1,0 +1,139 @@
+"""What commands that fly controllers on unseen commands share: arguments, refusals, documents."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from training.contender import Conditions, Contender
+    from training.evaluation import Evaluation
+
+TASKS = ("pulse", "episodic", "envelope")
+MOUNTS = ("centre", "rig", "free")
+DELAY_MAX_S = 0.1
+IDLE_MAX = 0.5
+
+
+def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
+    """What all contenders fly alike, `episodes` commands unless told."""
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
+    parser.add_argument("--task", choices=TASKS, default="pulse", help="what is commanded; default: pulse")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=episodes,
+        metavar="N",
+        help=f"commands, one aircraft each; default: {episodes}",
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of commands, noise and bias")
+    parser.add_argument("--mount", choices=MOUNTS, default="centre", help="what holds the aircraft")
+    parser.add_argument("--no-noise", action="store_true", help="an ideal gyro")
+    parser.add_argument(
+        "--delay", type=float, metavar="SECONDS", help="from command to rotor; default: the aircraft's"
+    )
+    parser.add_argument(
+        "--idle", type=float, metavar="U", help="motor fraction at no thrust; default: the controller's own"
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the responses")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def conditions(args: argparse.Namespace) -> Conditions:
+    """The conditions asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
+    from cli.output import check_output
+    from sim.aircraft import load_aircraft
+    from sim.world import COUNT_MAX, Mount
+    from toolchain.errors import TrainingError
+    from training.contender import Conditions
+    from training.tasks import TASKS as BUILDERS
+
+    if not 1 <= args.episodes <= COUNT_MAX:
+        raise TrainingError(f"--episodes {args.episodes}, expected 1 to {COUNT_MAX}")
+    if args.seed < 0:
+        raise TrainingError(f"--seed {args.seed}, expected 0 or more")
+    if args.delay is not None and not 0.0 <= args.delay <= DELAY_MAX_S:
+        raise TrainingError(f"--delay {args.delay}, expected 0 to {DELAY_MAX_S:g} s")
+    if args.idle is not None and not 0.0 <= args.idle <= IDLE_MAX:
+        raise TrainingError(f"--idle {args.idle}, expected 0 to {IDLE_MAX:g}")
+    check_output(args.plot, ".png")
+    aircraft = load_aircraft(args.aircraft)
+    if args.delay is not None:
+        aircraft = replace(aircraft, propulsion=replace(aircraft.propulsion, delay=args.delay))
+    return Conditions(
+        aircraft=aircraft,
+        task=BUILDERS[args.task](),
+        episodes=args.episodes,
+        seed=args.seed,
+        mount=Mount(args.mount),
+        noise=not args.no_noise,
+    )
+
+
+def check_throttle(throttle: float) -> None:
+    """Refuse what no pilot can ask for."""
+    from toolchain.errors import TrainingError
+
+    if not 0.0 <= throttle <= 1.0:
+        raise TrainingError(f"--throttle {throttle}, expected 0 to 1")
+
+
+def command(name: str, args: argparse.Namespace, *words: str, throttle: object) -> str:
+    """The command that repeats a result."""
+    from cli.output import command_line
+
+    return command_line(
+        name,
+        *words,
+        aircraft=args.aircraft,
+        task=args.task,
+        episodes=args.episodes,
+        seed=args.seed,
+        mount=args.mount if args.mount != "centre" else None,
+        throttle=throttle,
+        no_noise=args.no_noise,
+        delay=args.delay,
+        idle=args.idle,
+    )
+
+
+def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str, Any]:
+    """What all contenders flew alike, as JSON data."""
+    return {
+        "aircraft": flown.aircraft.name,
+        "aircraft_sha256": flown.aircraft.sha256,
+        "task": args.task,
+        "episodes": flown.episodes,
+        "seed": flown.seed,
+        "mount": args.mount,
+        "noise": flown.noise,
+        "delay_s": flown.aircraft.propulsion.delay,
+    }
+
+
+def flight_document(contender: Contender, throttle: float, result: Evaluation) -> dict[str, Any]:
+    """Who flew and with what figures, as JSON data."""
+    from cli.output import plain
+
+    margins = {
+        **asdict(result.tracking_margin),
+        **asdict(result.effort_margin),
+        "smoothness": result.smoothness_margin,
+    }
+    return {
+        "controller": contender.name,
+        **contender.facts,
+        "throttle": throttle,
+        "idle": contender.idle,
+        "control_rate_hz": contender.control_rate_hz,
+        **{name: values.tolist() for name, values in asdict(result.tracking).items()},
+        "worst_mae": result.worst_mae,
+        "output": result.effort.output,
+        "change": result.effort.change,
+        "smoothness": result.smoothness,
+        "margin_95": {name: plain(values) for name, values in margins.items()},
+        "response": plain(asdict(result.response)) if result.response else None,
+        "spectrum": result.spectrum.document(),
+    }

@@ -1,0 +1,164 @@
+"""neuroflight evaluate: figures of a policy or a PID on unseen commands in the twin."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from cli.training.conditions import (
+    add_condition_arguments,
+    check_throttle,
+    command,
+    conditions,
+    conditions_document,
+    flight_document,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from sim.confidence import Mean
+    from training.evaluation import Evaluation
+
+ALL_ROWS = (
+    ("all axes, 500 ms+, %", "all_in_band_500"),
+    ("all axes, 750 ms+, %", "all_in_band_750"),
+    ("  bare, 500 ms+, %", "all_in_band_500_bare"),
+    ("  bare, 750 ms+, %", "all_in_band_750_bare"),
+    ("all axes, every sample, %", "steady"),
+    ("  bare, every sample, %", "steady_bare"),
+)
+RESPONSE_ROWS = (  # heading, figure, factor, digits
+    ("success, %", "success", 100, 1),
+    ("  bare 10 % band", "success_bare", 100, 1),
+    ("settling, ms", "settling_ms", 1, 1),
+    ("failure, %", "failure", 1, 1),
+    ("  bare 10 % band", "failure_bare", 1, 1),
+    ("rise, ms", "rise_ms", 1, 1),
+    ("peak, %", "peak", 1, 1),
+    ("error, rad/s", "error", 1, 1),
+    ("stability, deg/s²", "stability", 1, 2),
+    ("in band, 500 ms+, %", "in_band_500", 100, 1),
+    ("in band, 750 ms+, %", "in_band_750", 100, 1),
+    ("  bare, 500 ms+, %", "in_band_500_bare", 100, 1),
+    ("  bare, 750 ms+, %", "in_band_750_bare", 100, 1),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "controller", metavar="POLICY.onnx|pid[:NAME]", help="a policy, or a PID of the aircraft file"
+    )
+    add_condition_arguments(parser, episodes=100)
+    parser.add_argument("--throttle", type=float, default=0.0, metavar="T", help="pilot's thrust, 0..1")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly all commands at once and print the figures."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sim.report import png
+    from sim.response_plot import draw
+    from sim.spectrum_plot import Line
+    from toolchain.files import write_bytes
+    from training.contender import load_contender
+    from training.evaluation import figures
+
+    check_throttle(args.throttle)
+    flown = conditions(args)
+    contender = load_contender(args.controller, flown.aircraft, args.idle)
+    quiet = args.json or not sys.stderr.isatty()
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task(f"{args.episodes} commands")
+        flights = flown.fly(
+            contender, args.throttle, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    result = figures(flights)
+    title = (
+        f"{args.controller} on {flown.aircraft.name}: {result.episodes} commands of {args.task}, "
+        f"seed {args.seed}"
+    )
+    held = flights.hold()
+    if args.plot and held and result.response:
+        line = Line(contender.label, result.spectrum, result.smoothness)
+        write_bytes(args.plot, png(draw(held, result.response, line, title)))
+    if args.json:
+        document = {
+            "command": command("evaluate", args, args.controller, throttle=args.throttle or None),
+            **conditions_document(args, flown),
+            **flight_document(contender, args.throttle, result),
+        }
+        print(json.dumps(document, indent=2))
+    else:
+        _print(title, result)
+    return 0
+
+
+def _print(title: str, result: Evaluation) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from toolchain.contract import AXES
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in ("", *AXES, "mean"):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    margins = asdict(result.tracking_margin)
+    for name, values in asdict(result.tracking).items():
+        digits = 2 if name == "mae" else 0
+        cells = [
+            f"{_number(value, digits)} ± {_number(margin, digits)}"
+            for value, margin in zip(values, margins[name], strict=True)
+        ]
+        table.add_row(name.upper(), *cells, _number(values.mean(), digits))
+    if result.response:
+        _add_response(table, result)
+    console = Console()
+    console.print(table)
+    effort, margin = result.effort, result.effort_margin
+    console.print(
+        f"mean output ū {effort.output:.4f} ± {margin.output:.4f}, "
+        f"mean |Δu| in 1 ms {effort.change:.5f} ± {margin.change:.5f}, "
+        f"Sm {1e6 * result.smoothness:.1f}e-6 ± {1e6 * result.smoothness_margin:.1f}e-6, "
+        f"worst MAE of a command and axis {result.worst_mae:.1f} deg/s"
+    )
+    note = "Errors in deg/s against the true rate; ± is 95 % confidence of the mean."
+    if result.response:
+        floor = f"{result.response.floor_deg_s:g} deg/s"
+        note += (
+            f" The band is 10 % of the initial error or {floor}, whichever is wider; rise, peak and failure "
+            f"leave out initial errors below {floor}. Every sample: from 500 to 1500 ms after the command, "
+            f"or to its end."
+        )
+    console.print(note, style="dim")
+
+
+def _add_response(table: Table, result: Evaluation) -> None:
+    import numpy as np
+
+    for heading, name, factor, digits in RESPONSE_ROWS:
+        mean: Mean = getattr(result.response, name)
+        cells = []
+        for axis in range(3):
+            value, low, high = (factor * part[axis] for part in (mean.value, mean.low, mean.high))
+            known = mean.count[axis] > 0
+            cells.append(f"{value:.{digits}f} ± {(high - low) / 2:.{digits}f}" if known else "none")
+        some = mean.count > 0
+        average = f"{factor * np.mean(mean.value[some]):.{digits}f}" if some.any() else "none"
+        table.add_row(heading, *cells, average)
+    for heading, name in ALL_ROWS:
+        share: Mean = getattr(result.response, name)
+        table.add_row(heading, "", "", "", f"{100 * share.value:.1f}")
+
+
+def _number(value: float, digits: int) -> str:
+    """At most seven characters where the digits of large sums would fill the screen."""
+    if value < 1e5:
+        return f"{value:,.{digits}f}"
+    mantissa, exponent = f"{value:.2e}".split("e")
+    return f"{mantissa}e{int(exponent)}"

@@ -1,0 +1,99 @@
+"""neuroflight results: the page of results from stored figures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=DOCS / "results",
+        metavar="DIR",
+        help="what commands printed with --json; default: docs/results",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=DOCS / "results.md", metavar="FILE.md", help="default: docs/results.md"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; fail if the page is not up to date"
+    )
+    parser.add_argument(
+        "--again",
+        nargs="*",
+        metavar="NAME.json",
+        help="first make these files anew, all unless named, by the commands in DIR/commands.txt",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page, or compare it with what would be written."""
+    from cli.output import check_output
+    from toolchain.errors import NeuroflightError
+    from toolchain.files import write_text_if_changed
+    from training.results import render
+    from training.stored import read_results
+
+    check_output(args.out, ".md")
+    if args.again is not None:
+        _make_again(args.folder, args.again)
+    results = read_results(args.folder)
+    page = render(results)
+    if args.check:
+        if not args.out.is_file() or args.out.read_bytes() != page.encode():
+            raise NeuroflightError(
+                f"{args.out}: not what the files in {args.folder} give; run `neuroflight results`"
+            )
+        print(f"{args.out}: up to date with {len(results)} files")
+        return 0
+    written = write_text_if_changed(args.out, page)
+    print(f"{args.out}: {'written from' if written else 'already up to date with'} {len(results)} files")
+    return 0
+
+
+def _make_again(folder: Path, names: Sequence[str]) -> None:
+    """Repeat commands from the project's folder; each file is replaced once its command has ended well."""
+    from rich.console import Console
+
+    from toolchain.errors import NeuroflightError
+    from toolchain.files import write_text
+    from training.stored import COMMANDS, read_commands
+
+    commands = read_commands(folder)
+    for name in names:
+        if name not in commands:
+            raise NeuroflightError(
+                f"{folder / COMMANDS}: {name}: not there, expected one of: {', '.join(commands)}"
+            )
+    console = Console(stderr=True, highlight=False)
+    for name in names or commands:
+        words = commands[name]
+        told = f"{name}: `neuroflight {' '.join(words)}`"
+        with console.status(told):
+            done = subprocess.run(
+                [sys.executable, "-m", "cli.main", *words, "--json"],
+                cwd=ROOT,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+            raise NeuroflightError(f"{told} ended with {done.returncode}: {last}")
+        try:
+            json.loads(done.stdout)
+        except ValueError as error:
+            raise NeuroflightError(f"{told} printed no JSON ({error})") from error
+        write_text(folder / name, done.stdout)
+        if console.is_terminal:
+            console.print(told)

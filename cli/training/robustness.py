@@ -1,0 +1,248 @@
+"""neuroflight robustness: what controllers make of an aircraft that is not as its file says."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import TaskID
+
+    from training.robustness import Plan, Robustness
+
+CONTROLLERS_MAX = 8  # colours that can be told apart, and columns that fit
+COLUMN = 34  # [characters], of a controller
+EPISODES = 200
+DRAWS = 200
+THROTTLE_MAX = 0.8
+MOUNTS = ("centre", "rig", "free")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "controllers",
+        nargs="+",
+        metavar="POLICY.onnx|pid[:NAME]",
+        help="policies, or PIDs of the aircraft file, each at its own idle",
+    )
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
+    parser.add_argument(
+        "--episodes", type=int, default=EPISODES, metavar="N", help=f"pulses a case; default: {EPISODES}"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of commands, throttle, noise, draws"
+    )
+    parser.add_argument(
+        "--throttle-max",
+        type=float,
+        default=THROTTLE_MAX,
+        metavar="T",
+        help=f"the pilot's thrust is drawn from 0 to this for each pulse; default: {THROTTLE_MAX:g}",
+    )
+    parser.add_argument(
+        "--draws",
+        type=int,
+        default=DRAWS,
+        metavar="N",
+        help=f"aircraft with every parameter drawn at once, 5 pulses each; default: {DRAWS}",
+    )
+    parser.add_argument("--mount", choices=MOUNTS, default="centre", help="what holds the aircraft")
+    parser.add_argument("--no-noise", action="store_true", help="an ideal gyro")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw ratios of all cases and draws")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Put each controller through the plan and print how it went."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sim.report import png
+    from toolchain.files import write_bytes
+    from training.contender import load_contender
+    from training.robustness import examine
+    from training.robustness_plot import draw
+
+    plan = _plan(args)
+    contenders = [load_contender(name, plan.aircraft) for name in args.controllers]
+    quiet = args.json or not sys.stderr.isatty()
+    results = []
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        for contender in contenders:
+            task = bar.add_task(contender.label)
+
+            def show(done: int, total: int, task: TaskID = task) -> None:
+                bar.update(task, completed=done, total=total)
+
+            results.append(examine(contender, plan, show))
+    title = (
+        f"Robustness on {plan.aircraft.name}: {plan.episodes} pulses a case, throttle 0 to "
+        f"{plan.throttle_max:g}, seed {plan.seed}"
+    )
+    if args.plot:
+        write_bytes(args.plot, png(draw(results, title)))
+    if args.json:
+        print(json.dumps(_document(args, plan, results), indent=2))
+    else:
+        # A table that would be cropped is worth more than a narrow screen.
+        _print(title, plan, results, Console(width=max(Console().width, COLUMN * (len(results) + 1))))
+    return 0
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    """What is asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
+    from cli.output import check_output
+    from sim.aircraft import load_aircraft
+    from sim.world import COUNT_MAX, Mount
+    from toolchain.errors import TrainingError
+    from training.robustness import COMMANDS_PER_DRAW, Plan
+    from training.task import PulseTask
+
+    different = len(set(args.controllers))
+    if len(args.controllers) > CONTROLLERS_MAX or different < len(args.controllers):
+        raise TrainingError(
+            f"{len(args.controllers)} controllers, {different} of them different, expected 1 to "
+            f"{CONTROLLERS_MAX} different ones"
+        )
+    if not 2 <= args.episodes <= COUNT_MAX:
+        raise TrainingError(f"--episodes {args.episodes}, expected 2 to {COUNT_MAX}")
+    if not 0 <= args.draws <= COUNT_MAX // COMMANDS_PER_DRAW:
+        raise TrainingError(f"--draws {args.draws}, expected 0 to {COUNT_MAX // COMMANDS_PER_DRAW}")
+    if not 0.0 <= args.throttle_max <= 1.0:
+        raise TrainingError(f"--throttle-max {args.throttle_max}, expected 0 to 1")
+    if args.seed < 0:
+        raise TrainingError(f"--seed {args.seed}, expected 0 or more")
+    check_output(args.plot, ".png")
+    return Plan(
+        aircraft=load_aircraft(args.aircraft),
+        task=PulseTask(),
+        episodes=args.episodes,
+        draws=args.draws,
+        seed=args.seed,
+        throttle_max=args.throttle_max,
+        mount=Mount(args.mount),
+        noise=not args.no_noise,
+    )
+
+
+def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness]) -> dict[str, Any]:
+    from cli.output import command_line
+    from training.robustness import (
+        CASE_RATIO_MAX,
+        COMMANDS_PER_DRAW,
+        DIVERGENCE,
+        HIGH,
+        HIGH_RATIO_MAX,
+        MEDIAN_RATIO_MAX,
+        document,
+    )
+
+    command = command_line(
+        "robustness",
+        *args.controllers,
+        aircraft=args.aircraft,
+        episodes=args.episodes,
+        seed=args.seed,
+        throttle_max=args.throttle_max,
+        draws=args.draws,
+        mount=args.mount if args.mount != "centre" else None,
+        no_noise=args.no_noise,
+    )
+    return {
+        "command": command,
+        "aircraft": plan.aircraft.name,
+        "aircraft_sha256": plan.aircraft.sha256,
+        "robustness": {
+            "task": plan.task.name,
+            "episodes": plan.episodes,
+            "seed": plan.seed,
+            "throttle_max": plan.throttle_max,
+            "mount": plan.mount.value,
+            "noise": plan.noise,
+            "delay_s": plan.aircraft.propulsion.delay,
+            "draws": plan.draws,
+            "commands_per_draw": COMMANDS_PER_DRAW,
+            "extremes": {name: bounds for name, bounds in asdict(plan.extremes()).items() if bounds},
+            "divergence": DIVERGENCE,
+            "bars": {"case": CASE_RATIO_MAX, "median": MEDIAN_RATIO_MAX, "high": HIGH_RATIO_MAX},
+            "high_quantile": HIGH,
+            "controllers": [document(result) for result in results],
+        },
+    }
+
+
+def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Console) -> None:
+    from rich.table import Table
+
+    from sim.world import Mount
+    from training.robustness import (
+        CASE_RATIO_MAX,
+        DIVERGENCE,
+        HIGH_RATIO_MAX,
+        MEDIAN_RATIO_MAX,
+    )
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("", no_wrap=True)
+    table.add_column("bar", justify="right")
+    for result in results:
+        table.add_column(result.contender.label, justify="right", no_wrap=True)
+        table.add_column("|Δu|", justify="right", no_wrap=True)
+    first = [result.cases[0] for result in results]
+    table.add_row(
+        "nominal, MAE deg/s",
+        "",
+        *_paired(
+            [f"{each.mae.value:.2f} ± {each.mae.high - each.mae.value:.2f}" for each in first],
+            [each.change for each in first],
+        ),
+    )
+    for row in zip(*(result.cases[1:] for result in results), strict=True):
+        cells = []
+        for each in row:
+            lost = f" [{each.diverged} diverged]" if each.diverged else ""
+            mark = "" if each.met else "!"
+            margin = each.ratio.high - each.ratio.value
+            cells.append(f"{mark}{_ratio(float(each.ratio.value))} ± {_ratio(float(margin))}{lost}")
+        name = row[0].case.name
+        table.add_row(name, f"{CASE_RATIO_MAX:g}", *_paired(cells, [each.change for each in row]))
+    drawn = [result.joint for result in results if result.joint]
+    if drawn:
+        count = len(drawn[0].ratios)
+        for name, bar, means in (
+            (f"median of {count} draws", MEDIAN_RATIO_MAX, [each.median for each in drawn]),
+            ("95th percentile", HIGH_RATIO_MAX, [each.high for each in drawn]),
+        ):
+            quantiles = [
+                f"{'' if mean.value <= bar else '!'}{_ratio(float(mean.value))} "
+                f"({_ratio(float(mean.low))} to {_ratio(float(mean.high))})"
+                for mean in means
+            ]
+            table.add_row(name, f"{bar:g}", *_paired(quantiles, [each.change for each in drawn]))
+        shares = [f"{each.diverged} (≤ {100 * each.diverged_share.high:.1f} %)" for each in drawn]
+        table.add_row("diverged of the draws", "0", *_paired(shares, None))
+    console.print(table, markup=False)
+    held = " Held at its centre, an aircraft's mass has no part." if plan.mount is Mount.CENTRE else ""
+    console.print(
+        f"Ratios of MAE to the nominal aircraft's on the same commands, with 95 % confidence; ! misses its "
+        f"bar. Divergence: {DIVERGENCE}.{held}",
+        style="dim",
+        markup=False,
+    )
+
+
+def _paired(cells: Sequence[str], changes: Sequence[float] | None) -> list[str]:
+    """Each cell with its |delta u| beside it."""
+    beside = [""] * len(cells) if changes is None else [f"{change:.4f}" for change in changes]
+    return [text for pair in zip(cells, beside, strict=True) for text in pair]
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if value < 100 else f"{value:.3g}"

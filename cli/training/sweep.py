@@ -1,0 +1,219 @@
+"""`neuroflight sweep FILE.toml`: many training runs at once, and which of them nothing beats."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from training.sweep import Sweep, Varied
+    from training.sweep_ray import SweepWatcher
+    from training.sweep_summary import Configuration, Run
+    from training.sweep_trial import Figure
+
+CPUS_MAX = 4096
+WIDTH = 160  # characters of a table that goes into a file
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is varied; see docs/sweeps.md")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
+    parser.add_argument(
+        "--address", metavar="ADDRESS", help="of a Ray cluster, all of whose nodes see --out; default: none"
+    )
+    parser.add_argument(
+        "--cpus", type=int, metavar="N", help="runs at a time, one core each; default: this machine's cores"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the runs with a progress bar, print the table. Returns 0; 1 if a run was given up."""
+    from rich.console import Console
+
+    from cli.output import command_line
+    from toolchain.errors import TrainingError
+    from training.sweep import load_sweep
+    from training.sweep_ray import check_ray
+    from training.sweep_run import RECORD, run_sweep
+    from training.sweep_summary import configurations
+
+    cpus = args.cpus if args.cpus is not None else len(os.sched_getaffinity(0))
+    if not 1 <= cpus <= CPUS_MAX:
+        raise TrainingError(f"--cpus {cpus}, expected 1 to {CPUS_MAX}")
+    if args.out.exists() and not args.out.is_dir():
+        raise TrainingError(f"--out {args.out} is no folder; give the name of one, new or old")
+    check_ray()
+    sweep = load_sweep(args.file)
+    command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus)
+    with _watched(sweep, args.out) as watcher:
+        runs = run_sweep(
+            sweep,
+            args.out,
+            cpus=cpus,
+            address=args.address,
+            resume=args.resume,
+            command=command,
+            watcher=watcher,
+        )
+    if args.json:
+        print((args.out / RECORD).read_text(), end="")
+    else:
+        _print(Console(width=None if sys.stdout.isatty() else WIDTH), args.out, runs, configurations(runs))
+    failed = [run for run in runs if run.outcome is None]
+    for item in failed:
+        print(f"run {item.trial.number} ({item.trial.folder}) failed: {item.reason}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+@contextmanager
+def _watched(sweep: Sweep, out: Path) -> Iterator[SweepWatcher]:
+    """A progress bar on stderr; the first Ctrl-C lets the runs keep what they have, the second does not."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from training.sweep_ray import SweepWatcher, request_stop
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[figures]}"))
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bar:
+        total = sum(trial.config.steps for trial in sweep.trials)
+        whole = bar.add_task(f"{len(sweep.trials)} runs", total=total, figures="")
+        own: dict[int, TaskID] = {}
+        steps: dict[int, int] = {}
+
+        class Bars(SweepWatcher):
+            """One bar for all and one for each run at work."""
+
+            def progressed(self, number: int, done: int, reward: float, pid: int) -> None:
+                trial = sweep.trials[number - 1]
+                if number not in own:
+                    own[number] = bar.add_task(f"  {trial.folder}", total=trial.config.steps, figures="")
+                bar.update(own[number], completed=done, figures=f"{done:,} steps · reward {reward:.3f}")
+                self._add(number, done)
+
+            def finished(self, number: int) -> None:
+                self._end(number)
+                self._add(number, sweep.trials[number - 1].config.steps)
+
+            def restarted(self, number: int) -> None:
+                folder = sweep.trials[number - 1].folder
+                bar.console.print(f"{folder}: its worker died; it goes on from its last checkpoint")
+
+            def failed(self, number: int, reason: str) -> None:
+                self._end(number)
+                bar.console.print(f"{sweep.trials[number - 1].folder}: {reason}", markup=False)
+
+            def _end(self, number: int) -> None:
+                if number in own:
+                    bar.remove_task(own.pop(number))
+
+            def _add(self, number: int, done: int) -> None:
+                steps[number] = done
+                bar.update(whole, completed=sum(steps.values()))
+
+        def stop(*_: object) -> None:
+            request_stop(out)
+            signal.signal(signal.SIGINT, before)
+            bar.update(whole, description="stopping; again Ctrl-C: at once")
+
+        before = signal.signal(signal.SIGINT, stop)
+        try:
+            yield Bars()
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+
+def _print(console: Console, out: Path, runs: Sequence[Run], found: Sequence[Configuration]) -> None:
+    from training.sweep_run import PLOT, RECORD, TRIALS
+
+    console.print(_runs(runs))
+    if any(len(item.runs) > 1 for item in found):
+        console.print()
+        console.print(_configurations(found))
+    note = "± is 95 % confidence of the mean: of a run over the commands, of a configuration over its seeds."
+    if any(item.front for item in found):
+        priced = all(item.predicted_cycles is not None for item in found)
+        note += f" *: nothing beats it in MAE, |Δu|{' and cycles' if priced else ''}."
+    if reason := next((run.outcome.no_cycles_reason for run in runs if run.outcome), None):
+        note += f" Cycles or instructions are not known: {reason}"
+    console.print(note, style="dim", markup=False, highlight=False)
+    console.print(f"{out}: {RECORD}, {PLOT}, {TRIALS}/", style="dim", markup=False, highlight=False)
+
+
+def _runs(runs: Sequence[Run]) -> Table:
+    keys = list(runs[0].trial.varied)
+    table = _table("Runs", ("run", *keys))
+    for run in runs:
+        head = [f"{run.trial.number}", *_cells(run.trial.varied, keys)]
+        done = run.outcome
+        if done is None:
+            table.add_row(*head, run.state)
+            continue
+        table.add_row(
+            *head,
+            *_figures(done.mae, done.mse, done.output, done.change),
+            _count(done.instructions),
+            _count(done.predicted_cycles),
+            f"{done.training_seconds:,.0f}",
+        )
+    return table
+
+
+def _configurations(found: Sequence[Configuration]) -> Table:
+    keys = list(found[0].varied)
+    table = _table("Configurations", ("", *keys, "seeds"))
+    for place, item in enumerate(found, 1):
+        table.add_row(
+            f"{place}{'*' if item.front else ' '}",
+            *_cells(item.varied, keys),
+            f"{len(item.runs)}",
+            *_figures(item.mae, item.mse, item.output, item.change),
+            _count(item.instructions),
+            _count(item.predicted_cycles),
+            f"{item.training_seconds:,.0f}",
+        )
+    return table
+
+
+def _table(title: str, heads: Sequence[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for heading in heads:
+        table.add_column(heading, overflow="fold")
+    for heading in ("MAE, deg/s", "MSE", "ū", "|Δu| in 1 ms", "instr.", "cycles", "train, s"):
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _cells(varied: Varied, keys: Sequence[str]) -> list[str]:
+    from rich.markup import escape
+
+    from training.sweep import shown
+
+    return [escape(shown(varied[key])) for key in keys]
+
+
+def _figures(mae: Figure, mse: Figure, output: Figure, change: Figure) -> list[str]:
+    return [
+        f"{figure.mean:,.{digits}f} ± {figure.margin:,.{digits}f}"
+        for figure, digits in ((mae, 2), (mse, 0), (output, 3), (change, 4))
+    ]
+
+
+def _count(value: float | None) -> str:
+    return "-" if value is None else f"{value:,.0f}"

@@ -1,0 +1,242 @@
+"""neuroflight train: synthesize a policy in the twin of an aircraft."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sim.aircraft import Aircraft
+    from training.configuration import TrainingConfig
+    from training.seeds import Planned
+    from training.synthesis import Listener, Progress
+
+DEFAULT_RECIPE = "default"
+PLOT, BOARD = "monitor.png", "tensorboard"
+EPILOG = (
+    "Without --config the recipe named like the aircraft is taken, or else the one that fits any aircraft; "
+    "with --algorithm alone, the recipe named like it."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.epilog = EPILOG
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
+    parser.add_argument(
+        "--config", metavar="RECIPE|FILE", help="shipped recipe, a .toml, or the training.json of another run"
+    )
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="KEY=VALUE",
+        help="over the configuration, such as world.throttle_max=0.8",
+    )
+    parser.add_argument("--algorithm", metavar="NAME", help="such as ppo")
+    parser.add_argument("--steps", type=int, metavar="N", help="control steps, all aircraft together")
+    parser.add_argument("--seed", type=int, metavar="S", help="of the run")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=1,
+        metavar="K",
+        help="train K seeds from S on and keep the best; default: 1",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    kept = parser.add_mutually_exclusive_group()
+    kept.add_argument("--resume", action="store_true", help="go on with the run that is in --out")
+    kept.add_argument("--force", action="store_true", help="replace results that are in --out already")
+    parser.add_argument("--tensorboard", action="store_true", help=f"write event files into DIR/{BOARD}")
+    parser.add_argument("--json", action="store_true", help="print the record of the run as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train while showing how it goes, then say what came of it."""
+    from sim.aircraft import load_aircraft
+
+    aircraft = load_aircraft(args.aircraft)
+    config = _config(args, aircraft)
+    _check_folder(args.out)
+
+    from training.seeds import keep_best, plan, read_record  # torch, which takes seconds
+
+    planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
+    if args.force:
+        _remove_events(planned)
+    best = planned[0].config.seed
+    try:
+        ends = {item.config.seed: _train(args, aircraft, item) for item in planned}
+        if len(planned) > 1:
+            chosen = {seed: end.chosen for seed, end in ends.items() if end.chosen}
+            best = keep_best(args.out, chosen, config.selection, _command(args, config, args.seeds))
+    except KeyboardInterrupt:
+        _draw(args.out, aircraft, planned, best)
+        raise
+    _draw(args.out, aircraft, planned, best)
+    record = read_record(args.out)
+    if args.json:
+        print(json.dumps({"out": str(args.out), **record}, indent=2))
+    else:
+        _print(args, planned, ends, best)
+    return 0
+
+
+def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
+    """What the arguments ask for. Raises TrainingError on what is no configuration."""
+    from training.config_file import load_config
+
+    overrides = [*args.set]
+    for key in ("algorithm", "steps", "seed"):
+        if (value := getattr(args, key)) is not None:
+            overrides.append(f"{key}={value}")
+    return load_config(_source(args, aircraft), overrides)
+
+
+def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
+    from training.config_file import recipes
+
+    if args.config is not None:
+        return str(args.config)
+    wanted = (args.algorithm,) if args.algorithm else (aircraft.name, DEFAULT_RECIPE)
+    return next((name for name in wanted if name in recipes()), None)
+
+
+def _check_folder(out: Path) -> None:
+    """Refuse a folder that could not be written after the work."""
+    from cli.output import check_output
+    from toolchain.errors import TrainingError
+
+    if out.exists() and not out.is_dir():
+        raise TrainingError(f"--out {out} is no folder; give the name of one, new or old")
+    check_output(out / "training.json", ".json")
+
+
+def _remove_events(planned: tuple[Planned, ...]) -> None:
+    """Event files of the run that is replaced: TensorBoard would draw them into one line with the new."""
+    for item in planned:
+        for path in (item.out / BOARD).glob("events.out.tfevents.*"):
+            path.unlink()
+
+
+def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
+    from cli.training.train_display import Display
+    from training.monitor_process import Monitor
+    from training.synthesis import Watchers, train
+
+    config = item.config
+    with ExitStack() as stack:
+        monitor = stack.enter_context(Monitor(aircraft, config, apart=config.steps > config.checkpoint_steps))
+        display = stack.enter_context(
+            Display(f"{aircraft.name}, seed {config.seed}", config.steps, item.done or 0)
+        )
+        watchers: list[Listener] = [display]
+        if args.tensorboard:
+            from training.tensorboard import TensorBoard
+
+            board = TensorBoard(item.out / BOARD, item.done)
+            stack.callback(board.close)
+            watchers.append(board)
+        before = _written(item)
+        try:
+            return train(
+                aircraft,
+                config,
+                item.out,
+                Watchers(watchers),
+                resume=item.done is not None,
+                monitor=monitor,
+                command=_command(args, config),
+            )
+        except KeyboardInterrupt:
+            _say_what_is_kept(item, before)
+            raise
+
+
+def _say_what_is_kept(item: Planned, before: int | None) -> None:
+    """before: `_written` when the run began."""
+    from training.seeds import read_record
+
+    if (now := _written(item)) is not None and (now != before or item.done is not None):
+        steps = read_record(item.out)["steps"]
+        print(
+            f"{steps:,} of {item.config.steps:,} steps are kept in {item.out}; the same command with "
+            "--resume goes on",
+            file=sys.stderr,
+        )
+
+
+def _written(item: Planned) -> int | None:
+    """When the record of a run was written [ns]; None if there is none."""
+    from training.synthesis import RECORD
+
+    path = item.out / RECORD
+    return path.stat().st_mtime_ns if path.exists() else None
+
+
+def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -> str:
+    """What trains the same again, but for --out."""
+    from cli.output import command_line
+
+    return command_line(
+        "train",
+        aircraft=args.aircraft,
+        config=args.config,
+        algorithm=args.algorithm,
+        steps=args.steps,
+        seed=config.seed,
+        seeds=seeds if seeds > 1 else None,
+        set=[shlex.quote(override) for override in args.set] or None,
+    )
+
+
+def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
+    """monitor.png, as far as there is something to draw."""
+    from sim.report import png
+    from toolchain.files import write_bytes
+    from training.monitor import EPISODES, flown
+    from training.monitor_plot import draw, read_monitor
+    from training.synthesis import MONITOR
+
+    runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
+    if any(run.readings for run in runs):
+        task = flown(planned[0].config).task.name
+        title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
+        write_bytes(out / PLOT, png(draw(runs, f"seed {best}", title)))
+
+
+def _print(
+    args: argparse.Namespace, planned: tuple[Planned, ...], ends: dict[int, Progress], best: int
+) -> None:
+    from rich.console import Console
+
+    from cli.training.train_display import figures
+
+    console = Console(highlight=False, soft_wrap=True)
+    for item in planned:
+        seed, end = item.config.seed, ends[item.config.seed]
+        name = f"seed {seed}: " if len(planned) > 1 else ""
+        if item.finished:
+            console.print(f"{name}was complete: {end.steps:,} steps; nothing was left to train")
+        else:
+            speed = f" ({end.steps / end.seconds:,.0f} a second)" if end.seconds else ""
+            console.print(f"{name}{end.steps:,} steps in {end.seconds:.0f} s{speed}")
+    chosen = ends[best].chosen
+    if chosen is not None:
+        selection = planned[0].config.selection
+        of = f"seed {best} " if len(planned) > 1 else ""
+        note = (
+            ""
+            if selection.within(chosen)
+            else (
+                f"; no checkpoint kept the limits of ū, {selection.output:g}, and |Δu|, {selection.change:g}"
+            )
+        )
+        console.print(f"chosen: {of}at {chosen.steps:,} steps: {figures(chosen)}{note}")
+    console.print(f"{args.out / 'policy.onnx'}, with checkpoint.pt, training.json and {PLOT} beside it")

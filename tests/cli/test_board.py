@@ -1,0 +1,233 @@
+"""`neuroflight board`: programs that talk to the image on the desk, as they would to a board."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+from yamspy import MSPy
+
+from cli.main import main
+from flash.client import Client
+from flash.settings import Settings
+from flash.transport import open_transport
+from toolchain.contract import FLASH_BYTES, Msp
+
+LIMIT_S = 60.0  # of a test that hangs
+
+
+class Running:
+    """The command as a program of its own."""
+
+    def __init__(self, image: Path, *options: str) -> None:
+        command = [sys.executable, "-m", "cli.main", "board", "--image", str(image), *options]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+        )
+        assert self.process.stdout is not None
+        self.told = ""
+        while "Ctrl-C" not in self.told:
+            line = self.process.stdout.readline()
+            if not line:
+                raise AssertionError(self.process.communicate()[1])
+            self.told += line
+        found = re.search(r"^MSP +(\S+), (\d+) baud", self.told, re.MULTILINE)
+        assert found is not None
+        self.port, self.baud = found[1], int(found[2])
+
+    def interrupt(self) -> tuple[int, str, str]:
+        """Ctrl-C: exit code, what it said last, and on stderr."""
+        self.process.send_signal(signal.SIGINT)
+        out, errors = self.process.communicate(timeout=LIMIT_S)
+        return self.process.returncode, out, errors
+
+    def end(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+
+
+@pytest.fixture
+def image(board_image: Path) -> Path:
+    """What is flashed."""
+    return board_image.with_suffix(".bin")
+
+
+@pytest.fixture
+def start(image: Path) -> Iterator[Callable[..., Running]]:
+    running: list[Running] = []
+
+    def begin(*options: str) -> Running:
+        running.append(Running(image, *options))
+        return running[-1]
+
+    yield begin
+    for one in running:
+        one.end()
+
+
+def test_settings_are_there_in_the_next_run_when_flash_is_kept(
+    start: Callable[..., Running], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flash = tmp_path / "flash.bin"
+    board = start("--serial=tcp", f"--flash={flash}")
+    assert main(["msp", "--port", board.port, "info"]) == 0
+    assert "MATEKF722" in capsys.readouterr().out
+    with Client(open_transport(board.port)) as client:
+        settings = Settings(client)
+        settings.set("msp_baud", 921_600)
+        settings.save()
+        assert client.request(Msp.REBOOT) == b""
+    code, out, errors = board.interrupt()
+    assert (code, errors) == (0, "")
+    assert re.fullmatch(r"\n\d+\.\d s on the board, resets: (none|software)\n", out)
+    assert flash.stat().st_size == FLASH_BYTES
+
+    board = start("--serial=tcp", f"--flash={flash}", "--baud=921600")
+    assert board.baud == 921_600
+    with Client(open_transport(board.port)) as client:
+        assert Settings(client).get("msp_baud") == 921_600
+        client.request(Msp.REBOOT)
+        assert Settings(client).get("msp_baud") == 921_600, "the line stays"
+    assert board.interrupt()[1].endswith("resets: software\n")
+
+
+def test_yamspy_reads_who_and_how_it_is_when_it_opens_the_pseudo_terminal(
+    start: Callable[..., Running],
+) -> None:
+    board = start()
+    peer = MSPy(device="", logfilename=None, loglevel="WARNING")
+    with serial.Serial(board.port, 115_200, timeout=5) as line:
+        peer.conn = line
+        peer.basic_info()
+    assert peer.CONFIG["apiVersion"] == "1.46.0"
+    assert peer.CONFIG["flightControllerIdentifier"] == "NRFL"
+    assert peer.CONFIG["boardIdentifier"] == "S7X2"
+
+
+def test_it_says_so_when_both_ends_run_at_different_speeds(start: Callable[..., Running]) -> None:
+    board = start("--baud=921600", "--serial=tcp")
+    host, port = board.port.split(":")[1:]
+    with socket.create_connection((host, int(port)), LIMIT_S) as program:
+        program.sendall(b"$M<\x00\x01\x01" * 10)
+        assert board.process.stderr is not None
+        words = board.process.stderr.readline()
+    assert words.startswith("the board's line runs at 115139 baud, this end at 921600: ")
+    assert board.interrupt()[0] == 0
+
+
+def ask(debugger: socket.socket, packet: str) -> str:
+    """GDB's remote protocol: a packet and the packet that comes back."""
+    debugger.sendall(b"$%s#%02x" % (packet.encode(), sum(packet.encode()) % 256))
+    data = b""
+    while not re.search(rb"#..$", data):
+        data += debugger.recv(4096)
+    debugger.sendall(b"+")
+    found = re.search(rb"\$(.*)#..$", data, re.DOTALL)
+    assert found is not None
+    return found[1].decode()
+
+
+def test_a_debugger_stops_and_steps_the_firmware_when_it_comes(
+    start: Callable[..., Running], board_symbols: dict[str, int]
+) -> None:
+    board = start("--gdb=0", "--serial=tcp")
+    found = re.search(r"^gdb +127\.0\.0\.1:(\d+)", board.told, re.MULTILINE)
+    assert found is not None
+    place = board_symbols["background_step"] & ~1
+    with socket.create_connection(("127.0.0.1", int(found[1])), LIMIT_S) as debugger:
+        assert ask(debugger, f"Z0,{place:x},2") == "OK"
+        assert ask(debugger, "c") == "S05"
+        assert int.from_bytes(bytes.fromhex(ask(debugger, "pf")), "little") == place
+        assert ask(debugger, "s") == "S05"
+        assert int.from_bytes(bytes.fromhex(ask(debugger, "pf")), "little") in (place + 2, place + 4)
+        assert ask(debugger, f"z0,{place:x},2") == "OK"
+        assert ask(debugger, "D") == "OK"
+    with Client(open_transport(board.port)) as client:
+        assert client.request(Msp.FC_VARIANT) == b"NRFL"
+    assert board.interrupt()[0] == 0
+
+
+@pytest.fixture
+def board_symbols(board_image: Path) -> dict[str, int]:
+    """Addresses of the image's functions."""
+    with board_image.open("rb") as file:
+        table = ELFFile(file).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        return {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
+
+
+def test_it_ends_when_interrupted_while_a_debugger_holds_the_firmware(start: Callable[..., Running]) -> None:
+    board = start("--gdb=0")
+    found = re.search(r"^gdb +127\.0\.0\.1:(\d+)", board.told, re.MULTILINE)
+    assert found is not None
+    with socket.create_connection(("127.0.0.1", int(found[1])), LIMIT_S) as debugger:
+        assert ask(debugger, "?") == "S05"
+        assert board.interrupt()[::2] == (0, "")
+
+
+def test_it_ends_with_one_line_when_the_image_does_what_no_board_forgives(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = tmp_path / "zeros.bin"
+    image.write_bytes(bytes(4096))
+    assert main(["board", "--image", str(image), "--serial=tcp", "--seconds=0.1"]) == 1
+    errors = capfd.readouterr().err
+    assert errors.startswith("neuroflight: ")
+    assert errors.count("\n") == 1
+
+
+def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["board", "--image", str(image), "--seconds=0.05"]) == 0
+    out, errors = capfd.readouterr()
+    assert re.search(r"^MSP +/dev/", out, re.MULTILINE)
+    assert re.search(r"^0\.\d s on the board, resets: none\n\Z", out, re.MULTILINE)
+    assert errors == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--serial=udp"], "--serial: got 'udp', expected pty, tcp or tcp:PORT"),
+        (["--serial=tcp:70000"], "--serial: got 'tcp:70000', expected pty, tcp or tcp:PORT"),
+        (["--baud=0"], "--baud: got 0, expected 1 to 10000000"),
+        (["--gdb=-1"], "--gdb: got -1, expected a port of 0 to 65535, 0 for any"),
+        (["--volts=99"], "--volts: got 99, expected 0 to 36"),
+        (["--seconds=0"], "--seconds: got 0, expected a number above 0"),
+        (["--image=nowhere.bin"], "nowhere.bin: No such file or directory; build it with `make firmware"),
+        (["--image=large.bin"], "large.bin: 524289 bytes, expected an image of 1 to 524288; build it with"),
+        (
+            ["--flash=photo.jpg"],
+            "photo.jpg: 5 bytes, expected the 524288 of a flash that this command has kept",
+        ),
+        (["--flash=no/photo.jpg/flash.bin"], "--flash no/photo.jpg/flash.bin: "),
+    ],
+)
+def test_it_says_what_is_wrong_when_the_user_errs(
+    image: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "no").mkdir()
+    (tmp_path / "large.bin").write_bytes(bytes(FLASH_BYTES + 1))
+    for name in ("photo.jpg", "no/photo.jpg"):
+        (tmp_path / name).write_bytes(b"photo")
+    given = [] if options[0].startswith("--image") else ["--image", str(image)]
+    assert main(["board", *given, *options, *([] if "seconds" in options[0] else ["--seconds=0.001"])]) == 1
+    errors = capsys.readouterr().err
+    assert words in errors
+    assert errors.count("\n") == 1
+    assert (tmp_path / "photo.jpg").read_bytes() == b"photo"

@@ -1,0 +1,187 @@
+"""`neuroflight fly` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.main import main
+from cli.sim import fly_ports as command
+from sim.aircraft import load_aircraft
+from sim.trace import load_trace
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def built(host_program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command finds the programs of this test run."""
+    monkeypatch.setattr(command, "BUILD", host_program.parent)
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> str:
+    """A scenario of a tenth of a second."""
+    path = tmp_path / "short.toml"
+    path.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("port", ["reference", "host"])
+@pytest.mark.usefixtures("built")
+def test_it_prints_both_figures_and_writes_the_files_when_all_is_well(
+    port: str, short: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trace, plot, report = (tmp_path / "new" / name for name in ("a.npz", "a.png", "a.html"))
+    arguments = ["fly", "--on", port, "--scenario", short, "--gyro-hz", "2000"]
+    assert main([*arguments, "--trace", str(trace), "--plot", str(plot), "--report", str(report)]) == 0
+    out = capsys.readouterr().out
+    assert "firmware" in out
+    assert "PID" in out
+    assert "MAE, deg/s" in out
+    assert len(load_trace(trace).t) == 100
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert "short" in report.read_text()
+
+
+@pytest.mark.usefixtures("built")
+def test_json_carries_the_same_flight_when_asked_for(short: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fly", "--on", "reference", "--scenario", short, "--json", "--seed", "5"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["scenario"], document["seed"], document["on"]) == ("short", 5, "reference")
+    assert set(document["flights"]) == {"firmware", "PID"}
+    for flight in document["flights"].values():
+        assert len(flight["tracking"]["mae"]) == 3
+        assert flight["armed"] == 1.0
+
+
+@pytest.mark.usefixtures("built")
+def test_the_firmwares_pid_flies_as_the_pythons_when_the_pilot_chooses_it(
+    short: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["fly", "--on", "reference", "--scenario", "pulse", "--gyro-hz", "1000", "--json"]
+    assert main([*arguments, "--controller", "pid"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["controller"] == "pid"
+    firmware, python = (document["flights"][name] for name in ("firmware", "PID"))
+    assert firmware["tracking"]["mae"] == pytest.approx(python["tracking"]["mae"], rel=0.02)
+    assert firmware["effort"]["change"] == pytest.approx(python["effort"]["change"], rel=0.02)
+    assert main(arguments) == 0
+    flown = json.loads(capsys.readouterr().out)["flights"]["firmware"]
+    assert flown["tracking"]["mae"] != pytest.approx(python["tracking"]["mae"], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--on", "betaflight", "--controller", "pid"], "Betaflight flies its own PID"),
+        (["--scenario", "loop"], "no such file"),
+        (["--scenario", "pulse", "--seed", "-3"], "seed: got -3"),
+        (["--scenario", "pulses", "--count", "0"], "count: got 0"),
+        (["--aircraft", "nf9"], "nf9"),
+        (["--trace", "a.txt"], "expected a name that ends in .npz"),
+        (["--report", "a.pdf"], "expected a name that ends in .html"),
+        (["--plot", "blocked/a.png"], "is no directory"),
+        (["--trace", "folder.npz"], "is a directory"),
+        (["--battery", "1.5"], "--battery: got 1.5, expected a charge of 0 to 1"),
+        (["--wind", "0", "-60", "0"], "--wind: got 0 -60 0, expected at most 50 m/s"),
+        (["--gust", "nan"], "--gust: got nan, expected 0 to 50 m/s"),
+        (["--ground"], "the aircraft hangs in mount centre, expected free; add --mount free"),
+        (["--on", "betaflight", "--aircraft", "hexa"], "its 6 motors stand or turn otherwise"),
+    ],
+)
+def test_it_refuses_in_one_line_before_flying_when_the_input_is_bad(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "BUILD", tmp_path / "never reached")
+    monkeypatch.setattr(command, "BETAFLIGHT", tmp_path / "never reached")
+    (tmp_path / "blocked").write_text("a file where a folder should be")
+    (tmp_path / "folder.npz").mkdir()
+    before = sorted(tmp_path.iterdir())
+    assert main(["fly", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_it_says_how_to_build_when_nothing_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "BUILD", tmp_path)
+    assert main(["fly", "--trace", str(tmp_path / "a.npz")]) == 1
+    assert "build it with `make host`" in capsys.readouterr().err
+    assert not (tmp_path / "a.npz").exists()
+
+
+def flown(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    """The JSON document of a flight on the library."""
+    assert main(["fly", "--on", "reference", "--gyro-hz", "1000", "--json", *arguments]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
+
+
+@pytest.mark.usefixtures("built")
+def test_the_pids_idle_is_no_output_of_its_own_when_its_table_has_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = load_aircraft("nf1").pids[0][1].idle
+    text = (ROOT / "sim" / "aircraft" / "nf1.toml").read_text()
+    aircraft = tmp_path / "idling.toml"
+    aircraft.write_text(text.replace(f"\nidle = {own}\n", f"\nidle = {own / 2}\n", 1))
+    assert load_aircraft(aircraft).pids[0][1].idle == own / 2 > 0.05
+    still = tmp_path / "still.toml"
+    still.write_text("[[segment]]\nduration_s = 0.3\nsetpoint_deg_s = [0, 0, 0]\n")
+    idling = flown(capsys, "--scenario", str(still), "--aircraft", str(aircraft))
+    plain = flown(capsys, "--scenario", str(still))
+    output = [document["flights"]["PID"]["effort"]["output"] for document in (idling, plain)]
+    assert output[0] == pytest.approx(output[1], rel=0.05)  # of some 0.09, all from the gyro's noise
+
+
+@pytest.mark.usefixtures("built")
+def test_the_air_and_the_battery_make_another_flight_when_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "climb.toml"
+    scenario.write_text('mount = "free"\n[[segment]]\nduration_s = 0.5\nsetpoint_deg_s = [80, 0, 0]\n')
+    scenario.write_text(scenario.read_text() + "throttle = 0.5\n")
+    base = "--scenario", str(scenario)
+    calm = flown(capsys, *base)
+    assert (calm["battery"], calm["wind_m_s"], calm["gust_m_s"], calm["ground"]) == (
+        None,
+        [0, 0, 0],
+        0,
+        False,
+    )
+    asked = {
+        "battery": ["--battery", "0.2"],
+        "wind_m_s": ["--wind", "8", "-4", "0"],
+        "gust_m_s": ["--gust", "15"],
+        "ground": ["--ground"],
+    }
+    for name, arguments in asked.items():
+        other = flown(capsys, *base, *arguments)
+        assert other[name] != calm[name]
+        mae = [document["flights"]["firmware"]["tracking"]["mae"] for document in (calm, other)]
+        assert mae[0] != mae[1]
+
+
+@pytest.mark.usefixtures("built")
+def test_json_carries_the_response_when_a_command_is_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "held.toml"
+    scenario.write_text("[[segment]]\nduration_s = 1.1\nsetpoint_deg_s = [50, -70, 90]\n")
+    flights = flown(capsys, "--scenario", str(scenario))["flights"]
+    for flight in flights.values():
+        assert flight["response"]["episodes"] == 1
+        assert flight["response"]["success"]["count"] == [1, 1, 1]

@@ -1,0 +1,252 @@
+"""`neuroflight fly --on emulator` as a user types it."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from cli.sim import fly_emulator, fly_ports
+from cli.sim.fly_emulator import STOPPED
+from flash import messages
+from flash.client import Client
+from flash.transport import TcpPort, TcpTransport
+from sim.board.board import Board
+from sim.trace import load_trace
+from toolchain.contract import MSP_VARIANT, Msp
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def fly(
+    board_image: Path,
+    host_program: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Command:
+    """Flies a tenth of a second; exit code, stdout and stderr."""
+    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
+    monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
+    scenario = tmp_path / "short.toml"
+    scenario.write_text("[[segment]]\nduration_s = 0.1\nsetpoint_deg_s = [50, 0, 0]\n")
+
+    def run(*arguments: str, on: str = "emulator") -> tuple[int, str, str]:
+        code = main(["fly", "--on", on, "--scenario", str(scenario), *arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[int], None]], list[str]]]:
+    """Runs a client in a thread of its own as soon as its TCP port is told; what was told."""
+    told: list[str] = []
+    threads: list[threading.Thread] = []
+
+    def expect(run: Callable[[int], None]) -> list[str]:
+        def say(words: str) -> None:
+            told.append(words)
+            found = re.search(r":(\d+)(?![\d.])", words)
+            assert found is not None
+            threads.append(threading.Thread(target=run, args=(int(found[1]),)))
+            threads[-1].start()
+
+        monkeypatch.setattr(fly_emulator, "say", say)
+        return told
+
+    yield expect
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
+    fly: Command, board_image: Path, tmp_path: Path
+) -> None:
+    trace, profile = tmp_path / "a.npz", tmp_path / "new" / "profile"
+    code, out, _ = fly("--json", "--trace", str(trace), "--profile", str(profile))
+    document = json.loads(out)
+    told = document["emulator"]
+    assert code == 0
+    assert told["sha256"] == hashlib.sha256(board_image.with_suffix(".bin").read_bytes()).hexdigest()
+    assert (told["outcome"], told["stopped_s"], told["resets"]) == ("flown, disarmed", None, ["power"])
+    assert [event["what"] for event in told["events"]] == ["ARMED", "DISARMED: SWITCH"]
+    assert told["events"][1]["at_s"] == pytest.approx(0.1, abs=0.01)
+    assert told["board_s"] == pytest.approx(0.3 + 1.05 + 0.1, abs=0.2)
+    assert told["instructions"] > 1e7 and told["real_time"] > 0
+    assert 0 <= told["gyro_wait_us"] < 5
+    assert 0.1 < told["watchdog_margin_s"] < 0.5
+    assert len(load_trace(trace).t) == 100
+    tasks, functions, coverage, registers, stacks, flame = (
+        (profile / name).read_text()
+        for name in (
+            *("tasks.txt", "functions.txt", "coverage.txt", "registers.txt", "stacks.folded", "flame.svg"),
+        )
+    )
+    assert "gyro_edge_handler" in tasks and "tick_handler" in tasks
+    assert "policy_step" in functions and "SPI1_DR" in registers
+    assert sum(int(line.rsplit(" ", 1)[1]) for line in stacks.splitlines()) == told["instructions"]
+    assert any(line.startswith("policy_step ") and "100.0%" in line for line in coverage.splitlines())
+    assert "gyro_sample_handler" in flame and flame.startswith("<svg")
+
+
+def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_stops_it(fly: Command) -> None:
+    code, out, _ = fly("--gyro-hz", "1000", "--fault", "gyro-silent@0.05", "--fault", "brown-out@9")
+    assert code == STOPPED == 3
+    words = " ".join(out.split())
+    assert "flight motors stopped at 0.0" in words
+    assert "0.0500 s fault gyro-silent@0.05" in words
+    assert "FAULT: GYRO_SILENT" in words
+    assert "GYRO_BAD" in words
+    assert "never came brown-out@9" in words
+
+
+def test_what_the_board_does_not_forgive_is_one_line_when_the_image_does_it(
+    fly: Command, board_image: Path, tmp_path: Path
+) -> None:
+    image = bytearray(board_image.with_suffix(".bin").read_bytes())
+    image[4:8] = (0x08070001).to_bytes(4, "little")  # the boot part's reset vector: into erased flash
+    for name in ("neuroflight.elf", "report.json"):
+        (tmp_path / name).write_bytes((board_image.parent / name).read_bytes())
+    (tmp_path / "neuroflight.bin").write_bytes(image)
+    code, out, err = fly("--build", str(tmp_path))
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith("neuroflight: ") and "0x08070000" in err
+
+
+def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
+    fly: Command, client: Any, tmp_path: Path
+) -> None:
+    heard: list[str] = []
+
+    def ask(port: int) -> None:
+        with Client(TcpTransport(TcpPort("127.0.0.1", port))) as asking:
+            # Nobody answers while it boots, and its time is not the client's.
+            heard.append(messages.fc_variant(asking.request(Msp.FC_VARIANT, timeout=0.3, retries=200)))
+
+    told = client(ask)
+    trace = tmp_path / "a.npz"
+    settings = [f"--set={change}" for change in ("roll_rate=500", "roll_max=500", "msp_baud=921600")]
+    code, _, _ = fly("--serial", "tcp", *settings, "--trace", str(trace))
+    assert code == 0
+    assert told[0].startswith("USART1 at tcp:127.0.0.1:") and told[0].endswith(", 921600 baud")
+    assert heard == [MSP_VARIANT]
+    # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
+    assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
+
+
+def test_a_flight_ends_when_it_is_interrupted_wherever_the_board_is(fly: Command, client: Any) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    client(lambda port: os.kill(os.getpid(), signal.SIGINT))
+    code, out, err = fly("--serial", "tcp")
+    assert (code, out) == (130, "")
+    assert err.startswith("neuroflight: interrupted")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text("[[segment]]\nduration_s = 0.05\nsetpoint_deg_s = [0, 0, 0]\n")
+    both = ("--scenario", str(tmp_path / "short.toml"), str(other))
+    code, out, err = fly(*both, on="reference")
+    assert (code, err) == (0, "")
+    assert [line.split()[:2] for line in out.splitlines() if "100.0 %" in line] == [
+        ["short", "0.1"],
+        ["other", "0.05"],
+    ]
+    documents = json.loads(fly(*both, "--json", on="reference")[1])
+    assert [(one["scenario"], list(one["flights"])) for one in documents] == [
+        ("short", ["firmware"]),
+        ("other", ["firmware"]),
+    ]
+
+
+@pytest.mark.prove
+def test_the_image_flies_what_make_emulate_flies_and_disarms_each_time(fly: Command) -> None:
+    names = ["roll", "flip", "sim/scenarios/split_s.toml", "pulses"]
+    code, out, _ = fly("--scenario", *names, "--count", "14")
+    assert code == 0
+    flown = [line.split()[0] for line in out.splitlines() if "flown, disarmed" in line]
+    assert flown == ["roll", "flip", "split_s", "pulses"]
+    assert "sha256" in out
+
+
+def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
+    client: Any, board_image: Path
+) -> None:
+    image = board_image.with_suffix(".bin")
+    board = Board(image.read_bytes(), elf=board_image)
+    start = board.engine.pc
+    heard: list[bytes] = []
+
+    def debug(port: int) -> None:
+        with socket.create_connection(("127.0.0.1", port), 10) as gdb:
+            gdb.sendall(b"$pf#d6")  # register 15, the program counter
+            while b"#" not in b"".join(heard):
+                heard.append(gdb.recv(64))
+            gdb.sendall(b"+$c#63")
+            while gdb.recv(64):  # until the board is gone
+                pass
+
+    told = client(debug)
+    with ExitStack() as ends:
+        args = argparse.Namespace(gdb=0, serial=None)
+        run_to = fly_emulator.attached(args, board, image, ends)
+        assert board.cycle == 0
+        run_to(10_000)
+        assert board.cycle >= 10_000
+    board.close()
+    assert str(board_image) in told[0]
+    assert start.to_bytes(4, "little").hex().encode() in b"".join(heard)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
+        (["--receiver", "crsf"], "--receiver: only on the emulated board"),
+        (["--profile", "d"], "--profile: only on the emulated board"),
+        (["--gdb", "0"], "--gdb: only on the emulated board"),
+        (["--on", "emulator", "--serial", "usb"], "--serial: got 'usb', expected pty, tcp or tcp:PORT"),
+        (["--on", "emulator", "--serial", "tcp:99999"], "--serial: got 'tcp:99999'"),
+        (["--on", "emulator", "--gdb", "-1"], "--gdb: got -1, expected a port"),
+        (["--on", "emulator", "--fault", "crystal"], "expected NAME"),
+        (["--on", "emulator", "--set", "gyro_rate_hz=8000"], "has an option of its own; use --gyro-hz"),
+        (["--on", "emulator", "--set", "receiver_protocol=crsf"], "use --receiver"),
+        (["--on", "emulator", "--set", "rol_rate=3"], "setting 'rol_rate' is unknown"),
+        (["--on", "emulator", "--profile", "file"], "file is a file, expected a directory"),
+        (["--on", "betaflight", "--set", "roll_rate=3"], "Betaflight has settings of its own"),
+        (["--scenario", "roll", "flip", "--trace", "a.npz"], "--trace: belongs to one flight"),
+        (["--on", "emulator", "--build", "nowhere"], "build it with `make firmware TARGET=MATEKF722`"),
+    ],
+)
+def test_it_refuses_in_one_line_before_flying_when_an_option_cannot_be(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    assert main(["fly", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

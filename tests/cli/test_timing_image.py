@@ -1,0 +1,59 @@
+"""`neuroflight timing IMAGE.bin` as a user types it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.main import main
+from training.results import render
+from training.stored import Stored
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["policy.onnx", "--seed", "1"], "--seed: is about an image, and this is a policy; leave it out"),
+        (["image.bin", "--blocks"], "--blocks: is about a policy, and this is an image; leave it out"),
+        (["image.bin", "--count", "0"], "--count 0, expected 1 to 100"),
+        (["image.bin"], "report.json (No such file or directory); build image.bin anew"),
+    ],
+)
+def test_it_refuses_in_one_line_what_makes_no_sense(
+    words: list[str], told: str, tmp_path: Path, capsys: Capture
+) -> None:
+    assert main(["timing", str(tmp_path / words[0]), *words[1:]]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+@pytest.mark.prove
+def test_it_tells_what_other_counts_tell_when_the_image_has_flown(board_image: Path, capsys: Capture) -> None:
+    image = board_image.with_suffix(".bin")
+    report = json.loads(image.with_name("report.json").read_text())
+    assert main(["timing", str(image), "--count", "1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["image_sha256"] == hashlib.sha256(image.read_bytes()).hexdigest()
+    rows: dict[tuple[Any, ...], Any] = {
+        (row["work"], row["controller"], row["armed"]): row for row in document["board_timing"]
+    }
+    policy = rows["control algorithm", "policy", True]
+    assert policy["runs"] == rows["control task", "policy", True]["runs"] >= 4_500
+    assert set(policy["instructions"].values()) == {report["step_instructions"]}
+    disarmed = rows["control task", None, False]
+    assert disarmed["runs"] >= 2_000  # of two flights, until they armed
+    for row in rows.values():
+        assert 0 < row["instructions"]["best"] <= row["instructions"]["worst"]
+        if row["predicted_cycles"] is not None:
+            worst, best = row["predicted_cycles"]["worst"], row["predicted_cycles"]["best"]
+            assert row["variability"] == (worst - best) / worst
+            assert worst < document["core_hz"] / 1000
+    if policy["predicted_cycles"] is not None:
+        assert round(policy["predicted_cycles"]["worst"]) == report["predicted_cycles"]
+    assert "| policy 19-64-64-4 tanh, armed |" in render([Stored("board-timing.json", document)])

@@ -1,0 +1,142 @@
+"""`neuroflight train` and `neuroflight evaluate` as a user types them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+from sim.aircraft import FOLDER
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_train_writes_its_results_and_does_not_replace_them_unasked(tmp_path: Path, capsys: Capture) -> None:
+    arguments = ["train", "--aircraft", "nf1", "--algorithm", "ppo", "--steps", "32768", "--seed", "3"]
+    arguments += ["--out", str(tmp_path)]
+    assert main(arguments) == 0
+    assert "32,768 steps" in capsys.readouterr().out
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    results = {"checkpoint.pt", "policy.onnx", "training.json"}
+    assert set(made) == {*results, "monitor.json", "monitor.png"}
+    assert json.loads(made["training.json"])["command"] == (
+        "neuroflight train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
+    )
+    assert main(arguments) == 1
+    assert "already holds a checkpoint" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made
+
+
+@pytest.mark.parametrize("controller", ["pid", "policy"])
+def test_evaluate_prints_figures_as_table_and_as_json(
+    controller: str, shipped_policy: Path, capsys: Capture
+) -> None:
+    name = "pid" if controller == "pid" else str(shipped_policy)
+    arguments = ["evaluate", name, "--episodes", "3", "--seed", "8"]
+    assert main([*arguments, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["episodes"] == 3
+    assert all(0.0 < value < 20.0 for value in document["mae"])
+    assert 0.0 < document["change"] < 0.1
+    assert main(arguments) == 0
+    table = capsys.readouterr().out
+    assert f"{document['mae'][0]:.2f}" in table
+    assert "true rate" in table
+
+
+@pytest.mark.parametrize("task", ["pulse", "episodic", "envelope"])
+def test_evaluate_tells_what_it_flew_when_asked_for_json(task: str, tmp_path: Path, capsys: Capture) -> None:
+    plot = tmp_path / "plot.png"
+    words = ["evaluate", "pid:published", "--task", task, "--episodes", "3", "--seed", "8", "--no-noise"]
+    assert main([*words, "--delay", "0", "--json", "--plot", str(plot)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == (
+        f"neuroflight evaluate pid:published --aircraft nf1 --task {task} --episodes 3 --seed 8 "
+        "--no-noise --delay 0"
+    )
+    assert (document["pid"], document["noise"], document["delay_s"]) == ("published", False, 0.0)
+    assert document["response"]["episodes"] == 3
+    assert len(document["response"]["success"]["value"]) == 3
+    assert len(document["margin_95"]["mae"]) == 3
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main([*document["command"].split()[1:], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == document
+
+
+def test_evaluate_flies_better_when_nothing_delays_the_rotors(capsys: Capture) -> None:
+    figures = []
+    for delay in ("0", "0.02"):
+        words = ["evaluate", "pid:published", "--task", "episodic", "--episodes", "5", "--no-noise"]
+        assert main([*words, "--delay", delay, "--json"]) == 0
+        figures.append(json.loads(capsys.readouterr().out))
+    assert sum(figures[0]["mse"]) < 0.8 * sum(figures[1]["mse"])
+
+
+def test_evaluate_adds_the_idle_it_is_given(capsys: Capture) -> None:
+    errors = []
+    for idle in ("0", "0.2"):
+        words = [
+            "evaluate",
+            "pid:published",
+            "--task",
+            "episodic",
+            "--episodes",
+            "5",
+            "--idle",
+            idle,
+            "--json",
+        ]
+        assert main(words) == 0
+        document = json.loads(capsys.readouterr().out)
+        assert document["idle"] == float(idle)
+        errors.append(document["mse"])
+    assert errors[0] != errors[1]
+
+
+def test_evaluate_refuses_a_policy_for_another_number_of_motors(
+    shipped_policy: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    five = tmp_path / "five.toml"
+    rotor = (
+        '[[rotor]]\nmotor_m = [0.2, 0.0, 0.042]\npropeller_m = [0.2, 0.0, 0.058]\nspin = "cw"\n\n[propulsion]'
+    )
+    text = (FOLDER / "nf1.toml").read_text().split("[pid.")[0]
+    five.write_text(text.replace("[propulsion]", rotor))
+    assert main(["evaluate", str(shipped_policy), "--aircraft", str(five)]) == 1
+    captured = capsys.readouterr()
+    assert "drives 4 motors, aircraft nf1 has 5" in captured.err
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "--aircraft", "nf9", "--out", "OUT"], "nf9"),
+        (["train", "--steps", "0", "--out", "OUT"], "0 steps asked for, expected at least 1"),
+        (["train", "--seed", "-4", "--out", "OUT"], "seed -4"),
+        (["train", "--out", "FILE"], "is no folder"),
+        (["evaluate", "OUT/none.onnx"], "none.onnx"),
+        (["evaluate", "FILE"], "not an ONNX file"),
+        (["evaluate", "pid", "--episodes", "0"], "--episodes 0"),
+        (["evaluate", "pid", "--episodes", "99999"], "--episodes 99999"),
+        (["evaluate", "pid", "--throttle", "1.5"], "--throttle 1.5"),
+        (["evaluate", "pid", "--seed", "-1"], "--seed -1"),
+        (["evaluate", "pid", "--delay", "nan"], "--delay nan, expected 0 to 0.1 s"),
+        (["evaluate", "pid", "--idle", "0.9"], "--idle 0.9"),
+        (["evaluate", "pid:best"], "no PID 'best'"),
+        (["evaluate", "pid", "--plot", "OUT"], "ends in .png"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
+    arguments: list[str], message: str, tmp_path: Path, capsys: Capture
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("not what you think")
+    names = {"OUT": str(tmp_path / "out"), "FILE": str(file), "OUT/none.onnx": str(tmp_path / "none.onnx")}
+    assert main([names.get(word, word) for word in arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.startswith("neuroflight: ")
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
