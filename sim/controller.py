@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.observation import Observer
-from toolchain.evaluate import advance, clear_state
-from toolchain.network import PolicyModel
+from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
+from toolchain.policy.model import PolicyModel
 
 SENSED = frozenset({"rotor_speed", "gravity"})  # blocks that no step of a Controller is given
 
@@ -38,7 +38,7 @@ class PolicyController:
     def __init__(self, policy: PolicyModel, count: int = 1, *, exact: bool = True) -> None:
         """The controller is to be stepped at `policy.control_rate_hz`.
 
-        exact: with the very roundings of the compiled C; see `toolchain.evaluate`.
+        exact: with the very roundings of the compiled C; see `toolchain.ir.interpreter`.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)

@@ -39,7 +39,7 @@ from toolchain.contract import (
     StopCause,
 )
 from toolchain.errors import LinkError
-from toolchain.image import read_flashable
+from toolchain.image.elf import read_flashable
 
 ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
 FULL_VOLTS = 16.8  # of the pack that feeds it: four cells, full, at rest

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.aircraft import Aircraft, load_aircraft, shipped
 from sim.pid import mixer, pid_settings
-from toolchain.pid_table import PidTable
+from toolchain.rendering.pid_table import PidTable
 
 
 def pid_table(aircraft: Aircraft) -> PidTable | None:

@@ -8,7 +8,7 @@ import pytest
 
 from sim.aircraft import load_aircraft
 from sim.pid_table import pid_table
-from toolchain.build import build
+from toolchain.image.build import build
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build" / "tests"  # not build/, whose images are the user's

@@ -68,7 +68,7 @@ def test_ground_imports_nothing_of_the_project_when_read(name: str) -> None:
 @pytest.mark.parametrize(
     ("room", "line"),
     [
-        ("flash", "from toolchain.build import build"),
+        ("flash", "from toolchain.image.build import build"),
         ("flash", "def f():\n    import sim.twin"),
         ("toolchain", "from sim import twin"),
         ("toolchain", "import flash.msp"),

@@ -1,6 +1,6 @@
 """One truth for each fact that C and Python share.
 
-Everything here is a constant or a small frozen table. `toolchain.header` renders it as
+Everything here is a constant or a small frozen table. `toolchain.rendering.contract_header` renders it as
 `nf_contract.h` for the firmware; Python rooms import it directly. Depends on nothing.
 """
 

@@ -1,8 +1,8 @@
 """Checkpoints: plain containers and tensors, enough to freeze the policy and to go on with the run.
 
-The layout is shared with `toolchain.freeze` (contract CHECKPOINT_*), which takes the policy in "state_dict":
-the chosen one, while "learner" is the run's latest state. Loading executes nothing. No time and no path is
-in it: an equal run gives equal bytes.
+The layout is shared with `toolchain.policy.freeze` (contract CHECKPOINT_*), which takes the policy in
+"state_dict": the chosen one, while "learner" is the run's latest state. Loading executes nothing. No time
+and no path is in it: an equal run gives equal bytes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from toolchain.files import write_bytes
 from training.reading import Reading
 from training.selection import Selection
 
-Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.freeze` knows
+Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.freeze` knows
 
 
 @dataclass(frozen=True, eq=False)

@@ -208,7 +208,7 @@ class TrainingConfig:
         return [OBSERVATION_SCALES[b.name] for b in self.blocks() for _ in range(b.count(motors))]
 
     def document(self, aircraft: Aircraft) -> dict[str, Any]:
-        """The run as JSON data, with what `toolchain.freeze` needs to rebuild the network.
+        """The run as JSON data, with what `toolchain.policy.freeze` needs to rebuild the network.
 
         Raises TrainingError if the aircraft cannot be trained with this, see `check`.
         """

@@ -12,7 +12,7 @@ from sim.controller import Controller, PolicyController
 from sim.pid import aircraft_pid, pid_settings
 from sim.world import Mount
 from toolchain.errors import PolicyError
-from toolchain.network import read_policy
+from toolchain.policy.model import read_policy
 from training.evaluation import Flights, record
 from training.task import Task
 

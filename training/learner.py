@@ -31,7 +31,7 @@ class Learner(Protocol):
         ...
 
     def policy(self) -> dict[str, torch.Tensor]:
-        """The deterministic policy's weights by the names that `toolchain.freeze` knows."""
+        """The deterministic policy's weights by the names that `toolchain.policy.freeze` knows."""
         ...
 
     def state(self) -> dict[str, Any]:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from sim.aircraft import Aircraft
 from sim.metrics import effort, tracking
-from toolchain.evaluate import advance, clear_state
-from toolchain.freeze import to_onnx
-from toolchain.network import parse_policy
+from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
+from toolchain.policy.freeze import to_onnx
+from toolchain.policy.model import parse_policy
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig
 from training.randomization import Randomization
@@ -29,7 +29,7 @@ EPISODES = 5
 SEED = 1_000_003  # of the commands that choose a checkpoint; figures are taken on others
 OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # what `neuroflight evaluate` flies
 
-Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.freeze` knows
+Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.policy.freeze` knows
 
 
 def flown(config: TrainingConfig) -> TrainingConfig:

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from sim.aircraft import Aircraft
 from sim.confidence import mean_of
 from sim.controller import PolicyController
-from toolchain.compiler import compile_policy
+from toolchain.codegen.compiler import compile_policy
+from toolchain.cortex_m7.timing import mixed_observations, time_policy
 from toolchain.errors import BuildError, TrainingError
 from toolchain.files import write_text
-from toolchain.network import read_policy
-from toolchain.timing import mixed_observations, time_policy
+from toolchain.policy.model import read_policy
 from training.evaluation import Scores, record, scores
 from training.monitor_process import Monitor
 from training.sweep import Trial, Validation

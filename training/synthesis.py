@@ -15,7 +15,7 @@ import torch
 
 from sim.aircraft import Aircraft
 from toolchain.files import write_text
-from toolchain.freeze import freeze
+from toolchain.policy.freeze import freeze
 from training.checkpoint import Policy, Run, Watched, load_run, save_checkpoint, snapshot
 from training.configuration import TrainingConfig
 from training.learner import Report

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     from sim.board.gdb import GdbServer
     from sim.board.line import Bridge, UartLine
     from sim.board.usart import Format
-    from toolchain.image import read_flashable
+    from toolchain.image.elf import read_flashable
 
     flashed, kept = read_flashable(image), _kept(args.flash)
     elf = image.with_suffix(".elf")

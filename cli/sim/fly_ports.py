@@ -46,7 +46,7 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
     from sim.host_port import HostPort
     from sim.port import twin_settings
     from sim.reference_port import ReferencePort
-    from toolchain.report import built_idle
+    from toolchain.image.report import built_idle
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
@@ -86,7 +86,7 @@ def quiet(args: argparse.Namespace) -> bool:
 def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entry:
     """The image on a board of its own."""
     from sim.emulated_report import emulated_report
-    from toolchain.report import built_idle
+    from toolchain.image.report import built_idle
 
     image = (args.build or BOARD) / "neuroflight.bin"
     with ExitStack() as undo:

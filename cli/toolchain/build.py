@@ -35,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from sim.pid_table import named_pid_table, shipped_pid_table
-    from toolchain.build import MakeError, build, find_target
-    from toolchain.network import read_policy
-    from toolchain.report import print_report
+    from toolchain.image.build import MakeError, build, find_target
+    from toolchain.image.report import print_report
+    from toolchain.policy.model import read_policy
 
     find_target(args.target)
     if args.aircraft is None:

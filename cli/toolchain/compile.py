@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from toolchain.compiler import CompiledPolicy
-    from toolchain.explain import Explanation, NodeFacts
-    from toolchain.network import PolicyModel
+    from toolchain.codegen.compiler import CompiledPolicy
+    from toolchain.codegen.explain import Explanation, NodeFacts
     from toolchain.passes import Saving
-    from toolchain.proof import Proof
+    from toolchain.passes.equivalence import Proof
+    from toolchain.policy.model import PolicyModel
 
 FINDS = "what it finds"  # the one column that may wrap
 
@@ -40,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write DIR/policy.c, DIR/policy.h and DIR/policy.blob and say what they hold."""
     from cli.output import check_output
-    from toolchain.compiler import compile_policy
+    from toolchain.codegen.compiler import compile_policy
     from toolchain.files import write_bytes, write_text
-    from toolchain.network import read_policy
+    from toolchain.policy.model import read_policy
 
     if args.out is None and not args.explain:
         raise NeuroflightError(
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 def _explain(args: argparse.Namespace, policy: PolicyModel) -> Explanation:
     from rich.console import Console
 
-    from toolchain.explain import explain_policy
+    from toolchain.codegen.explain import explain_policy
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
     with console.status("proving every pass in onnxruntime"):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from toolchain.network import PolicyModel
+    from toolchain.policy.model import PolicyModel
 
 EPILOG = (
     "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write POLICY.onnx and say what it holds."""
     from cli.output import check_output
-    from toolchain.adopt import is_checkpoint
-    from toolchain.freeze import freeze
-    from toolchain.network import read_policy
+    from toolchain.policy.freeze import freeze
+    from toolchain.policy.import_onnx import is_checkpoint
+    from toolchain.policy.model import read_policy
 
     check_output(args.out, ".onnx")
     changes: Sequence[str] = ()
@@ -103,9 +103,9 @@ def _refuse_claims(args: argparse.Namespace) -> None:
 
 def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from sim.aircraft import load_aircraft
-    from toolchain.adopt import PolicyClaims, adopt
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
+    from toolchain.policy.import_onnx import PolicyClaims, adopt
 
     needed = ("--observation", "--rate", "--aircraft")
     if missing := [name for name in needed if _claims(args)[name] is None]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from toolchain.cycles import BlockCost
-    from toolchain.timing import Timing
+    from toolchain.cortex_m7.cycles import BlockCost
+    from toolchain.cortex_m7.timing import Timing
 
 INPUTS_MAX = 1_000_000
 DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1}
@@ -74,10 +74,10 @@ def _time_policy(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from toolchain.compiler import compile_policy
+    from toolchain.codegen.compiler import compile_policy
+    from toolchain.cortex_m7.timing import mixed_observations, time_policy
     from toolchain.errors import NeuroflightError
-    from toolchain.network import read_policy
-    from toolchain.timing import mixed_observations, time_policy
+    from toolchain.policy.model import read_policy
 
     if not 1 <= args.inputs <= INPUTS_MAX:
         raise NeuroflightError(f"--inputs {args.inputs}, expected 1 to {INPUTS_MAX}")
@@ -102,7 +102,7 @@ def _time_policy(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, timing: Timing) -> dict[str, Any]:
-    from toolchain.cycles import CORE_HZ
+    from toolchain.cortex_m7.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     worst = timing.cost.worst
@@ -189,7 +189,7 @@ def _provenance(timing: Timing) -> str:
 
 def _rows(timing: Timing) -> Sequence[tuple[str, tuple[str, ...]]]:
     """Names with the worst and the best value."""
-    from toolchain.cycles import CORE_HZ
+    from toolchain.cortex_m7.cycles import CORE_HZ
 
     fewest, most = timing.cost.instructions
     rows: list[tuple[str, tuple[str, ...]]] = [("instructions", (f"{most:,}", f"{fewest:,}"))]

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from sim.board.board import Board
     from sim.board.control_timing import Kind, Metered, Run, TaskCost
     from sim.scenario import Scenario
-    from toolchain.cycles import Priced
-    from toolchain.disassembly import Instruction
-    from toolchain.report import Built
+    from toolchain.cortex_m7.cycles import Priced
+    from toolchain.cortex_m7.disassembly import Instruction
+    from toolchain.image.report import Built
 
 SCENARIO, COUNT_MAX = "pulses", 100
 
@@ -30,9 +30,9 @@ def run(args: argparse.Namespace) -> int:
     from sim.aircraft import load_aircraft
     from sim.board.control_timing import task_costs
     from sim.scenario import load_scenario
-    from toolchain.disassembly import disassemble
+    from toolchain.cortex_m7.disassembly import disassemble
     from toolchain.errors import NeuroflightError
-    from toolchain.report import built
+    from toolchain.image.report import built
 
     image: Path = args.policy
     if not 1 <= args.count <= COUNT_MAX:
@@ -122,7 +122,7 @@ def _document(
     priced: Priced,
 ) -> dict[str, Any]:
     from cli.output import command_line
-    from toolchain.cycles import CORE_HZ, DEVICE_CYCLES
+    from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     given = {name: getattr(args, name) for name in ("aircraft", "count", "seed")}
     return {
@@ -169,7 +169,7 @@ def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced
     from rich.console import Console
     from rich.table import Table
 
-    from toolchain.cycles import CORE_HZ, DEVICE_CYCLES
+    from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     console = Console(highlight=False)
     console.print(
@@ -214,6 +214,6 @@ def _name(kind: Kind) -> str:
 
 
 def _us(cycles: float) -> float:
-    from toolchain.cycles import CORE_HZ
+    from toolchain.cortex_m7.cycles import CORE_HZ
 
     return 1e6 * cycles / CORE_HZ

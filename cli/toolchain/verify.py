@@ -16,9 +16,9 @@ from toolchain.errors import NeuroflightError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from toolchain.compiler import CompiledPolicy
-    from toolchain.verify import Verification
-    from toolchain.verify_standard import Figures
+    from toolchain.codegen.compiler import CompiledPolicy
+    from toolchain.verification.tolerance import Figures
+    from toolchain.verification.verify import Verification
 
 NOTHING = "-"
 ULP_SHOWN, SHARE_SHOWN = 1e6, 10.0  # beyond, digits say no more
@@ -52,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from toolchain.compiler import compile_policy
-    from toolchain.network import read_policy
-    from toolchain.verify import all_candidates, verify
-    from toolchain.verify_inputs import make_inputs
+    from toolchain.codegen.compiler import compile_policy
+    from toolchain.policy.model import read_policy
+    from toolchain.verification.inputs import make_inputs
+    from toolchain.verification.verify import all_candidates, verify
 
     if not 1 <= args.count <= COUNT_MAX:
         raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _document(args: argparse.Namespace, compiled: CompiledPolicy, seen: Verification) -> dict[str, Any]:
     from cli.output import command_line
-    from toolchain.verify_standard import ROUNDING, TOLERANCE
+    from toolchain.verification.tolerance import ROUNDING, TOLERANCE
 
     options = {
         "count": args.count,

@@ -20,8 +20,8 @@ from sim.board.board import Board
 from sim.board.engine import CODE_HALFWORDS, Outcome, code_row, row_address
 from sim.board.profile import task_counts
 from sim.board.variables import read_variables
-from toolchain.cycles import Priced, Route, RouteCost, price_routes
-from toolchain.disassembly import Instruction
+from toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
+from toolchain.cortex_m7.disassembly import Instruction
 from toolchain.errors import BuildError
 
 HANDLER = "gyro_sample_handler"  # from the gyro's bytes in memory to the motors' frame

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim.board.cpu_library import Node, Task
 from sim.board.engine import CODE_HALFWORDS, FRACTION, ITCM_BYTES, Engine, code_row, row_address
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
-from toolchain.disassembly import disassemble
+from toolchain.cortex_m7.disassembly import disassemble
 from toolchain.errors import BuildError
 
 EXCEPTIONS = 16 + 104

@@ -110,7 +110,7 @@ class Stopwatch:
 
 def measure(report: Callable[[str], None]) -> Speed:
     """Build the image, fly and rest; `report` hears of the progress."""
-    from toolchain.build import build
+    from toolchain.image.build import build
 
     with tempfile.TemporaryDirectory() as folder:
         build("MATEKF722", POLICY, ROOT, Path(folder), pid_table(load_aircraft(AIRCRAFT)))

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from tests.bench import emx
-from toolchain.compiler import compile_policy
+from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import observation_blocks
+from toolchain.cortex_m7.timing import Cost, mixed_observations, time_policy
 from toolchain.errors import BuildError
-from toolchain.evaluate import evaluate
-from toolchain.float32 import Float32
-from toolchain.graph import Network, chain
-from toolchain.network import PolicyModel
-from toolchain.operations import Clip, Linear, Operation, Tanh
-from toolchain.timing import Cost, mixed_observations, time_policy
+from toolchain.ir.float32 import Float32
+from toolchain.ir.interpreter import evaluate
+from toolchain.ir.network import Network, chain
+from toolchain.ir.operations import Clip, Linear, Operation, Tanh
+from toolchain.policy.model import PolicyModel
 
 OURS, THEIRS = "neuroflight", f"emx-onnx-cgen {emx.VERSION}"
 OPTIMIZATIONS = ("-O2", "-O3")

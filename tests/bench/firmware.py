@@ -26,7 +26,6 @@ from sim.reference_port import ReferencePort
 from sim.scenario import load_scenario
 from sim.twin import Twin
 from tests.firmware.board.conftest import Chip, Sketch
-from toolchain.build import build
 from toolchain.contract import (
     DTCM,
     FLASH_BASE,
@@ -39,10 +38,11 @@ from toolchain.contract import (
     SRAM2,
     Region,
 )
-from toolchain.cortex_m7 import CortexM7, load_program
-from toolchain.cycles import CORE_HZ, DEVICE_CYCLES, Route, price_routes, route_costs, route_of
-from toolchain.disassembly import disassemble
-from toolchain.registers import load
+from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES, Route, price_routes, route_costs, route_of
+from toolchain.cortex_m7.disassembly import disassemble
+from toolchain.cortex_m7.emulator import CortexM7, load_program
+from toolchain.image.build import build
+from toolchain.rendering.register_table import load
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ("nf1", "nf1-six")  # the shipped one, and 6-64-64-4

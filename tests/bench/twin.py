@@ -22,7 +22,7 @@ from sim.aircraft import load_aircraft
 from sim.controller import PolicyController
 from sim.twin import Twin
 from sim.world import Mount, World
-from toolchain.network import read_policy
+from toolchain.policy.model import read_policy
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig
 from training.evaluation import evaluate

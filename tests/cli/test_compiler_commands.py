@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cli.main import THREADS, main
-from toolchain.blob import parse
+from toolchain.policy.blob import parse
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit

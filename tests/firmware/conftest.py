@@ -22,10 +22,10 @@ import pytest
 from cffi import FFI
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, blob_terms, pack
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
-from toolchain.header import render_contract
-from toolchain.pid_table import render_pid_table
+from toolchain.policy.blob import PolicyBlob, blob_terms, pack
+from toolchain.rendering.contract_header import render_contract
+from toolchain.rendering.pid_table import render_pid_table
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"

@@ -25,8 +25,7 @@ from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment
 from sim.twin import Twin
 from sim.world import Mount
-from toolchain.build import build
-from toolchain.compiler import compile_policy
+from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import (
     DEADLINE_MISSES_MAX,
     GYRO_BAD_MS,
@@ -43,7 +42,8 @@ from toolchain.contract import (
     StopCause,
 )
 from toolchain.errors import LinkError
-from toolchain.network import read_policy
+from toolchain.image.build import build
+from toolchain.policy.model import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 STILL = (0.0, 0.0, 0.0)

@@ -17,9 +17,9 @@ from flash import messages, records, requests
 from flash.client import Client
 from flash.transport import open_transport
 from toolchain import contract
-from toolchain.blob import PolicyBlob, pack
 from toolchain.contract import SETTINGS, Msp
 from toolchain.errors import LinkError
+from toolchain.policy.blob import PolicyBlob, pack
 
 WAIT_S = 5.0  # how long an answer may take before the test fails
 API_REQUEST, API_REPLY = b"$M<\x00\x01\x01", b"$M>\x03\x01\x00\x01\x2e\x2d"

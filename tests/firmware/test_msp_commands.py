@@ -11,7 +11,6 @@ import pytest
 
 from flash import messages, records, requests
 from flash.msp import Decoder, Direction, Message, Version, encode
-from toolchain.blob import PolicyBlob, pack
 from toolchain.contract import (
     FLASH_POLICY_SLOTS,
     MSP_PAYLOAD_MAX,
@@ -20,6 +19,7 @@ from toolchain.contract import (
     Refusal,
     Task,
 )
+from toolchain.policy.blob import PolicyBlob, pack
 
 MakeChip = Callable[..., Any]
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}

@@ -11,7 +11,7 @@ import pytest
 from sim.aircraft import PidSettings, load_aircraft
 from sim.pid import Pid, aircraft_pid, mixer
 from sim.pid_table import named_pid_table, shipped_pid_table
-from toolchain.pid_table import PidTable, render_pid_table
+from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 STEPS = 3000
 RATE_HZ = 1000

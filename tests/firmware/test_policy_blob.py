@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, blob_terms, pack, parse
 from toolchain.errors import PolicyError
-from toolchain.header import blob_header_fields
+from toolchain.policy.blob import PolicyBlob, blob_terms, pack, parse
+from toolchain.rendering.contract_header import blob_header_fields
 
 Check = Callable[..., int]
 SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.blob import PolicyBlob, pack, parse
 from toolchain.contract import FLASH_POLICY_SLOTS, Refusal
-from toolchain.float32 import Float32
+from toolchain.ir.float32 import Float32
+from toolchain.policy.blob import PolicyBlob, pack, parse
 
 MakeChip = Callable[..., Any]
 SLOT_A, SLOT_B, COMPILED_IN, NONE = range(4)

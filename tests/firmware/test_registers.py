@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from toolchain.errors import BuildError
-from toolchain.registers import (
+from toolchain.rendering.register_table import (
     INTERRUPTS_FILE,
     REGISTERS_FILE,
     Register,

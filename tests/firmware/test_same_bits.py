@@ -25,7 +25,7 @@ from toolchain.contract import (
     observation_blocks,
     observation_count,
 )
-from toolchain.cortex_m7 import CortexM7, load_program
+from toolchain.cortex_m7.emulator import CortexM7, load_program
 
 MEMORY = (ITCM, Region("flash", FLASH_BASE, FLASH_BYTES), DTCM, SRAM1, SRAM2)
 FIRMWARE_BYTES = DTCM.size  # struct firmware with the weights lies there on the board

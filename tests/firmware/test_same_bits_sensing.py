@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from toolchain.contract import FilterKind
-from toolchain.cortex_m7 import CortexM7, load_program
+from toolchain.cortex_m7.emulator import CortexM7, load_program
 
 GYRO_HZ, CONTROL_HZ = 1000, 1000
 FILTERS_BYTES, ATTITUDE_BYTES = 600, 64

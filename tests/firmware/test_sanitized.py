@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolchain import contract
-from toolchain.blob import PolicyBlob, blob_terms, pack
+from toolchain.policy.blob import PolicyBlob, blob_terms, pack
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "firmware" / "src"

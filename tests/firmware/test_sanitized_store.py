@@ -11,7 +11,6 @@ import pytest
 
 from flash import requests
 from flash.msp import Direction, Message, Version, encode
-from toolchain.blob import PolicyBlob, pack
 from toolchain.contract import (
     FLASH_BASE,
     FLASH_FAULT_RECORD,
@@ -20,6 +19,7 @@ from toolchain.contract import (
     SETTINGS,
     Msp,
 )
+from toolchain.policy.blob import PolicyBlob, pack
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"

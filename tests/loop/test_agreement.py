@@ -17,9 +17,9 @@ from sim.observation import Observer
 from sim.reference_port import ReferencePort
 from sim.scenario import load_scenario
 from sim.trace import Trace
-from toolchain.evaluate import evaluate
-from toolchain.network import read_policy
+from toolchain.ir.interpreter import evaluate
 from toolchain.passes import optimize
+from toolchain.policy.model import read_policy
 
 Float32 = NDArray[np.float32]
 TOLERANCE = 1e-6  # absolute

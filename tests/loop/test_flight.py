@@ -14,7 +14,7 @@ from sim.metrics import Figures, figures
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment, load_scenario
 from sim.trace import Trace
-from toolchain.network import read_policy
+from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 MAE_MAX_DEG_S = 6.0  # average of the axes, against the true rate

@@ -23,8 +23,8 @@ from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment, load_scenario
 from sim.trace import Trace
 from sim.twin import Twin
-from toolchain.cycles import Route
-from toolchain.disassembly import disassemble
+from toolchain.cortex_m7.cycles import Route
+from toolchain.cortex_m7.disassembly import disassemble
 
 Flown = Callable[..., Trace]
 MINUTE = load_scenario("pulses", seed=5, count=14)

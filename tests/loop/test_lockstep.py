@@ -13,7 +13,7 @@ from sim.host_port import HostPort
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment, load_scenario
 from sim.trace import Trace, load_trace, save_trace
-from toolchain.network import read_policy
+from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 BUSY = Scenario(

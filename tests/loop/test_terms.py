@@ -18,10 +18,10 @@ from sim.host_port import HostPort
 from sim.reference_port import ReferencePort
 from sim.scenario import Scenario, Segment
 from sim.trace import Trace
-from toolchain.build import build
 from toolchain.contract import observation_blocks, observation_count
-from toolchain.freeze import to_onnx
-from toolchain.network import read_policy
+from toolchain.image.build import build
+from toolchain.policy.freeze import to_onnx
+from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
 ROOT = Path(__file__).resolve().parents[2]

@@ -26,7 +26,7 @@ from sim.airworthiness import Level, examine
 from sim.mesh import BYTES_MAX
 from sim.table import Table, Value
 from toolchain.errors import AircraftError
-from toolchain.network import AIRCRAFT_NAME
+from toolchain.policy.model import AIRCRAFT_NAME
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 GUIDE = (Path(__file__).parents[2] / "docs" / "own-aircraft.md").read_text()

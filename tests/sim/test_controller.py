@@ -8,9 +8,9 @@ import pytest
 from sim.aircraft import load_aircraft
 from sim.controller import PolicyController
 from toolchain.contract import observation_blocks
-from toolchain.graph import chain
-from toolchain.network import PolicyModel
-from toolchain.operations import Clip, Linear
+from toolchain.ir.network import chain
+from toolchain.ir.operations import Clip, Linear
+from toolchain.policy.model import PolicyModel
 from training.evaluation import record
 from training.task import PulseTask
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft import load_aircraft
 from toolchain.errors import TrainingError
-from toolchain.freeze import to_onnx
+from toolchain.policy.freeze import to_onnx
 from training.algorithm import (
     Algorithm,
     DdpgConfig,

@@ -12,7 +12,7 @@ from sim.aircraft import load_aircraft
 from sim.controller import PolicyController
 from toolchain.contract import CHECKPOINT_FORMAT
 from toolchain.errors import TrainingError
-from toolchain.network import read_policy
+from toolchain.policy.model import read_policy
 from training.algorithm import PpoConfig
 from training.configuration import OBSERVATION_SCALES, TrainingConfig, WorldConfig
 from training.evaluation import evaluate

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from toolchain.graph import Network, multiply_adds
-from toolchain.operations import (
+from toolchain.ir.network import Network, multiply_adds
+from toolchain.ir.operations import (
     Affine,
     Concat,
     Elu,
@@ -33,7 +33,7 @@ from toolchain.passes.shape import drop_identities, share_equal, simplify_slices
 from toolchain.passes.unread import drop_unread
 
 if TYPE_CHECKING:
-    from toolchain.proof import Proof
+    from toolchain.passes.equivalence import Proof
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Savi
     """The shortened network and what was saved, one `Saving` a pass that did something, in their order.
 
     prove: run the network in onnxruntime before and after each pass that did something, and raise
-    `toolchain.proof.ProofError` where they differ by more than rounding. Deterministic. Raises PolicyError
-    where folding leaves the range of float32.
+    `toolchain.passes.equivalence.ProofError` where they differ by more than rounding. Deterministic. Raises
+    PolicyError where folding leaves the range of float32.
     """
     savings: dict[str, Saving] = {}
     changed = True
@@ -151,7 +151,7 @@ def _add(old: Saving | None, name: str, before: Network, after: Network, prove: 
     less, now = size(before), size(after)
     proof = None if old is None else old.proof
     if prove:
-        from toolchain.proof import prove_equal
+        from toolchain.passes.equivalence import prove_equal
 
         fresh = prove_equal(before, after, name)
         proof = fresh if proof is None else proof.worst(fresh)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolchain.errors import PolicyError
-from toolchain.float32 import Float32
-from toolchain.graph import Network, Node
-from toolchain.operations import (
+from toolchain.ir.float32 import Float32
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import (
     Affine,
     Concat,
     Gru,

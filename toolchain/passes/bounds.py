@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.graph import Network, Node
-from toolchain.operations import (
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

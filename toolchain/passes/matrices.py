@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from toolchain.graph import Network, Node
-from toolchain.operations import Add, Concat, Gru, Linear, Lstm
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import Add, Concat, Gru, Linear, Lstm
 from toolchain.passes.affine import input_matrix, rounded, with_input
 from toolchain.passes.rewrite import Draft, rewrite
 

@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from toolchain.graph import OBSERVATION, Network, Node, output_width
-from toolchain.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
+from toolchain.ir.network import OBSERVATION, Network, Node, output_width
+from toolchain.ir.operations import Affine, Concat, Gru, Linear, Lstm, Operation, Slice
 
 
 @dataclass

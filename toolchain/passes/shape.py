@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from toolchain.graph import Network, Node
-from toolchain.operations import (
+from toolchain.ir.network import Network, Node
+from toolchain.ir.operations import (
     Add,
     Affine,
     Clip,

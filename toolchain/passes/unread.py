@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.graph import OBSERVATION, Network, Node
-from toolchain.operations import Affine, Concat, Gru, LayerNorm, Linear, Lstm, Operation, Slice
+from toolchain.ir.network import OBSERVATION, Network, Node
+from toolchain.ir.operations import Affine, Concat, Gru, LayerNorm, Linear, Lstm, Operation, Slice
 from toolchain.passes.rewrite import sweep
 
 Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.operations import Add, Affine, Linear, Multiply, Sigmoid, Silu, Tanh
+from toolchain.ir.operations import Add, Affine, Linear, Multiply, Sigmoid, Silu, Tanh
 from toolchain.reader.constants import CONSTANT_STATE
 from toolchain.reader.values import Array, Builder, Call, Row, joint_shape
 

@@ -8,11 +8,11 @@ from onnx import helper
 
 from toolchain.contract import POLICY_INPUT, POLICY_OUTPUT
 from toolchain.errors import PolicyError
-from toolchain.graph import Network, Node
+from toolchain.ir.network import Network, Node
 from toolchain.reader.checks import action_width, check_model, observation_width
 from toolchain.reader.constants import array, fold
-from toolchain.reader.door import bounded
 from toolchain.reader.operators import OPERATORS
+from toolchain.reader.output_range import bounded
 from toolchain.reader.patterns import STARTS, read_part
 from toolchain.reader.values import (
     WIDTH_MAX,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from onnx import TensorProto
 
-from toolchain.operations import (
+from toolchain.ir.operations import (
     Clip,
     Concat,
     Elu,

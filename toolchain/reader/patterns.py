@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolchain.operations import LayerNorm, Softsign
+from toolchain.ir.operations import LayerNorm, Softsign
 from toolchain.reader.values import Array, Builder, Call, Part, Row, Value
 
 ABSOLUTE, ABSOLUTE_AND_ONE = "|x|", "1 + |x|"

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolchain.float32 import Float32
-from toolchain.operations import Gru, Lstm
+from toolchain.ir.float32 import Float32
+from toolchain.ir.operations import Gru, Lstm
 from toolchain.reader.values import Builder, Call, Row, Unread, Value, shown
 
 SEQUENCE_LENGTHS, INITIAL_H, INITIAL_C, PEEPHOLES = 4, 5, 6, 7  # places of inputs

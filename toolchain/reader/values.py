@@ -16,9 +16,9 @@ import onnx
 from numpy.typing import NDArray
 
 from toolchain.errors import PolicyError
-from toolchain.float32 import Float32
-from toolchain.graph import Node, multiply_adds, output_width
-from toolchain.operations import Concat, Operation, Slice
+from toolchain.ir.float32 import Float32
+from toolchain.ir.network import Node, multiply_adds, output_width
+from toolchain.ir.operations import Concat, Operation, Slice
 
 NODES_MAX = 1024  # a policy has some tens
 WIDTH_MAX = 4096

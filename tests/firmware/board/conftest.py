@@ -29,14 +29,14 @@ from unicorn.arm_const import (
 
 from sim.aircraft import load_aircraft
 from sim.pid_table import pid_table
-from toolchain.compiler import compile_policy
+from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
-from toolchain.graph import chain
-from toolchain.header import render_contract
-from toolchain.network import PolicyModel
-from toolchain.operations import Clip, Linear, Operation, Tanh
-from toolchain.pid_table import render_pid_table
-from toolchain.registers import Register, RegisterTable, load
+from toolchain.ir.network import chain
+from toolchain.ir.operations import Clip, Linear, Operation, Tanh
+from toolchain.policy.model import PolicyModel
+from toolchain.rendering.contract_header import render_contract
+from toolchain.rendering.pid_table import render_pid_table
+from toolchain.rendering.register_table import Register, RegisterTable, load
 
 ROOT = Path(__file__).resolve().parents[3]
 TARGET = ROOT / "firmware" / "targets" / "MATEKF722"

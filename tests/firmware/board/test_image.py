@@ -12,7 +12,6 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
-from toolchain.arm_policy import state_bytes
 from toolchain.contract import (
     DTCM,
     FLASH_BANK_A,
@@ -24,7 +23,8 @@ from toolchain.contract import (
     SRAM2,
     Region,
 )
-from toolchain.registers import RegisterTable
+from toolchain.cortex_m7.arm_policy import state_bytes
+from toolchain.rendering.register_table import RegisterTable
 
 KIB = 1024
 NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes

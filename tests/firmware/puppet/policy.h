@@ -1,4 +1,4 @@
-/* What toolchain/templates/policy.h.j2 renders, for the puppet; @MOTORS@ is set by conftest.py. */
+/* What toolchain/rendering/templates/policy.h.j2 renders, for the puppet; @MOTORS@ is set by conftest.py. */
 #ifndef NEUROFLIGHT_POLICY_H
 #define NEUROFLIGHT_POLICY_H
 

@@ -10,7 +10,7 @@ from sim.board.bus import load_table
 from sim.board.extract_registers import extract, main, render
 from sim.board.option_bytes import FLASH_SIZE_ADDRESS, UID_ADDRESS
 from toolchain.errors import BuildError
-from toolchain.registers import load
+from toolchain.rendering.register_table import load
 
 TARGET = Path(__file__).resolve().parents[3] / "firmware" / "targets" / "MATEKF722"
 

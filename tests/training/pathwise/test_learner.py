@@ -12,8 +12,8 @@ from sim.aircraft import load_aircraft
 from sim.controller import PolicyController
 from sim.observation import Observer
 from toolchain.errors import TrainingError
-from toolchain.freeze import to_onnx
-from toolchain.network import parse_policy
+from toolchain.policy.freeze import to_onnx
+from toolchain.policy.model import parse_policy
 from training.configuration import TrainingConfig, WorldConfig
 from training.learner import Report
 from training.learners import learner

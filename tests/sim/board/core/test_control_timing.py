@@ -10,10 +10,10 @@ import pytest
 from sim.board.board import Board
 from sim.board.control_timing import ControlMeter, Kind, Work, task_costs
 from sim.board.profile import task_counts
-from toolchain.cycles import DEVICE_CYCLES
-from toolchain.disassembly import disassemble
+from toolchain.cortex_m7.cycles import DEVICE_CYCLES
+from toolchain.cortex_m7.disassembly import disassemble
+from toolchain.cortex_m7.llvm_mca import find_pricer
 from toolchain.errors import BuildError
-from toolchain.mca import find_pricer
 
 # Each second sample is a control step; step n asks the policy for n rounds of its loop, which then lets the
 # edge interrupt it and leaves another handler to follow. Thread and policy call `shared`, where samples come.

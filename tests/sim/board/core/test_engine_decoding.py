@@ -12,7 +12,7 @@ import pytest
 from elftools.elf.elffile import ELFFile
 
 from sim.board.cpu_library import load_library
-from toolchain.disassembly import Instruction, disassemble
+from toolchain.cortex_m7.disassembly import Instruction, disassemble
 
 ACCESS, DIVIDE, MASKS, WAIT, CONTROL = range(5)  # enum special_kind of engine.h
 SP, PC, NO_INDEX = 13, 15, 15

@@ -15,7 +15,7 @@ from sim.board.profile import (
     profile_table,
     task_counts,
 )
-from toolchain.disassembly import disassemble
+from toolchain.cortex_m7.disassembly import disassemble
 from toolchain.errors import BuildError
 
 Boot = Callable[..., Engine]

@@ -10,7 +10,7 @@ import pytest
 from sim.board.board import Board
 from sim.board.profile import coverage, execution_counts, task_counts
 from sim.board.snapshot import restore_snapshot, take_snapshot
-from toolchain.disassembly import disassemble
+from toolchain.cortex_m7.disassembly import disassemble
 
 MIDDLE, END = 150_000_123, 200_000_000  # cycles: samples have begun
 

@@ -18,8 +18,8 @@ from sim.receiver_frames import sbus_frame
 from sim.sticks import channels
 from tests.conftest import ROOT
 from tests.sim.board.mutants.mutant import Mutant
-from toolchain.build import find_target, run_make
 from toolchain.contract import Msp
+from toolchain.image.build import find_target, run_make
 
 TARGET = find_target("MATEKF722")
 MSP = Format(115_200)

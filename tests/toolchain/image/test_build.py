@@ -1,0 +1,251 @@
+"""Builds that are refused or fail leave everything as it was; those that succeed say what they made."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from toolchain.cortex_m7.llvm_mca import find_pricer
+from toolchain.errors import BuildError, NeuroflightError, PolicyError
+from toolchain.image.build import TARGETS, MakeError, build
+from toolchain.image.elf import read_image
+from toolchain.image.report import built_idle
+from toolchain.rendering.pid_table import PidTable
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Chain, Kit
+
+MAKEFILE = """
+all:
+\t@mkdir -p $(BUILD)
+\t@echo "gcc -c {word}"
+\t@printf {word} > $(BUILD)/libneuroflight.so
+\t@cp {program} $(BUILD)/neuroflight
+\t@{last}
+"""
+
+
+def project(root: Path, word: str = "one", last: str = "true") -> Path:
+    """A project whose firmware is a Makefile of six lines."""
+    (root / "firmware").mkdir(parents=True, exist_ok=True)
+    program = shutil.which("true")
+    text = MAKEFILE.format(word=word, last=last, program=program)
+    (root / "firmware" / "Makefile").write_text(text)
+    return root
+
+
+def tree(root: Path) -> dict[str, bytes]:
+    """Every file under `root` with its content."""
+    return {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture
+def policy_file(kit: Kit, tmp_path: Path) -> Path:
+    """A policy that fits every target."""
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(kit.mlp().data())
+    return path
+
+
+def refused(target: str, policy: Path, root: Path, error: type[NeuroflightError]) -> str:
+    """The line with which the build is refused; nothing is written."""
+    before = tree(root)
+    with pytest.raises(error) as caught:
+        build(target, policy, root)
+    assert tree(root) == before
+    assert not (root / "build").exists()
+    assert not (root / "firmware" / "generated").exists()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_build_is_refused_with_the_known_targets_when_the_target_is_unknown(
+    tmp_path: Path, policy_file: Path
+) -> None:
+    root = project(tmp_path / "root")
+    message = refused("MATEKF411", policy_file, root, BuildError)
+    assert message == "unknown TARGET 'MATEKF411', known are MATEKF722, HOST"
+
+
+def test_build_is_refused_with_the_command_when_the_compiler_is_missing(
+    tmp_path: Path, policy_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    message = refused("MATEKF722", policy_file, project(tmp_path / "root"), BuildError)
+    assert message == (
+        "arm-none-eabi-gcc is not installed; "
+        "run: sudo apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"
+    )
+
+
+def six_motors(kit: Kit) -> Chain:
+    return kit.mlp((6, 8, 6))
+
+
+def slow(kit: Kit) -> Chain:
+    chain = kit.mlp((6, 8, 4))
+    chain.metadata["neuroflight.control_rate_hz"] = "500"
+    return chain
+
+
+def filtered(kit: Kit) -> Chain:
+    chain = kit.mlp((6, 8, 4))
+    chain.metadata["neuroflight.filters"] = '["pt1:100"]'
+    return chain
+
+
+def wide(kit: Kit) -> Chain:
+    chain = kit.mlp((66, 8, 4))
+    chain.metadata["neuroflight.observation"] = ",".join(["rate"] * 22)
+    return chain
+
+
+def remembering(kit: Kit) -> Chain:
+    chain = kit.mlp((18, 8, 4))
+    chain.metadata["neuroflight.observation"] = ",".join(["rate@16"] * 6)
+    return chain
+
+
+def sighted(kit: Kit) -> Chain:
+    chain = kit.mlp((6, 8, 4))
+    chain.metadata["neuroflight.observation"] = "rate,gravity@1"
+    return chain
+
+
+def large(kit: Kit) -> Chain:
+    return kit.mlp((6, 100, 111, 4))
+
+
+def broad(kit: Kit) -> Chain:
+    return kit.mlp((6, 600, 4))
+
+
+MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
+    (six_motors, "the policy drives 6 motors, MATEKF722 has 4"),
+    (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
+    (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
+    (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
+    (remembering, "the policy cannot be flown: the observation remembers 288 values, expected at most 256"),
+    (sighted, "the policy observes gravity, which the firmware has no source for; train it on other blocks"),
+    (large, "weights, 748 more than the board's 12288"),
+    (broad, "the policy works on 1200 floats, 560 more than the board's 640"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), MISFITS, ids=lambda value: getattr(value, "__name__", ""))
+def test_build_is_refused_when_the_policy_does_not_fit(
+    kit: Kit, tmp_path: Path, make: Callable[[Kit], Chain], words: str
+) -> None:
+    policy = tmp_path / "policy.onnx"
+    policy.write_bytes(make(kit).data())
+    assert words in refused("MATEKF722", policy, project(tmp_path / "root"), PolicyError)
+
+
+def test_build_is_refused_when_the_policy_is_truncated(tmp_path: Path, policy_file: Path) -> None:
+    policy_file.write_bytes(policy_file.read_bytes()[:5000])
+    assert "truncated" in refused("HOST", policy_file, project(tmp_path / "root"), PolicyError)
+
+
+def test_report_says_what_was_built_when_it_succeeds(tmp_path: Path, policy_file: Path) -> None:
+    root = project(tmp_path / "root")
+    report = build("HOST", policy_file, root)
+    written = json.loads((root / "build" / "HOST" / "report.json").read_text())
+    assert written == json.loads(json.dumps(report.document()))
+    assert written["target"] == "HOST"
+    assert written["policy"]["network"] == "6-64-64-4 tanh"
+    assert written["predicted_cycles"] is None
+    assert written["predicted_cycles_reason"].startswith("cycles are predicted for the board's")
+    assert [stage["name"] for stage in written["stages"]] == ["synthesis", "optimization", "compilation"]
+    assert "1 files compiled" in written["stages"][2]["did"]
+    assert [file["path"] for file in written["files"]] == [
+        "build/HOST/neuroflight",
+        "build/HOST/libneuroflight.so",
+    ]
+    generated = sorted(p.name for p in (root / "firmware" / "generated" / "HOST").iterdir())
+    assert generated == ["nf_contract.h", "pid_table.c", "policy.c", "policy.h"]
+
+
+def table(motors: int) -> PidTable:
+    return PidTable("nf9", "tuned", np.full((3, 3), 0.5), 15.0, 0.125, np.ones((motors, 3)))
+
+
+def test_the_pid_stands_in_report_and_sources_when_one_is_given(tmp_path: Path, policy_file: Path) -> None:
+    root = project(tmp_path / "root")
+    build("HOST", policy_file, root, pid=table(4))
+    written = json.loads((root / "build" / "HOST" / "report.json").read_text())
+    assert written["pid"] == {"aircraft": "nf9", "name": "tuned", "idle": 0.125}
+    source = (root / "firmware" / "generated" / "HOST" / "pid_table.c").read_text()
+    assert "PID tuned of aircraft nf9" in source and ".idle = 0.125f" in source
+    product = root / "build" / "HOST" / "neuroflight"
+    assert built_idle(product, pid=True) == 0.125
+    build("HOST", policy_file, root)
+    assert json.loads((root / "build" / "HOST" / "report.json").read_text())["pid"] is None
+    with pytest.raises(BuildError, match="has no PID built in; build it with --aircraft"):
+        built_idle(product, pid=True)
+
+
+def test_build_is_refused_when_the_pid_is_of_another_number_of_motors(
+    tmp_path: Path, policy_file: Path
+) -> None:
+    root = project(tmp_path / "root")
+    with pytest.raises(BuildError, match="the PID of aircraft nf9 drives 6 motors, HOST has 4"):
+        build("HOST", policy_file, root, pid=table(6))
+    assert not (root / "build").exists()
+
+
+def test_products_and_sources_keep_their_dates_when_nothing_changed(
+    tmp_path: Path, policy_file: Path
+) -> None:
+    root = project(tmp_path / "root")
+    paths = [root / "build/HOST/libneuroflight.so", root / "firmware/generated/HOST/policy.c"]
+    build("HOST", policy_file, root)
+    before = [path.stat().st_mtime_ns for path in paths]
+    build("HOST", policy_file, root)
+    assert [path.stat().st_mtime_ns for path in paths] == before
+
+
+def test_last_good_products_stay_when_make_fails_halfway(tmp_path: Path, policy_file: Path) -> None:
+    root = project(tmp_path / "root")
+    build("HOST", policy_file, root)
+    out = root / "build" / "HOST"
+    before = {name: data for name, data in tree(out).items() if not name.startswith("make/")}
+    project(root, word="two", last="echo the compiler is unhappy >&2; exit 3")
+    with pytest.raises(MakeError, match="the last good image is kept") as caught:
+        build("HOST", policy_file, root)
+    assert "the compiler is unhappy" in caught.value.output
+    after = {name: data for name, data in tree(out).items() if not name.startswith("make/")}
+    assert after == before
+    project(root, word="three")
+    build("HOST", policy_file, root)
+    assert (out / "libneuroflight.so").read_text() == "three"
+
+
+def test_outer_make_does_not_reach_the_inner_one_when_it_calls_the_build(
+    tmp_path: Path, policy_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAKEFLAGS", " -- BUILD=/nonexistent/elsewhere TARGET=OTHER")
+    build("HOST", policy_file, project(tmp_path / "root"))
+    assert (tmp_path / "root/build/HOST/neuroflight").is_file()
+
+
+def test_board_image_and_host_program_are_what_the_targets_promise(
+    board_image: Path, host_program: Path
+) -> None:
+    for path, target in ((board_image, "MATEKF722"), (host_program, "HOST")):
+        assert all((path.parent / name).is_file() for name in TARGETS[target].products)
+        report = json.loads((path.parent / "report.json").read_text())
+        assert report["target"] == target
+        assert (report["step_instructions"] is None) == (target == "HOST")
+        assert (report["predicted_cycles"] is None) == bool(report["predicted_cycles_reason"])
+    report = json.loads((board_image.parent / "report.json").read_text())
+    multiply_accumulates = 4736  # of the shipped policy
+    assert report["step_instructions"] > multiply_accumulates
+    if find_pricer():
+        assert report["predicted_cycles"] > multiply_accumulates
+    assert read_image(board_image).machine == "ARM"

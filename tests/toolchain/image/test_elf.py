@@ -1,0 +1,89 @@
+"""Facts of the real board image, and of small images made to be wrong."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE
+from toolchain.errors import BuildError
+from toolchain.image.elf import memory_use, read_image
+
+BUDGET = 96 * 1024  # bytes of flash, and of all RAM together (issue "First flight")
+CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16")
+HEAP = {"malloc", "calloc", "realloc", "free", "_sbrk", "_sbrk_r", "_malloc_r"}
+
+
+def linked(directory: Path, source: str, *flags: str) -> Path:
+    """`source` linked without a linker script for the Cortex-M7."""
+    image = directory / "image.elf"
+    command = ["arm-none-eabi-gcc", *CORTEX_M7, *flags, "-nostdlib", "-Wl,-e,start", "-x", "c", "-"]
+    subprocess.run([*command, "-o", str(image)], input=source, text=True, check=True)
+    return image
+
+
+def test_board_image_stays_in_its_budget_when_built(board_image: Path) -> None:
+    use = {part.region: part for part in memory_use(read_image(board_image))}
+    assert 0 < use["flash"].used <= BUDGET
+    assert 0 < sum(part.used for name, part in use.items() if name != "flash") <= BUDGET
+    assert use["ITCM"].used > 0
+    assert use["DTCM"].used > 4 * 4868  # the policy's weights among others
+
+
+def test_board_image_is_hard_float_for_the_cortex_m7_when_built(board_image: Path) -> None:
+    image = read_image(board_image)
+    assert image.machine == "ARM"
+    assert image.is_hard_float
+    assert image.attributes["CPU_NAME"] in ("Cortex-M7", "7E-M")
+
+
+def test_board_image_has_no_heap_and_no_double_helper_when_built(board_image: Path) -> None:
+    symbols = set(read_image(board_image).symbols)
+    assert {"policy_step", "policy_weights"} <= symbols
+    assert not symbols & HEAP
+    assert not [name for name in symbols if name.startswith(("__aeabi_d", "__aeabi_f2d"))]
+
+
+def test_code_of_the_policy_lies_in_fast_memory_when_built(board_image: Path) -> None:
+    assert read_image(board_image).symbols["policy_step"] < 16 * 1024  # ITCM
+
+
+def test_loaded_bytes_lie_in_the_boot_sector_and_bank_a_when_built(board_image: Path) -> None:
+    for segment in read_image(board_image).segments:
+        end = segment.address + segment.size
+        boot = segment.address >= FLASH_BASE and end <= FLASH_BASE + 0x4000
+        bank = FLASH_BANK_A.address <= segment.address and end <= FLASH_BANK_A.address + FLASH_BANK_A.size
+        assert boot or bank
+
+
+def test_use_is_counted_when_flash_and_ram_are_known(tmp_path: Path) -> None:
+    source = "int zeroed[100]; void start(void) { zeroed[1] = 2; }"
+    where = (f"-Wl,-Ttext={FLASH_BASE:#x}", f"-Wl,-Tbss={DTCM.address:#x}")
+    image = read_image(linked(tmp_path, source, "-mfloat-abi=hard", *where))
+    use = {part.region: part.used for part in memory_use(image)}
+    assert use["DTCM"] == 400
+    assert 8 <= use["flash"] < 100
+    assert (use["ITCM"], use["SRAM1"]) == (0, 0)
+
+
+def test_image_is_soft_float_when_compiled_so(tmp_path: Path) -> None:
+    source = "float scale(float x) { return 2 * x; } void start(void) { scale(1); }"
+    assert not read_image(linked(tmp_path, source, "-mfloat-abi=softfp")).is_hard_float
+
+
+def test_image_is_refused_when_a_byte_lies_outside_the_board(tmp_path: Path) -> None:
+    source = "int zeroed[100]; void start(void) { zeroed[1] = 2; }"
+    where = (f"-Wl,-Ttext={FLASH_BASE:#x}", "-Wl,-Tbss=0x2003ff00")
+    image = read_image(linked(tmp_path, source, "-mfloat-abi=hard", *where))
+    with pytest.raises(BuildError, match=r"\.bss of 400 bytes at 0x2003FF00 lies outside ITCM, DTCM"):
+        memory_use(image)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x7fELF", b"#!/bin/sh\n" * 20])
+def test_image_is_refused_when_it_is_no_elf(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "image.elf"
+    path.write_bytes(data)
+    with pytest.raises(BuildError, match="cannot read the image"):
+        read_image(path)

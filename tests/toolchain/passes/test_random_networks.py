@@ -1,0 +1,160 @@
+"""Random networks of every operation through all passes: proven after each, cheaper, the same at the end."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from toolchain.ir.interpreter import replay
+from toolchain.ir.network import Network, Node, output_width
+from toolchain.ir.operations import (
+    Add,
+    Affine,
+    Clip,
+    Concat,
+    Elu,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Multiply,
+    Operation,
+    Relu,
+    Sigmoid,
+    Silu,
+    Slice,
+    Softsign,
+    Tanh,
+)
+from toolchain.passes import PASSES, optimize, size
+from toolchain.passes.equivalence import BOUND, prove_equal
+
+SEEDS, SEEDS_PROVEN = range(150), range(1000, 5000)
+WIDEST = 8
+WIDTHS_TOGETHER = 100  # no more Concats beyond it
+CLEAN = (Tanh(), Sigmoid(), Silu(), Softsign(), Relu())
+
+
+def floats(rng: Generator, *shape: int, scale: float = 1.0) -> NDArray[np.float32]:
+    return (scale * rng.normal(size=shape)).astype(np.float32)
+
+
+def matrix(rng: Generator, outputs: int, inputs: int) -> Linear:
+    """Some have columns of zeros, as pruning leaves them."""
+    weight = floats(rng, outputs, inputs, scale=inputs**-0.5)
+    if rng.random() < 0.3:
+        weight[:, rng.random(inputs) < 0.4] = 0
+    return Linear(weight, floats(rng, outputs))
+
+
+def affine(rng: Generator, width: int) -> Affine:
+    scale = np.ones(width) if rng.random() < 0.2 else floats(rng, width).astype(float)
+    return Affine(scale, floats(rng, width).astype(float) * (rng.random() < 0.6))
+
+
+def clip(rng: Generator) -> Clip:
+    low, high = (float(bound) for bound in np.sort(floats(rng, 2, scale=2.0)))
+    return Clip(None if rng.random() < 0.3 else low, None if rng.random() < 0.3 else high)
+
+
+def cut(rng: Generator, width: int) -> Slice:
+    step = int(rng.choice([1, 1, 2, -1, -2]))
+    count = int(rng.integers(1, -(-width // abs(step)) + 1))
+    reach = (count - 1) * step
+    return Slice(int(rng.integers(max(0, -reach), width - max(0, reach))), count, step)
+
+
+def cell(rng: Generator, inputs: int) -> Operation:
+    units = int(rng.integers(1, 5))
+    gates = (3 if rng.random() < 0.5 else 4) * units
+    weights = floats(rng, gates, inputs, scale=0.5), floats(rng, gates, units, scale=0.5), floats(rng, gates)
+    return Gru(*weights, floats(rng, gates)) if gates == 3 * units else Lstm(*weights)
+
+
+def one_value(rng: Generator, width: int) -> Operation:
+    """An operation of one value."""
+    match rng.integers(14):
+        case 0 | 1 | 2:
+            return matrix(rng, int(rng.integers(1, WIDEST + 1)), width)
+        case 3 | 4:
+            return affine(rng, width)
+        case 5 | 6 | 7:
+            return CLEAN[rng.integers(len(CLEAN))]
+        case 8:
+            return LeakyRelu(float(rng.choice([0.125, -0.25, 1.0, 0.0])))
+        case 9:
+            return Elu(float(rng.choice([1.0, 0.5, -0.25])))
+        case 10:
+            return clip(rng)
+        case 11:
+            return LayerNorm(1e-5, floats(rng, width), floats(rng, width))
+        case 12:
+            return cut(rng, width)
+        case _:
+            return cell(rng, width)
+
+
+def random_network(rng: Generator) -> Network:
+    """A network of a few nodes, mostly in a row, with branches, copies and nodes that nobody takes."""
+    inputs = int(rng.integers(2, WIDEST + 1))
+    nodes, widths = list[Node](), [inputs]
+
+    def add(operation: Operation, *taken: int) -> int:
+        nodes.append(Node(operation, taken))
+        widths.append(output_width(operation, [widths[value] for value in taken]))
+        return len(nodes)
+
+    for _ in range(int(rng.integers(3, 20))):
+        value = int(rng.integers(max(0, len(nodes) - 2) if rng.random() < 0.8 else 0, len(widths)))
+        width, kind = widths[value], rng.random()
+        if kind < 0.08 and nodes:
+            copied = nodes[rng.integers(len(nodes))]
+            add(copied.operation, *copied.inputs)
+        elif kind < 0.18:
+            gate = add(Sigmoid(), add(matrix(rng, int(rng.integers(1, WIDEST + 1)), width), value))
+            joined = add(Concat(), gate, value) if rng.random() < 0.4 else gate
+            add(matrix(rng, int(rng.integers(1, WIDEST + 1)), widths[joined]), joined)
+        elif kind < 0.3:
+            other = rng.choice([number for number, same in enumerate(widths) if same == width])
+            add(Add() if rng.random() < 0.6 else Multiply(), value, int(other))
+        elif kind < 0.4 and sum(widths) < WIDTHS_TOGETHER:
+            add(Concat(), *(int(v) for v in rng.integers(0, len(widths), int(rng.integers(1, 4)))))
+        else:
+            add(one_value(rng, width), value)
+    motors = int(rng.integers(1, 5))
+    last = Linear(
+        floats(rng, motors, widths[-1], scale=0.3), floats(rng, motors, scale=0.3) + np.float32(0.5)
+    )
+    add(Clip(0.0, 1.0), add(last, len(nodes)))
+    return Network(inputs, tuple(nodes))
+
+
+def check(seed: int) -> set[str]:
+    """Hold one network against what the passes leave of it. Returns the passes that fired."""
+    network = random_network(np.random.default_rng(seed))
+    shorter, savings = optimize(network, prove=True)
+    assert optimize(shorter)[0] is shorter
+    assert isinstance(shorter.nodes[-1].operation, Clip)
+    assert size(shorter).operations <= size(network).operations
+    assert size(shorter).bytes <= size(network).bytes
+    together = prove_equal(network, shorter, "all passes")
+    observation = np.random.default_rng(seed).normal(size=(12, network.inputs)).astype(np.float32)
+    difference = np.abs(replay(shorter, observation) - replay(network, observation)).max()
+    assert difference <= max(BOUND * np.abs(observation).max(), 16 * together.unit)
+    return {saving.rewrite for saving in savings}
+
+
+def test_random_networks_keep_their_values_when_all_passes_run() -> None:
+    fired = Counter(name for seed in SEEDS for name in check(seed))
+    assert set(fired) == {step.name for step in PASSES}, "a pass that never fired was never tested"
+
+
+@pytest.mark.prove
+def test_thousands_of_random_networks_keep_their_values_when_all_passes_run() -> None:
+    for seed in SEEDS_PROVEN:
+        check(seed)

@@ -1,0 +1,299 @@
+"""freeze of another trainer's model: what it adds, what it says, what it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnx
+import pytest
+
+from cli.main import main
+from sim.aircraft import load_aircraft
+from toolchain.errors import PolicyError
+from toolchain.ir.interpreter import evaluate
+from toolchain.policy.import_onnx import PolicyClaims, adopt, adopted_model
+from toolchain.policy.model import parse_policy, read_policy
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Chain, Kit
+
+Capture = pytest.CaptureFixture[str]
+OPTIONS = ["--observation", "rate_error,rate_error_delta", "--rate", "1000", "--aircraft", "nf1"]
+CLAIMS = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
+
+
+def foreign(chain: Chain, edit: Callable[[onnx.GraphProto], object] = lambda graph: None) -> bytes:
+    """The chain as another trainer leaves it: no metadata, other names, any batch."""
+    chain.metadata.clear()
+    model = chain.model()
+    for value, name in ((model.graph.input[0], "obs"), (model.graph.output[0], "act")):
+        for node in model.graph.node:
+            for names in (node.input, node.output):
+                names[:] = [name if old == value.name else old for old in names]
+        value.name = name
+        value.type.tensor_type.shape.dim[0].dim_param = "batch"
+    edit(model.graph)
+    return bytes(model.SerializeToString())
+
+
+@pytest.fixture
+def source(kit: Kit, tmp_path: Path) -> Path:
+    """A model of another trainer without a Clip."""
+    path = tmp_path / "model.onnx"
+    chain = kit.mlp((6, 8, 4))
+    chain.nodes.pop()
+    path.write_bytes(foreign(chain))
+    return path
+
+
+def refused(arguments: list[str], capsys: Capture) -> str:
+    """The one line of a freeze that fails."""
+    assert main(["freeze", *arguments]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    return printed.err
+
+
+def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
+    source: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "policy.onnx"
+    assert main(["freeze", str(source), *OPTIONS, "--clip", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed == [
+        "renamed the input 'obs' to 'observation'",
+        "fixed axis 0 of 'observation' to 1",
+        "renamed the output 'act' to 'action'",
+        "fixed axis 0 of 'action' to 1",
+        "appended a Clip to [0, 1]",
+        f"{source} -> {out}: 6-8-4 tanh, nf1, 1000 Hz",
+    ]
+    policy = read_policy(out)
+    assert (policy.aircraft, policy.aircraft_sha256) == ("nf1", load_aircraft("nf1").sha256)
+    assert (policy.control_rate_hz, policy.filters) == (1000, ())
+
+
+def test_model_computes_the_same_when_frozen(kit: Kit) -> None:
+    chain = kit.mlp((6, 8, 4))
+    network = parse_policy(chain.data()).network
+    data, changes = adopted_model(foreign(chain), CLAIMS, clip=True)
+    observation = kit.observations(50, 6)
+    adopted = parse_policy(data)
+    np.testing.assert_array_equal(evaluate(adopted.network, observation), evaluate(network, observation))
+    assert "appended a Clip to [0, 1]" not in changes
+
+
+def test_metadata_are_replaced_when_the_model_has_some(kit: Kit) -> None:
+    chain = kit.mlp((6, 8, 4))
+    model = chain.model()
+    model.metadata_props.add(key="trainer", value="another")
+    data, changes = adopted_model(model.SerializeToString(), CLAIMS, clip=False)
+    assert not changes
+    kept = {entry.key: entry.value for entry in onnx.load_from_string(data).metadata_props}
+    assert (kept["trainer"], kept["neuroflight.aircraft_sha256"]) == ("another", "ab" * 32)
+    assert len(kept) == 9
+
+
+def test_freeze_tells_all_it_did_when_asked_for_json(source: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "policy.onnx"
+    assert main(["freeze", str(source), *OPTIONS, "--clip", "--json", "--out", str(out)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["policy_sha256"] == read_policy(out).source_sha256
+    assert len(document["changes"]) == 5
+    assert document["idle"] == read_policy(out).idle == 0.0
+
+
+def test_policy_has_the_idle_that_it_is_frozen_with(source: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "policy.onnx"
+    assert main(["freeze", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
+    assert read_policy(out).idle == 0.23
+
+
+@pytest.mark.parametrize(("name", "words"), [("", "is a directory"), ("file/policy.onnx", "is no directory")])
+def test_freeze_refuses_at_once_when_the_output_cannot_be_written(
+    source: Path, tmp_path: Path, capsys: Capture, name: str, words: str
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.onnx").mkdir()
+    out = tmp_path / name if name else tmp_path / "folder.onnx"
+    assert words in refused([str(source), *OPTIONS, "--clip", "--out", str(out)], capsys)
+
+
+def test_freeze_names_what_it_must_be_told_when_a_model_comes_alone(
+    source: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    line = refused([str(source), "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "must be told --observation, --rate, --aircraft" in line
+
+
+REFUSED = {
+    "takes 6 values, but its blocks rate_error make 3": {"--observation": "rate_error"},
+    "unknown observation block 'altitude'": {"--observation": "altitude"},
+    "neuroflight.control_rate_hz is '-5'": {"--rate": "-5"},
+    "neuroflight.filters is '{}', expected a JSON list": {"--filters": "{}"},
+    "--idle 0.6, expected 0 to 0.5": {"--idle": "0.6"},
+    "--idle nan, expected 0 to 0.5": {"--idle": "nan"},
+    "drives 4 motors, aircraft hexa has 6": {"--aircraft": "hexa"},
+    "no such file": {"--aircraft": "absent"},
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_nothing_is_written_when_a_claim_does_not_fit(
+    source: Path, tmp_path: Path, capsys: Capture, words: str
+) -> None:
+    options = dict(zip(OPTIONS[::2], OPTIONS[1::2], strict=True)) | REFUSED[words]
+    flat = [word for pair in options.items() for word in pair]
+    out = tmp_path / "out" / "policy.onnx"
+    assert words in refused([str(source), *flat, "--clip", "--out", str(out)], capsys)
+    assert not out.parent.exists()
+
+
+def test_clip_is_asked_for_when_nothing_bounds_the_motors(
+    source: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    line = refused([str(source), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "ends with Linear, expected Clip within [0, 1]" in line
+    assert "--clip" in line
+
+
+def test_checkpoint_is_refused_when_it_is_told_what_it_knows(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "model.onnx"  # content decides, not the name
+    path.write_bytes(b"PK\x03\x04")
+    line = refused([str(path), "--rate", "1000", "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "is a checkpoint, which knows its own" in line
+    assert "leave out --rate" in line
+
+
+@pytest.mark.parametrize("content", [b"", b"text", b"\xff" * 100])
+def test_file_is_refused_when_it_is_neither_checkpoint_nor_model(
+    tmp_path: Path, capsys: Capture, content: bytes
+) -> None:
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(content)
+    line = refused([str(path), *OPTIONS, "--out", str(tmp_path / "policy.onnx")], capsys)
+    assert "is no checkpoint and no ONNX model" in line
+
+
+def two_inputs(graph: onnx.GraphProto) -> None:
+    graph.input.add().CopyFrom(graph.input[0])
+    graph.input[1].name = "state"
+
+
+def taken_name(graph: onnx.GraphProto) -> None:
+    graph.node[0].output[0] = graph.node[1].input[0] = "action"
+
+
+def dynamic_width(graph: onnx.GraphProto) -> None:
+    graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
+
+
+def two_outputs(graph: onnx.GraphProto) -> None:
+    """A critic beside the actor, with an operator that no policy may have."""
+    graph.node.append(onnx.helper.make_node("Erf", [graph.node[0].output[0]], ["value"]))
+    graph.output.add().CopyFrom(graph.output[0])
+    graph.output[1].name = "value"
+
+
+def with_data_beside(kit: Kit, folder: Path, **edits: str) -> Path:
+    """A model whose weights lie in `weights.data`; `edits` replaces entries of the first one."""
+    model = onnx.load_from_string(foreign(kit.mlp((6, 8, 4))))
+    data = b""
+    for tensor in model.graph.initializer:
+        entries = {"location": "weights.data", "offset": str(len(data)), "length": str(len(tensor.raw_data))}
+        data += tensor.raw_data
+        tensor.ClearField("raw_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        for key, value in entries.items():
+            tensor.external_data.add(key=key, value=value)
+    for entry in model.graph.initializer[0].external_data:
+        entry.value = edits.get(entry.key, entry.value)
+    (folder / "weights.data").write_bytes(data)
+    path = folder / "model.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path: Path) -> None:
+    out = tmp_path / "out" / "policy.onnx"
+    policy, changes = adopt(with_data_beside(kit, tmp_path), out, CLAIMS, clip=False)
+    assert changes[0] == "took the weights out of 'weights.data'"
+    observation = kit.observations(20, 6)
+    expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
+    np.testing.assert_array_equal(evaluate(read_policy(out).network, observation), expected)
+    assert policy.source_sha256 == read_policy(out).source_sha256
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        ({"location": "../weights.data"}, "keeps weights in '../weights.data', expected a file beside it"),
+        ({"location": "/etc/hostname"}, "keeps weights in '/etc/hostname', expected a file beside it"),
+        ({"location": "absent.data"}, "absent.data: No such file"),
+        ({"location": ""}, "keeps weights in '', expected a file beside it"),
+        ({"offset": "-4"}, "is kept in bytes -4 to"),
+        ({"length": "100000"}, "do model and weights belong together?"),
+        ({"length": "many"}, "has no sound offset and length"),
+        ({"length": "8"}, "raw_data size (8 bytes) is too small"),
+    ],
+)
+def test_model_is_refused_when_its_weights_beside_it_are_not_sound(
+    kit: Kit, tmp_path: Path, edits: dict[str, str], words: str
+) -> None:
+    source, out = with_data_beside(kit, tmp_path, **edits), tmp_path / "out" / "policy.onnx"
+    with pytest.raises(PolicyError) as caught:
+        adopt(source, out, CLAIMS, clip=False)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not out.parent.exists()
+
+
+def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
+    chain = kit.mlp((6, 8, 4))
+    network = parse_policy(chain.data()).network
+    source = foreign(chain, two_outputs)
+    data, changes = adopted_model(source, CLAIMS, clip=False, output="act")
+    assert changes[0] == "kept the output 'act', dropped 1 other(s) and 1 node(s)"
+    observation = kit.observations(20, 6)
+    adopted = parse_policy(data).network
+    np.testing.assert_array_equal(evaluate(adopted, observation), evaluate(network, observation))
+    with pytest.raises(PolicyError, match="no output 'motors', its outputs are 'act', 'value'"):
+        adopted_model(source, CLAIMS, clip=False, output="motors")
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (two_outputs, "outputs are 'act', 'value', expected one; choose one with --output"),
+        (two_inputs, "inputs are 'obs', 'state', expected one"),
+        (taken_name, "the output 'act' cannot be named 'action'"),
+        (dynamic_width, "dynamic shape [1, n]"),
+    ],
+)
+def test_model_is_refused_when_its_ends_are_not_one_row(
+    kit: Kit, edit: Callable[[onnx.GraphProto], object], words: str
+) -> None:
+    with pytest.raises(PolicyError) as caught:
+        adopted_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
+    assert words in str(caught.value)
+
+
+def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:
+    data = foreign(kit.mlp((6, 3, 4)))
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(data)
+        for place in rng.integers(0, len(data), 2):
+            damaged[place] = rng.integers(0, 256)
+        try:
+            adopted_model(bytes(damaged), CLAIMS, clip=True)
+        except PolicyError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert refused > 50

@@ -1,0 +1,179 @@
+"""Every operator that is read, against onnxruntime: small graphs in ONNX's text format."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnxruntime
+import pytest
+from numpy.typing import NDArray
+
+from toolchain.ir.interpreter import evaluate
+from toolchain.ir.operations import Affine, Clip, LayerNorm, Silu, Softsign
+from toolchain.policy.model import parse_policy
+from toolchain.reader.operators import KNOWN
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Kit
+
+RNG = np.random.default_rng(0)
+CONSTANTS: Mapping[str, NDArray[np.generic]] = {
+    "w": (RNG.normal(size=(4, 6)) / 3).astype(np.float32),  # 6 to 4
+    "v": (RNG.normal(size=(6, 4)) / 3).astype(np.float32),  # the same, untransposed
+    "square": (RNG.normal(size=(6, 6)) / 3).astype(np.float32),
+    "six": RNG.normal(size=6).astype(np.float32),
+    "four": np.array([0.1, 0.4, 0.5, 0.2], np.float32),
+    "positive": np.arange(1, 7, dtype=np.float32),
+    "zero": np.array(0, np.float32),
+    "one": np.array(1, np.float32),
+    "two": np.array(2, np.float32),
+    "half": np.array(0.5, np.float32),
+    "epsilon": np.array(1e-5, np.float32),
+    "zeros": np.zeros(4, np.float32),
+    "ones": np.ones(4, np.float32),
+    "axis0": np.array([0], np.int64),
+    "axis1": np.array([1], np.int64),
+    "last": np.array([-1], np.int64),
+    "row": np.array([1, -1], np.int64),
+    "cube": np.array([0, 2, 3], np.int64),
+    "sizes": np.array([2, 4], np.int64),
+    "order": np.array([3, 1, 0, 2], np.int64),
+    "points": np.array([[3], [0], [-1], [2]], np.int64),
+}
+END = "a = Gemm<transB=1>(x, w, four) action = Clip(a, zero, one)"  # of a body that computes x
+RESULT = "action = Clip(y, zero, one)"  # of a body that computes y [1, 4]
+NORM = (
+    "m = ReduceMean<axes=[-1]>(observation) d = Sub(observation, m) {square} s = ReduceMean<axes=[-1]>(q) "
+    "e = Add(s, epsilon) r = Sqrt(e) {quotient} x = Add(n, six) " + END
+)
+
+ACCEPTED: dict[str, str] = {
+    "Gemm": "y = Gemm<transB=1, alpha=0.3, beta=2.0>(observation, w, four) " + RESULT,
+    "Gemm without bias": "y = Gemm(observation, v) " + RESULT,
+    "MatMul": "m = MatMul(observation, v) y = Add(m, four) " + RESULT,
+    "MatMul from the left": "x = Transpose(observation) m = MatMul(w, x) y = Transpose(m) " + RESULT,
+    "arithmetic with constants": "p = Sub(observation, six) q = Div(p, positive) r = Mul(six, q) "
+    "s = Sub(half, r) x = Neg(s) " + END,
+    "arithmetic of two values": "p = Tanh(observation) q = Sub(observation, p) r = Mul(q, p) x = Add(r, q) "
+    + END,
+    "a value with itself": "p = Add(observation, observation) x = Mul(p, p) " + END,
+    "one value for many": "g = Slice(observation, axis0, axis1, axis1) x = Mul(observation, g) " + END,
+    "Tanh": "x = Tanh(observation) " + END,
+    "Relu": "x = Relu(observation) " + END,
+    "LeakyRelu": "x = LeakyRelu<alpha=0.2>(observation) " + END,
+    "LeakyRelu by default": "x = LeakyRelu(observation) " + END,
+    "Elu": "x = Elu<alpha=1.7>(observation) " + END,
+    "Sigmoid": "x = Sigmoid(observation) " + END,
+    "SiLU": "g = Sigmoid(observation) x = Mul(observation, g) " + END,
+    "Softsign": "x = Softsign(observation) " + END,
+    "Softsign in parts": "p = Abs(observation) q = Add(one, p) x = Div(observation, q) " + END,
+    "HardTanh": "p = Neg(one) x = Clip(observation, p, one) " + END,
+    "Clip below": "x = Clip(observation, zero) " + END,
+    "Min and Max": "a = Gemm<transB=1>(observation, w, four) b = Max(a, zeros) action = Min(ones, b)",
+    "LayerNormalization": "x = LayerNormalization(observation, positive, six) " + END,
+    "LayerNormalization without offset": "x = LayerNormalization<epsilon=0.1>(observation, positive) " + END,
+    "BatchNormalization": "x = BatchNormalization(observation, six, positive, six, positive) " + END,
+    "Identity and Dropout": "p = Identity(observation) x, mask = Dropout(p, half) " + END,
+    "Cast to float": "x = Cast<to=1>(observation) " + END,
+    "Flatten": "p = Flatten(observation) x = Flatten<axis=-1>(p) " + END,
+    "Reshape": "p = Reshape(observation, cube) x = Reshape(p, row) " + END,
+    "Squeeze and Unsqueeze": "p = Unsqueeze(observation, axis1) q = Squeeze(p) x = Unsqueeze(q, axis0) "
+    + END,
+    "Transpose": "p = Reshape(observation, cube) q = Transpose<perm=[0, 2, 1]>(p) x = Reshape(q, row) " + END,
+    "Expand": "s = Shape(observation) x = Expand(observation, s) " + END,
+    "Concat": "p = Tanh(observation) q = Concat<axis=-1>(p, observation, p) s = Constant<value_ints=[6]>() "
+    "e = Constant<value_ints=[18]>() t = Constant<value_ints=[2]>() x = Slice(q, s, e, last, t) " + END,
+    "Concat of columns": "p = Transpose(observation) q = Concat<axis=1>(p, p) r = Reshape(q, row) "
+    "s = Constant<value_ints=[0]>() e = Constant<value_ints=[12]>() t = Constant<value_ints=[2]>() "
+    "x = Slice(r, s, e, last, t) " + END,
+    "Slice backwards": "s = Constant<value_ints=[-1]>() e = Constant<value_ints=[-100]>() "
+    "x = Slice(observation, s, e, last, last) " + END,
+    "Split": "p, q = Split<axis=1>(observation, sizes) x = Concat<axis=1>(q, p) " + END,
+    "Gather": "a = Gemm<transB=1>(observation, w, four) y = Gather<axis=1>(a, order) " + RESULT,
+    "GatherND": "a = Gemm<transB=1>(observation, w, four) b = Transpose(a) c = GatherND(b, points) "
+    "y = Transpose(c) " + RESULT,
+    "constants computed from constants": "s = Shape(observation) n = Gather<axis=0>(s, axis1) "
+    "h = Div(n, axis1) t = Sub(h, axis0) u = Concat<axis=0>(axis1, t) c = ConstantOfShape(u) o = Add(c, one) "
+    "k = Cast<to=1>(t) l = Sqrt(k) b = Mul(o, l) x = Mul(observation, b) " + END,
+    "the norm in parts": NORM.format(square="q = Pow(d, two)", quotient="n = Div(d, r)"),
+    "the norm in other parts": NORM.format(
+        square="q = Mul(d, d)", quotient="i = Reciprocal(r) n = Mul(i, d)"
+    ),
+    "a residual network": "p = Gemm(observation, square, six) q = Tanh(p) r = Add(observation, q) "
+    "s = Gemm(r, square) t = Relu(s) x = Add(t, r) " + END,
+    "a network that ends with Sigmoid": "y = Gemm(observation, v) action = Sigmoid(y)",
+    "a network that ends with tanh in [0, 1]": "y = Gemm(observation, v) t = Tanh(y) u = Add(t, one) "
+    "action = Mul(u, half)",
+}
+NEWER = {  # operators that opset 16 does not have
+    "LayerNormalization": 17,
+    "LayerNormalization without offset": 17,
+}
+
+
+def run(data: bytes, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What onnxruntime computes."""
+    session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    return np.concatenate([session.run(None, {"observation": row[None]})[0] for row in observation])
+
+
+@pytest.mark.parametrize("name", ACCEPTED)
+def test_policy_computes_what_onnxruntime_does_when_its_operators_are_known(kit: Kit, name: str) -> None:
+    data = kit.graph(ACCEPTED[name], CONSTANTS, NEWER.get(name, 16))
+    observation = np.random.default_rng(1).normal(size=(200, 6)).astype(np.float32)
+    network = parse_policy(data).network
+    expected = run(data, observation)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(evaluate(network, observation), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "operation", "count"),
+    [
+        ("SiLU", Silu, 4),
+        ("Softsign in parts", Softsign, 3),
+        ("the norm in parts", LayerNorm, 4),
+        ("the norm in other parts", LayerNorm, 4),
+        ("BatchNormalization", Affine, 3),
+    ],
+)
+def test_pattern_is_one_operation_when_it_is_written_in_parts(
+    kit: Kit, name: str, operation: type, count: int
+) -> None:
+    nodes = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network.nodes
+    assert sum(isinstance(node.operation, operation) for node in nodes) == 1
+    assert len(nodes) <= count
+
+
+@pytest.mark.parametrize(
+    "name", ["Flatten", "Reshape", "Squeeze and Unsqueeze", "Expand", "Identity and Dropout", "Cast to float"]
+)
+def test_nothing_is_computed_when_values_stay_where_they_are(kit: Kit, name: str) -> None:
+    assert len(parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network.nodes) == 2
+
+
+def test_swish_is_read_when_the_opset_has_it(kit: Kit) -> None:
+    data = kit.graph("x = Swish(observation) " + END, CONSTANTS, 24)
+    assert parse_policy(data).network.nodes[0].operation == Silu()
+
+
+@pytest.mark.parametrize("name", [name for name in ACCEPTED if name.startswith("a network that ends")])
+def test_clip_is_added_when_the_last_activation_is_bounded(kit: Kit, name: str) -> None:
+    network = parse_policy(kit.graph(ACCEPTED[name], CONSTANTS, 16)).network
+    assert network.nodes[-1].operation == Clip(0.0, 1.0)
+    assert not isinstance(network.nodes[-2].operation, Clip)
+
+
+def test_page_names_every_operator_when_it_is_read() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "policies.md").read_text()
+    words = set(re.findall(r"\w+", page.partition("## What is read")[2].partition("##")[0]))
+    assert not KNOWN - words - {"Constant"}
+
+
+def test_node_keeps_its_name_when_it_has_one(kit: Kit) -> None:
+    chain = kit.chain().add("Gemm", kit.weights(RNG, 6, 4), name="/net/0/Gemm").clip()
+    assert parse_policy(chain.data()).network.nodes[0].name == "/net/0/Gemm"

@@ -1,0 +1,154 @@
+"""One policy, many machines: torch, onnxruntime, the evaluator, this machine's C and the Cortex-M7's."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from toolchain.ir.interpreter import evaluate
+
+if TYPE_CHECKING:
+    from tests.toolchain.conftest import Chain, Float32, Kit
+
+TOLERANCE = 1e-6  # absolute, at unit scale
+
+SHAPES = {
+    "6-64-64-4 tanh": ((6, 64, 64, 4), "Tanh"),
+    "6-32-32-4 tanh": ((6, 32, 32, 4), "Tanh"),
+    "6-33-7-4 relu": ((6, 33, 7, 4), "Relu"),
+    "6-5-4 tanh": ((6, 5, 4), "Tanh"),
+    "6-4": ((6, 4), "Tanh"),
+}
+
+
+def odd_chain(kit: Kit) -> Chain:
+    """What no perceptron has: a clip first, bounds on one side, activations in a row, affine maps between."""
+    rng = np.random.default_rng(5)
+    chain = kit.chain(6, 4)
+    chain.add("Clip", np.float32(-3), np.float32(3))
+    chain.add("Gemm", kit.weights(rng, 13, 6), kit.weights(rng, 13), transB=1).add("Relu").add("Tanh")
+    chain.add("Mul", np.float32(1.5)).add("Clip", None, np.float32(0.75)).add("Clip", np.float32(-0.5))
+    chain.add("Gemm", kit.weights(rng, 4, 13), kit.weights(rng, 4), transB=1).add("Tanh")
+    chain.add("Mul", np.float32(0.5)).add("Add", np.array([0.5, 0.4, 0.6, 0.5], np.float32))
+    return chain.clip()
+
+
+def chain_of(kit: Kit, name: str) -> Chain:
+    return odd_chain(kit) if name == "odd" else kit.mlp(*SHAPES[name])
+
+
+def assert_same_bits(got: Float32, expected: Float32) -> None:
+    np.testing.assert_array_equal(got.view(np.uint32), expected.view(np.uint32))
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "odd"])
+def test_host_c_gives_the_evaluators_bits_when_observations_are_anything(
+    kit: Kit, tmp_path: Path, name: str
+) -> None:
+    policy = kit.compiled(chain_of(kit, name))
+    observation = kit.observations(10_000, policy.policy.observation_count)
+    expected = evaluate(policy.network, observation)
+    assert_same_bits(kit.host(policy, tmp_path).actions(observation), expected)
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "odd"])
+def test_cortex_m7_gives_the_hosts_bits_when_observations_are_anything(
+    kit: Kit, tmp_path: Path, name: str
+) -> None:
+    policy = kit.compiled(chain_of(kit, name))
+    observation = kit.observations(1_000, policy.policy.observation_count, seed=1)
+    host = kit.host(policy, tmp_path / "host").actions(observation)
+    assert_same_bits(kit.arm(policy, tmp_path / "arm").actions(observation), host)
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "odd"])
+def test_actions_agree_with_onnxruntime_when_observations_are_of_unit_scale(kit: Kit, name: str) -> None:
+    chain = chain_of(kit, name)
+    policy = kit.compiled(chain)
+    session = onnxruntime.InferenceSession(chain.data(), providers=["CPUExecutionProvider"])
+    rng = np.random.default_rng(3)
+    observation = rng.normal(size=(10_000, policy.policy.observation_count)).astype(np.float32)
+    expected = np.concatenate([session.run(None, {"observation": row[None]})[0] for row in observation])
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(evaluate(policy.network, observation), expected, rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_actions_agree_with_torch_when_torch_exported_the_model(kit: Kit, tmp_path: Path) -> None:
+    torch.manual_seed(7)
+    module = torch.nn.Sequential(
+        torch.nn.Flatten(),
+        torch.nn.Linear(6, 64),
+        torch.nn.Tanh(),
+        torch.nn.Linear(64, 64),
+        torch.nn.ReLU(),
+        torch.nn.Linear(64, 4),
+        torch.nn.Hardtanh(0.0, 1.0),
+    )
+    path = tmp_path / "policy.onnx"
+    torch.onnx.export(
+        module,
+        (torch.zeros(1, 6),),
+        str(path),
+        dynamo=False,
+        opset_version=17,
+        input_names=["observation"],
+        output_names=["action"],
+    )
+    model = onnx.load(path)
+    onnx.helper.set_model_props(model, kit.chain().metadata)
+    policy = kit.compiled(model.SerializeToString())
+    observation = np.random.default_rng(4).normal(size=(10_000, 6)).astype(np.float32)
+    with torch.no_grad():
+        expected = module(torch.from_numpy(observation)).numpy()
+    np.testing.assert_allclose(evaluate(policy.network, observation), expected, rtol=0, atol=TOLERANCE)
+
+
+def test_actions_are_bounded_when_observations_are_anything(kit: Kit) -> None:
+    policy = kit.compiled(kit.mlp())
+    action = evaluate(policy.network, kit.observations(10_000, 6, seed=2))
+    assert np.isfinite(action).all()
+    assert action.min() >= 0
+    assert action.max() <= 1
+
+
+@pytest.mark.parametrize("activation", ["Tanh", "Relu"])
+def test_motors_stop_when_one_value_is_nan(kit: Kit, tmp_path: Path, activation: str) -> None:
+    policy = kit.compiled(kit.mlp(activation=activation))
+    observation = np.zeros((6, 6), np.float32)
+    np.fill_diagonal(observation, np.nan)
+    assert not kit.host(policy, tmp_path).actions(observation).any()
+
+
+@pytest.mark.parametrize("name", ["6-64-64-4 tanh", "6-33-7-4 relu", "odd"])
+def test_cortex_m7_takes_the_same_path_when_observations_differ(kit: Kit, tmp_path: Path, name: str) -> None:
+    policy = kit.compiled(chain_of(kit, name))
+    arm = kit.arm(policy, tmp_path)
+    paths = []
+    with arm.machine.recording() as runs:
+        for row in kit.observations(40, policy.policy.observation_count, seed=6):
+            arm.observe(row)
+            runs.clear()
+            arm.machine.call(*arm.step)
+            paths.append(list(runs))
+    assert len(paths[0]) > 10
+    assert all(path == paths[0] for path in paths)
+
+
+def test_table_of_another_policy_is_used_when_it_is_given_at_init(kit: Kit, tmp_path: Path) -> None:
+    ours, other = kit.compiled(kit.mlp(seed=1)), kit.compiled(kit.mlp(seed=2))
+    assert ours.plan.architecture_hash == other.plan.architecture_hash
+    host = kit.host(ours, tmp_path)
+    table = other.plan.table
+    host.init(ctypes.c_void_p(table.ctypes.data))
+    observation = kit.observations(200, 6)
+    assert_same_bits(host.actions(observation), evaluate(other.network, observation))
+    host.init(None)
+    assert_same_bits(host.actions(observation), evaluate(ours.network, observation))

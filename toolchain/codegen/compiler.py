@@ -1,0 +1,57 @@
+"""The pipeline from a policy to its C: optimize, lower, evaluate the self-test vectors, emit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolchain.codegen.emit import Emission, emit
+from toolchain.codegen.plan import Plan, lower
+from toolchain.codegen.selftest import selftest_vectors
+from toolchain.ir.network import Network
+from toolchain.passes import Saving, optimize
+from toolchain.policy.blob import PolicyBlob, blob_terms, filters_hash
+from toolchain.policy.model import PolicyModel
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPolicy:
+    """A policy with each stage of its compilation."""
+
+    policy: PolicyModel
+    network: Network  # after optimization: what `toolchain.ir.interpreter` evaluates
+    savings: tuple[Saving, ...]
+    plan: Plan
+    blob: PolicyBlob
+    emission: Emission
+
+
+def compile_policy(policy: PolicyModel) -> CompiledPolicy:
+    """The C of `policy`. Deterministic. Raises PolicyError where folding leaves float32's range."""
+    network, savings = optimize(policy.network)
+    return compile_network(policy, network, savings)
+
+
+def compile_network(
+    policy: PolicyModel, network: Network, savings: tuple[Saving, ...] = ()
+) -> CompiledPolicy:
+    """The C of `policy` with its network in the form `network`, as it stands."""
+    plan = lower(policy, network)
+    observation, action = selftest_vectors(network)
+    blob = PolicyBlob(
+        sequence=0,
+        architecture_hash=plan.architecture_hash,
+        filters_hash=filters_hash(policy.filters),
+        control_rate_hz=policy.control_rate_hz,
+        terms=blob_terms(policy.blocks, policy.control_rate_hz),
+        aircraft=policy.aircraft,
+        aircraft_sha256=policy.aircraft_sha256,
+        policy_sha256=policy.source_sha256,
+        idle=float(np.float32(policy.idle)),
+        weights=plan.table,
+        selftest_observation=observation,
+        selftest_action=action,
+        selftest_steps=len(observation) if network.recurrent else 1,
+    )
+    return CompiledPolicy(policy, network, savings, plan, blob, emit(policy, plan, blob))

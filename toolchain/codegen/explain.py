@@ -1,0 +1,118 @@
+"""What compiling a policy did: each pass with its proof, the network before and after, memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from toolchain.codegen.compiler import CompiledPolicy, compile_network
+from toolchain.ir.network import OBSERVATION, Network
+from toolchain.ir.operations import (
+    Affine,
+    Clip,
+    Elu,
+    Gru,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Operation,
+    Slice,
+)
+from toolchain.passes import Size, operations, optimize, size, weight_bytes
+from toolchain.passes.equivalence import Proof, prove_equal
+from toolchain.policy.model import PolicyModel
+
+FLOAT = 4  # bytes
+
+
+@dataclass(frozen=True)
+class NodeFacts:
+    """One node as people read it."""
+
+    value: int  # the number of the value that it gives; 0 is the observation
+    operation: str
+    takes: tuple[int, ...]
+    width: int
+    operations: int
+    bytes: int
+    name: str  # of the ONNX node it comes from
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes that the compiled policy needs."""
+
+    weights: int  # the whole table, tables of functions and padding included
+    scratch: int  # of values between, those that do not live at the same time share space
+    scratch_unshared: int  # had every value its own space
+    state: int  # of recurrent cells
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A compiled policy and how it came to be."""
+
+    compiled: CompiledPolicy  # its savings carry their proofs
+    proof: Proof | None  # of all passes together, None if none did anything
+    before: tuple[NodeFacts, ...]
+    after: tuple[NodeFacts, ...]
+    size_before: Size
+    size_after: Size
+    memory: Memory
+
+
+def explain_policy(policy: PolicyModel) -> Explanation:
+    """Compile `policy`, each pass proven in onnxruntime.
+
+    Raises PolicyError where folding leaves float32's range, ProofError where a pass is wrong.
+    """
+    network, savings = optimize(policy.network, prove=True)
+    compiled = compile_network(policy, network, savings)
+    plan = compiled.plan
+    return Explanation(
+        compiled,
+        prove_equal(policy.network, network, "all passes together") if savings else None,
+        node_facts(policy.network),
+        node_facts(network),
+        size(policy.network),
+        size(network),
+        Memory(plan.table.nbytes, FLOAT * plan.scratch, FLOAT * plan.scratch_unshared, FLOAT * plan.state),
+    )
+
+
+def node_facts(network: Network) -> tuple[NodeFacts, ...]:
+    """Every node of a network, in order of computation."""
+    return tuple(
+        NodeFacts(
+            number,
+            describe(node.operation),
+            node.inputs,
+            network.widths[number],
+            operations(node.operation, network.widths[number]),
+            weight_bytes(node.operation),
+            node.name,
+        )
+        for number, node in enumerate(network.nodes, OBSERVATION + 1)
+    )
+
+
+def describe(operation: Operation) -> str:
+    """An operation in a few words, without its weights."""
+    name = type(operation).__name__
+    match operation:
+        case Linear():
+            return f"{name} {operation.inputs} → {operation.outputs}"
+        case Gru() | Lstm():
+            return f"{name} {operation.input_weight.shape[1]} → {operation.units}"
+        case Affine(scale, offset):
+            scaled, moved = bool((scale != 1).any()), bool(offset.any())
+            return f"{name} {'a x' if scaled else 'x'}{' + b' if moved else ''}"
+        case LeakyRelu(factor) | Elu(factor):
+            return f"{name} {factor:.4g}"
+        case Clip(low, high):
+            return (
+                f"{name} {'…' if low is None else f'{low:.4g}'} to {'…' if high is None else f'{high:.4g}'}"
+            )
+        case Slice(start, count, step):
+            every = "" if step == 1 or count == 1 else f", every {step}"
+            return f"{name} {start} to {start + (count - 1) * step}{every}"
+    return name

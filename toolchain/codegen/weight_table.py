@@ -1,0 +1,40 @@
+"""The policy's one table of floats, part by part, in the order in which kernels read it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.codegen.kernel_calls import padded
+from toolchain.ir.activation_tables import Lookup
+from toolchain.ir.float32 import Float32
+
+
+def function_part(lookup: Lookup) -> Float32:
+    """What the look-up kernel reads: bounds and magic number, then the rows."""
+    head = np.array([lookup.low, lookup.high, lookup.magic, 0.0], np.float32)
+    return np.concatenate([head, lookup.rows.ravel()])
+
+
+def lanes_part(values: Float32 | NDArray[np.float64]) -> Float32:
+    """Parameters of values, one each, padded to whole lanes."""
+    room = np.zeros(padded(values.size), np.float32)
+    room[: values.size] = values
+    return room
+
+
+def block_part(weight: Float32, bias: Float32, first: int, width: int) -> Float32:
+    """Biases, then weights by input, of `width` outputs from `first` on; those beyond the last are 0."""
+    rows = slice(first, first + width)
+    block = np.zeros((1 + weight.shape[1], width), np.float32)
+    block[0, : len(bias[rows])] = bias[rows]
+    block[1:, : len(bias[rows])] = weight[rows].T
+    return block.ravel()
+
+
+def padded_gates(array: Float32, units: int) -> Float32:
+    """Rows of gates, each gate padded to whole lanes with rows of 0."""
+    gates = array.reshape(-1, units, *array.shape[1:])
+    room = np.zeros((len(gates), padded(units), *array.shape[1:]), np.float32)
+    room[:, :units] = gates
+    return room.reshape(-1, *array.shape[1:])

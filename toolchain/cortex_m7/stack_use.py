@@ -1,0 +1,293 @@
+"""The deepest that an image's stack can become, without running it.
+
+What each function reserves is the compiler's word (-fstack-usage), who calls whom is read off the linked
+code. A call through a pointer names no callee: it may go to any function in a constant table of the C file
+that it is written in, unless `POINTERS` says otherwise. The worst case is the deepest path of the program,
+and on it each level of interrupts with the deepest path of its handlers: levels interrupt each other,
+handlers of one level do not.
+
+Every path is taken to be possible, and a function that ends in a jump to another to keep its own part.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+
+from toolchain.cortex_m7.disassembly import Instruction, disassemble
+from toolchain.errors import BuildError
+
+# What the core pushes before a handler: 8 words, the FPU's 18, and a word to align them (ARMv7-M B1.5.7).
+EXCEPTION_BYTES = 108
+THREAD = "reset_handler"
+# From the least urgent level to the most (firmware/hal/stm32f7/core.h). `fault_handler` ends the program.
+LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fault_handler",))
+
+# Where calls through pointers go that no constant table of their own file holds: C file, or C file and
+# function of the image, -> functions, or tables whose functions, by file and name.
+_IO = ("main.c:cycles", "main.c:power_read", "main.c:beeper", "main.c:led", "main.c:reset")
+POINTERS: Mapping[str, tuple[str, ...]] = {
+    "boot.c": ("startup.c:reset_handler",),
+    "gyro_chip.c:gyro_sample_handler": ("main.c:on_sample",),
+    "gyro_chip.c:gyro_tick": ("main.c:on_gyro_silent",),
+    "hal.c": ("main.c:on_background",),
+    "msp_uart.c": ("main.c:on_msp", "main.c:on_msp_reset"),
+    "flash.c:flash_at": ("main.c:at",),
+    "flash.c:flash_erase": ("main.c:erase",),
+    "flash.c:flash_program": ("main.c:program",),
+    "background.c": _IO,
+    "scheduler.c": ("background.c:tasks", "main.c:cycles"),
+    "msp_commands.c": (
+        *("background.c:storing", "background.c:channels", "background.c:test_motors"),
+        *("background.c:turn_motors", "background.c:command_motors", "background.c:reboot"),
+    ),
+    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:storing"),
+}
+
+_USAGE = re.compile(r"(?P<file>[^:]+):\d+:\d+:(?P<name>\S+)\t(?P<bytes>\d+)\t(?P<kind>\S+)")
+_CLONE = re.compile(r"\.(constprop|isra|part|cold|\d+).*$")
+_VENEER = re.compile(r"__(.+)_veneer")
+_TARGET = re.compile(r"\b([0-9a-f]{1,8}) <[^>]*>")
+_CALL = re.compile(r"blx?|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)?")
+_SAVED = re.compile(r"(push|vpush|stmdb|vstmdb)$")
+
+
+class StackError(BuildError):
+    """The depth cannot be known: recursion, an unknown callee, a stack of variable size."""
+
+
+@dataclass(frozen=True)
+class Depth:
+    """A path through the program at its deepest."""
+
+    size: int  # bytes
+    path: tuple[str, ...]  # functions, the caller first
+
+
+@dataclass(frozen=True)
+class StackUse:
+    """The worst case of an image, and what it is made of."""
+
+    worst: int  # bytes
+    size: int  # bytes reserved for it
+    thread: Depth
+    interrupts: tuple[Depth, ...]  # the deepest handler of each level, exception frame included
+
+    @property
+    def margin(self) -> int:
+        """Bytes that are never used; negative where the stack is too small."""
+        return self.size - self.worst
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function of the linked image."""
+
+    name: str
+    file: str  # that a local name belongs to, as "hal.c"; "" for a global one
+    start: int
+    end: int
+
+
+def stack_use(program: Path, objects: Path) -> StackUse:
+    """The worst case of the image `program`, whose .su files lie below `objects`. Raises StackError."""
+    code = _Code(program, _usages(objects))
+    thread = code.depth(THREAD)
+    levels = tuple(max((code.depth(name) for name in level), key=lambda d: d.size) for level in LEVELS)
+    interrupts = tuple(Depth(EXCEPTION_BYTES + depth.size, depth.path) for depth in levels)
+    return StackUse(
+        worst=thread.size + sum(depth.size for depth in interrupts),
+        size=code.stack_bytes,
+        thread=thread,
+        interrupts=interrupts,
+    )
+
+
+def _usages(objects: Path) -> dict[tuple[str, str], int]:
+    """Bytes of each function by its file and name."""
+    found: dict[tuple[str, str], int] = {}
+    for path in sorted(objects.rglob("*.su")):
+        for line in path.read_text().splitlines():
+            if (match := _USAGE.fullmatch(line)) is None:
+                raise StackError(f"{path.name}: {line!r} is no stack usage")
+            if match["kind"] == "dynamic":
+                raise StackError(f"{match['name']} in {match['file']} takes a stack of variable size")
+            key = Path(match["file"]).name, _CLONE.sub("", match["name"])
+            found[key] = max(found.get(key, 0), int(match["bytes"]))
+    if not found:
+        raise StackError(f"no .su file below {objects}; compile with -fstack-usage")
+    return found
+
+
+class _Code:
+    """The linked code: its functions, and who calls whom."""
+
+    def __init__(self, program: Path, usages: Mapping[tuple[str, str], int]) -> None:
+        self._usages = usages
+        with program.open("rb") as file:
+            elf = ELFFile(file)
+            section = elf.get_section_by_name(".stack")
+            self.stack_bytes = int(section["sh_size"]) if section else 0
+            self._functions = {function.start: function for function in _functions(elf)}
+            self._objects = _objects(elf)
+        self._names: dict[str, list[_Function]] = {}
+        for function in self._functions.values():
+            self._names.setdefault(_CLONE.sub("", function.name), []).append(function)
+        instructions = disassemble(program, lines=True)
+        self._bodies = {
+            start: [instructions[at] for at in range(start, function.end, 2) if at in instructions]
+            for start, function in self._functions.items()
+        }
+        self._known: dict[int, Depth] = {}
+
+    def depth(self, name: str) -> Depth:
+        """The deepest path that begins with the function `name`."""
+        return self._depth(self._one(name), ())
+
+    def _depth(self, function: _Function, callers: tuple[_Function, ...]) -> Depth:
+        if function in callers:
+            loop = [caller.name for caller in callers[callers.index(function) :]]
+            raise StackError(f"{' calls '.join([*loop, function.name])}: no bound for its stack")
+        if function.start not in self._known:
+            own = self._own(function)
+            below = [self._depth(callee, (*callers, function)) for callee in self._callees(function)]
+            deepest = max(below, key=lambda depth: depth.size, default=Depth(0, ()))
+            self._known[function.start] = Depth(own + deepest.size, (function.name, *deepest.path))
+        return self._known[function.start]
+
+    def _own(self, function: _Function) -> int:
+        """What the function itself takes; code without the compiler's word is measured by what it pushes."""
+        name = _CLONE.sub("", function.name)
+        told = [
+            size
+            for (file, known), size in self._usages.items()
+            if known == name and function.file in ("", file)
+        ]
+        return max([*told, *([] if told else [self._pushed(function)])])
+
+    def _pushed(self, function: _Function) -> int:
+        return sum(_pushed_bytes(instruction) for instruction in self._bodies[function.start])
+
+    def _callees(self, function: _Function) -> Iterator[_Function]:
+        if match := _VENEER.fullmatch(function.name):
+            yield self._one(match[1])
+            return
+        for instruction in self._bodies[function.start]:
+            if _goes_by_pointer(instruction):
+                yield from self._pointed(function, instruction)
+            elif _CALL.fullmatch(instruction.operation) and (target := _TARGET.search(instruction.operands)):
+                address = int(target[1], 16)
+                if not function.start <= address < function.end or address == function.start:
+                    yield self._at(address, function)
+
+    def _pointed(self, function: _Function, instruction: Instruction) -> Iterator[_Function]:
+        file = instruction.line.partition(":")[0]
+        named = POINTERS.get(f"{file}:{_CLONE.sub('', function.name)}", POINTERS.get(file))
+        found = [goal for place in named for goal in self._named(place)] if named else self._tables(file)
+        if not found:
+            raise StackError(
+                f"{function.name} calls through a pointer ({instruction.line}); "
+                "say in toolchain/cortex_m7/stack_use.py where it may go"
+            )
+        yield from found
+
+    def _named(self, place: str) -> list[_Function]:
+        """The function that FILE:NAME says, or those in the tables called so."""
+        file, name = place.split(":")
+        functions = [found for found in self._names.get(name, ()) if found.file in ("", file)]
+        if not (goals := functions or self._tables(file, name)):
+            raise StackError(f"{place}, which toolchain/cortex_m7/stack_use.py names, is not in the image")
+        return goals
+
+    def _tables(self, file: str, name: str | None = None) -> list[_Function]:
+        """The functions that constant tables of `file` hold, all of them or the one called `name`."""
+        words = {
+            word & ~1
+            for (home, known), held in self._objects.items()
+            if home == file and name in (None, _CLONE.sub("", known))
+            for word in held
+        }
+        return [self._functions[address] for address in sorted(words & self._functions.keys())]
+
+    def _at(self, address: int, caller: _Function) -> _Function:
+        if address not in self._functions:
+            raise StackError(f"{caller.name} calls 0x{address:08X}, where no function begins")
+        return self._functions[address]
+
+    def _one(self, name: str) -> _Function:
+        """The function `name`; of several local ones the deepest."""
+        if name not in self._names:
+            raise StackError(f"the image has no function {name}")
+        candidates = self._names[name]
+        if len(candidates) == 1:
+            return candidates[0]
+        return max(candidates, key=lambda function: self._depth(function, ()).size)
+
+
+def _functions(elf: ELFFile) -> Iterator[_Function]:
+    table = elf.get_section_by_name(".symtab")
+    assert isinstance(table, SymbolTableSection)
+    file = ""
+    for symbol in table.iter_symbols():
+        kind, binding = symbol["st_info"]["type"], symbol["st_info"]["bind"]
+        if kind == "STT_FILE":
+            file = Path(symbol.name).name
+        elif kind == "STT_FUNC" and symbol["st_shndx"] != "SHN_UNDEF":
+            start = symbol["st_value"] & ~1
+            local = file if binding == "STB_LOCAL" else ""
+            yield _Function(symbol.name, local, start, start + max(symbol["st_size"], 2))
+
+
+def _objects(elf: ELFFile) -> dict[tuple[str, str], tuple[int, ...]]:
+    """The words of each constant or initialized object, by its file ("" for a global one) and name."""
+    table = elf.get_section_by_name(".symtab")
+    assert isinstance(table, SymbolTableSection)
+    found: dict[tuple[str, str], tuple[int, ...]] = {}
+    file = ""
+    for symbol in table.iter_symbols():
+        if symbol["st_info"]["type"] == "STT_FILE":
+            file = Path(symbol.name).name
+        if symbol["st_info"]["type"] != "STT_OBJECT" or not isinstance(symbol["st_shndx"], int):
+            continue
+        section = elf.get_section(symbol["st_shndx"])
+        if section["sh_type"] == "SHT_NOBITS":
+            continue
+        offset = symbol["st_value"] - section["sh_addr"]
+        data = section.data()[offset : offset + symbol["st_size"] // 4 * 4]
+        home = file if symbol["st_info"]["bind"] == "STB_LOCAL" else ""
+        found[home, symbol.name] = struct.unpack(f"<{len(data) // 4}I", data)
+    return found
+
+
+def _goes_by_pointer(instruction: Instruction) -> bool:
+    name, operands = instruction.operation, instruction.operands
+    if name in ("blx", "bx"):
+        return operands != "lr"
+    return (name == "mov" and operands.startswith("pc,")) or (
+        name == "ldr" and operands.startswith("pc,") and "sp" not in operands
+    )
+
+
+def _pushed_bytes(instruction: Instruction) -> int:
+    """What one instruction takes off the stack pointer."""
+    name, operands = instruction.operation, instruction.operands
+    if _SAVED.match(name) and (name.endswith("push") or operands.startswith("sp!")):
+        return sum(_register_bytes(part) for part in operands[operands.index("{") + 1 : -1].split(","))
+    if name in ("sub", "subw") and (match := re.fullmatch(r"sp, (?:sp, )?#(\d+)", operands)):
+        return int(match[1])
+    if match := re.fullmatch(r".*\[sp, #-(\d+)\]!", operands):
+        return int(match[1])
+    return 0
+
+
+def _register_bytes(part: str) -> int:
+    """Bytes of a register or a span of them in a list."""
+    first, _, last = part.strip().partition("-")
+    count = int(last[1:]) - int(first[1:]) + 1 if last else 1
+    return count * (8 if first.startswith("d") else 4)

@@ -1,0 +1,286 @@
+"""Builds a target around a policy: check, compile the policy, run make, read the image, report.
+
+Everything that can be refused is refused before the first file is written. Make works in its own directory
+and its products replace the old ones when all of them are there, so that a build that fails or is
+interrupted leaves the last good image in place.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from toolchain import contract
+from toolchain.codegen.compiler import CompiledPolicy, compile_policy
+from toolchain.cortex_m7.arm_policy import ArmPolicy
+from toolchain.cortex_m7.emulator import load_program
+from toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
+from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
+from toolchain.errors import BuildError, PolicyError
+from toolchain.files import replacing, write_text, write_text_if_changed
+from toolchain.image.elf import FLASH, RAM, image_budgets, memory_use, read_image
+from toolchain.image.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage
+from toolchain.policy.model import PolicyModel, read_policy
+from toolchain.rendering.contract_header import render_contract
+from toolchain.rendering.pid_table import PidTable, render_pid_table
+
+BOARD_MEMORY = (*RAM, FLASH)
+OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
+NO_STACK = "the operating system gives this program its stack"
+NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that the firmware can be built for; firmware/targets/<name> holds the rest."""
+
+    name: str
+    motors: int
+    compiler: str
+    packages: str  # the system's packages that bring the compiler
+    products: tuple[str, ...]  # made by make; the first is the ELF that the report describes
+    has_board_memory: bool
+
+
+TARGETS = {
+    target.name: target
+    for target in (
+        Target(
+            name="MATEKF722",
+            motors=4,
+            compiler="arm-none-eabi-gcc",
+            packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
+            products=("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
+            has_board_memory=True,
+        ),
+        Target(
+            name="HOST",
+            motors=4,
+            compiler="gcc",
+            packages="build-essential",
+            products=("neuroflight", "libneuroflight.so"),
+            has_board_memory=False,
+        ),
+    )
+}
+
+
+class MakeError(BuildError):
+    """A compilation that failed; `output` is all that make and the compiler said."""
+
+    def __init__(self, message: str, output: str) -> None:
+        """One line for the user, and the compiler's words for whoever mends the code."""
+        super().__init__(message)
+        self.output = output
+
+
+def build(
+    target: str, policy: Path, root: Path, folder: Path | None = None, pid: PidTable | None = None
+) -> BuildReport:
+    """Build `target` with the policy file `policy` in the project at `root`; its report is written too.
+
+    pid: what flies when the policy must not or the pilot does not want it to; None: nothing does.
+
+    Outputs go to root/build/<target> and generated sources to root/firmware/generated/<target>, or both
+    into `folder`/<target>, which leaves the user's images alone.
+    Raises PolicyError or BuildError, one line, when something is missing or does not fit.
+    """
+    known = find_target(target)
+    started = time.perf_counter()
+    model = read_policy(policy)
+    compiled = compile_policy(model)
+    check_fit(compiled, known)
+    _check_pid(pid, known)
+    _check_tools(known)
+    optimized = time.perf_counter()
+    out = (folder or root / "build") / known.name
+    generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
+    with _locked(out):
+        _write_generated(compiled, pid, known, generated)
+        built = run_make(known, root, out, generated)
+        made = out / "make" / known.products[0]
+        image = read_image(made)
+        memory = memory_use(image) if known.has_board_memory else ()
+        cost = _step_cost(compiled, made) if known.has_board_memory else None
+        stack, no_stack = _stack(known, made, out / "make" / "obj")
+        files = tuple(_publish(out / "make" / name, out / name, root) for name in known.products)
+        finished = time.perf_counter()
+        report = BuildReport(
+            target=known.name,
+            stages=_stages(compiled, built, (optimized - started, finished - optimized)),
+            policy=_facts(compiled, policy),
+            pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle),
+            sections=image.sections,
+            memory=memory,
+            files=files,
+            step_instructions=cost.instructions[1] if cost else None,
+            predicted_cycles=round(cost.cycles[1]) if cost and cost.cycles else None,
+            predicted_cycles_reason=cost.no_cycles_reason if cost else NO_CYCLES,
+            budgets=image_budgets(image) if known.has_board_memory else (),
+            stack=stack,
+            stack_reason=no_stack,
+        )
+        write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
+    return report
+
+
+def find_target(name: str) -> Target:
+    """The target called `name`. Raises BuildError listing the known ones."""
+    if name not in TARGETS:
+        raise BuildError(f"unknown TARGET {name!r}, known are {', '.join(TARGETS)}")
+    return TARGETS[name]
+
+
+def check_fit(compiled: CompiledPolicy, target: Target) -> None:
+    """Raise PolicyError naming the first figure of the policy that this firmware cannot serve."""
+    policy = compiled.policy
+    rates = contract.CONTROL_RATES_HZ
+    if policy.action_count != target.motors:
+        raise PolicyError(
+            f"the policy drives {policy.action_count} motors, {target.name} has {target.motors}; "
+            "train it for an aircraft with as many"
+        )
+    if lacking := [term.name for term in policy.blocks if not term.block.in_firmware]:
+        raise PolicyError(
+            f"the policy observes {lacking[0]}, which the firmware has no source for; "
+            "train it on other blocks"
+        )
+    try:
+        contract.check_observation(policy.blocks, target.motors)
+    except ValueError as error:
+        raise PolicyError(f"the policy cannot be flown: {error}") from error
+    if policy.control_rate_hz not in rates:
+        raise PolicyError(
+            f"the policy runs at {policy.control_rate_hz} Hz, "
+            f"the firmware at {', '.join(map(str, rates))} Hz; train it at one of these rates"
+        )
+    if policy.filters:
+        raise PolicyError(
+            f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, "
+            "the firmware has none; train it without filters"
+        )
+    plan = compiled.plan
+    for facts, count, most in (
+        (f"has {plan.table.size} weights", plan.table.size, contract.POLICY_WEIGHT_COUNT_MAX),
+        (f"works on {plan.memory} floats", plan.memory, contract.POLICY_MEMORY_COUNT_MAX),
+    ):
+        if count > most:
+            excess = f"{count - most} more than the board's {most}"
+            raise PolicyError(f"the policy {facts}, {excess}; train a smaller network")
+
+
+def _check_pid(pid: PidTable | None, target: Target) -> None:
+    if pid is not None and pid.motor_count != target.motors:
+        raise BuildError(
+            f"the PID of aircraft {pid.aircraft} drives {pid.motor_count} motors, {target.name} has "
+            f"{target.motors}; name another with --aircraft"
+        )
+
+
+def _check_tools(target: Target) -> None:
+    for tool, packages in ((target.compiler, target.packages), ("make", "make")):
+        if shutil.which(tool) is None:
+            raise BuildError(f"{tool} is not installed; run: sudo apt-get install {packages}")
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """One build of a target at a time; the lock goes with the process that holds it."""
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, target: Target, directory: Path) -> None:
+    table = render_pid_table(pid, target.motors, compiled.policy.control_rate_hz)
+    write_text_if_changed(directory / "policy.c", compiled.emission.source)
+    write_text_if_changed(directory / "policy.h", compiled.emission.header)
+    write_text_if_changed(directory / "pid_table.c", table)
+    write_text_if_changed(directory / "nf_contract.h", render_contract())
+
+
+def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
+    """Compile and link root/firmware around the sources in `generated`; returns how many files that took.
+
+    Objects and products go to out/make. Raises MakeError.
+    """
+    command = ["make", "-C", str(root / "firmware"), f"-j{os.cpu_count() or 1}"]
+    command += [f"TARGET={target.name}", f"BUILD={out / 'make'}", f"GENERATED={generated.resolve()}"]
+    done = subprocess.run(command, capture_output=True, text=True, env=_environment(os.environ))
+    if done.returncode != 0:
+        words = done.stdout + done.stderr
+        raise MakeError(f"the firmware for {target.name} does not build; the last good image is kept", words)
+    return sum(" -c " in line for line in done.stdout.splitlines())
+
+
+def _environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """`environment` without what an outer make hands down: its job slots and its variables are not ours."""
+    outer = ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL")
+    return {name: value for name, value in environment.items() if name not in outer} | {"LC_ALL": "C"}
+
+
+def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
+    """What policy_step takes inside the image. Raises FaultError when it fails there."""
+    policy = compiled.policy
+    arm = ArmPolicy(load_program(image), policy.observation_count, policy.action_count, BOARD_MEMORY)
+    return step_cost(arm, mixed_observations(OBSERVATIONS, policy.observation_count))
+
+
+def _stack(target: Target, image: Path, objects: Path) -> tuple[StackUse | None, str | None]:
+    """The deepest that the image's stack becomes; None with the reason where that is not known."""
+    if not target.has_board_memory:
+        return None, NO_STACK
+    try:
+        return stack_use(image, objects), None
+    except StackError as error:
+        return None, str(error)
+
+
+def _publish(made: Path, published: Path, root: Path) -> OutputFile:
+    """Put a product of make where users look for it, if it is another than the one there."""
+    data = made.read_bytes()
+    if not published.is_file() or published.read_bytes() != data:
+        with replacing(published) as aside:
+            aside.write_bytes(data)
+        published.chmod(made.stat().st_mode & 0o777)
+    name = published.relative_to(root) if published.is_relative_to(root) else published
+    return OutputFile(str(name), len(data), hashlib.sha256(data).hexdigest())
+
+
+def _stages(compiled: CompiledPolicy, built: int, seconds: tuple[float, float]) -> tuple[Stage, ...]:
+    model = compiled.policy
+    saved = sum(saving.operations for saving in compiled.savings)
+    rewrites = ", ".join(saving.rewrite for saving in compiled.savings) or "nothing left to fold"
+    made = f"{built} files compiled and linked" if built else "nothing changed"
+    return (
+        Stage("synthesis", f"trained earlier on aircraft {model.aircraft}", None),
+        Stage("optimization", f"{rewrites}; {saved} operations saved", seconds[0]),
+        Stage("compilation", f"{len(compiled.plan.calls)} kernel calls in C; {made}", seconds[1]),
+    )
+
+
+def _facts(compiled: CompiledPolicy, file: Path) -> PolicyFacts:
+    model: PolicyModel = compiled.policy
+    return PolicyFacts(
+        file=str(file),
+        sha256=model.source_sha256,
+        network=model.network.text,
+        observation=model.observation,
+        control_rate_hz=model.control_rate_hz,
+        idle=model.idle,
+        weights=int(compiled.plan.table.size),
+        architecture_hash=f"{compiled.plan.architecture_hash:08x}",
+        aircraft=model.aircraft,
+        aircraft_sha256=model.aircraft_sha256,
+        training=dict(model.training),
+    )

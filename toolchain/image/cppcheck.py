@@ -1,0 +1,64 @@
+"""Runs cppcheck over the firmware's C, a policy's included: `python -m toolchain.image.cppcheck POLICY.onnx`.
+
+What it may not say stands in firmware/cppcheck.txt, with the reason for each.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from toolchain.codegen.compiler import compile_policy
+from toolchain.errors import BuildError, NeuroflightError
+from toolchain.files import write_text
+from toolchain.policy.model import read_policy
+from toolchain.rendering.contract_header import render_contract
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+ANALYSER = "cppcheck"
+SOURCES = ("src", "hal/stm32f7", "hal/host")
+OPTIONS = (
+    *("--std=c11", "--platform=unix64", "--quiet", "--error-exitcode=1"),
+    *("--enable=warning,style,performance,portability", "--inline-suppr"),
+    "--template={file}:{line}: {severity}: {message} [{id}]",
+)
+
+
+def analyse(policy: Path, firmware: Path = FIRMWARE) -> str:
+    """What cppcheck finds in the firmware around `policy`, one finding a line; empty when it finds nothing.
+
+    Raises PolicyError or BuildError when it cannot look.
+    """
+    if shutil.which(ANALYSER) is None:
+        raise BuildError(f"{ANALYSER} is not installed; run: sudo apt-get install {ANALYSER}")
+    emission = compile_policy(read_policy(policy)).emission
+    with tempfile.TemporaryDirectory(prefix="neuroflight-lint-") as folder:
+        generated = Path(folder)
+        write_text(generated / "nf_contract.h", render_contract())
+        write_text(generated / "policy.h", emission.header)
+        write_text(generated / "policy.c", emission.source)
+        include = [f"-I{path}" for path in (firmware, firmware / "src", generated)]
+        sources = [str(firmware / source) for source in SOURCES] + [str(generated / "policy.c")]
+        suppressed = f"--suppressions-list={firmware / 'cppcheck.txt'}"
+        command = [ANALYSER, *OPTIONS, suppressed, *include, *sources]
+        done = subprocess.run(command, capture_output=True, text=True)
+    return done.stdout + done.stderr
+
+
+def main(argv: Sequence[str]) -> int:
+    """Look, and print what was found. Returns 0 when that is nothing."""
+    try:
+        found = analyse(Path(argv[0]))
+    except NeuroflightError as error:
+        print(f"lint: {error}", file=sys.stderr)
+        return 1
+    print(found or f"{ANALYSER}: nothing found in the firmware")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

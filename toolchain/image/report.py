@@ -1,0 +1,195 @@
+"""What a build tells its user: a document for programs (report.json) and a short table for people."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolchain.contract import IDLE_MAX
+from toolchain.cortex_m7.cycles import CORE_HZ
+from toolchain.cortex_m7.stack_use import StackUse
+from toolchain.errors import BuildError
+from toolchain.image.elf import MemoryUse, Section
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+REPORT_BYTES_MAX = 1 << 20
+TRAINING_SHOWN = ("algorithm", "steps", "seed")  # the entries of the training that the table has room for
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One of the three stages of the line: what it did, and how long it took [s] if it ran now."""
+
+    name: str
+    did: str
+    seconds: float | None
+
+
+@dataclass(frozen=True)
+class PolicyFacts:
+    """Which policy an image holds."""
+
+    file: str
+    sha256: str
+    network: str
+    observation: str
+    control_rate_hz: int
+    idle: float
+    weights: int
+    architecture_hash: str
+    aircraft: str
+    aircraft_sha256: str
+    training: dict[str, object]
+
+
+@dataclass(frozen=True)
+class PidFacts:
+    """Which PID stands beside the policy."""
+
+    aircraft: str
+    name: str  # in the aircraft's file
+    idle: float
+
+
+@dataclass(frozen=True)
+class OutputFile:
+    """A file that the build made, relative to the project."""
+
+    path: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """All that is known of a finished build."""
+
+    target: str
+    stages: tuple[Stage, ...]
+    policy: PolicyFacts
+    sections: tuple[Section, ...]
+    memory: tuple[MemoryUse, ...]  # empty on the host
+    files: tuple[OutputFile, ...]
+    step_instructions: int | None  # of policy_step in this image, exactly; on the host None
+    predicted_cycles: int | None  # of policy_step in this image
+    predicted_cycles_reason: str | None  # why they are None
+    pid: PidFacts | None = None  # None: none is built in
+    budgets: tuple[MemoryUse, ...] = ()  # of the image's flash and RAM; empty on the host
+    stack: StackUse | None = None  # at its deepest, by analysis
+    stack_reason: str | None = None  # why it is not known
+
+    def document(self) -> dict[str, object]:
+        """The content of report.json."""
+        stack = None if self.stack is None else asdict(self.stack) | {"margin": self.stack.margin}
+        return asdict(self) | {"stack": stack}
+
+
+@dataclass(frozen=True)
+class Built:
+    """What the report of a build says of one of its files."""
+
+    sha256: str  # of the file
+    policy: str  # its network, as "6-64-64-4 tanh"
+    policy_sha256: str
+    policy_idle: float
+    pid_idle: float | None  # None: no PID is built in
+
+
+def built(product: Path) -> Built:
+    """What is inside `product`, a file of a build, by the report.json beside it.
+
+    Raises BuildError, one line, where that cannot be told, or tells of another file.
+    """
+    path = product.with_name("report.json")
+    try:
+        if (size := path.stat().st_size) > REPORT_BYTES_MAX:
+            raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
+        report = json.loads(path.read_bytes())
+        known = {str(file["sha256"]) for file in report["files"]}
+        policy, pid = report["policy"], report["pid"]
+        found = Built(
+            sha256=hashlib.sha256(product.read_bytes()).hexdigest(),
+            policy=str(policy["network"]),
+            policy_sha256=str(policy["sha256"]),
+            policy_idle=float(policy["idle"]),
+            pid_idle=None if pid is None else float(pid["idle"]),
+        )
+    except OSError as error:
+        raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise BuildError(f"{path} does not tell what is inside; build {product.name} anew") from error
+    for idle in (found.policy_idle, found.pid_idle or 0.0):
+        if not 0.0 <= idle <= IDLE_MAX:
+            raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")
+    if found.sha256 not in known:
+        raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
+    return found
+
+
+def built_idle(product: Path, *, pid: bool = False) -> float:
+    """Idle of the policy inside `product`, a file of a build, or of its PID.
+
+    Raises BuildError as `built`, and when there is no PID.
+    """
+    found = built(product)
+    if not pid:
+        return found.policy_idle
+    if found.pid_idle is None:
+        raise BuildError(f"{product} has no PID built in; build it with --aircraft NAME|FILE")
+    return found.pid_idle
+
+
+def print_report(report: BuildReport, console: Console) -> None:
+    """The table: stages, policy, memory, files."""
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for index, stage in enumerate(report.stages):
+        took = "" if stage.seconds is None else f" ({stage.seconds:.1f} s)"
+        table.add_row("" if index else report.target, stage.name, stage.did + took)
+    policy = report.policy
+    training = ", ".join(f"{key} {policy.training[key]}" for key in TRAINING_SHOWN if key in policy.training)
+    table.add_row("policy", "network", f"{policy.network}, {policy.weights} weights, {policy.observation}")
+    table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training or 'not told'}")
+    table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
+    if report.step_instructions is not None:
+        table.add_row("", "a step", _step(report))
+    pid = report.pid
+    fallback = "none: no gains for this aircraft" if pid is None else f"{pid.name} of aircraft {pid.aircraft}"
+    table.add_row("PID", "built in", fallback)
+    for title, uses in (("memory", report.memory), ("budget", report.budgets)):
+        for index, use in enumerate(uses):
+            share = f"{use.used:7,} of {use.size:7,} bytes, {100 * use.used / use.size:4.1f} %"
+            table.add_row("" if index else title, use.region, share)
+    if report.stack is not None:
+        stack = report.stack
+        at_most = f"{stack.worst:7,} of {stack.size:7,} bytes at worst, {stack.margin:,} to spare"
+        table.add_row("", "stack", at_most)
+    elif report.memory:
+        table.add_row("", "stack", f"not known: {report.stack_reason}")
+    if report.memory:
+        sections = " · ".join(f"{section.name} {section.size:,}" for section in report.sections)
+        table.add_row("", "sections", sections)
+    for index, file in enumerate(report.files):
+        table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
+    console.print(table)
+
+
+def _step(report: BuildReport) -> str:
+    """What a control step of the policy takes, in words."""
+    counted = f"{report.step_instructions:,} instructions"
+    if report.predicted_cycles is None:
+        return f"{counted}; no predicted cycles: {report.predicted_cycles_reason}"
+    seconds = report.predicted_cycles / CORE_HZ
+    return (
+        f"{counted}, {report.predicted_cycles:,} cycles predicted: {1e6 * seconds:.0f} µs, "
+        f"{100 * seconds * report.policy.control_rate_hz:.1f} % of its period"
+    )

@@ -1,0 +1,165 @@
+"""What a policy's network computes in real arithmetic, or so near to it that float32 sees no difference.
+
+The operations' mathematics in float64, with numpy's functions: no kernel, no pass and no table of the
+compiler takes part, so that an error of theirs shows against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.ir.float32 import Float32
+from toolchain.ir.network import Network
+from toolchain.ir.operations import (
+    Add,
+    Affine,
+    Clip,
+    Concat,
+    Elu,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Multiply,
+    Operation,
+    Relu,
+    Sigmoid,
+    Silu,
+    Slice,
+    Softsign,
+    Tanh,
+)
+
+Float64 = NDArray[np.float64]
+
+ULP = 2.0**-23  # relative, at most: from one float32 to the next
+CONSTANTS = ("weight", "bias", "scale", "offset", "input_weight", "state_weight", "input_bias", "state_bias")
+
+
+Function = Callable[[Float64], Float64]
+
+
+def reference(network: Network, observation: Float32, tanh: Function = np.tanh) -> Float64:
+    """Actions (S, T, outputs) of S sequences of T observations (S, T, inputs), each from cleared state.
+
+    tanh: what is taken for it, in gates and sigmoids too.
+    """
+    if not network.recurrent and observation.shape[1] > 1:
+        flat = reference(network, observation.reshape(-1, 1, network.inputs), tanh)
+        return flat.reshape(*observation.shape[:2], network.outputs)
+    sequences, steps, _ = observation.shape
+    state = {index: _clear(node.operation, sequences) for index, node in enumerate(network.nodes)}
+    actions = np.empty((sequences, steps, network.outputs))
+    with np.errstate(all="ignore"):
+        for step in range(steps):
+            values = [observation[:, step].astype(np.float64)]
+            for index, node in enumerate(network.nodes):
+                inputs = [values[number] for number in node.inputs]
+                match node.operation:
+                    case Gru() | Lstm() as cell:
+                        state[index] = _cell(cell, tanh, inputs[0], *state[index])
+                        values.append(state[index][0])
+                    case operation:
+                        values.append(_apply(operation, tanh, inputs))
+            actions[:, step] = values[-1]
+    return actions
+
+
+def disturbed(network: Network, observation: Float32, rng: np.random.Generator) -> Float64:
+    """Like `reference`, with each constant and each tanh moved by about a unit in its last place, up or down.
+
+    An evaluation in float32 is one in real arithmetic that is disturbed in about this way, a few times over:
+    so how far these actions lie from the reference's says how much of rounding an observation shows.
+    """
+
+    def tanh(x: Float64) -> Float64:
+        return np.tanh(x) * (1 + ULP * rng.standard_normal(x.shape))
+
+    nodes = tuple(replace(node, operation=_moved(node.operation, rng)) for node in network.nodes)
+    return reference(replace(network, nodes=nodes), observation, tanh)
+
+
+def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
+    changes: dict[str, Any] = {}
+    for name in CONSTANTS:
+        values = getattr(operation, name, None)
+        if isinstance(values, np.ndarray):
+            moved = values * (1 + ULP * rng.standard_normal(values.shape))
+            changes[name] = moved.astype(values.dtype)
+    return replace(operation, **changes) if changes else operation
+
+
+def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
+    match operation:
+        case Gru():
+            return (np.zeros((sequences, operation.units)),)
+        case Lstm():
+            return (np.zeros((sequences, operation.units)), np.zeros((sequences, operation.units)))
+    return ()
+
+
+def _cell(
+    cell: Gru | Lstm, tanh: Function, x: Float64, h: Float64, c: Float64 | None = None
+) -> tuple[Float64, ...]:
+    """h' of a Gru, h' and c' of an Lstm."""
+    from_input, from_state = x @ _wide(cell.input_weight), h @ _wide(cell.state_weight)
+    if isinstance(cell, Gru):
+        z, r, n = np.split(from_input + cell.input_bias, 3, axis=1)
+        state_z, state_r, state_n = np.split(from_state + cell.state_bias, 3, axis=1)
+        update, reset = _sigmoid(z + state_z, tanh), _sigmoid(r + state_r, tanh)
+        return ((1 - update) * tanh(n + reset * state_n) + update * h,)
+    i, o, f, g = np.split(from_input + from_state + cell.bias, 4, axis=1)
+    c = _sigmoid(f, tanh) * (0.0 if c is None else c) + _sigmoid(i, tanh) * tanh(g)
+    return (_sigmoid(o, tanh) * tanh(c), c)
+
+
+def _apply(operation: Operation, tanh: Function, inputs: list[Float64]) -> Float64:
+    x = inputs[0]
+    match operation:
+        case Linear():
+            return np.asarray(x @ _wide(operation.weight) + operation.bias)
+        case Affine(scale, offset):
+            return x * scale + offset
+        case Tanh():
+            return tanh(x)
+        case Sigmoid():
+            return _sigmoid(x, tanh)
+        case Silu():
+            return x * _sigmoid(x, tanh)
+        case Softsign():
+            return np.asarray(x / (1 + np.abs(x)))
+        case Relu():
+            return np.maximum(x, 0)
+        case LeakyRelu(slope):
+            return np.asarray(np.where(x < 0, slope * x, x))
+        case Elu(alpha):
+            return np.where(x < 0, alpha * np.expm1(np.minimum(x, 0)), x)
+        case Clip(low, high):
+            return np.clip(x, -np.inf if low is None else low, np.inf if high is None else high)
+        case LayerNorm():
+            distance = x - x.mean(axis=1, keepdims=True)
+            deviation = np.sqrt(np.square(distance).mean(axis=1, keepdims=True) + operation.epsilon)
+            return np.asarray(distance / deviation * operation.scale + operation.offset)
+        case Add():
+            return x + inputs[1]
+        case Multiply():
+            return x * inputs[1]
+        case Concat():
+            return np.concatenate(inputs, axis=1)
+        case Slice(start, count, step):
+            return x[:, start + step * np.arange(count)]
+    raise TypeError(f"{operation} is no operation of one step")
+
+
+def _sigmoid(x: Float64, tanh: Function) -> Float64:
+    return np.asarray(0.5 + 0.5 * tanh(x / 2))
+
+
+def _wide(weight: Float32) -> Float64:
+    return weight.T.astype(np.float64)

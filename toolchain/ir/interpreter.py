@@ -1,0 +1,207 @@
+"""Evaluates a policy's network exactly as the emitted C does, bit for bit, on many observations at once.
+
+The order of every operation is the law that `toolchain.codegen.emit`'s kernels follow too: a linear layer
+starts from the bias and adds inputs in ascending order, each by one fused multiply-add; bounds are chosen by
+comparison, so that an activation turns a NaN into one of its bounds and recurrent state stays finite whatever
+comes in; an observation that holds a NaN or an infinity gives the lower bound of the output's Clip on every
+motor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from toolchain.codegen.kernel_calls import LANES
+from toolchain.ir.activation_tables import EXPM1, TANH, apply
+from toolchain.ir.float32 import Float32, fma
+from toolchain.ir.network import Network
+from toolchain.ir.operations import (
+    Add,
+    Affine,
+    Clip,
+    Concat,
+    Elu,
+    Gru,
+    LayerNorm,
+    LeakyRelu,
+    Linear,
+    Lstm,
+    Multiply,
+    Operation,
+    Recurrent,
+    Relu,
+    Sigmoid,
+    Silu,
+    Slice,
+    Softsign,
+    Tanh,
+)
+
+State = tuple[Float32, ...]  # (N, units) of each recurrent node in order; for an Lstm h, then c
+
+_HALF, _1 = np.float32(0.5), np.float32(1)
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> Float32:
+    """Actions (N, outputs) of observations (N, inputs), both float32, each from cleared recurrent state.
+
+    exact: give the emitted C's bits; otherwise matrices go through BLAS and tanh through numpy, many times
+    as fast and a few ulp away, which is for statistics over many flights.
+    Any observation gives actions within the last Clip's bounds.
+    """
+    return advance(network, observation, clear_state(network, len(observation)), exact=exact)[0]
+
+
+def replay(network: Network, observation: Float32) -> Float32:
+    """Actions (T, outputs) of T observations (T, inputs) in turn: recurrent state carries over."""
+    if not network.recurrent:
+        return evaluate(network, observation)
+    state, actions = clear_state(network, 1), []
+    for row in observation:
+        action, state = advance(network, row[None], state)
+        actions.append(action)
+    return np.concatenate(actions)
+
+
+def clear_state(network: Network, count: int) -> State:
+    """The state after policy_init, for `count` policies side by side."""
+    cells = [node.operation for node in network.nodes if isinstance(node.operation, Recurrent)]
+    rows = [cell.units for cell in cells for _ in range(2 if isinstance(cell, Lstm) else 1)]
+    return tuple(np.zeros((count, units), np.float32) for units in rows)
+
+
+def advance(
+    network: Network, observation: Float32, state: State, *, exact: bool = True
+) -> tuple[Float32, State]:
+    """One step of N policies side by side: actions (N, outputs) and the state after it."""
+    door = network.nodes[-1].operation
+    if not isinstance(door, Clip) or door.low is None or door.high is None:
+        raise ValueError(f"the last operation is {door}, expected a Clip with both bounds")
+    usable = np.isfinite(observation).all(axis=1, keepdims=True)
+    old, new = iter(state), list[Float32]()
+    with np.errstate(all="ignore"):
+        values = [np.where(usable, observation + np.float32(0), np.float32(np.nan))]  # -0 becomes 0
+        for node in network.nodes:
+            inputs = [values[number] for number in node.inputs]
+            match node.operation:
+                case Gru() as cell:
+                    h = _gru(cell, inputs[0], next(old), exact)
+                    new.append(h)
+                    values.append(h)
+                case Lstm() as cell:
+                    h, c = _lstm(cell, inputs[0], next(old), next(old), exact)
+                    new += [h, c]
+                    values.append(h)
+                case operation:
+                    values.append(_apply(operation, inputs, exact))
+    return np.where(usable, values[-1], np.float32(door.low)), tuple(new)
+
+
+def _apply(operation: Operation, inputs: Sequence[Float32], exact: bool) -> Float32:
+    x = inputs[0]
+    match operation:
+        case Linear(weight, bias):
+            return _linear(weight, bias, x, exact)
+        case Affine(scale, offset):
+            return fma(x, scale.astype(np.float32), offset.astype(np.float32))
+        case Tanh():
+            return _tanh(x, exact)
+        case Sigmoid():
+            return _sigmoid(x, exact)
+        case Silu():
+            return x * _sigmoid(x, exact)
+        case Softsign():
+            x = _bound(x, -_LARGEST, _LARGEST)
+            quotient: Float32 = np.divide(x, _1 + np.abs(x))
+            return quotient
+        case Relu():
+            return _at_least(x, 0.0)
+        case LeakyRelu(slope):
+            return fma(_at_most(x, 0.0), np.float32(slope), _at_least(x, 0.0))
+        case Elu(alpha):
+            return fma(apply(EXPM1, x), alpha, _at_least(x, 0.0))
+        case Clip(low, high):
+            x = x if low is None else _at_least(x, low)
+            return x if high is None else _at_most(x, high)
+        case LayerNorm():
+            return _layer_norm(operation, x)
+        case Add():
+            return x + inputs[1]
+        case Multiply():
+            return x * inputs[1]
+        case Concat():
+            return np.concatenate(inputs, axis=1)
+        case Slice(start, count, step):
+            return x[:, [start + step * index for index in range(count)]]
+    raise TypeError(f"{operation} is no operation of one step")
+
+
+def _linear(weight: Float32, bias: Float32, x: Float32, exact: bool) -> Float32:
+    if not exact:
+        product: Float32 = x @ weight.T + bias
+        return product
+    total = np.broadcast_to(bias, (x.shape[0], bias.size))
+    for index in range(x.shape[1]):
+        total = fma(x[:, index, None], weight[:, index], total)
+    return total
+
+
+def _tanh(x: Float32, exact: bool) -> Float32:
+    return apply(TANH, x) if exact else np.tanh(x)
+
+
+def _sigmoid(x: Float32, exact: bool) -> Float32:
+    return fma(_tanh(x * _HALF, exact), _HALF, _HALF)
+
+
+def _gru(cell: Gru, x: Float32, h: Float32, exact: bool) -> Float32:
+    units = cell.units
+    from_input = _linear(cell.input_weight, cell.input_bias, x, exact)
+    from_state = _linear(cell.state_weight, cell.state_bias, h, exact)
+    gates = _sigmoid(from_input[:, : 2 * units] + from_state[:, : 2 * units], exact)
+    update, reset = gates[:, :units], gates[:, units:]
+    candidate = _tanh(fma(reset, from_state[:, 2 * units :], from_input[:, 2 * units :]), exact)
+    return fma(update, h - candidate, candidate)
+
+
+def _lstm(cell: Lstm, x: Float32, h: Float32, c: Float32, exact: bool) -> tuple[Float32, Float32]:
+    units = cell.units
+    none = np.zeros(4 * units, np.float32)
+    sums = _linear(cell.input_weight, cell.bias, x, exact) + _linear(cell.state_weight, none, h, exact)
+    gates = _sigmoid(sums[:, : 3 * units], exact)
+    write, output, forget = gates[:, :units], gates[:, units : 2 * units], gates[:, 2 * units :]
+    c = fma(forget, c, write * _tanh(sums[:, 3 * units :], exact))
+    return output * _tanh(c, exact), c
+
+
+def _layer_norm(norm: LayerNorm, x: Float32) -> Float32:
+    share = np.float32(1 / x.shape[1])
+    distance = x - _sum(x, lambda value, total: value + total) * share
+    variance = _sum(distance, lambda value, total: fma(value, value, total)) * share
+    inverse = _1 / np.sqrt(variance + np.float32(norm.epsilon))
+    return fma(distance * inverse, norm.scale, norm.offset)
+
+
+def _sum(x: Float32, add: Callable[[Float32, Float32], Float32]) -> Float32:
+    """In LANES lanes by turns; what is left over goes to the first."""
+    whole = x.shape[1] - x.shape[1] % LANES
+    lanes = [np.zeros(len(x), np.float32) for _ in range(LANES)]
+    for index in range(x.shape[1]):
+        lane = index % LANES if index < whole else 0
+        lanes[lane] = add(x[:, index], lanes[lane])
+    return ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3]))[:, None]
+
+
+def _bound(x: Float32, low: float, high: float) -> Float32:
+    return _at_most(_at_least(x, low), high)
+
+
+def _at_most(x: Float32, high: float) -> Float32:
+    return np.where(x <= np.float32(high), x, np.float32(high))
+
+
+def _at_least(x: Float32, low: float) -> Float32:
+    return np.where(x > np.float32(low), x, np.float32(low))

@@ -1,0 +1,123 @@
+"""A policy's network as a typed graph: nodes in order of computation, each naming the values it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from toolchain.ir.operations import (
+    Affine,
+    Concat,
+    Gru,
+    LayerNorm,
+    Linear,
+    Lstm,
+    Operation,
+    Recurrent,
+    Slice,
+)
+
+OBSERVATION = 0  # the number of the first value
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One operation. Value 0 is the observation, value i + 1 the result of node i."""
+
+    operation: Operation
+    inputs: tuple[int, ...]  # numbers of earlier values
+    name: str = ""  # of the ONNX node it comes from, for people
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A pure function of one observation (and of the recurrent state): the last node gives the action."""
+
+    inputs: int  # width of the observation
+    nodes: tuple[Node, ...]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a node that takes a later value or values whose widths do not fit."""
+        for index, node in enumerate(self.nodes):
+            if not all(0 <= value <= index for value in node.inputs):
+                raise ValueError(f"node {index} takes the values {node.inputs}")
+        _ = self.widths
+
+    @cached_property
+    def widths(self) -> tuple[int, ...]:
+        """Width of every value, the observation's first."""
+        widths = [self.inputs]
+        for node in self.nodes:
+            widths.append(output_width(node.operation, [widths[value] for value in node.inputs]))
+        return tuple(widths)
+
+    @property
+    def outputs(self) -> int:
+        """Width of the action."""
+        return self.widths[-1]
+
+    @property
+    def recurrent(self) -> bool:
+        """Whether an action depends on the observations before."""
+        return any(isinstance(node.operation, Recurrent) for node in self.nodes)
+
+    @property
+    def multiply_adds(self) -> int:
+        """Multiply-accumulates of the matrices in one evaluation: what no compiler can save."""
+        return sum(multiply_adds(node.operation) for node in self.nodes)
+
+    @property
+    def text(self) -> str:
+        """The network in a few characters: `6-64-64-4 tanh`."""
+        widths, hidden = [str(self.inputs)], set()
+        for node in self.nodes[:-1]:
+            match node.operation:
+                case Linear() as layer:
+                    widths.append(str(layer.outputs))
+                case Gru() | Lstm() as cell:
+                    widths.append(f"{type(cell).__name__.lower()}{cell.units}")
+                case Affine() | Concat() | Slice():
+                    pass
+                case other:
+                    hidden.add(type(other).__name__.lower())
+        return " ".join(["-".join(widths), *sorted(hidden)])
+
+
+def chain(inputs: int, operations: Iterable[Operation]) -> Network:
+    """The network in which every operation takes the value before it."""
+    return Network(inputs, tuple(Node(op, (index,)) for index, op in enumerate(operations)))
+
+
+def output_width(operation: Operation, widths: Sequence[int]) -> int:
+    """Width of what `operation` gives for values of `widths`. Raises ValueError when they do not fit it."""
+    match operation:
+        case Concat():
+            return sum(widths)
+        case Linear():
+            expected, result = [operation.inputs], operation.outputs
+        case Gru() | Lstm():
+            expected, result = [int(operation.input_weight.shape[1])], operation.units
+        case Affine() | LayerNorm():
+            expected, result = [operation.scale.size], operation.scale.size
+        case Slice(start, count, step):
+            last = start + (count - 1) * step
+            if count < 1 or step == 0 or not (0 <= start < widths[0] and 0 <= last < widths[0]):
+                raise ValueError(f"{operation} of {widths[0]} values")
+            return count
+        case _:
+            result = widths[0] if widths else 0
+            expected = [result] * (2 if type(operation).__name__ in ("Add", "Multiply") else 1)
+    if list(widths) != expected:
+        raise ValueError(f"{type(operation).__name__} takes values of widths {expected}, got {list(widths)}")
+    return result
+
+
+def multiply_adds(operation: Operation) -> int:
+    """Multiply-accumulates of the operation's matrices."""
+    match operation:
+        case Linear():
+            return int(operation.weight.size)
+        case Gru() | Lstm():
+            return int(operation.input_weight.size + operation.state_weight.size)
+    return 0

@@ -1,0 +1,253 @@
+"""Turns a training checkpoint into policy.onnx: raw observation in, motor fractions out.
+
+The value network, the exploration noise and the optimizer are left behind; observation scaling and output
+mapping are folded into the first and last layer in float64 and rounded once. The ONNX is written with
+onnx.helper rather than torch's exporters: torch 2.13 needs the extra package onnxscript for the one and has
+deprecated the other, and both write their version into the file, whereas here the same checkpoint gives the
+same bytes, hence the same policy hash, whatever torch is installed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from toolchain import contract
+from toolchain.errors import PolicyError
+
+OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
+ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
+TRAINING_VALUE_MAX = 400  # characters of JSON: a longer entry of the configuration is bulk and left out
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrozenConfig:
+    """The part of a checkpoint's configuration that decides what the policy computes."""
+
+    aircraft: str
+    aircraft_sha256: str
+    observation: str  # comma-separated blocks
+    observation_scale: tuple[float, ...]  # multiplied onto the raw observation
+    control_rate_hz: int
+    filters: tuple[object, ...]
+    hidden: tuple[int, ...]
+    activation: str
+    output_scale: float  # motor fraction = clip(output_scale * action + output_offset, 0, 1)
+    output_offset: float
+    squash: bool  # the network's last sum goes through tanh before scale and offset
+    idle: float  # motor fraction without thrust that the policy is trained with
+    motors: int
+
+
+def freeze(checkpoint: Path, out: Path) -> None:
+    """Write the policy of `checkpoint` to `out`. Raises PolicyError, one line; then nothing is written."""
+    from toolchain.files import write_bytes
+
+    config, state, progress = load_checkpoint(checkpoint)
+    try:
+        data = to_onnx(config, state, progress)
+    except PolicyError as error:
+        raise PolicyError(f"{checkpoint}: {error}") from error
+    write_bytes(out, data)
+
+
+def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
+    """Configuration, policy weights and progress of a checkpoint. Loads plain data only, never code."""
+    try:
+        if (size := path.stat().st_size) > contract.CHECKPOINT_FILE_BYTES_MAX:
+            raise PolicyError(
+                f"{path} is {size} bytes, expected at most {contract.CHECKPOINT_FILE_BYTES_MAX}"
+            )
+        with path.open("rb") as file:
+            content = _unpickle(file, path)
+    except OSError as error:
+        raise PolicyError(f"cannot read the checkpoint {path}: {error.strerror}") from error
+    form = (content.get("format"), content.get("version")) if isinstance(content, dict) else None
+    if form != (contract.CHECKPOINT_FORMAT, contract.CHECKPOINT_VERSION):
+        expected = f"{contract.CHECKPOINT_FORMAT} version {contract.CHECKPOINT_VERSION}"
+        raise PolicyError(f"{path} is no checkpoint: expected {expected}; write one with `neuroflight train`")
+    try:
+        config, state = json.loads(content["config"]), dict(content["state_dict"])
+        arrays = {str(name): np.asarray(tensor.detach().cpu()) for name, tensor in state.items()}
+        return dict(config), arrays, dict(content.get("progress", {}))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(f"{path} is a damaged checkpoint: {type(error).__name__} {error}") from error
+
+
+def _unpickle(file: BinaryIO, path: Path) -> Any:  # noqa: ANN401
+    import torch
+
+    try:
+        return torch.load(file, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch documents no set of errors for a file that is not its own
+        raise PolicyError(f"{path} is no checkpoint: torch cannot load it as plain data") from error
+
+
+def to_onnx(
+    config: Mapping[str, Any], state: Mapping[str, ArrayLike], progress: Mapping[str, Any] | None = None
+) -> bytes:
+    """The bytes of policy.onnx. The same arguments give the same bytes.
+
+    config: the checkpoint's configuration (contract: CHECKPOINT_*); entries that decide nothing here are
+    kept in the metadata. state: Stable-Baselines3's names to arrays or CPU tensors. progress: counts such
+    as the steps trained, kept in the metadata. Raises PolicyError naming the entry that does not fit.
+    """
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    from toolchain.policy.model import parse_policy
+
+    frozen = _frozen_config(config)
+    layers = _folded(frozen, _weights(frozen, state))
+    nodes, tensors, value = [], [], contract.POLICY_INPUT
+    for index, (weight, bias) in enumerate(layers):
+        tensors += [
+            numpy_helper.from_array(_float32(weight, f"weights of layer {index}"), f"weight{index}"),
+            numpy_helper.from_array(_float32(bias, f"biases of layer {index}"), f"bias{index}"),
+        ]
+        inputs = [value, f"weight{index}", f"bias{index}"]
+        nodes.append(helper.make_node("Gemm", inputs, [f"sum{index}"], name=f"linear{index}", transB=1))
+        value = f"sum{index}"
+        if index < len(layers) - 1:
+            operator = ACTIVATIONS[frozen.activation]
+            nodes.append(helper.make_node(operator, [value], [f"hidden{index}"], name=f"activation{index}"))
+            value = f"hidden{index}"
+    if frozen.squash:
+        tensors += [
+            numpy_helper.from_array(_float32(np.array([number]), f"output {name}"), name)
+            for name, number in (("scale", frozen.output_scale), ("offset", frozen.output_offset))
+        ]
+        nodes += [
+            helper.make_node("Tanh", [value], ["bounded"], name="squash"),
+            helper.make_node("Mul", ["bounded", "scale"], ["scaled"], name="scale"),
+            helper.make_node("Add", ["scaled", "offset"], ["asked"], name="offset"),
+        ]
+        value = "asked"
+    tensors += [numpy_helper.from_array(np.array(v, np.float32), n) for n, v in (("low", 0), ("high", 1))]
+    nodes.append(helper.make_node("Clip", [value, "low", "high"], [contract.POLICY_OUTPUT], name="clip"))
+    shapes = ((contract.POLICY_INPUT, layers[0][0].shape[1]), (contract.POLICY_OUTPUT, frozen.motors))
+    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, n]) for name, n in shapes]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], tensors)
+    opset = helper.make_opsetid("", OPSET)
+    model = helper.make_model(
+        graph, opset_imports=[opset], ir_version=IR_VERSION, producer_name="neuroflight"
+    )
+    for key, text in _metadata(frozen, config, progress or {}).items():
+        model.metadata_props.append(onnx.StringStringEntryProto(key=key, value=text))
+    data: bytes = model.SerializeToString(deterministic=True)
+    parse_policy(data)  # whatever is written can be read: its refusals are this function's too
+    return data
+
+
+def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
+    try:
+        frozen = FrozenConfig(
+            aircraft=str(config["aircraft"]["name"]),
+            aircraft_sha256=str(config["aircraft"]["sha256"]),
+            observation=str(config["observation"]),
+            observation_scale=tuple(float(scale) for scale in config["observation_scale"]),
+            control_rate_hz=int(config["control_rate_hz"]),
+            filters=tuple(config["filters"]),
+            hidden=tuple(int(width) for width in config["hidden"]),
+            activation=str(config["activation"]),
+            output_scale=float(config["output"]["scale"]),
+            output_offset=float(config["output"]["offset"]),
+            squash=bool(config["output"].get("squash", False)),
+            idle=float(config.get("idle", contract.IDLE_DEFAULT)),
+            motors=int(config["motors"]),
+        )
+        blocks = contract.observation_blocks(frozen.observation)
+    except KeyError as error:
+        raise PolicyError(f"the checkpoint's configuration lacks {error.args[0]!r}") from error
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"the checkpoint's configuration is damaged: {error}") from error
+    if frozen.activation not in ACTIVATIONS:
+        raise PolicyError(f"activation is {frozen.activation!r}, expected {' or '.join(ACTIVATIONS)}")
+    count = contract.observation_count(blocks, frozen.motors)
+    if len(frozen.observation_scale) != count:
+        raise PolicyError(f"observation_scale has {len(frozen.observation_scale)} values, expected {count}")
+    return frozen
+
+
+def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple[Matrix, Matrix]]:
+    """Weight (outputs, inputs) and bias (outputs,) of each layer of the policy network, in order."""
+    names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(frozen.hidden))] + ["action_net"]
+    widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors]
+    layers = []
+    for name, inputs, outputs in zip(names, widths, widths[1:], strict=False):
+        pair = []
+        for key, shape in ((f"{name}.weight", (outputs, inputs)), (f"{name}.bias", (outputs,))):
+            if key not in state:
+                raise PolicyError(f"the checkpoint lacks the tensor {key!r}")
+            array = np.asarray(state[key])
+            if array.shape != shape or array.dtype != np.float32:
+                got = f"{array.dtype} {list(array.shape)}"
+                raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
+            pair.append(array.astype(np.float64))
+        layers.append((pair[0], pair[1]))
+    return layers
+
+
+def _folded(frozen: FrozenConfig, layers: list[tuple[Matrix, Matrix]]) -> list[tuple[Matrix, Matrix]]:
+    weight, bias = layers[0]
+    layers = [(weight * np.array(frozen.observation_scale), bias), *layers[1:]]
+    if frozen.squash:
+        return layers
+    weight, bias = layers[-1]
+    return [*layers[:-1], (weight * frozen.output_scale, bias * frozen.output_scale + frozen.output_offset)]
+
+
+def _float32(values: Matrix, label: str) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):
+        rounded = values.astype(np.float32)
+    if not np.isfinite(rounded).all():
+        raise PolicyError(
+            f"the {label} hold NaN or infinite values, expected finite ones; did training diverge?"
+        )
+    return rounded
+
+
+def _metadata(frozen: FrozenConfig, config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        contract.META_VERSION: contract.POLICY_FORMAT_VERSION,
+        contract.META_OBSERVATION: frozen.observation,
+        contract.META_CONTROL_RATE: str(frozen.control_rate_hz),
+        contract.META_FILTERS: _json(frozen.filters),
+        contract.META_IDLE: repr(frozen.idle),
+        contract.META_AIRCRAFT: frozen.aircraft,
+        contract.META_AIRCRAFT_SHA256: frozen.aircraft_sha256,
+        contract.META_TRAINING: _json(_training(config, progress)),
+    }
+
+
+def _training(config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[str, Any]:
+    """What people want to know of the training: its configuration without bulk, and its counts.
+
+    Measured times are left out, so that the same training gives the same file.
+    """
+    counts = {key: value for key, value in progress.items() if type(value) is int}
+    return {
+        key: value
+        for key, value in {**config, **counts}.items()
+        if key not in ("aircraft", "observation", "control_rate_hz", "filters", "idle") and _is_small(value)
+    }
+
+
+def _is_small(value: object) -> bool:
+    return (
+        not (isinstance(value, float) and not math.isfinite(value))
+        and len(_json(value)) <= TRAINING_VALUE_MAX
+    )
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))

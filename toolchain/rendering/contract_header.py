@@ -1,0 +1,180 @@
+"""Renders the contract as the C header nf_contract.h: `python -m toolchain.rendering.contract_header FILE`.
+
+Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
+suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and
+`_SIZE`, and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The header of the policy blob
+becomes a struct whose offsets the C compiler proves.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from toolchain import contract
+from toolchain.rendering.jinja import render
+
+# What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing.
+PYTHON_ONLY = ("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_")
+TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS")  # rendered as structs
+
+
+@dataclass(frozen=True)
+class Define:
+    """One `#define name value`."""
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Member:
+    """One enumerator; `meaning` is its comment, empty for none."""
+
+    name: str
+    value: int
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Enumeration:
+    """One C enum with the comment above it."""
+
+    name: str
+    meaning: str
+    members: tuple[Member, ...]
+
+
+@dataclass(frozen=True)
+class BlobField:
+    """One member of the struct that lies over a policy blob's header; an array where `count` is above 1."""
+
+    c_type: str
+    name: str
+    count: int
+    comment: str
+    offset: int  # from the blob's begin [bytes]
+    size: int  # [bytes]
+
+
+def blob_header_fields() -> tuple[BlobField, ...]:
+    """The header of the policy blob for the macros of templates/blob_header.j2, in order, without gaps."""
+    fields, offset = [], 0
+    for field in contract.POLICY_BLOB_FIELDS:
+        comment = f"{field.unit}: {field.meaning}" if field.unit else field.meaning
+        size = struct.calcsize("<" + field.format)
+        fields.append(BlobField(field.c_type, field.name, field.count, comment, offset, size))
+        offset += size
+    return tuple(fields)
+
+
+def render_contract() -> str:
+    """The text of nf_contract.h. Deterministic: the contract in its own order."""
+    groups = [list(_defines(f"NF_{name}", value)) for name, value in _constants()]
+    return render(
+        "nf_contract.h.j2",
+        defines=[define for group in groups for define in group],
+        enums=_enumerations(),
+        blocks=[
+            {"name": block.name, "code": block.code, "width": int(block.width)}
+            for block in contract.OBSERVATION_BLOCKS
+            if block.in_firmware
+        ],
+        blob_fields=blob_header_fields(),
+        settings=[
+            {
+                "name": setting.name,
+                "kind": setting.kind,
+                "limits": ", ".join(
+                    _number(setting, value) for value in (setting.low, setting.high, setting.default)
+                ),
+                "unit": setting.unit,
+                "comment": f"{setting.unit}: {setting.meaning}" if setting.unit else setting.meaning,
+            }
+            for setting in contract.SETTINGS
+        ],
+        choices=[
+            (f"{setting.name}_{choice}".upper(), value)
+            for setting in contract.SETTINGS
+            if setting.choices[:2] != ("off", "on") and not setting.name.startswith("filter")
+            for value, choice in enumerate(setting.choices)
+        ],
+    )
+
+
+def _number(setting: contract.Setting, value: float) -> str:
+    return _literal(float(value)) if setting.kind == "float" else _literal(int(value))
+
+
+def _constants() -> Iterator[tuple[str, object]]:
+    for name, value in vars(contract).items():
+        if name.isupper() and not name.startswith(("_", *PYTHON_ONLY, *TABLES)):
+            yield name, value
+
+
+def _defines(name: str, value: object) -> Iterator[Define]:
+    match value:
+        case contract.Region():
+            yield Define(f"{name}_ADDRESS", f"0x{value.address:08X}u")
+            yield Define(f"{name}_SIZE", f"0x{value.size:X}u")
+        case tuple() if all(isinstance(item, contract.Region) for item in value):
+            yield Define(f"{name}_COUNT", str(len(value)))
+            for index, item in enumerate(value):
+                yield from _defines(f"{name}_{index}", item)
+        case tuple():
+            yield Define(f"{name}_COUNT", str(len(value)))
+            yield Define(name, "{ " + ", ".join(_literal(item) for item in value) + " }")
+        case str() if name.endswith("_FORMAT"):
+            yield Define(name.removesuffix("FORMAT") + "BYTES", str(struct.calcsize(value)))
+        case _:
+            yield Define(name, _literal(value))
+
+
+def _literal(value: object) -> str:
+    """`value` as a C constant. Large integers are addresses, magics and sizes: unsigned and hex."""
+    match value:
+        case int() if 0 <= value < 1 << 16:
+            return str(value)
+        case int() if 0 <= value < 1 << 32:
+            return f"0x{value:X}u"
+        case float():
+            return f"{value!r}f"
+        case str() if value.isascii() and value.isprintable() and not set(value) & set('"\\'):
+            return f'"{value}"'
+    raise TypeError(f"the contract holds {value!r}, which has no C constant")
+
+
+def _enumerations() -> tuple[Enumeration, ...]:
+    observation = tuple(
+        Member(f"NF_OBSERVATION_{block.name.upper()}", block.code, f"{block.unit}: {block.meaning}")
+        for block in contract.OBSERVATION_BLOCKS
+    )
+    return (
+        Enumeration("nf_observation", "Codes of the observation blocks, with unit and meaning.", observation),
+        _enumeration("nf_msp", "NF_MSP", contract.Msp),
+        _enumeration("nf_dshot_command", "NF_DSHOT_COMMAND", contract.DshotCommand),
+        _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState),
+        _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason),
+        _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause),
+        _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause),
+        _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth),
+        _enumeration("nf_task", "NF_TASK", contract.Task),
+        _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
+        _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
+    )
+
+
+def _enumeration(name: str, prefix: str, source: type[IntEnum]) -> Enumeration:
+    meaning = (source.__doc__ or "").splitlines()[0]
+    members = tuple(Member(f"{prefix}_{item.name}", item.value) for item in source)
+    return Enumeration(name, meaning, members)
+
+
+if __name__ == "__main__":
+    from toolchain.files import write_text
+
+    write_text(Path(sys.argv[1]), render_contract())

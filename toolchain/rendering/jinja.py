@@ -1,0 +1,24 @@
+"""The one jinja2 environment of the code generators: an unknown name is an error, never empty text."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import jinja2
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("toolchain.rendering"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+
+
+def render(template: str, **values: object) -> str:
+    """Text of `templates/<template>` with `values` filled in. Raises jinja2.UndefinedError on a gap."""
+    return _environment().get_template(template).render(**values)

@@ -1,0 +1,75 @@
+"""The PID that stands beside the policy in an image: the aircraft's gains as C.
+
+`sim.pid_table` reads them from an aircraft; this room only knows the numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.rendering.jinja import render
+
+SCALE = 1e-3  # motor fraction of one unit of the sum of gain and deg/s; sim/pid.py
+INTEGRAL_OUTPUT_MAX = 1.0  # motor fraction that the integral alone may ask for
+
+
+@dataclass(frozen=True)
+class PidTable:
+    """A PID as an aircraft file has it."""
+
+    aircraft: str
+    name: str  # of the PID in that file
+    gains: NDArray[np.float64]  # (3, 3): roll, pitch, yaw by K_P, K_I, K_D, on the error in deg/s
+    derivative_cutoff_hz: float | None
+    idle: float
+    mixer: NDArray[np.float64]  # (M, 3): share of each motor in roll, pitch, yaw
+
+    @property
+    def motor_count(self) -> int:
+        """Number of motors M."""
+        return len(self.mixer)
+
+
+def render_pid_table(table: PidTable | None, motors: int, control_rate_hz: int) -> str:
+    """The text of pid_table.c for a firmware of `motors` motors; None: no PID is built in.
+
+    Raises ValueError when the table is another aircraft's.
+    """
+    if table is not None and table.motor_count != motors:
+        raise ValueError(f"the PID of {table.aircraft} drives {table.motor_count} motors, expected {motors}")
+    return render("pid_table.c.j2", table=None if table is None else _numbers(table, control_rate_hz))
+
+
+def _numbers(table: PidTable, control_rate_hz: int) -> dict[str, object]:
+    """The members of struct pid_gains as C: radians where the file has degrees."""
+    p, i, d = table.gains.T * SCALE * math.degrees(1.0)
+    with np.errstate(divide="ignore"):
+        integral_max = np.where(i > 0, INTEGRAL_OUTPUT_MAX / i, 0.0)
+    cutoff = table.derivative_cutoff_hz
+    smoothing = 1.0 if cutoff is None else -math.expm1(-math.tau * cutoff / control_rate_hz)
+    return {
+        "aircraft": table.aircraft,
+        "name": table.name,
+        "motor_count": table.motor_count,
+        "idle": _float(table.idle),
+        "p": _row(p),
+        "i": _row(i),
+        "d": _row(d),
+        "integral_max": _row(integral_max),
+        "period_s": _float(1.0 / control_rate_hz),
+        "smoothing": _float(smoothing),
+        "mixer": [_row(share) for share in table.mixer],
+    }
+
+
+def _row(values: NDArray[np.float64]) -> str:
+    return "{ " + ", ".join(_float(value) for value in values.tolist()) + " }"
+
+
+def _float(value: float) -> str:
+    """`value` rounded to float32 once, written so that C reads the same."""
+    return f"{float(np.float32(value))!r}f"
