@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft import load_aircraft
-from sim.pid_table import pid_table
+from sim.aircraft.model import load_aircraft
+from sim.control.pid_table import pid_table
 from toolchain.image.build import build
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -69,7 +69,7 @@ def test_ground_imports_nothing_of_the_project_when_read(name: str) -> None:
     ("room", "line"),
     [
         ("flash", "from toolchain.image.build import build"),
-        ("flash", "def f():\n    import sim.twin"),
+        ("flash", "def f():\n    import sim.physics.twin"),
         ("toolchain", "from sim import twin"),
         ("toolchain", "import flash.msp"),
         ("sim", "from training.task import PulseTask"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-from sim.world import COUNT_MAX
+from sim.physics.world import COUNT_MAX
 from training.pathwise.configuration import PathwiseConfig
 
 

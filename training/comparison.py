@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.confidence import Mean, paired, share_of
-from sim.response import Hold, large, progress
+from sim.analysis.confidence import Mean, paired, share_of
+from sim.analysis.response import Hold, large, progress
 from training.contender import Conditions, Contender
 from training.evaluation import Evaluation, Flights, Scores, scores, summary
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter
 
-from sim.report import INK, MOTOR_COLOURS, dress
-from sim.response import BAND
-from sim.response_plot import SHADE
-from sim.spectrum_plot import Line, draw_spectra
+from sim.analysis.flight_report import INK, MOTOR_COLOURS, dress
+from sim.analysis.response import BAND
+from sim.analysis.response_plot import SHADE
+from sim.analysis.spectrum_plot import Line, draw_spectra
 from toolchain.contract import AXES
 from training.comparison import Entry
 

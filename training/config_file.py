@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sim.table import shown
+from sim.strict_toml import shown
 from toolchain.contract import MOTOR_COUNT_MAX
 from toolchain.errors import TrainingError
 from training.config_table import NAME, ConfigReader

@@ -13,7 +13,7 @@ from dataclasses import MISSING, dataclass, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from sim.table import TEXT_MAX, shown
+from sim.strict_toml import TEXT_MAX, shown
 from toolchain.errors import TrainingError
 from training.algorithm import ALGORITHMS, Algorithm
 from training.reward import REWARDS, Reward

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.mass import Vector
-from sim.table import shown
-from sim.world import Mount
+from sim.aircraft.mass import Vector
+from sim.aircraft.model import Aircraft
+from sim.physics.world import Mount
+from sim.strict_toml import shown
 from toolchain.contract import (
     CONTROL_RATES_HZ,
     ObservationTerm,
@@ -82,7 +82,7 @@ class OutputMap:
 class WorldConfig:
     """Where the episodes take place."""
 
-    mount: str = "centre"  # sim.world.Mount: turning about the centre of mass, on the rig, or free
+    mount: str = "centre"  # sim.physics.world.Mount: turning about the centre of mass, on the rig, or free
     gravity: bool | None = None  # None: in free flight only
     noise: bool = True  # of gyro and accelerometer
     wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes

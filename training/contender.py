@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.aircraft import Aircraft
-from sim.controller import Controller, PolicyController
-from sim.pid import aircraft_pid, pid_settings
-from sim.world import Mount
+from sim.aircraft.model import Aircraft
+from sim.control.controller import Controller, PolicyController
+from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.world import Mount
 from toolchain.errors import PolicyError
 from toolchain.policy.model import read_policy
 from training.evaluation import Flights, record

@@ -33,8 +33,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sim.aircraft import load_aircraft
-from sim.observation import limits
+from sim.aircraft.model import load_aircraft
+from sim.control.observation import limits
 from training.algorithm import PpoConfig
 from training.config_file import load_config
 from training.config_table import ConfigReader

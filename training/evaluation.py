@@ -8,17 +8,17 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.confidence import Mean, mean_of
-from sim.controller import Controller, PolicyController
-from sim.imu import quantised_rate
-from sim.metrics import Effort, Tracking, effort, tracking
-from sim.motors import motor_commands
-from sim.response import Hold, Response, ResponseFigures, hold, mean_figures, response
-from sim.spectrum import Spectrum, components, smoothness, spectrum
-from sim.twin import Twin
-from sim.variation import Variation
-from sim.world import Mount
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import Mean, mean_of
+from sim.analysis.metrics import Effort, Tracking, effort, tracking
+from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
+from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
+from sim.control.controller import Controller, PolicyController
+from sim.control.motors import motor_commands
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
 from toolchain.contract import IDLE_DEFAULT
 from training.task import PulseTask, Task
 
@@ -46,7 +46,7 @@ class Scores:
     tracking: Tracking  # (E, 3) each
     output: NDArray[np.float64]  # (E,), mean output of the controller, fraction 0..1
     change: NDArray[np.float64]  # (E,), mean |change| of an output in 1 ms
-    smoothness: NDArray[np.float64]  # (E,), Sm: see sim.spectrum
+    smoothness: NDArray[np.float64]  # (E,), Sm: see sim.analysis.spectrum
     spectrum: Spectrum  # of all episodes
     response: Response | None  # None where the task holds no command for a second
 
@@ -61,7 +61,7 @@ class Evaluation:
     worst_mae: float  # [deg/s], of the worst episode and axis
     effort: Effort
     effort_margin: Effort  # likewise
-    smoothness: float  # Sm: see sim.spectrum
+    smoothness: float  # Sm: see sim.analysis.spectrum
     smoothness_margin: float  # likewise
     spectrum: Spectrum
     response: ResponseFigures | None  # None where the task holds no command for a second

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
 from training.algorithm import OffPolicyConfig, PpoConfig, TrpoConfig
 from training.configuration import TrainingConfig

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.metrics import effort, tracking
+from sim.aircraft.model import Aircraft
+from sim.analysis.metrics import effort, tracking
 from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
 from toolchain.policy.freeze import to_onnx

@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from sim.report import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress
+from sim.analysis.flight_report import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress
 from toolchain.errors import TrainingError
 from training.reading import Reading
 

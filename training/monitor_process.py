@@ -19,7 +19,7 @@ from toolchain.errors import NeuroflightError, TrainingError
 if TYPE_CHECKING:
     import torch
 
-    from sim.aircraft import Aircraft
+    from sim.aircraft.model import Aircraft
     from training.configuration import TrainingConfig
     from training.monitor import Weights
     from training.reading import Reading

@@ -13,7 +13,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from training.algorithm import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
 from training.configuration import TrainingConfig
 from training.learner import Report

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig
 from training.sb3 import MODULES, Sb3Learner

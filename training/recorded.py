@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.trace import load_trace
+from sim.flight.trace import load_trace
 from toolchain.errors import TraceError, TrainingError
 from training.limits import check_limits
 from training.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints

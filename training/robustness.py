@@ -13,11 +13,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.confidence import NORMAL, Mean, mean_of, share_of
-from sim.metrics import CHANGE_S
-from sim.variation import Variation
-from sim.world import Mount
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import NORMAL, Mean, mean_of, share_of
+from sim.analysis.metrics import CHANGE_S
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
 from training.contender import Contender
 from training.evaluation import Flights, record
 from training.randomization import Randomization, Range

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from sim.report import INK, MOTOR_COLOURS, dress
-from sim.response_plot import MUTED, SHADE
+from sim.analysis.flight_report import INK, MOTOR_COLOURS, dress
+from sim.analysis.response_plot import MUTED, SHADE
 from training.robustness import (
     CASE_RATIO_MAX,
     HIGH,

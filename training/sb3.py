@@ -11,7 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from training.configuration import TrainingConfig
 from training.learner import Report
 from training.vector import AttitudeVecEnv

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes, write_text
 from training.checkpoint import load_run

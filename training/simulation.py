@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.imu import quantised_rate
-from sim.motors import motor_commands
-from sim.observation import Observer
-from sim.twin import Twin
-from sim.variation import Variation
-from sim.world import Mount
+from sim.aircraft.model import Aircraft
+from sim.control.motors import motor_commands
+from sim.control.observation import Observer
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
 from toolchain.contract import check_observation
 from toolchain.errors import TrainingError
 from training.configuration import TrainingConfig

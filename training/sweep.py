@@ -36,9 +36,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.aircraft import Aircraft, load_aircraft, shipped
-from sim.table import Table
-from sim.world import COUNT_MAX
+from sim.aircraft.model import Aircraft, load_aircraft, shipped
+from sim.physics.world import COUNT_MAX
+from sim.strict_toml import Table
 from toolchain.errors import TrainingError
 from training.config_file import load_config, recipes
 from training.configuration import SEED_MAX, TrainingConfig

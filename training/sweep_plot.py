@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from sim.report import GRID, INK, dress
+from sim.analysis.flight_report import GRID, INK, dress
 from training.sweep import Validation, described
 from training.sweep_summary import Configuration, pareto
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from toolchain.errors import NeuroflightError, TrainingError
 from training.checkpoint import Policy
 from training.sweep import Trial, Validation

@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from sim.report import png
+from sim.analysis.flight_report import png
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes, write_text
 from training.sweep import Sweep

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.confidence import mean_of
+from sim.analysis.confidence import mean_of
 from training.sweep import Sweep, Trial, Varied
 from training.sweep_trial import Figure, Outcome
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.confidence import mean_of
-from sim.controller import PolicyController
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import mean_of
+from sim.control.controller import PolicyController
 from toolchain.codegen.compiler import compile_policy
 from toolchain.cortex_m7.timing import mixed_observations, time_policy
 from toolchain.errors import BuildError, TrainingError

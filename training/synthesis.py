@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import torch
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from toolchain.files import write_text
 from toolchain.policy.freeze import freeze
 from training.checkpoint import Policy, Run, Watched, load_run, save_checkpoint, snapshot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from sb3_contrib import TRPO
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from training.algorithm import TrpoConfig
 from training.configuration import TrainingConfig
 from training.sb3 import MODULES, Sb3Learner

@@ -20,12 +20,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import GRAVITY, Aircraft, PidSettings
-from sim.mass import Vector
-from sim.metrics import effort, tracking
-from sim.pid import Pid, mixer
-from sim.response import BAND, FLOOR_DEG_S
-from sim.rotor import target_speed, thrust_and_torque
+from sim.aircraft.mass import Vector
+from sim.aircraft.model import GRAVITY, Aircraft, PidSettings
+from sim.analysis.metrics import effort, tracking
+from sim.analysis.response import BAND, FLOOR_DEG_S
+from sim.control.pid import Pid, mixer
+from sim.physics.rotor import target_speed, thrust_and_torque
 from training.evaluation import Flights, record
 from training.evolution import Evolution
 from training.task import EpisodicTask, PulseTask, Setpoints, Task

@@ -9,9 +9,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft, PidSettings
-from sim.pid import Pid, mixer
-from sim.report import FLIGHT_COLOURS, GRID, INK, dress
+from sim.aircraft.model import Aircraft, PidSettings
+from sim.analysis.flight_report import FLIGHT_COLOURS, GRID, INK, dress
+from sim.control.pid import Pid, mixer
 from toolchain.contract import AXES
 from training.evaluation import record
 from training.task import PulseTask

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft, PidSettings
-from sim.mass import Vector
-from sim.pid import SCALE, Pid, mixer
+from sim.aircraft.mass import Vector
+from sim.aircraft.model import Aircraft, PidSettings
+from sim.control.pid import SCALE, Pid, mixer
 from toolchain.contract import AXES
 from toolchain.errors import TrainingError
 from training.evaluation import record

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from sim.aircraft import Aircraft
+from sim.aircraft.model import Aircraft
 from training.algorithm import OffPolicyConfig
 from training.configuration import TrainingConfig
 from training.simulation import AttitudeSimulation

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.aircraft import Aircraft
-    from sim.airworthiness import Figures, Verdict
+    from sim.aircraft.model import Aircraft
+    from sim.design.airworthiness import Figures, Verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Examine, draw and print. Returns 0, or 1 if one of the verdicts is an error."""
-    from sim.aircraft import load_aircraft
-    from sim.airworthiness import Level, examine
-    from sim.drawing import save_drawing
+    from sim.aircraft.model import load_aircraft
+    from sim.design.airworthiness import Level, examine
+    from sim.design.drawing import save_drawing
     from toolchain.errors import AircraftError
 
     if args.draw is not None and args.draw.suffix.lower() != ".png":
@@ -88,7 +88,7 @@ def _print(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict], drawn:
     from rich.table import Table
     from rich.text import Text
 
-    from sim.airworthiness import Level
+    from sim.design.airworthiness import Level
 
     console = Console(highlight=False)
     console.print(Text(f"{aircraft.name}: {aircraft.description or 'no description'}", style="bold"))
@@ -111,7 +111,7 @@ def _rows(aircraft: Aircraft, figures: Figures) -> list[tuple[str, str]]:
     """Label and text of each figure."""
     import numpy as np
 
-    from sim.aircraft import RPM
+    from sim.aircraft.model import RPM
 
     def three(values: Any, form: str = ".3g") -> str:  # noqa: ANN401 - an array or a list
         return " / ".join(format(value + 0.0, form) for value in values)

@@ -14,10 +14,10 @@ from toolchain.errors import NeuroflightError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sim.dyno import Step
-    from sim.dyno_fit import Fit
-    from sim.dyno_response import ResponseFit
-    from sim.robust import Estimate
+    from sim.identification.dyno.bench import Step
+    from sim.identification.dyno.fit import Fit
+    from sim.identification.dyno.response import ResponseFit
+    from sim.identification.dyno.robust_fit import Estimate
 
 COLUMNS = "columns time_s, throttle (0..1), rpm, thrust_n, torque_n_m"
 RATE_HZ_DEFAULT = 500
@@ -83,9 +83,9 @@ def _run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from cli.output import check_output
-    from sim import dyno
-    from sim.aircraft import load_aircraft
-    from sim.dyno_data import write_recording
+    from sim.aircraft.model import load_aircraft
+    from sim.identification.dyno import bench as dyno
+    from sim.identification.dyno.recording import write_recording
 
     check_output(args.out, ".csv")
     check_output(args.plot, ".png")
@@ -106,7 +106,7 @@ def _run(args: argparse.Namespace) -> int:
     )
     write_recording(args.out, recording)
     if args.plot:
-        from sim.dyno_plot import save_recording_plot
+        from sim.identification.dyno.plot import save_recording_plot
 
         save_recording_plot(args.plot, recording, f"{aircraft.name}: dynamometer, {args.experiment}")
     steps = dyno.steps(recording)
@@ -131,10 +131,10 @@ def _fit(args: argparse.Namespace) -> int:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from cli.output import check_output
-    from sim.aircraft import FOLDER, load_aircraft, shipped
-    from sim.dyno_data import read_recordings
-    from sim.dyno_fit import fit
-    from sim.dyno_response import DELAY_MAX
+    from sim.aircraft.model import FOLDER, load_aircraft, shipped
+    from sim.identification.dyno.fit import fit
+    from sim.identification.dyno.recording import read_recordings
+    from sim.identification.dyno.response import DELAY_MAX
 
     check_output(args.plot, ".png")
     check_output(args.write, ".toml")
@@ -163,12 +163,12 @@ def _fit(args: argparse.Namespace) -> int:
         )
     title = ", ".join(path.name for path in args.data)
     if args.write:
-        from sim.dyno_write import write_fit
+        from sim.identification.dyno.write import write_fit
 
         source = FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
         write_fit(source, args.write, found, title, args.inertia)
     if args.plot:
-        from sim.dyno_plot import save_fit_plot
+        from sim.identification.dyno.plot import save_fit_plot
 
         save_fit_plot(args.plot, found, f"{title}: dynamometer fit")
     inertia = args.inertia
@@ -197,7 +197,7 @@ def _step(step: Step) -> dict[str, float]:
 
 
 def _document(args: argparse.Namespace, fit: Fit, inertia: float | None) -> dict[str, Any]:
-    from sim.aircraft import RPM
+    from sim.aircraft.model import RPM
 
     def estimate(item: Estimate | None, scale: float = 1.0) -> dict[str, float | None] | None:
         if item is None:
@@ -327,7 +327,7 @@ def _print_fit(title: str, fit: Fit, inertia: float | None, written: Path | None
 
 def _parameters(fit: Fit, inertia: float | None) -> list[tuple[str, Estimate, float, str]]:
     """Label, estimate, scale and unit of everything fitted."""
-    from sim.aircraft import RPM
+    from sim.aircraft.model import RPM
 
     rows = [
         (f"H(u) {power}", term, 1 / RPM, "rpm")

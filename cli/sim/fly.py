@@ -19,8 +19,8 @@ from toolchain.errors import NeuroflightError
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from sim.aircraft import Aircraft
-    from sim.scenario import Scenario
+    from sim.aircraft.model import Aircraft
+    from sim.flight.scenario import Scenario
 
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
@@ -109,9 +109,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, write what was asked for, print the figures. Returns 0, or STOPPED."""
-    from sim.aircraft import load_aircraft
-    from sim.report import save_plot, save_report
-    from sim.trace import save_trace
+    from sim.aircraft.model import load_aircraft
+    from sim.analysis.flight_report import save_plot, save_report
+    from sim.flight.trace import save_trace
 
     _check(args)
     aircraft = load_aircraft(args.aircraft)
@@ -154,8 +154,8 @@ def _check(args: argparse.Namespace) -> None:
 
 def _scenarios(args: argparse.Namespace) -> list[Scenario]:
     """What is flown, one after another."""
-    from sim.scenario import load_scenario
-    from sim.world import Mount
+    from sim.flight.scenario import load_scenario
+    from sim.physics.world import Mount
 
     mount = None if args.mount is None else Mount(args.mount)
     default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
@@ -229,10 +229,10 @@ def _fly(
     """One flight in a fresh twin of the seed; closes the port."""
     import numpy as np
 
-    from sim.loop import fly
-    from sim.metrics import figures
-    from sim.report import Flight
-    from sim.twin import Twin
+    from sim.analysis.flight_report import Flight
+    from sim.analysis.metrics import figures
+    from sim.flight.loop import fly
+    from sim.physics.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
     with closing(entry):

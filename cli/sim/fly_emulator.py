@@ -15,8 +15,8 @@ from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from sim.board.board import Board
-    from sim.emulated_port import EmulatedPort
-    from sim.emulated_report import EmulatedReport
+    from sim.ports.emulator import EmulatedPort
+    from sim.ports.emulator_report import EmulatedReport
 
 STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
 RECEIVERS = ("sbus", "crsf")
@@ -73,7 +73,7 @@ def open_image(
 ) -> EmulatedPort:
     """The image on a board of its own; what was attached to it ends with `ends`."""
     from sim.board.faults import parse_fault
-    from sim.emulated_port import EmulatedPort
+    from sim.ports.emulator import EmulatedPort
 
     return EmulatedPort(
         image,

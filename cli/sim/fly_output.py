@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
 
 if TYPE_CHECKING:
-    from sim.aircraft import Aircraft
-    from sim.emulated_report import EmulatedReport
-    from sim.report import Flight
-    from sim.scenario import Scenario
+    from sim.aircraft.model import Aircraft
+    from sim.analysis.flight_report import Flight
+    from sim.flight.scenario import Scenario
+    from sim.ports.emulator_report import EmulatedReport
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def document(
 
 def print_flight(title: str, note: str, flown: list[Flown]) -> None:
     """A column a flight, and what the emulated board says of the first."""
-    from sim.report import table
+    from sim.analysis.flight_report import table
 
     report = flown[0].report
     _table(title, table([one.flight for one in flown]), note)

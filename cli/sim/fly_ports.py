@@ -15,9 +15,9 @@ from cli.sim.fly_emulator import BY_OPTION, open_image, save_profile
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft import Aircraft
-    from sim.emulated_report import EmulatedReport
-    from sim.port import FirmwarePort
+    from sim.aircraft.model import Aircraft
+    from sim.ports.emulator_report import EmulatedReport
+    from sim.ports.port import FirmwarePort
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
@@ -43,9 +43,9 @@ class Entry:
 def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
     """What `--on` names."""
     from flash.settings import parse_change
-    from sim.host_port import HostPort
-    from sim.port import twin_settings
-    from sim.reference_port import ReferencePort
+    from sim.ports.host import HostPort
+    from sim.ports.library import ReferencePort
+    from sim.ports.port import twin_settings
     from toolchain.image.report import built_idle
 
     if args.on == "betaflight":
@@ -69,8 +69,8 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
 def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
     """The aircraft's PID behind the firmware's frame."""
-    from sim.controller_port import ControllerPort
-    from sim.pid import aircraft_pid, pid_settings
+    from sim.control.pid import aircraft_pid, pid_settings
+    from sim.ports.python_controller import ControllerPort
 
     idle = pid_settings(aircraft).idle
     pid = aircraft_pid(aircraft, 1, control_rate_hz)
@@ -85,7 +85,7 @@ def quiet(args: argparse.Namespace) -> bool:
 
 def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entry:
     """The image on a board of its own."""
-    from sim.emulated_report import emulated_report
+    from sim.ports.emulator_report import emulated_report
     from toolchain.image.report import built_idle
 
     image = (args.build or BOARD) / "neuroflight.bin"
@@ -110,8 +110,8 @@ def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
     """Betaflight, built first where it is not yet; each stage of that is told on stderr."""
     from rich.console import Console
 
-    from sim.betaflight_build import build_betaflight
-    from sim.betaflight_port import IDLE, BetaflightPort, aircraft_settings
+    from sim.ports.betaflight.build import build_betaflight
+    from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
 
     settings = aircraft_settings(aircraft)
     console = Console(stderr=True)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.aircraft import Aircraft
-    from sim.stability import Drift
+    from sim.aircraft.model import Aircraft
+    from sim.identification.link_drift import Drift
 
 STEP_MS_MIN, STEP_MS_MAX = 0.05, 20.0
 
@@ -34,10 +34,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from cli.output import check_output
-    from sim.aircraft import load_aircraft
-    from sim.report import png
-    from sim.stability import FORMULATIONS, drift
-    from sim.stability_plot import draw
+    from sim.aircraft.model import load_aircraft
+    from sim.analysis.flight_report import png
+    from sim.identification.link_drift import FORMULATIONS, drift
+    from sim.identification.link_drift_plot import draw
     from toolchain.files import write_bytes
 
     check_output(args.plot, ".png")
@@ -66,7 +66,7 @@ def _document(args: argparse.Namespace, aircraft: Aircraft, runs: list[Drift]) -
     import numpy as np
 
     from cli.output import command_line
-    from sim.stability import DURATION_S, RATE_MAX
+    from sim.identification.link_drift import DURATION_S, RATE_MAX
 
     return {
         "command": command_line("stability", aircraft=args.aircraft, steps_ms=args.steps_ms),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.noise import Noise, SensorNoise
+    from sim.identification.gyro_noise import Noise, SensorNoise
 
 BIAS_NOTE = (
     "bias_deg_s is the spread of a bias that is drawn anew for each episode, not the mean of this log: that "
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from sim.aircraft_edit import edit_aircraft
-    from sim.noise import aircraft_keys, draw, measure_noise
-    from sim.recording import read_recording
-    from sim.report import png
+    from sim.aircraft.edit import edit_aircraft
+    from sim.analysis.flight_report import png
+    from sim.identification.gyro_noise import aircraft_keys, draw, measure_noise
+    from sim.identification.recording import read_recording
     from toolchain.files import write_bytes
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _document(args: argparse.Namespace, noise: Noise) -> dict[str, Any]:
-    from sim.noise import aircraft_keys, doubts
+    from sim.identification.gyro_noise import aircraft_keys, doubts
 
     return {
         "log": str(args.log),
@@ -125,7 +125,7 @@ def _print(args: argparse.Namespace, noise: Noise) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from sim.noise import aircraft_keys, doubts
+    from sim.identification.gyro_noise import aircraft_keys, doubts
     from toolchain.contract import AXES
 
     title = (

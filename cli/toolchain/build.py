@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     """Build and print the report; what the compiler said is shown only when it failed."""
     from rich.console import Console
 
-    from sim.pid_table import named_pid_table, shipped_pid_table
+    from sim.control.pid_table import named_pid_table, shipped_pid_table
     from toolchain.image.build import MakeError, build, find_target
     from toolchain.image.report import print_report
     from toolchain.policy.model import read_policy

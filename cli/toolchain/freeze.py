@@ -102,7 +102,7 @@ def _refuse_claims(args: argparse.Namespace) -> None:
 
 
 def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
-    from sim.aircraft import load_aircraft
+    from sim.aircraft.model import load_aircraft
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
     from toolchain.policy.import_onnx import PolicyClaims, adopt

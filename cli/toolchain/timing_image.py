@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from sim.aircraft import Aircraft
+    from sim.aircraft.model import Aircraft
     from sim.board.board import Board
     from sim.board.control_timing import Kind, Metered, Run, TaskCost
-    from sim.scenario import Scenario
+    from sim.flight.scenario import Scenario
     from toolchain.cortex_m7.cycles import Priced
     from toolchain.cortex_m7.disassembly import Instruction
     from toolchain.image.report import Built
@@ -27,9 +27,9 @@ SCENARIO, COUNT_MAX = "pulses", 100
 
 def run(args: argparse.Namespace) -> int:
     """Fly the image under its policy and under its PID, count every control task, print what they took."""
-    from sim.aircraft import load_aircraft
+    from sim.aircraft.model import load_aircraft
     from sim.board.control_timing import task_costs
-    from sim.scenario import load_scenario
+    from sim.flight.scenario import load_scenario
     from toolchain.cortex_m7.disassembly import disassemble
     from toolchain.errors import NeuroflightError
     from toolchain.image.report import built
@@ -87,10 +87,10 @@ def _fly(
     import numpy as np
 
     from sim.board.control_timing import ControlMeter
-    from sim.emulated_port import EmulatedPort
-    from sim.loop import fly
-    from sim.port import twin_settings
-    from sim.twin import Twin
+    from sim.flight.loop import fly
+    from sim.physics.twin import Twin
+    from sim.ports.emulator import EmulatedPort
+    from sim.ports.port import twin_settings
 
     rng = np.random.default_rng((args.seed, 1))
     meters: list[ControlMeter] = []

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from sim.confidence import Mean
+    from sim.analysis.confidence import Mean
     from training.comparison import Entry
 
 CONTENDERS_MAX = 8  # colours that can be told apart, and columns that fit
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.report import png
+    from sim.analysis.flight_report import png
     from toolchain.errors import TrainingError
     from toolchain.files import write_bytes
     from training.comparison import enter

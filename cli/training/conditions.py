@@ -44,8 +44,8 @@ def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> N
 def conditions(args: argparse.Namespace) -> Conditions:
     """The conditions asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
     from cli.output import check_output
-    from sim.aircraft import load_aircraft
-    from sim.world import COUNT_MAX, Mount
+    from sim.aircraft.model import load_aircraft
+    from sim.physics.world import COUNT_MAX, Mount
     from toolchain.errors import TrainingError
     from training.contender import Conditions
     from training.tasks import TASKS as BUILDERS

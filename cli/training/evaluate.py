@@ -20,7 +20,7 @@ from cli.training.conditions import (
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sim.confidence import Mean
+    from sim.analysis.confidence import Mean
     from training.evaluation import Evaluation
 
 ALL_ROWS = (
@@ -62,9 +62,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.report import png
-    from sim.response_plot import draw
-    from sim.spectrum_plot import Line
+    from sim.analysis.flight_report import png
+    from sim.analysis.response_plot import draw
+    from sim.analysis.spectrum_plot import Line
     from toolchain.files import write_bytes
     from training.contender import load_contender
     from training.evaluation import figures

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.report import png
+    from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
     from training.contender import load_contender
     from training.robustness import examine
@@ -99,8 +99,8 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace) -> Plan:
     """What is asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
     from cli.output import check_output
-    from sim.aircraft import load_aircraft
-    from sim.world import COUNT_MAX, Mount
+    from sim.aircraft.model import load_aircraft
+    from sim.physics.world import COUNT_MAX, Mount
     from toolchain.errors import TrainingError
     from training.robustness import COMMANDS_PER_DRAW, Plan
     from training.task import PulseTask
@@ -181,7 +181,7 @@ def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness
 def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Console) -> None:
     from rich.table import Table
 
-    from sim.world import Mount
+    from sim.physics.world import Mount
     from training.robustness import (
         CASE_RATIO_MAX,
         DIVERGENCE,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sim.aircraft import Aircraft
+    from sim.aircraft.model import Aircraft
     from training.configuration import TrainingConfig
     from training.seeds import Planned
     from training.synthesis import Listener, Progress
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train while showing how it goes, then say what came of it."""
-    from sim.aircraft import load_aircraft
+    from sim.aircraft.model import load_aircraft
 
     aircraft = load_aircraft(args.aircraft)
     config = _config(args, aircraft)
@@ -198,7 +198,7 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
 
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
     """monitor.png, as far as there is something to draw."""
-    from sim.report import png
+    from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
     from training.monitor import EPISODES, flown
     from training.monitor_plot import draw, read_monitor

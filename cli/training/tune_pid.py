@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Console
 
-    from sim.aircraft import Aircraft, PidSettings
+    from sim.aircraft.model import Aircraft, PidSettings
     from training.evaluation import Evaluation
     from training.tuning import Limits, Trial, Tuning
 
@@ -62,9 +62,9 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from sim.aircraft import FOLDER, load_aircraft, shipped
-    from sim.pid_write import write_pid
-    from sim.report import png
+    from sim.aircraft.model import FOLDER, load_aircraft, shipped
+    from sim.aircraft.pid_write import write_pid
+    from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
     from training.tuning import Limits, idle_limit
     from training.tuning_plot import draw
@@ -101,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     """Refuse what cannot be, before anything is flown. Raises NeuroflightError."""
     from cli.output import check_output
-    from sim.pid_write import NAME
-    from sim.world import COUNT_MAX
+    from sim.aircraft.pid_write import NAME
+    from sim.physics.world import COUNT_MAX
     from training.tuning import IDLE_MAX, POPULATION
 
     ranges: tuple[tuple[str, float | None, float, float], ...] = (
@@ -153,7 +153,7 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-    from sim.pid import Pid, mixer
+    from sim.control.pid import Pid, mixer
     from training.evaluation import evaluate
 
     rule, first = next(iter(tuning.rules.items()))

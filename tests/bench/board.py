@@ -21,14 +21,14 @@ from unittest import mock
 
 import numpy as np
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from sim.board.context import TIME_HZ
 from sim.board.hot import BoardEngine, Hot
-from sim.emulated_port import EmulatedPort
-from sim.loop import fly
-from sim.pid_table import pid_table
-from sim.scenario import Scenario, load_scenario
-from sim.twin import Twin
+from sim.control.pid_table import pid_table
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, load_scenario
+from sim.physics.twin import Twin
+from sim.ports.emulator import EmulatedPort
 
 T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[2]

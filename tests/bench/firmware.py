@@ -18,13 +18,13 @@ import numpy as np
 from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
-from sim.aircraft import load_aircraft
-from sim.loop import fly
-from sim.pid_table import pid_table
-from sim.port import Reply, Sample
-from sim.reference_port import ReferencePort
-from sim.scenario import load_scenario
-from sim.twin import Twin
+from sim.aircraft.model import load_aircraft
+from sim.control.pid_table import pid_table
+from sim.flight.loop import fly
+from sim.flight.scenario import load_scenario
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.ports.port import Reply, Sample
 from tests.firmware.board.conftest import Chip, Sketch
 from toolchain.contract import (
     DTCM,

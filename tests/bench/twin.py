@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import pybullet
 
-from sim.aircraft import load_aircraft
-from sim.controller import PolicyController
-from sim.twin import Twin
-from sim.world import Mount, World
+from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
+from sim.physics.twin import Twin
+from sim.physics.world import Mount, World
 from toolchain.policy.model import read_policy
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig

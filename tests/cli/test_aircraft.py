@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cli.main import main
-from sim.aircraft import FOLDER
+from sim.aircraft.model import FOLDER
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cli.main import main
-from sim.aircraft import FOLDER, RPM, TorqueResponse, load_aircraft
+from sim.aircraft.model import FOLDER, RPM, TorqueResponse, load_aircraft
 
 
 def command(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import pytest
 
 from cli.main import main
 from cli.sim import fly_ports as command
-from sim.aircraft import load_aircraft
-from sim.trace import load_trace
+from sim.aircraft.model import load_aircraft
+from sim.flight.trace import load_trace
 
 ROOT = Path(__file__).resolve().parents[2]
 

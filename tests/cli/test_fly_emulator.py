@@ -25,7 +25,7 @@ from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.board.board import Board
-from sim.trace import load_trace
+from sim.flight.trace import load_trace
 from toolchain.contract import MSP_VARIANT, Msp
 
 Command = Callable[..., tuple[int, str, str]]

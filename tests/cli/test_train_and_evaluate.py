@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.main import main
-from sim.aircraft import FOLDER
+from sim.aircraft.model import FOLDER
 
 Capture = pytest.CaptureFixture[str]
 

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sim.aircraft import GRAVITY, load_aircraft
-from sim.twin import Twin
-from sim.world import Mount
+from sim.aircraft.model import GRAVITY, load_aircraft
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
 
 RATE_HZ = 1000
 SETTLING = RATE_HZ  # steps

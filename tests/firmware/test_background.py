@@ -12,8 +12,8 @@ import pytest
 
 from flash import messages, records
 from flash.client import Client
-from sim import sticks
-from sim.reference_port import Reference
+from sim.control import sticks
+from sim.ports.library import Reference
 from toolchain.contract import (
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_TIMEOUT_MS,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.scenario import Scenario, load_scenario
-from sim.trace import Trace
+from sim.flight.scenario import Scenario, load_scenario
+from sim.flight.trace import Trace
 from toolchain.contract import CRASH_ERROR_DEG_S, CRASH_MS, CRASH_SPREAD, RUNAWAY_MS, RUNAWAY_WINDOW_MS
 
 NONE, HAPPENED, RUNAWAY = range(3)
@@ -134,10 +134,10 @@ def flown_here(reference_library: Path) -> Callable[[Scenario], Trace]:
     """Flies the shipped policy in a fresh twin of the NF1."""
     from contextlib import closing
 
-    from sim.aircraft import load_aircraft
-    from sim.loop import fly
-    from sim.reference_port import ReferencePort
-    from sim.twin import Twin
+    from sim.aircraft.model import load_aircraft
+    from sim.flight.loop import fly
+    from sim.physics.twin import Twin
+    from sim.ports.library import ReferencePort
 
     def run(scenario: Scenario) -> Trace:
         port = ReferencePort(reference_library, 1000)

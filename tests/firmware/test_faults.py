@@ -17,14 +17,14 @@ import pytest
 from flash import messages, records
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
-from sim.aircraft import load_aircraft
-from sim.loop import fly
-from sim.metrics import figures
-from sim.pid_table import pid_table
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment
-from sim.twin import Twin
-from sim.world import Mount
+from sim.aircraft.model import load_aircraft
+from sim.analysis.metrics import figures
+from sim.control.pid_table import pid_table
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from sim.ports.library import ReferencePort
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import (
     DEADLINE_MISSES_MAX,

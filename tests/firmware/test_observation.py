@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.observation import Observer
+from sim.control.observation import Observer
 from toolchain.contract import (
     OBSERVATION_AGE_MAX,
     OBSERVATION_BLOCKS,

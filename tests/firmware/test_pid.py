@@ -1,4 +1,4 @@
-"""pid.c: the real C against sim.pid.Pid in float64, with the gains that a build compiles in."""
+"""pid.c: the real C against sim.control.pid.Pid in float64, with the gains that a build compiles in."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.aircraft import PidSettings, load_aircraft
-from sim.pid import Pid, aircraft_pid, mixer
-from sim.pid_table import named_pid_table, shipped_pid_table
+from sim.aircraft.model import PidSettings, load_aircraft
+from sim.control.pid import Pid, aircraft_pid, mixer
+from sim.control.pid_table import named_pid_table, shipped_pid_table
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 STEPS = 3000
@@ -53,7 +53,7 @@ def test_the_built_in_pid_is_the_tuned_one_when_it_flies_at_random(reference_cor
     got = stepped(core, pid, setpoint, rate)
     assert np.ptp(expected, axis=0).min() > 0.9, "every motor went through its range"
     worst = float(np.abs(got - expected).max())
-    print(f"pid.c against sim.pid: {worst:.1e}")
+    print(f"pid.c against sim.control.pid: {worst:.1e}")
     assert worst <= TOLERANCE
     core.lib.pid_reset(pid)
     peer.reset()

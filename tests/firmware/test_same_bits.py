@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.observation import Observer
+from sim.control.observation import Observer
 from toolchain.contract import (
     DTCM,
     FLASH_BASE,

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
-from sim.controller_port import ControllerPort
-from sim.loop import fly
-from sim.pid import aircraft_pid, pid_settings
-from sim.port import FirmwarePort
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario
-from sim.trace import Trace
-from sim.twin import Twin
+from sim.aircraft.model import load_aircraft
+from sim.control.pid import aircraft_pid, pid_settings
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.ports.port import FirmwarePort
+from sim.ports.python_controller import ControllerPort
 
 GYRO_RATE_HZ = 4000
 Flown = Callable[..., Trace]

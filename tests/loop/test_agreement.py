@@ -13,10 +13,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sim.observation import Observer
-from sim.reference_port import ReferencePort
-from sim.scenario import load_scenario
-from sim.trace import Trace
+from sim.control.observation import Observer
+from sim.flight.scenario import load_scenario
+from sim.flight.trace import Trace
+from sim.ports.library import ReferencePort
 from toolchain.ir.interpreter import evaluate
 from toolchain.passes import optimize
 from toolchain.policy.model import read_policy

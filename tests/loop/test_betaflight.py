@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft import load_aircraft
-from sim.betaflight_build import Betaflight, build_betaflight
-from sim.betaflight_port import IDLE, SETTINGS, BetaflightPort
-from sim.controller_port import ControllerPort
-from sim.loop import fly
-from sim.metrics import figures
-from sim.pid import aircraft_pid
-from sim.port import FirmwarePort, Sample
-from sim.scenario import Scenario, Segment, pulses
-from sim.trace import Trace
-from sim.twin import Twin
-from sim.world import Mount
+from sim.aircraft.model import load_aircraft
+from sim.analysis.metrics import figures
+from sim.control.pid import aircraft_pid
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment, pulses
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from sim.ports.betaflight.build import Betaflight, build_betaflight
+from sim.ports.betaflight.port import IDLE, SETTINGS, BetaflightPort
+from sim.ports.port import FirmwarePort, Sample
+from sim.ports.python_controller import ControllerPort
 from toolchain.errors import LinkError
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim import sticks
 from sim.board.variables import read_variables
-from sim.emulated_port import EmulatedPort
-from sim.port import Sample
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment
-from sim.trace import Trace
+from sim.control import sticks
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.ports.emulator import EmulatedPort
+from sim.ports.library import ReferencePort
+from sim.ports.port import Sample
 from toolchain.errors import BuildError, LinkError
 
 Flown = Callable[..., Trace]

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim import sticks
 from sim.board.dshot import SILENT_S
 from sim.board.faults import FAULTS, Fault, parse_fault
-from sim.emulated_port import EmulatedPort, Event, Moment
-from sim.port import Reply, Sample
+from sim.control import sticks
+from sim.ports.emulator import EmulatedPort, Event, Moment
+from sim.ports.port import Reply, Sample
 from toolchain.contract import GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 from toolchain.errors import LinkError, ScenarioError
 

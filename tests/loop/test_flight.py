@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.controller_port import ControllerPort
-from sim.host_port import HostPort
-from sim.metrics import Figures, figures
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment, load_scenario
-from sim.trace import Trace
+from sim.analysis.metrics import Figures, figures
+from sim.flight.scenario import Scenario, Segment, load_scenario
+from sim.flight.trace import Trace
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.python_controller import ControllerPort
 from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
 from sim.board.context import TIME_HZ
 from sim.board.control_timing import ControlMeter, Work
 from sim.board.profile import TaskCount, task_counts
-from sim.emulated_port import EmulatedPort, Moment
-from sim.host_port import HostPort
-from sim.loop import fly
-from sim.port import Reply, Sample
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment, load_scenario
-from sim.trace import Trace
-from sim.twin import Twin
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment, load_scenario
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.emulator import EmulatedPort, Moment
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.port import Reply, Sample
 from toolchain.cortex_m7.cycles import Route
 from toolchain.cortex_m7.disassembly import disassemble
 

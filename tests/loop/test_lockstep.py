@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from sim.controller import PolicyController
-from sim.controller_port import ControllerPort
-from sim.host_port import HostPort
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment, load_scenario
-from sim.trace import Trace, load_trace, save_trace
+from sim.control.controller import PolicyController
+from sim.flight.scenario import Scenario, Segment, load_scenario
+from sim.flight.trace import Trace, load_trace, save_trace
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.python_controller import ControllerPort
 from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]

@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from cli.main import main
-from sim.aircraft import load_aircraft
-from sim.controller import PolicyController
-from sim.controller_port import ControllerPort
-from sim.host_port import HostPort
-from sim.reference_port import ReferencePort
-from sim.scenario import Scenario, Segment
-from sim.trace import Trace
+from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.python_controller import ControllerPort
 from toolchain.contract import observation_blocks, observation_count
 from toolchain.image.build import build
 from toolchain.policy.freeze import to_onnx

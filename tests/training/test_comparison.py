@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cli.main import main
-from sim.aircraft import load_aircraft
-from sim.metrics import Tracking
-from sim.spectrum import Spectrum
+from sim.aircraft.model import load_aircraft
+from sim.analysis.metrics import Tracking
+from sim.analysis.spectrum import Spectrum
 from toolchain.errors import AircraftError, PolicyError
 from training.comparison import curves, differences, document, enter, means, significant
 from training.comparison_plot import draw

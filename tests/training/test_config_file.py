@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from toolchain.errors import TrainingError
 from training.algorithm import PpoConfig
 from training.config_file import load_config, recipes

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from toolchain.errors import TrainingError
 from training.algorithm import PpoConfig
 from training.configuration import OutputMap, TrainingConfig, WorldConfig

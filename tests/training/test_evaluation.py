@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft import load_aircraft
-from sim.pid import aircraft_pid, pid_settings
+from sim.aircraft.model import load_aircraft
+from sim.control.pid import aircraft_pid, pid_settings
 from training.evaluation import evaluate, figures, record
 from training.task import EnvelopeTask, EpisodicTask, PulseTask
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from toolchain.errors import PolicyError
 from training.algorithm import PpoConfig
 from training.configuration import TrainingConfig, WorldConfig

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.aircraft import load_aircraft
-from sim.observation import Observer
+from sim.aircraft.model import load_aircraft
+from sim.control.observation import Observer
 from training.configuration import TrainingConfig
 from training.ppo import observation_noise
 

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from toolchain.errors import AircraftError, TrainingError
 from training.configuration import TrainingConfig, WorldConfig
 from training.randomization import Randomization

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
-from sim.trace import Trace, save_trace
+from sim.aircraft.model import load_aircraft
+from sim.flight.trace import Trace, save_trace
 from toolchain.errors import TrainingError
 from training.config_file import load_config
 from training.recorded import RecordedTask

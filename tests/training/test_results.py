@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cli.main import main
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from training.results import render
 from training.stored import ResultsError, Stored, read_commands, read_results
 

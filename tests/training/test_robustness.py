@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from training.contender import Contender, load_contender
 from training.evaluation import Flights
 from training.robustness import Plan, examine, judge, quantile_of, ratio_of

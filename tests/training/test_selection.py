@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
-from sim.report import png
+from sim.aircraft.model import load_aircraft
+from sim.analysis.flight_report import png
 from toolchain.errors import TrainingError
 from training.checkpoint import Watched
 from training.configuration import TrainingConfig

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from training.configuration import TrainingConfig, WorldConfig
 from training.recorded import RecordedTask
 from training.reward import REWARDS, Rewards, TrackingReward, Transition

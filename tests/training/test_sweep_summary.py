@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.report import png
+from sim.analysis.flight_report import png
 from training.configuration import TrainingConfig
 from training.sweep import Trial, Validation
 from training.sweep_plot import draw

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft import load_aircraft
-from sim.controller import PolicyController
+from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
 from toolchain.contract import CHECKPOINT_FORMAT
 from toolchain.errors import TrainingError
 from toolchain.policy.model import read_policy

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft import GRAVITY, load_aircraft, shipped
-from sim.pid import aircraft_pid, pid_settings
-from sim.twin import Twin
-from sim.world import Mount
+from sim.aircraft.model import GRAVITY, load_aircraft, shipped
+from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
 from toolchain.contract import AXES
 from training.evaluation import evaluate
 from training.task import EpisodicTask

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from sim.aircraft import PidSettings, load_aircraft
-from sim.pid import Pid, mixer
+from sim.aircraft.model import PidSettings, load_aircraft
+from sim.control.pid import Pid, mixer
 from toolchain.errors import TrainingError
 from training.evaluation import record
 from training.ultimate import Steps, Ultimate, ultimate

@@ -9,7 +9,7 @@ import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from training.algorithm import PpoConfig
 from training.configuration import OutputMap, TrainingConfig, WorldConfig
 from training.reward import Transition

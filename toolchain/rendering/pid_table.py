@@ -1,6 +1,6 @@
 """The PID that stands beside the policy in an image: the aircraft's gains as C.
 
-`sim.pid_table` reads them from an aircraft; this room only knows the numbers.
+`sim.control.pid_table` reads them from an aircraft; this room only knows the numbers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolchain.rendering.jinja import render
 
-SCALE = 1e-3  # motor fraction of one unit of the sum of gain and deg/s; sim/pid.py
+SCALE = 1e-3  # motor fraction of one unit of the sum of gain and deg/s; sim/control/pid.py
 INTEGRAL_OUTPUT_MAX = 1.0  # motor fraction that the integral alone may ask for
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sim.world import COUNT_MAX
+from sim.physics.world import COUNT_MAX
 
 BATCH_STEPS_MAX = 600_000  # control steps of an update: half a gigabyte with two layers of 64
 

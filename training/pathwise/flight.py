@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.imu import quantised_rate
-from sim.motors import motor_commands
-from sim.observation import Observer
-from sim.twin import Twin
-from sim.variation import Variation
+from sim.control.motors import motor_commands
+from sim.control.observation import Observer
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
 from training.pathwise.network import Network, Passed
 from training.random_steps import Counted
 

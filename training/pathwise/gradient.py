@@ -12,8 +12,8 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft import Gyro
-from sim.derivative import StepModel
+from sim.aircraft.model import Gyro
+from sim.physics.derivative import StepModel
 from toolchain.contract import RATE_ERROR_INTEGRAL_LIMIT_RAD, ObservationTerm
 from training.pathwise.flight import Batch, Flight
 from training.pathwise.loss import Blame
@@ -148,7 +148,7 @@ class _Observation:
 
 
 def _unclamped(error: Floats, dt: float) -> NDArray[np.bool_]:
-    """Where the bounded integral of `error` (T, B, 3) follows it, as sim.observation integrates."""
+    """Where the bounded integral of `error` (T, B, 3) follows it, as sim.control.observation integrates."""
     limit, step = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD), np.float32(dt)
     integral = np.zeros(error.shape[1:], np.float32)
     free = np.empty(error.shape, bool)

@@ -8,7 +8,7 @@ as many steps.
 Source: SVG(inf) of Heess et al. 2015, "Learning Continuous Control Policies by Stochastic Value Gradients",
 for a policy without noise: states are the environment's own, its model only gives the derivatives there.
 What of them is exact, and what goes straight through, stands in `training.pathwise.gradient` and
-`sim.derivative`.
+`sim.physics.derivative`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sim.aircraft import Aircraft
-from sim.derivative import StepModel
-from sim.observation import Observer
-from sim.twin import Twin
-from sim.variation import Variation
-from sim.world import Mount
+from sim.aircraft.model import Aircraft
+from sim.control.observation import Observer
+from sim.physics.derivative import StepModel
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
 from toolchain.errors import TrainingError
 from training.configuration import TrainingConfig
 from training.learner import Report

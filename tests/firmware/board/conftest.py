@@ -27,8 +27,8 @@ from unicorn.arm_const import (
     UC_CPU_ARM_CORTEX_M7,
 )
 
-from sim.aircraft import load_aircraft
-from sim.pid_table import pid_table
+from sim.aircraft.model import load_aircraft
+from sim.control.pid_table import pid_table
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
 from toolchain.ir.network import chain

@@ -12,7 +12,7 @@ import onnx
 import pytest
 
 from cli.main import main
-from sim.aircraft import load_aircraft
+from sim.aircraft.model import load_aircraft
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
 from toolchain.policy.import_onnx import PolicyClaims, adopt, adopted_model

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.aircraft import load_aircraft
-from sim.derivative import StepModel
-from sim.observation import Observer
-from sim.twin import Twin
-from sim.variation import Variation
+from sim.aircraft.model import load_aircraft
+from sim.control.observation import Observer
+from sim.physics.derivative import StepModel
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
 from toolchain.contract import observation_blocks
 from training.configuration import OBSERVATION_SCALES, OutputMap
 from training.pathwise import flight as flying

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from sim.aircraft import load_aircraft
-from sim.controller import PolicyController
-from sim.observation import Observer
+from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
+from sim.control.observation import Observer
 from toolchain.errors import TrainingError
 from toolchain.policy.freeze import to_onnx
 from toolchain.policy.model import parse_policy

@@ -13,9 +13,9 @@ import pytest
 from flash.msp import encode, request
 from sim.board.board import Board, Report
 from sim.board.usart import SBUS, Format
-from sim.emulated_port import FULL_VOLTS, RECEIVER
-from sim.receiver_frames import sbus_frame
-from sim.sticks import channels
+from sim.control.sticks import channels
+from sim.ports.emulator import FULL_VOLTS, RECEIVER
+from sim.ports.receiver_frames import sbus_frame
 from tests.conftest import ROOT
 from tests.sim.board.mutants.mutant import Mutant
 from toolchain.contract import Msp

@@ -1,0 +1,443 @@
+"""The description of an aircraft: a TOML file in, one frozen object out.
+
+Keys carry their unit; each number's source stands in the file. A file that is missing, malformed or
+names a key nobody reads is refused with the key's name. docs/own-aircraft.md lists every key.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_collisions
+from sim.aircraft.airframe import Rotor as Rotor
+from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
+from sim.strict_toml import Table
+from toolchain import contract
+from toolchain.contract import AXES
+from toolchain.errors import AircraftError
+
+FOLDER = Path(__file__).parent
+FILE_BYTES_MAX = 256 << 10
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the C of a policy
+GRAVITY = contract.GRAVITY  # [m/s^2]
+RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
+COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
+EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load
+CELL_VOLTAGE_MIN, CELL_VOLTAGE_MAX = 3.0, 4.45  # [V], full cells of any lithium chemistry in use
+
+
+@dataclass(frozen=True)
+class TorqueResponse:
+    """A P controller on rotor speed whose torque is clamped (Koch 2019, chapter 5)."""
+
+    gain: float  # [N m s/rad]
+    torque_up: float  # [N m], most it accelerates with
+    torque_down: float  # [N m], most it brakes with
+
+
+@dataclass(frozen=True)
+class FirstOrderResponse:
+    """A first-order lag, with one time constant for each direction."""
+
+    time_constant_up: float  # [s], while the rotor gains speed
+    time_constant_down: float  # [s], while it loses speed
+
+
+Response = TorqueResponse | FirstOrderResponse
+
+
+@dataclass(frozen=True)
+class Propulsion:
+    """What a motor command does to a rotor, the same for every rotor of the aircraft.
+
+    Coefficients are polynomials of rotor speed w [rad/s], lowest power first; one number is a constant.
+    """
+
+    speed_curve: Vector  # a, b, c of H(u) = a u^2 + b u + c [rad/s], at `supply_voltage`
+    thrust_coefficient: tuple[float, ...]  # K_T(w) [N s^2/rad^2]: thrust = K_T w^2
+    torque_ratio: tuple[float, ...]  # K_Q(w) [m]: drag torque = K_Q thrust
+    rotor_inertia: float  # [kg m^2]
+    response: Response
+    drag_coefficient: float  # [N s^2/(rad m)]
+    rolling_coefficient: float  # [N s^2/rad]
+    delay: float  # [s], command to rotor, the control loop's own sample included
+    supply_voltage: float | None  # [V], where the speed curve was measured; None: not known
+    efficiency: float  # electrical power to power on the shaft, motor and ESC, 0..1
+    propeller_diameter: float | None = None  # [m]; None: not known
+
+    @property
+    def speed_max(self) -> float:
+        """Rotor speed at full command on the bench supply [rad/s]."""
+        return sum(self.speed_curve)
+
+
+@dataclass(frozen=True)
+class Battery:
+    """A LiPo pack."""
+
+    cells: int  # in series
+    capacity: float  # [A s]
+    rest_voltage: float  # [V], full, without load
+    resistance: float  # [ohm], of pack and leads
+    electronics_power: float  # [W], what runs besides the motors
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """The gyro as the controller samples it; what a file leaves out is ideal."""
+
+    noise: Vector  # [rad/s], standard deviation of white noise, one draw a sample
+    bias: float  # [rad/s], standard deviation of the constant drawn for each episode
+    bandwidth_hz: float | None = None  # of the chip's own first-order low-pass; None: none
+    misalignment: Vector = (0.0, 0.0, 0.0)  # [rad], small turns of the chip about the body axes
+    vibration: Vector = (0.0, 0.0, 0.0)  # [rad/s], amplitude that one rotor causes at its full speed
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """The accelerometer beside the gyro."""
+
+    noise: Vector  # [m/s^2], standard deviation of white noise, one draw a sample
+    bias: float = 0.0  # [m/s^2], standard deviation of the constant drawn for each episode
+    bandwidth_hz: float | None = None  # of a first-order low-pass; None: none
+    full_scale: float = 16 * GRAVITY  # [m/s^2], where it saturates
+    vibration: Vector = (0.0, 0.0, 0.0)  # [m/s^2], amplitude that one rotor causes at its full speed
+
+
+@dataclass(frozen=True)
+class EscTelemetry:
+    """What the ESCs report, rounded to these steps; 0 is unrounded."""
+
+    speed_step: float = 0.0  # [rad/s]
+    voltage_step: float = 0.0  # [V]
+    current_step: float = 0.0  # [A]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The box that touches the ground and meets the wind."""
+
+    size: Vector  # [m], along x, y, z
+    centre: Vector  # [m], body frame
+    drag_area: Vector  # [m^2], drag coefficient times area, along x, y, z
+
+
+@dataclass(frozen=True)
+class PidSettings:
+    """A PID controller's settings; the sum in deg/s is divided by 1000 to a motor fraction."""
+
+    gains: tuple[Vector, Vector, Vector]  # roll, pitch, yaw as K_P, K_I, K_D, on the error in deg/s
+    derivative_cutoff_hz: float | None  # of the first-order low-pass on the derivative; None: none
+    idle: float  # fraction an armed motor turns at without thrust, which these gains were found with
+    # Share of each motor in roll, pitch and yaw, which the gains were found with; None: from the geometry.
+    mixer: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] | None = None
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """Everything the twin knows of an aircraft."""
+
+    name: str
+    description: str
+    sha256: str  # of the file's bytes, and of its meshes'
+    parts: tuple[Part, ...]
+    rotors: tuple[Rotor, ...]
+    propulsion: Propulsion
+    gyro: Gyro
+    accelerometer: Accelerometer | None
+    esc: EscTelemetry
+    battery: Battery | None
+    body: Body | None
+    centre_of_thrust: Vector  # [m], where the attitude rig holds it
+    pids: tuple[tuple[str, PidSettings], ...]  # by name; the first is the aircraft's own
+    mass_properties: MassProperties
+
+    @property
+    def motor_count(self) -> int:
+        """Number of motors M."""
+        return len(self.rotors)
+
+    @property
+    def rotor_positions(self) -> NDArray[np.float64]:
+        """Hubs relative to the centre of mass [m], shape (M, 3), motor order."""
+        return np.array([rotor.position for rotor in self.rotors]) - self.mass_properties.centre
+
+    @property
+    def spins(self) -> NDArray[np.float64]:
+        """Turning directions, shape (M,), +1 counter-clockwise seen from above."""
+        return np.array([float(rotor.spin) for rotor in self.rotors])
+
+
+def shipped() -> tuple[str, ...]:
+    """Names of the aircraft that come with the project."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def load_aircraft(name: str | Path) -> Aircraft:
+    """Read an aircraft by shipped name or by path. Raises AircraftError naming the file and key."""
+    path = FOLDER / f"{name}.toml" if str(name) in shipped() else Path(name)
+    if not path.is_file():
+        known = ", ".join(shipped())
+        raise AircraftError(
+            f"aircraft {str(name)!r}: no such file; give the path of a .toml file or one of: {known}"
+        )
+    try:
+        size = path.stat().st_size
+        data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
+    except OSError as error:
+        raise AircraftError(f"aircraft file {path}: cannot be read: {error.strerror}") from error
+    if size > FILE_BYTES_MAX:
+        raise AircraftError(f"aircraft file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
+    return parse_aircraft(data, str(path), path.parent)
+
+
+def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircraft:
+    """Aircraft from the bytes of its file; `where` names it in messages. Raises AircraftError.
+
+    folder: where its meshes lie; without one, a file that names a mesh is refused.
+    """
+    root = Table(_document(data, where), f"aircraft file {where}", AircraftError)
+    root.integer("format", 1, 1)
+    name = root.text("name")
+    if not NAME.fullmatch(name):
+        raise root.error("name", f"got {name!r}, expected at most 32 letters, digits, dots and dashes")
+    description = root.text("description", "")
+    centre_of_thrust = root.vector("centre_of_thrust_m", -10, 10)
+    meshes = Meshes(folder)
+    parts = read_parts(root, meshes)
+    rotors, mounted = read_rotors(root, meshes)
+    propulsion = _propulsion(root.table("propulsion"))
+    refuse_collisions(root, rotors, propulsion.propeller_diameter)
+    gyro = _gyro(root.table("gyro"))
+    accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
+    esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
+    battery = _battery(root.table("battery")) if root.has("battery") else None
+    body = _body(root.table("body")) if root.has("body") else None
+    pids = _pids(root.table("pid"), len(rotors)) if root.has("pid") else ()
+    root.finish()
+    parts += mounted
+    return Aircraft(
+        name=name,
+        description=description,
+        sha256=meshes.sha256(data),
+        parts=tuple(parts),
+        rotors=rotors,
+        propulsion=propulsion,
+        gyro=gyro,
+        accelerometer=accelerometer,
+        esc=esc,
+        battery=battery,
+        body=body,
+        centre_of_thrust=centre_of_thrust,
+        pids=pids,
+        mass_properties=mass_properties(parts),
+    )
+
+
+def thrust_coefficient(c_t: float, diameter: float, density: float) -> float:
+    """K_T [N s^2/rad^2] of a propeller [m] in air of `density` [kg/m^3] from its dimensionless C_T.
+
+    Source: T = C_T rho n^2 D^4 with n = w / 2 pi revolutions a second (UIUC Propeller Data Site).
+    """
+    return c_t * density * diameter**4 / (2 * math.pi) ** 2
+
+
+def torque_ratio(c_t: float, c_q: float, diameter: float) -> float:
+    """K_Q [m], torque over thrust, of a propeller [m] from its dimensionless C_T and C_Q.
+
+    Source: Q = C_Q rho n^2 D^5, beside T as above; C_Q is C_P / 2 pi.
+    """
+    return c_q * diameter / c_t
+
+
+def _document(data: bytes, where: str) -> dict[str, object]:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        byte = data[error.start]
+        raise AircraftError(
+            f"aircraft file {where}: not UTF-8: byte 0x{byte:02x} at {error.start}; save it as UTF-8 text"
+        ) from error
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        lines = text.splitlines()
+        found = re.search(r"at line (\d+)", str(error))
+        line = lines[int(found[1]) - 1].strip() if found and int(found[1]) <= len(lines) else ""
+        shown = f": {line[:60]!r}" if line else ""
+        raise AircraftError(
+            f"aircraft file {where}: not TOML: {error or 'nested too deep'}{shown}"
+        ) from error
+
+
+def _propulsion(table: Table) -> Propulsion:
+    a, b, c = table.vector("speed_curve_rpm", -1e6, 1e6)
+    if b <= 0 or 2 * a + b < 0 or c < 0:
+        raise table.error(
+            "speed_curve_rpm", f"[{a}, {b}, {c}] must rise over throttle 0..1 and start at no less than 0 rpm"
+        )
+    diameter = _optional(table, "propeller_diameter_m", 0.01, 5)
+    thrust, torque = _coefficients(table, (a + b + c) * RPM)
+    propulsion = Propulsion(
+        speed_curve=(a * RPM, b * RPM, c * RPM),
+        thrust_coefficient=thrust,
+        torque_ratio=torque,
+        rotor_inertia=table.number("rotor_inertia_kg_m2", 1e-12, 10),
+        response=_response(table.table("response")),
+        drag_coefficient=table.number("drag_coefficient", 0, 1),
+        rolling_coefficient=table.number("rolling_coefficient", 0, 1),
+        delay=table.number("delay_s", 0, 0.1),
+        supply_voltage=_optional(table, "supply_voltage_v", 1, 1000),
+        efficiency=table.number("efficiency", 0.05, 1, EFFICIENCY_DEFAULT),
+        propeller_diameter=diameter,
+    )
+    table.finish()
+    return propulsion
+
+
+def _coefficients(table: Table, speed_max: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """K_T and K_Q, given as such or by the propeller's dimensionless C_T and C_Q."""
+    if table.either("thrust_coefficient", "c_t") == "thrust_coefficient":
+        table.either("torque_ratio_m", "c_q")
+        thrust = _coefficient(table, "thrust_coefficient", speed_max, 1)
+        return thrust, _coefficient(table, "torque_ratio_m", speed_max, 10)
+    table.either("c_q", "torque_ratio_m")
+    c_t, c_q = table.number("c_t", 1e-4, 1), table.number("c_q", 1e-6, 1)
+    diameter = table.number("propeller_diameter_m", 0.01, 5)
+    density = table.number("air_density_kg_m3", 0.01, 10)
+    return (thrust_coefficient(c_t, diameter, density),), (torque_ratio(c_t, c_q, diameter),)
+
+
+def _coefficient(table: Table, key: str, speed_max: float, high: float) -> tuple[float, ...]:
+    """A number, or a polynomial of rotor speed that stays positive up to `speed_max` [rad/s]."""
+    polynomial = table.numbers(key, 1, COEFFICIENT_TERMS_MAX, -high, high)
+    speeds = np.linspace(0.0, speed_max, 1001)
+    values = np.polynomial.polynomial.polyval(speeds, polynomial)
+    if values.min() <= 0 or values.max() > high:
+        worst = values.min() if values.min() <= 0 else values.max()
+        raise table.error(
+            key,
+            f"got {list(polynomial)}, which reaches {worst:.3g}; expected above 0 and at most {high:g} "
+            f"at every speed up to {speed_max:.0f} rad/s",
+        )
+    return polynomial
+
+
+def _response(table: Table) -> Response:
+    kind = table.choice("kind", {"torque": "torque", "first_order": "first_order"})
+    response: Response
+    if kind == "torque":
+        response = TorqueResponse(
+            gain=table.number("gain", 1e-12, 10),
+            torque_up=table.number("torque_up_n_m", 1e-9, 1000),
+            torque_down=table.number("torque_down_n_m", 1e-9, 1000),
+        )
+    else:
+        response = FirstOrderResponse(
+            time_constant_up=table.number("time_constant_up_s", 1e-4, 10),
+            time_constant_down=table.number("time_constant_down_s", 1e-4, 10),
+        )
+    table.finish()
+    return response
+
+
+def _battery(table: Table) -> Battery:
+    battery = Battery(
+        cells=table.integer("cells", 1, 100),
+        capacity=3600 * table.number("capacity_ah", 1e-3, 1e4),
+        rest_voltage=table.number("rest_voltage_v", 0.5, 1000),
+        resistance=table.number("resistance_ohm", 0, 100),
+        electronics_power=table.number("electronics_w", 0, 1000, 0.0),
+    )
+    table.finish()
+    cell = battery.rest_voltage / battery.cells
+    if not CELL_VOLTAGE_MIN <= cell <= CELL_VOLTAGE_MAX:
+        raise table.error(
+            "rest_voltage_v",
+            f"got {battery.rest_voltage:g} V, {cell:.2f} V for each of {battery.cells} cells; expected "
+            f"{CELL_VOLTAGE_MIN:g} to {CELL_VOLTAGE_MAX:g} V a full cell",
+        )
+    return battery
+
+
+def _gyro(table: Table) -> Gyro:
+    gyro = Gyro(
+        noise=_radians(table.vector("noise_deg_s", 0, 100)),
+        bias=math.radians(table.number("bias_deg_s", 0, 100)),
+        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        misalignment=_radians(table.vector("misalignment_deg", -10, 10, ZERO)),
+        vibration=_radians(table.vector("vibration_deg_s", 0, 1000, ZERO)),
+    )
+    table.finish()
+    return gyro
+
+
+def _accelerometer(table: Table) -> Accelerometer:
+    accelerometer = Accelerometer(
+        noise=table.vector("noise_m_s2", 0, 100),
+        bias=table.number("bias_m_s2", 0, 10, 0.0),
+        bandwidth_hz=_optional(table, "bandwidth_hz", 1, 1e5),
+        full_scale=table.number("full_scale_m_s2", 1, 1e4, Accelerometer.full_scale),
+        vibration=table.vector("vibration_m_s2", 0, 1000, ZERO),
+    )
+    table.finish()
+    return accelerometer
+
+
+def _esc(table: Table) -> EscTelemetry:
+    esc = EscTelemetry(
+        speed_step=table.number("speed_step_rpm", 0, 1e4, 0.0) * RPM,
+        voltage_step=table.number("voltage_step_v", 0, 10, 0.0),
+        current_step=table.number("current_step_a", 0, 10, 0.0),
+    )
+    table.finish()
+    return esc
+
+
+def _body(table: Table) -> Body:
+    body = Body(
+        size=table.vector("size_m", 1e-3, 20),
+        centre=table.vector("centre_m", -10, 10),
+        drag_area=table.vector("drag_area_m2", 0, 100, ZERO),
+    )
+    table.finish()
+    return body
+
+
+def _pids(table: Table, motors: int) -> tuple[tuple[str, PidSettings], ...]:
+    pids = []
+    for name in table.names():
+        pid = table.table(name)
+        roll, pitch, yaw = (pid.vector(axis, 0, 1e6) for axis in AXES)
+        settings = PidSettings(
+            gains=(roll, pitch, yaw),
+            derivative_cutoff_hz=_optional(pid, "derivative_cutoff_hz", 1, 1e5),
+            idle=pid.number("idle", 0, 0.5, 0.0),
+            mixer=_mixer(pid.table("mixer"), motors) if pid.has("mixer") else None,
+        )
+        pid.finish()
+        pids.append((name, settings))
+    table.finish()
+    return tuple(pids)
+
+
+def _mixer(table: Table, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    roll, pitch, yaw = (table.numbers(axis, motors, motors, -10, 10) for axis in AXES)
+    table.finish()
+    return roll, pitch, yaw
+
+
+def _radians(degrees: Vector) -> Vector:
+    x, y, z = (math.radians(value) for value in degrees)
+    return (x, y, z)
+
+
+def _optional(table: Table, key: str, low: float, high: float) -> float | None:
+    return table.number(key, low, high) if table.has(key) else None

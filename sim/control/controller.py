@@ -1,0 +1,76 @@
+"""Rate controllers in Python: the protocol, and a policy.onnx as one."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.control.observation import Observer
+from toolchain.ir.interpreter import advance, clear_state
+from toolchain.passes import optimize
+from toolchain.policy.model import PolicyModel
+
+SENSED = frozenset({"rotor_speed", "gravity"})  # blocks that no step of a Controller is given
+
+
+class Controller(Protocol):
+    """N rate controllers of aircraft with M motors, stepped together at the control rate."""
+
+    def reset(self) -> None:
+        """Forget the past, as when a flight is armed."""
+        ...
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Outputs y (N, M), fractions 0..1 before the throttle mix.
+
+        setpoint, gyro: (N, 3) [rad/s], body axes; throttle: (N,), 0..1.
+        """
+        ...
+
+
+class PolicyController:
+    """N copies of a policy."""
+
+    def __init__(self, policy: PolicyModel, count: int = 1, *, exact: bool = True) -> None:
+        """The controller is to be stepped at `policy.control_rate_hz`.
+
+        exact: with the very roundings of the compiled C; see `toolchain.ir.interpreter`.
+        """
+        self._network, _ = optimize(policy.network)
+        self._state = clear_state(self._network, count)
+        self._exact = exact
+        self._everyone = np.arange(count)
+        self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
+        self._action = np.zeros((count, policy.action_count), np.float32)
+        self._sensed: dict[str, NDArray[np.float32]] = {}
+        self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
+
+    def reset(self) -> None:
+        """Forget the past: deltas, the previous action and recurrent state of the next step are zero."""
+        self._observer.reset(self._everyone)
+        self._action[:] = 0.0
+        self._state = clear_state(self._network, len(self._everyone))
+
+    def sense(self, rotor_speed: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        """Tell what the next step may observe of the aircraft beside the gyro.
+
+        rotor_speed: (N, M) [rad/s]; rotation: (N, 3, 3), matrices from body to world.
+        """
+        self._sensed = {
+            "rotor_speed": rotor_speed.astype(np.float32),
+            "gravity": -rotation[:, 2].astype(np.float32),
+        }
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """See Controller."""
+        observation = self._observer.observe(
+            slice(None), setpoint, gyro, self._action, throttle, **self._sensed
+        )
+        self._action, self._state = advance(self._network, observation, self._state, exact=self._exact)
+        return self._action

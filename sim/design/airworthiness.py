@@ -1,0 +1,470 @@
+"""Whether an aircraft can fly, and whether its numbers can be true: figures and verdicts from its file.
+
+What is certainly wrong is refused where the file is read; here is what takes judgement. The limits are
+drawn wide: they find a slip of unit or place, not an unusual aircraft.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.mass import principal, rotation_matrix
+from sim.aircraft.model import GRAVITY, RPM, Aircraft, Battery, Propulsion
+from sim.physics.air import AIR_DENSITY
+from sim.physics.battery import loaded_voltage, open_circuit_voltage
+from sim.physics.rotor import coefficient, target_speed, thrust_and_torque
+from toolchain.contract import AXES
+
+Array = NDArray[np.float64]
+
+HOVER_PASSES = 5  # K_Q depends on the speed, if at all, weakly
+SPEEDS = 2001  # points of the grid on which speed and throttle are looked up
+CHARGE_USED = 0.8  # of a full pack: the usual limit for its health
+THRUST_TO_WEIGHT_LOW = 1.5  # below it little is left to steer with
+SHARE_HIGH = 1.3  # greatest hover thrust of a rotor over the least
+# Radius of gyration over the hubs' distance from the centre of mass: 0.35 to 0.6 for the shipped aircraft,
+# 1 if all mass sat at the hubs of a ring. A slip of a thousand in the unit moves it by 30.
+GYRATION_USUAL, GYRATION_POSSIBLE = (0.15, 0.85), (0.03, 1.5)
+# Mass over the square of the wheelbase [kg/m^2]: 3 for a 27 g palm-sized quadrotor, 9 for a 5 inch racer.
+LOADING_USUAL, LOADING_POSSIBLE = (1.0, 40.0), (0.1, 400.0)
+FAR = 2.0  # a part farther from the centre of mass than this many hub distances is misplaced
+# Ideal over actual power of a propeller at rest: 0.4 to 0.75 for small ones, 1 is the limit of physics.
+MERIT_USUAL = (0.25, 0.85)
+TIP_SPEED_HIGH = 270.0  # [m/s], 0.8 of the speed of sound; small propellers stay below
+SUPPLY_USUAL, SUPPLY_POSSIBLE = (0.95, 1.25), (0.7, 1.5)  # full pack over the supply of the speed curve
+CELL_LOADED_LOW = 3.0  # [V], where ESCs cut off and cells take harm
+CENTRE_OFF = 0.1  # of the hubs' distance: how far the stated centre of thrust may lie from theirs
+
+
+class Level(Enum):
+    """How bad it is."""
+
+    OK = "ok"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One line of judgement."""
+
+    level: Level
+    subject: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Hover:
+    """Hanging still in the air, on the bench supply."""
+
+    thrust: Array  # (M,) [N]
+    speed: Array  # (M,) [rad/s]
+    throttle: Array  # (M,), 0..1
+    power: float  # [W], electrical, of motors and electronics
+
+
+@dataclass(frozen=True)
+class Endurance:
+    """What a battery makes of a hover."""
+
+    current: float  # [A], with a full pack
+    seconds: float  # from full to 20 % left
+    full_throttle_current: float  # [A], with a full pack
+    full_throttle_voltage: float  # [V], with a full pack; 0: more than it can give
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What follows from an aircraft file."""
+
+    mass: float  # [kg]
+    centre: Array  # (3,) [m], of mass, body frame
+    inertia: Array  # (3, 3) [kg m^2], about it, body axes
+    principal_moments: Array  # (3,) [kg m^2], each at the body axis its own axis is nearest to
+    principal_axes: Array  # (3, 3), the columns
+    wheelbase: float  # [m], longest distance between hubs
+    reach: float  # [m], from the centre of mass to the farthest hub, seen from above
+    thrust_max: float  # [N], all rotors
+    thrust_to_weight: float
+    hover: Hover | None  # None: it cannot
+    acceleration: Array  # (3,) [rad/s^2], most about each axis alone, whatever the thrust; weaker direction
+    hover_acceleration: Array  # (3,) [rad/s^2], the same with the thrust held at the weight
+    endurance: Endurance | None  # None: no battery, or no hover
+
+
+def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
+    """Figures of an aircraft and what to think of them."""
+    figures = _figures(aircraft)
+    checks = (_thrust, _hover, _control, _size, _inertia, _centre, _propeller, _rotor, _battery, _body)
+    return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
+
+
+def thrust_map(aircraft: Aircraft, ratio: Array) -> Array:
+    """Thrust and moments of a newton of each rotor: thrust, roll, pitch, yaw, (4, M).
+
+    ratio: K_Q [m] of each rotor, (M,).
+    """
+    x, y, _ = aircraft.rotor_positions.T
+    return np.stack([np.ones_like(x), y, -x, -aircraft.spins * ratio])
+
+
+def balanced_thrust(rows: Array, wanted: Array, high: float) -> Array | None:
+    """Thrusts t (M,), 0 <= t <= high, with rows @ t = wanted, on as many rotors as can share it.
+
+    rows: (K, M). None if there are none. Of several, the one with the least sum of squares.
+    """
+    count = rows.shape[1]
+    scale = np.abs(rows).max(axis=1)
+    for size in range(count, 0, -1):
+        for rotors in combinations(range(count), size):
+            part = rows[:, rotors]
+            thrust = np.linalg.lstsq(part, wanted, rcond=None)[0]
+            missed = np.abs(part @ thrust - wanted) / scale
+            if missed.max() < 1e-6 * high and thrust.min() > -1e-9 * high and thrust.max() <= high:
+                whole = np.zeros(count)
+                whole[list(rotors)] = thrust.clip(0.0)
+                return whole
+    return None
+
+
+def greatest_moment(moment: Array, rows: Array, wanted: Array, high: float) -> float:
+    """Most that moment @ t can be with 0 <= t <= high and rows @ t = wanted; 0 if nothing fits.
+
+    moment: (M,), rows: (K, M) with K < M. A linear programme: the best is a corner, where all but K rotors
+    stand at a limit; M is small enough to visit every corner.
+    """
+    count, bound = rows.shape[1], len(rows)
+    corners = np.array(list(product((0.0, high), repeat=count - bound)))
+    best = 0.0
+    for free in combinations(range(count), bound):
+        part = rows[:, free]
+        if np.linalg.cond(part) > 1e9:
+            continue
+        fixed = [rotor for rotor in range(count) if rotor not in free]
+        found = np.linalg.solve(part, wanted[:, None] - rows[:, fixed] @ corners.T)
+        fits = ((found > -1e-9 * high) & (found < (1 + 1e-9) * high)).all(axis=0)
+        values = moment[list(free)] @ found + corners @ moment[fixed]
+        best = max(best, float(values[fits].max(initial=0.0)))
+    return best
+
+
+def _figures(aircraft: Aircraft) -> Figures:
+    properties, propulsion = aircraft.mass_properties, aircraft.propulsion
+    weight = GRAVITY * properties.mass
+    moments, axes = principal(properties.inertia)
+    hubs = aircraft.rotor_positions
+    thrust_max = float(thrust_and_torque(np.array(propulsion.speed_max), propulsion)[0])
+    hover = _hovering(aircraft, weight, thrust_max)
+    speed = np.full(aircraft.motor_count, propulsion.speed_max) if hover is None else hover.speed
+    rows = thrust_map(aircraft, coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count))
+    return Figures(
+        mass=properties.mass,
+        centre=properties.centre,
+        inertia=properties.inertia,
+        principal_moments=moments,
+        principal_axes=axes,
+        wheelbase=max(math.dist(a, b) for a, b in combinations(hubs.tolist(), 2)),
+        reach=float(np.hypot(hubs[:, 0], hubs[:, 1]).max()),
+        thrust_max=thrust_max * aircraft.motor_count,
+        thrust_to_weight=thrust_max * aircraft.motor_count / weight,
+        hover=hover,
+        acceleration=_accelerations(rows, properties.inertia, thrust_max, None),
+        hover_acceleration=_accelerations(rows, properties.inertia, thrust_max, weight),
+        endurance=None if hover is None else _endurance(aircraft, hover),
+    )
+
+
+def _hovering(aircraft: Aircraft, weight: float, thrust_max: float) -> Hover | None:
+    propulsion = aircraft.propulsion
+    speeds = np.linspace(0.0, propulsion.speed_max, SPEEDS)
+    thrusts = np.maximum.accumulate(thrust_and_torque(speeds, propulsion)[0])
+    throttles = np.linspace(0.0, 1.0, SPEEDS)
+    speed = np.full(aircraft.motor_count, propulsion.speed_max)
+    wanted = np.array([weight, 0.0, 0.0, 0.0])
+    for _ in range(HOVER_PASSES):
+        ratio = coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count)
+        found = balanced_thrust(thrust_map(aircraft, ratio), wanted, thrust_max)
+        if found is None:
+            return None
+        thrust, speed = found, np.interp(found, thrusts, speeds)
+    throttle = np.interp(speed, target_speed(throttles, propulsion), throttles)
+    return Hover(thrust, speed, throttle, _power(aircraft, speed))
+
+
+def _power(aircraft: Aircraft, speed: Array) -> float:
+    """Electrical power [W] at steady rotor speeds (M,), electronics included."""
+    torque = thrust_and_torque(speed, aircraft.propulsion)[1]
+    electronics = 0.0 if aircraft.battery is None else aircraft.battery.electronics_power
+    return float(speed @ torque) / aircraft.propulsion.efficiency + electronics
+
+
+def _accelerations(rows: Array, inertia: Array, high: float, weight: float | None) -> Array:
+    """Most angular acceleration about each axis with no moment about the others; weaker direction, (3,)."""
+    inverse = np.linalg.inv(inertia)
+    found = np.zeros(3)
+    for axis in range(3):
+        others = [row for row in range(1, 4) if row != axis + 1]
+        wanted = np.zeros(2)
+        if weight is not None:
+            others, wanted = [0, *others], np.array([weight, 0.0, 0.0])
+        if np.linalg.matrix_rank(rows[others]) < len(others):
+            continue
+        moment = rows[axis + 1]
+        found[axis] = min(greatest_moment(sign * moment, rows[others], wanted, high) for sign in (1, -1))
+    return found * np.diag(inverse)
+
+
+def _endurance(aircraft: Aircraft, hover: Hover) -> Endurance | None:
+    battery = aircraft.battery
+    if battery is None:
+        return None
+    full = np.full(aircraft.motor_count, aircraft.propulsion.speed_max)
+    most = _power(aircraft, full)
+    voltage = _loaded(battery, 1.0, most)
+    charge = np.linspace(1.0, 1.0 - CHARGE_USED, 101)
+    currents = np.array([hover.power / max(_loaded(battery, left, hover.power), 1e-9) for left in charge])
+    return Endurance(
+        current=float(currents[0]),
+        seconds=CHARGE_USED * battery.capacity * float(np.mean(1.0 / currents)),
+        full_throttle_current=most / voltage if voltage > 0.0 else math.inf,
+        full_throttle_voltage=voltage,
+    )
+
+
+def _loaded(battery: Battery, charge: float, power: float) -> float:
+    """Voltage [V] of a pack at `charge` that gives `power` [W]; 0 if it cannot."""
+    open_circuit = open_circuit_voltage(battery, np.array(charge))
+    if 4 * battery.resistance * power > open_circuit**2:
+        return 0.0
+    return float(loaded_voltage(open_circuit, np.array(power), battery.resistance))
+
+
+def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    ratio = figures.thrust_to_weight
+    message = f"{figures.thrust_max:.3g} N at full throttle, {ratio:.2f} times the weight"
+    if ratio <= 1:
+        hint = "; check mass_kg of the parts, speed_curve_rpm and the thrust coefficient"
+        yield Verdict(Level.ERROR, "thrust", f"{message}: it cannot lift itself{hint}")
+    elif ratio < THRUST_TO_WEIGHT_LOW:
+        low = f": little is left to steer with; expected {THRUST_TO_WEIGHT_LOW:g} or more"
+        yield Verdict(Level.WARNING, "thrust", message + low)
+    else:
+        yield Verdict(Level.OK, "thrust", message)
+
+
+def _hover(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    if figures.hover is not None:
+        thrust = figures.hover.thrust
+        share = thrust.max() / max(thrust.min(), 1e-9)
+        low, high = figures.hover.throttle.min(), figures.hover.throttle.max()
+        message = f"throttle {low:.2f} to {high:.2f}" if high - low > 0.005 else f"throttle {high:.2f}"
+        if share <= SHARE_HIGH:
+            yield Verdict(Level.OK, "hover", message)
+            return
+        weak, strong = int(thrust.argmin()) + 1, int(thrust.argmax()) + 1
+        times = f"{share:.1f} times that of" if share < 100 else "all of its weight beside"
+        yield Verdict(
+            Level.WARNING,
+            "hover",
+            f"{message}: motor {strong} carries {times} motor {weak}; the centre of mass lies off the "
+            f"rotors' middle, or the spins are uneven",
+        )
+    elif figures.thrust_to_weight > 1:
+        level = balanced_thrust(
+            thrust_map(aircraft, np.ones(aircraft.motor_count))[:3],
+            np.array([GRAVITY * figures.mass, 0.0, 0.0]),
+            figures.thrust_max / aircraft.motor_count,
+        )
+        if level is None:
+            x, y, _ = 1000 * figures.centre
+            problem = (
+                f"no distribution of thrust holds it level: the centre of mass, x {x:.0f} mm y {y:.0f} mm, "
+                f"must lie among the rotors; check position_m of the parts and propeller_m"
+            )
+        else:
+            problem = (
+                "it can be held level, but the propellers' torques never cancel; check spin of the rotors"
+            )
+        yield Verdict(Level.ERROR, "hover", problem)
+
+
+def _control(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    rows = thrust_map(aircraft, np.ones(aircraft.motor_count))
+    rows[1:3] /= max(figures.reach, 1e-9)
+    rank = int(np.linalg.matrix_rank(rows, tol=1e-3))
+    if rank < 4:
+        yield Verdict(
+            Level.ERROR,
+            "control",
+            f"the motors can set {rank} of thrust, roll, pitch and yaw independently, expected all 4; "
+            f"it takes four rotors or more, at different places, with both spins",
+        )
+        return
+    values = " / ".join(f"{value:.3g}" for value in figures.hover_acceleration)
+    weakest = int(figures.hover_acceleration.argmin())
+    message = f"roll / pitch / yaw up to {values} rad/s² in a hover"
+    if figures.hover is not None and figures.hover_acceleration[weakest] < 1.0:
+        low = f": next to nothing in {AXES[weakest]}; check inertia_kg_m2 and torque_ratio_m"
+        yield Verdict(Level.WARNING, "control", message + low)
+    elif figures.hover is not None:
+        yield Verdict(Level.OK, "control", message)
+
+
+def _size(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    loading = figures.mass / figures.wheelbase**2
+    message = f"{figures.mass:.3g} kg on a wheelbase of {1000 * figures.wheelbase:.0f} mm"
+    hint = "; masses are in kg, lengths in m"
+    yield _judged("size", message, loading, LOADING_USUAL, LOADING_POSSIBLE, hint)
+    for part in aircraft.parts:
+        at = np.array(part.position) + rotation_matrix(part.rotation) @ np.array(part.centre)
+        away = float(np.linalg.norm(at - figures.centre))
+        if away > FAR * figures.reach:
+            yield Verdict(
+                Level.WARNING,
+                "size",
+                f"part {part.name!r} lies {1000 * away:.0f} mm from the centre of mass, the farthest rotor "
+                f"{1000 * figures.reach:.0f} mm; check its position_m and centre_of_mass_m",
+            )
+
+
+def _inertia(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    radii = np.sqrt(figures.principal_moments / figures.mass)
+    ratios = radii / max(figures.reach, 1e-9)
+    worst = int(np.abs(np.log(ratios)).argmax())
+    values = " / ".join(f"{1000 * radius:.0f}" for radius in radii)
+    message = f"radii of gyration {values} mm, the farthest rotor {1000 * figures.reach:.0f} mm"
+    hint = "; check inertia_kg_m2 of the parts: kg m², about their own centre of mass"
+    yield _judged("inertia", message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
+
+
+def _centre(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    middle = np.mean([rotor.position for rotor in aircraft.rotors], axis=0)
+    away = float(np.linalg.norm(np.array(aircraft.centre_of_thrust) - middle))
+    message = f"centre_of_thrust_m lies {1000 * away:.0f} mm from the middle of the propellers"
+    if away > CENTRE_OFF * figures.reach:
+        where = ", ".join(f"{value:.4g}" for value in middle)
+        hint = f", [{where}]; the rig would hold it in the wrong place"
+        yield Verdict(Level.WARNING, "centre of thrust", message + hint)
+    else:
+        yield Verdict(Level.OK, "centre of thrust", message)
+
+
+def _propeller(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    propulsion, diameter = aircraft.propulsion, aircraft.propulsion.propeller_diameter
+    if diameter is None:
+        return
+    merit = _merit(propulsion, diameter)
+    tip = propulsion.speed_max * diameter / 2
+    message = (
+        f"figure of merit {merit.max():.2f}, tips at {tip:.0f} m/s at full throttle "
+        f"({propulsion.speed_max / RPM:,.0f} rpm)"
+    )
+    if merit.max() > 1:
+        hint = "more thrust than its torque can pay for; check thrust coefficient, torque ratio and diameter"
+        yield Verdict(Level.ERROR, "propeller", f"{message}: {hint}")
+    elif not MERIT_USUAL[0] <= merit.min() <= merit.max() <= MERIT_USUAL[1]:
+        usual = f"unusual, expected {MERIT_USUAL[0]:g} to {MERIT_USUAL[1]:g}"
+        yield Verdict(Level.WARNING, "propeller", f"{message}: {usual}; check the coefficients and diameter")
+    elif tip > TIP_SPEED_HIGH:
+        yield Verdict(
+            Level.WARNING, "propeller", f"{message}: near the speed of sound; check speed_curve_rpm"
+        )
+    else:
+        yield Verdict(Level.OK, "propeller", message)
+    for (i, a), (j, b) in combinations(enumerate(aircraft.rotors, start=1), 2):
+        across = math.dist(a.position[:2], b.position[:2])
+        if across < diameter:
+            yield Verdict(
+                Level.WARNING,
+                "propeller",
+                f"those of motors {i} and {j} overlap: hubs {1000 * across:.0f} mm apart, diameter "
+                f"{1000 * diameter:.0f} mm; the twin knows no loss by that",
+            )
+
+
+def _merit(propulsion: Propulsion, diameter: float) -> Array:
+    """Figure of merit from a tenth of full speed up: ideal induced power over power, at rest in the air.
+
+    Source: momentum theory, P = T^1.5 / sqrt(2 rho A).
+    """
+    speed = np.linspace(0.1, 1.0, 50) * propulsion.speed_max
+    thrust, torque = thrust_and_torque(speed, propulsion)
+    area = math.pi * diameter**2 / 4
+    return np.asarray(thrust**1.5 / math.sqrt(2 * AIR_DENSITY * area) / (torque * speed))
+
+
+def _rotor(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    inertia = aircraft.propulsion.rotor_inertia
+    together, whole = aircraft.motor_count * inertia, float(figures.inertia[2, 2])
+    hint = "check rotor_inertia_kg_m2: propeller and motor bell, about their axis, kg m²"
+    if together >= whole:
+        message = f"rotors of {together:.3g} kg m² in an aircraft of {whole:.3g} kg m² about z; {hint}"
+        yield Verdict(Level.ERROR, "rotor", message)
+        return
+    propeller = next((part.inertia[2][2] for part in aircraft.parts if part.name == "propeller 1"), 0.0)
+    if inertia < 0.5 * propeller:
+        message = f"a rotor of {inertia:.3g} kg m² carries a propeller of {propeller:.3g} kg m²; {hint}"
+        yield Verdict(Level.WARNING, "rotor", message)
+
+
+def _battery(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
+    if battery is None:
+        yield Verdict(Level.OK, "battery", "none given: it flies at a constant voltage")
+        return
+    if supply is None:
+        hint = "give propulsion.supply_voltage_v, where speed_curve_rpm was measured"
+        yield Verdict(Level.WARNING, "battery", f"the twin cannot tell how speed follows its voltage; {hint}")
+    else:
+        message = f"{battery.rest_voltage:g} V full, speed curve at {supply:g} V"
+        hint = "; check cells, rest_voltage_v and supply_voltage_v"
+        ratio = battery.rest_voltage / supply
+        yield _judged("battery", message, ratio, SUPPLY_USUAL, SUPPLY_POSSIBLE, hint)
+    endurance = figures.endurance
+    if endurance is not None:
+        voltage = endurance.full_throttle_voltage
+        cell = voltage / battery.cells
+        if cell < CELL_LOADED_LOW:
+            sag = f"sags to {cell:.2f} V a cell at full throttle" if voltage else "cannot feed full throttle"
+            hint = f"expected {CELL_LOADED_LOW:g} V or more; check resistance_ohm and efficiency"
+            yield Verdict(Level.WARNING, "battery", f"a full pack {sag}; {hint}")
+
+
+def _body(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
+    if aircraft.body is None:
+        yield Verdict(Level.OK, "body", "none given: no ground to stand on, no drag")
+        return
+    low = np.array(aircraft.body.centre) - np.array(aircraft.body.size) / 2
+    high = low + np.array(aircraft.body.size)
+    hub = min(rotor.position[2] for rotor in aircraft.rotors)
+    if not ((low < figures.centre) & (figures.centre < high)).all():
+        hint = "check size_m and centre_m"
+        yield Verdict(Level.WARNING, "body", f"the centre of mass lies outside the box; {hint}")
+    elif hub < low[2]:
+        below = f"the propellers are {1000 * (low[2] - hub):.0f} mm below the box's bottom"
+        yield Verdict(Level.WARNING, "body", f"{below}, in the ground when it stands; check centre_m")
+    else:
+        sides = " x ".join(f"{1000 * side:.0f}" for side in aircraft.body.size)
+        yield Verdict(Level.OK, "body", f"{sides} mm, centre of mass inside")
+
+
+def _judged(
+    subject: str,
+    message: str,
+    value: float,
+    usual: tuple[float, float],
+    possible: tuple[float, float],
+    hint: str,
+) -> Verdict:
+    if usual[0] <= value <= usual[1]:
+        return Verdict(Level.OK, subject, message)
+    if possible[0] <= value <= possible[1]:
+        return Verdict(Level.WARNING, subject, f"{message}: unusual{hint}")
+    return Verdict(Level.ERROR, subject, f"{message}: cannot be{hint}")

@@ -1,0 +1,173 @@
+"""Scenarios: what the pilot's sticks do in a flight, from a seed or from a file.
+
+A file is TOML:
+
+    name = "left then right"
+    mount = "centre"            # centre, rig or free
+    [[segment]]
+    duration_s = 0.5
+    setpoint_deg_s = [0, 0, 120]   # roll right +, pitch nose down +, yaw left +
+    throttle = 0.2              # 0 unless given
+    receiver = "lost"           # "on" unless given; "lost" sends no frames
+    controller = "pid"          # "policy" unless given: how the pilot's switch stands
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.control import sticks
+from sim.physics.world import Mount
+from sim.strict_toml import Table
+from toolchain.contract import RATE_FULL_STICK_DEG_S
+from toolchain.errors import ScenarioError
+
+Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
+STILL: Rates = (0.0, 0.0, 0.0)
+COMMAND_SIGMA_DEG_S = 100.0  # Koch 2019, ch. 4: training and test commands from N(0, 100 deg/s)
+PULSE_IDLE_S, PULSE_HOLD_S, PULSE_REST_S = 0.5, 2.0, 2.0  # Koch 2019, ch. 4
+PULSE_S = PULSE_IDLE_S + PULSE_HOLD_S + PULSE_REST_S
+TURN_DEG_S = 720.0  # rate of the acrobatic figures: a full turn in half a second
+FILE_BYTES_MAX = 1 << 20
+SEGMENTS_MAX = 10_000
+SEGMENT_S_MIN, SEGMENT_S_MAX = 0.001, 3600.0  # one control step at 1 kHz to an hour
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Sticks held still for a while."""
+
+    duration_s: float
+    setpoint_deg_s: Rates = STILL  # roll, pitch, yaw [deg/s], body frame
+    throttle: float = 0.0  # 0..1
+    receiver: bool = True  # False: the transmitter is silent
+    pid: bool = False  # the switch chooses the PID
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A flight's sticks from the first armed control step on."""
+
+    name: str
+    segments: tuple[Segment, ...]
+    mount: Mount = Mount.CENTRE
+    episode_s: float | None = None  # length of each of its equal episodes; None: the whole is one
+
+    def under_pid(self) -> Scenario:
+        """The same flight with the pilot's switch at the PID."""
+        return replace(self, segments=tuple(replace(segment, pid=True) for segment in self.segments))
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the flight [s]."""
+        return sum(segment.duration_s for segment in self.segments)
+
+    def timeline(self, control_rate_hz: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+        """Channels [us] (N, CHANNEL_COUNT), armed, and whether the receiver is heard (N,), a row a step.
+
+        Raises ScenarioError on sticks beyond their ends or a flight shorter than one control step.
+        """
+        ends = np.cumsum([segment.duration_s for segment in self.segments])
+        counts = np.diff(np.rint(ends * control_rate_hz).astype(int), prepend=0)
+        if counts.sum() < 1:
+            raise ScenarioError(
+                f"scenario {self.name}: shorter than one control step at {control_rate_hz} Hz"
+            )
+        us = sticks.channels(
+            [segment.setpoint_deg_s for segment in self.segments],
+            [segment.throttle for segment in self.segments],
+            armed=True,
+            pid=[segment.pid for segment in self.segments],
+        )
+        heard = np.array([segment.receiver for segment in self.segments])
+        return np.repeat(us, counts, axis=0), np.repeat(heard, counts)
+
+    def episodes(self) -> int:
+        """Number of equal episodes that the figures are averaged over."""
+        return 1 if self.episode_s is None else round(self.duration_s / self.episode_s)
+
+
+def pulses(seed: int, count: int, name: str = "pulses") -> Scenario:
+    """`count` commands one after another: still, then a command drawn for each axis, then still again."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.normal(0.0, COMMAND_SIGMA_DEG_S, (count, 3))
+    segments: list[Segment] = []
+    for roll, pitch, yaw in drawn.clip(-RATE_FULL_STICK_DEG_S, RATE_FULL_STICK_DEG_S).tolist():
+        segments += Segment(PULSE_IDLE_S), Segment(PULSE_HOLD_S, (roll, pitch, yaw)), Segment(PULSE_REST_S)
+    return Scenario(name, tuple(segments), episode_s=PULSE_S)
+
+
+def turn(name: str, axis: int) -> Scenario:
+    """One full turn about `axis` and back to still."""
+    rates = [0.0, 0.0, 0.0]
+    rates[axis] = TURN_DEG_S
+    fast = Segment(360 / TURN_DEG_S, (rates[0], rates[1], rates[2]))
+    return Scenario(name, (Segment(PULSE_IDLE_S), fast, Segment(PULSE_IDLE_S)))
+
+
+BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
+    "pulse": ("one command: 0.5 s still, 2 s held, 2 s still", lambda seed, _: pulses(seed, 1, "pulse")),
+    "pulses": ("commands like `pulse`'s, one after another (100 unless --count)", pulses),
+    "roll": ("a full turn to the right in half a second", lambda *_: turn("roll", 0)),
+    "flip": ("a full turn forward in half a second", lambda *_: turn("flip", 1)),
+}
+
+
+def load_scenario(name: str, seed: int, count: int = 100, mount: Mount | None = None) -> Scenario:
+    """A scenario by name, drawn from `seed`, or from the file at that path; `mount` overrides its own.
+
+    Raises ScenarioError naming what is unknown or malformed.
+    """
+    if count < 1 or count * 3 > SEGMENTS_MAX:
+        raise ScenarioError(f"count: got {count}, expected 1 to {SEGMENTS_MAX // 3} commands")
+    if seed < 0:
+        raise ScenarioError(f"seed: got {seed}, expected 0 or more")
+    scenario = BUILDERS[name][1](seed, count) if name in BUILDERS else _read(Path(name))
+    return scenario if mount is None else replace(scenario, mount=mount)
+
+
+def _read(path: Path) -> Scenario:
+    if not path.is_file():
+        raise ScenarioError(
+            f"scenario {str(path)!r}: no such file; give the path of a .toml file or one of: "
+            f"{', '.join(BUILDERS)}"
+        )
+    size = path.stat().st_size
+    if size > FILE_BYTES_MAX:
+        raise ScenarioError(f"scenario file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
+    return parse_scenario(path.read_bytes(), f"scenario file {path}", path.stem)
+
+
+def parse_scenario(data: bytes, where: str, name: str) -> Scenario:
+    """Scenario from the bytes of a file; `where` names it in messages, `name` it unless it says so itself."""
+    try:
+        root = Table(tomllib.loads(data.decode()), where, ScenarioError)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{where}: not TOML: {error}") from error
+    name = root.text("name", name)
+    mount = root.choice("mount", {item.value: item for item in Mount}, Mount.CENTRE.value)
+    segments = _segments(root.tables("segment", 1, SEGMENTS_MAX))
+    root.finish()
+    return Scenario(name, segments, mount)
+
+
+def _segments(tables: Sequence[Table]) -> tuple[Segment, ...]:
+    full = RATE_FULL_STICK_DEG_S
+    segments = []
+    for table in tables:
+        segment = Segment(
+            duration_s=table.number("duration_s", SEGMENT_S_MIN, SEGMENT_S_MAX),
+            setpoint_deg_s=table.vector("setpoint_deg_s", -full, full),
+            throttle=table.number("throttle", 0.0, 1.0, 0.0),
+            receiver=table.choice("receiver", {"on": True, "lost": False}, "on"),
+            pid=table.choice("controller", {"policy": False, "pid": True}, "policy"),
+        )
+        table.finish()
+        segments.append(segment)
+    return tuple(segments)

@@ -1,0 +1,157 @@
+"""The dynamometer: one rotor of an aircraft driven through steps and a ramp of throttle, and what is read.
+
+A recording is what a bench logs: time, throttle, rotor speed, thrust and torque. The torque is the
+propeller's drag, without the reaction to the rotor's own acceleration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Propulsion
+from sim.identification.dyno.recording import Recording
+from sim.identification.dyno.signal import JUMP, SETTLED_S, jumps, without_spikes
+from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
+
+Array = NDArray[np.float64]
+
+STEP_LEVELS = (0.25, 0.5, 0.75, 1.0)  # throttle; Koch 2019, chapter 5
+RAMP_S = 40.0  # 0 to 1 and back; Koch 2019, chapter 5
+REST_S, HOLD_S = 1.0, 2.0  # [s], throttle off before the first step and after each, throttle held
+SIMULATION_HZ = 2000  # fine against the fastest rotor's lag of some 10 ms
+RATE_HZ_MIN, RATE_HZ_MAX = 10, SIMULATION_HZ
+JITTER, LOST = (
+    0.5,
+    0.05,
+)  # of an uneven log: part of a period that a row is early or late, part of rows missing
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of an experiment in which throttle moves evenly."""
+
+    duration: float  # [s]
+    first: float  # throttle at its beginning, 0..1
+    last: float  # and at its end
+
+
+STEPS = (
+    Phase(REST_S, 0.0, 0.0),
+    *(phase for level in STEP_LEVELS for phase in (Phase(HOLD_S, level, level), Phase(HOLD_S, 0.0, 0.0))),
+)
+RAMP = (
+    Phase(REST_S, 0.0, 0.0),
+    Phase(RAMP_S / 2, 0.0, 1.0),
+    Phase(RAMP_S / 2, 1.0, 0.0),
+    Phase(HOLD_S, 0.0, 0.0),
+)
+EXPERIMENTS = {"steps": STEPS, "ramp": RAMP, "all": (*STEPS, *RAMP)}
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step from rest shows."""
+
+    level: float  # throttle
+    rise: float  # [s], from the command to 90 % of the settled speed
+    speed: float  # [rad/s], settled: the median of the last half second
+    thrust: float  # [N]
+    torque: float  # [N m]
+
+
+def duration(experiment: tuple[Phase, ...]) -> float:
+    """Length of an experiment [s]."""
+    return sum(phase.duration for phase in experiment)
+
+
+def throttle_at(time: Array, experiment: tuple[Phase, ...]) -> Array:
+    """Throttle commanded at `time` [s], any shape; before and after the experiment it is at its ends."""
+    lengths = np.array([phase.duration for phase in experiment])
+    starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    first = np.array([phase.first for phase in experiment])
+    last = np.array([phase.last for phase in experiment])
+    index = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
+    part = np.clip((time - starts[index]) / lengths[index], 0.0, 1.0)
+    throttle: Array = first[index] + (last[index] - first[index]) * part
+    return throttle
+
+
+def sample_times(length: float, rate_hz: float, rng: np.random.Generator | None = None) -> Array:
+    """Times of the rows of a log over `length` [s]; with `rng` uneven, and some rows lost."""
+    count = int(length * rate_hz)
+    if rng is None:
+        return np.arange(count) / rate_hz
+    time = np.cumsum(rng.uniform(1 - JITTER, 1 + JITTER, count)) / rate_hz
+    return time[(rng.random(count) >= LOST) & (time < length)]
+
+
+def run(propulsion: Propulsion, experiment: tuple[Phase, ...], time: Array) -> Recording:
+    """Drive one rotor, at rest first, through `experiment`; read it at `time` [s], (N,), rising.
+
+    Speed, thrust and torque are those of `sim.physics.rotor`, the command acts the aircraft's `delay` late.
+    """
+    dt = 1.0 / SIMULATION_HZ
+    grid = np.arange(int(time[-1] / dt) + 3, dtype=np.float64) * dt
+    targets = target_speed(throttle_at(grid, experiment), propulsion)
+    speeds = np.empty(len(grid))
+    speed = targets[:1]
+    for k, target in enumerate(targets):
+        speeds[k] = speed[0]
+        speed = next_speed(speed, target, dt, propulsion)
+    speed = np.interp(time - propulsion.delay, grid, speeds)
+    thrust, torque = thrust_and_torque(speed, propulsion)
+    return Recording(time, throttle_at(time, experiment), speed, thrust, torque)
+
+
+def disturbed(
+    recording: Recording,
+    rng: np.random.Generator,
+    *,
+    noise: float = 0.0,
+    of_reading: bool = False,
+    outliers: float = 0.0,
+) -> Recording:
+    """`recording` as a poor bench would log it: speed, thrust and torque each with noise and outliers.
+
+    noise: standard deviation, as a fraction of the channel's largest value or, `of_reading`, of each value.
+    outliers: fraction of a channel's values replaced by anything from 0 to twice its largest value.
+    """
+    channels: dict[str, Array] = {}
+    for name in ("speed", "thrust", "torque"):
+        true: Array = getattr(recording, name)
+        full = float(np.abs(true).max())
+        values = true + noise * rng.standard_normal(len(true)) * (np.abs(true) if of_reading else full)
+        hit = rng.random(len(true)) < outliers
+        channels[name] = np.where(hit, rng.uniform(0.0, 2.0 * full, len(true)), values)
+    return replace(recording, **channels)  # type: ignore[arg-type]
+
+
+def steps(recording: Recording) -> tuple[Step, ...]:
+    """Figures of every jump of throttle from rest that is held for at least SETTLED_S."""
+    rows = jumps(recording)
+    ends = np.append(rows, len(recording.time))
+    speed = without_spikes(recording.speed, recording.starts)
+    found = []
+    for row, end in zip(rows, ends[1:], strict=True):
+        end = min([end, *(start for start in recording.starts if start > row)])
+        time = recording.time[row:end] - recording.time[row]
+        level = float(np.median(recording.throttle[row:end]))
+        if recording.throttle[row - 1] > JUMP or level <= JUMP or time[-1] < 2 * SETTLED_S:
+            continue
+        if np.ptp(without_spikes(recording.throttle[row:end])) > JUMP:  # a ramp begins with this jump
+            continue
+        last = slice(row + int(np.searchsorted(time, time[-1] - SETTLED_S)), end)
+        settled = float(np.median(recording.speed[last]))
+        found.append(
+            Step(
+                level=level,
+                rise=float(time[np.argmax(speed[row:end] >= 0.9 * settled)]),
+                speed=settled,
+                thrust=float(np.median(recording.thrust[last])),
+                torque=float(np.median(recording.torque[last])),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,237 @@
+"""What a dynamometer recorded, and what a fit makes of it, as pictures."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec, SubplotSpec
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from numpy.typing import NDArray
+
+from sim.aircraft.model import RPM
+from sim.analysis.flight_report import AXIS_COLOURS, INK, MOTOR_COLOURS, dress, png
+from sim.identification.dyno.fit import Fit
+from sim.identification.dyno.recording import Recording
+from sim.identification.dyno.robust_fit import Estimate
+from sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
+from toolchain.files import write_bytes
+
+Array = NDArray[np.float64]
+
+DATA, MODEL, OFF = "#8b949e", AXIS_COLOURS[0], AXIS_COLOURS[1]
+THROTTLE = AXIS_COLOURS[2]
+ROWS_SHOWN = 20_000  # more dots than that tell no more
+BEFORE_S = 0.05  # [s] shown before a step
+NEAR = 0.02  # of the top speed: what is left of a step when the picture may end
+TURNING = 0.15  # of the top speed: slower rows say little of K_T and K_Q
+CHANNELS = (("speed", "rotor speed", "rpm"), ("thrust", "thrust", "N"), ("torque", "torque", "N m"))
+
+
+def save_recording_plot(path: Path, recording: Recording, title: str) -> None:
+    """Write `draw_recording` as PNG."""
+    write_bytes(path, png(draw_recording(recording, title)))
+
+
+def save_fit_plot(path: Path, fit: Fit, title: str) -> None:
+    """Write `draw_fit` as PNG."""
+    write_bytes(path, png(draw_fit(fit, title)))
+
+
+def draw_recording(recording: Recording, title: str) -> Figure:
+    """Throttle, rotor speed, thrust and torque over time."""
+    figure = _figure((11, 9), title)
+    panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, height_ratios=(1, 2, 2, 2)))
+    panels[0].plot(recording.time, 100 * recording.throttle, color=THROTTLE, lw=1.2, drawstyle="steps-post")
+    panels[0].set_ylabel("%", color=INK)
+    panels[0].set_ylim(-4, 106)
+    dress(panels[0], "throttle")
+    shown = _thinned(len(recording.time))
+    for panel, (name, label, unit) in zip(panels[1:], CHANNELS, strict=True):
+        values = _shown(name, getattr(recording, name))
+        _dots(panel, recording.time[shown], values[shown])
+        panel.set_ylim(*_reach(values))
+        panel.set_ylabel(unit, color=INK)
+        dress(panel, label)
+    panels[-1].set_xlabel("time, s", color=INK)
+    panels[-1].set_xlim(recording.time[0], recording.time[-1])
+    figure.align_ylabels(panels)
+    return figure
+
+
+def draw_fit(fit: Fit, title: str) -> Figure:
+    """Data and model over time with what is left, H, K_T and K_Q against data, and each step close up."""
+    rows = 4 if fit.response is not None else 3
+    figure = _figure((14, 3.9 * rows), title)
+    grid = GridSpec(rows, 2, figure, width_ratios=(2.1, 1))
+    over_time = [_draw_channel(figure, grid[row, 0], fit, row) for row in range(3)]
+    over_time[-1].set_xlabel("time, s", color=INK)
+    over_time[0].figure.align_ylabels()
+    _draw_curve(figure.add_subplot(grid[0, 1]), fit)
+    _draw_coefficient(figure.add_subplot(grid[1, 1]), fit, "thrust")
+    _draw_coefficient(figure.add_subplot(grid[2, 1]), fit, "torque")
+    if fit.response is not None:
+        inner = grid[3, :].subgridspec(1, 2)
+        up = figure.add_subplot(inner[0, 0])
+        down = figure.add_subplot(inner[0, 1], sharey=up)
+        _draw_steps(up, fit, rising=True)
+        _draw_steps(down, fit, rising=False)
+    return figure
+
+
+def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
+    """Time [s] that holds the slowest step and a margin."""
+    recording = fit.recording
+    longest = 0.0
+    for row, end in zip(rows, np.append(rows[1:], len(fit.speed)), strict=True):
+        shown = slice(int(row), int(row + np.sum(recording.time[row:end] < recording.time[row] + WINDOW_S)))
+        left = np.abs(fit.speed[shown] - fit.speed[shown][-1]) > NEAR * fit.speed_max
+        longest = max(longest, float((recording.time[shown] - recording.time[row])[left].max(initial=0.0)))
+    return min(1.3 * longest + 0.1, WINDOW_S)
+
+
+def _figure(size: tuple[float, float], title: str) -> Figure:
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    return figure
+
+
+def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) -> Axes:
+    """One channel over time, with its residuals in a strip below, which is returned."""
+    name, label, unit = CHANNELS[channel]
+    inner = place.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.02)
+    panel = figure.add_subplot(inner[0])
+    strip = figure.add_subplot(inner[1], sharex=panel)
+    time = fit.recording.time
+    data, model = _shown(name, getattr(fit.recording, name)), _shown(name, getattr(fit, name))
+    off = fit.outliers[channel]
+    kept = _thinned(len(time)) & ~off
+    low, high = _reach(data[~off])
+    _dots(panel, time[kept], data[kept], "data")
+    panel.plot(time, model, color=MODEL, lw=1.2, label="model", zorder=3)
+    inside = off & (data > low) & (data < high)
+    if inside.any():
+        panel.plot(time[inside], data[inside], "x", color=OFF, ms=3, mew=0.7, label="outlier", zorder=2)
+    panel.set_ylim(low, high)
+    panel.set_ylabel(unit, color=INK)
+    panel.set_xlim(time[0], time[-1])
+    panel.tick_params(labelbottom=False)
+    dress(panel, label)
+    legend = panel.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.99),
+        ncols=3,
+        frameon=False,
+        fontsize=9,
+        borderaxespad=0.2,
+        handlelength=1.6,
+    )
+    for handle in legend.get_lines():
+        handle.set(alpha=1.0, markersize=6)
+    _dots(strip, time[kept], (data - model)[kept])
+    largest = 1.3 * float(np.quantile(np.abs((data - model)[~off]), 0.999)) or 1.0
+    strip.set_ylim(-largest, largest)
+    strip.axhline(0.0, color=MODEL, lw=1.0)
+    strip.set_ylabel(unit, color=INK)
+    dress(strip, "")
+    strip.text(
+        0.006, 0.94, "data minus model", transform=strip.transAxes, va="top", fontsize=9, color=INK,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
+    )  # fmt: skip
+    return strip
+
+
+def _draw_curve(panel: Axes, fit: Fit) -> None:
+    recording = fit.recording
+    settled = settled_rows(recording, jumps(recording)) & ~fit.outliers[0]
+    _dots(panel, 100 * recording.throttle[settled], recording.speed[settled] / RPM)
+    throttle = np.linspace(0.0, 1.0, 201)
+    a, b, c = (term.value / RPM for term in fit.speed_curve)
+    panel.plot(100 * throttle, (a * throttle + b) * throttle + c, color=MODEL, lw=1.6, zorder=3)
+    panel.set_ylim(*_reach(recording.speed[settled] / RPM))
+    panel.set_xlabel("throttle, %", color=INK)
+    panel.set_ylabel("rpm", color=INK)
+    dress(panel, f"H(u) = {a:.0f} u² {'+' if b >= 0 else '-'} {abs(b):.0f} u + {c:.0f} rpm")
+
+
+def _draw_coefficient(panel: Axes, fit: Fit, name: str) -> None:
+    """K_T or K_Q of each steady row, and as fitted."""
+    speed = fit.clean_speed
+    thrust_terms = [term.value for term in fit.thrust_coefficient]
+    load = np.polynomial.polynomial.polyval(speed, thrust_terms) * speed**2
+    if name == "thrust":
+        terms, off, symbol, unit = fit.thrust_coefficient, fit.outliers[1], "K_T", "N s²/rad²"
+        values, below = fit.recording.thrust, speed**2
+    else:
+        terms, off, symbol, unit = fit.torque_ratio, fit.outliers[2], "K_Q", "m"
+        values, below = fit.recording.torque, load
+    shown = fit.steady & ~off & (speed > TURNING * fit.speed_max)
+    speeds = np.linspace(TURNING * fit.speed_max, fit.speed_max, 201)
+    fitted = np.polynomial.polynomial.polyval(speeds, [term.value for term in terms])
+    exponent = math.floor(math.log10(float(np.median(fitted))))
+    _dots(panel, speed[shown] / RPM, values[shown] / below[shown] / 10.0**exponent)
+    panel.plot(speeds / RPM, fitted / 10.0**exponent, color=MODEL, lw=1.6, zorder=3)
+    panel.set_ylim(0.0, 2.0 * float(fitted.max()) / 10.0**exponent)
+    panel.set_xlabel("rotor speed, rpm", color=INK)
+    panel.set_ylabel(f"$10^{{{exponent}}}$ {unit}", color=INK)
+    dress(panel, f"{symbol} = {_polynomial(terms)} {unit}")
+
+
+def _draw_steps(panel: Axes, fit: Fit, *, rising: bool) -> None:
+    """Speed around every jump of one direction, from the instant of the jump on."""
+    recording = fit.recording
+    rows = jumps(recording)
+    after = _settling(fit, rows)
+    number = 0
+    for row in rows:
+        throttle = recording.throttle
+        change = float(throttle[row] - throttle[row - 1])
+        if (change > 0) is not rising:
+            continue
+        since = recording.time - recording.time[row]
+        near = (since > -BEFORE_S) & (since < after) & ~fit.outliers[0]
+        colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
+        number += 1
+        ms = 1000 * since[near]
+        panel.plot(ms, recording.speed[near] / RPM, ".", color=colour, ms=3, alpha=0.35, mew=0)
+        label = f"{100 * throttle[row - 1]:.0f} to {100 * throttle[row]:.0f} %"
+        panel.plot(ms, fit.speed[near] / RPM, color=colour, lw=1.5, label=label if number <= 8 else None)
+    panel.set_xlabel("time since the step, ms", color=INK)
+    panel.set_ylabel("rpm", color=INK)
+    panel.set_xlim(-1000 * BEFORE_S, 1000 * after)
+    dress(panel, f"steps {'up' if rising else 'down'}: data and model")
+    panel.legend(loc="upper left" if rising else "upper right", frameon=False, fontsize=9, handlelength=1.6)
+
+
+def _polynomial(terms: tuple[Estimate, ...]) -> str:
+    first, *rest = (term.value for term in terms)
+    powers = ("", "²", "³")
+    text = f"{first:.3g}"
+    for value, power in zip(rest, powers, strict=False):
+        text += f" {'+' if value >= 0 else '-'} {abs(value):.2g} ω{power}"
+    return text
+
+
+def _dots(panel: Axes, x: Array, y: Array, label: str | None = None) -> None:
+    panel.plot(x, y, ".", color=DATA, ms=2, mew=0, alpha=0.45, label=label, rasterized=True)
+
+
+def _shown(name: str, values: Array) -> Array:
+    return values / RPM if name == "speed" else values
+
+
+def _thinned(count: int) -> NDArray[np.bool_]:
+    """Every so many rows, such that at most ROWS_SHOWN are left."""
+    shown = np.zeros(count, bool)
+    shown[:: -(-count // ROWS_SHOWN)] = True
+    return shown
+
+
+def _reach(values: Array) -> tuple[float, float]:
+    """Limits that hold nearly all values, with a margin; a few wild ones leave the picture."""
+    low, high = (float(edge) for edge in np.quantile(values, [0.002, 0.995]))
+    margin = 0.08 * ((high - low) or 1.0)
+    return min(low, 0.0) - margin, high + margin

@@ -1,0 +1,265 @@
+"""Do an aircraft's links stay together? Reduced against maximal coordinates, after Koch 2019, chapter 5.
+
+The twin is one rigid body, so nothing in it can come apart. This module builds what it could have been
+instead: the airframe and each propeller as links of their own, joined by hinges about body z, with each motor
+turning its propeller. Every combination of motors on and off flies from rest, free and without gravity, and
+the distance of each propeller from the airframe is held against where it began.
+
+Reduced coordinates are pybullet's multibody from a URDF (Featherstone): a state is a joint's angle, and a
+link has nowhere to go. For maximal coordinates pybullet would load the same URDF as separate rigid bodies,
+but then tells nothing of any link but the first; so the bodies are made one by one, and two ball joints on
+the axis of each propeller make its hinge. The solver of sequential impulses holds them together, as far as it
+does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from sim.aircraft.mass import MassProperties, mass_properties, principal
+from sim.aircraft.model import Aircraft
+from sim.physics.rotation import quaternion
+from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
+from toolchain.contract import GYRO_FULL_SCALE_DEG_S
+from toolchain.errors import AircraftError
+
+Array = NDArray[np.float64]
+FORMULATIONS = ("reduced", "maximal")
+STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5
+DURATION_S = 0.5  # of each flight; a racer with two of four motors on is past RATE_MAX in 0.2 s
+RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s], where a flight ends: what the gyro can tell
+HINGE_HALF = 0.005  # [m], from the middle of a hinge to each of its two ball joints
+FORCE_MAX = 1e4  # [N], what a ball joint may hold with: never the limit
+SPEED_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
+
+Link = tuple[int, int]  # pybullet's body and link, -1 for its base
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Samples of all flights of one formulation at one step, in the order they were flown."""
+
+    formulation: str
+    step_s: float
+    flight: NDArray[np.intp]  # (K,), its motors as a binary number, motor 1 first
+    rate: Array  # (K,) [rad/s], of the airframe
+    drift: Array  # (K,) [m], change of distance of the propeller that moved most
+
+    @property
+    def worst(self) -> float:
+        """Largest change of distance [m]."""
+        return float(self.drift.max())
+
+
+def drift(
+    aircraft: Aircraft,
+    formulation: str,
+    step_s: float,
+    progress: Callable[[], None] = lambda: None,
+) -> Drift:
+    """Fly every combination of motors on and off; `progress` is called after each.
+
+    Raises AircraftError if a rotor has no propeller to come off.
+    """
+    airframe, propellers = _links(aircraft)
+    rates, drifts = [], []
+    for command in product((0.0, 1.0), repeat=aircraft.motor_count):
+        client = pybullet.connect(pybullet.DIRECT)
+        try:
+            pybullet.setTimeStep(step_s, client)
+            build = _reduced if formulation == "reduced" else _maximal
+            base, rotors = build(airframe, propellers, client)
+            flown = _fly(aircraft, airframe, propellers, base, rotors, np.array([command]), step_s, client)
+        finally:
+            pybullet.disconnect(client)
+        rates.append(flown[0])
+        drifts.append(flown[1])
+        progress()
+    flight = np.repeat(np.arange(len(rates)), [len(flown) for flown in rates])
+    return Drift(formulation, step_s, flight, np.concatenate(rates), np.concatenate(drifts))
+
+
+def worst_by_rate(measured: Drift, width: float) -> tuple[Array, Array]:
+    """Largest drift [m] in each interval of `width` [rad/s], and the middles of those flown through."""
+    interval = np.floor(measured.rate / width).astype(int)
+    worst = np.full(interval.max() + 1, -1.0)
+    np.maximum.at(worst, interval, measured.drift)
+    flown = np.flatnonzero(worst >= 0)
+    return np.asarray((flown + 0.5) * width, np.float64), np.asarray(worst[flown])
+
+
+def _links(aircraft: Aircraft) -> tuple[MassProperties, list[MassProperties]]:
+    """The airframe and each propeller, in motor order."""
+    parts = {part.name: part for part in aircraft.parts}
+    propellers = []
+    for number in range(1, aircraft.motor_count + 1):
+        if f"propeller {number}" not in parts:
+            raise AircraftError(f"aircraft {aircraft.name}: rotor {number} has no propeller part")
+        propellers.append(mass_properties([parts.pop(f"propeller {number}")]))
+    return mass_properties(list(parts.values())), propellers
+
+
+def _fly(
+    aircraft: Aircraft,
+    airframe: MassProperties,
+    propellers: Sequence[MassProperties],
+    base: Link,
+    rotors: Sequence[Link],
+    command: Array,
+    step_s: float,
+    client: int,
+) -> tuple[Array, Array]:
+    """Rate of the airframe and largest drift after each step, until DURATION_S or RATE_MAX."""
+    _, axes = principal(airframe.inertia)
+    distance = np.array([np.linalg.norm(p.centre - airframe.centre) for p in propellers])
+    spin_inertia = np.array([p.inertia[2, 2] for p in propellers])
+    target = target_speed(command, aircraft.propulsion)
+    speed = np.zeros_like(target)
+    world = pybullet.WORLD_FRAME
+    rates, drifts = [0.0], [0.0]
+    _, turned = _pose(base, client)
+    poses = [_pose(rotor, client) for rotor in rotors]
+    for _ in range(round(DURATION_S / step_s)):
+        after = next_speed(speed, target, step_s, aircraft.propulsion)
+        thrust, torque = thrust_and_torque(after, aircraft.propulsion)
+        shaft = aircraft.spins * spin_inertia * (after - speed)[0] / step_s  # turns the propeller, and ...
+        motor = shaft + aircraft.spins * torque[0]  # ... against the air: what the airframe feels
+        speed = after
+        pybullet.applyExternalTorque(*base, (turned @ axes.T)[:, 2] * -motor.sum(), world, client)
+        for (body, link), (at, attitude), force, turn in zip(rotors, poses, thrust[0], shaft, strict=True):
+            up = attitude[:, 2]
+            pybullet.applyExternalForce(body, link, up * force, at, world, client)
+            pybullet.applyExternalTorque(body, link, up * turn, world, client)
+        pybullet.stepSimulation(client)
+        rate = float(np.linalg.norm(pybullet.getBaseVelocity(base[0], client)[1]))
+        if rate > RATE_MAX:
+            break
+        centre, turned = _pose(base, client)
+        poses = [_pose(rotor, client) for rotor in rotors]
+        away = np.array([np.linalg.norm(at - centre) for at, _ in poses])
+        rates.append(rate)
+        drifts.append(float(np.abs(away - distance).max()))
+    return np.array(rates), np.array(drifts)
+
+
+def _pose(part: Link, client: int) -> tuple[Array, Array]:
+    """Centre of mass [m] and attitude (3, 3) of a link."""
+    body, link = part
+    if link < 0:
+        at, turned = pybullet.getBasePositionAndOrientation(body, client)
+    else:
+        at, turned = pybullet.getLinkState(body, link, False, True, client)[:2]
+    return np.array(at), np.array(pybullet.getMatrixFromQuaternion(turned)).reshape(3, 3)
+
+
+def _reduced(
+    airframe: MassProperties, propellers: Sequence[MassProperties], client: int
+) -> tuple[Link, list[Link]]:
+    """One multibody whose links hang on its base by hinges."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "aircraft.urdf"
+        path.write_text(_urdf(airframe, propellers))
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        body = pybullet.loadURDF(str(path), flags=flags, physicsClientId=client)
+    for link in range(-1, len(propellers)):
+        _free(body, link, client)
+    for link in range(len(propellers)):  # a joint comes with a motor that brakes it
+        pybullet.setJointMotorControl2(
+            body, link, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client
+        )
+    return (body, -1), [(body, link) for link in range(len(propellers))]
+
+
+def _maximal(
+    airframe: MassProperties, propellers: Sequence[MassProperties], client: int
+) -> tuple[Link, list[Link]]:
+    """Bodies of their own, held together by ball joints."""
+    moments, axes = principal(airframe.inertia)
+    base = _body(airframe.mass, np.zeros(3), moments, axes, client)
+    rotors = []
+    for propeller in propellers:
+        at = propeller.centre - airframe.centre
+        body = _body(propeller.mass, at, np.diag(propeller.inertia), np.eye(3), client)
+        for height in (-HINGE_HALF, HINGE_HALF):
+            up = np.array([0.0, 0.0, height])
+            joint = pybullet.createConstraint(
+                base,
+                -1,
+                body,
+                -1,
+                pybullet.JOINT_POINT2POINT,
+                [0.0, 0.0, 0.0],
+                ((at + up) @ axes).tolist(),
+                up.tolist(),
+                physicsClientId=client,
+            )
+            pybullet.changeConstraint(joint, maxForce=FORCE_MAX, physicsClientId=client)
+        rotors.append((body, -1))
+    return (base, -1), rotors
+
+
+def _body(mass: float, at: Array, moments: Array, axes: Array, client: int) -> int:
+    w, x, y, z = quaternion(axes)
+    body = int(
+        pybullet.createMultiBody(
+            baseMass=mass,
+            basePosition=at.tolist(),
+            baseOrientation=(x, y, z, w),
+            physicsClientId=client,
+        )
+    )
+    pybullet.changeDynamics(body, -1, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
+    _free(body, -1, client)
+    return body
+
+
+def _free(body: int, link: int, client: int) -> None:
+    """No damping, no sleep, no limit of speed, no contacts."""
+    pybullet.changeDynamics(
+        body,
+        link,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        jointDamping=0.0,
+        maxJointVelocity=SPEED_MAX,
+        activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+        physicsClientId=client,
+    )
+    pybullet.setCollisionFilterGroupMask(body, link, 0, 0, client)
+
+
+def _urdf(airframe: MassProperties, propellers: Sequence[MassProperties]) -> str:
+    moments, axes = principal(airframe.inertia)
+    turn = (math.atan2(axes[2, 1], axes[2, 2]), math.asin(-axes[2, 0]), math.atan2(axes[1, 0], axes[0, 0]))
+    lines = ['<robot name="aircraft">', _urdf_link("airframe", airframe.mass, moments, turn)]
+    for number, propeller in enumerate(propellers, start=1):
+        name, at = f"propeller_{number}", _numbers(propeller.centre - airframe.centre)
+        lines += [
+            _urdf_link(name, propeller.mass, np.diag(propeller.inertia), (0.0, 0.0, 0.0)),
+            f'<joint name="hinge_{number}" type="continuous"><origin xyz="{at}"/><parent link="airframe"/>'
+            f'<child link="{name}"/><axis xyz="0 0 1"/></joint>',
+        ]
+    return "\n".join([*lines, "</robot>\n"])
+
+
+def _urdf_link(name: str, mass: float, moments: Array, turn: Sequence[float]) -> str:
+    terms = " ".join(
+        f'i{axis}="{moment:.17g}"' for axis, moment in zip(("xx", "yy", "zz"), moments, strict=True)
+    )
+    return (
+        f'<link name="{name}"><inertial><origin rpy="{_numbers(turn)}"/><mass value="{mass:.17g}"/>'
+        f'<inertia {terms} ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def _numbers(values: Sequence[float] | Array) -> str:
+    return " ".join(f"{value:.17g}" for value in values)

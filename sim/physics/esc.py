@@ -1,0 +1,37 @@
+"""What ESCs report of a motor: rounded numbers. Pure and vectorised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import EscTelemetry
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Telemetry:
+    """One report; shapes are those of what was measured."""
+
+    speed: Array  # [rad/s]
+    voltage: Array  # [V]
+    current: Array  # [A]
+
+
+def telemetry(speed: Array, voltage: Array, current: Array, esc: EscTelemetry) -> Telemetry:
+    """Rotor speed [rad/s], supply voltage [V] and current [A] as `esc` reports them: half to even.
+
+    Arrays of any shape; a step of 0 leaves the number as it is.
+    """
+    return Telemetry(
+        speed=_rounded(speed, esc.speed_step),
+        voltage=_rounded(voltage, esc.voltage_step),
+        current=_rounded(current, esc.current_step),
+    )
+
+
+def _rounded(values: Array, step: float) -> Array:
+    return np.asarray(np.rint(values / step) * step) if step > 0.0 else values

@@ -1,0 +1,239 @@
+"""Betaflight behind the port: its SITL over the simulator link, in lockstep with the twin.
+
+What flies is Betaflight 4.6 with its default PID and filters. SETTINGS says what differs from its defaults:
+linear sticks without smoothing, so that its setpoint is what the sticks say at once, as for every other
+controller; and what a rig takes that is no flight. Airmode is on from the first armed step, so that it
+flies scenarios at zero throttle with the full authority of its PID. Feedforward has no part: it follows the
+frames of a receiver, and the SITL sees a new one in each loop; with its gains at 0 it flies the same.
+
+Its gyro loop and PID run at 8 kHz of its own time and hold a slower gyro's sample; it answers each state
+packet with the motor values of its first loop after it. They act on the twin from the next sample on.
+The gyro's counts are those of every port's chip, less their mean over the first second: a board takes its
+gyro's bias, the SITL trusts its virtual one. Nor does the SITL take notice of a receiver that falls silent:
+the sticks stay where they were.
+
+The wire's axes: forward, right, down, and back to forward, left, up inside Betaflight. Its motors are
+numbered and turn as this project's do.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flash import messages
+from flash.client import Client
+from flash.transport import Transport
+from sim.aircraft.model import Aircraft
+from sim.control import sticks
+from sim.physics.imu import counts
+from sim.physics.rotation import quaternion
+from sim.ports.betaflight.build import Betaflight
+from sim.ports.betaflight.process import BetaflightProcess
+from sim.ports.port import Reply, Sample, control_divider
+from toolchain.contract import (
+    CALIBRATION_MS,
+    DSHOT_MIN,
+    DSHOT_SPAN,
+    DSHOT_STOP,
+    GYRO_COUNTS,
+    GYRO_FULL_SCALE_DEG_S,
+    GYRO_RATE_DEFAULT_HZ,
+    SIM_RECEIVER_FORMAT,
+    SIM_SERVO_FORMAT,
+    SIM_STATE_FORMAT,
+    Msp,
+)
+from toolchain.errors import AircraftError, LinkError
+
+MOTOR_COUNT = 4
+ROW_RATE_HZ = 1000  # of the trace; Betaflight's own loop is faster
+CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # signs of x and y of its motors 1 to 4
+SPINS = np.array([-1, 1, 1, -1])  # seen from above, +1 counter-clockwise; unless YAW_REVERSED
+IDLE = 0.055  # motor fraction of its armed motors at zero thrust: motor_idle = 550, its default
+SETTINGS = (
+    "aux 0 0 0 1700 2100 0 0",  # the arm switch: channel 5
+    "set pwr_on_arm_grace = 0",  # the loop waits for itself
+    "set small_angle = 180",  # a rig arms in any attitude
+    "set runaway_takeoff_prevention = OFF",  # hard turns on a rig are no runaway take-off
+    "set airmode_start_throttle_percent = 0",
+    "set rc_smoothing = OFF",
+    "set rates_type = ACTUAL",
+    *(f"set {axis}_rc_rate = 100" for axis in ("roll", "pitch", "yaw")),  # 1000 deg/s, in tens
+    *(f"set {axis}_srate = 100" for axis in ("roll", "pitch", "yaw")),
+    *(f"set {axis}_expo = 0" for axis in ("roll", "pitch", "yaw")),
+)
+ARMING_REASONS = (  # in the order of their bits
+    *("NO_GYRO", "FAILSAFE", "RX_LOSS", "NOT_RECOVERED", "FAILSAFE_SWITCH", "RUNAWAY_TAKEOFF"),
+    *("CRASH_DETECTED", "THROTTLE", "ANGLE", "BOOT_GRACE_TIME", "NO_PREARM", "LOAD", "CALIBRATING", "CLI"),
+    *("CMS_MENU", "BST", "MSP", "PARALYZE", "GPS", "RESCUE_SWITCH", "DSHOT_TELEMETRY", "REBOOT_REQUIRED"),
+    *("DSHOT_BITBANG", "ACC_CALIBRATION", "MOTOR_PROTOCOL", "CRASH_FLIP", "ALTITUDE_HOLD", "POSITION_HOLD"),
+    "ARM_SWITCH",
+)
+YAW_REVERSED = "set yaw_motors_reversed = ON"
+PROMPT, CLI_ERROR = b"\n# ", b"###ERROR"
+CLI_ANSWER_S = 5.0  # real, for one line
+CLI_BYTES_MAX = 1 << 16
+STOP_US, FULL_US = 1000.0, 2000.0  # pulse widths of a stopped motor and of one at full power
+COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a count
+SEA_LEVEL_PA = 101325.0
+# Its time is its packets' times the clock's, and each look at it drops what is left of a nanosecond:
+# a hair more than the truth is dropped, a hair less would cost a nanosecond each time.
+HAIR = 1e-9
+
+_STATE = struct.Struct(SIM_STATE_FORMAT)
+_RECEIVER = struct.Struct(SIM_RECEIVER_FORMAT)
+_SERVO = struct.Struct(SIM_SERVO_FORMAT)
+_WIRE_RATE_PER_COUNT = np.deg2rad(1 / COUNTS_PER_DEG_S)  # [rad/s]
+_RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s]
+
+
+class BetaflightPort:
+    """FirmwarePort around a Betaflight of its own, which ends with the port."""
+
+    def __init__(
+        self,
+        betaflight: Betaflight,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
+        settings: Sequence[str] = SETTINGS,
+    ) -> None:
+        """Start it, set it up over its command line and restart it. Raises LinkError.
+
+        settings: lines of its command line, laid over its defaults.
+        """
+        self.motor_count = MOTOR_COUNT
+        self.gyro_rate_hz = gyro_rate_hz
+        self.control_rate_hz = ROW_RATE_HZ
+        self._divider = control_divider(gyro_rate_hz, ROW_RATE_HZ)
+        self._period_ns = 1_000_000_000 // gyro_rate_hz
+        with BetaflightProcess(betaflight) as blank:
+            eeprom = configured(blank, settings)
+        self._process = BetaflightProcess(betaflight, eeprom)
+        self._samples = 0
+        self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
+        self._sum = np.zeros(3, np.int64)  # of counts
+        self._bias = np.zeros(3, np.int32)  # counts
+        self._channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        self._dshot = np.zeros(MOTOR_COUNT, np.uint16)
+        self._step = _Step(np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0)
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort."""
+        time_s = self._samples / self.gyro_rate_hz * (1 + HAIR)
+        if channels_us is not None:
+            self._channels = np.array(channels_us, np.uint16)
+            self._process.send_receiver(_RECEIVER.pack(time_s, *channels_us))
+        raw = self._unbiased(counts(sample.gyro))
+        self._process.send_state(state_packet(time_s, raw, sample))
+        self._process.run(self._period_ns)
+        for packet in self._process.servo_packets():
+            self._dshot = dshot_values(packet)
+        if self._samples % self._divider == 0:
+            self._step = _Step(
+                setpoint=sticks.setpoint(self._channels),
+                gyro=raw.astype(np.float32) * _RATE_PER_COUNT,
+                throttle=float(sticks.throttle(self._channels[None])[0]),
+            )
+        self._samples += 1
+        step = self._step
+        number = (self._samples - 1) // self._divider
+        return Reply(self._dshot, number, step.setpoint, step.gyro, step.throttle, bool(self._dshot.all()))
+
+    def _unbiased(self, raw: NDArray[np.int16]) -> NDArray[np.int32]:
+        """Counts less the gyro's bias, which is 0 until it is known."""
+        if self._samples < self._calibration:
+            self._sum += raw
+        elif self._samples == self._calibration:
+            self._bias = np.rint(self._sum / self._calibration).astype(np.int32)
+        return raw - self._bias
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """See FirmwarePort; asked over MSP."""
+        with Client(self._process.open_line()) as client:
+            flags = messages.status_ex(client.request(Msp.STATUS_EX)).arming_flags
+        return tuple(name for bit, name in enumerate(ARMING_REASONS) if flags >> bit & 1)
+
+    def close(self) -> None:
+        """See FirmwarePort."""
+        self._process.close()
+
+
+def aircraft_settings(aircraft: Aircraft) -> tuple[str, ...]:
+    """SETTINGS and what the aircraft's motors need. Raises AircraftError unless it is a quad in X."""
+    corners, spins = np.sign(aircraft.rotor_positions[:, :2]), np.array(aircraft.spins)
+    if not np.array_equal(corners, CORNERS) or abs(spins @ SPINS) != MOTOR_COUNT:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: its {aircraft.motor_count} motors stand or turn otherwise than "
+            "Betaflight's quad in X (1 rear right, 2 front right, 3 rear left, 4 front left, neighbours in "
+            "opposite senses); fly it on another port"
+        )
+    return SETTINGS if spins @ SPINS > 0 else (*SETTINGS, YAW_REVERSED)
+
+
+def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
+    """EEPROM file of a freshly started Betaflight after `settings`, lines of its command line.
+
+    The process has ended afterwards. Raises LinkError naming the line that it refuses.
+    """
+    with process.open_line() as line:
+        _say(line, b"#")
+        for setting in settings:
+            _say(line, setting.encode() + b"\n")
+        line.write(b"save\n")
+        return process.restarted()
+
+
+def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> bytes:
+    """A state packet from which Betaflight makes the gyro counts `raw` (3,) and the sample's forces.
+
+    It reads rates in forward, right, down and scales them to counts of its own, dropping fractions; it
+    negates all three forces.
+    """
+    x, y, z = (np.sign(raw) * (np.abs(raw.astype(np.float64)) + 0.5)) * _WIRE_RATE_PER_COUNT
+    fx, fy, fz = sample.specific_force.tolist()
+    vn, vw, vu = sample.velocity.tolist()
+    north, west, up = sample.position.tolist()
+    attitude = quaternion(sample.rotation)
+    return _STATE.pack(
+        *(time_s, x, -y, -z, -fx, -fy, -fz, *attitude, -vw, vn, vu, -west, north, up, SEA_LEVEL_PA)
+    )
+
+
+def dshot_values(packet: bytes) -> NDArray[np.uint16]:
+    """DShot values (4,) behind a servo packet: 0 where a motor stops. Raises LinkError on another packet."""
+    if len(packet) != _SERVO.size:
+        raise LinkError(f"Betaflight: a servo packet of {len(packet)} bytes, expected {_SERVO.size}")
+    count, *widths = _SERVO.unpack(packet)
+    if count != MOTOR_COUNT:
+        raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {MOTOR_COUNT}")
+    if not np.isfinite(widths[:count]).all():
+        raise LinkError(f"Betaflight: pulse widths {widths[:count]}, expected {STOP_US} to {FULL_US} us")
+    fractions = np.clip((np.array(widths[:count]) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
+    values = DSHOT_MIN + np.floor(DSHOT_SPAN * fractions + 0.5)
+    return np.where(fractions > 0, values, DSHOT_STOP).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What the sticks and the gyro said at a control step."""
+
+    setpoint: NDArray[np.float32]  # (3,) [rad/s]
+    gyro: NDArray[np.float32]  # (3,) [rad/s]
+    throttle: float
+
+
+def _say(line: Transport, words: bytes) -> None:
+    """Say something to the command line and await its prompt. Raises LinkError on refusal or silence."""
+    line.write(words)
+    heard = b""
+    deadline = time.monotonic() + CLI_ANSWER_S
+    while not heard.endswith(PROMPT) and len(heard) < CLI_BYTES_MAX and time.monotonic() < deadline:
+        heard += line.read(CLI_ANSWER_S)
+    if CLI_ERROR in heard or not heard.endswith(PROMPT):
+        said, answer = (" ".join(text.decode(errors="replace").split()) for text in (words, heard))
+        raise LinkError(f"Betaflight: its command line answers {answer!r} to {said!r}, expected a prompt")

@@ -1,0 +1,224 @@
+"""A running Betaflight SITL in simulated time.
+
+The program is started with sim/ports/betaflight/clock.c between it and the system: it runs up to a moment of
+the simulator's choice and stands there, so that a flight depends neither on the computer's speed nor on
+its load, and repeats exactly. Its servers get free ports on loopback, so that several can run at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import IO
+
+from flash.transport import TcpPort, TcpTransport
+from sim.ports.betaflight.build import Betaflight
+from toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
+from toolchain.errors import LinkError
+
+LOOPBACK = "127.0.0.1"
+START_NS = 3_000_000_000  # of simulated time, for its servers to stand
+STEP_NS = 1_000_000  # of simulated time, between two looks at what it says
+ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
+END_S = 5.0  # real, from its decision to restart to its end
+LAST_WORDS_S = 0.1  # real, for one that is dying to be gone
+POLL_S = 0.0005  # real, for its TCP thread to carry what was said
+PACKET_BYTES_MAX = 2048
+EEPROM = "eeprom.bin"  # its settings, in its working directory
+
+# struct report and struct permit of clock.c
+_REPORT = struct.Struct("<IIQ")
+_PERMIT = struct.Struct("<QII")
+_PARKED, _BOUND = 1, 2
+
+
+class BetaflightProcess:
+    """A Betaflight that stands at `now_ns` of its own time; use it in a `with`, or close it."""
+
+    def __init__(self, betaflight: Betaflight, settings: bytes | None = None) -> None:
+        """Start it and wait for its servers. settings: of an EEPROM file, its defaults without.
+
+        Raises LinkError when it cannot be started or ends before that.
+        """
+        self.now_ns = 0
+        self.ports: dict[int, int] = {}  # those it serves, by the number it asked for
+        self._states = self._receivers = 0  # packets sent
+        with contextlib.ExitStack() as undo:
+            folder = tempfile.TemporaryDirectory(prefix="neuroflight-betaflight-")
+            self._folder = Path(undo.enter_context(folder))
+            if settings is not None:
+                (self._folder / EEPROM).write_bytes(settings)
+            self._errors: IO[bytes] = undo.enter_context(tempfile.TemporaryFile())
+            self._link = undo.enter_context(_udp())
+            self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            undo.enter_context(self._control)
+            with theirs:
+                self._process = self._start(betaflight, theirs)
+            undo.callback(self._end)
+            self._control.settimeout(ANSWER_S)
+            self._await_parked()
+            while {SIM_STATE_PORT, SIM_RECEIVER_PORT, MSP_TCP_PORT} - set(self.ports):
+                if self.now_ns >= START_NS:
+                    raise self.lost(f"its servers do not stand {START_NS / 1e9:g} s after its start")
+                self.run(STEP_NS)
+            self._close = undo.pop_all()
+
+    def __enter__(self) -> BetaflightProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End it and forget its folder. May be called twice."""
+        self._close.close()
+
+    def run(self, ns: int) -> None:
+        """Let it run for `ns` of its time, once it has taken in all packets sent so far. Raises LinkError."""
+        limit = self.now_ns + ns
+        with contextlib.suppress(OSError):  # its end shows in the answer
+            self._control.send(_PERMIT.pack(limit, self._states, self._receivers))
+        self._await_parked()
+        self.now_ns = limit
+
+    def send_state(self, packet: bytes) -> None:
+        """Send a state packet; it is taken in before the next run."""
+        self._link.sendto(packet, (LOOPBACK, self.ports[SIM_STATE_PORT]))
+        self._states += 1
+
+    def send_receiver(self, packet: bytes) -> None:
+        """Send a receiver packet; it is taken in before the next run."""
+        self._link.sendto(packet, (LOOPBACK, self.ports[SIM_RECEIVER_PORT]))
+        self._receivers += 1
+
+    def servo_packets(self) -> list[bytes]:
+        """Servo packets that it sent since the last call, oldest first."""
+        packets = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                packets.append(self._link.recv(PACKET_BYTES_MAX))
+        return packets
+
+    def open_line(self) -> BetaflightLine:
+        """Its first serial port: MSP and, after a `#`, the command line. Raises LinkError."""
+        return BetaflightLine(self)
+
+    def restarted(self) -> bytes:
+        """Await that it ends by itself, as it does to restart; returns its settings. Raises LinkError."""
+        deadline = time.monotonic() + END_S
+        while self._process.poll() is None and time.monotonic() < deadline:
+            with contextlib.suppress(LinkError):
+                self.run(STEP_NS)
+        if self._process.poll() != 0:
+            raise self.lost("it did not restart when asked to save its settings")
+        return (self._folder / EEPROM).read_bytes()
+
+    def lost(self, what: str) -> LinkError:
+        """It failed: what happened, how it ended if it did, and its last words."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            what += f"; it ended with {self._process.wait(LAST_WORDS_S)}"
+        end = self._errors.seek(0, os.SEEK_END)
+        self._errors.seek(max(0, end - PACKET_BYTES_MAX))
+        lines = self._errors.read().decode(errors="replace").split("\n")
+        words = next((" ".join(line.split()) for line in reversed(lines) if line.strip()), "")
+        return LinkError(f"Betaflight: {what}{': ' if words else ''}{words}")
+
+    def _start(self, betaflight: Betaflight, control: socket.socket) -> subprocess.Popen[bytes]:
+        # The loader splits a list of libraries at blanks: the name must have none.
+        shutil.copyfile(betaflight.clock, self._folder / "clock.so")
+        environment = {
+            **os.environ,
+            "LD_PRELOAD": "./clock.so",
+            "NEUROFLIGHT_CONTROL": str(control.fileno()),
+            "NEUROFLIGHT_MOTOR_PORT": str(self._link.getsockname()[1]),
+        }
+        try:
+            return subprocess.Popen(
+                [betaflight.program.resolve()],
+                cwd=self._folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=self._errors,
+                pass_fds=(control.fileno(),),
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise LinkError(
+                f"{betaflight.program}: cannot be started ({error.strerror}); "
+                f"delete {betaflight.program.parent} to have it built anew"
+            ) from error
+
+    def _await_parked(self) -> None:
+        while True:
+            try:
+                report = self._control.recv(PACKET_BYTES_MAX)
+            except TimeoutError as error:
+                raise self.lost(f"it does not come back within {ANSWER_S:g} s") from error
+            except OSError as error:
+                raise self.lost(str(error)) from error
+            if len(report) != _REPORT.size:
+                raise self.lost("it is gone")
+            kind, port, value = _REPORT.unpack(report)
+            if kind == _PARKED:
+                return
+            self.ports[port] = value
+
+    def _end(self) -> None:
+        """End its process group."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+
+class BetaflightLine:
+    """A Transport to a Betaflight whose time goes on while the other end waits."""
+
+    def __init__(self, process: BetaflightProcess) -> None:
+        """Connect. Raises LinkError."""
+        self._process = process
+        self._tcp = TcpTransport(TcpPort(LOOPBACK, process.ports[MSP_TCP_PORT]))
+
+    def __enter__(self) -> BetaflightLine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def name(self) -> str:
+        """See Transport."""
+        return self._tcp.name
+
+    def read(self, timeout: float) -> bytes:
+        """See Transport."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            self._process.run(STEP_NS)
+            if data := self._tcp.read(POLL_S):
+                return data
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """See Transport."""
+        self._tcp.write(data)
+
+    def close(self) -> None:
+        """See Transport."""
+        self._tcp.close()
+
+
+def _udp() -> socket.socket:
+    """A socket on a free loopback port that never waits."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind((LOOPBACK, 0))
+    sock.setblocking(False)
+    return sock

@@ -1,0 +1,339 @@
+"""The image itself behind the port: build/MATEKF722/neuroflight.bin on the emulated board, in lockstep.
+
+The board is powered with the port and stands, between two exchanges, one cycle before the edge of the gyro
+chip's data-ready line that the firmware reads next. An exchange lets the chip measure, and the board run to
+the cycle before the edge after that: motor frames, receiver bytes and everything else take their time in it.
+
+Once a fault is there, neither edges nor firmware can be relied on. Exchanges keep their times; the chip
+measures what each brings, whenever it does, and motors do what their ESCs make of frames that come or not.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flash.messages import arming_reasons
+from sim.board.board import Board
+from sim.board.context import TIME_HZ
+from sim.board.desk import configured
+from sim.board.faults import Fault, FaultPlan
+from sim.board.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
+from sim.board.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.variables import read_variables
+from sim.ports.port import Reply, Sample, control_divider
+from sim.ports.receiver_frames import RECEIVERS
+from toolchain.contract import (
+    GYRO_EDGE_RATE_HZ,
+    GYRO_RATE_DEFAULT_HZ,
+    SETTINGS,
+    FlightState,
+    StopCause,
+)
+from toolchain.errors import LinkError
+from toolchain.image.elf import read_flashable
+
+ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
+FULL_VOLTS = 16.8  # of the pack that feeds it: four cells, full, at rest
+RECEIVER = "USART2"
+BOOT_S = 5.0  # from power to the first sample that the firmware reads
+EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ
+_READY_LINE = int(READY[2:])
+_STATUS, _SAMPLES, _DIVIDER, _RATE = (
+    f"firmware.{name}" for name in ("status", "samples", "control_divider", "gyro_rate_hz")
+)
+_NO_RATES = np.zeros(3, np.float32)
+
+RunTo = Callable[[int], None]  # lets a board run to a cycle
+
+
+RECEIVER_SETTING = next(setting for setting in SETTINGS if setting.name == "receiver_protocol")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to the firmware."""
+
+    at_s: float  # after the first armed control step; before it negative
+    what: str
+    stops: bool = False  # the motors, which the firmware let turn until then
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A port between two exchanges, to go on from as often as wanted."""
+
+    board: Snapshot
+    port: dict[str, Any]
+
+
+class EmulatedPort:
+    """FirmwarePort around a board of its own. What the board does not forgive is the LinkError BoardError."""
+
+    def __init__(
+        self,
+        image: Path,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
+        settings: Mapping[str, float] | None = None,
+        *,
+        receiver: str = "sbus",
+        faults: Sequence[Fault] = (),
+        profile: bool = False,
+        attach: Callable[[Board], RunTo] = lambda board: board.run_to,
+    ) -> None:
+        """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
+
+        settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
+        itself before, as `configured` does. receiver: of RECEIVERS. profile: keep who calls whom.
+        attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
+        Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
+        read its gyro at that rate, BuildError when image or ELF is none of ours, BoardError for what the
+        image does wrong.
+        """
+        elf = image.with_suffix(".elf")
+        for path in (image, elf):
+            if not path.is_file():
+                raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
+        names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
+        self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
+        self._views: dict[str, NDArray[Any]] = {}  # of the board's memory
+        self._receiver = RECEIVERS[receiver]
+        self._plan = FaultPlan(faults, gyro_rate_hz)
+        self._begin()
+        wanted = _stored(settings or {}, gyro_rate_hz, receiver)
+        flashed = read_flashable(image)
+        self.image_sha256 = hashlib.sha256(flashed).hexdigest()
+        flash = configured(flashed, elf, wanted) if wanted else flashed
+        self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
+        try:
+            self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
+            self._run_to = attach(self.board)
+            self._inject()
+            self._edge = self._boot()  # the cycle of the edge that the firmware reads next
+            self._note_resets()
+            self._up = True
+            self.gyro_rate_hz = int(self._read(_RATE))
+            self.motor_count = int(self._read(_STATUS)["trace"]["motor_count"])
+            if self.gyro_rate_hz != gyro_rate_hz:
+                raise LinkError(
+                    f"{image}: reads its gyro at {self.gyro_rate_hz} Hz, asked for {gyro_rate_hz} Hz: "
+                    f"do not set gyro_rate_hz beside"
+                )
+        except BaseException:
+            self.board.close()
+            raise
+        self._divider = int(self._read(_DIVIDER))
+        self.control_rate_hz = self.gyro_rate_hz // self._divider
+        assert control_divider(self.gyro_rate_hz, self.control_rate_hz) == self._divider
+        self._period = TIME_HZ // self.gyro_rate_hz
+
+    def _begin(self) -> None:
+        """What changes in a flight."""
+        self._edge = 0
+        self._samples = 0
+        self._announced: list[tuple[int, list[int]]] = []  # number of the sample, channels
+        self._reply: Reply | None = None
+        self._armed_at: int | None = None  # number of the first armed sample
+        self._state, self._armed = FlightState.BOOT, False  # as last read
+        self._events: list[tuple[int, str, bool]] = []  # number of the sample, what, stops
+        self._up, self._resets = False, 1  # the firmware reads its gyro; resets seen
+
+    _KEPT = (
+        "_edge", "_samples", "_announced", "_reply", "_armed_at", "_state", "_armed", "_events", "_up",
+        "_resets", "_plan",
+    )  # fmt: skip
+
+    def announce(self, channels_us: Sequence[int], samples: int) -> None:
+        """See ForeseeingPort. The frame's last byte ends one gyro period before the sample's edge.
+
+        Half a period where every sample is a control step, or it would be heard by the one before. Raises
+        LinkError when it is too late for that.
+        """
+        before = self._period if self._divider > 1 else self._period // 2
+        wanted = self._edge + samples * self._period - before
+        sender = self._receiver
+        frame, broken = self._plan.damaged(sender.frame(channels_us), sender.format)
+        end = self.board.hardware.usarts[RECEIVER].feed(frame, sender.format, end=wanted, broken=broken)
+        if end > wanted:
+            late = 1e6 * (end - wanted) / TIME_HZ
+            raise LinkError(f"a receiver frame is announced {late:.0f} us too late for its time on the line")
+        self._announced.append((self._samples + samples, list(channels_us)))
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort. A frame must have been announced."""
+        due = self._announced.pop(0)[1] if self._next_frame() == self._samples else None
+        if due != (None if channels_us is None else list(channels_us)):
+            raise LinkError("a receiver frame for the board must be announced before its time on the line")
+        gyro, force = sample.gyro.tolist(), sample.specific_force.tolist()
+        if not math.isfinite(sum(gyro) + sum(force)):
+            raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
+        self._inject()
+        self.board.hardware.gyro.measure(accel_counts(force, ALIGNMENT), 0, gyro_counts(gyro, ALIGNMENT))
+        self._edge += self._period
+        self._run_to(self._edge - 1)
+        self._samples += 1
+        values = self._dshot()
+        if self._plan.begun:
+            self._reply = self._reply_in_trouble(values)
+            return self._reply
+        if int(self._read(_SAMPLES)) != self._samples:
+            resets = ", ".join(self.board.engine.resets[self._resets :])
+            raise LinkError(
+                f"the firmware has taken {self._read(_SAMPLES)} gyro samples, it was given {self._samples}"
+                f"{'; it was reset: ' if resets else ''}{resets}"
+            )
+        control_step = (self._samples - 1) % self._divider == 0
+        if control_step or self._reply is None or values.tobytes() != self._reply.dshot.tobytes():
+            self._reply = self._told(values)
+        return self._reply
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """See FirmwarePort."""
+        return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
+
+    def close(self) -> None:
+        """Give the board's memory back."""
+        self.board.close()
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened since the firmware armed, and faults before: states, resets, faults."""
+        zero = 0 if self._armed_at is None else self._armed_at
+        return tuple(
+            Event((number - zero) / self.gyro_rate_hz, what, stops) for number, what, stops in self._events
+        )
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose time has not come."""
+        return self._plan.waiting
+
+    @property
+    def running(self) -> bool:
+        """Whether the firmware has booted, up to its first look for the gyro's samples."""
+        return self._up
+
+    def save(self) -> Moment:
+        """This moment, between two exchanges."""
+        kept = {name: getattr(self, name) for name in self._KEPT}
+        return Moment(take_snapshot(self.board.engine), copy.deepcopy(kept))
+
+    def restore(self, moment: Moment, faults: Sequence[Fault] | None = None) -> None:
+        """Go on from `moment`, of this port or one like it; `faults`: instead of those that it was given."""
+        restore_snapshot(self.board.engine, moment.board)
+        for name, value in copy.deepcopy(moment.port).items():
+            setattr(self, name, value)
+        if faults is not None:
+            self._plan = FaultPlan(faults, self.gyro_rate_hz)
+            if self._armed_at is not None:
+                self._plan.start(self._armed_at)
+
+    # ---- the board ----
+
+    def _boot(self) -> int:
+        """Run until the cycle before the first edge that the firmware listens to; that edge's cycle."""
+        board, gyro = self.board, self.board.hardware.gyro
+        limit = round(BOOT_S * TIME_HZ)
+        while board.cycle < limit:
+            edge = gyro.next_sample
+            if edge is None:
+                self._run_to(board.cycle + EDGE_CYCLES // 2)
+            elif board.cycle < edge - 1:
+                self._run_to(edge - 1)
+            elif self._listens():
+                return edge
+            else:
+                self._run_to(edge + EDGE_CYCLES // 2)
+        reasons = arming_reasons(int(self._read(_STATUS)["arming_reasons"]))
+        told = "; ".join([", ".join(reasons) or "it names no reason", *(what for _, what, _ in self._events)])
+        raise LinkError(f"the firmware reads no gyro sample within {BOOT_S:g} s of its boot: {told}")
+
+    def _listens(self) -> bool:
+        """Whether the firmware has opened the gyro's line, as the last thing of its boot."""
+        return bool(self.board.hardware.exti.words["IMR"] >> _READY_LINE & 1)
+
+    def _next_frame(self) -> int | None:
+        return self._announced[0][0] if self._announced else None
+
+    def _dshot(self) -> NDArray[np.uint16]:
+        """What each motor's ESC obeys."""
+        return self.board.hardware.obeyed(self.motor_count)
+
+    def _told(self, values: NDArray[np.uint16]) -> Reply:
+        """What the firmware says of its last control step."""
+        status = self._read(_STATUS)
+        trace = status["trace"]
+        armed = bool(trace["armed"])
+        if armed and self._armed_at is None:
+            self._armed_at = self._samples - 1
+            self._plan.start(self._armed_at)
+        self._note_state(status, armed)
+        return Reply(
+            dshot=values,
+            step=int(trace["step"]),
+            setpoint=trace["setpoint"].astype(np.float32),
+            gyro=trace["gyro"].astype(np.float32),
+            throttle=float(trace["throttle"]),
+            armed=armed,
+        )
+
+    def _reply_in_trouble(self, values: NDArray[np.uint16]) -> Reply:
+        """Likewise, of a firmware that may be in the middle of a boot, or stand for good."""
+        self._note_resets()
+        if not self._up and self._listens():
+            self._up = True
+            self._happened("the firmware has booted and reads its gyro")
+        if self._up:
+            return self._told(values)
+        step = 0 if self._reply is None else self._reply.step
+        return Reply(values, step, _NO_RATES, _NO_RATES, 0.0, armed=False)
+
+    def _read(self, name: str) -> Any:  # noqa: ANN401 - a number or a record
+        seen = self._views.get(name)
+        if seen is None:
+            variable = self._variables[name]
+            data = self.board.engine.view(variable.address, variable.size)
+            seen = self._views[name] = np.frombuffer(data, variable.dtype)
+        return seen[0]
+
+    # ---- what happens ----
+
+    def _note_state(self, status: Any, armed: bool) -> None:  # noqa: ANN401 - a record
+        state, before = FlightState(int(status["state"])), self._state
+        stops, self._state, self._armed = self._armed and not armed, state, armed
+        if (state != before or stops) and (self._armed_at is not None or self._plan.begun):
+            cause = f": {StopCause(int(status['stop_cause'])).name}" if stops else ""
+            self._happened(f"{state.name}{cause}", stops=stops)
+
+    def _note_resets(self) -> None:
+        resets = self.board.engine.resets
+        while self._resets < len(resets):
+            self._happened(f"reset: {resets[self._resets]}", stops=self._armed)
+            self._up, self._armed, self._resets = False, False, self._resets + 1
+            self._state = FlightState.BOOT
+
+    def _inject(self) -> None:
+        """Let the faults come whose time it is."""
+        for what in self._plan.inject(self.board, self._samples):
+            self._events.append((self._samples, what, False))
+
+    def _happened(self, what: str, *, stops: bool = False) -> None:
+        self._events.append((max(self._samples - 1, 0), what, stops))
+
+
+def _stored(settings: Mapping[str, float], gyro_rate_hz: int, receiver: str) -> dict[str, float]:
+    """Settings that the image must have stored to fly so."""
+    wanted = dict(settings)
+    if gyro_rate_hz != GYRO_RATE_DEFAULT_HZ:
+        wanted["gyro_rate_hz"] = gyro_rate_hz
+    if receiver != "sbus":
+        wanted["receiver_protocol"] = RECEIVER_SETTING.choices.index(receiver)
+    return wanted

@@ -1,0 +1,77 @@
+"""What a flight on the emulated board says of the image, beside its trace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.board.bus import load_table
+from sim.board.context import TIME_HZ
+from sim.board.engine import Note
+from sim.board.gyro_chip import READY
+from sim.board.profile import TaskCount, task_counts
+from sim.ports.emulator import EmulatedPort, Event
+
+GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception number
+_US = 1e6 / TIME_HZ
+
+
+@dataclass(frozen=True)
+class EmulatedReport:
+    """One flight; times in seconds of the flight, from the first armed control step on."""
+
+    image: str  # path of the flashable file
+    sha256: str  # of that file, whose bytes were in the board's flash
+    board_s: float  # of the board's time, from power to the end
+    real_time: float  # that, by the time it took
+    instructions: int  # executed
+    gyro_wait_us: float  # the longest that a data-ready edge waited for its handler
+    gyro_wait_place: str  # what ran then; "" if none ever waited
+    watchdog_margin_s: float | None  # the least that was left when it was fed
+    resets: tuple[str, ...]  # their causes, the first one power
+    events: tuple[Event, ...]
+    stopped_s: float | None  # when the firmware stopped its motors before the end; None: it flew to the end
+    running: bool  # at the end: not in a boot, nor stopped for good
+    arming_reasons: tuple[str, ...]  # what keeps it disarmed, after the pilot has switched off
+    waiting: tuple[str, ...]  # faults whose time did not come
+    notes: tuple[Note, ...]  # of the board
+
+    @property
+    def outcome(self) -> str:
+        """In words."""
+        if self.stopped_s is None:
+            return "flown, disarmed"
+        what = next(event.what for event in self.events if event.stops)
+        return f"motors stopped at {self.stopped_s:.3f} s: {what}"
+
+
+def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: float) -> EmulatedReport:
+    """Of a flight that is over, on a port that is still open.
+
+    flight_s: length of its scenario; took_s: by the clock on the wall, with the boot, the twin and all else.
+    """
+    report = port.board.report()
+    edge = _task(port)
+    stops = [event.at_s for event in port.events if event.stops]
+    return EmulatedReport(
+        image=str(image),
+        sha256=port.image_sha256,
+        board_s=report.cycles / TIME_HZ,
+        real_time=report.cycles / TIME_HZ / took_s,
+        instructions=report.instructions,
+        gyro_wait_us=0.0 if edge is None else edge.latest * _US,
+        gyro_wait_place=edge.latest_place if edge is not None and edge.latest else "",
+        watchdog_margin_s=report.watchdog_margin_s,
+        resets=report.resets,
+        events=port.events,
+        stopped_s=stops[0] if stops and stops[0] < flight_s else None,
+        running=port.running,
+        arming_reasons=port.arming_reasons(),
+        waiting=tuple(str(fault) for fault in port.waiting),
+        notes=report.notes,
+    )
+
+
+def _task(port: EmulatedPort) -> TaskCount | None:
+    """What the data-ready edge's handler took."""
+    return next((task for task in task_counts(port.board.engine) if task.exception == GYRO_EDGE), None)

@@ -1,0 +1,96 @@
+"""The one interface behind which a firmware stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from toolchain.errors import LinkError
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What the twin says at one gyro sample: body x forward, y left, z up; world x north, y west, z up."""
+
+    time_s: float  # since the port's first sample
+    gyro: NDArray[np.float64]  # (3,) [rad/s], measured, unrounded
+    rotation: NDArray[np.float64]  # (3, 3) attitude, body to world
+    velocity: NDArray[np.float64]  # (3,) [m/s], world
+    position: NDArray[np.float64]  # (3,) [m], world
+    specific_force: NDArray[np.float64]  # (3,) [m/s^2], body, as the accelerometer measures it
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What the firmware answers to one gyro sample; all but `dshot` tell of its last control step."""
+
+    dshot: NDArray[np.uint16]  # (M,) values of 11 bits, motor order
+    step: int  # number of the control step, rising by one
+    setpoint: NDArray[np.float32]  # (3,) [rad/s], from the sticks
+    gyro: NDArray[np.float32]  # (3,) [rad/s], as the controller used it
+    throttle: float  # pilot's thrust, 0..1
+    armed: bool
+
+
+class FirmwarePort(Protocol):
+    """A firmware in lockstep: one reply a gyro sample, the first sample is a control step.
+
+    A port is flown once, from its boot; a new flight takes a new port. All failures of the other side
+    are LinkErrors.
+    """
+
+    motor_count: int
+    gyro_rate_hz: int
+    control_rate_hz: int
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """Send one gyro sample, before it a receiver frame unless `channels_us` is None; await the reply.
+
+        channels_us: CHANNEL_COUNT pulse widths [us], only ever given at a control step.
+        """
+        ...
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """Names of what keeps the motors stopped; empty if nothing does or the port cannot tell."""
+        ...
+
+    def close(self) -> None:
+        """End the firmware. May be called twice."""
+        ...
+
+
+@runtime_checkable
+class ForeseeingPort(FirmwarePort, Protocol):
+    """A port whose receiver frames come over a line on which they take their time."""
+
+    def announce(self, channels_us: Sequence[int], samples: int) -> None:
+        """The exchange after `samples` more will come with these channels: they go on the line now.
+
+        0 more is the next exchange. Frames are announced in order, each before its exchange.
+        """
+        ...
+
+
+def twin_settings(aircraft: Aircraft) -> dict[str, float]:
+    """Settings that a firmware needs to fly the twin of `aircraft`: a gyro without noise is not stuck."""
+    return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
+
+
+def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:
+    """Settings of a firmware as its programs take them: NAME=VALUE."""
+    return tuple(f"{name}={value!r}" for name, value in settings.items())
+
+
+def control_divider(gyro_rate_hz: int, control_rate_hz: int) -> int:
+    """Gyro samples in a control step. Raises LinkError unless it is a whole number."""
+    if control_rate_hz <= 0 or gyro_rate_hz % control_rate_hz:
+        raise LinkError(
+            f"control rate {control_rate_hz} Hz does not divide the gyro rate {gyro_rate_hz} Hz: "
+            f"choose a gyro rate that is a multiple of it"
+        )
+    return gyro_rate_hz // control_rate_hz

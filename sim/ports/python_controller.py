@@ -1,0 +1,114 @@
+"""A Python controller behind the port: the firmware's frame around another algorithm.
+
+Gyro counts and their conversion, sticks, throttle mix, idle and DShot values are the firmware's, in
+float32. Arming is the least that makes a flight alike: after a second of gyro averaging (its mean is the
+bias; motion is not looked for) the switch going on with the throttle low arms, the switch going off or a
+receiver lost for 400 ms disarms, and after 100 ms of silence the sticks count as centred.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.control import sticks
+from sim.control.controller import Controller
+from sim.control.motors import dshot_values, throttle_mix
+from sim.physics.imu import counts
+from sim.ports.port import Reply, Sample, control_divider
+from toolchain.contract import (
+    ARM_ON_US,
+    BOOT_GRACE_MS,
+    CALIBRATION_MS,
+    CHANNEL_ARM,
+    CHANNEL_THROTTLE,
+    GYRO_COUNTS,
+    GYRO_FULL_SCALE_DEG_S,
+    GYRO_RATE_DEFAULT_HZ,
+    IDLE_DEFAULT,
+    RECEIVER_HOLD_MS,
+    RECEIVER_LOST_MS,
+    THROTTLE_LOW_US,
+)
+
+_RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s]
+
+
+class ControllerPort:
+    """FirmwarePort around a Controller of one aircraft."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        motor_count: int,
+        gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
+        control_rate_hz: int = 1000,
+        idle: float = IDLE_DEFAULT,
+    ) -> None:
+        """Raises LinkError when the control rate does not divide the gyro rate."""
+        self.motor_count = motor_count
+        self.gyro_rate_hz = gyro_rate_hz
+        self.control_rate_hz = control_rate_hz
+        self._controller = controller
+        self._idle = idle
+        self._divider = control_divider(gyro_rate_hz, control_rate_hz)
+        self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
+        self._grace = max(CALIBRATION_MS, BOOT_GRACE_MS) * gyro_rate_hz // 1000
+        self._hold = RECEIVER_HOLD_MS * gyro_rate_hz // 1000
+        self._lost = RECEIVER_LOST_MS * gyro_rate_hz // 1000
+        self._sum = np.zeros(3, np.int64)  # of counts
+        self._bias = np.zeros(3, np.float32)  # [rad/s]
+        self._samples = 0
+        self._channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        self._age = self._lost  # samples since the last frame
+        self._switch = True  # as of the step before: on, so that a switch left on does not arm
+        self._armed = False
+        self._reply: Reply | None = None
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort."""
+        raw = counts(sample.gyro)
+        if self._samples < self._calibration:
+            self._sum += raw
+            if self._samples == self._calibration - 1:
+                mean = self._sum.astype(np.float32) / np.float32(self._calibration)
+                self._bias = mean * _RATE_PER_COUNT
+        self._age += 1
+        if channels_us is not None:
+            self._channels, self._age = np.array(channels_us, np.uint16), 0
+        if self._samples % self._divider == 0 or self._reply is None:
+            gyro = raw.astype(np.float32) * _RATE_PER_COUNT - self._bias
+            self._reply = self._control(gyro, self._samples // self._divider)
+        self._samples += 1
+        return self._reply
+
+    def arming_reasons(self) -> tuple[str, ...]:
+        """See FirmwarePort; this one only waits for its second and the switch."""
+        return ()
+
+    def close(self) -> None:
+        """See FirmwarePort."""
+
+    def _control(self, gyro: NDArray[np.float32], step: int) -> Reply:
+        setpoint = sticks.setpoint(self._channels)
+        if self._age >= self._hold:
+            setpoint = np.zeros(3, np.float32)
+        throttle = sticks.throttle(self._channels[None])
+        self._arm()
+        dshot = np.zeros(self.motor_count, np.uint16)
+        if self._armed:
+            y = self._controller.step(setpoint[None], gyro[None], throttle)
+            dshot = dshot_values(throttle_mix(y, throttle), self._idle)[0]
+        return Reply(dshot, step, setpoint, gyro, float(throttle[0]), self._armed)
+
+    def _arm(self) -> None:
+        switch = bool(self._channels[CHANNEL_ARM] >= ARM_ON_US)
+        low = self._channels[CHANNEL_THROTTLE] <= THROTTLE_LOW_US
+        if not switch or self._age >= self._lost:
+            self._armed = False
+        elif not self._armed and not self._switch and low and self._samples >= self._grace:
+            self._controller.reset()
+            self._armed = True
+        self._switch = switch

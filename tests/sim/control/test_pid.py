@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.aircraft.model import PidSettings, load_aircraft, shipped
+from sim.control.pid import Pid, aircraft_pid, desaturated, mixer
+from toolchain.errors import AircraftError
+from training.evaluation import evaluate
+
+RATE_HZ = 1000
+CUTOFF_HZ = 80.0
+ZERO = (0.0, 0.0, 0.0)
+ONE_AXIS = np.array([[1.0], [0.0], [-1.0]])  # motors that show only what roll asks
+
+
+def step_once(pid: Pid, setpoint: list[float], gyro: list[float]) -> NDArray[np.float32]:
+    wanted, measured = (np.deg2rad([rates]).astype(np.float32) for rates in (setpoint, gyro))
+    y: NDArray[np.float32] = pid.step(wanted, measured, np.zeros(1, np.float32))[0]
+    return y
+
+
+def roll_only(p: float, i: float, d: float) -> Pid:
+    settings = PidSettings(((p, i, d), ZERO, ZERO), CUTOFF_HZ, 0.0)
+    return Pid(np.hstack([ONE_AXIS, np.zeros((3, 2))]), settings, 1, RATE_HZ)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_column_turns_its_own_axis_when_thrust_acts_on_the_geometry(name: str) -> None:
+    aircraft = load_aircraft(name)
+    thrust = mixer(aircraft)  # a newton of change a unit of share
+    positions = aircraft.rotor_positions
+    moments = np.stack(
+        [
+            positions[:, 1] @ thrust,
+            -positions[:, 0] @ thrust,
+            -aircraft.spins @ thrust * aircraft.propulsion.torque_ratio[0],
+        ]
+    )
+    assert (np.diag(moments) > 0).all()
+    assert np.abs(moments - np.diag(np.diag(moments))).max() < 1e-9
+    assert thrust.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert np.abs(thrust).max(axis=0) == pytest.approx(np.ones(3))
+
+
+def test_output_is_proportional_when_only_p_is_given() -> None:
+    y = step_once(roll_only(2.0, 0.0, 0.0), [100, 50, 50], [25, 0, 0])
+    assert y == pytest.approx([0.3, 0.15, 0.0], abs=1e-6)  # lifted: differences of 0.15, none below zero
+
+
+def test_output_integrates_when_the_error_stays() -> None:
+    pid = roll_only(0.0, 40.0, 0.0)
+    for _ in range(100):
+        y = step_once(pid, [50, 0, 0], [0, 0, 0])
+    assert y[0] - y[1] == pytest.approx(40 * 50 * 0.1 / 1000, rel=1e-5)
+
+
+def test_integral_stays_bounded_when_the_error_never_ends() -> None:
+    pid = roll_only(0.0, 1000.0, 0.0)
+    for _ in range(5000):
+        step_once(pid, [1000, 0, 0], [0, 0, 0])
+    for _ in range(4):  # full integral is 1: four steps of -1000 deg/s take 4 x 1 of it away
+        y = step_once(pid, [-1000, 0, 0], [0, 0, 0])
+    assert y[2] > y[0]
+
+
+def test_derivative_brakes_when_the_gyro_rises_and_ignores_the_sticks() -> None:
+    pid = roll_only(0.0, 0.0, 0.1)
+    step_once(pid, [0, 0, 0], [0, 0, 0])
+    assert step_once(pid, [500, 0, 0], [0, 0, 0]).tolist() == [0, 0, 0]
+    gyro = 0.0
+    for _ in range(200):  # 1000 deg/s^2 for long against the low-pass
+        gyro += 1.0
+        y = step_once(pid, [0, 0, 0], [gyro, 0, 0])
+    assert y[2] - y[1] == pytest.approx(0.1 * 1000 / 1000, rel=1e-4)
+    assert 200 * 2 * np.pi * CUTOFF_HZ / RATE_HZ > 10  # long indeed
+
+
+def test_derivative_comes_through_at_once_when_it_is_not_filtered() -> None:
+    settings = PidSettings(((0.0, 0.0, 0.1), ZERO, ZERO), None, 0.0)
+    pid = Pid(np.hstack([ONE_AXIS, np.zeros((3, 2))]), settings, 1, RATE_HZ)
+    step_once(pid, [0, 0, 0], [0, 0, 0])
+    y = step_once(pid, [0, 0, 0], [1, 0, 0])  # 1000 deg/s^2
+    assert y[2] - y[1] == pytest.approx(0.1 * 1000 / 1000, rel=1e-6)
+    assert step_once(pid, [0, 0, 0], [1, 0, 0]).tolist() == [0, 0, 0]
+
+
+def test_each_aircraft_has_its_own_settings_when_they_are_listed() -> None:
+    aircraft = load_aircraft("nf1")
+    gains = ((2.0, 30.0, 0.02), (1.0, 5.0, 0.0), (3.0, 0.0, 0.01))
+    many = [PidSettings((g, g, g), cutoff, 0.0) for g, cutoff in zip(gains, (20.0, 80.0, None), strict=True)]
+    rng = np.random.default_rng(6)
+    setpoint, gyro = rng.normal(0, 2, (2, 20, 3, 3)).astype(np.float32)
+    together = Pid(mixer(aircraft), many, 3, RATE_HZ)
+    alone = [Pid(mixer(aircraft), settings, 1, RATE_HZ) for settings in many]
+    for k in range(20):
+        y = together.step(setpoint[k], gyro[k], np.zeros(3, np.float32))
+        for i, pid in enumerate(alone):
+            single = pid.step(setpoint[k, i : i + 1], gyro[k, i : i + 1], np.zeros(1, np.float32))
+            assert y[i] == pytest.approx(single[0], abs=1e-6)
+
+
+def test_settings_are_refused_when_they_are_neither_one_nor_one_for_each() -> None:
+    settings = load_aircraft("nf1").pids[0][1]
+    with pytest.raises(ValueError, match="2 settings for 3 controllers"):
+        Pid(np.zeros((4, 3)), [settings, settings], 3, RATE_HZ)
+
+
+def test_an_aircraft_file_may_name_the_mixer_when_its_gains_were_found_with_one() -> None:
+    published = aircraft_pid(load_aircraft("nf1"), name="published")
+    y = step_once(published, [0, 100, 0], [0, 0, 0])
+    assert y[0] - y[1] == pytest.approx(2 * 0.598 * (4.2 + 64.33 / RATE_HZ) * 100 / 1000, rel=1e-5)
+
+
+def test_first_step_knows_no_slope_when_reset() -> None:
+    pid = roll_only(0.0, 30.0, 0.1)
+    step_once(pid, [90, 0, 0], [50, 0, 0])
+    step_once(pid, [90, 0, 0], [70, 0, 0])
+    pid.reset()
+    assert step_once(pid, [0, 0, 0], [0, 0, 0]).tolist() == [0, 0, 0]
+
+
+def test_demand_keeps_its_shape_when_it_spans_more_than_the_range() -> None:
+    demand = np.array(
+        [[-1.0, 0.0, 1.0, 3.0], [0.1, 0.2, 0.3, 0.4], [0.5, 0.9, 1.2, 0.5], [-0.5, 0.1, 0.2, 0.3]]
+    )
+    expected = [[0, 0.25, 0.5, 1], [0.1, 0.2, 0.3, 0.4], [0.5, 0.9, 1.0, 0.5], [0, 0.6, 0.7, 0.8]]
+    assert desaturated(demand) == pytest.approx(np.array(expected))
+
+
+def test_aircraft_fly_alone_when_batched() -> None:
+    aircraft = load_aircraft("nf1")
+    rng = np.random.default_rng(4)
+    setpoint, gyro = rng.normal(0, 2, (2, 50, 3, 3)).astype(np.float32)
+    together, alone = aircraft_pid(aircraft, 3), aircraft_pid(aircraft, 1)
+    for k in range(50):
+        y = together.step(setpoint[k], gyro[k], np.zeros(3, np.float32))
+        single = alone.step(setpoint[k, 1:2], gyro[k, 1:2], np.zeros(1, np.float32))
+        assert y[1].tolist() == single[0].tolist()
+
+
+def test_an_aircraft_without_gains_is_refused_when_a_pid_is_asked_for() -> None:
+    with pytest.raises(AircraftError, match=r"no \[pid.NAME\] table"):
+        aircraft_pid(dataclasses.replace(load_aircraft("nf1"), pids=()))
+
+
+def test_published_gains_give_the_published_figures_when_flown_without_noise_and_delay() -> None:
+    # Koch 2019, ch. 5, PID row: MAE 4 / 4 / 3 as printed, by its IAE 4.773 / 4.941 / 3.829; mean output 0.03.
+    aircraft = load_aircraft("nf1")
+    aircraft = dataclasses.replace(aircraft, propulsion=dataclasses.replace(aircraft.propulsion, delay=0.0))
+    pid = aircraft_pid(aircraft, 100, RATE_HZ, "published")
+    result = evaluate(pid, aircraft, episodes=100, seed=1, control_rate_hz=RATE_HZ, noise=False)
+    assert result.tracking.mae == pytest.approx(np.array([4.0, 4.0, 3.0]), abs=1.0)
+    assert result.tracking.mae == pytest.approx(np.array([4.773, 4.941, 3.829]), abs=1.0)
+    assert result.tracking.mse.mean() == pytest.approx((414.216 + 493.033 + 199.662) / 3, rel=0.35)
+    assert result.effort.output == pytest.approx(0.03, abs=0.01)

@@ -1,0 +1,139 @@
+"""Links that cannot drift, links that do, and the one rigid body they are compared with."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.identification.link_drift import FORMULATIONS, RATE_MAX, STEPS_MS, Drift, drift, worst_by_rate
+from sim.identification.link_drift_plot import draw
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from toolchain.errors import AircraftError
+
+NF1 = load_aircraft("nf1")
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[tuple[str, float], Drift]:
+    """Both formulations at the dissertation's steps."""
+    return {(f, ms): drift(NF1, f, ms / 1e3) for f in FORMULATIONS for ms in STEPS_MS}
+
+
+def test_links_stay_where_they_are_when_coordinates_are_reduced(runs: dict[tuple[str, float], Drift]) -> None:
+    for ms in STEPS_MS:
+        assert runs["reduced", ms].worst < 1e-6
+        assert runs["reduced", ms].rate.max() > 0.95 * RATE_MAX
+
+
+def test_drift_grows_with_the_step_when_coordinates_are_maximal(
+    runs: dict[tuple[str, float], Drift],
+) -> None:
+    coarse, middle, fine = (runs["maximal", ms] for ms in STEPS_MS)
+    assert coarse.worst > 2 * middle.worst > 4 * fine.worst > 1e-5
+    # Not only at the fastest: at each rate that all three flew through.
+    curves = [dict(zip(*worst_by_rate(run, 5.0), strict=True)) for run in (coarse, middle, fine)]
+    rates = set.intersection(*(set(curve) for curve in curves))
+    assert len(rates) >= 6
+    assert all(curves[0][rate] > curves[1][rate] > curves[2][rate] for rate in rates)
+
+
+def test_drift_grows_with_the_rate_when_coordinates_are_maximal(
+    runs: dict[tuple[str, float], Drift],
+) -> None:
+    _, worst = worst_by_rate(runs["maximal", 1.0], 7.0)
+    assert (np.diff(worst) > 0).all()
+
+
+def test_links_turn_as_the_twin_does_when_nothing_drifts(runs: dict[tuple[str, float], Drift]) -> None:
+    still = replace(NF1.propulsion, drag_coefficient=0.0, rolling_coefficient=0.0, delay=0.001)
+    for command in (0b1010, 0b1100, 0b0100):
+        motors = np.array([[float(digit) for digit in f"{command:04b}"]])
+        twin = Twin(
+            replace(NF1, propulsion=still),
+            mount=Mount.FREE,
+            gravity=False,
+            noise=False,
+            rng=np.random.default_rng(0),
+        )
+        flown = runs["reduced", 1.0].rate[runs["reduced", 1.0].flight == command]
+        try:
+            for _ in range(121):  # the twin takes a command one sample later
+                twin.step(motors)
+            assert np.linalg.norm(twin.rate) == pytest.approx(flown[120], rel=0.015)
+        finally:
+            twin.close()
+
+
+def test_drift_is_the_same_when_flown_again(runs: dict[tuple[str, float], Drift]) -> None:
+    again = drift(NF1, "maximal", 0.002)
+    assert np.array_equal(again.drift, runs["maximal", 2.0].drift)
+
+
+def test_worst_is_taken_in_each_interval_when_rates_are_scattered() -> None:
+    run = Drift("maximal", 0.001, np.zeros(4, int), np.array([0.5, 0.9, 3.1, 3.9]), np.array([4.0, 2, 1, 7]))
+    rate, worst = worst_by_rate(run, 1.0)
+    assert rate.tolist() == [0.5, 3.5]
+    assert worst.tolist() == [4.0, 7.0]
+
+
+def test_plot_names_each_run_when_drawn(runs: dict[tuple[str, float], Drift]) -> None:
+    panel = draw(list(runs.values()), "title").axes[0]
+    names = [text.get_text() for text in panel.get_legend().get_texts()]  # type: ignore[union-attr]
+    assert names == [f"{f}, {ms:g} ms" for f in FORMULATIONS for ms in STEPS_MS]
+    assert panel.get_ylabel() == "drift of a propeller, mm"
+
+
+def test_aircraft_is_refused_when_its_rotors_have_no_propellers() -> None:
+    bare = tuple(part for part in NF1.parts if part.name != "propeller 3")
+    with pytest.raises(AircraftError, match="rotor 3 has no propeller part"):
+        drift(replace(NF1, parts=bare), "reduced", 0.001)
+
+
+def tripod() -> Aircraft:
+    """Three rotors: eight flights."""
+    parts = tuple(part for part in NF1.parts if part.name not in ("motor 4", "propeller 4"))
+    return replace(NF1, parts=parts, rotors=NF1.rotors[:3])
+
+
+def test_every_combination_is_flown_when_there_are_three_rotors() -> None:
+    calls: list[None] = []
+    run = drift(tripod(), "reduced", 0.002, lambda: calls.append(None))
+    assert len(calls) == 8
+    assert set(run.flight.tolist()) == set(range(8))
+
+
+def test_command_prints_one_document_when_asked_for_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plot = tmp_path / "drift.png"
+    assert main(["stability", "--steps-ms", "2", "--json", "--plot", str(plot)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == "neuroflight stability --aircraft nf1 --steps-ms 2"
+    assert [run["formulation"] for run in document["runs"]] == ["reduced", "maximal"]
+    assert document["runs"][0]["drift_m"] < 1e-6 < document["runs"][1]["drift_m"]
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--steps-ms", "0"], "--steps-ms 0, expected 0.05 to 20 ms"),
+        (["--steps-ms", "nan"], "--steps-ms nan"),
+        (["--plot", "drift.jpg"], "expected a name that ends in .png"),
+        (["--aircraft", "nf9"], "no such file"),
+    ],
+)
+def test_command_refuses_in_one_line_when_the_input_is_bad(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["stability", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1

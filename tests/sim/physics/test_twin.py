@@ -1,0 +1,331 @@
+"""The twin as a whole: delay, repeatability, refusals, and that each motor turns it the right way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import GRAVITY, Battery, Body, load_aircraft
+from sim.physics.rotor import target_speed, thrust_and_torque
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from toolchain.errors import AircraftError
+
+BODY = Body(size=(0.2, 0.16, 0.06), centre=(0.0, 0.0, 0.03), drag_area=(0.01, 0.01, 0.02))
+PACK = Battery(cells=4, capacity=5580.0, rest_voltage=16.78, resistance=0.03, electronics_power=6.0)
+NF1 = replace(load_aircraft("nf1"), body=BODY, battery=PACK)
+
+
+def twin(count: int = 1, seed: int = 1, **options: object) -> Twin:
+    return Twin(NF1, count, rng=np.random.default_rng(seed), **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("rate_hz", "samples"), [(1000, 2), (4000, 8), (8000, 16)])
+def test_a_command_acts_after_the_delay_at_any_rate(rate_hz: int, samples: int) -> None:
+    asked, left = (twin(rate_hz=rate_hz, noise=False) for _ in range(2))
+    differs = []
+    for _ in range(samples + 1):
+        asked.step(np.ones((1, 4)))
+        left.step(np.zeros((1, 4)))
+        differs.append(bool(asked.rotor_speed[0, 0] > left.rotor_speed[0, 0]))
+    asked.close()
+    left.close()
+    assert differs == [False] * samples + [True]
+
+
+def test_a_command_acts_from_the_next_sample_when_there_is_no_delay() -> None:
+    prompt = replace(NF1, propulsion=replace(NF1.propulsion, delay=0.0))
+    aircraft = Twin(prompt, rng=np.random.default_rng(0), noise=False)
+    aircraft.step(np.ones((1, 4)))
+    at_once = aircraft.rotor_speed[0, 0]
+    aircraft.step(np.ones((1, 4)))
+    later = aircraft.rotor_speed[0, 0]
+    aircraft.close()
+    assert at_once <= NF1.propulsion.speed_curve[2]
+    assert later > 10.0
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+def test_the_same_seed_repeats_a_run_exactly(mount: Mount) -> None:
+    runs = []
+    for seed in (7, 7, 8):
+        aircraft = twin(3, seed, mount=mount)
+        commands = np.random.default_rng(0).uniform(0, 1, (50, 3, 4))
+        for command in commands:
+            aircraft.step(command)
+        runs.append((aircraft.rate.copy(), aircraft.gyro.copy()))
+        aircraft.close()
+    assert np.array_equal(runs[0][0], runs[1][0])
+    assert np.array_equal(runs[0][1], runs[1][1])
+    assert not np.array_equal(runs[0][1], runs[2][1])
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+@pytest.mark.parametrize(
+    ("motor", "signs"),
+    [(0, (-1, 1, 1)), (1, (-1, -1, -1)), (2, (1, 1, -1)), (3, (1, -1, 1))],
+    ids=["1 rear right cw", "2 front right ccw", "3 rear left ccw", "4 front left cw"],
+)
+def test_each_motor_turns_the_aircraft_its_own_way(
+    motor: int, signs: tuple[int, int, int], mount: Mount
+) -> None:
+    aircraft = twin(noise=False, mount=mount)
+    command = np.full((1, 4), 0.3)
+    command[0, motor] = 0.4
+    for _ in range(60):
+        aircraft.step(command)
+    turned = tuple(np.sign(aircraft.rate[0]).astype(int))
+    aircraft.close()
+    assert turned == signs
+
+
+def test_hovers_at_the_analytic_throttle_when_free() -> None:
+    """Thrust of four rotors at speed H(u) equals the weight: the climb rate stays where it is."""
+    aircraft = twin(noise=False, mount=Mount.FREE)
+    weight = NF1.mass_properties.mass * 9.80665
+    speed = np.sqrt(weight / 4 / NF1.propulsion.thrust_coefficient[0])
+    a, b, c = NF1.propulsion.speed_curve
+    hover = (-b + np.sqrt(b * b - 4 * a * (c - speed))) / (2 * a)
+    for _ in range(600):
+        aircraft.step(np.full((1, 4), hover))
+    climb = aircraft.velocity[0, 2]
+    for _ in range(200):
+        aircraft.step(np.full((1, 4), hover))
+    settled = aircraft.velocity[0, 2]
+    aircraft.close()
+    assert aircraft.rotor_speed[0] == pytest.approx([speed] * 4, rel=1e-3)
+    assert settled - climb == pytest.approx(0.0, abs=0.005 * 9.80665 * 0.2)
+
+
+def test_reset_makes_an_aircraft_new_and_leaves_the_others() -> None:
+    aircraft = twin(2, noise=False)
+    for _ in range(100):
+        aircraft.step(np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
+    other = aircraft.rate[1].copy()
+    aircraft.reset(np.array([0]))
+    assert aircraft.rate[0] == pytest.approx(np.zeros(3))
+    assert aircraft.rotor_speed[0] == pytest.approx(np.zeros(4))
+    assert np.array_equal(aircraft.rate[1], other)
+    aircraft.step(np.zeros((2, 4)))
+    assert aircraft.rotor_speed[0].max() < 1.0  # no command from before the reset still under way
+    aircraft.close()
+
+
+@pytest.mark.parametrize(
+    "motors",
+    [np.full((1, 4), np.nan), np.full((1, 4), 1.5), np.full((1, 4), -0.1), np.zeros((1, 3)), np.zeros(4)],
+    ids=["nan", "above one", "below zero", "three motors", "flat"],
+)
+def test_refuses_commands_that_are_no_fractions(motors: np.ndarray) -> None:
+    aircraft = twin()
+    with pytest.raises(ValueError, match="motor commands"):
+        aircraft.step(motors)
+    aircraft.close()
+
+
+def test_terminal_speed_thrust_and_yaw_torque_are_the_analytic_ones() -> None:
+    """Half a per cent, in still air that holds nothing back: H(u), K_T w^2 and K_Q K_T w^2."""
+    propulsion = replace(NF1.propulsion, drag_coefficient=0.0, rolling_coefficient=0.0)
+    slick = replace(NF1, propulsion=propulsion, body=None)
+    held = Twin(slick, noise=False, rng=np.random.default_rng(0))
+    loose = Twin(slick, noise=False, mount=Mount.FREE, gravity=False, rng=np.random.default_rng(0))
+    command = np.array([[0.6, 0.4, 0.4, 0.6]])  # the clockwise pair is faster: yaw to the left, nothing else
+    for _ in range(800):
+        held.step(command)
+        loose.step(command)
+    rate, velocity = held.rate[0, 2], loose.velocity[0, 2]
+    for _ in range(10):
+        held.step(command)
+        loose.step(command)
+    gained, climbed = (held.rate[0, 2] - rate) / 0.010, (loose.velocity[0, 2] - velocity) / 0.010
+    speed, force = held.rotor_speed[0].copy(), loose.specific_force[0, 2]
+    held.close()
+    loose.close()
+    a, b, c = propulsion.speed_curve
+    speeds = (a * command[0] + b) * command[0] + c
+    thrusts = propulsion.thrust_coefficient[0] * speeds**2
+    torque = -NF1.spins @ thrusts * propulsion.torque_ratio[0]
+    assert speed == pytest.approx(speeds, rel=0.005)
+    assert gained == pytest.approx(torque / NF1.mass_properties.inertia[2, 2], rel=0.005)
+    assert climbed == pytest.approx(thrusts.sum() / NF1.mass_properties.mass, rel=0.005)
+    assert force == pytest.approx(climbed, rel=1e-3)
+
+
+def test_battery_sags_under_load_and_empties_as_power_says() -> None:
+    sagging = twin(charge=1.0, noise=False)
+    pack = NF1.battery
+    assert pack is not None
+    rest = sagging.telemetry.voltage[0]
+    for _ in range(1000):
+        sagging.step(np.full((1, 4), 0.8))
+    report, speed = sagging.telemetry, sagging.rotor_speed.copy()
+    settled = target_speed(np.array([[0.8]]), NF1.propulsion, report.voltage[:, None])
+    sagging.close()
+    torque = thrust_and_torque(speed, NF1.propulsion)[1]
+    power = (speed * torque).sum() / NF1.propulsion.efficiency + pack.electronics_power
+    step = NF1.esc.current_step / 2 + 0.01 * power / report.voltage[0]
+    assert rest == pytest.approx(pack.rest_voltage, abs=NF1.esc.voltage_step)
+    assert report.voltage[0] < rest - 0.1
+    assert report.current[0] == pytest.approx(power / report.voltage[0], abs=step)
+    assert speed[0] == pytest.approx([settled[0, 0]] * 4, rel=2e-3)
+
+
+def test_half_empty_battery_turns_rotors_slower_than_a_full_one() -> None:
+    speeds = []
+    for charge in (1.0, 0.2):
+        aircraft = twin(charge=charge, noise=False)
+        for _ in range(500):
+            aircraft.step(np.full((1, 4), 0.5))
+        speeds.append(aircraft.rotor_speed[0, 0])
+        aircraft.close()
+    assert speeds[1] < 0.95 * speeds[0]
+
+
+def test_loose_aircraft_drifts_with_the_wind_until_it_flies_as_fast() -> None:
+    """Without gravity and thrust only drag acts: the air takes the aircraft along, ever slower."""
+    wind = (6.0, -3.0, 0.0)
+    blown, still = (
+        twin(mount=Mount.FREE, gravity=False, noise=False, wind=w) for w in (wind, (0.0, 0.0, 0.0))
+    )
+    lag = []
+    for _ in range(2):
+        for _ in range(4000):
+            blown.step(np.zeros((1, 4)))
+            still.step(np.zeros((1, 4)))
+        lag.append(float(np.linalg.norm(blown.velocity[0] - wind)))
+    stayed = still.velocity[0].copy()
+    blown.close()
+    still.close()
+    assert stayed == pytest.approx(np.zeros(3), abs=0.01)  # at command zero the curve still says 87 rpm
+    assert lag[1] < lag[0] < np.linalg.norm(wind)
+    assert lag[0] < 0.9 * np.linalg.norm(wind)
+
+
+def test_gusts_shake_each_aircraft_its_own_way_and_leave_the_gyro_noise_alone() -> None:
+    gusty, calm = (twin(3, 4, mount=Mount.FREE, gust=g) for g in (15.0, 0.0))
+    first = gusty.gyro.copy(), calm.gyro.copy()
+    hover = np.full((3, 4), 0.25)
+    for _ in range(300):
+        gusty.step(hover)
+        calm.step(hover)
+    apart = gusty.velocity - calm.velocity
+    gusty.close()
+    calm.close()
+    assert np.array_equal(*first)
+    assert np.abs(apart).max(axis=1).min() > 1e-3
+    assert np.abs(apart[0] - apart[1]).max() > 1e-3
+
+
+def test_specific_force_is_what_an_accelerometer_feels() -> None:
+    falling, standing = twin(noise=False, mount=Mount.FREE), twin(noise=False, mount=Mount.FREE, ground=True)
+    swinging = twin(noise=False, mount=Mount.RIG, gravity=True)
+    for _ in range(300):
+        for aircraft in (falling, standing, swinging):
+            aircraft.step(np.zeros((1, 4)))
+    forces = [aircraft.accelerometer[0].copy() for aircraft in (falling, standing, swinging)]
+    for aircraft in (falling, standing, swinging):
+        aircraft.close()
+    assert forces[0] == pytest.approx([0.0, 0.0, 0.27], abs=0.02)  # drag of 2.9 m/s: 0.10 N on 0.391 kg
+    assert forces[1] == pytest.approx([0.0, 0.0, 9.80665], abs=0.02)
+    assert forces[2] == pytest.approx([0.0, 0.0, 9.80665], abs=1e-3)
+
+
+@pytest.mark.parametrize("mount", [Mount.CENTRE, Mount.RIG])
+@pytest.mark.parametrize("gravity", [False, True])
+def test_a_held_accelerometer_feels_its_support_upwards_whatever_gravity_turns(
+    mount: Mount, gravity: bool
+) -> None:
+    aircraft = twin(2, noise=False, mount=mount, gravity=gravity)
+    assert aircraft.accelerometer == pytest.approx(np.tile([0.0, 0.0, GRAVITY], (2, 1)))
+    turning = np.array([[0.3, 0.3, 0.32, 0.32], [0.3, 0.32, 0.3, 0.32]])
+    for _ in range(400):
+        aircraft.step(turning)
+    felt, upwards = aircraft.accelerometer.copy(), aircraft.rotation[:, 2].copy()
+    aircraft.reset(np.array([0]))
+    again = aircraft.accelerometer.copy()
+    aircraft.close()
+    assert np.degrees(np.arccos(upwards[:, 2])).min() > 20, "it must have turned"
+    swinging = 0.0 if mount is Mount.CENTRE else 1.0  # [m/s^2], of the centre of mass below the rig's joint
+    assert np.abs(felt - GRAVITY * upwards).max() <= swinging + 1e-12
+    assert again[0] == pytest.approx([0.0, 0.0, GRAVITY])
+    assert np.array_equal(again[1], felt[1])
+
+
+def test_a_free_accelerometer_feels_the_rotors_alone_when_gravity_is_off() -> None:
+    drifting = twin(noise=False, mount=Mount.FREE, gravity=False)
+    at_rest = drifting.accelerometer.copy()
+    for _ in range(500):
+        drifting.step(np.full((1, 4), 0.4))
+    felt, pushed = drifting.accelerometer.copy(), drifting.specific_force.copy()
+    drifting.close()
+    assert not at_rest.any()
+    assert np.array_equal(felt, pushed)
+    assert felt[0, 2] > 1.0
+
+
+def test_turning_on_the_rig_pulls_the_centre_of_mass_inwards() -> None:
+    """Yaw at w with the centre of mass r beside the joint: w^2 r towards the joint."""
+    beside = replace(NF1, centre_of_thrust=(-0.03, 0.0, float(NF1.mass_properties.centre[2])))
+    aircraft = Twin(beside, mount=Mount.RIG, noise=False, rng=np.random.default_rng(0))
+    aircraft._world.reset([0], np.array([[0.0, 0.0, 10.0]]))
+    for _ in range(10):
+        aircraft.step(np.zeros((1, 4)))
+    rate, force = aircraft.rate[0].copy(), aircraft.specific_force[0].copy()
+    aircraft.close()
+    arm = float(NF1.mass_properties.centre[0]) + 0.03
+    assert rate[2] == pytest.approx(10.0, abs=0.1)
+    assert force[0] == pytest.approx(-(rate[2] ** 2) * arm, rel=0.01)
+
+
+def test_everything_on_repeats_exactly_for_a_seed() -> None:
+    runs = []
+    for seed in (3, 3, 4):
+        aircraft = twin(2, seed, mount=Mount.FREE, ground=True, charge=0.9, wind=(3.0, 1.0, 0.0), gust=8.0)
+        for command in np.random.default_rng(0).uniform(0, 1, (200, 2, 4)):
+            aircraft.step(command)
+        runs.append([aircraft.gyro.copy(), aircraft.accelerometer.copy(), aircraft.position.copy()])
+        aircraft.close()
+    assert all(np.array_equal(a, b) for a, b in zip(runs[0], runs[1], strict=True))
+    assert not any(np.array_equal(a, b) for a, b in zip(runs[0], runs[2], strict=True))
+
+
+def test_vibration_of_the_rotors_reaches_the_gyro() -> None:
+    shaky = replace(NF1, gyro=replace(NF1.gyro, noise=(0.0, 0.0, 0.0), bias=0.0, vibration=(0.1, 0.0, 0.0)))
+    aircraft = Twin(shaky, rate_hz=8000, rng=np.random.default_rng(0))
+    readings = []
+    for step in range(8000):
+        aircraft.step(np.array([[0.5, 0.0, 0.0, 0.0]]))
+        if step >= 6000:
+            readings.append(aircraft.gyro[0] - aircraft.rate[0])
+    speed = aircraft.rotor_speed[0, 0]
+    aircraft.close()
+    shake = np.array(readings)
+    spectrum = np.abs(np.fft.rfft(shake[:, 0]))
+    loudest = np.fft.rfftfreq(len(shake), 1 / 8000)[spectrum.argmax()]
+    assert loudest == pytest.approx(speed / (2 * np.pi), abs=5.0)
+    assert shake[:, 0].max() == pytest.approx(0.1 * (speed / NF1.propulsion.speed_max) ** 2, rel=0.05)
+    assert np.abs(shake[:, 1:]).max() == 0.0
+
+
+def test_an_aircraft_without_what_is_asked_for_is_refused() -> None:
+    bare = replace(NF1, battery=None, body=None)
+    with pytest.raises(AircraftError, match=r"no \[battery\] table"):
+        Twin(bare, charge=1.0, rng=np.random.default_rng(0))
+    with pytest.raises(AircraftError, match=r"no \[body\] table"):
+        Twin(bare, mount=Mount.FREE, ground=True, rng=np.random.default_rng(0))
+    unknown = replace(NF1, propulsion=replace(NF1.propulsion, supply_voltage=None))
+    with pytest.raises(AircraftError, match="supply_voltage_v missing"):
+        Twin(unknown, charge=1.0, rng=np.random.default_rng(0))
+
+
+def test_reset_of_one_aircraft_leaves_the_sensors_of_the_others_where_they_are() -> None:
+    slow = replace(NF1, gyro=replace(NF1.gyro, bandwidth_hz=20.0))
+    aircraft = Twin(slow, 2, rng=np.random.default_rng(0))
+    for _ in range(20):
+        aircraft.step(np.array([[0.5, 0.2, 0.2, 0.2]] * 2))
+    before = aircraft.gyro.copy()
+    aircraft.reset(np.array([0]))
+    after = aircraft.gyro.copy()
+    aircraft.close()
+    assert np.array_equal(after[1], before[1])
+    assert not np.array_equal(after[0], before[0])
