@@ -14,9 +14,9 @@ from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.board.desk import Desk
-    from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, End
+    from sim.board.debug.gdb import GdbServer
+    from sim.board.serial.bridge import Bridge, End
+    from sim.board.serial.idle_board import Desk
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
@@ -69,10 +69,10 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     image = args.image or (args.build or BUILD) / "neuroflight.bin"
 
-    from sim.board.desk import Desk, Keeper, serve, with_image
-    from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, UartLine
-    from sim.board.usart import Format
+    from sim.board.debug.gdb import GdbServer
+    from sim.board.peripherals.usart import Format
+    from sim.board.serial.bridge import Bridge, UartLine
+    from sim.board.serial.idle_board import Desk, Keeper, serve, with_image
     from toolchain.image.elf import read_flashable
 
     flashed, kept = read_flashable(image), _kept(args.flash)
@@ -182,7 +182,7 @@ def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
 
 
 def _summary(desk: Desk) -> str:
-    from sim.board.context import TIME_HZ
+    from sim.board.core.context import TIME_HZ
 
     report = desk.board.report()
     resets = ", ".join(report.resets[1:]) or "none"

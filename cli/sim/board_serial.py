@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
-    from sim.board.gdb import GdbServer
-    from sim.board.line import End
+    from sim.board.debug.gdb import GdbServer
+    from sim.board.serial.bridge import End
 
 PORT_MAX = 65535
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -26,7 +26,7 @@ def parse_serial(text: str) -> tuple[str, int]:
 
 def open_end(serial: tuple[str, int]) -> End:
     """The end of a serial line that was asked for."""
-    from sim.board.line import PtyEnd, TcpEnd
+    from sim.board.serial.bridge import PtyEnd, TcpEnd
 
     kind, port = serial
     return PtyEnd() if kind == "pty" else TcpEnd(port)

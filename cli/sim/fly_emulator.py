@@ -72,7 +72,7 @@ def open_image(
     args: argparse.Namespace, image: Path, settings: Mapping[str, float], ends: ExitStack
 ) -> EmulatedPort:
     """The image on a board of its own; what was attached to it ends with `ends`."""
-    from sim.board.faults import parse_fault
+    from sim.board.debug.fault_injection import parse_fault
     from sim.ports.emulator import EmulatedPort
 
     return EmulatedPort(
@@ -89,9 +89,9 @@ def open_image(
 def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
     """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
     from flash.settings import parse_change
-    from sim.board.gdb import GdbServer
-    from sim.board.line import Bridge, UartLine
-    from sim.board.usart import Format
+    from sim.board.debug.gdb import GdbServer
+    from sim.board.peripherals.usart import Format
+    from sim.board.serial.bridge import Bridge, UartLine
     from toolchain.contract import MSP_BAUD_DEFAULT
 
     run_to: Callable[[int], None] = board.run_to
@@ -180,7 +180,7 @@ def emulator_cells(report: EmulatedReport) -> tuple[str, ...]:
 
 def save_profile(directory: Path, board: Board) -> None:
     """Write the profile and say where."""
-    from sim.board.profile_write import write_profile
+    from sim.board.debug.profile_write import write_profile
 
     names = write_profile(directory, board)
     print(f"{directory}: {', '.join(names)}", file=sys.stderr)

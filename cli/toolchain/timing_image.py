@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from sim.aircraft.model import Aircraft
     from sim.board.board import Board
-    from sim.board.control_timing import Kind, Metered, Run, TaskCost
+    from sim.board.debug.control_timing import Kind, Metered, Run, TaskCost
     from sim.flight.scenario import Scenario
     from toolchain.cortex_m7.cycles import Priced
     from toolchain.cortex_m7.disassembly import Instruction
@@ -28,7 +28,7 @@ SCENARIO, COUNT_MAX = "pulses", 100
 def run(args: argparse.Namespace) -> int:
     """Fly the image under its policy and under its PID, count every control task, print what they took."""
     from sim.aircraft.model import load_aircraft
-    from sim.board.control_timing import task_costs
+    from sim.board.debug.control_timing import task_costs
     from sim.flight.scenario import load_scenario
     from toolchain.cortex_m7.disassembly import disassemble
     from toolchain.errors import NeuroflightError
@@ -86,7 +86,7 @@ def _fly(
     """One flight on a board of its own."""
     import numpy as np
 
-    from sim.board.control_timing import ControlMeter
+    from sim.board.debug.control_timing import ControlMeter
     from sim.flight.loop import fly
     from sim.physics.twin import Twin
     from sim.ports.emulator import EmulatedPort

@@ -11,30 +11,30 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.adc import Adc, AdcCommon
-from sim.board.bus import Companion, Device, Registers, Touch, load_table
-from sim.board.context import TIME_HZ, Context
-from sim.board.dma import DmaSystem
-from sim.board.dshot import Esc, Frame
-from sim.board.engine import CPI, Engine, Note
-from sim.board.exti import Exti
-from sim.board.flash import Flash
-from sim.board.gpio import Pins
-from sim.board.gyro_chip import MPU6500, READY, GyroChip, GyroKind
-from sim.board.hot import BoardEngine, Hot
-from sim.board.hot_devices import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
-from sim.board.hot_esc import HotEsc
-from sim.board.hot_gyro import HotGyroChip
-from sim.board.hot_iwdg import HotIwdg
+from sim.board.core.context import TIME_HZ, Context
+from sim.board.core.engine import CPI, Engine, Note
+from sim.board.devices.esc import Esc, Frame
+from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
 from sim.board.inspection import Inspection
-from sim.board.iwdg import Iwdg
-from sim.board.option_bytes import OptionBytes, signature
-from sim.board.pwr import Pwr
-from sim.board.rcc import MICROSECOND, Rcc
-from sim.board.spi import Spi
-from sim.board.syscfg import Syscfg
-from sim.board.timer import Timer
-from sim.board.usart import Usart
+from sim.board.native.callbacks import BoardEngine, Hot
+from sim.board.native.esc import HotEsc
+from sim.board.native.gyro_chip import HotGyroChip
+from sim.board.native.iwdg import HotIwdg
+from sim.board.native.peripherals import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
+from sim.board.peripherals.adc import Adc, AdcCommon
+from sim.board.peripherals.dma import DmaSystem
+from sim.board.peripherals.exti import Exti
+from sim.board.peripherals.flash import Flash
+from sim.board.peripherals.gpio import Pins
+from sim.board.peripherals.iwdg import Iwdg
+from sim.board.peripherals.option_bytes import OptionBytes, signature
+from sim.board.peripherals.pwr import Pwr
+from sim.board.peripherals.rcc import MICROSECOND, Rcc
+from sim.board.peripherals.spi import Spi
+from sim.board.peripherals.syscfg import Syscfg
+from sim.board.peripherals.timer import Timer
+from sim.board.peripherals.usart import Usart
+from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
 from toolchain.contract import DSHOT_MIN
 
 TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")

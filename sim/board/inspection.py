@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from sim.board.context import TIME_HZ, Context
-from sim.board.dma import STREAMS, DmaSystem
-from sim.board.exti import Exti
-from sim.board.rcc import MICROSECOND
+from sim.board.core.context import TIME_HZ, Context
+from sim.board.peripherals.dma import STREAMS, DmaSystem
+from sim.board.peripherals.exti import Exti
+from sim.board.peripherals.rcc import MICROSECOND
 
 PERIOD = TIME_HZ // 100  # [cycles]
 AGAIN = (1300 * MICROSECOND, 1700 * MICROSECOND)  # one after the other

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from flash.messages import arming_reasons
 from sim.board.board import Board
-from sim.board.context import TIME_HZ
-from sim.board.desk import configured
-from sim.board.faults import Fault, FaultPlan
-from sim.board.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
-from sim.board.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.variables import read_variables
+from sim.board.core.context import TIME_HZ
+from sim.board.debug.fault_injection import Fault, FaultPlan
+from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.debug.variables import read_variables
+from sim.board.devices.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
+from sim.board.serial.idle_board import configured
 from sim.ports.port import Reply, Sample, control_divider
 from sim.ports.receiver_frames import RECEIVERS
 from toolchain.contract import (

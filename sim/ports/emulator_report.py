@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.board.bus import load_table
-from sim.board.context import TIME_HZ
-from sim.board.engine import Note
-from sim.board.gyro_chip import READY
-from sim.board.profile import TaskCount, task_counts
+from sim.board.core.context import TIME_HZ
+from sim.board.core.engine import Note
+from sim.board.debug.profile import TaskCount, task_counts
+from sim.board.devices.gyro_chip import READY
+from sim.board.registers.bus import load_table
 from sim.ports.emulator import EmulatedPort, Event
 
 GYRO_EDGE = 16 + load_table().interrupt(f"EXTI{READY[2:]}")  # exception number

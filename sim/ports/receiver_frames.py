@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from sim.board.usart import CRSF, SBUS, Format
+from sim.board.peripherals.usart import CRSF, SBUS, Format
 from toolchain.contract import (
     CHANNEL_COUNT,
     CRC8_DVB_S2_POLY,

@@ -22,8 +22,8 @@ from unittest import mock
 import numpy as np
 
 from sim.aircraft.model import load_aircraft
-from sim.board.context import TIME_HZ
-from sim.board.hot import BoardEngine, Hot
+from sim.board.core.context import TIME_HZ
+from sim.board.native.callbacks import BoardEngine, Hot
 from sim.control.pid_table import pid_table
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, load_scenario

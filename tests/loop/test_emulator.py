@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.board.variables import read_variables
+from sim.board.debug.variables import read_variables
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.board.dshot import SILENT_S
-from sim.board.faults import FAULTS, Fault, parse_fault
+from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
+from sim.board.devices.esc import SILENT_S
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, Moment
 from sim.ports.port import Reply, Sample

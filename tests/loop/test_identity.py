@@ -12,9 +12,9 @@ import pytest
 
 from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
-from sim.board.context import TIME_HZ
-from sim.board.control_timing import ControlMeter, Work
-from sim.board.profile import TaskCount, task_counts
+from sim.board.core.context import TIME_HZ
+from sim.board.debug.control_timing import ControlMeter, Work
+from sim.board.debug.profile import TaskCount, task_counts
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, Segment, load_scenario
 from sim.flight.trace import Trace

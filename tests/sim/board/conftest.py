@@ -11,16 +11,17 @@ from typing import Any, NoReturn
 import pytest
 
 from sim.board.board import Hardware
-from sim.board.bus import load_table
-from sim.board.context import BoardError
-from sim.board.hot import BoardEngine
+from sim.board.core.context import BoardError
+from sim.board.native.callbacks import BoardEngine
+from sim.board.registers.bus import load_table
+from tests.sim.board.programs import attach, boot, compile_program, results  # noqa: F401 - fixtures
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2
 
 MICROSECOND = 216
 
 
 class FakeAlarm:
-    """sim.board.context.Alarm."""
+    """sim.board.core.context.Alarm."""
 
     def __init__(self, context: FakeContext, order: int, callback: Callable[[], None]) -> None:
         self._context, self._order, self._callback = context, order, callback
@@ -42,7 +43,7 @@ class FakeAlarm:
 
 
 class FakeContext:
-    """sim.board.context.Context without a core."""
+    """sim.board.core.context.Context without a core."""
 
     def __init__(self) -> None:
         self.cycle = 0

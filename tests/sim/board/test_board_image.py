@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sim.board.board import Board
-from sim.board.usart import SBUS
+from sim.board.peripherals.usart import SBUS
 
 
 def test_image_does_the_same_when_peripherals_are_in_c_and_in_python(board_image: Path) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from sim.board import cpu_library
-from sim.board.context import BoardError
-from sim.board.engine import Engine, Outcome
-from sim.board.profile import execution_counts
+from sim.board.core import library as cpu_library
+from sim.board.core.context import BoardError
+from sim.board.core.engine import Engine, Outcome
+from sim.board.debug.profile import execution_counts
 from toolchain.errors import BuildError
 
 Boot = Callable[..., Engine]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from elftools.elf.elffile import ELFFile
 
-from sim.board.cpu_library import load_library
+from sim.board.core.library import load_library
 from toolchain.cortex_m7.disassembly import Instruction, disassemble
 
 ACCESS, DIVIDE, MASKS, WAIT, CONTROL = range(5)  # enum special_kind of engine.h

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sim.board.engine import Engine
+from sim.board.core.engine import Engine
 
 Boot = Callable[..., Engine]
 Results = Callable[[Engine, int], list[int]]

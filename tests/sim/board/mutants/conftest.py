@@ -12,7 +12,7 @@ import pytest
 
 from flash.msp import encode, request
 from sim.board.board import Board, Report
-from sim.board.usart import SBUS, Format
+from sim.board.peripherals.usart import SBUS, Format
 from sim.control.sticks import channels
 from sim.ports.emulator import FULL_VOLTS, RECEIVER
 from sim.ports.receiver_frames import sbus_frame

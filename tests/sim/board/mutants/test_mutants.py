@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.board.context import BoardError
+from sim.board.core.context import BoardError
 from tests.conftest import ROOT
 from tests.sim.board.mutants.bus_mutants import BUS_MUTANTS
 from tests.sim.board.mutants.clock_mutants import CLOCK_MUTANTS

@@ -1,0 +1,478 @@
+"""The emulated core: memory, time, exceptions and what peripherals need of them. `c/` does the work.
+
+`Engine` is the `Context` and the `Bus` of `sim.board.core.context`. Time advances by `cpi` cycles of the
+core for each executed instruction, by 12, 10 and 6 cycles for entry, return and tail-chaining of an
+exception, and by WFI to the next event. The same image, peripherals and calls give the same run to the bit.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NoReturn
+
+from unicorn import arm_const
+
+from sim.board.core.context import BoardError, Peripheral
+from sim.board.core.library import (
+    AlarmCallback,
+    FlashCallback,
+    ReadCallback,
+    SleepCallback,
+    WriteCallback,
+    load_library,
+)
+from sim.board.core.source_places import Places
+from toolchain.contract import FLASH_BASE, FLASH_BYTES
+
+CPI = Fraction(163, 100)  # of the shipped policy as llvm-mca prices it: docs/timing.md
+FLASH_ALIAS = 0x00200000  # BOOT_ADD0's default: the core fetches its vectors here (RM0431 2.4)
+NEVER = 2**64 - 1
+FRACTION = 16  # bits of the engine's time below a cycle
+ITCM_BYTES = 0x4000
+CODE_HALFWORDS = (ITCM_BYTES + FLASH_BYTES) // 2
+POWER_UP = 0xA5  # what RAM holds then
+RAM = ((0x00000000, ITCM_BYTES), (0x20000000, 0x40000))
+
+CORE_REGISTERS = (
+    *(getattr(arm_const, f"UC_ARM_REG_R{i}") for i in range(13)),
+    *(arm_const.UC_ARM_REG_SP, arm_const.UC_ARM_REG_LR),
+)
+XPSR = arm_const.UC_ARM_REG_XPSR
+
+
+class Outcome(IntEnum):
+    """Why the core came to a stop."""
+
+    REACHED = 0  # the cycle asked for
+    LIMIT = 1  # the instructions asked for
+    BREAKPOINT = 2
+    RESET = 3
+    FAILED = 4
+    ASLEEP = 5  # in WFI with nothing that could end it
+
+
+_OUTCOMES = tuple(Outcome)
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something for the report."""
+
+    message: str
+    cycle: int  # the first time
+    place: str
+    times: int
+
+
+class Alarm:
+    """One of the engine's alarms."""
+
+    def __init__(self, engine: Engine, number: int, name: str) -> None:
+        self._engine, self.number, self.name = engine, number, name
+
+    @property
+    def due(self) -> int | None:
+        """The cycle it is set for; None: not set."""
+        due = int(self._engine.library.engine_due(self._engine.handle, self.number))
+        return None if due == NEVER else due
+
+    def set(self, cycle: int) -> None:
+        """Call back at `cycle`; at once after this instruction if that has passed."""
+        self._engine.library.engine_set_alarm(self._engine.handle, self.number, max(cycle, 0))
+
+    def cancel(self) -> None:
+        """Do not call back."""
+        self._engine.library.engine_set_alarm(self._engine.handle, self.number, NEVER)
+
+
+class Engine:
+    """A Cortex-M7 in its memory, without peripherals until they are attached."""
+
+    def __init__(
+        self,
+        flash: bytes,
+        *,
+        elf: Path | None = None,
+        cpi: Fraction = CPI,
+        strict: bool = True,
+        profile: bool = False,
+    ) -> None:
+        """Flash holds `flash` and is erased behind it; the core stands at its first instruction.
+
+        elf: the image's, for the names and lines of its code. strict: a fault of the core is an error of the
+        image; else the program's fault handler runs. profile: keep the tree of calls.
+        Raises BuildError when the engine cannot be built or `elf` is none, ValueError on a wrong argument.
+        """
+        if len(flash) > FLASH_BYTES:
+            raise ValueError(f"an image of {len(flash)} bytes, the flash holds {FLASH_BYTES}")
+        if not Fraction(1, 4) <= cpi <= 64:
+            raise ValueError(f"{cpi} cycles an instruction, expected 1/4 to 64")
+        self.places = Places(elf) if elf is not None else None
+        self.library = load_library()
+        self.profiled = profile
+        self._functions = self._function_table() if profile else None
+        fixed = round(cpi * (1 << FRACTION))
+        self.handle: int = self.library.engine_new(fixed, strict, profile, self._functions)
+        error = self.library.engine_open(self.handle)
+        if error:
+            raise RuntimeError(f"unicorn does not open: error {error}")
+        self.cpi, self.strict, self.vectors = cpi, strict, FLASH_ALIAS
+        self.peripherals: dict[str, Peripheral] = {}
+        self.windows: dict[str, int] = {}
+        self.alarms: dict[str, Alarm] = {}
+        self.notes: dict[str, Note] = {}
+        self.resets: list[str] = []
+        self._reads: list[Callable[[int, int], int]] = []
+        self._writes: list[Callable[[int, int, int], None]] = []
+        self._rings: list[Callable[[], None]] = []
+        self._reset_listeners: list[Callable[[str], None]] = []
+        self._sleep_listeners: list[Callable[[], None]] = []
+        self._flash_store: Callable[[int, int, int], None] | None = None
+        self._error: BaseException | None = None
+        self._cause = ""
+        self._bound: dict[int, bytes] = {}  # names of bounded interrupts, which C only points to
+        self._closed = False
+        self._hang_up()
+        self.poke(FLASH_BASE, flash)
+        self._reset("power")
+
+    def __del__(self) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the memory back; the engine is of no use after it."""
+        if not getattr(self, "_closed", True):
+            self._closed = True
+            self.library.engine_free(self.handle)
+
+    # ---- running ----
+
+    def run_to(self, cycle: int) -> None:
+        """Run until `cycle`; resets of the chip happen on the way. Raises BoardError."""
+        while self.run(cycle) is Outcome.RESET:
+            pass
+
+    def run(self, cycle: int = NEVER, instructions: int = NEVER) -> Outcome:
+        """Run until `cycle`, for at most `instructions`, or to a breakpoint or a reset, done by then.
+
+        Raises BoardError for what the image did wrong, and what a peripheral raised.
+        """
+        outcome = _OUTCOMES[int(self.library.engine_run(self.handle, cycle, instructions))]
+        if outcome is Outcome.RESET:
+            self._reset(self._cause or "software")
+        elif outcome is Outcome.FAILED:
+            self._raise()
+        return outcome
+
+    def power_cycle(self) -> None:
+        """The supply goes and comes back: RAM is lost, flash stays."""
+        self._reset("power")
+
+    def _reset(self, cause: str) -> None:
+        self._cause, self._error = "", None
+        self.resets.append(cause)
+        if cause == "power":
+            for address, size in RAM:
+                self.poke(address, bytes([POWER_UP]) * size)
+        self.library.engine_reset(self.handle, self.vectors)
+        for listener in self._reset_listeners:
+            listener(cause)
+        for peripheral in self.peripherals.values():
+            peripheral.reset()
+
+    def forget_failure(self) -> None:
+        """After everything has been put back to a state in which there was none."""
+        self._error, self._cause = None, ""
+
+    def _raise(self) -> NoReturn:
+        if self._error is not None:
+            raise self._error
+        raise BoardError(self._placed(self.library.engine_message(self.handle).decode()))
+
+    def _placed(self, message: str) -> str:
+        return f"{message}; {self.place()}"
+
+    def place(self, address: int | None = None) -> str:
+        """Where `address`, or the program, is, as people read it."""
+        pc = self.pc if address is None else address
+        if self.places is None:
+            return f"pc 0x{pc:08X}"
+        return self.places.describe(code_address(pc))
+
+    # ---- the core from outside ----
+
+    @property
+    def pc(self) -> int:
+        """Address of the instruction at hand, or of the next one."""
+        return int(self.library.engine_pc(self.handle))
+
+    @pc.setter
+    def pc(self, address: int) -> None:
+        self.library.engine_set_pc(self.handle, address)
+
+    def register(self, number: int) -> int:
+        """r0 to r12, sp (13), lr (14), pc (15), xPSR (16)."""
+        if number == 15:
+            return self.pc
+        name = XPSR if number == 16 else CORE_REGISTERS[number]
+        return int(self.library.engine_register(self.handle, name))
+
+    def set_register(self, number: int, value: int) -> None:
+        """Likewise."""
+        if number == 15:
+            self.pc = value
+        else:
+            name = XPSR if number == 16 else CORE_REGISTERS[number]
+            self.library.engine_set_register(self.handle, name, value)
+
+    @property
+    def instructions(self) -> int:
+        """Executed so far, those skipped under a condition included."""
+        return int(self.library.engine_instructions(self.handle))
+
+    @property
+    def trace_hash(self) -> int:
+        """Of all jumps, exceptions and their times so far: equal runs have equal ones."""
+        return int(self.library.engine_hash(self.handle))
+
+    @property
+    def sleeping(self) -> bool:
+        """In WFI."""
+        return bool(self.library.engine_sleeping(self.handle))
+
+    def clock(self, on: bool = True) -> None:
+        """From now on measure where this machine's time goes; or no longer."""
+        self.library.engine_clock(self.handle, on)
+
+    @property
+    def spent_s(self) -> tuple[float, float]:
+        """Since `clock` [s]: in unicorn with the engine's hooks, in peripherals and their alarms."""
+        code, devices = self.library.engine_spent(self.handle)[:2]
+        return code / 1e9, devices / 1e9
+
+    @property
+    def symbols(self) -> dict[str, int]:
+        """Address of every name of the ELF; empty without one."""
+        return {} if self.places is None else {n: s.address for n, s in self.places.symbols.items()}
+
+    def set_breakpoints(self, addresses: Iterable[int]) -> None:
+        """Stop before the instructions at `addresses`, and nowhere else. Raises ValueError above 64."""
+        wanted = sorted(set(addresses))
+        array = (ctypes.c_uint32 * len(wanted))(*wanted)
+        if self.library.engine_set_breakpoints(self.handle, array, len(wanted)):
+            raise ValueError(f"{len(wanted)} breakpoints, at most 64")
+
+    def bound_entry(self, irq: int, cycles: int, name: str = "") -> None:
+        """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none.
+
+        Unless code outside flash holds it back while flash is erased or programmed. name: what raises it.
+        """
+        self._bound[irq] = (name or f"interrupt {irq}").encode()
+        self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq])
+
+    def skip_breakpoint(self) -> None:
+        """The next `run` does not stop where it stands."""
+        self.library.engine_skip_breakpoint(self.handle)
+
+    # ---- Bus ----
+
+    def attach(self, base: int, size: int, peripheral: Peripheral, name: str) -> None:
+        """`peripheral` answers at `base` to `base + size - 1`, both 1 KiB aligned."""
+        number = self.library.engine_attach(self.handle, base, size)
+        if number < 0:
+            raise ValueError(
+                f"{name} at 0x{base:08X}, {size} bytes: taken, not aligned or no place of peripherals"
+            )
+        self.windows[name] = number
+        self.peripherals[name] = peripheral
+        self._reads.append(peripheral.read)
+        self._writes.append(peripheral.write)
+
+    # ---- Context ----
+
+    @property
+    def cycle(self) -> int:
+        """The time now, in cycles of 216 MHz."""
+        return int(self.library.engine_cycle(self.handle))
+
+    def alarm(self, name: str, callback: Callable[[], None]) -> Alarm:
+        """An alarm, not yet set."""
+        if name in self.alarms:
+            raise ValueError(f"two alarms named {name}")
+        number = self.library.engine_new_alarm(self.handle)
+        if number < 0:
+            raise ValueError(f"no room for the alarm {name}")
+        self.alarms[name] = Alarm(self, number, name)
+        self._rings.append(callback)
+        return self.alarms[name]
+
+    def irq(self, number: int, asserted: bool) -> None:
+        """The level of an interrupt line."""
+        self.library.engine_irq(self.handle, number, asserted)
+
+    def nmi(self) -> None:
+        """The non-maskable interrupt."""
+        self.library.engine_nmi(self.handle)
+
+    def load(self, address: int, size: int) -> int:
+        """What a bus master reads."""
+        return int(self.library.engine_load(self.handle, address, size))
+
+    def store(self, address: int, size: int, value: int) -> None:
+        """What a bus master writes."""
+        self.library.engine_store(self.handle, address, size, value)
+
+    def memory(self, address: int, size: int) -> bytes:
+        """Bytes of flash, RAM or system memory. Raises ValueError where nothing is."""
+        found = self.library.engine_memory(self.handle, address, size)
+        if not found:
+            raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
+        return ctypes.string_at(found, size)
+
+    def view(self, address: int, size: int) -> memoryview:
+        """The same bytes as the engine has them: they change as it runs, and die with it."""
+        found = self.library.engine_memory(self.handle, address, size)
+        if not found:
+            raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
+        return memoryview((ctypes.c_uint8 * size).from_address(ctypes.addressof(found.contents))).cast("B")
+
+    def set_memory(self, address: int, data: bytes) -> None:
+        """Change flash, RAM or system memory. Raises ValueError where nothing is."""
+        self.poke(address, data)
+
+    def poke(self, address: int, data: bytes) -> None:
+        """The same."""
+        if self.library.engine_poke(self.handle, address, bytes(data), len(data)):
+            raise ValueError(f"{len(data)} bytes at 0x{address:08X}: no memory")
+
+    def is_cached(self, address: int) -> bool:
+        """Whether the data cache holds what lies at `address`."""
+        return bool(self.library.engine_cached(self.handle, address))
+
+    def data_cache_on(self) -> bool:
+        """Whether SCB_CCR.DC is set."""
+        return bool(self.load(0xE000ED14, 4) >> 16 & 1)
+
+    def core_clock(self, hz: int) -> None:
+        """The core runs at `hz` from now on."""
+        if not 0 < hz <= 432_000_000:
+            raise ValueError(f"a core clock of {hz} Hz, expected up to 432 MHz")
+        self.library.engine_core_clock(self.handle, hz)
+
+    def flash_busy(self, until: int | None) -> None:
+        """Fetches from flash wait until then."""
+        self.library.engine_flash_busy(self.handle, 0 if until is None else until)
+
+    def system_reset(self, cause: str) -> None:
+        """The chip resets after this instruction."""
+        self._cause = self._cause or cause
+        self.library.engine_want_reset(self.handle)
+
+    def on_system_reset(self, callback: Callable[[str], None]) -> None:
+        """Tell `callback` of every reset and its cause."""
+        self._reset_listeners.append(callback)
+
+    def on_sleep(self, callback: Callable[[], None]) -> None:
+        """Tell `callback` before time passes while the core sleeps."""
+        self._sleep_listeners.append(callback)
+
+    def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
+        """Who takes what the program stores into flash."""
+        self._flash_store = callback
+
+    def note(self, message: str) -> None:
+        """For the report."""
+        old = self.notes.get(message)
+        if old is None:
+            self.notes[message] = Note(message, self.cycle, self.place(), 1)
+        else:
+            self.notes[message] = Note(message, old.cycle, old.place, old.times + 1)
+
+    def fail(self, message: str) -> NoReturn:
+        """Raise BoardError with the place."""
+        raise BoardError(self._placed(message))
+
+    # ---- what C calls ----
+
+    def _hang_up(self) -> None:
+        """Make the callbacks; they must live as long as the engine, and never unwind into C."""
+        reads, writes, rings = self._reads, self._writes, self._rings
+
+        def read(window: int, offset: int, size: int) -> int:
+            try:
+                return reads[window](offset, size)
+            except BaseException as error:
+                self._note_error(error)
+                return 0
+
+        def write(window: int, offset: int, size: int, value: int) -> None:
+            try:
+                writes[window](offset, size, value)
+            except BaseException as error:
+                self._note_error(error)
+
+        def ring(alarm: int) -> None:
+            try:
+                rings[alarm]()
+            except BaseException as error:
+                self._note_error(error)
+
+        def flash(address: int, size: int, value: int) -> None:
+            try:
+                if self._flash_store is None:
+                    self.fail(f"a store of 0x{value:X} ({size} bytes) to flash at 0x{address:08X}")
+                self._flash_store(address, size, value & (1 << 8 * size) - 1)
+            except BaseException as error:
+                self._note_error(error)
+
+        def sleep() -> None:
+            try:
+                for listener in self._sleep_listeners:
+                    listener()
+            except BaseException as error:
+                self._note_error(error)
+
+        callbacks: tuple[Any, ...] = (ReadCallback(read), WriteCallback(write))
+        callbacks += (AlarmCallback(ring), FlashCallback(flash), SleepCallback(sleep))
+        self._callbacks = callbacks
+        self.library.engine_callbacks(self.handle, *callbacks)
+
+    def _note_error(self, error: BaseException) -> None:
+        if self._error is None:
+            self._error = error
+        self.library.engine_fail(self.handle)
+
+    def _function_table(self) -> Any:  # noqa: ANN401 - an array of C
+        """For each halfword of code the number of its function in `places.functions` plus one; 0: none."""
+        table = (ctypes.c_uint16 * CODE_HALFWORDS)()
+        for number, symbol in enumerate(self.places.functions if self.places else (), 1):
+            row = code_row(symbol.address)
+            if row is not None:
+                for i in range(row, min(row + max(symbol.size, 2) // 2, CODE_HALFWORDS)):
+                    table[i] = number
+        return table
+
+
+def code_address(pc: int) -> int:
+    """`pc` as the linker knows it: the alias of flash seen at flash."""
+    return pc - FLASH_ALIAS + FLASH_BASE if 0 <= pc - FLASH_ALIAS < FLASH_BYTES else pc
+
+
+def code_row(address: int) -> int | None:
+    """Row of the counts that the halfword at `address` has; None: no code can be there."""
+    address = code_address(address)
+    if 0 <= address < ITCM_BYTES:
+        return address // 2
+    if 0 <= address - FLASH_BASE < FLASH_BYTES:
+        return (ITCM_BYTES + address - FLASH_BASE) // 2
+    return None
+
+
+def row_address(row: int) -> int:
+    """The inverse of `code_row`."""
+    return 2 * row if row < ITCM_BYTES // 2 else FLASH_BASE + 2 * row - ITCM_BYTES

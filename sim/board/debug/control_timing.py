@@ -1,0 +1,321 @@
+"""What control tasks take on the emulated board while it flies: each run of them, to the instruction.
+
+The core is stopped where the handler of the gyro's samples begins and ends, and where the controller in it
+does. What it executed in between is the difference of the engine's counts of executed code, without what
+interrupted it. A stop takes no time of the board: the flight is the same with a meter and without.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.board.board import Board
+from sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
+from sim.board.debug.profile import task_counts
+from sim.board.debug.variables import read_variables
+from toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
+from toolchain.cortex_m7.disassembly import Instruction
+from toolchain.errors import BuildError
+
+HANDLER = "gyro_sample_handler"  # from the gyro's bytes in memory to the motors' frame
+EDGE_HANDLER = "gyro_edge_handler"  # before it: starts the chip's read
+CONTROLLERS = {"policy_step": "policy", "pid_step": "pid"}  # which of them a step asked, by its function
+VTOR, VECTORS = 0xE000ED08, 16 + 104
+STACKED_PC = 0x18  # in an exception's frame (ARMv7-M B1.5.6)
+GAP = 0x400  # bytes without an instruction that part two pieces of code
+
+Counts = NDArray[np.int64]
+
+
+class Work(Enum):
+    """Which piece of work."""
+
+    ALGORITHM = "control algorithm"  # the controller's own function
+    TASK = "control task"  # the handler's run that is a control step
+    SAMPLE = "gyro sample between"  # one that is none
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is told apart."""
+
+    work: Work
+    armed: bool  # after it; of an algorithm True: it is only asked where the motors may turn
+    controller: str  # that was asked in it, of CONTROLLERS' values; "" for none
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run executed, as many times as it was the same."""
+
+    route: Route
+    accesses: int  # to registers of peripherals
+    times: int
+
+
+@dataclass(frozen=True)
+class TaskCost:
+    """What all runs of one kind took."""
+
+    kind: Kind
+    times: int
+    routes: int  # distinct ones
+    instructions: tuple[int, int]  # fewest and most
+    cycles: (
+        tuple[float, float] | None
+    )  # likewise, predicted, accesses of devices included; None without a model
+    accesses: tuple[int, int]  # to registers of peripherals, fewest and most
+
+    @property
+    def variability(self) -> float:
+        """(worst - best) / worst, of cycles where there are some (Koch 2019, ch. 4)."""
+        best, worst = self.cycles or self.instructions
+        return (worst - best) / worst
+
+
+@dataclass(frozen=True)
+class Metered:
+    """What a meter has seen of a flight."""
+
+    runs: Mapping[Kind, tuple[Run, ...]]
+    interruptions: int  # of what is measured, by other handlers
+    interrupting: int  # instructions of theirs
+    edge: tuple[int, int]  # fewest and most instructions of a run of EDGE_HANDLER
+
+
+@dataclass
+class _Call:
+    """A function that has begun and not yet ended."""
+
+    name: str  # "" for a handler that interrupted what is measured
+    return_to: int
+    depth: int  # of active exceptions
+    counts: Counts
+    instructions: int
+    accesses: int
+    steps: int = 0  # control steps before it
+    controller: str = ""
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What tells two runs apart."""
+
+    places: bytes  # in `_Code.rows` at which the number of executions changes
+    changes: bytes
+    instructions: int
+    accesses: int
+
+
+class ControlMeter:
+    """Runs a board and keeps what the control tasks execute on it."""
+
+    def __init__(self, board: Board, elf: Path, code: Mapping[int, Instruction]) -> None:
+        """elf: of the image on `board`. code: its disassembly.
+
+        Raises BuildError when `elf` lacks the functions and variables that are looked for.
+        """
+        self._board, self._engine = board, board.engine
+        for name in (HANDLER, *CONTROLLERS):
+            if name not in board.symbols:
+                raise BuildError(f"{elf}: has no function {name}; build it with `make firmware`")
+        self._steps, self._armed = read_variables(
+            elf, "firmware.control_steps", "firmware.status.trace.armed"
+        )
+        self._handler = board.symbols[HANDLER] & ~1
+        self._controllers = {board.symbols[name] & ~1: name for name in CONTROLLERS}
+        self._handlers: frozenset[int] = frozenset()  # of all exceptions
+        self._code = _Code(code)
+        size = (CODE_HALFWORDS + 1,)
+        library, handle = self._engine.library, self._engine.handle
+        self._enters = np.ctypeslib.as_array(library.engine_enters(handle), size).view(np.int64)
+        self._leaves = np.ctypeslib.as_array(library.engine_leaves(handle), size).view(np.int64)
+        self._windows = np.ctypeslib.as_array(library.engine_window(handle, 0), (len(self._engine.windows),))
+        self._open: list[_Call] = []
+        self._runs: dict[Kind, Counter[_Key]] = {}
+        self.interruptions = self.interrupting = 0
+        self._watch()
+
+    def run_to(self, cycle: int) -> None:
+        """Run until `cycle`, as `Board.run_to`. Raises BoardError."""
+        while (outcome := self._engine.run(cycle)) is not Outcome.REACHED:
+            if outcome is Outcome.BREAKPOINT:
+                self._stop()
+            else:
+                self._open.clear()
+                self._handlers = frozenset()
+            self._watch()
+
+    def metered(self) -> Metered:
+        """All of it. Raises BuildError as `runs`, and where EDGE_HANDLER never ran."""
+        for task in task_counts(self._engine):
+            if task.handler == EDGE_HANDLER:
+                edge = (task.least, task.most)
+                return Metered(self.runs(), self.interruptions, self.interrupting, edge)
+        raise BuildError(f"the image never ran {EDGE_HANDLER}")
+
+    def runs(self) -> dict[Kind, tuple[Run, ...]]:
+        """All that was measured so far. Raises BuildError where code ran that is not the ELF's."""
+        return {
+            kind: tuple(Run(self._route(key), key.accesses, times) for key, times in counted.items())
+            for kind, counted in self._runs.items()
+        }
+
+    # ---- stops ----
+
+    def _stop(self) -> None:
+        engine = self._engine
+        pc, depth = engine.pc, engine.library.engine_depth(engine.handle)
+        if not self._handlers:  # the image has put its vectors in their place by now
+            self._handlers = self._read_vectors()
+        # A handler is over when its exception is, also where another follows without a return in between.
+        while self._open and (
+            depth < self._open[-1].depth
+            or (depth == self._open[-1].depth and pc in (self._open[-1].return_to, *self._handlers))
+        ):
+            self._close(self._open.pop())
+        if pc in self._handlers:
+            if pc == self._handler or self._open:
+                stacked = engine.memory(engine.register(13) + STACKED_PC, 4)
+                name = HANDLER if pc == self._handler else ""
+                self._begin(name, int.from_bytes(stacked, "little"), depth)
+        elif pc in self._controllers and self._open and self._open[-1].name == HANDLER:
+            self._open[-1].controller = CONTROLLERS[self._controllers[pc]]
+            self._begin(self._controllers[pc], engine.register(14) & ~1, depth)
+
+    def _read_vectors(self) -> frozenset[int]:
+        table = self._engine.load(VTOR, 4)
+        vectors = np.frombuffer(self._engine.memory(table, 4 * VECTORS), "<u4")[1:]
+        return frozenset((vectors[vectors != 0] & ~np.uint32(1)).tolist())
+
+    def _watch(self) -> None:
+        """Where to stop next: where what runs may end, and where what interests may begin."""
+        stops = {self._handler}
+        if self._open:
+            stops |= {*self._handlers, self._open[-1].return_to}
+        if self._open and self._open[-1].name == HANDLER:
+            stops |= set(self._controllers)
+        self._engine.set_breakpoints(stops)
+        self._engine.skip_breakpoint()
+
+    def _begin(self, name: str, return_to: int, depth: int) -> None:
+        counts, instructions, accesses = self._now()
+        self._open.append(_Call(name, return_to, depth, counts, instructions, accesses, self._read_steps()))
+
+    def _close(self, call: _Call) -> None:
+        counts, instructions, accesses = self._now()
+        counts -= call.counts
+        instructions, accesses = instructions - call.instructions, accesses - call.accesses
+        if not call.name:
+            self.interruptions += 1
+            self.interrupting += instructions
+            for outer in self._open:  # as if it had not been
+                outer.counts = outer.counts + counts
+                outer.instructions += instructions
+                outer.accesses += accesses
+            return
+        armed = bool(np.frombuffer(self._engine.memory(self._armed.address, self._armed.size), "?")[0])
+        if call.name in CONTROLLERS:
+            kind = Kind(Work.ALGORITHM, True, CONTROLLERS[call.name])
+        elif self._read_steps() != call.steps:
+            kind = Kind(Work.TASK, armed, call.controller)
+        else:
+            kind = Kind(Work.SAMPLE, armed, call.controller)
+        places = np.flatnonzero(counts)
+        key = _Key(places.tobytes(), counts[places].tobytes(), instructions, accesses)
+        self._runs.setdefault(kind, Counter())[key] += 1
+
+    def _now(self) -> tuple[Counts, int, int]:
+        """Changes of the number of executions along the code, instructions and accesses to devices so far."""
+        self._engine.library.engine_enters(self._engine.handle)  # the counts of blocks in use into the books
+        accesses = self._windows["reads"].sum() + self._windows["writes"].sum()
+        return self._code.pick(self._enters, self._leaves), self._engine.instructions, int(accesses)
+
+    def _read_steps(self) -> int:
+        return int.from_bytes(self._engine.memory(self._steps.address, self._steps.size), "little")
+
+    def _route(self, key: _Key) -> Route:
+        route = self._code.route(np.frombuffer(key.places, np.int64), np.frombuffer(key.changes, np.int64))
+        counted = sum(times * self._code.instructions(start, size) for (start, size), times in route)
+        if counted != key.instructions:
+            raise BuildError(
+                f"a control task executed {key.instructions} instructions, {counted} of them in the ELF "
+                f"file: is it this image's?"
+            )
+        return route
+
+
+class _Code:
+    """Where the image's instructions lie in the engine's rows of counts."""
+
+    def __init__(self, instructions: Mapping[int, Instruction]) -> None:
+        self._starts = np.zeros(CODE_HALFWORDS + 2, np.int64)
+        ends: list[tuple[int, int]] = []
+        for instruction in instructions.values():
+            row = code_row(instruction.address)
+            if row is None:
+                continue
+            self._starts[row + 1] = 1
+            end = row + instruction.size // 2
+            if ends and 0 <= row - ends[-1][1] <= GAP // 2:
+                ends[-1] = (ends[-1][0], end)
+            else:
+                ends.append((row, end))
+        self._starts = np.cumsum(self._starts)
+        # One row more than each piece has: it ends there.
+        self._pieces = [slice(first, end + 1) for first, end in ends]
+        self.rows = np.concatenate([np.arange(piece.start, piece.stop) for piece in self._pieces])
+
+    def pick(self, enters: Counts, leaves: Counts) -> Counts:
+        """Begins less ends of executed code, of the rows that hold any."""
+        return np.concatenate([enters[piece] - leaves[piece] for piece in self._pieces])
+
+    def instructions(self, start: int, size: int) -> int:
+        """How many there are in `size` bytes at `start`."""
+        row = code_row(start)
+        assert row is not None
+        return int(self._starts[row + size // 2] - self._starts[row])
+
+    def route(self, places: NDArray[np.int64], changes: Counts) -> Route:
+        """Runs of code and how often each was executed."""
+        return frozenset(self._runs(places, changes))
+
+    def _runs(self, places: NDArray[np.int64], changes: Counts) -> Iterator[tuple[tuple[int, int], int]]:
+        times = 0
+        for place, after, change in zip(places, (*places[1:], places[-1]), changes, strict=True):
+            times += int(change)
+            if times:
+                first, end = int(self.rows[place]), int(self.rows[after])
+                yield (row_address(first), 2 * (end - first)), times
+
+
+def task_costs(
+    runs: Mapping[Kind, Sequence[Run]], code: Mapping[int, Instruction]
+) -> tuple[tuple[TaskCost, ...], Priced]:
+    """What each kind of run took, and the prices behind it. code: the image's disassembly."""
+    routes = list(dict.fromkeys(run.route for found in runs.values() for run in found))
+    priced = price_routes(routes, code)
+    costs = dict(zip(routes, priced.costs, strict=True))
+    return tuple(_task_cost(kind, found, costs) for kind, found in runs.items()), priced
+
+
+def _task_cost(kind: Kind, runs: Sequence[Run], costs: Mapping[Route, RouteCost]) -> TaskCost:
+    instructions = [costs[run.route].instructions for run in runs]
+    accesses = [run.accesses for run in runs]
+    taken = [costs[run.route].cycles_with_devices(run.accesses) for run in runs]
+    cycles = [one for one in taken if one is not None]
+    return TaskCost(
+        kind,
+        times=sum(run.times for run in runs),
+        routes=len({run.route for run in runs}),
+        instructions=(min(instructions), max(instructions)),
+        cycles=(min(cycles), max(cycles)) if cycles else None,
+        accesses=(min(accesses), max(accesses)),
+    )

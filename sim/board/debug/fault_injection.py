@@ -1,0 +1,189 @@
+"""Faults that a flight on the emulated board may be given: what, how much, and when.
+
+A fault is written NAME[=VALUE]@SECONDS, seconds of the flight from its first armed control step on, or
+NAME[=VALUE]@boot, when the board gets its power. docs/emulated-board.md says what the firmware makes of each.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sim.board.board import Board
+from sim.board.peripherals.usart import Format
+from toolchain.errors import ScenarioError
+
+BOOT = "boot"
+SECONDS_MAX = 3600.0
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One of the things that may go wrong."""
+
+    meaning: str
+    value: str = ""  # what VALUE is; "": there is none
+    default: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    whole: bool = False
+    begin: Callable[[Board, float], None] = lambda board, value: None
+    end: Callable[[Board], None] | None = None  # after VALUE seconds, where it is a time
+
+
+def _silence(board: Board, silent: bool) -> None:
+    board.hardware.gyro.silent = silent
+
+
+def _bit_errors(board: Board, rate: float) -> None:
+    board.hardware.spi.bit_error_rate = rate
+
+
+def _cut(board: Board, number: float) -> None:
+    flash = board.hardware.flash
+    flash.cut_at = flash.operations + int(number) - 1
+
+
+FAULTS = {
+    "gyro-silent": FaultKind(
+        "the gyro chip gives no samples any more",
+        "for so many seconds; default: for good",
+        math.inf,
+        0.0001,
+        SECONDS_MAX,
+        begin=lambda board, value: _silence(board, True),
+        end=lambda board: _silence(board, False),
+    ),
+    "spi-bit-errors": FaultKind(
+        "bits that the board reads from the gyro chip are turned over",
+        "that share of them; default 0.001",
+        0.001,
+        1e-9,
+        1.0,
+        begin=_bit_errors,
+    ),
+    "brown-out": FaultKind(
+        "the supply dips: processor and gyro chip start anew", begin=lambda board, value: board.brown_out()
+    ),
+    "flash-cut": FaultKind(
+        "the power goes in the middle of a flash operation, and comes back",
+        "which one, counted from then on; default 1, the next",
+        1,
+        1,
+        1_000_000,
+        whole=True,
+        begin=_cut,
+    ),
+    "crystal": FaultKind("the crystal stops", begin=lambda board, value: board.hardware.rcc.fail_crystal()),
+    # The receiver is not the board's: `FaultPlan.damaged` takes its frames.
+    "receiver-broken": FaultKind(
+        "a bit of each receiver frame is turned over",
+        "in that share of the frames; default 1",
+        1.0,
+        1e-9,
+        1.0,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of a flight."""
+
+    name: str  # of FAULTS
+    value: float
+    at_s: float | None  # after the first armed control step; None: when the board gets its power
+
+    @property
+    def kind(self) -> FaultKind:
+        """What it is."""
+        return FAULTS[self.name]
+
+    def __str__(self) -> str:
+        given = f"={self.value:g}" if self.value != self.kind.default else ""
+        return f"{self.name}{given}@{BOOT if self.at_s is None else f'{self.at_s:g}'}"
+
+
+def parse_fault(text: str) -> Fault:
+    """Read NAME[=VALUE]@SECONDS or NAME[=VALUE]@boot. Raises ScenarioError on anything else."""
+    what, at, when = text.partition("@")
+    name, equals, given = what.partition("=")
+    if not at:
+        raise ScenarioError(f"fault {text!r}, expected NAME[=VALUE]@SECONDS or NAME[=VALUE]@{BOOT}")
+    if name not in FAULTS:
+        raise ScenarioError(f"fault {name!r} is unknown, expected one of {', '.join(FAULTS)}")
+    kind = FAULTS[name]
+    if equals and not kind.value:
+        raise ScenarioError(f"fault {name}: got the value {given!r}, expected none")
+    value = _number(given, f"fault {name}", kind.low, kind.high, kind.whole) if equals else kind.default
+    at_s = None if when == BOOT else _number(when, f"fault {name}: its time", 0.0, SECONDS_MAX, False)
+    return Fault(name, value, at_s)
+
+
+class FaultPlan:
+    """When the faults of one flight come and go, in gyro samples from the first one on. Copied as it is."""
+
+    def __init__(self, faults: Sequence[Fault], rate_hz: int) -> None:
+        """rate_hz: of the gyro samples. Those of the boot are due at once."""
+        self.begun = False  # one has come: nothing need keep step any more
+        self._rate_hz = rate_hz
+        self._due = [(0, fault, False) for fault in faults if fault.at_s is None]  # sample, fault, it ends
+        self._later = [fault for fault in faults if fault.at_s is not None]
+        self._broken = 0.0  # share of receiver frames
+        self._random = random.Random(1)
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Faults whose time has not come."""
+        return (*(fault for _, fault, ends in self._due if not ends), *self._later)
+
+    def start(self, sample: int) -> None:
+        """The flight begins with gyro sample number `sample`."""
+        for fault in self._later:
+            assert fault.at_s is not None
+            self._add(sample + max(1, round(fault.at_s * self._rate_hz)), fault, ends=False)
+        self._later = []
+
+    def inject(self, board: Board, sample: int) -> list[str]:
+        """Let what is due before `sample` happen to `board`; what that was, in words."""
+        words = []
+        while self._due and self._due[0][0] <= sample:
+            _, fault, ends = self._due.pop(0)
+            words.append(f"fault {fault}{' ends' if ends else ''}")
+            self.begun = True
+            kind = fault.kind
+            if ends:
+                assert kind.end is not None
+                kind.end(board)
+                continue
+            kind.begin(board, fault.value)
+            if fault.name == "receiver-broken":
+                self._broken = fault.value
+            if kind.end is not None and math.isfinite(fault.value):
+                self._add(sample + max(1, round(fault.value * self._rate_hz)), fault, ends=True)
+        return words
+
+    def damaged(self, frame: bytes, sent: Format) -> tuple[bytes, tuple[int, ...]]:
+        """A receiver frame as it arrives, and which of its bytes have a wrong parity bit."""
+        if not self._broken or self._random.random() >= self._broken:
+            return frame, ()
+        place, bit = self._random.randrange(len(frame)), self._random.randrange(8)
+        arrives = frame[:place] + bytes([frame[place] ^ 1 << bit]) + frame[place + 1 :]
+        return arrives, () if sent.parity == "N" else (place,)
+
+    def _add(self, sample: int, fault: Fault, *, ends: bool) -> None:
+        self._due.append((sample, fault, ends))
+        self._due.sort(key=lambda item: item[0])
+
+
+def _number(text: str, where: str, low: float, high: float, whole: bool) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high or (whole and value != int(value)):
+        kind = "a whole number from " if whole else ""
+        raise ScenarioError(f"{where}: got {text!r}, expected {kind}{low:g} to {high:g}")
+    return value

@@ -1,0 +1,193 @@
+"""What the image executed: exact counts by exception, function and address, coverage, and who called whom.
+
+Counts hold every instruction that was executed, those skipped under a condition in their place included.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.board.core.engine import CODE_HALFWORDS, FRACTION, ITCM_BYTES, Engine, code_row, row_address
+from sim.board.core.library import Node, Task
+from toolchain.contract import FLASH_BASE, FLASH_BYTES
+from toolchain.cortex_m7.disassembly import disassemble
+from toolchain.errors import BuildError
+
+EXCEPTIONS = 16 + 104
+NAMES = {2: "NMI", 3: "HardFault", 4: "MemManage", 5: "BusFault", 6: "UsageFault"}
+NAMES |= {11: "SVCall", 14: "PendSV", 15: "SysTick"}
+WIDE = 0xE800  # from here on a first halfword has a second one (ARMv7-M A5.1)
+NO_RETURN = 0xFFFFFFFF  # of a node that nothing called
+
+
+@dataclass(frozen=True)
+class TaskCount:
+    """What one exception's handler has taken; what interrupted it is left out of its instructions."""
+
+    exception: int  # 0: the thread
+    name: str  # of the exception
+    handler: str  # the function behind its vector, if the ELF is known
+    activations: int
+    instructions: int
+    least: int  # of one activation
+    most: int
+    longest: float  # cycles from entry to return, what interrupted it included
+    latest: float  # most cycles from request to entry
+    latest_place: str  # what ran then
+
+
+@dataclass(frozen=True)
+class FunctionCount:
+    """A function and what was executed in it."""
+
+    name: str
+    address: int
+    instructions: int
+    calls: int  # how often its first instruction was executed
+    covered: int  # different instructions that were executed
+
+
+@dataclass(frozen=True)
+class FunctionCoverage:
+    """A function of the image and what of it was never executed."""
+
+    name: str
+    address: int
+    instructions: int  # that it has
+    missed: tuple[int, ...]  # their addresses
+
+    @property
+    def share(self) -> float:
+        """Of its instructions that were executed, 0 to 1."""
+        return 1 - len(self.missed) / self.instructions
+
+
+def execution_counts(engine: Engine) -> dict[int, int]:
+    """How often each executed instruction was, by address; the alias of flash counts as flash."""
+    counts = _halfword_counts(engine)
+    code = np.frombuffer(engine.memory(0, ITCM_BYTES) + engine.memory(FLASH_BASE, FLASH_BYTES), "<u2")
+    found = {}
+    end = 0
+    for row in map(int, np.flatnonzero(counts)):
+        if row < end:
+            continue  # the second half of the instruction before
+        end = row + (2 if code[row] >= WIDE else 1)
+        found[row_address(row)] = int(counts[row])
+    return found
+
+
+def task_counts(engine: Engine) -> tuple[TaskCount, ...]:
+    """Every exception that was taken, and the thread first."""
+    tasks: list[TaskCount] = []
+    others = 0
+    vectors = engine.load(0xE000ED08, 4)
+    for number in range(1, EXCEPTIONS):
+        task: Task = engine.library.engine_task(engine.handle, number).contents
+        if task.activations:
+            others += task.instructions
+            handler = engine.load(vectors + 4 * number, 4) & ~1
+            tasks.append(_task(engine, number, task, handler))
+    thread = TaskCount(0, "thread", "", 1, engine.instructions - others, 0, 0, 0.0, 0.0, "")
+    return (thread, *tasks)
+
+
+def function_counts(engine: Engine) -> tuple[FunctionCount, ...]:
+    """Every function that was executed, the longest first. Raises BuildError without an ELF."""
+    places = engine.places
+    if places is None:
+        raise BuildError("a profile by functions needs the image's ELF file")
+    executed = execution_counts(engine)
+    instructions: Counter[int] = Counter()
+    covered: Counter[int] = Counter()
+    names: dict[int, str] = {}
+    for address, times in executed.items():
+        symbol = places.function(address)
+        start = symbol.address if symbol else 0
+        names[start] = symbol.name if symbol else "?"
+        instructions[start] += times
+        covered[start] += 1
+    return tuple(
+        FunctionCount(names[start], start, total, executed.get(start, 0), covered[start])
+        for start, total in sorted(instructions.items(), key=lambda item: (-item[1], item[0]))
+    )
+
+
+def coverage(engine: Engine) -> tuple[FunctionCoverage, ...]:
+    """Every function of the image, executed or not, by address. Raises BuildError without an ELF."""
+    if engine.places is None:
+        raise BuildError("coverage needs the image's ELF file")
+    executed = execution_counts(engine)
+    functions: dict[int, list[int]] = {}
+    names: dict[int, str] = {}
+    for address in disassemble(engine.places.path):
+        symbol = engine.places.function(address)
+        if symbol is not None:
+            names[symbol.address] = symbol.name
+            functions.setdefault(symbol.address, []).append(address)
+    return tuple(
+        FunctionCoverage(
+            names[start], start, len(addresses), tuple(a for a in addresses if a not in executed)
+        )
+        for start, addresses in sorted(functions.items())
+    )
+
+
+def folded_stacks(engine: Engine) -> tuple[str, ...]:
+    """ "caller;callee;leaf instructions" a line, the form that flame graph programs read.
+
+    Raises BuildError when the engine was not made with `profile` and an ELF.
+    """
+    if engine.places is None or not engine.profiled:
+        raise BuildError("a flame graph needs an engine made with profile and the image's ELF file")
+    functions = engine.places.functions
+    count = ctypes.c_uint32()
+    nodes = engine.library.engine_nodes(engine.handle, ctypes.byref(count))
+    paths: list[str] = []
+    totals: Counter[str] = Counter()
+    for i in range(count.value):
+        node: Node = nodes[i]
+        name = functions[node.function - 1].name if node.function else "?"
+        parent = paths[node.parent] if i and node.parent else ""
+        paths.append(f"{parent};{name}" if parent else name)
+        totals[paths[i] if i else "?"] += node.instructions
+    return tuple(f"{path} {total}" for path, total in sorted(totals.items()) if total)
+
+
+def profile_table(engine: Engine, rows: int = 30) -> Iterator[str]:
+    """The functions with most instructions, a line each."""
+    total = max(engine.instructions, 1)
+    yield f"{'function':32} {'instructions':>14} {'share':>7} {'calls':>10}"
+    for function in function_counts(engine)[:rows]:
+        share = function.instructions / total
+        yield f"{function.name:32} {function.instructions:14,} {share:7.1%} {function.calls:10,}"
+
+
+def _task(engine: Engine, number: int, task: Task, handler: int) -> TaskCount:
+    symbol = engine.places.function(handler) if engine.places else None
+    return TaskCount(
+        number,
+        NAMES.get(number, f"IRQ{number - 16}"),
+        symbol.name if symbol else f"0x{handler:08X}",
+        task.activations,
+        task.instructions,
+        task.least,
+        task.most,
+        task.longest / (1 << FRACTION),
+        task.latest / (1 << FRACTION),
+        engine.place(task.latest_pc) if code_row(task.latest_pc) is not None else "between two handlers",
+    )
+
+
+def _halfword_counts(engine: Engine) -> NDArray[np.int64]:
+    """How often each halfword of code was run over: begins less ends, summed along the addresses."""
+    size = CODE_HALFWORDS + 1
+    enters = np.ctypeslib.as_array(engine.library.engine_enters(engine.handle), (size,)).astype(np.int64)
+    leaves = np.ctypeslib.as_array(engine.library.engine_leaves(engine.handle), (size,)).astype(np.int64)
+    counts: NDArray[np.int64] = np.cumsum(enters - leaves)[:-1]
+    return counts

@@ -1,0 +1,98 @@
+"""The whole state of an emulated board between two runs, to go on from as often as wanted.
+
+A snapshot holds the core's state and registers, memory, counts and what every attached peripheral says of
+itself. It goes back into the engine it came from or into another one with the same peripherals, and the run
+that follows is the run that would have followed.
+"""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from unicorn import arm_const
+
+from sim.board.core.context import BoardError
+from sim.board.core.engine import CODE_HALFWORDS, CORE_REGISTERS, XPSR, Engine, Note
+from toolchain.contract import FLASH_BASE, FLASH_BYTES
+
+SYSTEM_MEMORY = (0x1FF00000, 0x10000)
+MEMORIES = ((0x00000000, 0x4000), (FLASH_BASE, FLASH_BYTES), SYSTEM_MEMORY, (0x20000000, 0x40000))
+# The mode comes first: it decides which of the two stack pointers is SP.
+REGISTERS = (
+    *(XPSR, arm_const.UC_ARM_REG_CONTROL, arm_const.UC_ARM_REG_MSP, arm_const.UC_ARM_REG_PSP),
+    *(arm_const.UC_ARM_REG_PRIMASK, arm_const.UC_ARM_REG_BASEPRI, arm_const.UC_ARM_REG_FAULTMASK),
+    *(arm_const.UC_ARM_REG_FPSCR, *CORE_REGISTERS[:13], arm_const.UC_ARM_REG_LR),
+    *(arm_const.UC_ARM_REG_S0 + i for i in range(32)),
+)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that decides what happens next, and what has been counted."""
+
+    shape: tuple[object, ...]  # what an engine must have to take it
+    core: bytes
+    registers: tuple[int, ...]
+    memories: tuple[bytes, ...]
+    peripherals: dict[str, Any]
+    counts: bytes
+    notes: tuple[Note, ...]
+    resets: tuple[str, ...]
+
+
+def take_snapshot(engine: Engine) -> Snapshot:
+    """The state of `engine`, which stands between two runs."""
+    states = {name: peripheral.state() for name, peripheral in engine.peripherals.items()}
+    return Snapshot(
+        shape=_shape(engine),
+        core=ctypes.string_at(*_core(engine)),
+        registers=tuple(int(engine.library.engine_register(engine.handle, name)) for name in REGISTERS),
+        memories=tuple(engine.memory(address, size) for address, size in MEMORIES),
+        peripherals=copy.deepcopy(states),
+        counts=b"".join(ctypes.string_at(*place) for place in _counts(engine)),
+        notes=tuple(engine.notes.values()),
+        resets=tuple(engine.resets),
+    )
+
+
+def restore_snapshot(engine: Engine, snapshot: Snapshot) -> None:
+    """Make `snapshot` the state of `engine`. Raises BoardError when it comes from another kind of board."""
+    if snapshot.shape != _shape(engine):
+        raise BoardError("a snapshot of a board with other peripherals or another time; take a new one")
+    for (address, _), data in zip(MEMORIES, snapshot.memories, strict=True):
+        engine.poke(address, data)
+    address, size = _core(engine)
+    ctypes.memmove(address, snapshot.core, size)
+    offset = 0
+    for place, size in _counts(engine):
+        ctypes.memmove(place, snapshot.counts[offset : offset + size], size)
+        offset += size
+    for name, value in zip(REGISTERS, snapshot.registers, strict=True):
+        engine.library.engine_set_register(engine.handle, name, value)
+    engine.notes = {note.message: note for note in snapshot.notes}
+    engine.resets = list(snapshot.resets)
+    states = copy.deepcopy(snapshot.peripherals)
+    for name, peripheral in engine.peripherals.items():
+        peripheral.restore(states[name])
+    engine.forget_failure()
+    engine.library.engine_restored(engine.handle)
+
+
+def _shape(engine: Engine) -> tuple[object, ...]:
+    cpi: Fraction = engine.cpi
+    return (cpi, engine.strict, tuple(engine.alarms), tuple(engine.peripherals), _core(engine)[1])
+
+
+def _core(engine: Engine) -> tuple[int, int]:
+    library = engine.library
+    return int(library.engine_state(engine.handle)), int(library.engine_state_bytes())
+
+
+def _counts(engine: Engine) -> tuple[tuple[int, int], ...]:
+    size = 8 * (CODE_HALFWORDS + 1)
+    both = (engine.library.engine_enters(engine.handle), engine.library.engine_leaves(engine.handle))
+    return tuple((ctypes.cast(place, ctypes.c_void_p).value or 0, size) for place in both)

@@ -1,0 +1,168 @@
+"""DShot as a motor's ESC sees it: pulses on a line, from which frames come or an error that names the motor.
+
+A bit lasts 1.667 us with DShot600 and 3.333 us with DShot300; its pulse is 37.5 % of that for a 0 and 75 %
+for a 1. A frame is 16 bits, most significant first: 11 of the value, the telemetry bit, and a checksum, the
+exclusive or of the three nibbles before it; between frames the line rests low for 2 us or more.
+
+The protocol states nominal times only. Decoders compare each pulse with half of the frame's mean bit, which
+leaves a quarter of a bit to either side; ESCs measure with RC oscillators of some per cent. `TOLERANCE` is
+ours: what a good controller keeps to, and an ESC takes however its oscillator stands.
+
+An ESC whose line is silent stops its motor: AM32 half a second after the last frame (Src/main.c, signal
+timeout when armed), BLHeli_S and Bluejay 160 ms after it (ten overflows of timer 2 at 16 ms). `SILENT_S` is
+the longer: what an aircraft has to live with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NoReturn
+
+from sim.board.core.context import TIME_HZ
+
+PROTOCOLS = {300: 300_000, 600: 600_000}  # bits a second
+TOLERANCE = 0.05  # of a nominal time
+GAP_S = 2e-6  # least rest between frames
+SILENT_S = 0.5  # without a frame, then the motor stops
+FRAME_BITS = 16
+_HIGH = (0.375, 0.75)  # of a bit, for 0 and 1
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What an ESC was told."""
+
+    motor: int  # 1..
+    cycle: int  # at which the frame's last bit ended
+    value: int  # 0..2047
+    telemetry: bool
+    protocol: int  # 300 or 600
+
+
+class Esc:
+    """The receiving end of one motor's line. `fail` is called with what is wrong, and must not return."""
+
+    def __init__(self, motor: int, fail: Callable[[str], NoReturn], protocol: int | None = None) -> None:
+        self.motor = motor
+        self.protocol = protocol  # expected; None: whatever the first bit says
+        self.on_frame: Callable[[Frame], None] = lambda frame: None
+        self.frames = 0
+        self.last: Frame | None = None
+        self._fail = fail
+        self._bits: tuple[int, ...] = ()  # high times [cycles] of a frame that is not complete yet
+        self._length = 0  # of its bits [cycles]
+        self._next = 0  # cycle at which its next bit has to begin
+        self._rest_since = -TIME_HZ  # the end of the last frame's last bit
+
+    def pulses(self, start: int, length: int, highs: Sequence[int]) -> None:
+        """Periods of `length` cycles, the first from cycle `start` on, high for `highs` cycles each."""
+        position, count = 0, len(highs)
+        while position < count:
+            if not self._bits:
+                while position < count and not highs[position]:
+                    position += 1
+                if position == count:
+                    return
+                self._open(start + position * length, length)
+            elif length != self._length:
+                self._fail(
+                    f"motor {self.motor}: a bit lasts {_us(length)}, the one before it {_us(self._length)}"
+                )
+            elif start + position * length != self._next:
+                self._fail(f"motor {self.motor}: a frame pauses after {len(self._bits)} bits")
+            taken = tuple(highs[position : position + FRAME_BITS - len(self._bits)])
+            if 0 in taken:
+                missing = len(self._bits) + taken.index(0)
+                self._fail(f"motor {self.motor}: a frame ends after {missing} bits, expected {FRAME_BITS}")
+            self._bits += taken
+            position += len(taken)
+            self._next = start + position * length
+            if len(self._bits) == FRAME_BITS:
+                self._close(start + position * length)
+
+    def obeys(self, cycle: int) -> int:
+        """The value that the motor follows at `cycle`: the last frame's, 0 before any or after a silence."""
+        if self.last is None or cycle - self.last.cycle > SILENT_S * TIME_HZ:
+            return 0
+        return self.last.value
+
+    def accept(self, frame: Frame) -> None:
+        """A frame that was decoded elsewhere."""
+        self._rest_since = frame.cycle
+        self.frames += 1
+        self.last = frame
+        self.on_frame(frame)
+
+    @property
+    def bit_cycles(self) -> tuple[int, int]:
+        """The shortest and the longest bit that is taken [cycles]; 0: none is known yet."""
+        if self.protocol is None:
+            return 0, 0
+        bit = TIME_HZ / PROTOCOLS[self.protocol]
+        return math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
+
+    def silence(self, forget: bool) -> None:
+        """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""
+        self._bits = ()
+        self._rest_since = -TIME_HZ
+        if forget:
+            self.protocol = self.last = None
+
+    def state(self) -> Any:  # noqa: ANN401
+        bits = (self._bits, self._length, self._next)
+        return (self.protocol, self.frames, self.last, self._rest_since, bits)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self.protocol, self.frames, self.last, self._rest_since, bits = state
+        self._bits, self._length, self._next = bits
+
+    def _open(self, cycle: int, length: int) -> None:
+        gap = (cycle - self._rest_since) / TIME_HZ
+        if gap < GAP_S:
+            self._fail(
+                f"motor {self.motor}: {gap * 1e6:.2f} us of rest before a frame, expected {GAP_S * 1e6:g} us "
+                f"or more"
+            )
+        self._length = length
+        wanted = [self.protocol] if self.protocol else list(PROTOCOLS)
+        for name in wanted:
+            if abs(length * PROTOCOLS[name] / TIME_HZ - 1.0) <= TOLERANCE:
+                self.protocol = name
+                return
+        nominal = " or ".join(f"{1e6 / PROTOCOLS[n]:.3f} us (DShot{n})" for n in wanted)
+        self._fail(
+            f"motor {self.motor}: a bit lasts {_us(length)}, expected {nominal} within {TOLERANCE:.0%}"
+        )
+
+    def _close(self, end: int) -> None:
+        assert self.protocol is not None
+        bits, self._bits = self._bits, ()
+        value, wrong = _decode(bits, self._length)
+        if wrong:
+            self._fail(f"motor {self.motor}: {wrong}")
+        self.accept(Frame(self.motor, end, value >> 1, bool(value & 1), self.protocol))
+
+
+@lru_cache(maxsize=4096)
+def _decode(bits: tuple[int, ...], length: int) -> tuple[int, str]:
+    """Value with its telemetry bit, and what is wrong if something is."""
+    frame = 0
+    for number, high in enumerate(bits, 1):
+        share = high / length
+        bit = int(share > sum(_HIGH) / 2)
+        if abs(share / _HIGH[bit] - 1.0) > TOLERANCE:
+            expected = f"{_us(round(_HIGH[0] * length))} for a 0 or {_us(round(_HIGH[1] * length))} for a 1"
+            return 0, f"bit {number} is high for {_us(high)}, expected {expected} within {TOLERANCE:.0%}"
+        frame = frame << 1 | bit
+    data = frame >> 4
+    checksum = (data ^ data >> 4 ^ data >> 8) & 15
+    if frame & 15 != checksum:
+        return 0, f"frame 0x{frame:04X} has the checksum {frame & 15:X}, expected {checksum:X}"
+    return data, ""
+
+
+def _us(cycles: int) -> str:
+    return f"{cycles * 1e6 / TIME_HZ:.3f} us"

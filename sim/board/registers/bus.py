@@ -1,0 +1,422 @@
+"""Strict registers: every access of the image is held against the vendor's table before a peripheral sees it.
+
+A peripheral is a `Device`: its registers are words by name, and methods `read_cr1` and `write_cr1` stand
+where reading or writing does more than to keep a value. `Registers` puts devices behind the engine's bus,
+refuses what the chip's manual refuses, and counts what the image touches.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, NoReturn, Protocol
+
+from sim.board.core.context import Bus, Context
+
+TABLE = Path(__file__).with_name("registers.json")
+WINDOW = 0x400  # the engine attaches peripherals in windows of this many bytes
+WORD = 0xFFFFFFFF
+_BLOCK_MAX = 0x1000  # the description gives one USB block 250 KiB, of which a word is used
+_EXTERNAL = 0x60000000  # external memory and the core's own registers: the engine's, but for DBGMCU
+
+
+@dataclass(frozen=True)
+class Field:
+    """Bits `lsb` to `lsb + width - 1` of a register."""
+
+    name: str
+    lsb: int
+    width: int
+    access: str  # r, w or rw
+    modelled: bool
+
+    @cached_property
+    def mask(self) -> int:
+        return ((1 << self.width) - 1) << self.lsb
+
+
+@dataclass(frozen=True)
+class Register:
+    """One register of a peripheral as the vendor describes it."""
+
+    name: str
+    offset: int  # bytes from the peripheral's base
+    modelled: bool
+    reset: int
+    access: str  # r, w or rw
+    sizes: tuple[int, ...]  # bytes an access may have
+    fields: dict[str, Field]
+
+    @cached_property
+    def reserved(self) -> int:
+        """Bits that no field covers; they keep their reset value."""
+        return WORD & ~self._mask(lambda field: True)
+
+    @cached_property
+    def unmodelled(self) -> int:
+        """Bits of fields that a program may write but the emulator does not know."""
+        return self._mask(lambda field: not field.modelled and "w" in field.access) & ~self.writable
+
+    @cached_property
+    def writable(self) -> int:
+        """Bits of fields that take what is written."""
+        return self._mask(lambda field: field.modelled and "w" in field.access)
+
+    def _mask(self, wanted: Callable[[Field], bool]) -> int:
+        mask = 0
+        for field in self.fields.values():
+            mask |= field.mask if wanted(field) else 0
+        return mask
+
+
+@dataclass(frozen=True)
+class Block:
+    """A peripheral's registers; none if the emulator does not model it."""
+
+    name: str
+    base: int
+    size: int  # bytes
+    registers: dict[str, Register]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The chip as its vendor describes it, with what the emulator models of it."""
+
+    sha256: str  # of the description
+    blocks: dict[str, Block]
+    interrupts: dict[str, int]
+
+    def interrupt(self, name: str) -> int:
+        """Number of interrupt `name`, e.g. "EXTI3"."""
+        return self.interrupts[name]
+
+    def find(self, address: int) -> tuple[Block, Register | None] | None:
+        """The peripheral and register at `address`; None where the chip has none."""
+        for block in self.blocks.values():
+            if block.base <= address < block.base + block.size:
+                offset = address - block.base & ~3
+                return block, next((r for r in block.registers.values() if r.offset == offset), None)
+        return None
+
+
+@cache
+def load_table() -> Table:
+    """The committed table."""
+    data = json.loads(TABLE.read_text())
+    return Table(
+        data["sha256"],
+        {name: _block(name, block) for name, block in data["peripherals"].items()},
+        data["interrupts"],
+    )
+
+
+def _block(name: str, data: dict[str, Any]) -> Block:
+    registers = {r["name"]: _register(r) for r in data["registers"]}
+    return Block(name, int(data["base"], 16), int(data["size"], 16), registers)
+
+
+def _register(data: dict[str, Any]) -> Register:
+    return Register(
+        name=data["name"],
+        offset=int(data["offset"], 16),
+        modelled="fields" in data,
+        reset=int(data.get("reset", "0"), 16),
+        access=data.get("access", ""),
+        sizes=tuple(data.get("sizes", ())),
+        fields={n: Field(n, f[0], f[1], f[2], bool(f[3])) for n, f in data.get("fields", {}).items()},
+    )
+
+
+class Device:
+    """A peripheral of the chip: registers as words by name, and what happens around them.
+
+    `kept` names the attributes that change besides words; they are plain values and go into snapshots.
+    """
+
+    kept: tuple[str, ...] = ()
+
+    def __init__(self, context: Context, name: str) -> None:
+        self.context = context
+        self.name = name
+        self.block = load_table().blocks[name]
+        self.gate = ""  # the bit that clocks it, "RCC_AHB1ENR GPIOAEN"; empty: always clocked
+        self.clocked = True
+        self.words = self._reset_words()
+
+    @property
+    def interrupts(self) -> tuple[int, ...]:
+        """The interrupt lines that it drives, where somebody else has to know."""
+        return ()
+
+    def _reset_words(self) -> dict[str, int]:
+        return {r.name: r.reset for r in self.block.registers.values() if r.modelled}
+
+    def reset(self) -> None:
+        """As after a reset of the chip or by the peripheral's bit in RCC."""
+        self.words = self._reset_words()
+
+    def state(self) -> Any:  # noqa: ANN401
+        return {"words": dict(self.words), **{name: copy.deepcopy(getattr(self, name)) for name in self.kept}}
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self.words = dict(state["words"])
+        for name in self.kept:
+            setattr(self, name, copy.deepcopy(state[name]))
+
+    def counts(self, register: Register) -> tuple[int, int] | None:
+        """How often `register` was read and written, where that is not counted by the bus."""
+        return None
+
+    def mask(self, register: str, *fields: str) -> int:
+        """The bits of `fields` together."""
+        result = 0
+        for field in fields:
+            result |= self.block.registers[register].fields[field].mask
+        return result
+
+    def get(self, register: str, field: str) -> int:
+        """The value of a field."""
+        found = self.block.registers[register].fields[field]
+        return (self.words[register] & found.mask) >> found.lsb
+
+    def put(self, register: str, field: str, value: int) -> None:
+        """Set a field."""
+        found = self.block.registers[register].fields[field]
+        self.words[register] = self.words[register] & ~found.mask | value << found.lsb & found.mask
+
+    def keep(self, register: str, value: int) -> int:
+        """Store what was written to the writable fields; returns the bits that changed."""
+        writable = self.block.registers[register].writable
+        before = self.words[register]
+        self.words[register] = before & ~writable | value & writable
+        return before ^ self.words[register]
+
+
+class Companion(Protocol):
+    """Something beside the chip whose state goes with the chip's."""
+
+    def state(self) -> Any: ...  # noqa: ANN401
+
+    def restore(self, state: Any) -> None: ...  # noqa: ANN401
+
+
+class _Slot:
+    """A register in its place: the device behind it and how often it was touched."""
+
+    __slots__ = ("device", "fixed", "read", "reads", "register", "sized", "write", "writes")
+
+    def __init__(self, device: Device, register: Register) -> None:
+        self.device, self.register = device, register
+        self.fixed = register.reserved | register.unmodelled
+        name = register.name
+        # SPI_DR's width says how many frames move, so there the handlers get the size.
+        self.sized = hasattr(device, f"sized_read_{name.lower()}")
+        prefix = "sized_" if self.sized else ""
+        self.read: Callable[..., int] = getattr(
+            device, f"{prefix}read_{name.lower()}", lambda: device.words[name]
+        )
+        self.write: Callable[..., object] = getattr(
+            device, f"{prefix}write_{name.lower()}", lambda value: device.keep(name, value)
+        )
+        self.reads = self.writes = 0
+
+
+@dataclass(frozen=True)
+class Touch:
+    """How often the image read and wrote a register."""
+
+    register: str  # "RCC_CR"
+    reads: int
+    writes: int
+
+
+class _Window:
+    """1 KiB of the address space behind the engine's bus: the registers of one or more devices."""
+
+    def __init__(self, context: Context, base: int) -> None:
+        self._context, self.base = context, base
+        self.blocks: list[Block] = []
+        self.devices: list[Device] = []
+        self.companions: list[Companion] = []
+        self.slots: dict[int, _Slot] = {}
+
+    @property
+    def name(self) -> str:
+        return " and ".join(block.name for block in self.blocks)
+
+    def add(self, device: Device) -> None:
+        self.devices.append(device)
+        for register in device.block.registers.values():
+            if register.modelled:
+                offset = device.block.base + register.offset - self.base
+                self.slots[offset] = _Slot(device, register)
+
+    def read(self, offset: int, size: int) -> int:
+        slot = self.slots.get(offset & ~3)
+        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
+            self._refuse(slot, offset, size, "read")
+        assert slot is not None
+        if "r" not in slot.register.access:
+            self._fail(slot, "is read, but it is write-only")
+        slot.reads += 1
+        if slot.sized:
+            return slot.read(size)
+        value = slot.read()
+        if size == 4:
+            return value
+        return value >> 8 * (offset & 3) & (1 << 8 * size) - 1
+
+    def write(self, offset: int, size: int, value: int) -> None:
+        slot = self.slots.get(offset & ~3)
+        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
+            self._refuse(slot, offset, size, "write")
+        assert slot is not None
+        register = slot.register
+        if "w" not in register.access:
+            self._fail(slot, "is written, but it is read-only")
+        slot.writes += 1
+        if slot.sized:
+            slot.write(size, value)
+            return
+        if size != 4:
+            shift = 8 * (offset & 3)
+            old = slot.device.words[register.name] if "r" in register.access else 0
+            value = old & ~(((1 << 8 * size) - 1) << shift) & WORD | value << shift
+        if (value ^ register.reset) & slot.fixed:
+            self._refuse_bits(slot, value)
+        slot.write(value)
+
+    def reset(self) -> None:
+        for device in self.devices:
+            device.reset()
+
+    def state(self) -> Any:  # noqa: ANN401
+        return {
+            "devices": [device.state() for device in self.devices],
+            "companions": [companion.state() for companion in self.companions],
+            "touched": {offset: (slot.reads, slot.writes) for offset, slot in self.slots.items()},
+        }
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        for device, saved in zip(self.devices, state["devices"], strict=True):
+            device.restore(saved)
+        for companion, saved in zip(self.companions, state["companions"], strict=True):
+            companion.restore(saved)
+        for offset, counts in state["touched"].items():
+            self.slots[offset].reads, self.slots[offset].writes = counts
+
+    def explain(self, offset: int, size: int, value: int | None) -> None:
+        """Say what is wrong with an access that was refused elsewhere. `value`: written; None: a read."""
+        slot = self.slots.get(offset & ~3)
+        verb = "read" if value is None else "write"
+        if slot is None or not slot.device.clocked or size not in slot.register.sizes:
+            self._refuse(slot, offset, size, verb)
+        assert slot is not None
+        if value is None:
+            self._fail(slot, "is read, but it is write-only")
+        if "w" not in slot.register.access:
+            self._fail(slot, "is written, but it is read-only")
+        self._refuse_bits(slot, value)
+
+    def _refuse(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
+        """Say why there is no such access. Always raises."""
+        address = self.base + offset
+        if slot is None:
+            found = load_table().find(address)
+            where = f"{verb} at 0x{address:08X}"
+            if found is None:
+                self._context.fail(f"{where}: the chip has no register there")
+            block, register = found
+            if register is None and block.registers:
+                self._context.fail(f"{where}: {block.name} has no register there")
+            name = block.name if register is None else f"{block.name}_{register.name}"
+            self._context.fail(f"{where}: {name} is not modelled")
+        device, register = slot.device, slot.register
+        if not device.clocked:
+            self._fail(
+                slot, f"is {'read' if verb == 'read' else 'written'} without its clock: {device.gate} is 0"
+            )
+        widths = " or ".join(str(8 * size) for size in register.sizes)
+        self._fail(slot, f"has a {verb} of {8 * size} bits, but takes {widths}")
+
+    def _refuse_bits(self, slot: _Slot, value: int) -> None:
+        register = slot.register
+        wrong = (value ^ register.reset) & slot.fixed
+        if wrong & register.reserved:
+            self._fail(slot, f"= 0x{value:08X} changes reserved bits 0x{wrong & register.reserved:08X}")
+        fields = [
+            f.name
+            for f in register.fields.values()
+            if not f.modelled and "w" in f.access and f.mask & wrong & ~register.writable
+        ]
+        self._fail(slot, f"= 0x{value:08X} sets {', '.join(fields)}, which the emulator does not model")
+
+    def _fail(self, slot: _Slot, message: str) -> NoReturn:
+        self._context.fail(f"{slot.device.name}_{slot.register.name} {message}")
+
+
+class Registers:
+    """All windows of the chip's peripherals, modelled or not, so that each wrong access is named."""
+
+    def __init__(self, context: Context) -> None:
+        self._windows: dict[int, _Window] = {}
+        self.devices: dict[str, Device] = {}
+        for block in load_table().blocks.values():
+            size = min(block.size, _BLOCK_MAX)
+            for base in range(block.base & ~(WINDOW - 1), block.base + size, WINDOW):
+                window = self._windows.setdefault(base, _Window(context, base))
+                window.blocks.append(block)
+
+    def add(self, device: Device) -> None:
+        """Put `device` in its place."""
+        self.devices[device.name] = device
+        self._windows[device.block.base & ~(WINDOW - 1)].add(device)
+
+    def accompany(self, device: Device, companion: Companion) -> None:
+        """`companion` goes into snapshots with `device`, which is there already."""
+        self._windows[device.block.base & ~(WINDOW - 1)].companions.append(companion)
+
+    def window_name(self, device: Device) -> str:
+        """Under which name the engine has the window that `device` answers in."""
+        return self._windows[device.block.base & ~(WINDOW - 1)].name
+
+    def explain(self, device: Device, offset: int, size: int, value: int | None) -> None:
+        """Say what is wrong with an access to `device`'s window. Always raises."""
+        self._windows[device.block.base & ~(WINDOW - 1)].explain(offset, size, value)
+
+    def attach(self, bus: Bus) -> None:
+        """Put every window behind the engine's bus."""
+        for base, window in sorted(self._windows.items()):
+            if base >= _EXTERNAL and not window.devices:
+                continue
+            bus.attach(base, WINDOW, window, window.name)
+
+    def read(self, address: int, size: int) -> int:
+        """As the program reads a register at `address`."""
+        return self._windows[address & ~(WINDOW - 1)].read(address & WINDOW - 1, size)
+
+    def write(self, address: int, size: int, value: int) -> None:
+        """As the program writes a register at `address`."""
+        self._windows[address & ~(WINDOW - 1)].write(address & WINDOW - 1, size, value)
+
+    def touched(self) -> tuple[Touch, ...]:
+        """Every register that the image touched, in order of address."""
+        touched = []
+        for _, window in sorted(self._windows.items()):
+            for _, slot in sorted(window.slots.items()):
+                counts = slot.device.counts(slot.register) or (slot.reads, slot.writes)
+                if any(counts):
+                    touched.append(Touch(f"{slot.device.name}_{slot.register.name}", *counts))
+        return tuple(touched)
+
+    def state(self) -> Any:  # noqa: ANN401
+        return {base: window.state() for base, window in self._windows.items() if window.devices}
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        for base, saved in state.items():
+            self._windows[base].restore(saved)

@@ -1,0 +1,282 @@
+"""The register table of the emulated board: taken from the vendor's description, committed as JSON.
+
+    python -m sim.board.registers.extract STM32F7x2.svd
+
+The emulator checks every access against it: addresses, reset values, access rights, fields and interrupt
+numbers are the vendor's. What the emulator adds stands below: the registers that it models and, of each, the
+fields. The firmware's header is no source of this table, so that an error in one shows against the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from toolchain.errors import BuildError, NeuroflightError
+from toolchain.files import write_text_if_changed
+
+TABLE = Path(__file__).with_name("registers.json")
+
+_ALL = "*"  # every field that the description has
+_TIMER = {
+    "CR1": "CEN UDIS URS OPM ARPE",
+    "CR2": "CCDS",
+    "DIER": "UIE UDE CC1DE CC2DE CC3DE CC4DE",
+    "SR": "UIF CC1IF CC2IF CC3IF CC4IF",
+    "EGR": "UG CC1G CC2G CC3G CC4G",
+    "CCMR1": "OC1PE OC1M OC2PE OC2M",
+    "CCMR2": "OC3PE OC3M OC4PE OC4M",
+    "CCER": "CC1E CC2E CC3E CC4E",
+    "CNT": "CNT",
+    "PSC": _ALL,
+    "ARR": _ALL,
+    "CCR1": _ALL,
+    "CCR2": _ALL,
+    "CCR3": _ALL,
+    "CCR4": _ALL,
+    "DCR": _ALL,
+    "DMAR": _ALL,
+}
+_ADVANCED_TIMER = {**_TIMER, "RCR": _ALL, "BDTR": "MOE AOE OSSI OSSR"}
+_GPIO = dict.fromkeys(["MODER", "OTYPER", "OSPEEDR", "PUPDR", "IDR", "ODR", "BSRR", "AFRL", "AFRH"], _ALL)
+_USART = {
+    "CR1": "UE RE TE IDLEIE RXNEIE TCIE TXEIE PEIE PS PCE M0 OVER8 M1",
+    "CR2": "STOP RXINV TXINV SWAP",
+    "CR3": "EIE HDSEL DMAR DMAT ONEBIT OVRDIS DDRE",
+    "BRR": _ALL,
+    "RQR": "RXFRQ TXFRQ",
+    "ISR": _ALL,
+    "ICR": "PECF FECF NCF ORECF IDLECF TCCF",
+    "RDR": _ALL,
+    "TDR": _ALL,
+}
+_DMA = {
+    **dict.fromkeys(["LISR", "HISR", "LIFCR", "HIFCR"], _ALL),
+    **{f"S{i}CR": "CHSEL PL MSIZE PSIZE MINC CIRC DIR TCIE HTIE TEIE DMEIE EN"
+       for i in range(8)},
+    **{f"S{i}{name}": _ALL for i in range(8) for name in ("NDTR", "PAR", "M0AR")},
+    **{f"S{i}FCR": "FS DMDIS FTH" for i in range(8)},
+}  # fmt: skip
+
+# Registers that the emulator models, and of each the fields that may differ from their reset value.
+MODELLED: dict[str, dict[str, str]] = {
+    "RCC": {
+        "CR": "HSION HSIRDY HSITRIM HSICAL HSEON HSERDY HSEBYP CSSON PLLON PLLRDY",
+        "PLLCFGR": _ALL,
+        "CFGR": "SW SWS HPRE PPRE1 PPRE2",
+        "CIR": _ALL,
+        "AHB1RSTR": "GPIOARST GPIOBRST GPIOCRST GPIODRST DMA1RST DMA2RST",
+        "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST USART2RST USART3RST UART4RST UART5RST PWRRST",
+        "APB2RSTR": "TIM1RST TIM8RST USART1RST ADCRST SPI1RST SYSCFGRST",
+        "AHB1ENR": "GPIOAEN GPIOBEN GPIOCEN GPIODEN DMA1EN DMA2EN DTCMRAMEN",
+        "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN USART2EN USART3EN UART4EN UART5EN PWREN",
+        "APB2ENR": "TIM1EN TIM8EN USART1EN ADC1EN SPI1EN SYSCFGEN",
+        "CSR": _ALL,
+        "DCKCFGR1": "TIMPRE",
+        "DCKCFGR2": "USART1SEL USART2SEL USART3SEL UART4SEL UART5SEL",
+    },
+    "PWR": {
+        "CR1": "VOS ODEN ODSWEN PVDE PLS DBP",
+        "CSR1": "PVDO VOSRDY ODRDY ODSWRDY",
+    },
+    "FLASH": {
+        "ACR": _ALL,
+        "KEYR": _ALL,
+        "OPTKEYR": _ALL,
+        "SR": "EOP OPERR WRPERR PGAERR PGPERR ERSERR BSY",
+        "CR": _ALL,
+        "OPTCR": _ALL,
+        "OPTCR1": _ALL,
+        "OPTCR2": _ALL,
+    },
+    **{f"GPIO{port}": _GPIO for port in "ABCD"},
+    "SYSCFG": dict.fromkeys(("EXTICR1", "EXTICR2", "EXTICR3", "EXTICR4"), _ALL),
+    "EXTI": dict.fromkeys(["IMR", "RTSR", "FTSR", "SWIER", "PR"], _ALL),
+    "DMA1": _DMA,
+    "DMA2": _DMA,
+    "TIM1": _ADVANCED_TIMER,
+    "TIM8": _ADVANCED_TIMER,
+    **{f"TIM{n}": _TIMER for n in (2, 3, 4, 5)},
+    "SPI1": {
+        "CR1": "CPHA CPOL MSTR BR SPE LSBFIRST SSI SSM",
+        "CR2": "RXDMAEN TXDMAEN ERRIE RXNEIE TXEIE DS FRXTH",
+        "SR": _ALL,
+        "DR": _ALL,
+    },
+    "USART1": _USART,
+    "USART2": _USART,
+    "USART3": _USART,
+    "UART4": _USART,
+    "UART5": _USART,
+    "ADC1": {
+        "SR": "EOC STRT OVR",
+        "CR1": "EOCIE SCAN RES OVRIE",
+        "CR2": "ADON CONT DMA DDS EOCS SWSTART",
+        **dict.fromkeys(["SMPR1", "SMPR2", "SQR1", "SQR2", "SQR3", "DR"], _ALL),
+    },
+    "ADC_Common": {"CCR": "ADCPRE"},
+    "IWDG": dict.fromkeys(["KR", "PR", "RLR", "SR"], _ALL),
+    "DBGMCU": {"IDCODE": _ALL, "APB1_FZ": "DBG_IWDG_STOP"},
+}
+
+# Accesses narrower than a word (RM0431: GPIO by byte, half-word and word; SPI_DR packs data by width).
+_NARROW = {"GPIO": (1, 2, 4), "SPI1.DR": (1, 2, 4), "TIM": (2, 4)}
+_ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w", None: "rw"}
+_CORE = 0xE0000000  # from here on it is the core's, which the engine knows (ARMv7-M B3.1)
+
+
+def extract(svd: Path) -> dict[str, object]:
+    """The table of `svd`, ready for JSON. Raises BuildError when it is none or lacks what is modelled."""
+    try:
+        data = svd.read_bytes()
+        root = ET.fromstring(data)
+    except (OSError, ET.ParseError) as error:
+        raise BuildError(f"{svd}: {error}; give the vendor's STM32F7x2 register description (.svd)") from None
+    named = {_text(node, "name"): node for node in root.iter("peripheral")}
+    missing = sorted(set(MODELLED) - set(named))
+    if missing:
+        raise BuildError(f"{svd}: has no {', '.join(missing)}; give the description of the STM32F7x2")
+    peripherals = {
+        name: _peripheral(name, named)
+        for name in sorted(named, key=lambda n: _number(named[n], "baseAddress"))
+        if _number(named[name], "baseAddress") < _CORE or name in MODELLED
+    }
+    interrupts = sorted(
+        {(_number(node, "value"), _text(node, "name").upper()) for node in root.iter("interrupt")}
+    )
+    return {
+        "device": f"{_text(root, 'name')} {_text(root, 'version')}",
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "interrupts": {name: number for number, name in interrupts},
+        "peripherals": peripherals,
+    }
+
+
+def _peripheral(name: str, named: dict[str, ET.Element]) -> dict[str, object]:
+    node = named[name]
+    source = named[node.get("derivedFrom") or name]
+    block = source.find("addressBlock")
+    modelled = MODELLED.get(name, {})
+    registers = [
+        _register(register, offset, title, modelled.get(title), _sizes(name, title))
+        for register, offset, title in sorted(_registers(source), key=lambda r: r[1])
+    ]
+    lacking = sorted(set(modelled) - {str(r["name"]) for r in registers})
+    if lacking:
+        raise BuildError(f"{name} of the description lacks {', '.join(lacking)}")
+    return {
+        "base": _hex(_number(node, "baseAddress")),
+        "size": _hex(_number(block, "size") if block is not None else 0x400),
+        "registers": registers if modelled else [],
+    }
+
+
+def _registers(source: ET.Element) -> Iterator[tuple[ET.Element, int, str]]:
+    """Register nodes with offset and the manual's name; arrays laid out, second views left out."""
+    parent = source.find("registers")
+    for node in parent if parent is not None else ():
+        base, title = _number(node, "addressOffset"), _text(node, "name").removesuffix("_Output")
+        count, step = int(node.findtext("dim") or 1), int(node.findtext("dimIncrement") or "0", 0)
+        indices = (node.findtext("dimIndex") or "").split(",") if node.find("dim") is not None else [""]
+        if node.findtext("alternateRegister"):
+            continue
+        for i in range(count):
+            if node.tag == "cluster":  # the streams of a DMA controller: ST0.CR is the manual's S0CR
+                for register in node.findall("register"):
+                    offset = base + step * i + _number(register, "addressOffset")
+                    yield register, offset, f"S{indices[i]}{_text(register, 'name')}"
+            else:
+                yield node, base + step * i, title.replace("%s", indices[i])
+
+
+def _register(
+    node: ET.Element, offset: int, name: str, modelled: str | None, sizes: tuple[int, ...]
+) -> dict[str, object]:
+    if modelled is None:
+        return {"name": name, "offset": _hex(offset)}
+    fields = {_text(f, "name"): f for f in node.iter("field")}
+    wanted = set(fields) if modelled == _ALL else set(modelled.split())
+    if wanted - set(fields):
+        raise BuildError(f"{name} of the description has no field {', '.join(sorted(wanted - set(fields)))}")
+    return {
+        "name": name,
+        "offset": _hex(offset),
+        "reset": _hex(int(node.findtext("resetValue") or "0", 0)),
+        "access": _access(node, list(fields.values())),
+        "sizes": list(sizes),
+        "fields": {
+            name: [
+                _number(field, "bitOffset"),
+                _number(field, "bitWidth"),
+                _ACCESS[field.findtext("access") or node.findtext("access")],
+                int(name in wanted),
+            ]
+            for name, field in sorted(fields.items(), key=lambda f: _number(f[1], "bitOffset"))
+        },
+    }
+
+
+def _access(node: ET.Element, fields: list[ET.Element]) -> str:
+    if node.findtext("access"):
+        return _ACCESS[node.findtext("access")]
+    rights = {letter for f in fields for letter in _ACCESS[f.findtext("access")]}
+    return "".join(letter for letter in "rw" if letter in rights)
+
+
+def _sizes(peripheral: str, register: str) -> tuple[int, ...]:
+    for prefix, sizes in _NARROW.items():
+        if f"{peripheral}.{register}".startswith(prefix):
+            return sizes
+    return (4,)
+
+
+def _text(node: ET.Element, tag: str) -> str:
+    return (node.findtext(tag) or "").strip()
+
+
+def _number(node: ET.Element, tag: str) -> int:
+    return int(_text(node, tag) or "0", 0)
+
+
+def _hex(value: int) -> str:
+    return f"0x{value:X}"
+
+
+def render(table: dict[str, object]) -> str:
+    """`table` as JSON text, one register a line."""
+    head = {key: value for key, value in table.items() if key != "peripherals"}
+    lines = json.dumps(head, indent=1)[:-2] + ',\n "peripherals": {\n'
+    rows = []
+    peripherals = table["peripherals"]
+    assert isinstance(peripherals, dict)
+    for name, peripheral in peripherals.items():
+        registers = ",\n".join("   " + json.dumps(r) for r in peripheral["registers"])
+        body = f"[\n{registers}]" if registers else "[]"
+        rows.append(
+            f'  "{name}": {{"base": "{peripheral["base"]}", "size": "{peripheral["size"]}", '
+            f'"registers": {body}}}'
+        )
+    return lines + ",\n".join(rows) + "\n }\n}\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Writes the table; 0 when done, 1 with a line of why not."""
+    parser = argparse.ArgumentParser(description="extract the emulated board's register table")
+    parser.add_argument("svd", type=Path, help="the vendor's STM32F7x2 register description")
+    parser.add_argument("--out", type=Path, default=TABLE, help="file to write (default: the committed one)")
+    options = parser.parse_args(arguments)
+    try:
+        write_text_if_changed(options.out, render(extract(options.svd)))
+    except NeuroflightError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

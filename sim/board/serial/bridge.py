@@ -1,0 +1,325 @@
+"""The other end of a serial line of the emulated board, and what may sit there.
+
+`UartLine` is the end of the wires: bytes that the board has sent, bytes that go in, each at its exact time,
+and what of either was no byte for its receiver because both ends run at different speeds. On it stand
+
+- `LineTransport`: a client in this very program (flash.client), in lockstep with the board. It waits in
+  emulated time only, so that a conversation is repeatable to the bit.
+- `Bridge`: programs elsewhere on this computer, behind a `PtyEnd` or a `TcpEnd`. It has no thread and never
+  waits: whoever runs the board calls `exchange` between two slices.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import pty
+import socket
+import tty
+from collections.abc import Callable
+from typing import Protocol
+
+from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
+from sim.board.peripherals.usart import Format
+from toolchain.contract import MSP_BAUD_DEFAULT
+from toolchain.errors import LinkError
+
+MSP_UART = "USART1"
+SLICE = TIME_HZ // 10_000  # cycles between two looks for what the board has sent: 100 us
+PENDING_MAX = 64 * 1024  # bytes kept for a program that does not read; what comes then is lost, as on wires
+READ_MAX = 4096
+
+
+class UartLine:
+    """The far end of one UART's wires. A newer one on the same UART takes its place."""
+
+    def __init__(self, board: Board, uart: str = MSP_UART, format: Format | None = None) -> None:
+        """format: what this end speaks and understands; default: 115200 baud 8N1.
+
+        Raises ValueError where the board has no such UART.
+        """
+        if uart not in board.hardware.usarts:
+            raise ValueError(f"a line on {uart!r}, expected one of {', '.join(board.hardware.usarts)}")
+        self.board, self.uart = board, uart
+        self.format = format or Format(MSP_BAUD_DEFAULT)
+        self._usart = board.hardware.usarts[uart]
+        self._usart.on_sent = self._hear
+        self._heard = bytearray()
+        self.framing_errors = 0  # bytes of the board's that were none at this end's speed
+        self.last_heard: int | None = None  # cycle at which the board's last byte ended
+
+    @property
+    def connected(self) -> bool:
+        """Whether no other line has taken its place."""
+        return self._usart.on_sent == self._hear
+
+    @property
+    def refused(self) -> int:
+        """Bytes from here that were none for the board, which runs at another speed."""
+        return self._usart.mismatches
+
+    @property
+    def board_format(self) -> Format:
+        """What the board speaks and understands. Raises BoardError before it has set up its UART."""
+        return self._usart.format
+
+    @property
+    def pending(self) -> int:
+        """Bytes on their way to the board."""
+        return self._usart.arriving
+
+    def send(self, data: bytes) -> int:
+        """Put `data` on the line, behind what is on it. Returns the cycle at which its last byte ends."""
+        return self._usart.feed(data, self.format)
+
+    def take(self) -> bytes:
+        """What has come from the board since the last call."""
+        data = bytes(self._heard)
+        self._heard.clear()
+        return data
+
+    def room(self, cycles: int) -> int:
+        """How many more bytes the line can carry within the next `cycles`."""
+        return max(0, -(-cycles // self.format.byte_cycles) - self.pending)
+
+    def _hear(self, byte: int) -> None:
+        if self.format.understands(self._usart.format):
+            self._heard.append(byte)
+            self.last_heard = self.board.cycle
+        else:
+            self.framing_errors += 1
+
+
+class LineTransport:
+    """flash.transport.Transport over a line, in lockstep: waiting for bytes is what makes the board run.
+
+    Give its `clock` to the client, so that timeouts count emulated seconds:
+
+        client = Client(transport, transport.clock)
+    """
+
+    def __init__(self, line: UartLine, run_to: Callable[[int], None] | None = None) -> None:
+        """run_to: what makes the board run, if something has to happen beside; default: the board's own."""
+        self._line = line
+        self._run_to = run_to or line.board.run_to
+        self._closed = False
+
+    @property
+    def name(self) -> str:
+        """The port, as the board calls it."""
+        return f"{self._line.uart} of the emulated board"
+
+    def clock(self) -> float:
+        """Emulated time since power-up [s]."""
+        return self._line.board.cycle / TIME_HZ
+
+    def read(self, timeout: float) -> bytes:
+        """See Transport; `timeout` in emulated seconds. Raises BoardError for what the image does wrong."""
+        self._check()
+        end = self._line.board.cycle + max(1, round(timeout * TIME_HZ))
+        while not (data := self._line.take()):
+            cycle = self._line.board.cycle
+            if cycle >= end:
+                return b""
+            self._run_to(min(end, cycle + SLICE))
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See Transport. What has come before is not the answer to this and stays to be read."""
+        self._check()
+        self._line.send(data)
+
+    def close(self) -> None:
+        """See Transport. The board stays as it is."""
+        self._closed = True
+
+    def _check(self) -> None:
+        if self._closed:
+            raise LinkError(f"{self.name}: the line was closed, expected it to stay open")
+        if not self._line.connected:
+            raise LinkError(f"{self.name}: another line has taken its place, expected one at a time")
+
+
+class End(Protocol):
+    """Where another program reaches the line. Nothing here waits."""
+
+    @property
+    def name(self) -> str:
+        """What to tell the user."""
+
+    def receive(self, count: int) -> bytes:
+        """At most `count` bytes of what the program has sent; b"" when there are none."""
+
+    def send(self, data: bytes) -> int:
+        """How many of `data` the program's side has taken; all of them when nobody is there."""
+
+    def close(self) -> None:
+        """The program finds the line gone; may be called twice."""
+
+
+class PtyEnd:
+    """A pseudo terminal, which programs open as they do a serial port. Its speed is not looked at."""
+
+    def __init__(self) -> None:
+        """Raises LinkError when the system gives none."""
+        try:
+            self._master, self._slave = pty.openpty()
+        except OSError as error:
+            raise LinkError(
+                f"no pseudo terminal to be had ({error.strerror}); close programs that hold some, or take TCP"
+            ) from None
+        tty.setraw(self._slave)  # our own hold on it keeps the line when a program goes
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._closed = False
+
+    @property
+    def name(self) -> str:
+        """See End."""
+        return self.path
+
+    def receive(self, count: int) -> bytes:
+        """See End."""
+        try:
+            return os.read(self._master, count)
+        except BlockingIOError:
+            return b""
+
+    def send(self, data: bytes) -> int:
+        """See End."""
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """See End."""
+        if not self._closed:
+            self._closed = True
+            os.close(self._master)
+            os.close(self._slave)
+
+
+class TcpEnd:
+    """A TCP server on this computer only, for one program at a time; a second one is turned away."""
+
+    def __init__(self, port: int = 0) -> None:
+        """port: 0 for any free one. Raises LinkError when it is taken."""
+        self._listener = socket.socket()
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._client: socket.socket | None = None
+        try:
+            self._listener.bind(("127.0.0.1", port))
+            self._listener.listen()
+        except OSError as error:
+            self._listener.close()
+            raise LinkError(
+                f"TCP port {port}: {error.strerror}, expected a free port; name another one, or 0 for any"
+            ) from None
+        self._listener.setblocking(False)
+        self.port: int = self._listener.getsockname()[1]
+
+    @property
+    def name(self) -> str:
+        """See End."""
+        return f"tcp:127.0.0.1:{self.port}"
+
+    def receive(self, count: int) -> bytes:
+        """See End."""
+        self._accept()
+        if self._client is None:
+            return b""
+        try:
+            data = self._client.recv(count)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._leave()
+        return data
+
+    def send(self, data: bytes) -> int:
+        """See End."""
+        if self._client is None:
+            return len(data)
+        try:
+            return self._client.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self._leave()
+            return len(data)
+
+    def close(self) -> None:
+        """See End."""
+        self._leave()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        """Let the next program in, or turn it away while one is there; unread bytes are read first."""
+        while not self._holds_unread():
+            try:
+                peer, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:  # the peer has gone again
+                if error.errno in (errno.ECONNABORTED, errno.EINTR):
+                    continue
+                raise
+            if self._client is not None:
+                peer.close()
+                continue
+            peer.setblocking(False)
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = peer
+
+    def _holds_unread(self) -> bool:
+        """Whether the program has sent something that was not taken yet; notices that it has gone."""
+        if self._client is None:
+            return False
+        try:
+            if self._client.recv(1, socket.MSG_PEEK):
+                return True
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass
+        self._leave()
+        return False
+
+    def _leave(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+
+class Bridge:
+    """Carries bytes between a line and its other end, as fast as the line does and no faster."""
+
+    def __init__(self, line: UartLine, end: End) -> None:
+        self.line, self.end = line, end
+        self.lost = 0  # bytes from the board that nobody took in time
+        self._out = b""
+
+    def exchange(self, cycles: int) -> None:
+        """Carry what has come, either way, before the board runs for `cycles`.
+
+        More than the line can carry meanwhile is left where it is: a sender that is too fast has to wait.
+        """
+        room = min(self.line.room(cycles), READ_MAX)
+        if room and (data := self.end.receive(room)):
+            self.line.send(data)
+        self._out += self.line.take()
+        if self._out:
+            self._out = self._out[self.end.send(self._out) :]
+        self.lost += max(0, len(self._out) - PENDING_MAX)
+        self._out = self._out[:PENDING_MAX]
+
+    def close(self) -> None:
+        """Hand out what is left, as far as it is taken, and let the end go."""
+        self._out += self.line.take()
+        if self._out:
+            self.end.send(self._out)
+        self.end.close()

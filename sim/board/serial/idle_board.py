@@ -1,0 +1,179 @@
+"""A board on the desk: powered, still, its battery full, and programs that talk to it over its lines.
+
+Nothing here flies. `Desk` is the board with what its sensors measure at rest, `configured` a way to settings
+in its flash by the way that a pilot goes: over MSP.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flash.client import Client
+from flash.settings import Settings, as_stored
+from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
+from sim.board.devices.gyro_chip import MPU6500, Alignment, accel_counts, gyro_counts
+from sim.board.peripherals.usart import Format
+from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, GRAVITY, MSP_BAUD_DEFAULT
+from toolchain.errors import LinkError
+
+STEP = TIME_HZ // 1000  # cycles between two measurements, and two looks at the lines: 1 ms
+FULL_VOLTS = 16.8  # of a pack of four cells, full
+ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
+# At rest: MPU-6500 product specification, 3.1 and 3.2 (0.01 deg/s/rtHz and 300 ug/rtHz over 250 Hz).
+GYRO_NOISE, ACCEL_NOISE = np.radians(0.16), 0.005 * GRAVITY  # standard deviations [rad/s], [m/s^2]
+TEMPERATURE = round((25.0 - 21.0) * 333.87)  # 25 deg C [counts]
+NOISE_STEPS = 1000  # drawn at once
+BOOT_S = 2.0  # within which an image is up, if it ever is
+LAG_MAX_S = 0.1  # behind the clock on the wall; what is more is not made up for
+FLASH_REST = TIME_HZ // 10  # cycles without an operation after which flash is worth keeping
+
+
+class Desk:
+    """A board of its own that lies still. Repeatable to the bit while no program talks to it."""
+
+    def __init__(
+        self, flash: bytes, *, elf: Path | None = None, volts: float = FULL_VOLTS, seed: int = 0
+    ) -> None:
+        """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
+
+        Raises BuildError when the engine cannot be built or `elf` is none.
+        """
+        self.board = Board(flash, elf=elf, chip=MPU6500)
+        self.board.hardware.adc.set_battery(volts, 0.0)
+        self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
+        self._rng = np.random.default_rng(seed)
+        self._noise: NDArray[np.float64] = np.empty((0, 6))
+        self._measured = 0  # cycle of the next measurement
+
+    def run_to(self, cycle: int) -> None:
+        """Let the board run until `cycle`. Raises BoardError for what it does not forgive."""
+        while self.board.cycle < cycle:
+            if not 0 < self._measured - self.board.cycle <= STEP:
+                self._measure()
+                self._measured = self.board.cycle // STEP * STEP + STEP
+            self.run_core(min(cycle, self._measured))
+
+    def boot(self) -> None:
+        """Run until the image hears its MSP line, or for 2 s. Raises BoardError."""
+        end = self.board.cycle + round(BOOT_S * TIME_HZ)
+        uart = self.board.hardware.usarts[MSP_UART]
+        while self.board.cycle < end and not uart.words["CR1"] & 1:
+            self.run_to(self.board.cycle + STEP)
+
+    def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
+        """An MSP client on the other end of `uart`, in lockstep with the board."""
+        transport = LineTransport(UartLine(self.board, uart, Format(baud)), self.run_to)
+        return Client(transport, transport.clock)
+
+    def flash(self) -> bytes:
+        """What flash holds now."""
+        return self.board.engine.memory(FLASH_BASE, FLASH_BYTES)
+
+    def close(self) -> None:
+        """Give the board's memory back."""
+        self.board.close()
+
+    def _measure(self) -> None:
+        if not len(self._noise):
+            scale = [GYRO_NOISE] * 3 + [ACCEL_NOISE] * 3
+            self._noise = self._rng.normal(0.0, scale, (NOISE_STEPS, 6))
+        (*rate, x, y, z), self._noise = self._noise[0].tolist(), self._noise[1:]
+        self.board.hardware.gyro.measure(
+            accel_counts((x, y, z + GRAVITY), ALIGNMENT), TEMPERATURE, gyro_counts(rate, ALIGNMENT)
+        )
+
+
+class Keeper:
+    """Notices when flash has changed and come to rest, and hands its content on."""
+
+    def __init__(self, desk: Desk, keep: Callable[[bytes], None]) -> None:
+        self._desk, self._keep = desk, keep
+        self._seen = self._kept = desk.board.hardware.flash.operations
+        self._since = 0  # cycle at which the last operation was seen
+
+    def look(self, *, at_once: bool = False) -> None:
+        """Hand on what has changed, if nothing is under way, or whatever it is."""
+        operations, cycle = self._desk.board.hardware.flash.operations, self._desk.board.cycle
+        if operations != self._seen:
+            self._seen, self._since = operations, cycle
+        if operations != self._kept and (at_once or cycle - self._since >= FLASH_REST):
+            self._kept = operations
+            self._keep(self._desk.flash())
+
+
+def serve(
+    desk: Desk,
+    bridges: Sequence[Bridge],
+    *,
+    seconds: float | None = None,
+    look: Callable[[], None] = lambda: None,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Let the board run and programs talk to it, no faster than the clock on the wall.
+
+    seconds: of the board's time; None: without end. look: called every millisecond of it.
+    Raises BoardError for what the board does not forgive.
+    """
+    board = desk.board
+    end = None if seconds is None else board.cycle + round(seconds * TIME_HZ)
+    zero = clock() - board.cycle / TIME_HZ  # when the board had been powered had it kept up
+    while end is None or board.cycle < end:
+        for bridge in bridges:
+            bridge.exchange(STEP)
+        desk.run_to(board.cycle + STEP if end is None else min(end, board.cycle + STEP))
+        look()
+        ahead = zero + board.cycle / TIME_HZ - clock()
+        if ahead > 0:
+            sleep(ahead)
+        elif ahead < -LAG_MAX_S:
+            zero -= ahead + LAG_MAX_S
+    for bridge in bridges:
+        bridge.exchange(STEP)
+
+
+def with_image(image: bytes, kept: bytes | None) -> bytes:
+    """Flash that holds `image` in its two sectors, and in all others what `kept` holds.
+
+    Raises LinkError when `kept` has not the size of the flash.
+    """
+    if kept is None:
+        return image
+    if len(kept) != FLASH_BYTES:
+        raise LinkError(f"{len(kept)} bytes, expected the {FLASH_BYTES} of a whole flash")
+    flash, full = bytearray(kept), image.ljust(FLASH_BYTES, b"\xff")
+    for sector in (FLASH_BOOT, FLASH_BANK_A):
+        span = slice(sector.address - FLASH_BASE, sector.address - FLASH_BASE + sector.size)
+        flash[span] = full[span]
+    return bytes(flash)
+
+
+def configured(image: bytes, elf: Path, settings: Mapping[str, float]) -> bytes:
+    """Flash with `image` and `settings`, stored by the image itself; elf: the image's, for names and lines.
+
+    A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
+    Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.
+    """
+    desk = Desk(image, elf=elf)
+    try:
+        desk.boot()
+        asked = Settings(desk.client())
+        for name, value in settings.items():
+            asked.set(name, value)
+        asked.save()
+        desk.board.reset()
+        desk.boot()
+        asked = Settings(desk.client(settings.get("msp_baud", MSP_BAUD_DEFAULT)))
+        for name, value in settings.items():
+            if (got := asked.get(name)) != (wanted := as_stored(name, value)):
+                raise LinkError(f"{elf}: setting {name} is {got:g} after a reset, {wanted:g} was stored")
+        return desk.flash()
+    finally:
+        desk.close()

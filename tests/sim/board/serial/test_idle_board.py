@@ -1,0 +1,165 @@
+"""A board on the desk with the real image: at rest, set over MSP, served in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from flash import messages
+from flash.client import read_info
+from flash.msp import encode, request
+from flash.settings import Settings
+from sim.board.core.context import TIME_HZ
+from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.serial import idle_board as desk_module
+from sim.board.serial.bridge import Bridge, PtyEnd, UartLine
+from sim.board.serial.idle_board import Desk, Keeper, configured, serve, with_image
+from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_SETTINGS, Msp
+from toolchain.errors import LinkError
+
+MILLISECOND = TIME_HZ // 1000
+
+
+@pytest.fixture(scope="module")
+def image(board_image: Path) -> Path:
+    """What is flashed."""
+    return board_image.with_suffix(".bin")
+
+
+@pytest.fixture(scope="module")
+def booted(image: Path) -> Iterator[tuple[Desk, Snapshot]]:
+    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
+    desk.run_to(TIME_HZ // 2)
+    yield desk, take_snapshot(desk.board.engine)
+    desk.close()
+
+
+@pytest.fixture
+def desk(booted: tuple[Desk, Snapshot]) -> Desk:
+    """The real image on the desk, shortly after its boot."""
+    restore_snapshot(booted[0].board.engine, booted[1])
+    return booted[0]
+
+
+def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) -> None:
+    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
+    desk.run_to(2 * TIME_HZ)
+    with desk.client() as client:
+        info = read_info(client)
+        battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
+    assert info.arming_reasons == ("RECEIVER_LOST", "SWITCH_NOT_CYCLED")
+    assert (battery.cells, battery.level) == (4, messages.BatteryLevel.GOOD)
+    desk.close()
+
+
+def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> None:
+    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
+    desk.boot()
+    assert desk.board.cycle < TIME_HZ
+    assert desk.client().request(Msp.FC_VARIANT, retries=0) == b"NRFL"
+    desk.close()
+
+
+def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: Path) -> None:
+    flash = configured(
+        image.read_bytes(),
+        image.with_suffix(".elf"),
+        {"gyro_rate_hz": 8000, "roll_expo": 0.1, "filter1_kind": 5},
+    )
+    assert len(flash) == FLASH_BYTES
+    assert flash[: FLASH_BOOT.size] == image.read_bytes()[: FLASH_BOOT.size]
+    desk = Desk(flash, elf=image.with_suffix(".elf"))
+    settings = Settings(desk.client())
+    got = [settings.get(name) for name in ("gyro_rate_hz", "roll_expo", "filter1_kind", "pitch_expo")]
+    assert got == [8000, 0.10000000149011612, 5, 0.0]
+    assert messages.policy_info(desk.client().request(Msp.POLICY_INFO)).gyro_rate_hz == 8000
+    desk.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"roll_expo": 2.0}, "setting roll_expo got 2, expected 0 to 1 1"),
+        ({"gyro_rate_hz": 2000.5}, "got 2000.5, expected a whole number from 1000 to 8000 Hz"),
+        ({"gyro_rate_hz": 7000}, "refuses MSP EEPROM_WRITE: gyro_rate_hz does not fit the policy or the"),
+        ({"no_such": 1}, "setting 'no_such': the firmware has none of that name"),
+    ],
+)
+def test_a_setting_is_refused_with_the_reason_when_the_image_does_not_take_it(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, image: Path, settings: dict[str, float], words: str
+) -> None:
+    monkeypatch.setattr(desk_module, "Desk", lambda *_, **__: desk)  # booted once for all
+    monkeypatch.setattr(desk, "close", lambda: None)
+    with pytest.raises(LinkError, match=words):
+        configured(image.read_bytes(), image.with_suffix(".elf"), settings)
+
+
+def test_the_board_runs_no_faster_than_the_wall_clock_when_it_could(desk: Desk) -> None:
+    wall, slept = 5.0, 0.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal wall, slept
+        wall, slept = wall + seconds, slept + seconds
+
+    begin = desk.board.cycle
+    serve(desk, [], seconds=0.05, clock=lambda: wall, sleep=sleep)
+    assert desk.board.cycle - begin == 50 * MILLISECOND
+    assert slept == pytest.approx(0.05, abs=1e-9)
+
+
+def test_the_board_does_not_catch_up_when_it_was_held_for_long(desk: Desk) -> None:
+    wall, slept = 5.0, 0.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal wall, slept
+        wall, slept = wall + seconds, slept + seconds
+
+    def hold() -> None:
+        nonlocal wall
+        wall += 0.0 if desk.board.cycle > begin + MILLISECOND else 10.0
+
+    begin = desk.board.cycle
+    serve(desk, [], seconds=0.3, look=hold, clock=lambda: wall, sleep=sleep)
+    assert slept == pytest.approx(0.3 - 0.001 - 0.1, abs=0.002)  # a tenth of a second, not ten
+
+
+def test_a_program_is_served_when_the_board_is_on_the_desk(desk: Desk) -> None:
+    bridge = Bridge(UartLine(desk.board), PtyEnd())
+    with serial.Serial(bridge.end.name, timeout=0) as program:
+        program.write(encode(request(Msp.FC_VARIANT)))
+        serve(desk, [bridge], seconds=0.01, clock=lambda: 0.0, sleep=lambda _: None)
+        assert program.read(100).startswith(b"$M>\x04\x02NRFL")
+    bridge.close()
+
+
+def test_flash_is_kept_once_when_a_save_has_come_to_rest(desk: Desk) -> None:
+    kept: list[bytes] = []
+    keeper = Keeper(desk, kept.append)
+    settings = Settings(desk.client())
+    settings.set("roll_expo", 0.5)
+    settings.save()
+    keeper.look()
+    assert kept == [], "it may go on"
+    serve(desk, [], seconds=0.2, look=keeper.look, clock=lambda: 0.0, sleep=lambda _: None)
+    keeper.look(at_once=True)
+    assert kept == [desk.flash()]
+    assert any(
+        kept[0][s.address - FLASH_BASE : s.address - FLASH_BASE + 4] == b"NFPS" for s in FLASH_SETTINGS
+    )
+
+
+def test_all_but_the_image_stays_when_another_image_is_flashed(image: Path) -> None:
+    new = image.read_bytes()
+    old = bytes(FLASH_BYTES)
+    flash = with_image(new, old)
+    for sector in (FLASH_BOOT, FLASH_BANK_A):
+        begin = sector.address - FLASH_BASE
+        flashed = new[begin : begin + sector.size].ljust(sector.size, b"\xff")
+        assert flash[begin : begin + sector.size] == flashed
+    assert flash.count(0) >= FLASH_BYTES - FLASH_BOOT.size - FLASH_BANK_A.size
+    assert with_image(new, None) == new
+    with pytest.raises(LinkError, match="5 bytes, expected the 524288 of a whole flash"):
+        with_image(new, b"photo")
