@@ -72,7 +72,7 @@ def test_ground_imports_nothing_of_the_project_when_read(name: str) -> None:
         ("flash", "def f():\n    import sim.physics.twin"),
         ("toolchain", "from sim import twin"),
         ("toolchain", "import flash.msp"),
-        ("sim", "from training.task import PulseTask"),
+        ("sim", "from training.tasks.task import PulseTask"),
         ("training", "import flash"),
     ],
 )

@@ -5,4 +5,4 @@ import gymnasium
 ENVIRONMENT_ID = "neuroflight/Attitude-v0"
 
 if ENVIRONMENT_ID not in gymnasium.registry:
-    gymnasium.register(ENVIRONMENT_ID, entry_point="training.environment:AttitudeEnv")
+    gymnasium.register(ENVIRONMENT_ID, entry_point="training.envs.gym_env:AttitudeEnv")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from sim.analysis.confidence import Mean
-    from training.comparison import Entry
+    from training.evaluation.comparison import Entry
 
 CONTENDERS_MAX = 8  # colours that can be told apart, and columns that fit
 THROTTLES_MAX = 20
@@ -80,9 +80,9 @@ def run(args: argparse.Namespace) -> int:
     from sim.analysis.flight_report import png
     from toolchain.errors import TrainingError
     from toolchain.files import write_bytes
-    from training.comparison import enter
-    from training.comparison_plot import draw
-    from training.contender import load_contender
+    from training.evaluation.comparison import enter
+    from training.evaluation.comparison_plot import draw
+    from training.evaluation.controllers import load_contender
 
     if len(args.controllers) > CONTENDERS_MAX or len(set(args.controllers)) < len(args.controllers):
         raise TrainingError(
@@ -133,7 +133,7 @@ def _told(throttles: Sequence[float]) -> Sequence[float] | None:
 
 
 def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
-    from training.comparison import document
+    from training.evaluation.comparison import document
 
     return [
         {
@@ -149,7 +149,7 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     from rich.table import Table
 
     from toolchain.contract import AXES
-    from training.comparison import differences, means
+    from training.evaluation.comparison import differences, means
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
@@ -196,7 +196,7 @@ def _interval(mean: Mean, factor: float, digits: int) -> str:
 
 
 def _difference(mean: Mean, factor: float, digits: int) -> str:
-    from training.comparison import significant
+    from training.evaluation.comparison import significant
 
     mark = "" if significant(mean) or not mean.count else "≈ "
     sign = "+" if mean.value > 0 else ""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from training.contender import Conditions, Contender
-    from training.evaluation import Evaluation
+    from training.evaluation.controllers import Conditions, Contender
+    from training.evaluation.evaluation import Evaluation
 
 TASKS = ("pulse", "episodic", "envelope")
 MOUNTS = ("centre", "rig", "free")
@@ -47,8 +47,8 @@ def conditions(args: argparse.Namespace) -> Conditions:
     from sim.aircraft.model import load_aircraft
     from sim.physics.world import COUNT_MAX, Mount
     from toolchain.errors import TrainingError
-    from training.contender import Conditions
-    from training.tasks import TASKS as BUILDERS
+    from training.evaluation.controllers import Conditions
+    from training.tasks.registry import TASKS as BUILDERS
 
     if not 1 <= args.episodes <= COUNT_MAX:
         raise TrainingError(f"--episodes {args.episodes}, expected 1 to {COUNT_MAX}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from sim.analysis.confidence import Mean
-    from training.evaluation import Evaluation
+    from training.evaluation.evaluation import Evaluation
 
 ALL_ROWS = (
     ("all axes, 500 ms+, %", "all_in_band_500"),
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
     from toolchain.files import write_bytes
-    from training.contender import load_contender
-    from training.evaluation import figures
+    from training.evaluation.controllers import load_contender
+    from training.evaluation.evaluation import figures
 
     check_throttle(args.throttle)
     flown = conditions(args)

@@ -41,8 +41,8 @@ def run(args: argparse.Namespace) -> int:
     from cli.output import check_output
     from toolchain.errors import NeuroflightError
     from toolchain.files import write_text_if_changed
-    from training.results import render
-    from training.stored import read_results
+    from training.results_page.page import render
+    from training.results_page.stored_results import read_results
 
     check_output(args.out, ".md")
     if args.again is not None:
@@ -67,7 +67,7 @@ def _make_again(folder: Path, names: Sequence[str]) -> None:
 
     from toolchain.errors import NeuroflightError
     from toolchain.files import write_text
-    from training.stored import COMMANDS, read_commands
+    from training.results_page.stored_results import COMMANDS, read_commands
 
     commands = read_commands(folder)
     for name in names:

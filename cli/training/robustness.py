@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from training.robustness import Plan, Robustness
+    from training.evaluation.robustness import Plan, Robustness
 
 CONTROLLERS_MAX = 8  # colours that can be told apart, and columns that fit
 COLUMN = 34  # [characters], of a controller
@@ -66,9 +66,9 @@ def run(args: argparse.Namespace) -> int:
 
     from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
-    from training.contender import load_contender
-    from training.robustness import examine
-    from training.robustness_plot import draw
+    from training.evaluation.controllers import load_contender
+    from training.evaluation.robustness import examine
+    from training.evaluation.robustness_plot import draw
 
     plan = _plan(args)
     contenders = [load_contender(name, plan.aircraft) for name in args.controllers]
@@ -102,8 +102,8 @@ def _plan(args: argparse.Namespace) -> Plan:
     from sim.aircraft.model import load_aircraft
     from sim.physics.world import COUNT_MAX, Mount
     from toolchain.errors import TrainingError
-    from training.robustness import COMMANDS_PER_DRAW, Plan
-    from training.task import PulseTask
+    from training.evaluation.robustness import COMMANDS_PER_DRAW, Plan
+    from training.tasks.task import PulseTask
 
     different = len(set(args.controllers))
     if len(args.controllers) > CONTROLLERS_MAX or different < len(args.controllers):
@@ -134,7 +134,7 @@ def _plan(args: argparse.Namespace) -> Plan:
 
 def _document(args: argparse.Namespace, plan: Plan, results: Sequence[Robustness]) -> dict[str, Any]:
     from cli.output import command_line
-    from training.robustness import (
+    from training.evaluation.robustness import (
         CASE_RATIO_MAX,
         COMMANDS_PER_DRAW,
         DIVERGENCE,
@@ -182,7 +182,7 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
     from rich.table import Table
 
     from sim.physics.world import Mount
-    from training.robustness import (
+    from training.evaluation.robustness import (
         CASE_RATIO_MAX,
         DIVERGENCE,
         HIGH_RATIO_MAX,

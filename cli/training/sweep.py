@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from training.sweep import Sweep, Varied
-    from training.sweep_ray import SweepWatcher
-    from training.sweep_summary import Configuration, Run
-    from training.sweep_trial import Figure
+    from training.sweeps.config import Sweep, Varied
+    from training.sweeps.ray_workers import SweepWatcher
+    from training.sweeps.summary import Configuration, Run
+    from training.sweeps.trial import Figure
 
 CPUS_MAX = 4096
 WIDTH = 160  # characters of a table that goes into a file
@@ -46,10 +46,10 @@ def run(args: argparse.Namespace) -> int:
 
     from cli.output import command_line
     from toolchain.errors import TrainingError
-    from training.sweep import load_sweep
-    from training.sweep_ray import check_ray
-    from training.sweep_run import RECORD, run_sweep
-    from training.sweep_summary import configurations
+    from training.sweeps.config import load_sweep
+    from training.sweeps.ray_workers import check_ray
+    from training.sweeps.run import RECORD, run_sweep
+    from training.sweeps.summary import configurations
 
     cpus = args.cpus if args.cpus is not None else len(os.sched_getaffinity(0))
     if not 1 <= cpus <= CPUS_MAX:
@@ -85,7 +85,7 @@ def _watched(sweep: Sweep, out: Path) -> Iterator[SweepWatcher]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from training.sweep_ray import SweepWatcher, request_stop
+    from training.sweeps.ray_workers import SweepWatcher, request_stop
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[figures]}"))
@@ -138,7 +138,7 @@ def _watched(sweep: Sweep, out: Path) -> Iterator[SweepWatcher]:
 
 
 def _print(console: Console, out: Path, runs: Sequence[Run], found: Sequence[Configuration]) -> None:
-    from training.sweep_run import PLOT, RECORD, TRIALS
+    from training.sweeps.run import PLOT, RECORD, TRIALS
 
     console.print(_runs(runs))
     if any(len(item.runs) > 1 for item in found):
@@ -203,7 +203,7 @@ def _table(title: str, heads: Sequence[str]) -> Table:
 def _cells(varied: Varied, keys: Sequence[str]) -> list[str]:
     from rich.markup import escape
 
-    from training.sweep import shown
+    from training.sweeps.config import shown
 
     return [escape(shown(varied[key])) for key in keys]
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
-    from training.configuration import TrainingConfig
-    from training.seeds import Planned
-    from training.synthesis import Listener, Progress
+    from training.config.training_config import TrainingConfig
+    from training.runs.seeds import Planned
+    from training.runs.train import Listener, Progress
 
 DEFAULT_RECIPE = "default"
 PLOT, BOARD = "monitor.png", "tensorboard"
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args, aircraft)
     _check_folder(args.out)
 
-    from training.seeds import keep_best, plan, read_record  # torch, which takes seconds
+    from training.runs.seeds import keep_best, plan, read_record  # torch, which takes seconds
 
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
     if args.force:
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
     """What the arguments ask for. Raises TrainingError on what is no configuration."""
-    from training.config_file import load_config
+    from training.config.config_file import load_config
 
     overrides = [*args.set]
     for key in ("algorithm", "steps", "seed"):
@@ -100,7 +100,7 @@ def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
 
 
 def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
-    from training.config_file import recipes
+    from training.config.config_file import recipes
 
     if args.config is not None:
         return str(args.config)
@@ -127,8 +127,8 @@ def _remove_events(planned: tuple[Planned, ...]) -> None:
 
 def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
     from cli.training.train_display import Display
-    from training.monitor_process import Monitor
-    from training.synthesis import Watchers, train
+    from training.checkpoints.monitor_process import Monitor
+    from training.runs.train import Watchers, train
 
     config = item.config
     with ExitStack() as stack:
@@ -138,7 +138,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
         )
         watchers: list[Listener] = [display]
         if args.tensorboard:
-            from training.tensorboard import TensorBoard
+            from training.runs.tensorboard import TensorBoard
 
             board = TensorBoard(item.out / BOARD, item.done)
             stack.callback(board.close)
@@ -161,7 +161,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
 
 def _say_what_is_kept(item: Planned, before: int | None) -> None:
     """before: `_written` when the run began."""
-    from training.seeds import read_record
+    from training.runs.seeds import read_record
 
     if (now := _written(item)) is not None and (now != before or item.done is not None):
         steps = read_record(item.out)["steps"]
@@ -174,7 +174,7 @@ def _say_what_is_kept(item: Planned, before: int | None) -> None:
 
 def _written(item: Planned) -> int | None:
     """When the record of a run was written [ns]; None if there is none."""
-    from training.synthesis import RECORD
+    from training.runs.train import RECORD
 
     path = item.out / RECORD
     return path.stat().st_mtime_ns if path.exists() else None
@@ -200,9 +200,9 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
     """monitor.png, as far as there is something to draw."""
     from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
-    from training.monitor import EPISODES, flown
-    from training.monitor_plot import draw, read_monitor
-    from training.synthesis import MONITOR
+    from training.checkpoints.monitor import EPISODES, flown
+    from training.checkpoints.monitor_plot import draw, read_monitor
+    from training.runs.train import MONITOR
 
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
     if any(run.readings for run in runs):

@@ -13,8 +13,8 @@ from rich.text import Text
 if TYPE_CHECKING:
     import torch
 
-    from training.reading import Reading
-    from training.synthesis import Progress as State
+    from training.checkpoints.metrics import Reading
+    from training.runs.train import Progress as State
 
 
 class Display:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sim.aircraft.model import Aircraft, PidSettings
-    from training.evaluation import Evaluation
-    from training.tuning import Limits, Trial, Tuning
+    from training.evaluation.evaluation import Evaluation
+    from training.pid_tuning.tuning import Limits, Trial, Tuning
 
 RATE_HZ = 1000  # of the control loop
 BUDGET, COMMANDS, CHECKED = 720, 12, 1000
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
     from sim.aircraft.pid_write import write_pid
     from sim.analysis.flight_report import png
     from toolchain.files import write_bytes
-    from training.tuning import Limits, idle_limit
-    from training.tuning_plot import draw
+    from training.pid_tuning.tuning import Limits, idle_limit
+    from training.pid_tuning.tuning_plot import draw
 
     aircraft = load_aircraft(args.aircraft)
     idle_max = idle_limit(aircraft) if args.max_idle is None else args.max_idle
@@ -103,7 +103,7 @@ def _check(args: argparse.Namespace) -> None:
     from cli.output import check_output
     from sim.aircraft.pid_write import NAME
     from sim.physics.world import COUNT_MAX
-    from training.tuning import IDLE_MAX, POPULATION
+    from training.pid_tuning.tuning import IDLE_MAX, POPULATION
 
     ranges: tuple[tuple[str, float | None, float, float], ...] = (
         ("--seed", args.seed, 0, 2**32 - 1),
@@ -127,7 +127,7 @@ def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tunin
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from training.tuning import tune
+    from training.pid_tuning.tuning import tune
 
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
@@ -154,7 +154,7 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     from rich.progress import Progress, TaskID
 
     from sim.control.pid import Pid, mixer
-    from training.evaluation import evaluate
+    from training.evaluation.evaluation import evaluate
 
     rule, first = next(iter(tuning.rules.items()))
     checked = {}

@@ -23,10 +23,10 @@ from sim.control.controller import PolicyController
 from sim.physics.twin import Twin
 from sim.physics.world import Mount, World
 from toolchain.policy.model import read_policy
-from training.algorithm import PpoConfig
-from training.configuration import TrainingConfig
-from training.evaluation import evaluate
-from training.synthesis import train
+from training.config.algorithms import PpoConfig
+from training.config.training_config import TrainingConfig
+from training.evaluation.evaluation import evaluate
+from training.runs.train import train
 
 NF1 = load_aircraft("nf1")
 LEARNING = PpoConfig().aircraft

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from cli.main import main
-from training.results import render
-from training.stored import Stored
+from training.results_page.page import render
+from training.results_page.stored_results import Stored
 
 Capture = pytest.CaptureFixture[str]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.main import main
-from training.config_file import load_config
+from training.config.config_file import load_config
 
 Capture = pytest.CaptureFixture[str]
 

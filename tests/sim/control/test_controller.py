@@ -11,8 +11,8 @@ from toolchain.contract import observation_blocks
 from toolchain.ir.network import chain
 from toolchain.ir.operations import Clip, Linear
 from toolchain.policy.model import PolicyModel
-from training.evaluation import record
-from training.task import PulseTask
+from training.evaluation.evaluation import record
+from training.tasks.task import PulseTask
 
 ZERO, NO_THRUST = np.zeros((2, 3), np.float32), np.zeros(2, np.float32)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import PidSettings, load_aircraft, shipped
 from sim.control.pid import Pid, aircraft_pid, desaturated, mixer
 from toolchain.errors import AircraftError
-from training.evaluation import evaluate
+from training.evaluation.evaluation import evaluate
 
 RATE_HZ = 1000
 CUTOFF_HZ = 80.0

@@ -1,0 +1,94 @@
+"""The monitor flies a checkpoint's policy the same way every time, beside the training or within it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sim.aircraft.model import load_aircraft
+from toolchain.errors import PolicyError
+from training.checkpoints.monitor import flown, fly
+from training.checkpoints.monitor_process import Monitor
+from training.config.algorithms import PpoConfig
+from training.config.randomization import Randomization
+from training.config.training_config import TrainingConfig, WorldConfig
+from training.tasks.random_steps import RandomStepsTask
+from training.tasks.task import EpisodicTask, PulseTask
+
+NF1 = load_aircraft("nf1")
+PPO = PpoConfig(aircraft=8, horizon=16, minibatch=64)
+CONFIG = TrainingConfig(hidden=(8,), task=EpisodicTask(hold_s=0.05), algorithm=PPO)
+
+
+def weights(seed: int, bias: float = -0.6) -> dict[str, torch.Tensor]:
+    """A policy of CONFIG's shape that asks for about 0.5 + 0.5 bias."""
+    rng = np.random.default_rng(seed)
+
+    def tensor(*shape: int) -> torch.Tensor:
+        return torch.as_tensor(rng.normal(0.0, 0.1 * (seed > 0), shape), dtype=torch.float32)
+
+    return {
+        "mlp_extractor.policy_net.0.weight": tensor(8, 6),
+        "mlp_extractor.policy_net.0.bias": tensor(8),
+        "action_net.weight": tensor(4, 8),
+        "action_net.bias": tensor(4) + bias,
+    }
+
+
+def arrays(policy: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """As numpy's."""
+    return {name: tensor.numpy() for name, tensor in policy.items()}
+
+
+def test_the_readings_are_the_same_when_a_process_apart_takes_them() -> None:
+    readings = []
+    for apart in (False, True):
+        with Monitor(NF1, CONFIG, apart=apart) as monitor:
+            for steps, seed in ((100, 1), (200, 2)):
+                monitor.submit(steps, weights(seed))
+            readings.append(monitor.collect(wait=True))
+            assert monitor.collect(wait=True) == []
+    assert [reading.steps for reading in readings[0]] == [100, 200]
+    assert readings[0] == readings[1]
+    assert readings[0][0].mae != readings[0][1].mae
+
+
+def test_a_policy_that_always_asks_for_the_same_changes_nothing() -> None:
+    reading = fly(NF1, CONFIG, 1, arrays(weights(0)))
+    assert reading.output.mean == pytest.approx(0.2, abs=1e-6)
+    assert reading.change.greatest == 0.0
+    # Nothing turns the aircraft: it errs by the commands, on average half of 300 deg/s an axis.
+    assert 80.0 < reading.mae.mean < 220.0
+    assert reading.mae.least < reading.mae.mean < reading.mae.greatest
+    # TrackingReward: the axes' errors over 100 deg/s, and 0.6 of the output; over one step more or less.
+    assert reading.reward.mean == pytest.approx(-3 * reading.mae.mean / 100 - 0.6 * 0.2, rel=0.02)
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_weights_that_make_no_policy_are_refused_in_one_line(apart: bool) -> None:
+    policy = weights(1)
+    policy["action_net.bias"] = policy["action_net.bias"] * float("nan")
+    with (
+        Monitor(NF1, CONFIG, apart=apart) as monitor,
+        pytest.raises(PolicyError, match="did training diverge"),
+    ):
+        monitor.submit(1, policy)
+        monitor.collect(wait=True)
+
+
+def test_randomization_is_left_out_and_noise_is_on_whatever_the_run_has() -> None:
+    wild = WorldConfig(noise=False, randomization=Randomization(mass=(0.5, 2.0)))
+    policy = arrays(weights(1))
+    assert fly(NF1, replace(CONFIG, world=wild), 1, policy) == fly(NF1, CONFIG, 1, policy)
+
+
+def test_the_policy_flies_with_its_idle() -> None:
+    policy = arrays(weights(1))
+    assert fly(NF1, replace(CONFIG, idle=0.2), 1, policy).mae != fly(NF1, CONFIG, 1, policy).mae
+
+
+def test_a_run_on_a_task_of_training_alone_is_monitored_on_pulses() -> None:
+    config = TrainingConfig(task=RandomStepsTask())
+    assert flown(config).task == PulseTask()
+    assert flown(CONFIG).task == CONFIG.task

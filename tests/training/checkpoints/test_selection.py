@@ -1,0 +1,134 @@
+"""Which checkpoint is chosen, of one run and of several, and what the plot of a monitor can be drawn from."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from sim.analysis.flight_report import png
+from toolchain.errors import TrainingError
+from training.checkpoints.metrics import Reading, Spread
+from training.checkpoints.monitor_plot import Monitored, draw, read_monitor
+from training.config.selection import Selection
+from training.config.training_config import TrainingConfig
+from training.runs.checkpoint import Watched
+from training.runs.seeds import best_seed, plan
+
+LIMITS = Selection(output=0.1, change=0.01)
+
+
+def reading(steps: int, mae: float, output: float = 0.05, change: float = 0.005) -> Reading:
+    """A reading with these means."""
+    means = (mae, 10 * mae, output, change, -mae)
+    return Reading(steps, *(Spread(mean, mean - 1.0, mean + 1.0) for mean in means))
+
+
+@pytest.mark.parametrize(
+    ("readings", "chosen"),
+    [
+        ([reading(1, 3.0), reading(2, 2.0), reading(3, 2.5)], 2),  # least MAE
+        ([reading(1, 3.0), reading(2, 1.0, output=0.11)], 1),  # a limit counts more than any MAE
+        ([reading(1, 3.0), reading(2, 1.0, change=0.011)], 1),
+        ([reading(1, 1.0, output=0.11), reading(2, 9.0)], 2),
+        ([reading(1, 3.0, output=0.1, change=0.01), reading(2, 3.5)], 1),  # at a limit is within it
+        ([reading(1, 4.0, output=0.2), reading(2, 3.0, output=0.3)], 1),  # none within: 8 against 9
+        ([reading(1, 4.0, output=0.2), reading(2, 3.0, output=0.2, change=0.02)], 1),  # 8 against 12
+        ([reading(1, 2.0), reading(2, 2.0)], 1),  # of equals the earlier
+    ],
+)
+def test_the_rule_chooses_among_checkpoints(readings: list[Reading], chosen: int) -> None:
+    watched = Watched()
+    for item in readings:
+        watched = watched.asked(item.steps, {}).heard(item, LIMITS)
+    assert watched.best is not None
+    assert watched.best.steps == chosen
+    assert watched.readings == tuple(readings)
+    assert watched.pending == ()
+
+
+def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
+    assert best_seed({4: reading(9, 2.0), 5: reading(7, 1.0), 6: reading(8, 1.0)}, LIMITS) == 5
+    assert best_seed({4: reading(9, 2.0), 5: reading(7, 1.0, output=0.2)}, LIMITS) == 4
+
+
+@pytest.mark.parametrize(
+    "limits", [{"output": 0.0}, {"change": -0.01}, {"output": 1.5}, {"change": float("nan")}]
+)
+def test_limits_are_refused_when_they_are_none(limits: dict[str, float]) -> None:
+    with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
+        TrainingConfig(selection=Selection(**limits))
+
+
+def test_a_reading_is_itself_when_it_was_text_in_between() -> None:
+    before = reading(5, 1.0 / 3.0)
+    assert Reading.of(json.loads(json.dumps(before.document()))) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"seed": 1}', '{"seed": 1, "readings": [{"steps": 3}]}', "{" * 5000]
+)
+def test_a_damaged_monitor_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "monitor.json"
+    path.write_text(text)
+    with pytest.raises(TrainingError, match=r"monitor\.json is no record of a monitor") as caught:
+        read_monitor(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_plot_has_a_panel_a_figure_and_marks_what_was_chosen() -> None:
+    runs = [
+        Monitored("seed 1", (reading(1000, 3.0), reading(2000, 2.0)), 2000, 0.1, 0.01),
+        Monitored("seed 2", (reading(1000, 4.0),), 1000, 0.1, 0.01),
+        Monitored("seed 3", (), None, 0.1, 0.01),
+    ]
+    figure = draw(runs, "seed 1", "three seeds")
+    assert len(figure.axes) == 4
+    tracking = figure.axes[0]
+    assert [np.asarray(line.get_xdata()).tolist() for line in tracking.lines] == [[1.0, 2.0], [1.0]]
+    offsets = [np.asarray(mark.get_offsets()).tolist() for mark in tracking.collections]
+    assert [[2.0, 2.0]] in offsets
+    assert [[1.0, 4.0]] in offsets
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "seed 1",
+        "seed 2",
+        "policy.onnx",
+        "chosen of its seed",
+    ]
+    assert png(figure).startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="no readings"):
+        draw(runs[2:], "seed 3", "nothing")
+
+
+def test_several_seeds_are_planned_into_folders_of_their_own(tmp_path: Path) -> None:
+    config = TrainingConfig(seed=7)
+    planned = plan(load_aircraft("nf1"), config, tmp_path, 3, resume=False, force=False)
+    assert [item.config.seed for item in planned] == [7, 8, 9]
+    assert [item.out.name for item in planned] == ["seed-7", "seed-8", "seed-9"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("seeds", "seed", "resume", "message"),
+    [
+        (0, 1, False, "0 seeds, expected 1 to 100"),
+        (101, 1, False, "101 seeds, expected 1 to 100"),
+        (2, 2**32 - 1, False, "expected the last to be at most 4294967295"),
+        (2, 1, True, "nothing to resume"),
+        (1, 1, True, "nothing to resume"),
+    ],
+)
+def test_a_plan_is_refused_when_it_cannot_be_run(
+    seeds: int, seed: int, resume: bool, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(TrainingError, match=message):
+        plan(load_aircraft("nf1"), TrainingConfig(seed=seed), tmp_path, seeds, resume=resume, force=False)
+
+
+def test_one_seed_of_several_that_is_there_already_is_not_replaced_unasked(tmp_path: Path) -> None:
+    (tmp_path / "seed-2").mkdir()
+    (tmp_path / "seed-2" / "checkpoint.pt").write_bytes(b"kept")
+    with pytest.raises(TrainingError, match="seed-2 already holds a checkpoint"):
+        plan(load_aircraft("nf1"), TrainingConfig(seed=1), tmp_path, 3, resume=False, force=False)
+    assert len(plan(load_aircraft("nf1"), TrainingConfig(seed=1), tmp_path, 3, resume=False, force=True)) == 3

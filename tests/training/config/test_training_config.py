@@ -1,0 +1,106 @@
+"""What is refused before anything is trained, alone and for an aircraft that lacks what it takes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from toolchain.errors import TrainingError
+from training.config.algorithms import PpoConfig
+from training.config.randomization import Randomization
+from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from training.tasks.task import EpisodicTask, PulseTask
+
+NF1 = load_aircraft("nf1")
+
+
+def world(**options: Any) -> dict[str, WorldConfig]:
+    return {"world": WorldConfig(**options)}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "0 steps asked for, expected at least 1"),
+        ({"steps": 10**13}, "expected at least 1 and at most 1e"),
+        ({"checkpoint_steps": 0}, "checkpoint_steps 0, expected at least 1"),
+        ({"seed": -1}, "seed -1, expected 0 to 4294967295"),
+        ({"control_rate_hz": 1234}, r"control rate 1234 Hz, expected one of \[1000, 2000, 4000\]"),
+        ({"hidden": (64, 100_000)}, r"hidden layers \[64, 100000\], expected 1 to 8 widths of at least 1"),
+        ({"hidden": (8,) * 9}, "expected 1 to 8 widths"),
+        ({"idle": 0.6}, "idle 0.6, expected 0 to 0.5"),
+        ({"idle": float("nan")}, "idle nan, expected 0 to 0.5"),
+        ({"output": OutputMap(scale=0.0)}, "output.scale 0.0, expected 0.001 to 1000"),
+        ({"output": OutputMap(offset=float("nan"))}, "output.offset nan, expected -1000 to 1000"),
+        ({"output": OutputMap(0.2, 2.0, squash=True)}, "output reaches from 1.8 to 2.2, expected some of it"),
+        ({"observation": "rate~600Hz"}, "observation 'rate~600Hz': "),
+        ({"observation": "rate@x"}, "observation 'rate@x': "),
+        ({"task": EpisodicTask(hold_s=0.001)}, "an episode of task episodic is 0.001 s, 1 control steps"),
+        (
+            {"task": PulseTask(rest_s=500.0), "control_rate_hz": 4000},
+            "is 502.5 s, 2010000 control steps; expected 2 to 1000000",
+        ),
+        (
+            {"task": PulseTask(rest_s=500.0)},
+            "256 aircraft with episodes of 502500 control steps make 128640000 setpoints, expected at most",
+        ),
+        ({"algorithm": PpoConfig(horizon=5000)}, "horizon 5000, expected 1 to the 4500 control steps"),
+        (world(mount="wall"), "mount 'wall', expected one of: centre, rig, free"),
+        (world(gravity=True), "gravity = true with mount 'centre', where it has no effect"),
+        (world(wind_m_s=(0.0, 40.0, 0.0)), "wind_m_s .*, expected at most 30 m/s each way"),
+        (world(gust_m_s=-1.0), "gust_m_s -1.0, expected 0 to 30 m/s"),
+        (world(throttle_max=1.5), "throttle_max 1.5, expected 0 to 1"),
+        (world(throttle_share=-0.1), "throttle_share -0.1, expected 0 to 1"),
+        (world(randomization=Randomization(lag=(2.0, 1.0))), r"randomization lag \[2.0, 1.0\]"),
+        (world(randomization=Randomization(mass=(0.0, 1.0))), "randomization mass .* within 0.01 to 100"),
+        (world(randomization=Randomization(delay_s=(0.0, 1.0))), "randomization delay_s .* within 0 to 0.1"),
+        (
+            world(noise=False, randomization=Randomization(noise=(1.0, 3.0))),
+            "randomization noise with noise = false, so nothing to vary",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_run_is_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(TrainingError, match=message) as refusal:
+        TrainingConfig(**options)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "message"),
+    [
+        (
+            world(randomization=Randomization(charge=(0.0, 1.0))),
+            lambda: replace(NF1, battery=None),
+            r"aircraft nf1 has no \[battery\] table, so randomization charge has nothing to vary",
+        ),
+        (
+            world(randomization=Randomization(charge=(0.0, 1.0))),
+            lambda: replace(NF1, propulsion=replace(NF1.propulsion, supply_voltage=None)),
+            "aircraft nf1 has no propulsion.supply_voltage_v, so randomization charge",
+        ),
+        (
+            world(randomization=Randomization(noise=(1.0, 3.0))),
+            lambda: replace(NF1, gyro=replace(NF1.gyro, noise=(0.0, 0.0, 0.0), bias=0.0)),
+            "aircraft nf1 has an ideal gyro, so randomization noise has nothing to vary",
+        ),
+        (
+            {"observation": ",".join(["previous_action"] * 17)},
+            lambda: NF1,
+            "aircraft nf1: the observation has",
+        ),
+    ],
+)
+def test_what_an_aircraft_cannot_be_trained_with_is_refused(
+    options: dict[str, Any], change: Callable[[], Any], message: str
+) -> None:
+    config = TrainingConfig(**options)
+    with pytest.raises(TrainingError, match=message):
+        config.document(change())
+
+
+def test_every_kind_of_variation_is_taken_by_an_aircraft_that_has_it() -> None:
+    varied = Randomization(mass=(0.8, 1.2), noise=(1.0, 3.0), delay_s=(0.0, 0.006), charge=(0.0, 1.0))
+    TrainingConfig(world=WorldConfig(mount="rig", gravity=True, randomization=varied)).check(NF1)

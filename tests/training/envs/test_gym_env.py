@@ -1,0 +1,188 @@
+"""Gymnasium's view of one aircraft."""
+
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RescaleAction
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
+
+from toolchain.errors import AircraftError, TrainingError
+from training.config.training_config import TrainingConfig, WorldConfig
+from training.envs.gym_env import AttitudeEnv
+from training.tasks.reward import NormalizedReward
+from training.tasks.task import EpisodicTask
+
+ID = "training:neuroflight/Attitude-v0"
+SHORT = EpisodicTask(hold_s=0.02)
+LOW, HIGH = np.float32(-1), np.float32(1)
+
+
+@pytest.fixture
+def make() -> Iterator[Any]:
+    made = []
+
+    def build(**options: Any) -> gymnasium.Env:
+        made.append(gymnasium.make(ID, **options))
+        return made[-1]
+
+    yield build
+    for env in made:
+        env.close()
+
+
+OPTIONS: list[dict[str, Any]] = [
+    {"aircraft": "nf1", "task": "pulse"},
+    {
+        "aircraft": "hexa",
+        "task": "continuous",
+        "observation": "rate~15Hz,rate_error,rate_error@2,rate_error_integral,previous_action,gravity",
+        "control_rate_hz": 2000,
+    },
+    {"config": TrainingConfig(world=WorldConfig(mount="free", throttle_max=0.8))},
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_passes_the_checkers_without_a_warning(options: dict[str, Any], make: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = make(**options)
+        check_env(env.unwrapped)
+        check_env_of_sb3(RescaleAction(env, LOW, HIGH))
+
+
+def test_observations_stay_within_the_space_when_motors_do_their_worst(make: Any) -> None:
+    env = make(**OPTIONS[1])
+    observation, _ = env.reset(seed=1)
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        action = rng.integers(0, 2, 6).astype(np.float32)
+        for _ in range(50):
+            assert env.observation_space.contains(observation)
+            observation, *_ = env.step(action)
+
+
+def rollout(env: gymnasium.Env, seed: int, steps: int = 60) -> np.ndarray:
+    observation, _ = env.reset(seed=seed)
+    rng = np.random.default_rng(0)
+    rows = [observation]
+    for _ in range(steps):
+        rows.append(env.step(rng.uniform(0, 1, 4).astype(np.float32))[0])
+    return np.array(rows)
+
+
+def test_a_seed_repeats_an_episode_exactly(make: Any) -> None:
+    env = make()
+    first, second, other = rollout(env, 5), rollout(env, 5), rollout(env, 6)
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, other)
+    assert np.array_equal(rollout(make(), 5), first)
+
+
+def test_episodes_without_a_seed_go_on_from_the_last_one(make: Any) -> None:
+    env = make(task=SHORT)
+    rows = [rollout(env, 5, 20), env.reset()[0], env.reset()[0]]
+    again = [rollout(env, 5, 20), env.reset()[0], env.reset()[0]]
+    for one, other in zip(rows, again, strict=True):
+        assert np.array_equal(one, other)
+    assert not np.array_equal(rows[1], rows[2])
+
+
+def test_ends_by_truncation_when_the_clock_runs_out(make: Any) -> None:
+    env = make()
+    env.reset(seed=1)
+    for step in range(1, 4501):
+        _, reward, terminated, truncated, info = env.step(np.full(4, 0.1, np.float32))
+        assert math.isfinite(reward)
+        assert not terminated
+        assert truncated == (step == 4500)
+    assert info["setpoint"].shape == (3,)
+
+
+def test_the_reward_is_the_one_asked_for(make: Any) -> None:
+    for reward in ("dissertation-3", NormalizedReward(), {"name": "dissertation-3", "rate_max_deg_s": 300}):
+        env = make(task={"name": "episodic", "limit_deg_s": 90, "hold_s": 0.5}, reward=reward)
+        env.reset(seed=1)
+        _, seen, _, _, info = env.step(np.zeros(4, np.float32))
+        assert np.abs(info["setpoint"]).max() <= math.radians(90)
+        error = np.abs(info["setpoint"] - info["rate"]).sum()
+        assert seen == pytest.approx(-error / (3 * math.radians(300)), rel=1e-5)
+
+
+def test_arguments_stand_in_place_of_what_the_configuration_says() -> None:
+    still = WorldConfig(noise=False)
+    base = TrainingConfig(task=EpisodicTask(), control_rate_hz=2000, observation="rate", world=still)
+    env = AttitudeEnv(config=base, task=SHORT, observation="rate,throttle", control_rate_hz=1000)
+    observation, _ = env.reset(seed=1)
+    assert observation.tolist() == [0, 0, 0, 0]  # no noise: the configuration's world
+    steps, over = 0, False
+    while not over:
+        *_, over, _ = env.step(np.zeros(4, np.float32))
+        steps += 1
+    env.close()
+    assert steps == 20
+
+
+def test_a_recipe_names_the_whole_environment(make: Any) -> None:
+    env = make(config="ppo")
+    assert env.observation_space.shape == (6,)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_refuses_an_action_that_is_not_finite(value: float, make: Any) -> None:
+    env = make().unwrapped
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="is not finite"):
+        env.step(np.array([0.1, value, 0.1, 0.1], np.float32))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"aircraft": "zeppelin"}, AircraftError, "no such file"),
+        ({"task": "ballet"}, TrainingError, r"task\.name: got 'ballet', expected one of: pulse"),
+        ({"task": {"name": "pulse", "sigma": 1}}, TrainingError, r"task\.sigma: unknown key; nearest: sig"),
+        ({"task": {"name": "pulse", "idle_s": -1}}, TrainingError, "idle_s -1.0, expected 0 to 600"),
+        ({"task": "recorded"}, TrainingError, r"task\.file: missing"),
+        ({"reward": "bribe"}, TrainingError, r"reward\.name: got 'bribe', expected one of: tracking"),
+        ({"observation": "rate,smell"}, TrainingError, "unknown observation block 'smell'"),
+        ({"control_rate_hz": 900}, TrainingError, "control rate 900 Hz, expected one of"),
+        ({"config": "nothing"}, TrainingError, "config nothing: no such file"),
+    ],
+)  # fmt: skip
+def test_refuses_options_it_does_not_know(
+    options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        gymnasium.make(ID, **options)
+
+
+def test_a_stock_learner_trains_on_it(make: Any) -> None:
+    torch.set_num_threads(1)
+    env = RescaleAction(make(), LOW, HIGH)
+    model = PPO("MlpPolicy", env, n_steps=500, batch_size=250, n_epochs=2, seed=1, device="cpu")
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(2000)
+    assert model.num_timesteps == 2000
+    after = list(model.policy.parameters())
+    assert all(np.isfinite(parameter.detach().numpy()).all() for parameter in after)
+    assert any(not np.array_equal(a.detach(), b) for a, b in zip(after, before, strict=True))
+
+
+@pytest.mark.parametrize(("task", "seconds"), [("pulse", 4.5), ("episodic", 1.0), ("envelope", 1.5)])
+def test_an_episode_lasts_as_long_as_its_task(task: str, seconds: float, make: Any) -> None:
+    env = make(aircraft="nf1", task=task)
+    env.reset(seed=1)
+    steps, over = 0, False
+    while not over:
+        *_, over, _ = env.step(np.zeros(4, np.float32))
+        steps += 1
+    assert steps == round(1000 * seconds)

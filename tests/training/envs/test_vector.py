@@ -1,0 +1,122 @@
+"""Many aircraft behind Stable-Baselines3's interface."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sim.aircraft.model import load_aircraft
+from training.config.algorithms import PpoConfig
+from training.config.training_config import OutputMap, TrainingConfig, WorldConfig
+from training.envs.vector import AttitudeVecEnv
+from training.tasks.reward import Transition
+from training.tasks.task import PulseTask
+
+NF1 = load_aircraft("nf1")
+SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=128)
+SHORT = PulseTask(idle_s=0.02, command_s=0.03, rest_s=0.02)
+Build = Callable[..., AttitudeVecEnv]
+
+
+@pytest.fixture
+def build() -> Iterator[Build]:
+    envs = []
+
+    def make(**options: object) -> AttitudeVecEnv:
+        envs.append(AttitudeVecEnv(NF1, TrainingConfig(steps=1000, algorithm=SMALL, **options), 8))  # type: ignore[arg-type]
+        return envs[-1]
+
+    yield make
+    for env in envs:
+        env.close()
+
+
+Step = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]
+
+
+def advance(env: AttitudeVecEnv, actions: NDArray[np.float32]) -> Step:
+    env.step_async(actions)
+    return env.step_wait()
+
+
+def test_every_end_is_a_truncation_with_its_last_observation(build: Build) -> None:
+    env = build(task=SHORT)
+    env.reset()
+    ends = np.zeros(8, int)
+    for _ in range(200):
+        observation, reward, done, infos = advance(env, np.zeros((8, 4), np.float32))
+        assert observation.shape == (8, 6)
+        assert np.isfinite(observation).all()
+        assert reward.shape == (8,)
+        for i in np.flatnonzero(done):
+            assert infos[i]["TimeLimit.truncated"] is True
+            assert infos[i]["terminal_observation"].shape == (6,)
+            assert not np.array_equal(infos[i]["terminal_observation"], observation[i])
+            assert observation[i, 3:].tolist() == [0, 0, 0]  # a new episode: no delta yet
+        ends += done
+    assert (ends >= 2).all()  # 70 ms episodes in 200 ms
+
+
+def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
+    env = build(task=SHORT)
+    env.reset()
+    first_ends = np.zeros(8, int)
+    for step in range(1, 71):
+        done = advance(env, np.zeros((8, 4), np.float32))[2]
+        first_ends[(first_ends == 0) & done] = step
+    assert len(set(first_ends.tolist())) > 3
+
+
+def test_observations_are_scaled_and_actions_mapped_as_the_configuration_says(build: Build) -> None:
+    env = build(observation="previous_action,throttle", world=WorldConfig(throttle_max=0.5))
+    env.reset()
+    assert isinstance(env.action_space, spaces.Box)
+    low, high = env.action_space.low, env.action_space.high
+    middle = advance(env, np.tile((low + high) / 2, (8, 1)))[0]
+    assert middle[:, :4] == pytest.approx(np.full((8, 4), 0.5))
+    top = advance(env, np.tile(high * 10, (8, 1)))[0]
+    assert top[:, :4] == pytest.approx(np.ones((8, 4)))
+    assert (top[:, 4] <= 0.5).all()
+    assert top[:, 4].std() > 0.01
+
+
+def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
+    rows = []
+    for seed in (3, 3, 4):
+        env = build(seed=seed)
+        env.reset()
+        rows.append([advance(env, np.full((8, 4), -0.5, np.float32))[0] for _ in range(20)])
+    assert np.array_equal(rows[0], rows[1])
+    assert not np.array_equal(rows[0], rows[2])
+
+
+@dataclass(frozen=True)
+class Excess:
+    """What was asked for beyond the motors' range."""
+
+    name: ClassVar[str] = "excess"
+
+    def __call__(self, step: Transition) -> NDArray[np.float32]:
+        """Of each aircraft, over motors."""
+        excess: NDArray[np.float32] = np.abs(step.asked - step.action).sum(axis=1)
+        return excess
+
+
+def test_a_reward_sees_what_the_policy_asks_for_when_it_is_beyond_the_motors(build: Build) -> None:
+    env = build(reward=Excess())
+    env.reset()
+    asked = np.tile(np.array([3.0, -3.0, 0.0, 1.0], np.float32), (8, 1))  # fractions 2, -1, 0.5 and 1
+    assert isinstance(env.action_space, spaces.Box)
+    asked = np.clip(asked, env.action_space.low, env.action_space.high)  # as Stable-Baselines3 does
+    assert advance(env, asked)[1] == pytest.approx(np.full(8, 2.0))
+
+
+def test_outputs_keep_within_the_map_when_squashed(build: Build) -> None:
+    env = build(observation="previous_action", output=OutputMap(scale=0.3, offset=0.4, squash=True))
+    env.reset()
+    seen = advance(env, np.tile(np.array([100.0, -100.0, 0.0, 0.5], np.float32), (8, 1)))[0]
+    assert seen[0] == pytest.approx([0.7, 0.1, 0.4, 0.4 + 0.3 * 0.46211716])  # tanh(0.5)

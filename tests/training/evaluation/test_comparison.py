@@ -1,0 +1,240 @@
+"""Comparisons of controllers whose differences are known, and `neuroflight compare` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cli.main import main
+from sim.aircraft.model import load_aircraft
+from sim.analysis.metrics import Tracking
+from sim.analysis.spectrum import Spectrum
+from toolchain.errors import AircraftError, PolicyError
+from training.evaluation.comparison import curves, differences, document, enter, means, significant
+from training.evaluation.comparison_plot import draw
+from training.evaluation.controllers import Conditions, Contender, load_contender
+from training.evaluation.evaluation import Flights, Scores, scores
+from training.tasks.task import EnvelopeTask, PulseTask
+
+Capture = pytest.CaptureFixture[str]
+NF1 = load_aircraft("nf1")
+STEP_S = 0.001
+NO_SPECTRUM = Spectrum(np.empty(0), np.empty(0))
+
+
+class Constant:
+    """Asks every motor for the same."""
+
+    def __init__(self, count: int, level: float) -> None:
+        self.action = np.full((count, 4), level, np.float32)
+
+    def reset(self) -> None:
+        """It has no past."""
+
+    def step(
+        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        return self.action
+
+
+def constant(level: float) -> Contender:
+    return Contender("constant", lambda count: Constant(count, level), 1000, 0.0, {})
+
+
+def off_by(error_deg_s: NDArray[np.float64]) -> Flights:
+    """Commands of 100 deg/s answered with errors (E,) that stand still, after a first sample at rest."""
+    setpoint = np.full((len(error_deg_s), 2000, 3), np.deg2rad(100.0), np.float32)
+    rate = setpoint - np.deg2rad(error_deg_s)[:, None, None].astype(np.float32)
+    rate[:, 0] = 0.0
+    return Flights(setpoint, rate, np.zeros((len(error_deg_s), 2000, 4), np.float32), STEP_S)
+
+
+def judged(mae: NDArray[np.float64], change: NDArray[np.float64]) -> Scores:
+    """Scores (E,) with those figures; the same on all axes."""
+    each = np.repeat(mae[:, None], 3, axis=1)
+    return Scores(Tracking(*(each for _ in range(6))), change, change, change, NO_SPECTRUM, None)
+
+
+def test_difference_is_the_errors_when_these_stand_still() -> None:
+    errors = np.random.default_rng(3).uniform(1.0, 4.0, 40)
+    first, other = scores(off_by(errors)), scores(off_by(errors + 2.0))
+    found = differences(first, other)
+    assert float(found["mae"].value) == pytest.approx(2.0 * 1999 / 2000, rel=1e-5)
+    assert float(found["mae"].high - found["mae"].low) < 1e-4  # where the means are sure to 0.5
+    assert significant(found["mae"])
+    assert not significant(found["output"])
+    assert float(found["steady_bare"].value) == 0.0
+
+
+def test_difference_of_shares_counts_the_commands_that_one_of_them_loses() -> None:
+    errors = np.full(40, 1.0)
+    worse = errors.copy()
+    worse[:10] = 30.0
+    found = differences(scores(off_by(errors)), scores(off_by(worse)))
+    for name in ("success", "all_in_band_500", "steady", "steady_bare"):
+        assert float(found[name].value) == pytest.approx(-0.25)
+        assert significant(found[name])
+
+
+def test_difference_is_found_significant_one_time_in_twenty_when_there_is_none() -> None:
+    rng = np.random.default_rng(4)
+    marks = []
+    for _ in range(4000):
+        command = rng.gamma(2.0, 10.0, 30)
+        one, two = (judged(command + rng.normal(0.0, 1.0, 30), np.zeros(30)) for _ in range(2))
+        marks.append(significant(differences(one, two)["mae"]))
+    assert np.mean(marks) == pytest.approx(0.05, abs=0.01)
+
+
+def test_means_are_those_of_the_axes_when_they_differ() -> None:
+    tracked = judged(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.6]))
+    tracked = replace(tracked, tracking=replace(tracked.tracking, mae=np.array([[0.0, 1.0, 2.0]] * 3)))
+    found = means(tracked)
+    assert (float(found["mae"].value), float(found["mae"].high)) == (1.0, 1.0)
+    assert float(found["change"].value) == pytest.approx(0.3)
+    assert "success" not in found
+
+
+def test_document_has_a_difference_only_when_there_is_another_to_differ_from() -> None:
+    flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
+    first, other = (enter(constant(level), flown, 0.0) for level in (0.1, 0.3))
+    assert set(document(first, None)) == {"means"}
+    told = document(other, first)
+    difference = told["difference"]
+    assert isinstance(difference, dict)
+    assert difference["output"]["value"] == pytest.approx(0.2)
+    assert difference["output"]["significant"] is True
+    json.dumps(told, allow_nan=False)
+
+
+def test_entries_meet_the_same_commands_and_noise_when_compared() -> None:
+    flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=1.0, rest_s=0.0), episodes=3, seed=2)
+    one, two = (flown.fly(load_contender("pid:tuned", NF1), 0.0) for _ in range(2))
+    assert np.array_equal(one.rate, two.rate)
+    found = differences(scores(one), scores(two))
+    assert not any(significant(mean) for mean in found.values())
+
+
+def test_curves_are_percentiles_over_the_commands() -> None:
+    drawn = curves(off_by(np.arange(101.0) / 10))
+    assert drawn.error[:, 1] == pytest.approx([0.5, 5.0, 9.5], rel=1e-4)
+    assert drawn.error[:, 0] == pytest.approx([100.0] * 3, rel=1e-4)
+    assert drawn.step[:, 1, 5] == pytest.approx([90.5, 95.0, 99.5], rel=1e-4)
+    assert drawn.step_t[-1] < 0.6
+
+
+def test_plot_has_a_line_for_each_in_every_panel() -> None:
+    flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
+    entries = [enter(load_contender(name, NF1), flown, 0.0) for name in ("pid:tuned", "pid:published")]
+    panels = draw(entries, "title").axes
+    assert [panel.get_title(loc="left").split(",")[0] for panel in panels] == [
+        *("roll", "pitch", "yaw"),
+        *("error", "spectrum of the motors"),
+    ]
+    for panel in panels:
+        lines = [line for line in panel.lines if not str(line.get_label()).startswith("_")]
+        assert [str(line.get_label()).split(",")[0] for line in lines] == ["PID tuned", "PID published"]
+    drawn = np.asarray(panels[3].lines[0].get_ydata())
+    assert drawn == pytest.approx(np.maximum(entries[0].curves.error[1], 0.1))
+    spectrum = np.asarray(panels[4].lines[1].get_ydata())
+    assert spectrum == pytest.approx(100 * entries[1].evaluation.spectrum.amplitude)
+
+
+def test_plot_has_no_responses_when_no_command_is_held() -> None:
+    flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=0.1, rest_s=0.0), episodes=2, seed=2)
+    panels = draw([enter(constant(0.1), flown, 0.0)], "title").axes
+    assert len(panels) == 2
+
+
+def test_contender_is_known_by_a_short_name(shipped_policy: Path) -> None:
+    assert load_contender("pid", NF1).label == "PID tuned"
+    policy = load_contender(str(shipped_policy), NF1)
+    assert policy.label == "policy nf1"
+    assert len(policy.facts["policy_sha256"]) == 64
+
+
+def test_idle_is_the_contenders_own_unless_forced(shipped_policy: Path) -> None:
+    assert load_contender("pid:tuned", NF1).idle == dict(NF1.pids)["tuned"].idle > 0.0
+    assert load_contender("pid:tuned", NF1, idle=0.1).idle == 0.1
+    assert load_contender(str(shipped_policy), NF1, idle=0.25).idle == 0.25
+
+
+def test_contender_is_refused_when_there_is_none(tmp_path: Path) -> None:
+    with pytest.raises(AircraftError, match="no PID 'best'"):
+        load_contender("pid:best", NF1)
+    with pytest.raises(PolicyError, match=r"none\.onnx"):
+        load_contender(str(tmp_path / "none.onnx"), NF1)
+
+
+def test_compare_prints_figures_differences_and_json(
+    tmp_path: Path, shipped_policy: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "140")
+    plot = tmp_path / "plot.png"
+    words = ["compare", "pid:tuned", str(shipped_policy), "--task", "episodic", "--episodes", "4"]
+    assert main([*words, "--throttle", "0", "0.3", "--plot", str(plot), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["command"] == (
+        "neuroflight compare pid:tuned policy.onnx --aircraft nf1 --task episodic --episodes 4 --seed 0 "
+        "--throttle 0 0.3"
+    )
+    assert [(entry["controller"], entry["throttle"]) for entry in told["comparison"]] == [
+        ("pid:tuned", 0.0),
+        (str(shipped_policy), 0.0),
+        ("pid:tuned", 0.3),
+        (str(shipped_policy), 0.3),
+    ]
+    pid, policy = told["comparison"][:2]
+    assert "difference" not in pid
+    assert policy["difference"]["mae"]["value"] == pytest.approx(
+        policy["means"]["mae"]["value"] - pid["means"]["mae"]["value"]
+    )
+    assert np.mean(policy["mae"]) == pytest.approx(policy["means"]["mae"]["value"])
+    assert len(pid["spectrum"]["amplitude"]) == len(pid["spectrum"]["frequency_hz"]) > 20
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main([*words]) == 0
+    table = capsys.readouterr().out
+    assert f"{pid['means']['mae']['value']:.2f} ± " in table
+    assert "less PID tuned" in table
+    assert "every sample, %" in table
+
+
+def test_compare_tells_of_one_what_evaluate_tells(capsys: Capture) -> None:
+    words = ["pid:published", "--task", "envelope", "--episodes", "3", "--seed", "8", "--json"]
+    assert main(["evaluate", *words]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert main(["compare", *words]) == 0
+    told = json.loads(capsys.readouterr().out)
+    entry = told.pop("comparison")[0]
+    entry.pop("means")
+    assert alone.pop("command") == told.pop("command").replace("compare", "evaluate")
+    assert {**told, **entry} == alone
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["pid", "pid"], "2 controllers, 1 of them different, expected 1 to 8 different ones"),
+        ([f"{n}.onnx" for n in range(9)], "9 controllers, 9 of them different"),
+        (["pid", "--throttle", "0", "1.5"], "--throttle 1.5, expected 0 to 1"),
+        (["pid", "--throttle", *["0.5"] * 21], "--throttle: 21 values"),
+        (["pid", "--episodes", "0"], "--episodes 0"),
+        (["pid", "--idle", "nan"], "--idle nan"),
+        (["pid", "none.onnx"], "none.onnx"),
+        (["pid", "--plot", "a.pdf"], "a.pdf: expected a name that ends in .png"),
+    ],
+)
+def test_compare_refuses_in_one_line_before_it_flies(
+    words: list[str], message: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.evaluation.controllers.record", None)
+    assert main(["compare", *words]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

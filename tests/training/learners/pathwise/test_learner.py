@@ -1,0 +1,187 @@
+"""The learner: repeatable, resumable, and it learns; what it cannot do is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
+from sim.control.observation import Observer
+from toolchain.errors import TrainingError
+from toolchain.policy.freeze import to_onnx
+from toolchain.policy.model import parse_policy
+from training.config.pathwise_config import PathwiseConfig
+from training.config.randomization import Randomization
+from training.config.training_config import TrainingConfig, WorldConfig
+from training.learners.pathwise.descent import State, adapted, descended
+from training.learners.pathwise.loss import Figures, Weights
+from training.learners.pathwise.network import Network
+from training.learners.protocol import Report
+from training.runs.make_learner import learner
+from training.tasks.random_steps import RandomStepsTask
+
+UPDATE = 4 * 150  # control steps of an update of `config`
+
+
+def config(**changes: Any) -> TrainingConfig:
+    """A run so small that it learns next to nothing."""
+    whole: dict[str, Any] = {
+        "steps": 4 * UPDATE,
+        "observation": "rate_error,rate_error_integral,rate~15Hz,rate_error_delta@1,previous_action",
+        "hidden": (8,),
+        "idle": 0.2,
+        "task": RandomStepsTask(length_s=0.15),
+        "world": WorldConfig(
+            throttle_max=0.5, randomization=Randomization(inertia=(0.8, 1.2), delay_s=(0.0, 0.004))
+        ),
+        "algorithm": PathwiseConfig(aircraft=4, leg_steps=2 * UPDATE),
+    }
+    return TrainingConfig(**(whole | changes))
+
+
+def unheard(report: Report) -> None:
+    """Nobody listens."""
+
+
+def equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_a_run_goes_on_as_if_it_had_never_stopped_when_it_is_restored_at_a_leg() -> None:
+    aircraft = load_aircraft("nf1")
+    whole = learner(aircraft, config())
+    whole.learn(0, unheard)
+    state, policy = whole.state(), whole.policy()
+    whole.learn(1, unheard)
+    resumed = learner(aircraft, config())
+    resumed.restore(state)
+    assert resumed.steps == 2 * UPDATE
+    assert equal(resumed.policy(), policy)
+    resumed.learn(1, unheard)
+    assert whole.steps == resumed.steps == 4 * UPDATE
+    assert equal(whole.policy(), resumed.policy())
+    assert not equal(whole.policy(), policy)
+
+
+def test_another_policy_is_learnt_when_the_seed_is_another() -> None:
+    policies = []
+    for seed in (1, 1, 2):
+        model = learner(load_aircraft("nf1"), config(seed=seed))
+        model.learn(0, unheard)
+        policies.append(model.policy())
+    assert equal(policies[0], policies[1])
+    assert not equal(policies[0], policies[2])
+
+
+def test_reports_tell_steps_and_figures_when_updates_are_made() -> None:
+    reports: list[Report] = []
+    learner(load_aircraft("nf1"), config()).learn(0, reports.append)
+    assert [report.steps for report in reports] == [UPDATE, 2 * UPDATE]
+    assert reports[0].figures["train/mae_deg_s"] > 0.0
+    assert reports[0].reward < 0.0
+
+
+def test_the_loss_falls_when_a_policy_learns() -> None:
+    updates = 24
+    run = config(
+        steps=updates * 8 * 300,
+        observation="rate_error,rate,previous_action",
+        task=RandomStepsTask(length_s=0.3),
+        world=WorldConfig(),
+        algorithm=PathwiseConfig(aircraft=8, leg_steps=updates * 8 * 300, warm_up=5, learning_rate=0.02),
+    )
+    errors: list[float] = []
+    learner(load_aircraft("nf1"), run).learn(0, lambda r: errors.append(r.figures["train/mae_deg_s"]))
+    assert np.mean(errors[-4:]) < 0.5 * np.mean(errors[:4])
+
+
+def test_the_frozen_policy_does_what_the_network_did_when_it_flew() -> None:
+    aircraft, run = load_aircraft("nf1"), config()
+    model = learner(aircraft, run)
+    model.learn(0, unheard)
+    policy = parse_policy(to_onnx(run.document(aircraft), model.policy()))
+    controller, observer = PolicyController(policy, 1), Observer(run.blocks(), 1, 4, 1000)
+    network = model._state.network  # type: ignore[attr-defined]
+    scale = np.array(run.observation_scale(4), np.float32)
+    rng, action, throttle = np.random.default_rng(0), np.zeros((1, 4), np.float32), np.zeros(1, np.float32)
+    for _ in range(20):
+        setpoint, gyro = rng.normal(0.0, 1.0, (2, 1, 3)).astype(np.float32)
+        seen = observer.observe(slice(None), setpoint, gyro, action, throttle)
+        action = np.clip(network.forward(seen * scale).asked, np.float32(0.0), np.float32(1.0))
+        assert controller.step(setpoint, gyro, throttle) == pytest.approx(action, abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("world", "observation", "message"),
+    [
+        (WorldConfig(mount="free"), "rate_error", "mount 'free'"),
+        (WorldConfig(gust_m_s=3.0), "rate_error", "calm air only"),
+        (WorldConfig(), "rate_error,gravity", "does not follow the attitude"),
+    ],
+)
+def test_a_run_is_refused_when_it_has_no_pathwise_gradient(
+    world: WorldConfig, observation: str, message: str
+) -> None:
+    with pytest.raises(TrainingError, match=message):
+        learner(load_aircraft("nf1"), config(world=world, observation=observation))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("aircraft", 0),
+        ("aircraft", 2048),
+        ("learning_rate", 0.0),
+        ("square", -1.0),
+        ("output_limit", 0.0),
+        ("change", 0.0),
+        ("gradient_max", float("nan")),
+        ("leg_steps", 0),
+    ],
+)
+def test_a_knob_is_refused_by_name_when_it_cannot_be(field: str, value: Any) -> None:
+    with pytest.raises(TrainingError, match=field):
+        config(algorithm=PathwiseConfig(**{field: value}), task=RandomStepsTask())
+
+
+def state(weights: Weights, figures: Figures | None = None) -> State:
+    network = Network.fresh([3, 4, 2], "tanh", TrainingConfig().output, 0.1, np.random.default_rng(0))
+    nothing = [np.zeros_like(parameter) for parameter in network.parameters]
+    return State(0, network, nothing, nothing, weights, figures)
+
+
+def test_weights_rise_above_their_limits_and_fall_below_when_they_adapt() -> None:
+    knobs = PathwiseConfig(output_limit=0.1, change_limit=0.01, adaption=0.01)
+    figures = Figures(mae=1.0, mse=1.0, output=0.2, change=0.001)
+    weights = adapted(state(Weights(0.1, 5.0, 6.0)), figures, knobs, adapting=True).weights
+    assert weights.output == pytest.approx(5.0 * 1.01, rel=1e-3)
+    assert weights.change == pytest.approx(6.0 / 1.01, rel=1e-3)
+    assert weights.square == 0.1
+
+
+def test_weights_stay_when_there_is_no_limit_or_it_is_too_early() -> None:
+    figures = Figures(mae=1.0, mse=1.0, output=0.2, change=0.001)
+    start = Weights(0.1, 5.0, 6.0)
+    free = PathwiseConfig(output_limit=None, change_limit=None)
+    assert adapted(state(start), figures, free, adapting=True).weights == start
+    assert adapted(state(start), figures, PathwiseConfig(), adapting=False).weights == start
+
+
+def test_the_first_step_is_the_learning_rate_along_each_weight_when_adam_begins() -> None:
+    before = state(Weights(0.1, 5.0, 6.0))
+    found = [np.sign(np.random.default_rng(1).normal(size=p.shape)).astype(np.float32) for p in before.mean]
+    after = descended(before, found, 0.01, PathwiseConfig(gradient_max=0.5))
+    for old, new, slope in zip(before.network.parameters, after.network.parameters, found, strict=True):
+        assert old - new == pytest.approx(0.01 * slope, rel=1e-3)
+
+
+def test_nothing_moves_but_the_count_when_a_gradient_is_not_finite() -> None:
+    before = state(Weights(0.1, 5.0, 6.0))
+    found = [np.full_like(p, np.nan) for p in before.mean]
+    after = descended(before, found, 0.01, PathwiseConfig())
+    assert after.updates == 1
+    assert after.network is before.network

@@ -1,0 +1,215 @@
+"""The algorithms as learners: what they freeze to, how they go on, how they see an episode's end."""
+
+import io
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from sim.aircraft.model import load_aircraft
+from toolchain.errors import TrainingError
+from toolchain.policy.freeze import to_onnx
+from training.config.algorithms import (
+    Algorithm,
+    DdpgConfig,
+    OffPolicyConfig,
+    PpoConfig,
+    SacConfig,
+    Td3Config,
+    TrpoConfig,
+)
+from training.config.training_config import OutputMap, TrainingConfig
+from training.learners.sb3 import Sb3Learner
+from training.runs.make_learner import learner
+from training.tasks.reward import Transition
+from training.tasks.task import PulseTask
+
+NF1 = load_aircraft("nf1")
+ON_POLICY: dict[str, Algorithm] = {
+    "ppo": PpoConfig(aircraft=16, horizon=16, minibatch=128, leg=4),
+    "trpo": TrpoConfig(aircraft=16, horizon=16, minibatch=128, leg=4),
+}
+FEW: dict[str, Any] = {
+    "aircraft": 16,
+    "minibatch": 32,
+    "gradient_steps": 2,
+    "buffer": 640,
+    "learning_starts": 64,
+    "leg": 16,
+}
+OFF_POLICY: dict[str, Algorithm] = {
+    "ddpg": DdpgConfig(**FEW),
+    "td3": Td3Config(**FEW),
+    "sac": SacConfig(**FEW),
+}
+ALL = {**ON_POLICY, **OFF_POLICY}
+SHORT = PulseTask(idle_s=0.002, command_s=0.004, rest_s=0.002)
+SQUASHED = OutputMap(scale=0.3, offset=0.4, squash=True)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Every step is worth the same."""
+
+    name: ClassVar[str] = "constant"
+
+    def __call__(self, step: Transition) -> NDArray[np.float32]:
+        """-0.1 for each aircraft."""
+        return np.full(len(step.error), -0.1, np.float32)
+
+
+@contextmanager
+def learning(config: TrainingConfig) -> Iterator[Sb3Learner]:
+    torch.set_num_threads(1)
+    found = learner(NF1, config)
+    assert isinstance(found, Sb3Learner)
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def config_of(algorithm: Algorithm, **options: Any) -> TrainingConfig:
+    return TrainingConfig(steps=4096, hidden=(16, 8), algorithm=algorithm, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "output"),
+    [
+        *((name, SQUASHED) for name in ALL),
+        *((name, OutputMap(scale=0.7, offset=0.2)) for name in ON_POLICY),
+    ],
+)
+def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
+    name: str, output: OutputMap
+) -> None:
+    config = config_of(ALL[name], output=output)
+    with learning(config) as trained:
+        before = {key: tensor.clone() for key, tensor in trained.policy().items()}
+        trained.learn(0, lambda report: None)
+        assert any(not torch.equal(tensor, before[key]) for key, tensor in trained.policy().items())
+        session = onnxruntime.InferenceSession(to_onnx(config.document(NF1), trained.policy()))
+        scale = np.array(config.observation_scale(4), np.float32)
+        raw = np.random.default_rng(3).normal(0.0, 1.0 / scale, (50, 6)).astype(np.float32)
+        outputs, _ = trained._model.predict(raw * scale, deterministic=True)
+    if output.squash and name in ON_POLICY:
+        outputs = np.tanh(outputs)
+    expected = np.clip(output.scale * outputs + output.offset, 0.0, 1.0)
+    frozen = np.concatenate([session.run(None, {"observation": row[None]})[0] for row in raw])
+    assert expected.std() > 1e-3
+    np.testing.assert_allclose(frozen, expected, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_run_goes_on_as_if_it_had_never_stopped_when_resumed(name: str) -> None:
+    config = config_of(ALL[name], output=SQUASHED)
+
+    def bytes_of(trained: Sb3Learner) -> bytes:
+        buffer = io.BytesIO()
+        torch.save({"policy": trained.policy(), "state": trained.state()}, buffer)
+        return buffer.getvalue()
+
+    with learning(config) as whole:
+        whole.learn(0, lambda report: None)
+        kept = bytes_of(whole)
+        whole.learn(1, lambda report: None)
+        expected = bytes_of(whole)
+    with learning(replace(config)) as resumed:
+        resumed.restore(torch.load(io.BytesIO(kept), weights_only=True)["state"])
+        resumed.learn(1, lambda report: None)
+        assert bytes_of(resumed) == expected
+    assert kept != expected
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [
+        PpoConfig(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=30),
+        TrpoConfig(32, 8, minibatch=128, learning_rate=1e-2, discount=0.8, leg=12),
+        DdpgConfig(**{**FEW, "leg": 400}, discount=0.8, tau=0.5, learning_rate=1e-2),
+    ],
+    ids=lambda algorithm: algorithm.name,
+)
+def test_an_episodes_end_is_bootstrapped_when_it_is_one_of_the_clock(algorithm: Algorithm) -> None:
+    """What goes on for ever is worth its mean reward, -0.1; if it ended with its 8 steps, about -0.06."""
+    config = TrainingConfig(
+        steps=10**6, hidden=(16,), algorithm=algorithm, output=SQUASHED, task=SHORT, reward=Constant()
+    )
+    with learning(config) as trained:
+        trained.learn(0, lambda report: None)
+        model: Any = trained._model
+        observation = torch.from_numpy(trained._env.reset())
+        with torch.no_grad():
+            if isinstance(algorithm, OffPolicyConfig):
+                value = model.critic(observation, model.actor(observation))[0]
+            elif isinstance(algorithm, PpoConfig):
+                value = model._values(observation.numpy())
+            else:
+                value = model.policy.predict_values(observation)
+    assert -0.12 < float(value.mean()) < -0.085
+
+
+@pytest.mark.parametrize("name", ["ddpg", "td3"])
+def test_a_draw_of_noise_stands_for_some_steps_and_begins_anew_with_a_leg(name: str) -> None:
+    algorithm = replace(OFF_POLICY[name], hold=3)  # type: ignore[type-var]
+    config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=algorithm, output=SQUASHED, task=SHORT)
+    with learning(config) as trained:
+        noise: Any = trained._model.action_noise
+        noise.restart()
+        drawn = [noise().copy() for _ in range(7)]
+        noise.restart()
+        drawn.append(noise().copy())
+    changed = [bool((before != after).all()) for before, after in itertools.pairwise(drawn)]
+    assert changed == [False, False, True, False, False, True, True]
+
+
+@pytest.mark.parametrize("name", OFF_POLICY)
+def test_memory_holds_an_episodes_last_observation_when_its_time_is_over(name: str) -> None:
+    config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=OFF_POLICY[name], output=SQUASHED, task=SHORT)
+    with learning(config) as trained:
+        trained.learn(0, lambda report: None)
+        model: Any = trained._model
+        memory = model.replay_buffer
+        ends = np.argwhere(memory.dones[: memory.pos] == 1.0)
+        assert len(ends) >= 16
+        assert memory.sample(500).dones.max() == 0.0
+        delta = memory.next_observations[ends[:, 0], ends[:, 1], 3:]
+        assert (np.abs(delta).max(axis=1) > 0.0).all()  # of a new episode's first step it would be 0
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "message"),
+    [
+        (PpoConfig(horizon=5000), "horizon 5000, expected 1 to the 4500 control steps of an episode"),
+        (TrpoConfig(horizon=5000), "horizon 5000, expected 1 to the 4500 control steps"),
+        (TrpoConfig(minibatch=1000), "minibatch 1000 does not divide the 16384 steps"),
+        (TrpoConfig(target_kl=0.0), "target_kl 0.0, expected more than 0"),
+        (PpoConfig(epochs=0), "epochs 0, expected at least 1"),
+        (PpoConfig(discount=1.01), "discount 1.01, expected 0 to 1"),
+        (PpoConfig(smoothness_temporal=-1.0), "smoothness_temporal -1.0, expected at least 0"),
+        (PpoConfig(learning_rate=0.0), "learning_rate 0.0, expected more than 0"),
+        (DdpgConfig(aircraft=5000), "5000 aircraft, expected 1 to 4096"),
+        (DdpgConfig(buffer=100), "buffer 100, expected at least the minibatch and the number of aircraft"),
+        (DdpgConfig(noise=(0.1, 2.0)), r"noise \[0.1, 2.0\], expected 0 to 1 each"),
+        (Td3Config(policy_delay=0), "policy_delay 0, expected at least 1"),
+        (SacConfig(tau=1.5), "tau 1.5, expected 0 to 1"),
+        (SacConfig(gradient_steps=0), "gradient_steps 0, expected at least 1"),
+    ],
+)
+def test_refuses_before_training_starts_what_cannot_be_run(algorithm: Algorithm, message: str) -> None:
+    with pytest.raises(TrainingError, match=message):
+        TrainingConfig(algorithm=algorithm, output=SQUASHED)
+
+
+@pytest.mark.parametrize("name", OFF_POLICY)
+def test_refuses_outputs_without_a_bound_when_the_actor_ends_in_tanh(name: str) -> None:
+    assert isinstance(OFF_POLICY[name], OffPolicyConfig)
+    with pytest.raises(TrainingError, match=f"output.squash false, expected true: {name}'s policies"):
+        TrainingConfig(algorithm=OFF_POLICY[name])

@@ -1,0 +1,171 @@
+"""PID tuning in the twin: what the search is given, what it keeps to, and what it found for the aircraft."""
+
+import dataclasses
+import json
+from pathlib import Path
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.aircraft.model import GRAVITY, load_aircraft, shipped
+from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from toolchain.contract import AXES
+from training.evaluation.evaluation import evaluate
+from training.pid_tuning.tuning import POPULATION, Limits, Trial, Tuning, idle_limit, training_commands, tune
+from training.tasks.task import EpisodicTask
+
+NF1 = load_aircraft("nf1")
+LIMITS = Limits(output=0.12, change=0.012, idle=0.2)
+
+
+@pytest.fixture(scope="module")
+def tuning() -> Tuning:
+    """A search interrupted after two generations."""
+
+    def progress(flown: int, best: Trial) -> None:
+        if flown >= 2 * POPULATION:
+            raise KeyboardInterrupt
+
+    return tune(NF1, LIMITS, seed=3, commands=2, budget=1000, control_rate_hz=1000, progress=progress)
+
+
+def test_best_so_far_is_kept_when_the_search_is_interrupted(tuning: Tuning) -> None:
+    assert tuning.interrupted
+    assert len(tuning.trials) == 2 * POPULATION
+    assert tuning.best.cost == min(trial.cost for trial in tuning.trials)
+
+
+def test_search_improves_on_every_rule(tuning: Tuning) -> None:
+    assert tuning.start.cost <= min(trial.cost for trial in tuning.rules.values())
+    assert tuning.best.cost < tuning.start.cost
+    assert all(trial.settings.idle <= LIMITS.idle for trial in tuning.trials)
+
+
+def test_cost_is_more_than_the_error_when_a_limit_is_exceeded(tuning: Tuning) -> None:
+    busy = [trial for trial in tuning.trials if trial.change > LIMITS.change]
+    calm = [trial for trial in tuning.trials if trial.change < 0.9 * LIMITS.change and trial.output < 0.1]
+    assert busy
+    assert calm
+    assert all(trial.cost > trial.mae + 20 * trial.held for trial in busy)
+    assert all(trial.cost == pytest.approx(trial.mae + 20 * trial.held) for trial in calm)
+
+
+def test_figures_of_a_candidate_are_those_of_its_evaluation(tuning: Tuning) -> None:
+    best = tuning.best
+    aircraft = dataclasses.replace(NF1, pids=(("best", best.settings),))
+    pid = aircraft_pid(aircraft, 40)
+    result = evaluate(pid, aircraft, episodes=40, seed=1, control_rate_hz=1000, idle=best.settings.idle)
+    assert best.mae == pytest.approx(result.tracking.mae.mean(), rel=0.4)  # of two commands against 40
+    assert best.output == pytest.approx(result.effort.output, rel=0.3)
+    assert best.change == pytest.approx(result.effort.change, rel=0.1)
+
+
+def test_training_commands_share_out_the_distribution_evenly() -> None:
+    commands = np.rad2deg(training_commands(20, np.random.default_rng(0)))
+    parts = np.vectorize(NormalDist(0, 100).cdf)(np.sort(commands, axis=0))
+    assert parts == pytest.approx(np.tile((np.arange(20)[:, None] + 0.5) / 20, 3))
+    assert not np.array_equal(commands[:, 0], commands[:, 1])
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
+    aircraft = load_aircraft(name)
+    lifts = []
+    for idle in (idle_limit(aircraft), idle_limit(aircraft) + 0.01):
+        twin = Twin(aircraft, mount=Mount.CENTRE, noise=False, rng=np.random.default_rng(0))
+        for _ in range(1000):
+            twin.step(np.full((1, aircraft.motor_count), idle))
+        lifts.append(float(twin.specific_force[0, 2]) / GRAVITY)
+        twin.close()
+    assert lifts[0] <= 0.75 < lifts[1]
+
+
+@pytest.mark.parametrize("name", ["nf1", "iris"])
+def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic_task(name: str) -> None:
+    aircraft = load_aircraft(name)
+    assert aircraft.pids[0][0] == "tuned"
+    result = evaluate(
+        aircraft_pid(aircraft, 200),
+        aircraft,
+        episodes=200,
+        seed=2,
+        control_rate_hz=1000,
+        task=EpisodicTask(),
+        idle=pid_settings(aircraft).idle,
+    )
+    assert result.response is not None
+    assert result.response.success.value.tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.prove
+def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
+    result = evaluate(
+        aircraft_pid(NF1, 1000, name="tuned"),
+        NF1,
+        episodes=1000,
+        seed=11,
+        control_rate_hz=1000,
+        idle=pid_settings(NF1, "tuned").idle,
+    )
+    assert result.tracking.mae.mean() <= 2.1
+    assert result.tracking.mse.mean() <= 125
+    assert result.effort.output <= 0.12
+    assert result.effort.change <= 0.012
+
+
+def test_command_writes_what_the_same_search_found_when_asked(
+    tuning: Tuning, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target, plot = tmp_path / "new" / "nf1.toml", tmp_path / "plot.png"
+    words = [
+        "tune-pid",
+        "--seed",
+        "3",
+        "--budget",
+        "16",
+        "--commands",
+        "2",
+        "--check",
+        "2",
+        "--max-idle",
+        "0.2",
+    ]
+    status = main([*words, "--write", str(target), "--plot", str(plot), "--name", "mine", "--json"])
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert status == (0 if document["figures"]["tuned"]["change"] <= LIMITS.change else 1)
+    assert document["candidates"] == POPULATION
+    first = [tuning.start, *tuning.trials[:POPULATION]]
+    settings = pid_settings(load_aircraft(target), "mine")
+    assert settings == min(first, key=lambda trial: trial.cost).settings
+    assert [document["settings"][axis] for axis in AXES] == [list(gains) for gains in settings.gains]
+    assert "neuroflight tune-pid --aircraft nf1 --seed 3 --commands 2 --budget 16" in target.read_text()
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--budget", "0"], "--budget 0, expected 1 to 100000"),
+        (["--commands", "1"], "--commands 1, expected 2 to 341"),
+        (["--seed", "-1"], "--seed -1"),
+        (["--max-idle", "0.6"], "--max-idle 0.6, expected 0 to 0.5"),
+        (["--max-change", "nan"], "--max-change nan"),
+        (["--name", "a.b"], "--name 'a.b', expected 1 to 32 letters"),
+        (["--write", "x.txt"], "x.txt: expected a name that ends in .toml"),
+        (["--plot", "/dev/null/x.png"], "/dev/null/x.png: /dev/null is no directory"),
+        (["--aircraft", "none"], "aircraft 'none': no such file"),
+    ],
+)
+def test_command_refuses_in_one_line_when_an_argument_cannot_be(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tune-pid", *arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

@@ -1,0 +1,535 @@
+"""The page of results from stored figures, and `neuroflight results` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.main import main
+from sim.aircraft.model import load_aircraft
+from training.results_page.page import render
+from training.results_page.stored_results import ResultsError, Stored, read_commands, read_results
+
+Capture = pytest.CaptureFixture[str]
+Document = dict[str, Any]
+ROOT = Path(__file__).resolve().parents[3]
+FIGURES = ("success", "success_bare", "settling_ms", "failure", "failure_bare", "rise_ms", "peak", "error")
+SHARES = ("in_band_500", "in_band_750", "in_band_500_bare", "in_band_750_bare")
+
+
+def response(value: float) -> Document:
+    """Every figure alike; nothing failed in yaw."""
+    found: Document = {
+        name: {"value": [value, value, value], "count": [9, 9, 9]}
+        for name in (*FIGURES, "stability", *SHARES)
+    }
+    found["failure"] = {"value": [12.3, 0.0, 0.0], "count": [2, 1, 0]}
+    return found | {f"all_{name}": {"value": value, "count": 9} for name in SHARES}
+
+
+def evaluated(controller: str, task: str = "pulse", aircraft: str = "nf1", **more: Any) -> Document:
+    """What `evaluate --json` prints, as far as the page reads it."""
+    return {
+        "command": f"neuroflight evaluate {controller} --aircraft {aircraft} --task {task}",
+        "controller": controller,
+        "aircraft": aircraft,
+        "aircraft_sha256": "ab" * 32,
+        "task": task,
+        "episodes": 1000,
+        "seed": 1,
+        "mount": "centre",
+        "throttle": 0.0,
+        "noise": True,
+        "delay_s": 0.002,
+        **{name: [2.5, 2.25, 1.5] for name in ("mae", "mse", "iae", "ise", "itae", "itse")},
+        "margin_95": {"mae": [0.125, 0.25, 0.5]},
+        "output": 0.1234,
+        "change": 0.01234,
+        "response": response(0.875),
+    } | more
+
+
+def compared(*entries: Document) -> Document:
+    """What `compare --json` prints, as far as the page reads it; differences to the first."""
+    own = {
+        *("controller", "pid", "policy_sha256", "throttle", "idle", "response", "output", "change"),
+        *("mae", "mse", "iae", "ise", "itae", "itse", "margin_95", "smoothness", "difference"),
+    }
+    first = entries[0]
+    return {key: value for key, value in first.items() if key not in own} | {
+        "command": "neuroflight compare",
+        "comparison": [{key: value for key, value in entry.items() if key in own} for entry in entries],
+    }
+
+
+def difference(value: float, low: float, high: float) -> Document:
+    """One figure of `difference`."""
+    return {"value": value, "low": low, "high": high, "significant": low > 0 or high < 0}
+
+
+def trained(**more: Any) -> Document:
+    """What a monitored run leaves in training.json, as far as the page reads it."""
+    readings = [
+        {"steps": steps, "mae": {"mean": mae, "least": 0.0, "greatest": 9.0}}
+        for steps, mae in ((1_000_000, 8.0), (2_000_000, 4.0), (4_000_000, 4.9))
+    ]
+    return {
+        "config": {
+            "aircraft": {"name": "nf1", "sha256": "ab" * 32},
+            "algorithm": {"name": "ppo"},
+            "observation": "rate_error",
+            "seed": 3,
+        },
+        "steps": 4_000_000,
+        "seconds": 80.0,
+        "steps_per_second": 50_000,
+        "command": "neuroflight train",
+        "chosen": readings[1],
+        "monitor": readings,
+    } | more
+
+
+def robust(*controllers: Document) -> Document:
+    """What `robustness --json` prints, as far as the page reads it."""
+    return {
+        "command": "neuroflight robustness",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "robustness": {
+            "throttle_max": 0.8,
+            "episodes": 200,
+            "draws": 100,
+            "commands_per_draw": 5,
+            "divergence": "it tumbles",
+            "bars": {"case": 2.0, "median": 1.5, "high": 2.5},
+            "high_quantile": 0.95,
+            "controllers": list(controllers),
+        },
+    }
+
+
+def bore(**more: Any) -> Document:
+    """One controller of it."""
+
+    def case(ratio: float, diverged: int = 0) -> Document:
+        mean = {"value": 1.75, "low": 1.5, "high": 2.0}
+        return {"mae": mean, "ratio": {k: ratio / 1.75 * v for k, v in mean.items()}, "diverged": diverged}
+
+    return {
+        "controller": "pid",
+        "pid": "tuned",
+        "idle": 0.23,
+        "cases": {"nominal": case(1.0), "mass x 0.8": case(1.75), "delay 6 ms": case(3.5, 2)},
+        "joint": {
+            "median": {"value": 1.25, "low": 1.0, "high": 1.5},
+            "high": {"value": 2.75, "low": 2.5, "high": 3.0},
+            "diverged": 3,
+        },
+    } | more
+
+
+def flown(*names: str) -> Document:
+    """What `fly --json` prints, as far as the page reads it."""
+    sums = {name: [1.25, 1.5, 1.75] for name in ("mae", "mse", "iae", "ise", "itae", "itse")}
+    flight = {"tracking": sums, "effort": {"output": 0.2, "change": 0.005}, "response": None}
+    return {
+        "on": "betaflight",
+        "scenario": "pulses",
+        "seed": 7,
+        "episodes": 10,
+        "aircraft": "nf1",
+        "aircraft_sha256": "cd" * 32,
+        "flights": dict.fromkeys(names, flight),
+    }
+
+
+def drifted() -> Document:
+    """What `stability --json` prints."""
+    runs = [("reduced", 1.0, 2e-16), ("maximal", 1.0, 3.4e-4), ("maximal", 0.25, 1e-5)]
+    return {
+        "command": "neuroflight stability",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "combinations": 16,
+        "rate_limit_deg_s": 2000.0,
+        "runs": [{"formulation": f, "step_ms": ms, "drift_m": drift} for f, ms, drift in runs],
+    }
+
+
+def page(*documents: Document) -> str:
+    return render([Stored(f"{number}.json", document) for number, document in enumerate(documents)])
+
+
+def row(text: str, label: str, table: int = 0) -> list[str]:
+    """Cells of the `table`-th row that begins with `label`."""
+    lines = [line for line in text.splitlines() if line.startswith(f"| {label} |")]
+    return [cell.strip() for cell in lines[table].split("|")[2:-1]]
+
+
+def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
+    text = page(evaluated("pid:tuned", pid="tuned"))
+    assert row(text, "PID `tuned`") == [
+        "1000",
+        "2.50 ± 0.12 / 2.25 ± 0.25 / 1.50 ± 0.50",
+        "2.08",
+        "2 / 2 / 2",
+        "2",
+        "0.123",
+        "0.0123",
+        "",
+    ]
+    assert row(text, "dissertation, PID") == [
+        "100",
+        "4 / 4 / 3",
+        "4.51",
+        "414 / 492 / 199",
+        "368",
+        "0.03",
+        "0.04",
+        "",
+    ]
+    assert row(text, "dissertation, PID", 1)[0] == "4,773 / 4,941 / 3,829"
+    assert row(text, "PID `tuned`", 2)[0] == "87.5 / 87.5 / 87.5"
+    assert text.index("PID `tuned`") < text.index("dissertation, PID")
+
+
+@pytest.mark.parametrize(
+    ("more", "label"),
+    [
+        ({"pid": "published"}, "PID `published`"),
+        ({"pid": "published", "noise": False}, "PID `published`, no noise"),
+        (
+            {"pid": "a", "noise": False, "delay_s": 0.0, "command": "neuroflight evaluate pid:a --delay 0"},
+            "PID `a`, no noise, delay 0 ms",
+        ),
+        ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
+        ({"controller": "training/policies/nf1/policy.onnx"}, "shipped policy (nf1)"),
+        ({"controller": "mine.onnx"}, "policy `mine.onnx`"),
+        ({"controller": "runs/iris/ppo-m1/policy.onnx"}, "policy `ppo-m1`"),
+        ({"pid": "a", "idle": 0.23, "throttle": 0.3}, "PID `a`, idle 0.23, throttle 0.3"),
+    ],
+)
+def test_row_says_how_it_was_flown_when_that_is_not_the_usual(more: Document, label: str) -> None:
+    assert row(page(evaluated("pid") | more), label)[0] == "1000"
+
+
+def test_rows_keep_the_order_of_files_when_there_are_several() -> None:
+    text = page(evaluated("pid", pid="z"), evaluated("pid", pid="a"), flown("firmware", "PID"))
+    places = [
+        text.index(f"| {label} |") for label in ("PID `z`", "PID `a`", "Betaflight, default PID (SITL)")
+    ]
+    assert places == sorted(places)
+    assert row(text, "PID, same gyro rate and commands as the row above")[1] == "1.25 / 1.50 / 1.75"
+
+
+def test_flight_that_keeps_no_command_is_retold_when_listed() -> None:
+    assert "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --count 10 --seed 7`" in page(
+        flown("firmware")
+    )
+
+
+def test_episodic_rows_stand_beside_the_dissertations_when_flown_on_the_iris() -> None:
+    text = page(evaluated("pid", "episodic", "iris", pid="tuned"), evaluated("pid", "episodic", pid="tuned"))
+    assert row(text, "PID `tuned`")[:3] == ["1000", "87.5 / 87.5 / 87.5", "87.5 / 87.5 / 87.5"]
+    assert row(text, "PID `tuned`")[3] == "12.3 / 0.0 / -"
+    assert row(text, "dissertation, PPO, m = 1")[4] == "66.6 / 70.8 / 72.9"
+    assert text.count("dissertation, PPO, m = 1") == 1
+    assert (
+        text.index("## Episodic task, iris")
+        < text.index("dissertation, PPO")
+        < text.index("## Episodic task, nf1")
+    )
+
+
+def test_envelope_has_both_readings_when_flown() -> None:
+    text = page(evaluated("pid", "envelope", pid="tuned"))
+    assert row(text, "PID `tuned`") == ["1000", "", "", "87.5", "87.5", "87.5", "87.5"]
+    assert row(text, "PID `tuned`", 1)[0] == "87.5 / 87.5 / 87.5"
+    assert row(text, "dissertation, policy") == ["1000", "", "", "72", "", "76", ""]
+
+
+def test_envelope_has_the_strict_share_when_it_was_taken() -> None:
+    strict = {"steady": {"value": 0.8125, "count": 9}, "steady_bare": {"value": 0.5, "count": 9}}
+    text = page(evaluated("pid", "envelope", pid="tuned") | {"response": response(0.875) | strict})
+    assert row(text, "PID `tuned`")[:3] == ["1000", "81.2", "50.0"]
+
+
+def test_comparison_gives_a_row_each_and_their_differences() -> None:
+    differences = {"mae": difference(-0.25, -0.375, -0.125), "output": difference(0.5, -1.5, 2.5)}
+    text = page(
+        compared(
+            evaluated("pid", pid="tuned", idle=0.23, smoothness=1.5e-4),
+            evaluated("a/policy.onnx", idle=0.25, smoothness=5e-5, difference=differences),
+            evaluated("pid", pid="tuned", idle=0.23, throttle=0.3),
+            evaluated("b.onnx", throttle=0.3, difference=differences, policy_sha256="cd" * 32),
+        )
+    )
+    assert row(text, "PID `tuned`, idle 0.23")[-1] == "150"
+    assert row(text, "policy `a`, idle 0.25")[-1] == "50"
+    assert row(text, "policy `a`, idle 0.25 less PID `tuned`, idle 0.23") == [
+        "-0.25 ± 0.12",
+        "",
+        "≈ +0.5000 ± 2.0000",
+        "",
+        "",
+    ]
+    assert row(text, "policy `b.onnx`, throttle 0.3 less PID `tuned`, idle 0.23, throttle 0.3")
+    assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
+
+
+def test_robustness_has_a_column_each_and_marks_what_misses_its_bar() -> None:
+    text = page(robust(bore(), bore(policy_sha256="cd" * 32, joint=None)))
+    assert "|  | at most | PID `tuned`, idle 0.23 | PID `tuned`, idle 0.23 |" in text
+    assert row(text, "nominal, MAE, deg/s") == ["", "1.75 ± 0.25", "1.75 ± 0.25"]
+    assert row(text, "mass x 0.8") == ["2", "1.75 ± 0.25", "1.75 ± 0.25"]
+    assert row(text, "delay 6 ms") == ["2", *["**3.50** ± 0.50, 2 diverged"] * 2]
+    assert "all at once" not in text.split("## What made")[0].split("| nominal")[1]
+    assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
+    alone = page(robust(bore()))
+    assert row(alone, "all at once, median") == ["1.5", "1.25 (1.00 to 1.50)"]
+    assert row(alone, "all at once, 95th percentile") == ["2.5", "**2.75** (2.50 to 3.00)"]
+    assert row(alone, "all at once, diverged") == ["0", "3"]
+
+
+def test_runs_tell_their_speed_and_when_they_flew() -> None:
+    text = page(evaluated("pid", pid="a"), trained(), trained(chosen=None, monitor=[]))
+    assert row(text, "ppo, nf1, `rate_error`, seed 3") == ["4.0", "80", "50,000", "40", "2.0", "4.00"]
+    assert row(text, "ppo, nf1, `rate_error`, seed 3", 1) == ["4.0", "80", "50,000", "", "", ""]
+    assert row(text, "`1.json`") == ["`neuroflight train`", "nf1 `abababababab`"]
+
+
+def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> None:
+    text = page(drifted())
+    assert row(text, "reduced") == ["1", "2e-13", "0"]
+    assert row(text, "maximal") == ["1", "0.34", "39"]
+    assert row(text, "maximal", 1) == ["0.25", "0.01", ""]
+
+
+def timed(**more: Any) -> Document:
+    """What `timing IMAGE.bin --json` prints, as far as the page reads it."""
+
+    def entry(work: str, controller: str | None, *, armed: bool = True) -> Document:
+        return {
+            "work": work,
+            "armed": armed,
+            "controller": controller,
+            "runs": 4500,
+            "instructions": {"worst": 12_900, "best": 12_300},
+            "predicted_cycles": {"worst": 21_600.0, "best": 19_440.0},
+            "variability": 0.1,
+        }
+
+    return {
+        "command": "neuroflight timing neuroflight.bin",
+        "image_sha256": "ef" * 32,
+        "network": "6-32-32-4 tanh",
+        "policy_sha256": "cd" * 32,
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "count": 3,
+        "core_hz": 216_000_000,
+        "device_cycles": 12,
+        "model": "LLVM 14.0.6",
+        "predicted_cycles_reason": None,
+        "interruptions": 7,
+        "edge_instructions": {"worst": 66, "best": 11},
+        "board_timing": [
+            entry("control algorithm", "policy"),
+            entry("control task", "pid"),
+            entry("control task", None, armed=False),
+        ],
+    } | more
+
+
+def test_tasks_stand_above_the_dissertations_when_an_image_was_timed() -> None:
+    text = page(timed())
+    ours = ["4,500", "12,900 / 12,300", "21,600 / 19,440", "100.0 / 90.0", "10.0"]
+    assert row(text, "policy 6-32-32-4 tanh, armed") == ours
+    assert row(text, "PID, armed") == row(text, "disarmed") == ours
+    printed = "dissertation, policy 6-32-32-4, armed"
+    assert row(text, printed) == ["", "", "", "210 / 195", "7.1"]
+    assert row(text, printed, 1) == ["", "", "", "423 / 263", "37.8"]
+    assert text.index("| control algorithm,") < text.index("| PID, armed") < text.index("| disarmed")
+    assert "predicted by LLVM 14.0.6's model of the Cortex-M7, with 12 more" in text.replace("\n", " ")
+    assert "they came 7 times" in text.replace("\n", " ")
+    image = [
+        "`neuroflight timing neuroflight.bin`",
+        "nf1 `abababababab`, image `efefefefefef`, policy `cdcdcdcdcdcd`",
+    ]
+    assert row(text, "`0.json`") == image
+
+
+def test_tasks_have_instructions_only_when_there_is_no_model() -> None:
+    plain = timed(model=None, predicted_cycles_reason="llvm-mca is not installed")
+    for entry in plain["board_timing"]:
+        entry["predicted_cycles"] = None
+    text = page(plain)
+    assert row(text, "PID, armed") == ["4,500", "12,900 / 12,300", "", "", "10.0"]
+    assert "No cycles: llvm-mca is not installed." in text.replace("\n", " ")
+
+
+def test_sources_name_command_and_digests_when_listed() -> None:
+    text = page(evaluated("mine.onnx", policy_sha256="ef" * 32))
+    assert row(text, "`0.json`") == [
+        "`neuroflight evaluate mine.onnx --aircraft nf1 --task pulse`",
+        "nf1 `abababababab`, policy `efefefefefef`",
+    ]
+
+
+def without(key: str) -> Callable[[Document], Document]:
+    return lambda document: {name: value for name, value in document.items() if name != key}
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (without("mae"), "mae: got 'nothing', expected a value"),
+        (lambda d: d | {"mae": [1, 2]}, "mae: got '[1, 2]', expected three finite numbers"),
+        (lambda d: d | {"mae": [1, 2, float("nan")]}, "expected three finite numbers"),
+        (lambda d: d | {"output": "much"}, "output: got 'much', expected a finite number"),
+        (lambda d: d | {"task": "loop"}, "task: got 'loop', expected one of pulse, episodic, envelope"),
+        (lambda d: d | {"aircraft": "a\nb"}, "aircraft: got 'a\\nb', expected a line of text"),
+        (lambda d: d | {"response": {"success": 1}}, "response.success.value"),
+        (without("task"), "what a command printed with --json"),
+        (lambda d: compared(d) | {"comparison": 3}, "comparison: got '3', expected a list of objects"),
+        (lambda d: compared(d, without("mae")(d)), "comparison[1]: mae: got 'nothing'"),
+        (lambda d: compared(d, d | {"difference": {"mae": {"low": 1}}}), "difference.mae.high"),
+        (lambda d: robust(), "robustness.controllers: got '[]', expected a list of objects"),
+        (lambda d: robust(bore(cases={})), "robustness.controllers[0]: cases: got '{}'"),
+        (
+            lambda d: robust(bore(), bore(cases={"nominal": {}})),
+            "robustness.controllers[1]: cases.nominal.mae",
+        ),
+        (lambda d: trained(monitor=3), "monitor: got '3', expected a list of objects"),
+        (lambda d: trained(monitor=[{"steps": 1}]), "monitor[0]: mae: got 'nothing'"),
+        (lambda d: trained(seconds=None), "seconds: got 'None', expected a finite number"),
+        (lambda d: flown("PID") | {"scenario": "flip"}, "scenario: got 'flip'"),
+        (lambda d: flown("PID") | {"flights": 3}, "flights: got '3'"),
+        (lambda d: drifted() | {"runs": [1]}, "expected a list of objects"),
+        (lambda d: drifted() | {"runs": [{"formulation": "reduced"}]}, "runs[0]: step_ms"),
+    ],
+)
+def test_page_is_refused_when_a_file_is_damaged(damage: Callable[[Document], Document], message: str) -> None:
+    with pytest.raises(ResultsError) as caught:
+        page(damage(evaluated("pid", pid="tuned")))
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("0.json: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"{", "not JSON"),
+        (b"[]", "holds a list"),
+        (b"\xff", "not JSON"),
+        (b" " * 5_000_000, "at most 4194304"),
+    ],
+)
+def test_file_is_refused_when_it_is_no_result(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(ResultsError, match=message):
+        read_results(tmp_path)
+
+
+def test_command_writes_checks_and_notices_when_a_figure_changes(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = tmp_path / "results", tmp_path / "results.md"
+    folder.mkdir()
+    (folder / "a.json").write_text(json.dumps(evaluated("pid", pid="tuned")))
+    words = ["results", "--folder", str(folder), "--out", str(out)]
+    assert main([*words, "--check"]) == 1
+    assert "run `neuroflight results`" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(words) == 0
+    assert main([*words, "--check"]) == 0
+    assert out.read_text() == render(read_results(folder))
+    (folder / "a.json").write_text(json.dumps(evaluated("pid", pid="tuned", episodes=999)))
+    assert main([*words, "--check"]) == 1
+
+
+def test_command_refuses_in_one_line_when_there_is_nothing_to_show(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md")]) == 1
+    error = capsys.readouterr().err
+    assert "0 .json files" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "a.md").exists()
+
+
+def test_page_takes_what_the_commands_print(tmp_path: Path, capsys: Capture) -> None:
+    commands = {
+        "a": ["evaluate", "pid:published", "--episodes", "2", "--no-noise"],
+        "b": ["evaluate", "pid:published", "--task", "episodic", "--episodes", "2"],
+        "c": ["compare", "pid:tuned", "pid:published", "--task", "envelope", "--episodes", "2"],
+        "d": ["stability", "--steps-ms", "2"],
+    }
+    for name, words in commands.items():
+        assert main([*words, "--json"]) == 0
+        (tmp_path / f"{name}.json").write_text(capsys.readouterr().out)
+    text = render(read_results(tmp_path))
+    for heading in (
+        "Pulses, nf1",
+        "Episodic task, nf1",
+        "Flight envelope, nf1",
+        "Stability of the simulation, nf1",
+    ):
+        assert f"## {heading}" in text
+    assert load_aircraft("nf1").sha256[:12] in text
+
+
+def test_shipped_page_is_what_the_stored_figures_give_when_checked(capsys: Capture) -> None:
+    assert main(["results", "--check"]) == 0
+    assert (ROOT / "docs" / "results.md").is_file()
+    assert "up to date" in capsys.readouterr().out
+
+
+def command_file(folder: Path, *lines: str) -> None:
+    (folder / "commands.txt").write_text("# file and command\n\n" + "\n".join(lines) + "\n")
+
+
+def test_again_repeats_the_commands_of_the_folder(tmp_path: Path, capsys: Capture) -> None:
+    fly = "neuroflight evaluate pid:published --task envelope --seed 3 --episodes"
+    command_file(tmp_path, f"a.json {fly} 2", f"b.json {fly} 0")
+    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again"]
+    assert main([*words, "a.json"]) == 0
+    assert json.loads((tmp_path / "a.json").read_text())["episodes"] == 2
+    assert "PID `published`" in (tmp_path / "a.md").read_text()
+    (tmp_path / "b.json").write_text("as it was")
+    capsys.readouterr()
+    assert main([*words, "b.json"]) == 1
+    captured = capsys.readouterr()
+    assert "b.json: `neuroflight evaluate" in captured.err
+    assert "--episodes 0, expected 1 to" in captured.err
+    assert captured.err.count("\n") == 1
+    assert (tmp_path / "b.json").read_text() == "as it was"
+
+
+@pytest.mark.parametrize(
+    ("lines", "names", "message"),
+    [
+        (["a.json rm -r x"], [], "line 3: 'a.json rm -r x', expected NAME.json neuroflight COMMAND"),
+        (["../a.json neuroflight evaluate pid"], [], "line 3: '../a.json"),
+        (["a.txt neuroflight evaluate pid"], [], "line 3: 'a.txt"),
+        (["a.json neuroflight evaluate 'pid"], [], 'line 3: "a.json neuroflight evaluate \'pid"'),
+        (["a.json neuroflight evaluate pid"] * 2, [], "line 4: a.json for a second time"),
+        (["a.json neuroflight evaluate pid"], ["b.json"], "b.json: not there, expected one of: a.json"),
+    ],
+)
+def test_again_refuses_in_one_line_when_the_commands_make_no_sense(
+    lines: list[str], names: list[str], message: str, tmp_path: Path, capsys: Capture
+) -> None:
+    command_file(tmp_path, *lines)
+    words = ["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md"), "--again", *names]
+    assert main(words) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["commands.txt"]
+
+
+def test_every_shipped_file_can_be_made_again() -> None:
+    folder = ROOT / "docs" / "results"
+    assert {path.name for path in folder.glob("*.json")} == set(read_commands(folder))

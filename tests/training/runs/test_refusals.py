@@ -1,0 +1,63 @@
+"""What `neuroflight train` refuses before it trains: one line, exit status 1, nothing written."""
+
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "reward=bribe"], "reward.name: got 'bribe', expected one of: tracking, dissertation-3"),
+        (["--set", "task=ballet"], "task.name: got 'ballet', expected one of: pulse, episodic"),
+        (["--algorithm", "magic"], "algorithm.name: got 'magic', expected one of: ppo"),
+        (["--set", "algorithm.horizon=4501"], "horizon 4501, expected 1 to the 4500 control steps"),
+        (["--set", "algorithm.minibatch=1000"], "minibatch 1000 does not divide the 32768 steps"),
+        (["--set", "world.randomization.mass=[1.2, 0.8]"], "randomization mass [1.2, 0.8], expected"),
+        (["--set", "world.randomization.inertia=[-1, 2]"], "randomization inertia [-1.0, 2.0], expected"),
+        (["--set", "world.throttle_max=1.1"], "throttle_max 1.1, expected 0 to 1"),
+        (["--set", "world.mount=ceiling"], "mount 'ceiling', expected one of: centre, rig, free"),
+        (["--set", "world.gravity=true"], "gravity = true with mount 'centre'"),
+        (["--set", "task.sigma_deg_s=2000"], "task pulse: sigma_deg_s 2000.0, expected 0 to 1000"),
+        (["--set", "task.command_s=-1"], "task pulse: command_s -1.0, expected 0 to 600"),
+        (["--set", "task=recorded", "task.file=nowhere.csv"], "recording nowhere.csv: no such file"),
+        (["--set", "observation=rate_eror"], "unknown observation block 'rate_eror'"),
+        (["--set", "hidden=[]"], "hidden layers [], expected 1 to 8 widths"),
+        (["--set", "activation=sin"], "activation 'sin', expected one of: relu, tanh"),
+        (["--set", "idle=0.7"], "idle 0.7, expected 0 to 0.5"),
+        (["--set", "seeed=1"], "override 'seeed=1': seeed: unknown key; nearest: seed"),
+        (["--set", "steps=many"], "steps: got 'many', expected a whole number"),
+        (["--steps", "0"], "0 steps asked for, expected at least 1"),
+        (["--seed", "-1"], "seed -1, expected 0 to 4294967295"),
+        (["--config", "nothing"], "config nothing: no such file; give the path"),
+        (["--set", f"observation={','.join(['gravity'] * 22)}"], "aircraft nf1: the observation has "),
+    ],
+)  # fmt: skip
+def test_a_bad_configuration_is_refused_before_training_starts(
+    words: list[str], message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.runs.train.learner", lambda *_, **__: pytest.fail("it trains"))
+    out = tmp_path / "out"
+    config = [] if "--config" in words or "--algorithm" in words else ["--config", "ppo"]
+    assert main(["train", "--out", str(out), *config, *words]) == 1
+    seen = capsys.readouterr()
+    assert message in seen.err
+    assert seen.err.count("\n") == 1
+    assert seen.err.startswith("neuroflight: ")
+    assert seen.out == ""
+    assert not out.exists()
+
+
+def test_a_bad_file_is_refused_with_its_name_and_key(tmp_path: Path, capsys: Capture) -> None:
+    file, out = tmp_path / "mine.toml", tmp_path / "out"
+    file.write_text(WEIGHTS)
+    assert main(["train", "--out", str(out), "--config", str(file)]) == 1
+    assert capsys.readouterr().err == (
+        f"neuroflight: config {file}: reward: reward tracking: change -1.0, expected 0 to 1e+12\n"
+    )
+    assert not out.exists()

@@ -1,0 +1,107 @@
+"""Random steps: what is commanded, and what each control step counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from toolchain.errors import TrainingError
+from training.tasks.random_steps import RandomStepsTask
+
+RATE_HZ = 1000
+
+
+def changes(setpoint: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Steps of one episode (T, 3) at which its setpoint is new."""
+    return 1 + np.flatnonzero((np.diff(setpoint, axis=0) != 0.0).any(axis=1))
+
+
+def test_commands_and_rest_take_turns_when_episodes_are_drawn() -> None:
+    setpoints = RandomStepsTask(length_s=2.0).episodes(50, np.random.default_rng(0), RATE_HZ)
+    assert setpoints.shape == (50, 2000, 3)
+    assert setpoints.dtype == np.float32
+    for setpoint in setpoints:
+        moving = setpoint[changes(setpoint)].any(axis=1)
+        assert not setpoint[0].any()
+        assert np.array_equal(moving, np.arange(len(moving)) % 2 == 0)
+
+
+def test_holds_last_their_mean_and_never_less_than_their_least_when_they_are_drawn() -> None:
+    task = RandomStepsTask(length_s=20.0, hold_least_s=0.1, hold_mean_s=0.3)
+    setpoints = task.episodes(100, np.random.default_rng(1), RATE_HZ)
+    holds = np.concatenate([np.diff(changes(setpoint)) for setpoint in setpoints])
+    assert holds.min() >= 99  # both ends are rounded to a step
+    assert holds.mean() == pytest.approx(300.0, rel=0.03)
+
+
+def test_time_to_the_next_change_tells_nothing_when_a_hold_has_lasted() -> None:
+    setpoints = RandomStepsTask(length_s=20.0).episodes(200, np.random.default_rng(2), RATE_HZ)
+    holds = np.concatenate([np.diff(changes(setpoint)) for setpoint in setpoints])
+    rest = [holds[holds >= age].mean() - age for age in (100, 300, 500)]
+    assert rest[1:] == pytest.approx([rest[0]] * 2, rel=0.1)
+
+
+def test_commands_of_a_batch_have_sigma_exactly_when_none_is_wide() -> None:
+    task = RandomStepsTask(sigma_deg_s=80.0)
+    setpoints, _ = task.batch(32, np.random.default_rng(3), RATE_HZ)
+    commands = [s[c] for s in setpoints for c in changes(s) if s[c].any()]
+    assert np.rad2deg(np.sqrt(np.square(commands).mean(axis=0))) == pytest.approx([80.0] * 3, rel=1e-5)
+
+
+def test_counts_give_transients_their_share_when_a_batch_is_weighed() -> None:
+    task = RandomStepsTask(start_s=0.06, transient_s=0.15, transient_share=0.2)
+    setpoints, counted = task.batch(64, np.random.default_rng(4), RATE_HZ)
+    counts = counted.error
+    transient = np.zeros(counts.shape, bool)
+    for row, setpoint in zip(transient, setpoints, strict=True):
+        for change in changes(setpoint):
+            row[change : change + 150] = True
+    transient[:, :60] = False
+    assert not counts[:, :60].any()
+    assert counts[transient].sum() / counts.sum() == pytest.approx(0.2)
+
+
+def test_wide_episodes_count_where_they_hold_and_never_their_effort_when_there_are_any() -> None:
+    task = RandomStepsTask(wide_share=0.5, wide_factor=4.0, wide_weight=0.3)
+    setpoints, counted = task.batch(400, np.random.default_rng(5), RATE_HZ)
+    wide = ~counted.effort.any(axis=1)
+    size = [np.sqrt(np.square(setpoints[which][:, -1]).mean()) for which in (wide, ~wide)]
+    assert wide.mean() == pytest.approx(0.5, abs=0.08)
+    assert size[0] / size[1] == pytest.approx(4.0, rel=0.15)
+    assert not counted.square[wide].any()
+    assert np.array_equal(counted.error[~wide], counted.effort[~wide])
+    for setpoint, counts in zip(setpoints[wide], counted.error[wide], strict=True):
+        assert not any(counts[change : change + 150].any() for change in changes(setpoint))
+    held = [counted.error[which, 60:100].max() for which in (wide, ~wide)]  # before any change
+    assert held[0] / held[1] == pytest.approx(0.3)
+
+
+def test_commands_stay_within_full_stick_when_they_are_wide() -> None:
+    task = RandomStepsTask(sigma_deg_s=500.0, wide_share=1.0)
+    setpoints = task.episodes(20, np.random.default_rng(6), RATE_HZ)
+    assert np.rad2deg(np.abs(setpoints).max()) == pytest.approx(1000.0)
+
+
+def test_episodes_repeat_when_the_seed_does() -> None:
+    task = RandomStepsTask(wide_share=0.3)
+    one, other, third = (task.episodes(5, np.random.default_rng(seed), RATE_HZ) for seed in (7, 7, 8))
+    assert np.array_equal(one, other)
+    assert not np.array_equal(one, third)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("length_s", 0.0),
+        ("hold_least_s", 0.0),
+        ("hold_mean_s", 0.05),
+        ("sigma_deg_s", -1.0),
+        ("wide_share", 1.1),
+        ("transient_share", float("nan")),
+        ("start_s", 0.8),
+    ],
+)
+def test_a_field_is_refused_by_name_when_it_is_impossible(field: str, value: float) -> None:
+    with pytest.raises(TrainingError, match=f"random-steps: {field}"):
+        RandomStepsTask(**{field: value})

@@ -1,0 +1,79 @@
+"""The monitor: what the policy of a checkpoint does, flown the same way every time.
+
+Five episodes side by side, always the same ones: commands, noise and throttle come from a seed of their own.
+The policy flies as it would be frozen, deterministic, with the run's idle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.metrics import effort, tracking
+from toolchain.ir.interpreter import advance, clear_state
+from toolchain.passes import optimize
+from toolchain.policy.freeze import to_onnx
+from toolchain.policy.model import parse_policy
+from training.checkpoints.metrics import Reading, Spread
+from training.config.algorithms import PpoConfig
+from training.config.randomization import Randomization
+from training.config.training_config import TrainingConfig
+from training.envs.simulation import AttitudeSimulation
+from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
+
+EPISODES = 5
+SEED = 1_000_003  # of the commands that choose a checkpoint; figures are taken on others
+OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # what `neuroflight evaluate` flies
+
+Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.policy.freeze` knows
+
+
+def flown(config: TrainingConfig) -> TrainingConfig:
+    """What the monitor flies of a run: its own task where policies are compared on it, else single pulses.
+
+    The world is the run's with the gyro's noise and without randomization.
+    """
+    world = replace(config.world, noise=True, randomization=Randomization())
+    if config.task.name in OWN_TASKS:
+        return replace(config, world=world)
+    # Nothing is learnt here, and the run's own knobs may not fit the length of other episodes.
+    return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig())
+
+
+def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> Reading:
+    """The reading of a policy of the run `config` that was trained for `steps`.
+
+    Raises PolicyError on weights that make no policy, such as NaN.
+    """
+    model = parse_policy(to_onnx(config.document(aircraft), policy))
+    network, _ = optimize(model.network)
+    rng = np.random.default_rng(SEED)
+    simulation = AttitudeSimulation(aircraft, EPISODES, config=flown(config), rng=rng)
+    setpoint, rate = (np.empty((simulation.steps, EPISODES, 3)) for _ in range(2))
+    output = np.empty((simulation.steps, EPISODES, simulation.motors))
+    reward = np.zeros(EPISODES)
+    try:
+        observation, state = simulation.reset(), clear_state(network, EPISODES)
+        for k in range(simulation.steps):
+            setpoint[k], rate[k] = simulation.setpoint, simulation.rate
+            output[k], state = advance(network, observation, state, exact=False)
+            result = simulation.step(output[k].astype(np.float32))
+            observation = result.observation
+            reward += result.reward
+    finally:
+        simulation.close()
+    step_s = 1.0 / config.control_rate_hz
+    errors = tracking(setpoint.swapaxes(0, 1), rate.swapaxes(0, 1), step_s)
+    efforts = [effort(y, step_s) for y in output.swapaxes(0, 1)]
+    return Reading(
+        steps=steps,
+        mae=Spread.of(errors.mae.mean(axis=1)),
+        mse=Spread.of(errors.mse.mean(axis=1)),
+        output=Spread.of([item.output for item in efforts]),
+        change=Spread.of([item.change for item in efforts]),
+        reward=Spread.of(reward / simulation.steps),
+    )

@@ -1,0 +1,132 @@
+"""The monitor at work: at once in this process, or beside the training in one of its own.
+
+Nothing of the twin is imported at the top, so that the other process has settled itself before that happens.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from toolchain.errors import NeuroflightError, TrainingError
+
+if TYPE_CHECKING:
+    import torch
+
+    from sim.aircraft.model import Aircraft
+    from training.checkpoints.metrics import Reading
+    from training.checkpoints.monitor import Weights
+    from training.config.training_config import TrainingConfig
+
+
+class Monitor:
+    """Takes policies, gives their readings in the same order. The readings are the same either way.
+
+    A context manager; leaving it ends the other process, if there is one.
+    """
+
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig, *, apart: bool = False) -> None:
+        """apart: in a process of its own, begun with the first policy; else `submit` takes its time."""
+        self._aircraft, self._config, self._apart = aircraft, config, apart
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._link: Connection | None = None
+        self._waiting = 0  # policies in the other process
+        self._ready: list[Reading] = []
+
+    def __enter__(self) -> Monitor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def submit(self, steps: int, policy: dict[str, torch.Tensor]) -> None:
+        """Have a policy flown. Raises PolicyError on weights that make none."""
+        weights: Weights = {name: tensor.detach().cpu().numpy() for name, tensor in policy.items()}
+        if not self._apart:
+            from training.checkpoints.monitor import fly
+
+            self._ready.append(fly(self._aircraft, self._config, steps, weights))
+            return
+        if self._link is None:
+            self._begin()
+        assert self._link is not None
+        self._link.send((steps, weights))
+        self._waiting += 1
+
+    def collect(self, *, wait: bool = False) -> list[Reading]:
+        """Readings that are new since the last call; wait: all that were submitted."""
+        while self._link is not None and self._waiting and (wait or self._link.poll()):
+            try:
+                answer = self._link.recv()
+            except (EOFError, ConnectionError) as error:
+                raise TrainingError(
+                    "the monitor's process ended early; is memory short? --resume goes on from the checkpoint"
+                ) from error
+            self._waiting -= 1
+            if isinstance(answer, Exception):
+                raise answer
+            self._ready.append(answer)
+        ready, self._ready = self._ready, []
+        return ready
+
+    def close(self) -> None:
+        """End the other process, whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process = None
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def _begin(self) -> None:
+        context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
+        self._link, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs,), daemon=True, name="monitor")
+        with _interrupts_ignored():  # the other process takes that over: interrupting is this one's business
+            self._process.start()
+        theirs.close()
+        self._link.send((self._aircraft, self._config))
+
+
+def _work(link: Connection) -> None:
+    """Fly what comes down the link until its other end is gone."""
+    # The physics client greets on stderr, and errors go back by the link.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    try:
+        aircraft, config = link.recv()
+        from training.checkpoints.monitor import fly
+
+        while True:
+            steps, weights = link.recv()
+            link.send(_tried(fly, aircraft, config, steps, weights))
+    except (EOFError, ConnectionError):
+        return
+
+
+def _tried(fly: Any, *args: Any) -> Reading | Exception:  # noqa: ANN401 - of training.checkpoints.monitor
+    try:
+        reading: Reading = fly(*args)
+        return reading
+    except NeuroflightError as error:
+        return error
+    except Exception as error:  # whatever it is, the process that trains has to hear of it
+        return RuntimeError(f"the monitor failed: {type(error).__name__}: {error}")
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

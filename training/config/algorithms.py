@@ -1,0 +1,231 @@
+"""The algorithms' knobs, as plain frozen data; names as in Stable-Baselines3 where it has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from sim.physics.world import COUNT_MAX
+from training.config.pathwise_config import PathwiseConfig
+
+
+class Algorithm(Protocol):
+    """Knobs of one algorithm, with a name in `ALGORITHMS`."""
+
+    name: ClassVar[str]
+
+    @property
+    def aircraft(self) -> int:
+        """Side by side in the twin."""
+        ...
+
+    @property
+    def leg_steps(self) -> int:
+        """Control steps, all aircraft together, of a leg: what is learnt between two possible checkpoints.
+
+        Every leg begins with new episodes and chance of its own, so that a run resumed at a leg's end goes
+        on as if it had never stopped.
+        """
+        ...
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """What cannot be run, one line each; episode_steps: control steps of an episode."""
+        ...
+
+
+@dataclass(frozen=True)
+class PpoConfig:
+    """Schulman et al. 2017, with smoothness of the mean output in the policy's loss.
+
+    Outputs are drawn from a normal distribution, or with `OutputMap.squash` from tanh of one: bounded. What
+    tanh does to a probability is the same before and after an update, so it leaves the ratio.
+    """
+
+    name: ClassVar[str] = "ppo"
+    aircraft: int = 256
+    horizon: int = 128  # control steps an aircraft between updates
+    minibatch: int = 4096
+    epochs: int = 3
+    learning_rate: float = 7e-4  # annealed linearly to a tenth
+    discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
+    gae_lambda: float = 0.98  # rotors answer over 40 ms: credit must reach back as far
+    clip: float = 0.2
+    log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
+    hold: int = 8  # control steps that a draw of it stands
+    smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
+    smoothness_temporal: float = 0.0  # of its change from a control step to the next
+    leg: int = 16  # rollouts
+
+    @property
+    def leg_steps(self) -> int:
+        """See Algorithm."""
+        return self.leg * self.aircraft * self.horizon
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from _refused_counts(self, ("horizon", "minibatch", "epochs", "hold", "leg"))
+        yield from _refused_numbers(self, positive=("learning_rate", "clip"))
+        yield from _refused_shares(self, ("discount", "gae_lambda"))
+        yield from _refused_numbers(self, not_negative=("smoothness_spatial", "smoothness_temporal"))
+        yield from _refused_rollout(self.aircraft, self.horizon, self.minibatch, episode_steps)
+
+
+@dataclass(frozen=True)
+class TrpoConfig:
+    """Schulman et al. 2015: the largest step along the natural gradient within a distance of the old policy.
+
+    Exploration is learnt. Bounded outputs as PPO's.
+    """
+
+    name: ClassVar[str] = "trpo"
+    aircraft: int = 256
+    horizon: int = 64  # control steps an aircraft between updates
+    target_kl: float = 0.01
+    cg_max_steps: int = 15  # of conjugate gradients
+    cg_damping: float = 0.1
+    critic_updates: int = 4  # passes of the critic over a rollout
+    minibatch: int = 2048  # of the critic
+    learning_rate: float = 1e-3  # of the critic, annealed linearly to a tenth
+    discount: float = 0.99
+    gae_lambda: float = 0.98
+    log_std: float = -1.0  # exploration at first, network output units
+    leg: int = 16  # rollouts
+
+    @property
+    def leg_steps(self) -> int:
+        """See Algorithm."""
+        return self.leg * self.aircraft * self.horizon
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from _refused_counts(self, ("horizon", "minibatch", "cg_max_steps", "critic_updates", "leg"))
+        yield from _refused_numbers(self, positive=("learning_rate", "target_kl"))
+        yield from _refused_numbers(self, not_negative=("cg_damping",))
+        yield from _refused_shares(self, ("discount", "gae_lambda"))
+        yield from _refused_rollout(self.aircraft, self.horizon, self.minibatch, episode_steps)
+
+
+@dataclass(frozen=True)
+class OffPolicyConfig:
+    """What DDPG, TD3 and SAC have in common: they learn from a memory of steps, and their actor ends in tanh.
+
+    All aircraft take a control step, then come `gradient_steps` updates.
+    """
+
+    aircraft: int = 64
+    gradient_steps: int = 16
+    minibatch: int = 256
+    buffer: int = 100_000  # control steps remembered, all aircraft together; kept in every checkpoint
+    learning_starts: int = 8192  # control steps with outputs drawn evenly, before the first update
+    learning_rate: float = 1e-3  # annealed linearly to a tenth
+    discount: float = 0.99
+    tau: float = 0.005  # share of the network in its target after each update
+    leg: int = 256  # control steps an aircraft
+
+    @property
+    def leg_steps(self) -> int:
+        """See Algorithm."""
+        return self.leg * self.aircraft
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from _refused_aircraft(self.aircraft)
+        yield from _refused_counts(self, ("gradient_steps", "minibatch", "leg"))
+        yield from _refused_numbers(self, positive=("learning_rate",), not_negative=("learning_starts",))
+        yield from _refused_shares(self, ("discount", "tau"))
+        if not max(self.minibatch, self.aircraft) <= self.buffer:
+            yield f"buffer {self.buffer}, expected at least the minibatch and the number of aircraft"
+
+
+@dataclass(frozen=True)
+class DdpgConfig(OffPolicyConfig):
+    """Lillicrap et al. 2016, exploring with normal noise."""
+
+    name: ClassVar[str] = "ddpg"
+    noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
+    hold: int = 8  # control steps that a draw of it stands
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from super().refusals(episode_steps)
+        yield from _refused_noise(self.noise)
+        yield from _refused_counts(self, ("hold",))
+
+
+@dataclass(frozen=True)
+class Td3Config(OffPolicyConfig):
+    """Fujimoto et al. 2018: two critics, of which the lower counts, and an actor that waits for them."""
+
+    name: ClassVar[str] = "td3"
+    noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
+    hold: int = 8  # control steps that a draw of it stands
+    policy_delay: int = 2  # updates of the critics for one of the actor
+    target_noise: float = 0.1  # of the target's output
+    target_noise_clip: float = 0.2
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from super().refusals(episode_steps)
+        yield from _refused_noise(self.noise)
+        yield from _refused_counts(self, ("policy_delay", "hold"))
+        yield from _refused_numbers(self, positive=("target_noise",), not_negative=("target_noise_clip",))
+
+
+@dataclass(frozen=True)
+class SacConfig(OffPolicyConfig):
+    """Haarnoja et al. 2018: rewarded for entropy too, as much as keeps it at a target."""
+
+    name: ClassVar[str] = "sac"
+    learning_rate: float = 7e-4
+    target_entropy: float = -2.0  # nats a motor; lower is calmer: the reward has motors stand still
+
+
+def _refused_aircraft(count: int) -> Iterator[str]:
+    if not 1 <= count <= COUNT_MAX:
+        yield f"{count} aircraft, expected 1 to {COUNT_MAX}"
+
+
+def _refused_rollout(aircraft: int, horizon: int, minibatch: int, episode_steps: int) -> Iterator[str]:
+    yield from _refused_aircraft(aircraft)
+    batch = aircraft * horizon
+    if not 1 <= horizon <= episode_steps:
+        yield f"horizon {horizon}, expected 1 to the {episode_steps} control steps of an episode"
+    if batch > 0 and (minibatch < 1 or batch % minibatch):
+        yield (
+            f"minibatch {minibatch} does not divide the {batch} steps of a rollout "
+            f"({aircraft} aircraft x {horizon}); choose a divisor"
+        )
+
+
+def _refused_counts(config: object, names: tuple[str, ...]) -> Iterator[str]:
+    for name in names:
+        if getattr(config, name) < 1:
+            yield f"{name} {getattr(config, name)}, expected at least 1"
+
+
+def _refused_numbers(
+    config: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()
+) -> Iterator[str]:
+    for name in (*positive, *not_negative):
+        value = getattr(config, name)
+        if not 0.0 <= value < math.inf or (name in positive and value == 0.0):
+            yield f"{name} {value}, expected {'more than' if name in positive else 'at least'} 0"
+
+
+def _refused_shares(config: object, names: tuple[str, ...]) -> Iterator[str]:
+    for name in names:
+        if not 0.0 <= getattr(config, name) <= 1.0:
+            yield f"{name} {getattr(config, name)}, expected 0 to 1"
+
+
+def _refused_noise(noise: tuple[float, float]) -> Iterator[str]:
+    if not all(0.0 <= deviation <= 1.0 for deviation in noise):
+        yield f"noise {list(noise)}, expected 0 to 1 each: outputs lie in -1 to 1"
+
+
+ALGORITHMS: dict[str, type[Algorithm]] = {
+    algorithm.name: algorithm
+    for algorithm in (PpoConfig, TrpoConfig, DdpgConfig, Td3Config, SacConfig, PathwiseConfig)
+}

@@ -1,0 +1,179 @@
+"""A training configuration from a recipe or a file, and overrides of single keys.
+
+A file is TOML or JSON with the fields of `TrainingConfig` as keys and a table for each of output, task,
+reward, world, world.randomization and algorithm; what it leaves out is the default. The training.json of a
+run is such a file: it repeats that run.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sim.strict_toml import shown
+from toolchain.contract import MOTOR_COUNT_MAX
+from toolchain.errors import TrainingError
+from training.config.config_table import NAME, ConfigReader
+from training.config.training_config import TrainingConfig
+
+FOLDER = Path(__file__).parents[1] / "recipes"
+FILE_BYTES_MAX = 1 << 20
+SUFFIXES = (".toml", ".json")
+KEY = re.compile(r"\w+(\.\w+)*", re.ASCII)
+RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters")  # of training.json, not of a config
+
+
+def recipes() -> tuple[str, ...]:
+    """Names of the configurations that come with the project."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> TrainingConfig:
+    """The configuration of a recipe's name or a file's path, with overrides "key.path=value" laid over it.
+
+    source: None is `TrainingConfig()`. A value is TOML; bare words need no quotes. Giving another name to a
+    task, reward or algorithm begins its table anew. Raises TrainingError, one line, on a file that is
+    missing, too large or malformed, and on any key, type or value that is no configuration.
+    """
+    where, document = _read(source)
+    record = {key: document.pop(key) for key in RECORD_KEYS if key in document and _is_json(source)}
+    given = copy.deepcopy(document)
+    origins: dict[str, str] = {}
+    for override in sorted(overrides, key=_order):
+        _override(given, override, origins)
+    reader = ConfigReader(where, origins)
+    config = reader.table(TrainingConfig, given)
+    if record:
+        # Against the file alone: an override may ask for other observations.
+        _check_record(reader, record, reader.table(TrainingConfig, document))
+    return config
+
+
+def _is_json(source: str | Path | None) -> bool:
+    return source is not None and Path(source).suffix == ".json"
+
+
+def _order(override: str) -> tuple[int, bool]:
+    """Sorts whole tables before their keys, and a name before its fellows; else the order is the user's."""
+    key = override.partition("=")[0].strip()
+    return key.count("."), not key.endswith(f".{NAME}")
+
+
+def _read(source: str | Path | None) -> tuple[str, dict[str, Any]]:
+    """How messages call the source, and its keys."""
+    if source is None:
+        return "configuration", {}
+    if str(source) in recipes():
+        path, where = FOLDER / f"{source}.toml", f"recipe {source}"
+    else:
+        path, where = Path(source), f"config {source}"
+    try:
+        if not path.is_file():
+            raise TrainingError(
+                f"{where}: no such file; give the path of a .toml or .json file or one of the recipes: "
+                f"{', '.join(recipes())}"
+            )
+        if path.suffix not in SUFFIXES:
+            raise TrainingError(f"{where}: expected a name that ends in {' or '.join(SUFFIXES)}")
+        if (size := path.stat().st_size) > FILE_BYTES_MAX:
+            raise TrainingError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise TrainingError(f"{where}: cannot be read: {error}") from error
+    return where, _parsed(data, path.suffix, where)
+
+
+def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TrainingError(f"{where}: not UTF-8 at byte {error.start}; save it as UTF-8 text") from error
+    try:
+        document = tomllib.loads(text) if suffix == ".toml" else json.loads(text, object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
+        raise TrainingError(f"{where}: not {suffix[1:].upper()}: {_line(error)}") from error
+    if suffix == ".json" and isinstance(document, dict) and isinstance(document.get("config"), dict):
+        document = document["config"]
+    if not isinstance(document, dict):
+        raise TrainingError(f"{where}: got {shown(document)}, expected keys and values")
+    return document
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object. Raises ValueError where a key stands twice, as TOML does."""
+    values = dict(pairs)
+    if len(values) != len(pairs):
+        [(key, _)] = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"{shown(key)} stands twice")
+    return values
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or "nested too deep"
+
+
+def _override(document: dict[str, Any], text: str, origins: dict[str, str]) -> None:
+    """Lay one "key.path=value" over `document`, and note in `origins` where its keys come from."""
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not equals or not KEY.fullmatch(key):
+        raise TrainingError(f"override {shown(text)}: expected KEY=VALUE, such as world.throttle_max=0.8")
+    parsed = _value(value, text)
+    *parents, last = key.split(".")
+    if not parents and isinstance(parsed, str) and _default_name(last) is not None:
+        parents, last = [last], NAME
+    table, path = document, ""
+    for part in parents:
+        path = f"{path}.{part}" if path else part
+        if part not in table:
+            table[part] = {}
+            origins[path] = text
+        elif isinstance(table[part], str):  # the name alone
+            table[part] = {NAME: table[part]}
+        if not isinstance(table[part], dict):
+            raise TrainingError(f"override {shown(text)}: {path} is no table")
+        table = table[part]
+    if last == NAME and len(parents) == 1 and parsed != table.get(NAME, _default_name(parents[0])):
+        table.clear()
+    table[last] = parsed
+    origins[key] = text
+
+
+def _default_name(key: str) -> object:
+    return getattr(getattr(TrainingConfig(), key, None), NAME, None)
+
+
+def _value(text: str, override: str) -> object:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError) as error:
+        if text and text.isprintable() and text[0] not in "\"'[{" and not text[0].isdigit():
+            return text
+        raise TrainingError(f"override {shown(override)}: the value is not TOML: {_line(error)}") from error
+    if set(parsed) != {"value"}:
+        raise TrainingError(f"override {shown(override)}: expected one value")
+    return parsed["value"]
+
+
+def _check_record(reader: ConfigReader, record: dict[str, Any], config: TrainingConfig) -> None:
+    """Refuse the record of a run that this program would not repeat.
+
+    The aircraft is the command's to choose; its name and hash in a record say only what was flown then.
+    """
+    if record.get("filters", []) != []:
+        raise reader.error("filters", f"got {shown(record['filters'])}, expected []: there are none yet")
+    motors = record.get("motors", 1)
+    if not isinstance(motors, int) or isinstance(motors, bool) or not 1 <= motors <= MOTOR_COUNT_MAX:
+        raise reader.error("motors", f"got {shown(motors)}, expected 1 to {MOTOR_COUNT_MAX}")
+    scale = record.get("observation_scale")
+    if scale is not None and "motors" in record and scale != config.observation_scale(motors):
+        raise reader.error(
+            "observation_scale",
+            "that run scaled its observations otherwise than this program does, so it cannot be repeated; "
+            "remove the key to train with today's scales",
+        )

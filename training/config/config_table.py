@@ -1,0 +1,158 @@
+"""Frozen dataclasses from plain data, such as TOML and JSON give, by the types of their fields.
+
+Nothing here knows a particular task, reward or algorithm: a new one is read by what its fields say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from sim.strict_toml import TEXT_MAX, shown
+from toolchain.errors import TrainingError
+from training.config.algorithms import ALGORITHMS, Algorithm
+from training.tasks.registry import TASKS
+from training.tasks.reward import REWARDS, Reward
+from training.tasks.task import Task
+
+Kind = TypeVar("Kind")
+NONE = "none"  # how TOML, which has no null, says None
+NAME = "name"  # the key that says which task, reward or algorithm a table describes
+ITEMS_MAX = 1000  # of a list
+REGISTRIES: dict[object, Mapping[str, type[Any]]] = {Task: TASKS, Reward: REWARDS, Algorithm: ALGORITHMS}
+
+
+@dataclass(frozen=True)
+class ConfigReader:
+    """Reads the tables of one configuration and says where in it a mistake is."""
+
+    where: str  # the file or recipe
+    overrides: Mapping[str, str]  # by key: the override that gave it
+
+    def table(self, kind: type[Kind], values: object, path: str = "") -> Kind:
+        """The dataclass `kind` with the fields of the table `values`; what is left out is its default."""
+        if not isinstance(values, Mapping):
+            raise self.error(path, f"got {shown(values)}, expected a table")
+        hints, given = get_type_hints(kind), {}
+        known = {field.name: field for field in dataclasses.fields(kind) if field.init}  # type: ignore[arg-type]
+        for key, value in values.items():
+            if key not in known:
+                raise self.error(_joined(path, key), f"unknown key; {_nearest(key, tuple(known))}")
+            default = _default(known[key])
+            given[key] = self._value(hints[key], value, _joined(path, key), default)
+        for name, field in known.items():
+            if name not in given and _default(field) is MISSING:
+                raise self.error(_joined(path, name), "missing")
+        try:
+            return kind(**given)
+        except TrainingError as error:
+            raise self.error(path, str(error)) from error
+
+    def error(self, path: str, message: str) -> TrainingError:
+        """The exception that says what is wrong with the key at `path`, for the caller to raise."""
+        origin, parts = self.where, path.partition("[")[0].split(".")
+        for depth in range(len(parts), 0, -1):
+            override = self.overrides.get(".".join(parts[:depth]))
+            if override is not None:
+                origin = f"override {shown(override)}"
+                break
+        key = path if path.isprintable() else shown(path)
+        return TrainingError(f"{origin}: {key}: {message}" if path else f"{origin}: {message}")
+
+    def _value(self, kind: Any, value: object, path: str, default: object = MISSING) -> object:  # noqa: ANN401
+        if kind in REGISTRIES:
+            return self.named(REGISTRIES[kind], value, path, default)
+        if is_dataclass(kind):
+            return self.table(kind, value, path)  # type: ignore[arg-type]
+        origin, inside = get_origin(kind), get_args(kind)
+        if origin in (Union, UnionType) and NoneType in inside:
+            if value is None or value == NONE:
+                return None
+            [kind] = (item for item in inside if item is not NoneType)
+            return self._value(kind, value, path)
+        if origin is Literal:
+            if value not in inside:
+                raise self.error(path, f"got {shown(value)}, expected one of: {', '.join(map(str, inside))}")
+            return value
+        if origin is tuple:
+            return self._tuple(inside, value, path)
+        return self._plain(kind, value, path)
+
+    def named(
+        self, registry: Mapping[str, type[Any]], value: object, path: str, default: object = None
+    ) -> Any:  # noqa: ANN401 - what the registry holds
+        """What a table describes whose `name` says what it is, or that name alone.
+
+        default: its kind is that of a table without a name.
+        """
+        values = {NAME: value} if isinstance(value, str) else value
+        if not isinstance(values, Mapping):
+            raise self.error(path, f"got {shown(value)}, expected a table with a name, or the name alone")
+        name = values.get(NAME, getattr(default, NAME, None))
+        if not isinstance(name, str) or name not in registry:
+            key = _joined(path, NAME) if NAME in values else path
+            raise self.error(key, f"got {shown(name)}, expected one of: {', '.join(registry)}")
+        return self.table(registry[name], {key: item for key, item in values.items() if key != NAME}, path)
+
+    def _tuple(self, inside: tuple[Any, ...], value: object, path: str) -> tuple[object, ...]:
+        if not isinstance(value, list | tuple):
+            raise self.error(path, f"got {shown(value)}, expected a list")
+        if len(value) > ITEMS_MAX:
+            raise self.error(path, f"got {len(value)} items, expected at most {ITEMS_MAX}")
+        kinds = inside
+        if len(inside) == 2 and inside[1] is Ellipsis:
+            kinds = (inside[0],) * len(value)
+        if len(value) != len(kinds):
+            raise self.error(path, f"got {shown(value)}, expected a list of {len(kinds)}")
+        items = enumerate(zip(kinds, value, strict=True))
+        return tuple(self._value(kind, item, f"{path}[{i}]") for i, (kind, item) in items)
+
+    def _plain(self, kind: type, value: object, path: str) -> object:
+        if kind is bool:
+            if isinstance(value, bool):
+                return value
+            raise self.error(path, f"got {shown(value)}, expected true or false")
+        if kind is int:
+            if isinstance(value, int) and not isinstance(value, bool):
+                return value
+            raise self.error(path, f"got {shown(value)}, expected a whole number")
+        if kind is float:
+            number = _number(value)
+            if number is not None and math.isfinite(number):
+                return number
+            raise self.error(path, f"got {shown(value)}, expected a finite number")
+        if kind is str:
+            if isinstance(value, str) and len(value) <= TEXT_MAX and (value.isprintable() or not value):
+                return value
+            raise self.error(path, f"got {shown(value)}, expected one line of at most {TEXT_MAX} characters")
+        raise TypeError(f"{path}: a configuration has no reader for {kind}")
+
+
+def _default(field: dataclasses.Field[Any]) -> object:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def _number(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return None
+
+
+def _joined(path: str, key: object) -> str:
+    return f"{path}.{key}" if path else str(key)
+
+
+def _nearest(key: object, known: tuple[str, ...]) -> str:
+    """What a slip of the pen was meant to be, or all there is."""
+    near = difflib.get_close_matches(str(key)[:TEXT_MAX], known)
+    return f"nearest: {', '.join(near)}" if near else f"known here: {', '.join(known)}"

@@ -1,0 +1,66 @@
+"""The knobs of the pathwise gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sim.physics.world import COUNT_MAX
+
+BATCH_STEPS_MAX = 600_000  # control steps of an update: half a gigabyte with two layers of 64
+
+
+@dataclass(frozen=True)
+class PathwiseConfig:
+    """SVG(inf), Heess et al. 2015: see `training.learners.pathwise.learner`.
+
+    The loss is mean |e| + square e^2 [deg/s] + output mean(y) + change mean|dy|, over axes, motors and what
+    the task counts. Where a limit is given, its weight is adapted until the mean stays at the limit. The
+    run's reward plays no part: it has no derivatives.
+    """
+
+    name: ClassVar[str] = "pathwise"
+    aircraft: int = 64  # fly an episode each for an update
+    learning_rate: float = 1e-2
+    warm_up: int = 20  # updates in which the learning rate rises; then half a cosine down to 2 %
+    square: float = 0.03  # [s/deg]
+    output: float = 8.0  # [deg/s], weight of the mean output, at first if it has a limit
+    output_limit: float | None = 0.085
+    change: float = 15.0  # [deg/s], weight of the mean change in a control step, likewise
+    change_limit: float | None = 0.0095
+    adaption: float = 0.01  # most that an update changes such a weight by, relative
+    adaption_start: float = 0.1  # part of the run before it; an early policy keeps no limit
+    start_output: float = 0.1  # motor fraction that an untrained policy asks for
+    gradient_max: float = 1.0  # a longer gradient is cut to this length
+    leg_steps: int = 500_000  # see Algorithm; rounded up to whole updates
+
+    def refusals(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        if not 1 <= self.aircraft <= COUNT_MAX:
+            yield f"{self.aircraft} aircraft, expected 1 to {COUNT_MAX}"
+        if self.aircraft * episode_steps > BATCH_STEPS_MAX:
+            yield (
+                f"{self.aircraft} aircraft with episodes of {episode_steps} control steps, expected at most "
+                f"{BATCH_STEPS_MAX} steps of memory; choose fewer, or a task with short episodes"
+            )
+        for name, low, high in (
+            ("learning_rate", 1e-7, 1.0),
+            ("square", 0.0, 1e3),
+            ("output", 0.0, 1e6),
+            ("change", 0.0, 1e6),
+            ("adaption", 0.0, 1.0),
+            ("adaption_start", 0.0, 1.0),
+            ("start_output", 0.0, 1.0),
+            ("gradient_max", 1e-6, 1e6),
+            ("warm_up", 0, 10**6),
+            ("leg_steps", 1, 10**9),
+        ):
+            if not low <= (value := getattr(self, name)) <= high:
+                yield f"{name} {value}, expected {low:g} to {high:g}"
+        for name in ("output_limit", "change_limit"):
+            limit = getattr(self, name)
+            if limit is not None and not 0.0 < limit <= 1.0:
+                yield f"{name} {limit}, expected above 0 and at most 1"
+            if limit is not None and getattr(self, name.removesuffix("_limit")) <= 0.0:
+                yield f"{name} {limit} with a weight of 0, which no adaption changes; give one above 0"

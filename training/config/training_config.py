@@ -1,0 +1,233 @@
+"""Everything that decides what a training run produces, as plain frozen data that is kept with the result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.mass import Vector
+from sim.aircraft.model import Aircraft
+from sim.physics.world import Mount
+from sim.strict_toml import shown
+from toolchain.contract import (
+    CONTROL_RATES_HZ,
+    ObservationTerm,
+    check_cutoffs,
+    check_observation,
+    observation_blocks,
+)
+from toolchain.errors import TrainingError
+from training.config.algorithms import Algorithm, OffPolicyConfig, PpoConfig
+from training.config.randomization import SAME, Randomization
+from training.config.selection import Selection
+from training.tasks.reward import Reward, TrackingReward
+from training.tasks.task import PulseTask, Task
+
+# Raw observation values are brought to about unit size by these factors, folded into the first layer at
+# freeze. Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of
+# about 2 deg/s (0.03 rad/s) a step. Rotors steer by differences of some hundred rad/s.
+OBSERVATION_SCALES = {
+    "rate": 0.3,
+    "rate_error": 0.3,
+    "rate_error_delta": 10.0,
+    "rate_error_integral": 3.0,
+    "previous_action": 1.0,
+    "throttle": 1.0,
+    "rotor_speed": 0.004,
+    "gravity": 1.0,
+}
+ACTIVATIONS = ("relu", "tanh")
+SEED_MAX = 2**32 - 1
+STEPS_MAX = 10**12  # months of computing
+LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board holds far less
+EPISODE_STEPS_MAX = 1_000_000
+TABLE_STEPS_MAX = 64_000_000  # setpoints of all aircraft's episodes, kept in memory: 768 MB
+IDLE_MAX = 0.5
+SCALE_MIN, SCALE_MAX = 1e-3, 1e3  # of an output
+WIND_MAX = 30.0  # [m/s], a storm; nobody flies a small multirotor in more
+
+
+@dataclass(frozen=True)
+class OutputMap:
+    """Network output a to motor fraction: clip(scale a + offset, 0, 1); folded into the last layer.
+
+    With `squash` a = tanh(last sum), which stays in the frozen network.
+    """
+
+    scale: float = 0.5
+    offset: float = 0.5
+    squash: bool = False  # a is tanh of the network's last sum: bounded outputs, whose gradient never ends
+
+    def refusals(self) -> Iterator[str]:
+        """What is no way to drive a motor, one line each."""
+        if not SCALE_MIN <= self.scale <= SCALE_MAX:
+            yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
+        if not abs(self.offset) <= SCALE_MAX:
+            yield f"output.offset {self.offset}, expected {-SCALE_MAX:g} to {SCALE_MAX:g}"
+        low, high = self.offset - self.scale, self.offset + self.scale
+        if self.squash and not (low < 1.0 and high > 0.0):
+            yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
+
+    def asked(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What an output asks of the motors before it is clipped to 0..1, float32, any shape."""
+        asked: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
+        return asked
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Where the episodes take place."""
+
+    mount: str = "centre"  # sim.physics.world.Mount: turning about the centre of mass, on the rig, or free
+    gravity: bool | None = None  # None: in free flight only
+    noise: bool = True  # of gyro and accelerometer
+    wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes
+    gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
+    throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
+    throttle_share: float = 1.0  # of the episodes that have any
+    randomization: Randomization = field(default_factory=Randomization)
+
+    def refusals(self) -> Iterator[str]:
+        """What is no world, one line each."""
+        mounts = [mount.value for mount in Mount]
+        if self.mount not in mounts:
+            yield f"mount {self.mount!r}, expected one of: {', '.join(mounts)}"
+        if not all(abs(speed) <= WIND_MAX for speed in self.wind_m_s):
+            yield f"wind_m_s {list(self.wind_m_s)}, expected at most {WIND_MAX:g} m/s each way"
+        if not 0.0 <= self.gust_m_s <= WIND_MAX:
+            yield f"gust_m_s {self.gust_m_s}, expected 0 to {WIND_MAX:g} m/s"
+        if not 0.0 <= self.throttle_max <= 1.0:
+            yield f"throttle_max {self.throttle_max}, expected 0 to 1"
+        if not 0.0 <= self.throttle_share <= 1.0:
+            yield f"throttle_share {self.throttle_share}, expected 0 to 1"
+        if self.gravity and self.mount == Mount.CENTRE.value:
+            yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
+        if self.randomization.noise != SAME and not self.noise:
+            yield "randomization noise with noise = false, so nothing to vary; leave one of them out"
+        yield from self.randomization.refusals()
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """One run of synthesis."""
+
+    steps: int = 8_000_000  # control steps, all aircraft together
+    seed: int = 1
+    observation: str = "rate_error,rate_error_delta"
+    control_rate_hz: int = 1000
+    hidden: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+    output: OutputMap = field(default_factory=OutputMap)
+    idle: float = 0.0  # motor fraction that armed motors turn at without thrust; part of the policy
+    task: Task = field(default_factory=PulseTask)
+    reward: Reward = field(default_factory=TrackingReward)
+    world: WorldConfig = field(default_factory=WorldConfig)
+    algorithm: Algorithm = field(default_factory=PpoConfig)
+    checkpoint_steps: int = 1_000_000  # a checkpoint at the end of the leg that passes each multiple of it
+    selection: Selection = field(default_factory=Selection)  # which of them becomes policy.onnx
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run, before anything is."""
+        for refusal in self._refusals():
+            raise TrainingError(refusal)
+        self.blocks()
+
+    def _refusals(self) -> Iterator[str]:
+        """What cannot be run, one line each."""
+        if not 1 <= self.steps <= STEPS_MAX:
+            yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
+        if self.checkpoint_steps < 1:
+            yield f"checkpoint_steps {self.checkpoint_steps}, expected at least 1"
+        if not 0 <= self.seed <= SEED_MAX:
+            yield f"seed {self.seed}, expected 0 to {SEED_MAX}"
+        if self.control_rate_hz not in CONTROL_RATES_HZ:
+            yield f"control rate {self.control_rate_hz} Hz, expected one of {list(CONTROL_RATES_HZ)}"
+        if not 1 <= len(self.hidden) <= LAYERS_MAX or not all(1 <= w <= WIDTH_MAX for w in self.hidden):
+            yield (
+                f"hidden layers {shown(list(self.hidden))}, expected 1 to {LAYERS_MAX} widths of at least 1 "
+                f"and at most {WIDTH_MAX}"
+            )
+        if self.activation not in ACTIVATIONS:
+            yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"
+        if not 0.0 <= self.idle <= IDLE_MAX:
+            yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
+        yield from self.output.refusals()
+        if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig):
+            yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
+        episode_steps = round(self.task.duration_s * self.control_rate_hz)
+        if not 2 <= episode_steps <= EPISODE_STEPS_MAX:
+            yield (
+                f"an episode of task {self.task.name} is {self.task.duration_s:g} s, {episode_steps} control "
+                f"steps; expected 2 to {EPISODE_STEPS_MAX}"
+            )
+        yield from self.world.refusals()
+        yield from self.algorithm.refusals(episode_steps)
+        table = self.algorithm.aircraft * episode_steps
+        if table > TABLE_STEPS_MAX:
+            yield (
+                f"{self.algorithm.aircraft} aircraft with episodes of {episode_steps} control steps make "
+                f"{table} setpoints, expected at most {TABLE_STEPS_MAX}; shorten the task or fly fewer"
+            )
+        yield from self.selection.refusals()
+
+    def check(self, aircraft: Aircraft) -> None:
+        """Refuse what this aircraft cannot be trained with. Raises TrainingError."""
+        where = f"aircraft {aircraft.name}"
+        try:
+            check_observation(self.blocks(), aircraft.motor_count)
+        except ValueError as error:
+            raise TrainingError(f"{where}: {error}") from error
+        varied = self.world.randomization
+        battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
+        if varied.charge is not None and (battery is None or supply is None):
+            lacks = "[battery] table" if battery is None else "propulsion.supply_voltage_v"
+            raise TrainingError(
+                f"{where} has no {lacks}, so randomization charge has nothing to vary; leave it out"
+            )
+        gyro = aircraft.gyro
+        if varied.noise != SAME and not (gyro.bias or any((*gyro.noise, *gyro.vibration))):
+            raise TrainingError(
+                f"{where} has an ideal gyro, so randomization noise has nothing to vary; leave it out"
+            )
+
+    def blocks(self) -> tuple[ObservationTerm, ...]:
+        """The observation's terms. Raises TrainingError naming one that is unknown or cannot be had."""
+        try:
+            terms = observation_blocks(self.observation)
+            check_cutoffs(terms, self.control_rate_hz)
+            return terms
+        except ValueError as error:
+            raise TrainingError(f"observation {self.observation!r}: {error}") from error
+
+    def observation_scale(self, motors: int) -> list[float]:
+        """Factor onto each raw observation value."""
+        return [OBSERVATION_SCALES[b.name] for b in self.blocks() for _ in range(b.count(motors))]
+
+    def document(self, aircraft: Aircraft) -> dict[str, Any]:
+        """The run as JSON data, with what `toolchain.policy.freeze` needs to rebuild the network.
+
+        Raises TrainingError if the aircraft cannot be trained with this, see `check`.
+        """
+        self.check(aircraft)
+        return {
+            "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
+            "motors": aircraft.motor_count,
+            "observation_scale": self.observation_scale(aircraft.motor_count),
+            "filters": [],
+            **{field.name: _plain(getattr(self, field.name)) for field in fields(self)},
+        }
+
+
+def _plain(value: object) -> Any:  # noqa: ANN401
+    """JSON data of a field; what comes in several kinds says which it is. Derived fields are left out."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    kind = {"name": value.name} if hasattr(value, "name") else {}
+    return {
+        **kind,
+        **{field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.init},
+    }

@@ -1,0 +1,174 @@
+"""N aircraft on one task: the environment that both the Gymnasium env and the vector env wrap.
+
+One step is one control period: observe, act, mix, quantise to DShot, advance the twin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.control.motors import motor_commands
+from sim.control.observation import Observer
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
+from toolchain.contract import check_observation
+from toolchain.errors import TrainingError
+from training.config.training_config import TrainingConfig
+from training.tasks.reward import Transition
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What a control step brought, for each of N aircraft."""
+
+    observation: NDArray[np.float32]  # (N, n), of the new sample
+    reward: NDArray[np.float32]  # (N,)
+    ended: NDArray[np.bool_]  # (N,), the episode's time is over (a truncation; nothing terminates)
+
+
+class AttitudeSimulation:
+    """N twins, their commands and their observations, advanced together at the control rate."""
+
+    def __init__(
+        self,
+        aircraft: Aircraft,
+        count: int,
+        *,
+        config: TrainingConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        """`config` says what is observed, asked for and rewarded, and where; `rng` is the only chance."""
+        self.count = count
+        self.motors = aircraft.motor_count
+        terms = config.blocks()
+        try:
+            check_observation(terms, self.motors)
+        except ValueError as error:
+            raise TrainingError(str(error)) from error
+        self._task, self._reward, self._world = config.task, config.reward, config.world
+        self._rate_hz = config.control_rate_hz
+        self._idle = config.idle
+        self._randomization = config.world.randomization
+        self._delay_s = aircraft.propulsion.delay
+        self._rng = rng
+        self.steps = round(self._task.duration_s * self._rate_hz)
+        self._twin = Twin(
+            aircraft,
+            count,
+            rate_hz=self._rate_hz,
+            mount=Mount(self._world.mount),
+            gravity=self._world.gravity,
+            noise=self._world.noise,
+            wind=self._world.wind_m_s,
+            gust=self._world.gust_m_s,
+            variation=self._drawn(count),
+            rng=rng,
+        )
+        self._observer = Observer(terms, count, self.motors, self._rate_hz)
+        self.width = self._observer.width
+        self._everyone = np.arange(count)
+        self._step = np.zeros(count, np.intp)
+        self._setpoints = np.zeros((count, self.steps, 3), np.float32)
+        self._throttle = np.zeros(count, np.float32)
+        self._action = np.zeros((count, self.motors), np.float32)
+
+    def close(self) -> None:
+        """Leave the physics client."""
+        self._twin.close()
+
+    def reset(self, *, stagger: bool = False) -> NDArray[np.float32]:
+        """Begin an episode on every aircraft; returns the observations (N, n).
+
+        stagger: spread the aircraft over the episode's clock, so that a batch always sees all of it.
+        """
+        self._begin(self._everyone)
+        if stagger:
+            self._step = self._rng.integers(0, self.steps, self.count)
+        return self._observe(slice(None))
+
+    def step(self, asked: NDArray[np.float32]) -> StepResult:
+        """Advance one control period with what the network asks of the motors, (N, M), clipped to 0..1.
+
+        The observation of an aircraft whose episode ended is still that episode's last; call
+        `restart` to begin its next one.
+        """
+        action = np.clip(asked, np.float32(0.0), np.float32(1.0))
+        setpoint_before = self.setpoint
+        error_before = setpoint_before - self._twin.rate
+        self._twin.step(motor_commands(action, self._throttle, self._idle))
+        before, self._action = self._action, action
+        self._step += 1
+        setpoint = self.setpoint
+        reward = self._reward(
+            Transition(
+                setpoint=setpoint,
+                setpoint_before=setpoint_before,
+                error=setpoint - self._twin.rate,
+                error_before=error_before,
+                asked=asked,
+                action=action,
+                action_before=before,
+            )
+        )
+        return StepResult(self._observe(slice(None)), reward, self._step >= self.steps)
+
+    def restart(self, index: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Begin a new episode on the aircraft of `index`; returns their observations (len, n)."""
+        self._begin(index)
+        return self._observe(index)
+
+    @property
+    def setpoint(self) -> NDArray[np.float64]:
+        """Commanded rate of the present sample [rad/s], (N, 3)."""
+        now = np.minimum(self._step, self.steps - 1)  # an episode's end asks for what its last step did
+        return self._setpoints[self._everyone, now].astype(np.float64)
+
+    @property
+    def rate(self) -> NDArray[np.float64]:
+        """True rate of the present sample [rad/s], (N, 3)."""
+        return self._twin.rate
+
+    def _begin(self, index: NDArray[np.intp]) -> None:
+        variation = self._drawn(len(index))
+        if variation is not None:
+            self._twin.vary(index, variation)
+        self._twin.reset(index)
+        self._observer.reset(index)
+        self._step[index] = 0
+        self._setpoints[index] = self._task.episodes(len(index), self._rng, self._rate_hz)
+        thrust = self._rng.uniform(0.0, self._world.throttle_max, len(index))
+        thrust[self._rng.random(len(index)) >= self._world.throttle_share] = 0.0
+        self._throttle[index] = thrust
+        self._action[index] = 0.0
+
+    def _drawn(self, count: int) -> Variation | None:
+        """Aircraft of new episodes; None: as the file says."""
+        if not self._randomization.active:
+            return None
+        return self._randomization.draw(count, self._rng, self._delay_s)
+
+    def _observe(self, which: NDArray[np.intp] | slice) -> NDArray[np.float32]:
+        return self._observer.observe(
+            which,
+            self.setpoint[which].astype(np.float32),
+            quantised_rate(self._twin.gyro[which]),
+            self._action[which],
+            self._throttle[which],
+            **self._sensed(which),
+        )
+
+    def _sensed(self, which: NDArray[np.intp] | slice) -> dict[str, NDArray[np.float32]]:
+        """What of the twin's own state is observed, float32."""
+        twin, names = self._twin, self._observer.names
+        sensed = {}
+        if "rotor_speed" in names:
+            sensed["rotor_speed"] = twin.rotor_speed[which].astype(np.float32)
+        if "gravity" in names:
+            sensed["gravity"] = -twin.rotation[which, 2].astype(np.float32)
+        return sensed

@@ -1,0 +1,146 @@
+"""Controllers held against each other: the same commands, the same noise, differences command by command.
+
+What one command asks of two controllers is alike, and most of what their errors differ by from command to
+command is the command's doing. So their difference is taken within each episode, and its confidence from
+those differences (paired t): a tenth of a deg/s shows where the means alone would need ten times the
+episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.analysis.confidence import Mean, paired, share_of
+from sim.analysis.response import Hold, large, progress
+from training.evaluation.controllers import Conditions, Contender
+from training.evaluation.evaluation import Evaluation, Flights, Scores, scores, summary
+
+Array = NDArray[np.float64]
+CHUNK = 128  # episodes whose errors are worked out at a time
+PERCENTILES = (5, 50, 95)  # over commands, of what is drawn
+STEP_S = 0.6  # what is drawn of a held command
+SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
+SHARES = ("steady", "steady_bare")  # of episodes: hit or miss
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """What is drawn of an entry: percentiles over its commands."""
+
+    t: Array  # (T,) [s]
+    error: Array  # (3, T) [deg/s], of |error|, mean of the axes
+    step_t: Array  # (L,) [s] since the command; empty where none is held
+    step: Array  # (3, 3, L) percentile, axis: rate in % of the command, NaN where none is above the floor
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A contender and how it flew."""
+
+    contender: Contender
+    throttle: float
+    scores: Scores
+    evaluation: Evaluation
+    curves: Curves
+
+
+def enter(
+    contender: Contender,
+    conditions: Conditions,
+    throttle: float,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Entry:
+    """Fly a contender; on_step: called with steps done and to do."""
+    flights = conditions.fly(contender, throttle, on_step)
+    judged = scores(flights)
+    return Entry(contender, throttle, judged, summary(judged), curves(flights))
+
+
+def values(judged: Scores) -> dict[str, Array]:
+    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where it has none."""
+    found = {name: getattr(judged.tracking, name) for name in SUMS}
+    found |= {"output": judged.output, "change": judged.change, "smoothness": judged.smoothness}
+    answer = judged.response
+    if answer is None:
+        return found
+    return found | {
+        "success": answer.success.astype(np.float64),
+        "success_bare": answer.success_bare.astype(np.float64),
+        "rise_ms": np.where(answer.rose, answer.rise_ms, np.nan),
+        "peak": np.where(answer.large, answer.peak, np.nan),
+        "all_in_band_500": answer.all_in_band_500,
+        "all_in_band_750": answer.all_in_band_750,
+        "all_in_band_500_bare": answer.all_in_band_500_bare,
+        "all_in_band_750_bare": answer.all_in_band_750_bare,
+        "steady": answer.steady.astype(np.float64),
+        "steady_bare": answer.steady_bare.astype(np.float64),
+    }
+
+
+def means(judged: Scores) -> dict[str, Mean]:
+    """Each figure over episodes, averaged over axes, with its 95 % confidence."""
+    return {
+        name: share_of(each == 1.0) if name in SHARES else _mean(each)
+        for name, each in values(judged).items()
+    }
+
+
+def differences(first: Scores, other: Scores) -> dict[str, Mean]:
+    """Each figure of `other` less that of `first`, flown on the same commands, with its 95 % confidence."""
+    before, after = values(first), values(other)
+    return {name: paired(before[name], after[name]) for name in before}
+
+
+def significant(difference: Mean) -> bool:
+    """Whether 95 % confidence leaves zero out."""
+    return bool(difference.low > 0.0 or difference.high < 0.0)
+
+
+def document(entry: Entry, first: Entry | None) -> dict[str, object]:
+    """Means, and differences to `first` unless that is None, as JSON data."""
+    found: dict[str, object] = {"means": {name: _plain(mean) for name, mean in means(entry.scores).items()}}
+    if first is not None:
+        found["difference"] = {
+            name: {**_plain(mean), "significant": significant(mean)}
+            for name, mean in differences(first.scores, entry.scores).items()
+        }
+    return found
+
+
+def curves(flights: Flights) -> Curves:
+    """Percentiles over the commands."""
+    episodes, steps = flights.rate.shape[:2]
+    error = np.empty((episodes, steps), np.float32)
+    for start in range(0, episodes, CHUNK):
+        part = slice(start, start + CHUNK)
+        error[part] = np.abs(flights.setpoint[part] - flights.rate[part]).mean(axis=2)
+    held = flights.hold()
+    step_t, step = (np.empty(0), np.empty((3, 3, 0))) if held is None else _steps(held)
+    return Curves(
+        t=np.asarray(np.arange(steps) * flights.step_s, np.float64),
+        error=np.rad2deg(np.percentile(error, PERCENTILES, axis=0)),
+        step_t=step_t,
+        step=step,
+    )
+
+
+def _steps(held: Hold) -> tuple[Array, Array]:
+    shown = held.t < STEP_S
+    part, enough = 100 * progress(held)[:, shown], large(held)
+    drawn = np.full((len(PERCENTILES), 3, int(shown.sum())), np.nan)
+    for axis in range(3):
+        if enough[:, axis].any():
+            drawn[:, axis] = np.percentile(part[enough[:, axis], :, axis], PERCENTILES, axis=0)
+    return held.t[shown], drawn
+
+
+def _mean(each: Array) -> Mean:
+    return paired(np.zeros_like(each), each)
+
+
+def _plain(mean: Mean) -> dict[str, float]:
+    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}

@@ -1,0 +1,103 @@
+"""Who flies under which conditions: policy files and PIDs of the aircraft, as a user names them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.aircraft.model import Aircraft
+from sim.control.controller import Controller, PolicyController
+from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.world import Mount
+from toolchain.errors import PolicyError
+from toolchain.policy.model import read_policy
+from training.evaluation.evaluation import Flights, record
+from training.tasks.task import Task
+
+PID = "pid"
+PID_RATE_HZ = 1000
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A controller that can be built for any number of aircraft."""
+
+    name: str  # as the user wrote it
+    build: Callable[[int], Controller]  # for so many aircraft
+    control_rate_hz: int
+    idle: float  # motor fraction that armed motors turn at without thrust
+    facts: dict[str, str]  # what a stored result should remember of it
+
+    @property
+    def label(self) -> str:
+        """A short name for tables and plots."""
+        if "pid" in self.facts:
+            return f"PID {self.facts['pid']}"
+        path = Path(self.name)
+        which = path.parent.name if path.stem == "policy" and path.parent.name else path.stem
+        return f"policy {which}"
+
+
+def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> Contender:
+    """The contender called `name`: `pid`, `pid:NAME` of the aircraft file, or the path of a policy.onnx.
+
+    idle: forced upon it; its own where None. Raises AircraftError or PolicyError on what there is not, or on
+    a policy for another number of motors.
+    """
+    kind, _, which = name.partition(":")
+    if kind == PID:
+        settings = pid_settings(aircraft, which or None)
+        chosen = which or next(iter(dict(aircraft.pids)))
+        return Contender(
+            name=name,
+            build=lambda count: aircraft_pid(aircraft, count, PID_RATE_HZ, chosen),
+            control_rate_hz=PID_RATE_HZ,
+            idle=settings.idle if idle is None else idle,
+            facts={"pid": chosen},
+        )
+    path = Path(name)
+    policy = read_policy(path)
+    if policy.action_count != aircraft.motor_count:
+        raise PolicyError(
+            f"{name} drives {policy.action_count} motors, aircraft {aircraft.name} has "
+            f"{aircraft.motor_count}; evaluate it on an aircraft it was trained for"
+        )
+    return Contender(
+        name=name,
+        build=lambda count: PolicyController(policy, count, exact=False),
+        control_rate_hz=policy.control_rate_hz,
+        idle=policy.idle if idle is None else idle,
+        facts={"policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
+    )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What every contender flies alike."""
+
+    aircraft: Aircraft
+    task: Task
+    episodes: int
+    seed: int  # of commands, noise and bias
+    mount: Mount = Mount.CENTRE
+    noise: bool = True
+
+    def fly(
+        self, contender: Contender, throttle: float, progress: Callable[[int, int], None] | None = None
+    ) -> Flights:
+        """All episodes at once, with the pilot's thrust at `throttle`, 0..1; see `record`."""
+        return record(
+            contender.build(self.episodes),
+            self.aircraft,
+            self.task,
+            episodes=self.episodes,
+            seed=self.seed,
+            control_rate_hz=contender.control_rate_hz,
+            mount=self.mount,
+            noise=self.noise,
+            throttle=throttle,
+            idle=contender.idle,
+            progress=progress,
+        )

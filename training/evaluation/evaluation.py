@@ -1,0 +1,202 @@
+"""How well a controller flies unseen commands: many aircraft at once, no firmware in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import Mean, mean_of
+from sim.analysis.metrics import Effort, Tracking, effort, tracking
+from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
+from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
+from sim.control.controller import Controller, PolicyController
+from sim.control.motors import motor_commands
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
+from toolchain.contract import IDLE_DEFAULT
+from training.tasks.task import PulseTask, Task
+
+CHUNK = 256  # episodes whose errors are worked out at a time: their float64 copies are the large ones
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """What was flown: E episodes of T control steps with M motors."""
+
+    setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s]
+    rate: NDArray[np.float32]  # (E, T, 3) [rad/s], true body rate
+    output: NDArray[np.float32]  # (E, T, M), the controller's, before throttle mix and idle
+    step_s: float  # [s] between rows
+
+    def hold(self) -> Hold | None:
+        """The held command of each episode; None if the task has none of a second."""
+        return hold(self.setpoint, self.rate, self.step_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Figures of each of E episodes."""
+
+    tracking: Tracking  # (E, 3) each
+    output: NDArray[np.float64]  # (E,), mean output of the controller, fraction 0..1
+    change: NDArray[np.float64]  # (E,), mean |change| of an output in 1 ms
+    smoothness: NDArray[np.float64]  # (E,), Sm: see sim.analysis.spectrum
+    spectrum: Spectrum  # of all episodes
+    response: Response | None  # None where the task holds no command for a second
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Figures of a controller over `episodes` commands; errors are against the true rate."""
+
+    episodes: int
+    tracking: Tracking  # mean over episodes, per axis
+    tracking_margin: Tracking  # half width of its 95 % confidence interval
+    worst_mae: float  # [deg/s], of the worst episode and axis
+    effort: Effort
+    effort_margin: Effort  # likewise
+    smoothness: float  # Sm: see sim.analysis.spectrum
+    smoothness_margin: float  # likewise
+    spectrum: Spectrum
+    response: ResponseFigures | None  # None where the task holds no command for a second
+
+
+def evaluate(
+    controller: Controller,
+    aircraft: Aircraft,
+    *,
+    episodes: int,
+    seed: int,
+    control_rate_hz: int,
+    task: Task | None = None,
+    mount: Mount = Mount.CENTRE,
+    noise: bool = True,
+    throttle: float | NDArray[np.float32] = 0.0,
+    idle: float = IDLE_DEFAULT,
+    progress: Callable[[int, int], None] | None = None,
+) -> Evaluation:
+    """Fly `episodes` commands of `task`, pulses unless given, and take the figures; see `record`."""
+    return figures(
+        record(
+            controller,
+            aircraft,
+            task or PulseTask(),
+            episodes=episodes,
+            seed=seed,
+            control_rate_hz=control_rate_hz,
+            mount=mount,
+            noise=noise,
+            throttle=throttle,
+            idle=idle,
+            progress=progress,
+        )
+    )
+
+
+def record(
+    controller: Controller,
+    aircraft: Aircraft,
+    task: Task,
+    *,
+    episodes: int,
+    seed: int,
+    control_rate_hz: int,
+    mount: Mount = Mount.CENTRE,
+    noise: bool = True,
+    throttle: float | NDArray[np.float32] = 0.0,
+    idle: float = IDLE_DEFAULT,
+    variation: Variation | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Flights:
+    """Fly `episodes` commands of `task`, one aircraft each, all at once.
+
+    controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
+    for all or (episodes,); variation: how the aircraft differ from their file, `episodes` of them; progress:
+    called with steps done and to do. The same seed gives every controller the same commands.
+    """
+    commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    wanted = task.episodes(episodes, commands, control_rate_hz)
+    steps = wanted.shape[1]
+    thrust = np.full(episodes, throttle, np.float32)
+    flown = np.empty((steps, episodes, 3), np.float32)
+    outputs = np.empty((steps, episodes, aircraft.motor_count), np.float32)
+    twin = Twin(
+        aircraft,
+        episodes,
+        rate_hz=control_rate_hz,
+        mount=mount,
+        noise=noise,
+        variation=variation,
+        rng=noise_rng,
+    )
+    try:
+        controller.reset()
+        for k in range(steps):
+            setpoint = wanted[:, k]
+            flown[k] = twin.rate
+            if isinstance(controller, PolicyController) and controller.senses:
+                controller.sense(twin.rotor_speed, twin.rotation)
+            outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
+            twin.step(motor_commands(y, thrust, idle))
+            if progress is not None:
+                progress(k + 1, steps)
+    finally:
+        twin.close()
+    return Flights(wanted, _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
+
+
+def figures(flights: Flights) -> Evaluation:
+    """All figures of what was flown."""
+    return summary(scores(flights))
+
+
+def scores(flights: Flights) -> Scores:
+    """The figures of each episode."""
+    episodes, step_s = len(flights.rate), flights.step_s
+    chunks = [slice(start, start + CHUNK) for start in range(0, episodes, CHUNK)]
+    errors = [tracking(flights.setpoint[c], flights.rate[c], step_s) for c in chunks]
+    efforts = [effort(output, step_s) for output in flights.output]
+    parts = components(flights.output, step_s)
+    held = flights.hold()
+    return Scores(
+        tracking=Tracking(
+            *(np.concatenate([getattr(part, field.name) for part in errors]) for field in fields(Tracking))
+        ),
+        output=np.array([item.output for item in efforts]),
+        change=np.array([item.change for item in efforts]),
+        smoothness=smoothness(parts),
+        spectrum=spectrum(parts),
+        response=response(held) if held else None,
+    )
+
+
+def summary(scores: Scores) -> Evaluation:
+    """Means over the episodes and how sure they are."""
+    errors = [_mean(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
+    output, change, rough = (_mean(each) for each in (scores.output, scores.change, scores.smoothness))
+    return Evaluation(
+        episodes=len(scores.output),
+        tracking=Tracking(*(mean.value for mean in errors)),
+        tracking_margin=Tracking(*(mean.high - mean.value for mean in errors)),
+        worst_mae=float(scores.tracking.mae.max()),
+        effort=Effort(float(output.value), float(change.value)),
+        effort_margin=Effort(float(output.high - output.value), float(change.high - change.value)),
+        smoothness=float(rough.value),
+        smoothness_margin=float(rough.high - rough.value),
+        spectrum=scores.spectrum,
+        response=mean_figures(scores.response) if scores.response else None,
+    )
+
+
+def _mean(values: NDArray[np.float64]) -> Mean:
+    return mean_of(values, np.ones(values.shape, bool))
+
+
+def _by_episode(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.swapaxes(array, 0, 1)

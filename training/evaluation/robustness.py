@@ -1,0 +1,323 @@
+"""How a controller bears aircraft that are not as their file says: one parameter at a time, and all at once.
+
+Every case flies the same commands under the same throttles and noise as the nominal aircraft does, so that a
+ratio of errors is the aircraft's doing alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import NORMAL, Mean, mean_of, share_of
+from sim.analysis.metrics import CHANGE_S
+from sim.physics.variation import Variation
+from sim.physics.world import Mount
+from training.config.randomization import Randomization, Range
+from training.evaluation.controllers import Contender
+from training.evaluation.evaluation import Flights, record
+from training.tasks.task import Task
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+# Between what an aircraft of the file's build may lie. Mass, inertia, lag, delay and battery: the issue that
+# asked for this table; thrust and torque: a worn or another maker's propeller, assumed.
+EXTREMES = Randomization(
+    mass=(0.8, 1.2),
+    inertia=(0.7, 1.3),
+    thrust=(0.8, 1.2),
+    torque=(0.8, 1.2),
+    lag=(0.5, 2.0),
+    noise=(1.0, 3.0),
+    delay_s=(0.0, 0.006),
+    charge=(0.0, 1.0),
+)
+CASE_RATIO_MAX = 2.0  # of the nominal error, each parameter at an extreme
+MEDIAN_RATIO_MAX = 1.5  # of draws of all parameters at once
+HIGH_RATIO_MAX = 2.5
+HIGH = 0.95  # the part of the draws that this bar is for
+COMMANDS_PER_DRAW = 5
+# An episode diverges if the aircraft ever turns faster than its gyro can tell, or tracks worse than one that
+# never moves would; errors below the floor are no divergence, however small the command.
+DIVERGED_RATE = math.radians(2000.0)  # [rad/s]
+DIVERGED_FLOOR = 10.0  # [deg/s]
+DIVERGENCE = (
+    "a rate beyond 2000 deg/s on any axis, or an episode's MAE above both 10 deg/s and that of an aircraft "
+    "that never turns"
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One parameter away from the file; `parameter` is None for the nominal aircraft."""
+
+    parameter: str | None = None
+    value: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """For tables: what it is and how much."""
+        if self.parameter is None:
+            return "nominal"
+        if self.parameter == "delay_s":
+            return f"delay {1e3 * self.value:g} ms"
+        if self.parameter == "charge":
+            named = {0.0: "empty", 1.0: "full"}
+            return f"battery {named.get(self.value, f'{100 * self.value:g} %')}"
+        return f"{self.parameter} x {self.value:g}"
+
+    def variation(self, count: int, delay_s: float) -> Variation | None:
+        """`count` such aircraft; delay_s: the file's."""
+        if self.parameter is None:
+            return None
+        nominal = Variation.nominal(count, delay_s)
+        return replace(nominal, **{self.parameter: np.full(count, self.value)})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What every controller goes through."""
+
+    aircraft: Aircraft
+    task: Task
+    episodes: int  # of each case
+    draws: int  # of all parameters at once, COMMANDS_PER_DRAW episodes each
+    seed: int
+    throttle_max: float  # the pilot's thrust is drawn evenly from 0 to this, for each episode
+    mount: Mount = Mount.CENTRE
+    noise: bool = True
+
+    def extremes(self) -> Randomization:
+        """What is varied: batteries only where there is one whose voltage says something."""
+        known = self.aircraft.battery is not None and self.aircraft.propulsion.supply_voltage is not None
+        return EXTREMES if known else replace(EXTREMES, charge=None)
+
+    def cases(self) -> list[Case]:
+        """Nominal, then each parameter at both of its extremes."""
+        extremes = self.extremes()
+        found = [Case()]
+        for field in fields(extremes):
+            bounds: Range | None = getattr(extremes, field.name)
+            for value in bounds or ():
+                if value != 1.0 or field.name == "charge":
+                    found.append(Case(field.name, value))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Figures of each episode, (E,)."""
+
+    mae: Array  # [deg/s], mean of the axes
+    output: Array  # mean of the controller's
+    change: Array  # mean |delta u| in 1 ms
+    diverged: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class CaseResult:
+    """How one case went."""
+
+    case: Case
+    mae: Mean  # [deg/s]
+    ratio: Mean  # of it to the nominal aircraft's on the same commands
+    output: float
+    change: float
+    diverged: int  # episodes
+
+    @property
+    def met(self) -> bool:
+        """Whether the error stays within the bar; the nominal case has none."""
+        return self.case.parameter is None or bool(self.ratio.value <= CASE_RATIO_MAX)
+
+
+@dataclass(frozen=True, eq=False)
+class JointResult:
+    """How the draws of all parameters went."""
+
+    ratios: Array  # (D,), of each draw's MAE to the nominal aircraft's on the same commands
+    median: Mean
+    high: Mean  # their HIGH quantile
+    change: float
+    diverged: int  # draws with an episode that did
+    diverged_share: Mean
+
+    @property
+    def met(self) -> bool:
+        """Whether all three bars are met."""
+        usual, high = float(self.median.value), float(self.high.value)
+        return usual <= MEDIAN_RATIO_MAX and high <= HIGH_RATIO_MAX and self.diverged == 0
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """All of it for one controller."""
+
+    contender: Contender
+    cases: tuple[CaseResult, ...]  # the nominal one first
+    joint: JointResult | None  # None where nothing was drawn
+
+
+def examine(contender: Contender, plan: Plan, progress: Progress | None = None) -> Robustness:
+    """Fly every case and every draw; progress: called with steps done and to do, of all flights together."""
+    cases = plan.cases()
+    flights = len(cases) + (2 if plan.draws else 0)
+    flown = 0
+
+    def fly(seed: int, count: int, variation: Variation | None) -> Judged:
+        nonlocal flown
+
+        def show(done: int, total: int) -> None:
+            if progress is not None:
+                progress(flown * total + done, flights * total)
+
+        judged = _fly(contender, plan, seed, count, variation, show)
+        flown += 1
+        return judged
+
+    delay = plan.aircraft.propulsion.delay
+    commands, drawn = (int(part.generate_state(1)[0]) for part in np.random.SeedSequence(plan.seed).spawn(2))
+    nominal = fly(commands, plan.episodes, None)
+    results = [_case(cases[0], nominal, nominal)]
+    for case in cases[1:]:
+        varied = fly(commands, plan.episodes, case.variation(plan.episodes, delay))
+        results.append(_case(case, varied, nominal))
+    joint = None
+    if plan.draws:
+        count = plan.draws * COMMANDS_PER_DRAW
+        draws = plan.extremes().draw(plan.draws, np.random.default_rng(drawn), delay)
+        each = draws.at(np.repeat(np.arange(plan.draws), COMMANDS_PER_DRAW))
+        joint = _joint(fly(drawn, count, each), fly(drawn, count, None), plan.draws)
+    return Robustness(contender, tuple(results), joint)
+
+
+def ratio_of(part: Array, whole: Array) -> Mean:
+    """Ratio of the means of two figures of the same episodes, (E,), linearised for its 95 % confidence."""
+    ratio = float(part.mean() / whole.mean())
+    away = ratio + (part - ratio * whole) / whole.mean()
+    return mean_of(away, np.ones(len(away), np.bool_))
+
+
+def quantile_of(values: Array, q: float) -> Mean:
+    """The q-quantile of values (D,), 0 < q < 1, between the order statistics that hold it in 95 of 100 cases.
+
+    Free of distributions: how many values lie below is binomial, here by its normal approximation. Where
+    there are too few values for a bound, it is their least or greatest.
+    """
+    count = len(values)
+    half = NORMAL * math.sqrt(count * q * (1.0 - q))
+    places = [math.ceil(count * q) - 1, math.floor(count * q - half) - 1, math.ceil(count * q + half)]
+    value, low, high = map(np.array, np.sort(values)[np.clip(places, 0, count - 1)])
+    return Mean(value, low, high, np.array(count))
+
+
+def judge(flights: Flights) -> Judged:
+    """Figures of each episode of what was flown."""
+    stride = max(1, round(CHANGE_S / flights.step_s))
+    mae, output, change, diverged = [], [], [], []
+    for wanted, rate, y in zip(flights.setpoint, flights.rate, flights.output, strict=True):
+        error = np.rad2deg(np.abs(wanted - rate, dtype=np.float64)).mean()
+        still = np.rad2deg(np.abs(wanted, dtype=np.float64)).mean()
+        mae.append(error)
+        output.append(y.mean(dtype=np.float64))
+        change.append(np.abs(np.diff(y[::stride], axis=0)).mean(dtype=np.float64))
+        spun = not np.abs(rate).max() <= DIVERGED_RATE  # NaN included
+        diverged.append(spun or error > max(still, DIVERGED_FLOOR))
+    return Judged(np.array(mae), np.array(output), np.array(change), np.array(diverged))
+
+
+def _fly(
+    contender: Contender,
+    plan: Plan,
+    seed: int,
+    count: int,
+    variation: Variation | None,
+    progress: Progress,
+) -> Judged:
+    throttle = np.random.default_rng(seed).uniform(0.0, plan.throttle_max, count).astype(np.float32)
+    flights = record(
+        contender.build(count),
+        plan.aircraft,
+        plan.task,
+        episodes=count,
+        seed=seed,
+        control_rate_hz=contender.control_rate_hz,
+        mount=plan.mount,
+        noise=plan.noise,
+        throttle=throttle,
+        idle=contender.idle,
+        variation=variation,
+        progress=progress,
+    )
+    return judge(flights)
+
+
+def _case(case: Case, varied: Judged, nominal: Judged) -> CaseResult:
+    return CaseResult(
+        case=case,
+        mae=mean_of(varied.mae, np.ones(len(varied.mae), np.bool_)),
+        ratio=ratio_of(varied.mae, nominal.mae),
+        output=float(varied.output.mean()),
+        change=float(varied.change.mean()),
+        diverged=int(varied.diverged.sum()),
+    )
+
+
+def _joint(varied: Judged, nominal: Judged, draws: int) -> JointResult:
+    mae, usual = (judged.mae.reshape(draws, -1).mean(axis=1) for judged in (varied, nominal))
+    ratios = mae / usual
+    diverged: NDArray[np.bool_] = np.any(varied.diverged.reshape(draws, -1), axis=1)
+    return JointResult(
+        ratios=ratios,
+        median=quantile_of(ratios, 0.5),
+        high=quantile_of(ratios, HIGH),
+        change=float(varied.change.mean()),
+        diverged=int(diverged.sum()),
+        diverged_share=share_of(diverged),
+    )
+
+
+def document(result: Robustness) -> dict[str, object]:
+    """Who flew and how it went, as JSON data."""
+    contender, joint = result.contender, result.joint
+    return {
+        "controller": contender.name,
+        "label": contender.label,
+        **contender.facts,
+        "idle": contender.idle,
+        "control_rate_hz": contender.control_rate_hz,
+        "cases": {
+            each.case.name: {
+                "parameter": each.case.parameter,
+                "value": each.case.value if each.case.parameter else None,
+                "mae": _plain(each.mae),
+                "ratio": _plain(each.ratio),
+                "output": each.output,
+                "change": each.change,
+                "diverged": each.diverged,
+                "met": each.met,
+            }
+            for each in result.cases
+        },
+        "joint": None
+        if joint is None
+        else {
+            "median": _plain(joint.median),
+            "high": _plain(joint.high),
+            "change": joint.change,
+            "diverged": joint.diverged,
+            "diverged_share": _plain(joint.diverged_share),
+            "ratios": [round(float(ratio), 4) for ratio in joint.ratios],
+            "met": joint.met,
+        },
+    }
+
+
+def _plain(mean: Mean) -> dict[str, float]:
+    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}

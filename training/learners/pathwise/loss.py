@@ -1,0 +1,73 @@
+"""What a flight is blamed for, and the derivatives of that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.learners.pathwise.flight import Batch, Flight
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Of the loss's parts beside the mean absolute error [deg/s]."""
+
+    square: float  # [s/deg], of the mean squared error
+    output: float  # [deg/s], of the mean output
+    change: float  # [deg/s], of the outputs' mean absolute change in a control step
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Means over axes or motors, and over what counts of a batch."""
+
+    mae: float  # [deg/s]
+    mse: float  # [deg^2/s^2]
+    output: float
+    change: float
+
+    def loss(self, weights: Weights) -> float:
+        """[deg/s]."""
+        return (
+            self.mae + weights.square * self.mse + weights.output * self.output + weights.change * self.change
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Blame:
+    """Derivatives of a loss by what was flown."""
+
+    rate: Array  # (T, B, 3) [s/rad deg/s]
+    action: Array  # (T, B, M) [deg/s]
+
+
+def blame(flight: Flight, batch: Batch, weights: Weights) -> tuple[Figures, Blame]:
+    """Figures of what was flown against the true rate, and the loss's derivatives."""
+    motors = flight.action.shape[2]
+    error = np.rad2deg(batch.setpoint - flight.rate)
+    action = flight.action.astype(np.float64)
+    change = np.diff(action, axis=0)
+
+    def share(counts: Array, parts: int) -> Array:
+        """What each of `parts` axes or motors counts in a mean, (T, B, 1)."""
+        shares: Array = counts.T[:, :, None] / max(counts.sum() * parts, 1.0)
+        return shares
+
+    absolute, square = share(batch.counted.error, 3), share(batch.counted.square, 3)
+    a_motor = share(batch.counted.effort, motors)
+    figures = Figures(
+        mae=float((absolute * np.abs(error)).sum()),
+        mse=float((square * np.square(error)).sum()),
+        output=float((a_motor * action).sum()),
+        change=float((a_motor[1:] * np.abs(change)).sum()),
+    )
+    by_rate = -np.rad2deg(1.0) * (absolute * np.sign(error) + 2.0 * weights.square * square * error)
+    by_action = np.repeat(weights.output * a_motor, motors, axis=2)
+    by_change = weights.change * a_motor[1:] * np.sign(change)
+    by_action[1:] += by_change
+    by_action[:-1] -= by_change
+    return figures, Blame(by_rate, by_action)

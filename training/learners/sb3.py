@@ -1,0 +1,120 @@
+"""What every algorithm of Stable-Baselines3 needs to be a learner: the aircraft, the legs, the reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import set_random_seed
+
+from sim.aircraft.model import Aircraft
+from training.config.training_config import TrainingConfig
+from training.envs.vector import AttitudeVecEnv
+from training.learners.protocol import Report
+
+MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+REWARD_SCALE_MIN = 1e-4
+REPORT_STEPS = 4096  # control steps, all aircraft together, from a report to the next at least
+
+
+class Sb3Learner:
+    """See Learner. A subclass builds `_model` and says what of it is to be kept."""
+
+    _model: BaseAlgorithm
+
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig, discount: float) -> None:
+        self._config = config
+        self.part = 0.0  # of the run that is over
+        # A value is then a mean reward, whatever the horizon: something that a critic of small weights can
+        # say at once, where a sum over a hundred steps takes it a million to grow up to.
+        self._reward_scale = max(1.0 - discount, REWARD_SCALE_MIN)
+        count = config.algorithm.aircraft
+        self._env = AttitudeVecEnv(aircraft, config, count, reward_scale=self._reward_scale)
+
+    @property
+    def steps(self) -> int:
+        """See Learner."""
+        return int(self._model.num_timesteps)
+
+    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+        """See Learner."""
+        seed = np.random.SeedSequence([self._config.seed, leg])
+        self._env.restart(np.random.default_rng(seed))
+        chance = int(seed.generate_state(1)[0])
+        set_random_seed(chance)
+        self._env.action_space.seed(chance)
+        model = self._model
+        model._last_obs = None  # a new leg begins with new episodes
+        steps = min(self._config.algorithm.leg_steps, self._config.steps - self.steps)
+
+        def reported(update: Report) -> None:
+            self.part = min(1.0, update.steps / self._config.steps)
+            report(update)
+
+        model.learn(steps, callback=_Reporter(reported, self._reward_scale), reset_num_timesteps=False)
+
+    def policy(self) -> dict[str, torch.Tensor]:
+        """See Learner."""
+        raise NotImplementedError
+
+    def state(self) -> dict[str, Any]:
+        """See Learner."""
+        return {
+            "steps": self.steps,
+            "updates": self._model._n_updates,
+            "networks": self._model.policy.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """See Learner."""
+        self._model.num_timesteps = state["steps"]
+        self._model._n_updates = state["updates"]
+        self.part = min(1.0, self.steps / self._config.steps)
+        self._model.policy.load_state_dict(state["networks"])
+        for optimizer, kept in zip(self._optimizers(), state["optimizers"], strict=True):
+            optimizer.load_state_dict(kept)
+
+    def close(self) -> None:
+        """See Learner."""
+        self._env.close()
+
+    def _optimizers(self) -> list[torch.optim.Optimizer]:
+        """Whose state the next leg builds on."""
+        raise NotImplementedError
+
+    def _annealed(self, rate: float) -> Callable[[float], float]:
+        """A learning rate that falls linearly to a tenth over the run, however it is cut into legs."""
+        return lambda _: rate * (1.0 - 0.9 * self.part)
+
+    def _actor_of(self, prefix: str) -> dict[str, torch.Tensor]:
+        """The policy's entries whose name begins with `prefix`."""
+        state = self._model.policy.state_dict()
+        return {name: tensor for name, tensor in state.items() if name.startswith(prefix)}
+
+
+class _Reporter(BaseCallback):
+    """Reports after rollouts, with the mean reward of a control step since the last report."""
+
+    def __init__(self, report: Callable[[Report], None], reward_scale: float) -> None:
+        super().__init__()
+        self._report, self._reward_scale = report, reward_scale
+        self._sum, self._count = 0.0, 0
+
+    def _on_step(self) -> bool:
+        rewards = self.locals["rewards"]
+        self._sum += float(rewards.sum())
+        self._count += len(rewards)
+        return True
+
+    def _on_rollout_end(self) -> None:
+        model = self.model
+        if self._count < REPORT_STEPS and model.num_timesteps < model._total_timesteps:
+            return
+        figures = {name: float(value) for name, value in model.logger.name_to_value.items()}
+        self._report(Report(self.num_timesteps, self._sum / self._count / self._reward_scale, figures))
+        self._sum, self._count = 0.0, 0

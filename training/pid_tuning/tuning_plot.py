@@ -1,0 +1,119 @@
+"""What a PID search looks like: responses before and after, and how it got there."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import ScalarFormatter
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft, PidSettings
+from sim.analysis.flight_report import FLIGHT_COLOURS, GRID, INK, dress
+from sim.control.pid import Pid, mixer
+from toolchain.contract import AXES
+from training.evaluation.evaluation import record
+from training.pid_tuning.tuning import Limits, Pulses, Trial, Tuning
+from training.tasks.task import PulseTask
+
+STEP_DEG_S = 100.0  # shown, on one axis at a time
+SHOWN_S = 0.5
+START_COLOUR, BEST_COLOUR = FLIGHT_COLOURS[1], FLIGHT_COLOURS[0]
+OUTSIDE = "#b3bac4"  # candidates that exceed a limit
+
+
+def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, control_rate_hz: int, title: str) -> Figure:
+    """A step on each axis with the gains of the start and the best; below, every candidate of the search."""
+    figure = Figure(figsize=(12, 7.5), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    grid = figure.add_gridspec(2, 3)
+    panels = [figure.add_subplot(grid[0, axis]) for axis in range(3)]
+    top = 1.15 * STEP_DEG_S
+    for label, trial, colour in (("start", tuning.start, START_COLOUR), ("tuned", tuning.best, BEST_COLOUR)):
+        t, rate = _responses(aircraft, trial.settings, control_rate_hz)
+        top = max(top, float(rate.max()))
+        for axis, panel in enumerate(panels):
+            panel.plot(t, rate[axis], color=colour, lw=1.5, label=label)
+    for axis, panel in enumerate(panels):
+        panel.axhline(STEP_DEG_S, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=1, label="setpoint")
+        found = tuning.ultimates[axis]
+        dress(panel, f"{AXES[axis]}:  $K_u$ {found.gain:.3g},  $T_u$ {1e3 * found.period:.0f} ms")
+        panel.set_xlim(0, 1e3 * SHOWN_S)
+        panel.set_ylim(-0.08 * top, 1.05 * top)
+        panel.set_xlabel("time since the command, ms", color=INK)
+    panels[0].set_ylabel("rate, deg/s", color=INK)
+    panels[0].legend(loc="lower right", frameon=False, fontsize=9)
+    _draw_search(figure.add_subplot(grid[1, :2]), tuning, limits)
+    _draw_limit(figure.add_subplot(grid[1, 2]), tuning, limits)
+    return figure
+
+
+def _responses(
+    aircraft: Aircraft, settings: PidSettings, control_rate_hz: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time since the step [ms] (T,) and the stepped axis' rate [deg/s] (3, T), with the gyro's noise."""
+    task = PulseTask(command_s=SHOWN_S, rest_s=0.0)
+    flights = record(
+        Pid(mixer(aircraft), settings, 3, control_rate_hz),
+        aircraft,
+        Pulses(np.deg2rad(STEP_DEG_S) * np.eye(3), task),
+        episodes=3,
+        seed=0,
+        control_rate_hz=control_rate_hz,
+        idle=settings.idle,
+    )
+    start = round(task.idle_s * control_rate_hz)
+    stepped = np.stack([flights.rate[axis, start:, axis] for axis in range(3)])
+    t = 1e3 * flights.step_s * np.arange(stepped.shape[1], dtype=np.float64)
+    return t, np.rad2deg(stepped.astype(np.float64))
+
+
+def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
+    """MAE of every candidate, and the least so far of those that keep the limits."""
+    mae = np.array([trial.mae for trial in tuning.trials])
+    kept = np.array([_keeps(trial, limits) for trial in tuning.trials], bool)
+    number = np.arange(1, len(mae) + 1)
+    panel.scatter(number[~kept], mae[~kept], s=7, color=OUTSIDE, lw=0, label="exceeds a limit")
+    panel.scatter(number[kept], mae[kept], s=7, color=BEST_COLOUR, lw=0, label="candidate")
+    if kept.any():
+        best = np.minimum.accumulate(np.where(kept, mae, np.inf))
+        panel.plot(number, best, color=INK, lw=1.2, label="least so far")
+        panel.set_ylim(0.9 * mae[kept].min(), 8 * mae[kept].min())
+    panel.set_yscale("log")
+    _plain(panel)
+    dress(panel, "search")
+    panel.set_xlabel("candidate", color=INK)
+    panel.set_ylabel("MAE, deg/s", color=INK)
+    panel.set_xlim(0, len(mae) + 1)
+    panel.legend(loc="upper right", fontsize=9, facecolor="white", edgecolor=GRID, markerscale=2)
+
+
+def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
+    """What a smaller MAE costs in motion of the outputs."""
+    kept = [trial for trial in tuning.trials if _keeps(trial, limits)]
+    outside = [trial for trial in tuning.trials if not _keeps(trial, limits)]
+    for trials, colour in ((outside, OUTSIDE), (kept, BEST_COLOUR)):
+        x, y = [1e2 * trial.change for trial in trials], [trial.mae for trial in trials]
+        panel.scatter(x, y, s=7, color=colour, lw=0)
+    best = tuning.best
+    panel.scatter([1e2 * best.change], [best.mae], s=60, facecolor="none", edgecolor=INK, lw=1.4, zorder=4)
+    panel.axvline(1e2 * limits.change, color=INK, lw=1.0, ls=(0, (4, 2)))
+    panel.set_yscale("log")
+    panel.set_ylim(0.9 * best.mae, 8 * best.mae)
+    panel.set_xlim(0, 2e2 * limits.change)
+    _plain(panel)
+    dress(panel, "MAE against |Δu|; dashed: its limit")
+    panel.set_xlabel("mean |Δu| in 1 ms, % of the range", color=INK)
+
+
+def _plain(panel: Axes) -> None:
+    """Numbers like 2 and 5 on a logarithmic axis."""
+    low, high = panel.get_ylim()
+    panel.set_yticks([tick for tick in (0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100) if low <= tick <= high])
+    panel.yaxis.set_major_formatter(ScalarFormatter())
+    panel.minorticks_off()
+
+
+def _keeps(trial: Trial, limits: Limits) -> bool:
+    return trial.output <= limits.output and trial.change <= limits.change

@@ -1,0 +1,123 @@
+"""Ziegler and Nichols' experiment in the twin: how much proportional gain an axis bears, and what it says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.mass import Vector
+from sim.aircraft.model import Aircraft, PidSettings
+from sim.control.pid import SCALE, Pid, mixer
+from toolchain.contract import AXES
+from toolchain.errors import TrainingError
+from training.evaluation.evaluation import record
+from training.tasks.task import Setpoints, held
+
+Array = NDArray[np.float64]
+
+STEP_MAX_DEG_S = 100.0  # of the axis; the other two rest without control
+STEP_OUTPUT = 0.3  # motor fraction that a smaller step asks of a larger gain, so that no motor saturates
+SETTLE_S, WINDOW_S = 0.5, 0.5  # until the first of two windows that are compared, and their length
+GAIN_MIN, GAIN_MAX = 0.02, 200.0  # searched for the ultimate gain
+GAINS = 33  # tried at a time
+ROUNDS = 2  # each between the last gain that let the oscillation die and the first that did not
+SUSTAINED = 0.95  # amplitude of a window against the one before it, from which an oscillation counts
+AMPLITUDE_MIN = 0.02  # standard deviation in parts of the step, below which nothing oscillates
+CYCLES_MIN = 2  # in a window; fewer is a drift
+RULES = {  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u)
+    "Ziegler-Nichols": (0.6, 1.2, 0.075),
+    "some overshoot": (0.33, 0.66, 0.11),
+    "no overshoot": (0.2, 0.4, 0.066),
+}
+
+
+@dataclass(frozen=True)
+class Ultimate:
+    """The least proportional gain at which an axis oscillates by itself."""
+
+    gain: float  # K_u, as K_P of PidSettings
+    period: float  # T_u [s]
+
+    def gains(self, rule: str) -> Vector:
+        """K_P, K_I, K_D by a rule of `RULES`."""
+        return self.scaled(RULES[rule])
+
+    def scaled(self, parts: Vector) -> Vector:
+        """K_P, K_I, K_D that are `parts` of K_u, K_u / T_u and K_u T_u."""
+        p, i, d = parts
+        return p * self.gain, i * self.gain / self.period, d * self.gain * self.period
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A step from rest for each aircraft, held to the end."""
+
+    name: ClassVar[str] = "steps"
+    command: Array  # (N, 3) [rad/s]
+    duration_s: float
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return held(self.command, self.duration_s, rate_hz)
+
+
+def ultimate(aircraft: Aircraft, idle: float, control_rate_hz: int) -> tuple[Ultimate, Ultimate, Ultimate]:
+    """K_u and T_u of roll, pitch and yaw, each alone, without noise. Raises TrainingError without one."""
+    roll, pitch, yaw = (_of_axis(aircraft, axis, idle, control_rate_hz) for axis in range(3))
+    return roll, pitch, yaw
+
+
+def _of_axis(aircraft: Aircraft, axis: int, idle: float, control_rate_hz: int) -> Ultimate:
+    low, high = GAIN_MIN, GAIN_MAX
+    for _ in range(ROUNDS):
+        gains = np.geomspace(low, high, GAINS)
+        steps = np.minimum(STEP_MAX_DEG_S, STEP_OUTPUT / (gains * SCALE))
+        rate = _oscillations(aircraft, axis, gains, steps, idle, control_rate_hz)
+        window = round(WINDOW_S * control_rate_hz)
+        before, after = rate[:, -2 * window : -window].std(axis=1), rate[:, -window:].std(axis=1)
+        cycles = np.array([len(_crossings(row[-window:])) for row in rate]) - 1
+        sustained = (after >= SUSTAINED * before) & (after >= AMPLITUDE_MIN * steps) & (cycles >= CYCLES_MIN)
+        if not sustained.any():
+            raise TrainingError(
+                f"aircraft {aircraft.name}: {AXES[axis]} does not oscillate by itself at any proportional "
+                f"gain from {GAIN_MIN:g} to {GAIN_MAX:g}; check inertia, thrust and delay in its file"
+            )
+        first = int(np.argmax(sustained))
+        low, high = gains[max(first - 1, 0)], gains[first]
+    crossings = _crossings(rate[first, -window:])
+    period = float(crossings[-1] - crossings[0]) / (len(crossings) - 1) / control_rate_hz
+    return Ultimate(float(gains[first]), period)
+
+
+def _oscillations(
+    aircraft: Aircraft, axis: int, gains: Array, steps: Array, idle: float, control_rate_hz: int
+) -> Array:
+    """Rate of `axis` [deg/s] over time for each gain and its step [deg/s], (G, T)."""
+    nothing: Vector = (0.0, 0.0, 0.0)
+    settings = []
+    for gain in gains.tolist():
+        own = [nothing, nothing, nothing]
+        own[axis] = (gain, 0.0, 0.0)
+        settings.append(PidSettings((own[0], own[1], own[2]), None, idle))
+    command = np.zeros((len(gains), 3))
+    command[:, axis] = np.deg2rad(steps)
+    recording = record(
+        Pid(mixer(aircraft), settings, len(gains), control_rate_hz),
+        aircraft,
+        Steps(command, SETTLE_S + 2 * WINDOW_S),
+        episodes=len(gains),
+        seed=0,
+        control_rate_hz=control_rate_hz,
+        noise=False,
+        idle=idle,
+    )
+    return np.rad2deg(recording.rate[:, :, axis].astype(np.float64))
+
+
+def _crossings(rate: Array) -> NDArray[np.intp]:
+    """Where `rate` (T,) crosses its mean upwards."""
+    above = rate > rate.mean()
+    return np.flatnonzero(~above[:-1] & above[1:])

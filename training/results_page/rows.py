@@ -1,0 +1,155 @@
+"""Rows of the page of results from stored figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from training.results_page.dissertation import Difference, Known, Row
+from training.results_page.stored_results import Stored
+
+SUMS = ("iae", "ise", "itae", "itse")
+RESPONSES = (  # of a row: figure, factor to what is printed
+    ("success", 100.0),
+    ("success_bare", 100.0),
+    ("failure", 1.0),
+    ("rise_ms", 1.0),
+    ("peak", 1.0),
+    ("error", 1.0),
+    ("stability", 1.0),
+    ("in_band_500", 100.0),
+    ("in_band_750", 100.0),
+    ("in_band_500_bare", 100.0),
+    ("in_band_750_bare", 100.0),
+)
+ALL_AXES = ("in_band_500", "in_band_500_bare", "in_band_750", "in_band_750_bare")
+STEADY = ("steady", "steady_bare")
+DIFFERENCES = ("mae", "mse", "output", "change", "smoothness", *STEADY)
+ENTRIES = (("comparison",), ("robustness", "controllers"))  # where a file names several controllers
+SHIPPED = "training/policies/"
+
+
+def compared_rows(stored: Stored) -> list[Row]:
+    """Of what `compare --json` printed: a row for each controller and throttle."""
+    shared = {key: value for key, value in stored.document.items() if key != "comparison"}
+    rows: list[Row] = []
+    for entry in stored.entries("comparison"):
+        first = rows[-1].against or rows[-1].label if rows and entry.has("difference") else ""
+        rows.append(evaluated_row(Stored(entry.name, shared | dict(entry.document)), first))
+    return rows
+
+
+def evaluated_row(stored: Stored, against: str = "") -> Row:
+    """Of what `evaluate --json` printed, or one controller of a comparison, whose first is `against`."""
+    conditions = []
+    if not stored.get("noise"):
+        conditions.append("no noise")
+    if "--delay" in stored.text("command"):
+        conditions.append(f"delay {1e3 * stored.number('delay_s'):g} ms")
+    if stored.text("mount") != "centre":
+        conditions.append(f"mount {stored.text('mount')}")
+    if stored.number("throttle"):
+        conditions.append(f"throttle {stored.number('throttle'):g}")
+    return Row(
+        label=", ".join([controller_label(stored), *conditions]),
+        episodes=int(stored.number("episodes")),
+        tracking={name: stored.axes(name) for name in ("mae", "mse", *SUMS)},
+        mae_margin=stored.axes("margin_95", "mae"),
+        output=stored.number("output"),
+        change=stored.number("change"),
+        smoothness=stored.number("smoothness") if stored.has("smoothness") else None,
+        response=_response(stored, "response"),
+        in_band=_all_axes(stored, "response"),
+        against=against,
+        difference={
+            name: _difference(stored, name) for name in DIFFERENCES if stored.has("difference", name)
+        },
+    )
+
+
+def flown_rows(stored: Stored) -> list[Row]:
+    """Of what `fly --json` printed: the firmware's row and the PID's."""
+    if stored.text("scenario") != "pulses":
+        raise stored.error(
+            "scenario", stored.text("scenario"), "pulses, the only flight the page has a table for"
+        )
+    on = stored.text("on")
+    firmware = "Betaflight, default PID (SITL)" if on == "betaflight" else f"policy in the firmware ({on})"
+    flights = stored.get("flights")
+    if not isinstance(flights, dict):
+        raise stored.error("flights", flights, "an object")
+    return [
+        Row(
+            label=firmware if name == "firmware" else f"{name}, same gyro rate and commands as the row above",
+            episodes=int(stored.number("episodes")),
+            tracking={key: stored.axes("flights", name, "tracking", key) for key in ("mae", "mse", *SUMS)},
+            output=stored.number("flights", name, "effort", "output"),
+            change=stored.number("flights", name, "effort", "change"),
+            smoothness=(
+                stored.number("flights", name, "smoothness")
+                if stored.has("flights", name, "smoothness")
+                else None
+            ),
+            response=_response(stored, "flights", name, "response"),
+            in_band=_all_axes(stored, "flights", name, "response"),
+        )
+        for name in flights
+    ]
+
+
+def controller_label(stored: Stored) -> str:
+    """Who flew: a PID by its name, a policy by its place, and the idle where there is one."""
+    name = stored.text("controller")
+    label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
+    idle = stored.number("idle") if stored.has("idle") else 0.0
+    return f"{label}, idle {idle:g}" if idle else label
+
+
+def digests(stored: Stored) -> Sequence[str]:
+    """What identifies the aircraft and the policies behind a file."""
+    if stored.has("config"):
+        name, sha256 = (stored.text("config", "aircraft", key) for key in ("name", "sha256"))
+        return [f"{name} `{sha256[:12]}`"]
+    found = [f"{stored.text('aircraft')} `{stored.text('aircraft_sha256')[:12]}`"]
+    if stored.has("image_sha256"):
+        found.append(f"image `{stored.text('image_sha256')[:12]}`")
+    for entry in (stored, *(each for path in ENTRIES if stored.has(*path) for each in stored.entries(*path))):
+        if entry.has("policy_sha256"):
+            found.append(f"policy `{entry.text('policy_sha256')[:12]}`")
+    return list(dict.fromkeys(found))
+
+
+def _policy_label(name: str) -> str:
+    path = Path(name)
+    if name.startswith(SHIPPED):
+        return f"shipped policy ({path.parent.name})"
+    return (
+        f"policy `{path.parent.name}`"
+        if path.name == "policy.onnx" and path.parent.name
+        else f"policy `{name}`"
+    )
+
+
+def _difference(stored: Stored, name: str) -> Difference:
+    low, high = (stored.number("difference", name, end) for end in ("low", "high"))
+    return Difference(stored.number("difference", name, "value"), (high - low) / 2, low > 0 or high < 0)
+
+
+def _response(stored: Stored, *path: str) -> dict[str, Known]:
+    if stored.get(*path) is None:
+        return {}
+    found: dict[str, Known] = {}
+    for name, factor in RESPONSES:
+        values, counts = stored.axes(*path, name, "value"), stored.axes(*path, name, "count")
+        roll, pitch, yaw = (factor * v if count else None for v, count in zip(values, counts, strict=True))
+        found[name] = (roll, pitch, yaw)
+    return found
+
+
+def _all_axes(stored: Stored, *path: str) -> dict[str, float]:
+    """Share of the time, and of the commands, [%] in which all axes are in the band."""
+    if stored.get(*path) is None:
+        return {}
+    found = {name: 100 * stored.number(*path, f"all_{name}", "value") for name in ALL_AXES}
+    steady = {name: 100 * stored.number(*path, name, "value") for name in STEADY if stored.has(*path, name)}
+    return found | steady

@@ -1,0 +1,138 @@
+"""Stored results: what commands printed with --json, read with suspicion."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolchain.errors import NeuroflightError
+from training.results_page.dissertation import Axes
+
+FILE_BYTES_MAX = 4 << 20
+FILES_MAX = 200
+COMMANDS = "commands.txt"  # in a folder of results: a line NAME.json neuroflight COMMAND... for each
+
+
+class ResultsError(NeuroflightError):
+    """A stored result that is damaged or none."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A file of figures."""
+
+    name: str
+    document: Mapping[str, Any]
+
+    def error(self, key: str, got: object, expected: str) -> ResultsError:
+        """The exception that says what is wrong with `key`, for the caller to raise."""
+        return ResultsError(
+            f"{self.name}: {key}: got {str(got)[:60]!r}, expected {expected}; "
+            f"make the file anew by its command"
+        )
+
+    def get(self, *path: str) -> Any:  # noqa: ANN401 - any JSON value
+        """What stands at a path of keys. Raises ResultsError naming it when nothing does."""
+        value: Any = self.document
+        for depth, key in enumerate(path, start=1):
+            if not isinstance(value, dict) or key not in value:
+                raise self.error(".".join(path[:depth]), "nothing", "a value")
+            value = value[key]
+        return value
+
+    def has(self, *path: str) -> bool:
+        """Whether anything stands at a path of keys."""
+        value: Any = self.document
+        for key in path:
+            if not isinstance(value, dict) or key not in value:
+                return False
+            value = value[key]
+        return True
+
+    def entries(self, *path: str) -> list[Stored]:
+        """The objects of the list at a path, one at least."""
+        value = self.get(*path)
+        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
+            raise self.error(".".join(path), value, "a list of objects")
+        where = f"{self.name}: {'.'.join(path)}"
+        return [Stored(f"{where}[{number}]", item) for number, item in enumerate(value)]
+
+    def number(self, *path: str) -> float:
+        """A finite number at a path."""
+        value = self.get(*path)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.error(".".join(path), value, "a finite number")
+        return float(value)
+
+    def text(self, *path: str) -> str:
+        """A line of text at a path."""
+        value = self.get(*path)
+        if not isinstance(value, str) or not value.isprintable():
+            raise self.error(".".join(path), value, "a line of text")
+        return value
+
+    def axes(self, *path: str) -> Axes:
+        """Three finite numbers at a path."""
+        value = self.get(*path)
+        good = isinstance(value, list) and len(value) == 3
+        if not good or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
+            raise self.error(".".join(path), value, "three finite numbers")
+        roll, pitch, yaw = value
+        return (float(roll), float(pitch), float(yaw))
+
+
+def read_results(folder: Path) -> list[Stored]:
+    """The stored results of a folder, by name. Raises ResultsError naming a file that is none."""
+    paths = sorted(folder.glob("*.json"))
+    if not 1 <= len(paths) <= FILES_MAX:
+        raise ResultsError(
+            f"{folder}: {len(paths)} .json files, expected 1 to {FILES_MAX}; "
+            f"`neuroflight evaluate ... --json > {folder}/NAME.json` makes one"
+        )
+    results = []
+    for path in paths:
+        if path.stat().st_size > FILE_BYTES_MAX:
+            raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+        try:
+            document = json.loads(path.read_text())
+        except (ValueError, RecursionError) as error:
+            raise ResultsError(f"{path}: not JSON ({error}); make it anew") from error
+        if not isinstance(document, dict):
+            raise ResultsError(f"{path}: holds a {type(document).__name__}, expected an object; make it anew")
+        results.append(Stored(path.name, document))
+    return results
+
+
+def read_commands(folder: Path) -> dict[str, list[str]]:
+    """The command that makes each file of a folder of results: words after `neuroflight`, without --json.
+
+    They stand in its commands.txt, a line a file; # begins a remark. Raises ResultsError naming a line that
+    is none.
+    """
+    path = folder / COMMANDS
+    if not path.is_file():
+        raise ResultsError(
+            f"{path}: not there; write a line `NAME.json neuroflight COMMAND...` for each file"
+        )
+    if path.stat().st_size > FILE_BYTES_MAX:
+        raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+    found: dict[str, list[str]] = {}
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+        where = f"{path}: line {number}"
+        try:
+            name, program, *words = shlex.split(line, comments=True) or ("", "neuroflight")
+        except ValueError:
+            name, program, words = line, "", []
+        if not name and not words:
+            continue
+        if program != "neuroflight" or not words or not name.endswith(".json") or Path(name).name != name:
+            raise ResultsError(f"{where}: {line[:60]!r}, expected NAME.json neuroflight COMMAND...")
+        if name in found:
+            raise ResultsError(f"{where}: {name} for a second time, expected each file once")
+        found[name] = words
+    return found

@@ -1,0 +1,48 @@
+"""The section about runs of synthesis on the page of results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from training.results_page.markdown import table
+from training.results_page.stored_results import Stored
+
+GOOD_DEG_S = 5.0  # mean error of a policy that flies
+
+
+def training_section(runs: Sequence[Stored]) -> str:
+    """How long runs took; of monitored ones what they came to."""
+    body = []
+    for run in runs:
+        seconds, steps = run.number("seconds"), run.number("steps")
+        seen = run.entries("monitor") if run.has("monitor") and run.get("monitor") else []
+        good = [r.number("steps") for r in seen if r.number("mae", "mean") < GOOD_DEG_S]
+        chosen = run.has("chosen", "steps")
+        body.append(
+            (
+                f"{run.text('config', 'algorithm', 'name')}, {run.text('config', 'aircraft', 'name')}, "
+                f"`{run.text('config', 'observation')}`, seed {run.number('config', 'seed'):g}",
+                f"{steps / 1e6:.1f}",
+                f"{seconds:.0f}",
+                f"{run.number('steps_per_second'):,.0f}",
+                f"{seconds * good[0] / steps:.0f}" if good else "",
+                f"{run.number('chosen', 'steps') / 1e6:.1f}" if chosen else "",
+                f"{run.number('chosen', 'mae', 'mean'):.2f}" if chosen else "",
+            )
+        )
+    headings = (
+        "run",
+        "M steps",
+        "seconds",
+        "steps/s",
+        "below 5 deg/s after, s",
+        "chosen at, M steps",
+        "MAE there",
+    )
+    return f"## Training\n\n{ABOUT_TRAINING}\n\n{table(headings, body)}"
+
+
+ABOUT_TRAINING = """From the first step to the last file on the machine that made the policies, two cores of
+it at most. A monitor flies each checkpoint on five commands that no figure above is taken of: when their mean
+error first was below 5 deg/s, at the run's mean speed, which checkpoint its rule chose, and its error
+there."""

@@ -1,0 +1,157 @@
+"""Checkpoints: plain containers and tensors, enough to freeze the policy and to go on with the run.
+
+The layout is shared with `toolchain.policy.freeze` (contract CHECKPOINT_*), which takes the policy in
+"state_dict": the chosen one, while "learner" is the run's latest state. Loading executes nothing. No time
+and no path is in it: an equal run gives equal bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
+from toolchain.errors import TrainingError
+from toolchain.files import write_bytes
+from training.checkpoints.metrics import Reading
+from training.config.selection import Selection
+
+Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.freeze` knows
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What the monitor has been asked and has answered in a run."""
+
+    readings: tuple[Reading, ...] = ()  # by steps
+    pending: tuple[tuple[int, Policy], ...] = ()  # by steps: policies without a reading yet
+    chosen: tuple[Reading, Policy] | None = None  # the best so far
+
+    @property
+    def steps(self) -> int:
+        """Of the last policy that the monitor was asked about; 0 before the first."""
+        asked = (*(reading.steps for reading in self.readings), *(steps for steps, _ in self.pending))
+        return max(asked, default=0)
+
+    @property
+    def best(self) -> Reading | None:
+        """The reading of the chosen policy."""
+        return self.chosen[0] if self.chosen else None
+
+    def asked(self, steps: int, policy: Policy) -> Watched:
+        """One more policy waits for its reading."""
+        return replace(self, pending=(*self.pending, (steps, policy)))
+
+    def heard(self, reading: Reading, selection: Selection) -> Watched:
+        """The reading of the policy that waited longest has come."""
+        (steps, policy), *others = self.pending
+        assert steps == reading.steps
+        better = self.chosen is None or selection.better(reading, self.chosen[0])
+        return Watched(
+            readings=(*self.readings, reading),
+            pending=tuple(others),
+            chosen=(reading, policy) if better else self.chosen,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run at the end of a leg."""
+
+    leg: int  # legs done
+    steps: int  # control steps done
+    policy: Policy  # the latest
+    learner: dict[str, Any]  # Learner.state
+
+
+def save_checkpoint(path: Path, document: dict[str, Any], run: Run, watched: Watched) -> None:
+    """Write a checkpoint in one step. document: `TrainingConfig.document`."""
+    reading, policy = watched.chosen or (None, run.policy)
+    content = {
+        "format": CHECKPOINT_FORMAT,
+        "version": CHECKPOINT_VERSION,
+        "config": json.dumps(document, sort_keys=True),
+        "state_dict": policy,
+        "learner": run.learner,
+        "latest": run.policy,
+        "progress": {
+            "steps": run.steps,
+            "leg": run.leg,
+            "chosen_steps": run.steps if reading is None else reading.steps,
+        },
+        "readings": json.dumps([r.document() for r in watched.readings]),
+        "pending": [[steps, waiting] for steps, waiting in watched.pending],
+    }
+    # Through memory: torch writes a file's own name into it.
+    buffer = io.BytesIO()
+    torch.save(snapshot(content), buffer)
+    if buffer.tell() > CHECKPOINT_FILE_BYTES_MAX:
+        raise TrainingError(
+            f"{path} would be {buffer.tell()} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}; choose a "
+            f"smaller network or replay buffer"
+        )
+    write_bytes(path, buffer.getvalue())
+
+
+def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, Watched]:
+    """The run to go on with. Raises TrainingError if there is none, or it is of another configuration."""
+    if not path.is_file():
+        raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
+    if (size := path.stat().st_size) > CHECKPOINT_FILE_BYTES_MAX:
+        raise TrainingError(f"{path} is {size} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        form = content["format"], content["version"]
+        config = json.loads(content["config"])
+        progress = content["progress"]
+        run = Run(int(progress["leg"]), int(progress["steps"]), dict(content["latest"]), content["learner"])
+        readings = tuple(Reading.of(item) for item in json.loads(content["readings"]))
+        chosen = [r for r in readings if r.steps == progress["chosen_steps"]]
+        watched = Watched(
+            readings,
+            tuple((int(steps), dict(policy)) for steps, policy in content["pending"]),
+            (chosen[0], dict(content["state_dict"])) if chosen else None,
+        )
+    except Exception as error:  # torch documents no set of errors for a file that is not its own
+        raise TrainingError(f"{path} is no checkpoint that a run can go on from; train anew") from error
+    if form != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
+        raise TrainingError(f"{path} is of version {form[1]}, expected {CHECKPOINT_VERSION}; train anew")
+    same = json.loads(json.dumps(document))
+    different = sorted(key for key in {*config, *same} if config.get(key) != same.get(key))
+    if different:
+        key = different[0]
+        raise TrainingError(
+            f"{path} was trained with {key} {config.get(key)}, got {same.get(key)}; resume with the same "
+            f"configuration, or train anew into another folder"
+        )
+    return run, watched
+
+
+def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, text and tensors
+    """A copy that shares nothing with `value`, and whose pickle depends on nothing but the values.
+
+    Pickle notes which equal strings and which containers are one object; after a resumption others are.
+    Raises TypeError on what is not plain.
+    """
+    match value:
+        case torch.Tensor():
+            return value.detach().cpu().clone()
+        case dict():
+            return {snapshot(key): snapshot(item) for key, item in value.items()}
+        case list():
+            return [snapshot(item) for item in value]
+        case tuple():
+            return tuple(snapshot(item) for item in value)
+        case str():
+            return sys.intern(str(value))
+        case None | bool() | int():
+            return value
+        case float():
+            return float(value)
+    raise TypeError(f"a checkpoint holds plain data and tensors, got {type(value).__name__}")

@@ -1,0 +1,32 @@
+"""Which learner an algorithm's knobs stand for."""
+
+from __future__ import annotations
+
+from sim.aircraft.model import Aircraft
+from toolchain.errors import TrainingError
+from training.config.algorithms import OffPolicyConfig, PpoConfig, TrpoConfig
+from training.config.pathwise_config import PathwiseConfig
+from training.config.training_config import TrainingConfig
+from training.learners.protocol import Learner
+
+
+def learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
+    """A fresh learner; `close()` when done."""
+    match config.algorithm:
+        case PpoConfig() as ppo:
+            from training.learners.ppo import PpoLearner
+
+            return PpoLearner(aircraft, config, ppo)
+        case TrpoConfig() as trpo:
+            from training.learners.trpo import TrpoLearner
+
+            return TrpoLearner(aircraft, config, trpo)
+        case OffPolicyConfig() as knobs:
+            from training.learners.off_policy import OffPolicyLearner
+
+            return OffPolicyLearner(aircraft, config, knobs)
+        case PathwiseConfig() as pathwise:
+            from training.learners.pathwise.learner import PathwiseLearner
+
+            return PathwiseLearner(aircraft, config, pathwise)
+    raise TrainingError(f"algorithm {config.algorithm.name!r} has no learner")

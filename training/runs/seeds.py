@@ -1,0 +1,109 @@
+"""Several runs that differ by their seed, and the best of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sim.aircraft.model import Aircraft
+from toolchain.errors import TrainingError
+from toolchain.files import write_bytes, write_text
+from training.checkpoints.metrics import Reading
+from training.config.selection import Selection
+from training.config.training_config import SEED_MAX, TrainingConfig
+from training.runs.checkpoint import load_run
+from training.runs.train import CHECKPOINT, POLICY, RECORD, RECORD_BYTES_MAX
+
+SEEDS_MAX = 100
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A run before it is begun."""
+
+    config: TrainingConfig
+    out: Path
+    done: int | None  # steps of the checkpoint that it goes on from; None: from the beginning
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to learn."""
+        return self.done is not None and self.done >= self.config.steps
+
+
+def plan(
+    aircraft: Aircraft, config: TrainingConfig, out: Path, seeds: int, *, resume: bool, force: bool
+) -> tuple[Planned, ...]:
+    """The runs of the seeds from the configuration's on: into `out` itself, or a folder each if several.
+
+    Raises TrainingError if one cannot be run there: results that are kept, none to resume, or of another
+    configuration. Nothing is written.
+    """
+    if not 1 <= seeds <= SEEDS_MAX:
+        raise TrainingError(f"{seeds} seeds, expected 1 to {SEEDS_MAX}")
+    if config.seed + seeds - 1 > SEED_MAX:
+        raise TrainingError(
+            f"{seeds} seeds from {config.seed} on, expected the last to be at most {SEED_MAX}"
+        )
+    numbers = range(config.seed, config.seed + seeds)
+    folders = [out] if seeds == 1 else [out / f"seed-{number}" for number in numbers]
+    kept = [folder for folder in (out, *folders) if (folder / CHECKPOINT).exists()]
+    if kept and not resume and not force:
+        raise TrainingError(
+            f"{kept[0]} already holds a checkpoint; choose another --out, or add --resume to go on with it "
+            f"or --force to replace it"
+        )
+    if resume and not any((folder / CHECKPOINT).exists() for folder in folders):
+        raise TrainingError(
+            f"nothing to resume: {folders[0] / CHECKPOINT} does not exist; start without --resume"
+        )
+    planned = []
+    for number, folder in zip(numbers, folders, strict=True):
+        own = replace(config, seed=number)
+        done = None
+        if resume and (folder / CHECKPOINT).exists():
+            done = load_run(folder / CHECKPOINT, own.document(aircraft))[0].steps
+        planned.append(Planned(own, folder, done))
+    return tuple(planned)
+
+
+def best_seed(chosen: Mapping[int, Reading], selection: Selection) -> int:
+    """The seed whose chosen checkpoint is the best by the rule that chose it; of equals the first."""
+    best = next(iter(chosen))
+    for seed, reading in chosen.items():
+        if selection.better(reading, chosen[best]):
+            best = seed
+    return best
+
+
+def keep_best(out: Path, chosen: Mapping[int, Reading], selection: Selection, command: str | None) -> int:
+    """Copy checkpoint, policy and record of the best seed from its folder into `out`. Returns that seed."""
+    best = best_seed(chosen, selection)
+    for name in (CHECKPOINT, POLICY):
+        write_bytes(out / name, (out / f"seed-{best}" / name).read_bytes())
+    records = {seed: read_record(out / f"seed-{seed}") for seed in chosen}
+    document = {
+        **records[best],
+        "command": command,
+        "seed": best,
+        "seeds": {
+            str(seed): {key: record[key] for key in ("steps", "seconds", "command", "chosen")}
+            for seed, record in records.items()
+        },
+    }
+    write_text(out / RECORD, json.dumps(document, indent=2) + "\n")
+    return best
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """The training.json of a run. Raises TrainingError if there is none."""
+    path = folder / RECORD
+    try:
+        if (size := path.stat().st_size) > RECORD_BYTES_MAX:
+            raise TrainingError(f"{path} is {size} bytes, expected at most {RECORD_BYTES_MAX}")
+        return dict(json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise TrainingError(f"{path} cannot be read; --resume writes it anew") from error

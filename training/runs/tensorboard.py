@@ -1,0 +1,46 @@
+"""A run's figures for TensorBoard."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+from torch.utils.tensorboard import SummaryWriter
+
+from training.checkpoints.metrics import Reading, Spread
+from training.runs.train import Progress, Watcher
+
+
+class TensorBoard(Watcher):
+    """Writes event files; their steps are control steps."""
+
+    def __init__(self, folder: Path, resumed: int | None = None) -> None:
+        """resumed: steps of the checkpoint that the run goes on from; what was written beyond is void."""
+        self._folder = folder
+        self._purge = None if resumed is None else resumed + 1
+        self._writer: SummaryWriter | None = None  # made with the first figure
+
+    def progressed(self, progress: Progress) -> None:
+        """See Listener."""
+        self._add("train/reward", progress.reward, progress.steps)
+        for name, value in progress.figures.items():
+            self._add(name, value, progress.steps)
+        self._add("time/seconds", progress.seconds, progress.steps)
+
+    def monitored(self, reading: Reading) -> None:
+        """See Listener."""
+        for field in fields(reading):
+            spread = getattr(reading, field.name)
+            if isinstance(spread, Spread):
+                for end in fields(spread):
+                    self._add(f"monitor_{end.name}/{field.name}", getattr(spread, end.name), reading.steps)
+
+    def close(self) -> None:
+        """Finish the event file."""
+        if self._writer is not None:
+            self._writer.close()  # type: ignore[no-untyped-call]
+
+    def _add(self, name: str, value: float, steps: int) -> None:
+        if self._writer is None:
+            self._writer = SummaryWriter(str(self._folder), purge_step=self._purge)  # type: ignore[no-untyped-call]
+        self._writer.add_scalar(name, value, steps)  # type: ignore[no-untyped-call]

@@ -1,0 +1,255 @@
+"""Synthesis: learning in the twin, from a configuration to checkpoint.pt, policy.onnx and training.json."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+from sim.aircraft.model import Aircraft
+from toolchain.files import write_text
+from toolchain.policy.freeze import freeze
+from training.checkpoints.metrics import Reading
+from training.checkpoints.monitor import EPISODES, SEED, flown
+from training.checkpoints.monitor_process import Monitor
+from training.config.training_config import TrainingConfig
+from training.learners.protocol import Report
+from training.runs.checkpoint import Policy, Run, Watched, load_run, save_checkpoint, snapshot
+from training.runs.make_learner import learner
+
+CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.json", "monitor.json"
+RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR)
+RECORD_BYTES_MAX = 4 << 20
+TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "gymnasium", "numpy")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands; given to the caller after every update and at the end."""
+
+    steps: int
+    steps_wanted: int
+    seconds: float  # of this run and those that it resumed
+    reward: float  # mean of a control step since the last report
+    figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names
+    chosen: Reading | None = None  # of the policy that would be kept now
+
+
+class Listener(Protocol):
+    """Told what happens in a run."""
+
+    def progressed(self, progress: Progress) -> None:
+        """After every update."""
+        ...
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """After a checkpoint was kept; `policy`: the latest weights, by the names that freeze knows."""
+        ...
+
+    def monitored(self, reading: Reading) -> None:
+        """After the monitor has flown the policy of a checkpoint."""
+        ...
+
+
+class Watcher:
+    """A listener that does not listen, to begin one's own with."""
+
+    def progressed(self, progress: Progress) -> None:
+        """See Listener."""
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Listener."""
+
+    def monitored(self, reading: Reading) -> None:
+        """See Listener."""
+
+
+class Watchers:
+    """Tells several."""
+
+    def __init__(self, watchers: Sequence[Listener]) -> None:
+        self._watchers = watchers
+
+    def progressed(self, progress: Progress) -> None:
+        """See Listener."""
+        for watcher in self._watchers:
+            watcher.progressed(progress)
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Listener."""
+        for watcher in self._watchers:
+            watcher.checkpointed(progress, policy)
+
+    def monitored(self, reading: Reading) -> None:
+        """See Listener."""
+        for watcher in self._watchers:
+            watcher.monitored(reading)
+
+
+def train(
+    aircraft: Aircraft,
+    config: TrainingConfig,
+    out: Path,
+    watcher: Listener | None = None,
+    *,
+    resume: bool = False,
+    monitor: Monitor | None = None,
+    command: str | None = None,
+) -> Progress:
+    """Train and write `out`/checkpoint.pt, policy.onnx and training.json.
+
+    A run is a row of legs. Each begins with new episodes and chance of its own, so that what is kept at a
+    leg's end is all that the next builds on: a resumed run gives the bytes of one that never stopped. An
+    interruption (KeyboardInterrupt) keeps the state of the last whole leg, then goes on its way; any other
+    end leaves the files of the last checkpoint.
+
+    monitor: flies every checkpoint, and policy.onnx becomes the one that `config.selection` chooses, else
+    the latest; `out`/monitor.json holds what it saw. command: what repeats the run, for the record.
+    Raises TrainingError if there is nothing to resume, or the configuration is another.
+    """
+    # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
+    torch.set_num_threads(1)
+    watcher = watcher or Watcher()
+    document = config.document(aircraft)
+    run, watched = load_run(out / CHECKPOINT, document) if resume else (None, Watched())
+    results = _Results(out, config, document, command, monitor is not None)
+    model = learner(aircraft, config)
+    _tidy(out)
+    began, before, leg, marked = time.monotonic(), 0.0, 0, 0
+    if run is not None:
+        model.restore(run.learner)
+        leg, before = run.leg, _seconds(out)
+        marked = watched.steps if monitor else run.steps
+    state = Progress(model.steps, config.steps, before, 0.0, chosen=watched.best)
+
+    def listen(*, wait: bool = False) -> None:
+        nonlocal watched
+        for reading in monitor.collect(wait=wait) if monitor else ():
+            watched = watched.heard(reading, config.selection)
+            results.write_monitor(watched)
+            watcher.monitored(reading)
+
+    def report(update: Report) -> None:
+        nonlocal state
+        listen()
+        passed = before + time.monotonic() - began
+        state = Progress(update.steps, config.steps, passed, update.reward, update.figures, watched.best)
+        watcher.progressed(state)
+
+    try:
+        if monitor is not None:
+            for steps, policy in watched.pending:
+                monitor.submit(steps, policy)
+        while True:
+            if run is not None and _due(run.steps, marked, config):
+                marked = run.steps
+                if monitor is not None:
+                    watched = watched.asked(run.steps, run.policy)
+                    monitor.submit(run.steps, run.policy)
+                results.write(run, watched, state.seconds)
+                watcher.checkpointed(state, run.policy)
+            if model.steps >= config.steps:
+                break
+            model.learn(leg, report)
+            leg += 1
+            run = Run(leg, model.steps, snapshot(model.policy()), snapshot(model.state()))
+        assert run is not None
+        listen(wait=True)
+        results.write(run, watched, state.seconds)
+    except KeyboardInterrupt:
+        if run is not None:
+            results.write(run, watched, state.seconds)
+        raise
+    finally:
+        model.close()
+    return replace(state, steps=run.steps, chosen=watched.best)
+
+
+def _tidy(out: Path) -> None:
+    """Remove what a run that was killed in the middle of writing left beside its results."""
+    for name in RESULTS:
+        for aside in out.glob(f".{name}.*"):
+            aside.unlink()
+
+
+def _due(steps: int, marked: int, config: TrainingConfig) -> bool:
+    """Whether the end of a leg at `steps` is a checkpoint, the last one before it being at `marked`."""
+    passed = steps // config.checkpoint_steps > marked // config.checkpoint_steps
+    return passed or marked < config.steps <= steps
+
+
+@dataclass(frozen=True)
+class _Results:
+    """The files of a run, each written in one step."""
+
+    out: Path
+    config: TrainingConfig
+    document: dict[str, Any]
+    command: str | None
+    monitored: bool
+
+    def write(self, run: Run, watched: Watched, seconds: float) -> None:
+        """All of them; the checkpoint first, of which `--resume` can make the others."""
+        save_checkpoint(self.out / CHECKPOINT, self.document, run, watched)
+        freeze(self.out / CHECKPOINT, self.out / POLICY)
+        self.write_monitor(watched)
+        write_text(self.out / RECORD, _text(self._record(run, watched, seconds)))
+
+    def write_monitor(self, watched: Watched) -> None:
+        """monitor.json, where there is a monitor."""
+        if self.monitored:
+            write_text(self.out / MONITOR, _text(self._monitor(watched)))
+
+    def _monitor(self, watched: Watched) -> dict[str, Any]:
+        """What the monitor flies and what it saw."""
+        selection = self.config.selection
+        return {
+            "aircraft": self.document["aircraft"],
+            "seed": self.config.seed,
+            "steps_wanted": self.config.steps,
+            "task": flown(self.config).task.name,
+            "episodes": EPISODES,
+            "episodes_seed": SEED,
+            "limits": {"output": selection.output, "change": selection.change},
+            "rule": selection.rule,
+            "chosen_steps": watched.best and watched.best.steps,
+            "readings": [reading.document() for reading in watched.readings],
+        }
+
+    def _record(self, run: Run, watched: Watched, seconds: float) -> dict[str, Any]:
+        """What was asked for, what was done, with which tools."""
+        best, seconds = watched.best, round(seconds, 1)
+        return {
+            "config": self.document,
+            "steps": run.steps,
+            "complete": run.steps >= self.config.steps and not watched.pending,
+            "seconds": seconds,
+            "steps_per_second": round(run.steps / seconds) if seconds else None,
+            "command": self.command,
+            "python": platform.python_version(),
+            "tools": {tool: version(tool) for tool in TOOLS},
+            "chosen": best and {"rule": self.config.selection.rule, **best.document()},
+            "monitor": [reading.document() for reading in watched.readings],
+        }
+
+
+def _text(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=2) + "\n"
+
+
+def _seconds(out: Path) -> float:
+    """How long a run has taken so far, by its training.json; 0 where that cannot be told."""
+    try:
+        path = out / RECORD
+        return (
+            float(json.loads(path.read_text())["seconds"]) if path.stat().st_size <= RECORD_BYTES_MAX else 0.0
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0.0

@@ -1,0 +1,277 @@
+"""Runs of a sweep on the workers of a Ray session: this machine's cores, or a cluster's."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import logging
+import os
+import shutil
+import socket
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sim.aircraft.model import Aircraft
+from toolchain.errors import NeuroflightError, TrainingError
+from training.runs.checkpoint import Policy
+from training.runs.train import Progress, Watcher
+from training.sweeps.config import Trial, Validation
+from training.sweeps.trial import run_trial
+
+if TYPE_CHECKING:
+    import ray.tune
+    from ray.tune.experiment import Trial as RayTrial
+
+FAILURES_MAX = 3  # times that a run is begun again after its worker died
+STARTS_MAX = 3  # attempts to begin a session
+REACH_S = 5.0  # for a cluster to take a connection
+REPORT_S = 1.0  # between two reports of a run
+OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; what is sent are configurations
+STOP = "stop"  # a file of this name in the sweep's folder: runs keep their last leg and end
+LOOPBACK = "127.0.0.1"
+RAY = ".ray"  # Ray's own folder in the sweep's, while it works
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+# Read by Ray while it is imported. Without the first, a session of one machine listens on every interface.
+LOCAL = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    "RAY_prestart_worker_first_driver": "0",  # workers that no run will use
+    **THREADS,
+}
+QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",
+    "RAY_AIR_NEW_OUTPUT": "0",  # which prints at verbosity 0 too
+}
+
+
+class SweepWatcher:
+    """Told what happens in a sweep; this one does not listen."""
+
+    def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
+        """Run `number` has trained `steps` in the process `pid`; about once in REPORT_S."""
+
+    def finished(self, number: int) -> None:
+        """Run `number` has its result."""
+
+    def restarted(self, number: int) -> None:
+        """The worker of run `number` died; it goes on from its last checkpoint on another."""
+
+    def failed(self, number: int, reason: str) -> None:
+        """Run `number` was given up."""
+
+
+def check_ray() -> None:
+    """Raise TrainingError if Ray Tune is not installed."""
+    if any(importlib.util.find_spec(name) is None for name in ("ray", "pyarrow", "pandas")):
+        raise TrainingError(
+            "sweeps need Ray Tune, which is not installed; install it with: pip install 'neuroflight[sweep]'"
+        )
+
+
+@contextmanager
+def ray_session(address: str | None, cpus: int) -> Iterator[None]:
+    """A Ray session of `cpus` cores of this machine, reachable from nowhere else, or that at `address`.
+
+    A session that is there already is used and left as it is.
+    """
+    os.environ.update(QUIET if address else {**QUIET, **LOCAL})
+    import ray
+
+    if ray.is_initialized():
+        yield
+        return
+    common: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if address:
+        _check_address(address)
+        _start(
+            1, f"no Ray cluster at {address}", address=address, runtime_env={"env_vars": THREADS}, **common
+        )
+    else:
+        _start(
+            STARTS_MAX,
+            "Ray does not start",
+            address="local",
+            num_cpus=cpus,
+            num_gpus=0,
+            include_dashboard=False,
+            object_store_memory=OBJECT_STORE_BYTES,
+            **common,
+        )
+    try:
+        if not address and any(node["NodeManagerAddress"] != LOOPBACK for node in ray.nodes()):  # type: ignore[no-untyped-call]
+            raise RuntimeError("ray was imported before its session was prepared: it would listen everywhere")
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _check_address(address: str) -> None:
+    """Refuse in seconds what Ray would try to reach for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        with socket.create_connection((host, int(port)), REACH_S):
+            return
+    except (ValueError, OverflowError) as error:
+        raise TrainingError(f"--address {address}, expected HOST:PORT, ray://HOST:PORT or auto") from error
+    except OSError as error:
+        raise TrainingError(
+            f"nothing answers at --address {address} ({error.strerror or error}); begin a cluster there with "
+            f"`ray start --head`, or leave --address out to use this machine"
+        ) from error
+
+
+def _start(attempts: int, wrong: str, **options: Any) -> None:  # noqa: ANN401 - of ray.init
+    """Begin a session. Ray gives its own processes 30 s, which a busy machine may exceed."""
+    import ray
+
+    for left in reversed(range(attempts)):
+        try:
+            ray.init(**options)
+            return
+        except Exception as error:  # Ray raises plain ones
+            ray.shutdown()
+            if not left:
+                line = " ".join(str(error).split())
+                raise TrainingError(f"{wrong}: {line}") from error
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run and where its results go, as a worker is told."""
+
+    trial: Trial
+    aircraft: Aircraft
+    validation: Validation
+    folder: Path
+
+
+def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, watcher: SweepWatcher) -> None:
+    """Do all runs in the present Ray session, at most `cpus` at a time, one core each."""
+    from ray import tune
+
+    trainable = tune.with_resources(tune.with_parameters(_work, jobs=tuple(jobs), out=out), {"cpu": 1})
+    logging.getLogger("ray.tune").setLevel(logging.CRITICAL)
+    tuner = tune.Tuner(
+        trainable,
+        param_space={"job": tune.grid_search(list(range(len(jobs))))},
+        tune_config=tune.TuneConfig(max_concurrent_trials=cpus),
+        run_config=tune.RunConfig(
+            name="tune",
+            storage_path=str((out / RAY).resolve()),
+            verbose=0,
+            failure_config=tune.FailureConfig(max_failures=FAILURES_MAX),
+            callbacks=[_callback(jobs, watcher)],
+        ),
+    )
+    try:
+        with redirect_stdout(io.StringIO()):  # Ray prints its own account of a worker's death there
+            tuner.fit()
+    finally:
+        shutil.rmtree(out / RAY, ignore_errors=True)
+
+
+def request_stop(out: Path) -> None:
+    """Ask the runs of a sweep to keep what they have and end."""
+    (out / STOP).touch()
+
+
+def clear_stop(out: Path) -> None:
+    """Take back `request_stop`."""
+    (out / STOP).unlink(missing_ok=True)
+
+
+class _Reporter(Watcher):
+    """Sends progress to the driver, every checkpoint at once, and ends the run when it is asked to."""
+
+    def __init__(self, stop: Path) -> None:
+        self._stop = stop
+        self._next = time.monotonic()
+
+    def progressed(self, progress: Progress) -> None:
+        """See Watcher. Raises KeyboardInterrupt if the sweep is to stop."""
+        if self._stop.exists():
+            raise KeyboardInterrupt
+        if time.monotonic() >= self._next:
+            self._report(progress)
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Watcher."""
+        self._report(progress)
+
+    def _report(self, progress: Progress) -> None:
+        from ray import tune
+
+        tune.report({"steps": progress.steps, "reward": progress.reward})
+        self._next = time.monotonic() + REPORT_S
+
+
+def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
+    """What a worker does for one run; a refusal is reported, anything else is a failure to try again."""
+    from ray import tune
+
+    job, stop = jobs[config["job"]], out / STOP
+    end: dict[str, object] = {"finished": False, "reason": ""}
+    if not stop.exists():
+        try:
+            run_trial(job.trial, job.aircraft, job.validation, job.folder, _Reporter(stop))
+            end["finished"] = True
+        except KeyboardInterrupt:
+            pass
+        except NeuroflightError as error:
+            end["reason"] = str(error)
+    tune.report(end)
+
+
+def _callback(jobs: Sequence[Job], watcher: SweepWatcher) -> ray.tune.Callback:
+    from ray import tune
+
+    class Driver(tune.Callback):
+        """Passes on what Tune tells."""
+
+        def __init__(self, numbers: list[int]) -> None:
+            self._numbers = numbers
+
+        def __reduce__(self) -> tuple[type[tune.Callback], tuple[()]]:
+            return tune.Callback, ()  # Tune writes down a copy, of which nothing is wanted
+
+        def on_trial_result(
+            self, iteration: int, trials: list[RayTrial], trial: RayTrial, result: dict[str, Any], **_: object
+        ) -> None:
+            number = self._number(trial)
+            if "steps" in result:
+                watcher.progressed(number, result["steps"], result["reward"], result["pid"])
+            elif result["finished"]:
+                watcher.finished(number)
+            elif result["reason"]:
+                watcher.failed(number, result["reason"])
+
+        def on_trial_recover(
+            self, iteration: int, trials: list[RayTrial], trial: RayTrial, **_: object
+        ) -> None:
+            watcher.restarted(self._number(trial))
+
+        def on_trial_error(
+            self, iteration: int, trials: list[RayTrial], trial: RayTrial, **_: object
+        ) -> None:
+            reason = f"ended {FAILURES_MAX + 1} times before it was done: {_last_line(trial)}"
+            watcher.failed(self._number(trial), reason)
+
+        def _number(self, trial: RayTrial) -> int:
+            index: int = trial.config["job"]
+            return self._numbers[index]
+
+    return Driver([job.trial.number for job in jobs])
+
+
+def _last_line(trial: RayTrial) -> str:
+    """What ended a run, as short as Ray says it."""
+    error = trial.get_error()
+    text = str(error).strip() if error else ""
+    return text.splitlines()[-1] if text else "no reason is known"

@@ -1,0 +1,119 @@
+"""A sweep from its first run to its plot; what is done is never done again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from sim.analysis.flight_report import png
+from toolchain.errors import TrainingError
+from toolchain.files import write_bytes, write_text
+from training.sweeps.config import Sweep
+from training.sweeps.plot import draw
+from training.sweeps.ray_workers import STOP, Job, SweepWatcher, check_ray, clear_stop, ray_session, run_jobs
+from training.sweeps.summary import Run, configurations, document
+from training.sweeps.trial import read_outcome
+
+RECORD = "sweep.json"
+PLOT = "sweep.png"
+TRIALS = "trials"
+
+
+def run_sweep(
+    sweep: Sweep,
+    out: Path,
+    *,
+    cpus: int,
+    address: str | None = None,
+    resume: bool = False,
+    command: str = "",
+    watcher: SweepWatcher | None = None,
+) -> tuple[Run, ...]:
+    """Do the runs that are not done yet; `out`/sweep.json is written after each, sweep.png at the end.
+
+    cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`; None: this machine alone.
+    Raises TrainingError if `out` holds a sweep already and `resume` is not asked for, or holds another;
+    KeyboardInterrupt if it was stopped, see `sweep_ray.request_stop`.
+    """
+    check_ray()
+    keeper = Keeper(sweep, out, command, watcher or SweepWatcher())
+    if not resume and (out / TRIALS).exists():
+        raise TrainingError(f"{out} already holds a sweep; add --resume to go on with it, or choose another")
+    if resume:
+        keeper.read()
+    jobs = [
+        Job(run.trial, sweep.aircraft, sweep.validation, keeper.folder(run).resolve())
+        for run in keeper.runs
+        if run.outcome is None
+    ]
+    keeper.write()
+    if not jobs:
+        keeper.draw()
+        return tuple(keeper.runs)
+    clear_stop(out)
+    try:
+        with ray_session(address, cpus):
+            run_jobs(jobs, out.resolve(), cpus, keeper)
+        stopped = (out / STOP).exists()
+    finally:
+        clear_stop(out)
+        keeper.read()
+        keeper.write()
+        keeper.draw()
+    if stopped:
+        raise KeyboardInterrupt
+    return tuple(keeper.runs)
+
+
+class Keeper(SweepWatcher):
+    """Keeps the record of a sweep, and passes on what it hears."""
+
+    def __init__(self, sweep: Sweep, out: Path, command: str, watcher: SweepWatcher) -> None:
+        self.runs = [Run(trial) for trial in sweep.trials]
+        self._sweep, self._out, self._command, self._watcher = sweep, out, command, watcher
+
+    def folder(self, run: Run) -> Path:
+        """Where a run's results are."""
+        return self._out / TRIALS / run.trial.folder
+
+    def read(self) -> None:
+        """Take in the results that are there. Raises TrainingError if one is not of this sweep."""
+        for index in range(len(self.runs)):
+            self._read(index)
+
+    def write(self) -> None:
+        """Write sweep.json."""
+        content = document(self._sweep, self.runs, self._command)
+        write_text(self._out / RECORD, json.dumps(content, indent=2) + "\n")
+
+    def draw(self) -> None:
+        """Write sweep.png, if anything is done."""
+        if found := configurations(self.runs):
+            title = f"Sweep {self._sweep.name} on {self._sweep.aircraft.name}"
+            write_bytes(self._out / PLOT, png(draw(found, title, self._sweep.validation)))
+
+    def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
+        """See SweepWatcher."""
+        self._watcher.progressed(number, steps, reward, pid)
+
+    def finished(self, number: int) -> None:
+        """See SweepWatcher."""
+        self._read(number - 1)
+        self.write()
+        self._watcher.finished(number)
+
+    def restarted(self, number: int) -> None:
+        """See SweepWatcher."""
+        self._watcher.restarted(number)
+
+    def failed(self, number: int, reason: str) -> None:
+        """See SweepWatcher."""
+        self.runs[number - 1] = replace(self.runs[number - 1], reason=reason)
+        self.write()
+        self._watcher.failed(number, reason)
+
+    def _read(self, index: int) -> None:
+        run, sweep = self.runs[index], self._sweep
+        outcome = read_outcome(self.folder(run), run.trial, sweep.aircraft, sweep.validation)
+        self.runs[index] = replace(run, outcome=outcome)

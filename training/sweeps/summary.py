@@ -1,0 +1,136 @@
+"""What a sweep found: its runs, their configurations over all seeds, and which of these nothing beats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.analysis.confidence import mean_of
+from training.sweeps.config import Sweep, Trial, Varied
+from training.sweeps.trial import Figure, Outcome
+
+FIGURES = ("mae", "mse", "output", "change")
+OBJECTIVES = ("mae", "change", "cycles")  # the less of each, the better
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trial and what has become of it."""
+
+    trial: Trial
+    outcome: Outcome | None = None  # None: not done
+    reason: str | None = None  # why it was given up
+
+    @property
+    def state(self) -> str:
+        """In a word: done, failed or open."""
+        return "done" if self.outcome else "failed" if self.reason else "open"
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Finished runs that differ in nothing but the seed."""
+
+    varied: Varied  # without the seed
+    runs: tuple[Run, ...]
+    mae: Figure  # over the seeds; of a single run, its own over the commands
+    mse: Figure
+    output: Figure
+    change: Figure
+    instructions: int | None
+    predicted_cycles: float | None
+    training_seconds: float  # mean
+    front: bool = False  # no other is at least as good in error, change and cycles and better in one
+
+    @property
+    def number(self) -> int:
+        """Of its first run."""
+        return self.runs[0].trial.number
+
+
+def configurations(runs: Sequence[Run]) -> tuple[Configuration, ...]:
+    """The finished runs by configuration, in their order."""
+    groups: list[list[Run]] = []
+    for run in runs:
+        if run.outcome is None:
+            continue
+        same = (group for group in groups if group[0].trial.configuration == run.trial.configuration)
+        group = next(same, None)
+        if group is None:
+            groups.append([run])
+        else:
+            group.append(run)
+    found = [_configuration(group) for group in groups]
+    points = [(c.mae.mean, c.change.mean, c.predicted_cycles or 0.0) for c in found]
+    front = pareto(np.array(points)) if points else ()
+    return tuple(
+        Configuration(**{**vars(c), "front": bool(best)}) for c, best in zip(found, front, strict=True)
+    )
+
+
+def pareto(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of the points (P, objectives), less being better, no other dominates, (P,)."""
+    no_worse = (points[:, None] <= points[None, :]).all(axis=2)
+    better = (points[:, None] < points[None, :]).any(axis=2)
+    return np.logical_not(np.asarray((no_worse & better).any(axis=0)))
+
+
+def document(sweep: Sweep, runs: Sequence[Run], command: str) -> dict[str, Any]:
+    """The content of sweep.json."""
+    return {
+        "command": command,
+        "sweep": sweep.name,
+        "aircraft": {"name": sweep.aircraft.name, "sha256": sweep.aircraft.sha256},
+        "validation": asdict(sweep.validation),
+        "complete": all(run.outcome for run in runs),
+        "runs": [
+            {
+                "number": run.trial.number,
+                "folder": run.trial.folder,
+                "varied": run.trial.varied,
+                "state": run.state,
+                "reason": run.reason,
+                "outcome": asdict(run.outcome) if run.outcome else None,
+            }
+            for run in runs
+        ],
+        "configurations": [
+            {
+                "varied": found.varied,
+                "runs": [run.trial.number for run in found.runs],
+                **{name: asdict(getattr(found, name)) for name in FIGURES},
+                "instructions": found.instructions,
+                "predicted_cycles": found.predicted_cycles,
+                "training_seconds": found.training_seconds,
+                "front": found.front,
+            }
+            for found in configurations(runs)
+        ],
+    }
+
+
+def _configuration(runs: Sequence[Run]) -> Configuration:
+    outcomes = [run.outcome for run in runs if run.outcome]
+    first = outcomes[0]
+    return Configuration(
+        varied=runs[0].trial.configuration,
+        runs=tuple(runs),
+        mae=_over_seeds([outcome.mae for outcome in outcomes]),
+        mse=_over_seeds([outcome.mse for outcome in outcomes]),
+        output=_over_seeds([outcome.output for outcome in outcomes]),
+        change=_over_seeds([outcome.change for outcome in outcomes]),
+        instructions=first.instructions,
+        predicted_cycles=first.predicted_cycles,
+        training_seconds=sum(outcome.training_seconds for outcome in outcomes) / len(outcomes),
+    )
+
+
+def _over_seeds(figures: Sequence[Figure]) -> Figure:
+    if len(figures) == 1:
+        return figures[0]
+    mean = mean_of(np.array([figure.mean for figure in figures]), np.ones(len(figures), np.bool_))
+    return Figure(float(mean.value), float(mean.high - mean.value))

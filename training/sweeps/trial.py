@@ -1,0 +1,167 @@
+"""One run of a sweep: train, fly the validation's commands, count what the policy takes on the board.
+
+This is what a worker does. Everything it makes lies in the run's folder; a run that was broken off goes on
+from its own checkpoint.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import mean_of
+from sim.control.controller import PolicyController
+from toolchain.codegen.compiler import compile_policy
+from toolchain.cortex_m7.timing import mixed_observations, time_policy
+from toolchain.errors import BuildError, TrainingError
+from toolchain.files import write_text
+from toolchain.policy.model import read_policy
+from training.checkpoints.monitor_process import Monitor
+from training.evaluation.evaluation import Scores, record, scores
+from training.runs.train import CHECKPOINT, POLICY, RECORD, Watcher, train
+from training.sweeps.config import Trial, Validation
+from training.tasks.registry import TASKS
+
+RESULT = "result.json"
+RESULT_BYTES_MAX = 1 << 20
+TIMED_OBSERVATIONS = 30  # generated code takes one route for all; extremes are every third of them
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A mean and the half width of its 95 % confidence interval."""
+
+    mean: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to; errors are against the true rate, means over axes and commands."""
+
+    mae: Figure  # [deg/s]
+    mse: Figure  # [(deg/s)²]
+    output: Figure  # ū, fraction
+    change: Figure  # |Δu| in 1 ms, fraction
+    instructions: int | None  # of policy_step on the board, at most
+    predicted_cycles: float | None  # likewise
+    no_cycles_reason: str | None  # why one of the two is not known
+    training_seconds: float
+    steps: int  # control steps trained
+    policy_sha256: str
+
+
+def run_trial(
+    trial: Trial, aircraft: Aircraft, validation: Validation, folder: Path, watcher: Watcher
+) -> Outcome:
+    """Do the run in `folder`, or what is left of it, and write its result.json."""
+    document = trial.config.document(aircraft)
+    if not _trained(folder, document):
+        kept = (folder / CHECKPOINT).exists()
+        train(aircraft, trial.config, folder, watcher, resume=kept, monitor=Monitor(aircraft, trial.config))
+    policy = folder / POLICY
+    trained = json.loads((folder / RECORD).read_text())
+    flown = _flown(policy, trial, aircraft, validation)
+    instructions, cycles, reason = _counted(policy)
+    outcome = Outcome(
+        mae=_figure(flown.tracking.mae.mean(axis=1)),
+        mse=_figure(flown.tracking.mse.mean(axis=1)),
+        output=_figure(flown.output),
+        change=_figure(flown.change),
+        instructions=instructions,
+        predicted_cycles=cycles,
+        no_cycles_reason=reason,
+        training_seconds=float(trained["seconds"]),
+        steps=int(trained["steps"]),
+        policy_sha256=hashlib.sha256(policy.read_bytes()).hexdigest(),
+    )
+    result = {
+        "varied": trial.varied,
+        "validation": asdict(validation),
+        "config": document,
+        "outcome": asdict(outcome),
+    }
+    write_text(folder / RESULT, json.dumps(result, indent=2) + "\n")
+    return outcome
+
+
+def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Outcome | None:
+    """The outcome of a run that is done, None if it is not.
+
+    Raises TrainingError if the folder's result is of another run, or is none.
+    """
+    path = folder / RESULT
+    if not path.is_file():
+        return None
+    try:
+        if path.stat().st_size > RESULT_BYTES_MAX:
+            raise ValueError(f"more than {RESULT_BYTES_MAX} bytes")
+        document = json.loads(path.read_text())
+        outcome = _outcome(document["outcome"])
+        asked = {"config": trial.config.document(aircraft), "validation": asdict(validation)}
+        same = all(document[key] == json.loads(json.dumps(value)) for key, value in asked.items())
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise TrainingError(f"{path} is damaged ({error!r}); remove its folder to train it again") from error
+    if not same:
+        raise TrainingError(
+            f"{path} is of another run than the sweep now asks for; restore the sweep file and its recipe, "
+            f"or start the sweep in another folder"
+        )
+    return outcome
+
+
+def _outcome(values: Mapping[str, Any]) -> Outcome:
+    figures = {name: Figure(**values[name]) for name in ("mae", "mse", "output", "change")}
+    return Outcome(**{**values, **figures})
+
+
+def _trained(folder: Path, document: dict[str, Any]) -> bool:
+    """Whether the training of this configuration is over, by its record."""
+    try:
+        record = json.loads((folder / RECORD).read_text())
+        return bool(record["complete"]) and record["config"] == json.loads(json.dumps(document))
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _flown(path: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Scores:
+    """The policy on the validation's commands."""
+    policy = read_policy(path)
+    return scores(
+        record(
+            PolicyController(policy, validation.episodes, exact=False),
+            aircraft,
+            TASKS[validation.task](),
+            episodes=validation.episodes,
+            seed=validation.seed,
+            control_rate_hz=policy.control_rate_hz,
+            throttle=validation.throttle,
+            idle=trial.config.idle,
+        )
+    )
+
+
+def _figure(values: NDArray[np.float64]) -> Figure:
+    mean = mean_of(values, np.ones(len(values), np.bool_))
+    return Figure(float(mean.value), float(mean.high - mean.value))
+
+
+def _counted(path: Path) -> tuple[int | None, float | None, str | None]:
+    """Instructions and predicted cycles of a step at most, and why one is not known."""
+    compiled = compile_policy(read_policy(path))
+    observations = mixed_observations(TIMED_OBSERVATIONS, compiled.network.inputs)
+    try:
+        with tempfile.TemporaryDirectory(prefix="neuroflight-") as folder:
+            cost = time_policy(compiled, Path(folder), observations).cost
+    except BuildError as error:
+        return None, None, str(error)
+    return cost.instructions[1], cost.cycles[1] if cost.cycles else None, cost.no_cycles_reason

@@ -1,0 +1,131 @@
+"""The task that policies are best trained on: commands and rest in turn, at times nobody can know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import RATE_FULL_STICK_DEG_S
+from training.tasks.limits import check_limits
+from training.tasks.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
+
+Counts = NDArray[np.float64]  # (count, T)
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """What each control step counts, beside the others."""
+
+    error: Counts  # in the mean absolute error
+    square: Counts  # in the mean squared error
+    effort: Counts  # in the mean output and change
+
+    @staticmethod
+    def alike(count: int, steps: int) -> Counted:
+        """Every step of `count` episodes the same."""
+        one = np.ones((count, steps))
+        return Counted(one, one, one)
+
+
+@dataclass(frozen=True)
+class RandomStepsTask:
+    """Rest, a random command on all axes, rest again, and so on; each holds for a random time.
+
+    Where a command comes at a known time, as in the pulse task, a policy that remembers learns to speed its
+    rotors up beforehand, which no pilot would see. Here the time to the next change is exponential: it never
+    tells anything about what is left of it.
+
+    `batch` also says what each control step counts, so that a short episode that is full of changes asks for
+    the same as a long one: with the values below, as a pulse of 4.5 s with its two changes. Of wide episodes
+    only what is held counts, and no effort: how large commands are reached is the motors' affair, and what it
+    takes to hold them shall not be saved.
+    """
+
+    name: ClassVar[str] = "random-steps"
+    length_s: float = 0.7
+    hold_least_s: float = 0.1
+    hold_mean_s: float = 0.35
+    sigma_deg_s: float = 100.0  # commands are N(0, sigma) an axis, held within full stick
+    wide_share: float = 0.0  # of the episodes whose commands are `wide_factor` times as large
+    wide_factor: float = 3.0
+    wide_weight: float = 0.5  # what a control step that holds such a command counts
+    start_s: float = 0.06  # until the rotors turn; not counted
+    transient_s: float = 0.15  # after each change
+    transient_share: float = 0.0667  # of the whole that transients count together
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        share, length = (0.0, 1.0), (HOLD_MIN_S, LENGTH_MAX_S)
+        check_limits(
+            f"task {self.name}",
+            self,
+            length_s=length,
+            hold_least_s=length,
+            hold_mean_s=(self.hold_least_s, LENGTH_MAX_S),
+            sigma_deg_s=(0.0, RATE_FULL_STICK_DEG_S),
+            wide_share=share,
+            wide_factor=(1.0, 100.0),
+            wide_weight=(0.0, 100.0),
+            start_s=(0.0, self.length_s),
+            transient_s=(0.0, LENGTH_MAX_S),
+            transient_share=share,
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.length_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return self._steps(count, rng, rate_hz, exact=False)[0]
+
+    def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, Counted]:
+        """Setpoints as `episodes`, and what each control step counts.
+
+        The commands have sigma exactly, which takes the luck of the draw out of a batch's errors.
+        """
+        setpoints, wide = self._steps(count, rng, rate_hz, exact=True)
+        steps = setpoints.shape[1]
+        changed = np.zeros((count, steps), bool)
+        changed[:, 1:] = (np.diff(setpoints, axis=1) != 0.0).any(axis=2)
+        now = np.arange(steps)
+        since = now - np.maximum.accumulate(np.where(changed, now, -steps), axis=1)
+        counted = now >= round(self.start_s * rate_hz)
+        transient = (since < round(self.transient_s * rate_hz)) & counted
+        held = ~transient & counted
+        counts = np.zeros((count, steps))
+        for part, share in ((transient, self.transient_share), (held, 1.0 - self.transient_share)):
+            counts[part] = share * count * steps / max(1, part.sum())
+        usual = ~wide[:, None]
+        error = np.where(usual | held, counts, 0.0) * np.where(usual, 1.0, self.wide_weight)
+        return setpoints, Counted(error, usual * counts, usual * counts)
+
+    def _steps(
+        self, count: int, rng: np.random.Generator, rate_hz: int, *, exact: bool
+    ) -> tuple[Setpoints, NDArray[np.bool_]]:
+        """Setpoints, and which episodes are wide, (count,)."""
+        steps = round(self.length_s * rate_hz)
+        holds = self.hold_least_s + rng.exponential(
+            self.hold_mean_s - self.hold_least_s, (count, 1 + int(self.length_s / self.hold_least_s))
+        )
+        # The first change may come at once: an episode begins somewhere within a hold.
+        at = np.cumsum(holds, axis=1) - rng.uniform(0.0, self.hold_least_s, (count, 1))
+        changes = np.zeros((count, steps + 1), np.intp)
+        rows = np.repeat(np.arange(count), at.shape[1])
+        np.add.at(changes, (rows, np.minimum(np.rint(at * rate_hz).astype(np.intp), steps).ravel()), 1)
+        nth = np.cumsum(changes[:, :steps], axis=1)
+        commands = rng.standard_normal((count, at.shape[1] + 1, 3))
+        used = np.arange(commands.shape[1]) % 2 == 1  # every other one is rest
+        commands[:, ~used] = 0.0
+        if exact:
+            flown = commands[(np.arange(commands.shape[1]) <= nth[:, -1:]) & used]
+            commands /= np.sqrt(np.square(flown).mean(axis=0)) if len(flown) else 1.0
+        wide = rng.random(count) < self.wide_share
+        sigma = self.sigma_deg_s * np.where(wide, self.wide_factor, 1.0)
+        commands = np.clip(sigma[:, None, None] * commands, -RATE_FULL_STICK_DEG_S, RATE_FULL_STICK_DEG_S)
+        setpoints = np.deg2rad(commands)[np.arange(count)[:, None], nth]
+        return setpoints.astype(np.float32), wide

@@ -1,0 +1,12 @@
+"""Which tasks there are, by name."""
+
+from __future__ import annotations
+
+from training.tasks.random_steps import RandomStepsTask
+from training.tasks.recorded import RecordedTask
+from training.tasks.task import ContinuousTask, EnvelopeTask, EpisodicTask, PulseTask, Task
+
+TASKS: dict[str, type[Task]] = {
+    task.name: task
+    for task in (PulseTask, EpisodicTask, EnvelopeTask, ContinuousTask, RecordedTask, RandomStepsTask)
+}

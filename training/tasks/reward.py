@@ -1,0 +1,209 @@
+"""What a control step is worth. Pure functions over N aircraft, each with a name and its source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.tasks.limits import check_limits
+
+Array = NDArray[np.float64]
+Outputs = NDArray[np.float32]
+Rewards = NDArray[np.float32]  # (N,)
+
+WEIGHT = (0.0, 1e12)  # of a term
+SCALE = (1e-12, 1e12)
+SHARE = (0.0, 1.0)
+RATE_DEG_S = (1e-3, 1e4)
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One control step of N aircraft, as a reward sees it."""
+
+    setpoint: Array  # (N, 3) [rad/s], asked for at the sample after the step
+    setpoint_before: Array  # (N, 3) [rad/s], at the sample that the action answers
+    error: Array  # (N, 3) [rad/s], setpoint - true rate at the sample after the step
+    error_before: Array  # (N, 3) [rad/s], at the sample before it
+    asked: Outputs  # (N, M), what the network asked of the motors, unbounded
+    action: Outputs  # (N, M), the controller's outputs of this step: that, clipped to 0..1
+    action_before: Outputs  # (N, M), of the step before; zeros on an episode's first
+
+
+class Reward(Protocol):
+    """A reward; frozen data, with a name in `REWARDS`."""
+
+    name: ClassVar[str]
+
+    def __call__(self, step: Transition) -> Rewards:
+        """Reward of the step, (N,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrackingReward:
+    """Follow the command, with motors slow and calm.
+
+    r = -error Σ|e| / 100 deg/s - settle Σ min(|e| / 10 deg/s, 1) - output ȳ - change mean|Δy|, over axes
+    and motors.
+    The absolute error (not its square) keeps pulling when the error is small, which is what the
+    figures of merit measure. Δy is of the sampled outputs, which exploration dominates: smoothness of
+    the mean output is asked for in the policy's loss instead (see `training.learners.smooth_ppo`), and
+    `change` is there for those who train without it. `settle` counts the axes that have not arrived: where
+    commands are large and the way there long, |e| alone hardly tells 2 deg/s at the end from 10.
+    """
+
+    name: ClassVar[str] = "tracking"
+    error: float = 1.0
+    settle: float = 0.0
+    output: float = 0.6
+    change: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are none."""
+        check_limits(f"reward {self.name}", self, error=WEIGHT, settle=WEIGHT, output=WEIGHT, change=WEIGHT)
+
+    def __call__(self, step: Transition) -> Rewards:
+        """See Reward."""
+        error = np.abs(step.error)
+        tracking = self.error * error.sum(axis=1) / np.deg2rad(100.0)
+        if self.settle:
+            tracking += self.settle * np.minimum(error / np.deg2rad(10.0), 1.0).sum(axis=1)
+        change = np.abs(step.action - step.action_before).mean(axis=1)
+        reward = -tracking - self.output * step.action.mean(axis=1) - self.change * change
+        return np.asarray(reward, np.float32)
+
+
+@dataclass(frozen=True)
+class NormalizedReward:
+    """The normalized error: r = -clip(Σ|e| / (3 Ω_max), 0, 1).
+
+    Source: Koch 2019, chapter 3. Ω_max is the largest command of its task, ±5.24 rad/s.
+    """
+
+    name: ClassVar[str] = "dissertation-3"
+    rate_max_deg_s: float = 300.0
+
+    def __post_init__(self) -> None:
+        """Refuse rates that are none."""
+        check_limits(f"reward {self.name}", self, rate_max_deg_s=RATE_DEG_S)
+
+    def __call__(self, step: Transition) -> Rewards:
+        """See Reward."""
+        error = np.abs(step.error).sum(axis=1) / (3.0 * np.deg2rad(self.rate_max_deg_s))
+        return np.asarray(-np.minimum(error, 1.0), np.float32)
+
+
+@dataclass(frozen=True)
+class CalmReward:
+    """Errors squared, low outputs and, once the command is reached, small changes of them.
+
+    r = -Σe² + output (1 - ȳ) + change Σ_i max(0, change_max² - Δy_i²), the last term only while each |e|
+    is inside the error band; e in deg/s, Δy in percent, ȳ a fraction.
+
+    Source: Koch 2019, chapter 4: r_e + r_y + r_Δ with alpha = 300, beta = 0.5 and Δy_max = 100². Not printed,
+    and taken from chapter 5's published environment: that e is in deg/s, and the band. `scale` multiplies
+    the whole; 1 is as printed.
+    """
+
+    name: ClassVar[str] = "dissertation-4"
+    output: float = 300.0
+    change: float = 0.5
+    change_max: float = 100.0  # [%]
+    band_share: float = 0.1  # of the command; see `in_band`
+    band_floor_deg_s: float = 5.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse constants that are none."""
+        check_limits(
+            f"reward {self.name}",
+            self,
+            output=WEIGHT,
+            change=WEIGHT,
+            change_max=(0.0, 100.0),
+            band_share=SHARE,
+            band_floor_deg_s=RATE_DEG_S,
+            scale=SCALE,
+        )
+
+    def __call__(self, step: Transition) -> Rewards:
+        """See Reward."""
+        change = 100.0 * (step.action - step.action_before).astype(np.float64)
+        calm = np.maximum(0.0, self.change_max**2 - change**2).sum(axis=1)
+        reward = (
+            -np.square(np.rad2deg(step.error)).sum(axis=1)
+            + self.output * (1.0 - step.action.mean(axis=1))
+            + self.change * calm * in_band(step, self.band_share, self.band_floor_deg_s)
+        )
+        return np.asarray(self.scale * reward, np.float32)
+
+
+@dataclass(frozen=True)
+class ProgressReward:
+    """Progress of the squared error, small changes, low outputs in the band, and never a motor at its end.
+
+    r = (r_e - r_e before) - change max_i |Δu_i| + output (1 - max(ū, idle)) in the band
+        - penalty Σ max(0, a - 1) - penalty if all u = 1 - penalty if more than two motors stand while a
+        rate is asked for; r_e = -Σe², e in deg/s, a what the network asks for before the clip to 0..1.
+
+    Source: Koch 2019, chapter 5, the last algorithm. Not printed, and taken from the environment that its
+    author published: alpha = beta = 1000, the band, that outputs below an idle of 12 % earn no more than
+    it, and that e is in deg/s. There the first step of an episode has no progress; here it counts from the
+    start. `scale` multiplies the whole; 1 is as published.
+    """
+
+    name: ClassVar[str] = "dissertation-5"
+    output: float = 1000.0
+    change: float = 1000.0
+    penalty: float = 1e9
+    idle: float = 0.12
+    band_share: float = 0.1  # of the command; see `in_band`
+    band_floor_deg_s: float = 5.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse constants that are none."""
+        check_limits(
+            f"reward {self.name}",
+            self,
+            output=WEIGHT,
+            change=WEIGHT,
+            penalty=WEIGHT,
+            idle=SHARE,
+            band_share=SHARE,
+            band_floor_deg_s=RATE_DEG_S,
+            scale=SCALE,
+        )
+
+    def __call__(self, step: Transition) -> Rewards:
+        """See Reward."""
+        before, after = (
+            np.square(np.rad2deg(error)).sum(axis=1) for error in (step.error_before, step.error)
+        )
+        low = 1.0 - np.maximum(step.action.mean(axis=1), self.idle)
+        beyond = np.maximum(0.0, step.asked.astype(np.float64) - 1.0).sum(axis=1)
+        full = (step.action == 1.0).all(axis=1)
+        idle = ((step.action == 0.0).sum(axis=1) > 2) & step.setpoint_before.any(axis=1)
+        reward = (
+            before
+            - after
+            - self.change * np.abs(step.action - step.action_before).max(axis=1)
+            + self.output * low * in_band(step, self.band_share, self.band_floor_deg_s)
+            - self.penalty * (beyond + full + idle)
+        )
+        return np.asarray(self.scale * reward, np.float32)
+
+
+REWARDS: dict[str, type[Reward]] = {
+    reward.name: reward for reward in (TrackingReward, NormalizedReward, CalmReward, ProgressReward)
+}
+
+
+def in_band(step: Transition, share: float, floor_deg_s: float) -> NDArray[np.bool_]:
+    """Where the error of each axis is at most `share` of its command, or the floor if that is more, (N,)."""
+    band = np.maximum(share * np.abs(step.setpoint), np.deg2rad(floor_deg_s))
+    return np.asarray((np.abs(step.error) <= band).all(axis=1))

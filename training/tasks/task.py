@@ -1,0 +1,188 @@
+"""What the pilot asks for during an episode: the setpoints of all its control steps. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import RATE_FULL_STICK_DEG_S
+from toolchain.errors import TrainingError
+from training.tasks.limits import check_limits
+
+Array = NDArray[np.float64]
+Setpoints = NDArray[np.float32]  # (count, T, 3) [rad/s]
+Distribution = Literal["normal", "uniform"]
+
+FULL_STICK_DEG_S = float(RATE_FULL_STICK_DEG_S)
+LENGTH_MAX_S = 600.0  # [s] of each part of an episode
+HOLD_MIN_S = 0.01  # [s], of commands that change at random: below it nothing flies
+
+
+class Task(Protocol):
+    """A kind of episode; frozen data, with a name in `training.tasks.registry.TASKS`."""
+
+    name: ClassVar[str]
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        ...
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """Setpoints [rad/s] of `count` new episodes, (count, round(duration_s * rate_hz), 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class RandomCommands:
+    """How the commands of a task are drawn, each axis by itself; what tasks below have in common."""
+
+    name: ClassVar[str]
+    distribution: Distribution = "normal"
+    sigma_deg_s: float = 100.0  # of the normal
+    limit_deg_s: float = FULL_STICK_DEG_S  # the uniform fills +-limit, the normal is held within
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        full = (0.0, FULL_STICK_DEG_S)
+        check_limits(f"task {self.name}", self, sigma_deg_s=full, limit_deg_s=full)
+        known = get_args(Distribution)
+        if self.distribution not in known:
+            raise TrainingError(
+                f"task {self.name}: distribution {self.distribution!r}, expected one of: {', '.join(known)}"
+            )
+
+    def commands(self, count: int, rng: np.random.Generator) -> Array:
+        """Random commands [rad/s], (count, 3)."""
+        if self.distribution == "normal":
+            return normal_commands(self.sigma_deg_s, count, rng, self.limit_deg_s)
+        return np.deg2rad(rng.uniform(-self.limit_deg_s, self.limit_deg_s, (count, 3)))
+
+
+@dataclass(frozen=True)
+class PulseTask(RandomCommands):
+    """Rest, one random command on all axes held, rest again (Koch 2019, chapter 5)."""
+
+    name: ClassVar[str] = "pulse"
+    idle_s: float = 0.5
+    command_s: float = 2.0
+    rest_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        super().__post_init__()
+        length = (0.0, LENGTH_MAX_S)
+        check_limits(f"task {self.name}", self, idle_s=length, command_s=length, rest_s=length)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.idle_s + self.command_s + self.rest_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return self.of(self.commands(count, rng), rate_hz)
+
+    def of(self, commands: Array, rate_hz: int) -> Setpoints:
+        """Setpoints of the episodes with these commands (count, 3) [rad/s]."""
+        start, end = round(self.idle_s * rate_hz), round((self.idle_s + self.command_s) * rate_hz)
+        setpoints = np.zeros((len(commands), round(self.duration_s * rate_hz), 3), np.float32)
+        setpoints[:, start:end] = commands[:, None]
+        return setpoints
+
+
+@dataclass(frozen=True)
+class EpisodicTask(RandomCommands):
+    """From rest, one random command on all axes held for the whole episode (Koch 2019, chapter 3)."""
+
+    name: ClassVar[str] = "episodic"
+    distribution: Distribution = "uniform"
+    limit_deg_s: float = 300.0
+    hold_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        super().__post_init__()
+        check_limits(f"task {self.name}", self, hold_s=(0.0, LENGTH_MAX_S))
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.hold_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        return held(self.commands(count, rng), self.hold_s, rate_hz)
+
+
+@dataclass(frozen=True)
+class EnvelopeTask(EpisodicTask):
+    """From rest, one wide random command on all axes held (Koch 2019, chapter 5: the flight envelope)."""
+
+    name: ClassVar[str] = "envelope"
+    distribution: Distribution = "normal"
+    sigma_deg_s: float = 300.0
+    limit_deg_s: float = FULL_STICK_DEG_S
+    hold_s: float = 1.5
+
+
+@dataclass(frozen=True)
+class ContinuousTask(RandomCommands):
+    """Random commands on all axes one after the other, each for a random time, with rest between.
+
+    Koch 2019, chapter 4. The text names no numbers; those here are of the environment that its author
+    published, but for two: an episode is 10 s instead of 60 (nothing in it depends on how long it already
+    lasts, and memory does), and it begins with rest, as a flight does.
+    """
+
+    name: ClassVar[str] = "continuous"
+    distribution: Distribution = "uniform"
+    limit_deg_s: float = 360.0
+    length_s: float = 10.0
+    command_s: tuple[float, float] = (0.1, 1.0)  # least and greatest length of a command, drawn evenly
+    rest_s: tuple[float, float] = (0.1, 1.0)  # likewise of a rest
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        super().__post_init__()
+        hold = (HOLD_MIN_S, LENGTH_MAX_S)
+        check_limits(f"task {self.name}", self, length_s=(0.0, LENGTH_MAX_S), command_s=hold, rest_s=hold)
+        for name in ("command_s", "rest_s"):
+            least, greatest = getattr(self, name)
+            if least > greatest:
+                raise TrainingError(
+                    f"task {self.name}: {name} {[least, greatest]}, expected [least, greatest]"
+                )
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.length_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        steps = np.arange(round(self.length_s * rate_hz))
+        setpoints = np.empty((count, len(steps), 3), np.float32)
+        pairs = 1 + int(self.length_s / (self.rest_s[0] + self.command_s[0]))  # enough to the end
+        asked = np.zeros((2 * pairs + 1, 3))  # rest and command in turn
+        for episode in range(count):
+            rests, holds = rng.uniform(*self.rest_s, pairs), rng.uniform(*self.command_s, pairs)
+            changes = np.rint(np.cumsum(np.column_stack([rests, holds]).ravel()) * rate_hz)
+            asked[1::2] = self.commands(pairs, rng)
+            setpoints[episode] = asked[np.searchsorted(changes, steps, side="right")]
+        return setpoints
+
+
+def held(commands: Array, seconds: float, rate_hz: int) -> Setpoints:
+    """Setpoints of episodes that hold `commands` (count, 3) [rad/s] from their first step."""
+    return np.repeat(commands[:, None].astype(np.float32), round(seconds * rate_hz), axis=1)
+
+
+def normal_commands(
+    sigma_deg_s: float, count: int, rng: np.random.Generator, limit_deg_s: float = FULL_STICK_DEG_S
+) -> Array:
+    """Commands N(0, sigma) [rad/s], (count, 3), held within the limit."""
+    return np.deg2rad(np.clip(rng.normal(0.0, sigma_deg_s, (count, 3)), -limit_deg_s, limit_deg_s))
