@@ -150,7 +150,9 @@ class PolicyInfo:
     idle: float  # motor fraction at zero thrust
     source: PolicySource
     sequence: int  # of its blob, 0: compiled in
-    found: tuple[int, ...]  # at boot in slot A, slot B and compiled in: 0 good, else firmware/src/nf_err.h
+    found: tuple[
+        int, ...
+    ]  # at boot in slot A, slot B and compiled in: 0 good, else firmware/src/common/nf_err.h
 
 
 def api_version(payload: bytes) -> ApiVersion:

@@ -8,7 +8,7 @@ from enum import IntEnum
 from flash.payload import Reader
 from toolchain.contract import FallbackCause, FlightState, GyroHealth, Msp, StopCause, Task
 
-# Registers of a fault record, in the order of the reply: firmware/src/fault_record.h.
+# Registers of a fault record, in the order of the reply: firmware/src/storage/fault_record.h.
 FAULT_REGISTERS = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "psr", "cfsr", "hfsr", "mmfar", "bfar", "sp")
 FAULT_FILE_BYTES = 24
 
@@ -57,7 +57,7 @@ class Tasks:
 
 
 class FaultKind(IntEnum):
-    """What reset the firmware: firmware/src/fault_record.h."""
+    """What reset the firmware: firmware/src/storage/fault_record.h."""
 
     NONE = 0
     HARD = 1

@@ -401,7 +401,7 @@ CRC8_DVB_S2_POLY = 0xD5
 
 # --- Safety ----------------------------------------------------------------------------------
 class FlightState(IntEnum):
-    """What the firmware is doing; firmware/src/safety.c has the transitions."""
+    """What the firmware is doing; firmware/src/safety/safety.c has the transitions."""
 
     BOOT = 0
     CALIBRATING = 1

@@ -9,11 +9,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "fault_record.h"
+#include "storage/fault_record.h"
 #include "firmware.h"
-#include "imu.h"
-#include "msp.h"
-#include "power_sample.h"
+#include "common/imu.h"
+#include "msp/msp.h"
+#include "housekeeping/power_sample.h"
 
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
 #define HAL_RECEIVER_BYTES 256  /* the most that one hal_receiver_read hands over */

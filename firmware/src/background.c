@@ -1,6 +1,6 @@
 #include "background.h"
 
-#include "filters.h"
+#include "sensing/filters.h"
 
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10

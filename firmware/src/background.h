@@ -7,19 +7,19 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "alert.h"
-#include "battery.h"
-#include "fault_log.h"
+#include "housekeeping/alert.h"
+#include "housekeeping/battery.h"
+#include "storage/fault_log.h"
 #include "firmware.h"
-#include "flash.h"
-#include "msp.h"
-#include "msp_commands.h"
-#include "policy_slots.h"
-#include "power_sample.h"
-#include "scheduler.h"
-#include "settings.h"
-#include "settings_store.h"
-#include "status.h"
+#include "storage/flash.h"
+#include "msp/msp.h"
+#include "msp/msp_commands.h"
+#include "storage/policy_slots.h"
+#include "housekeeping/power_sample.h"
+#include "housekeeping/scheduler.h"
+#include "storage/settings.h"
+#include "storage/settings_store.h"
+#include "common/status.h"
 
 /* What it needs of the board. None of these waits. */
 struct background_io {

@@ -2,8 +2,8 @@
 
 #include <string.h>
 
-#include "dshot.h"
-#include "nf_math.h"
+#include "motors/dshot.h"
+#include "common/nf_math.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
 #define ANY_TILT (-2.0f)          /* below every cosine */

@@ -2,8 +2,8 @@
 #include "background.h"
 #include "firmware.h"
 #include "hal/hal.h"
-#include "pid.h"
-#include "scheduler.h"
+#include "control/pid.h"
+#include "housekeeping/scheduler.h"
 
 /* The only mutable state of the program outside the chip directory. What the gyro's interrupt works on... */
 static struct firmware firmware;

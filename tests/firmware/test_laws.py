@@ -10,7 +10,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "firmware" / "src"
-MODULES = sorted(path.stem for path in SOURCE.glob("*.c") if path.name != "main.c")
+MODULES = sorted(
+    str(path.relative_to(SOURCE).with_suffix("")) for path in SOURCE.rglob("*.c") if path.name != "main.c"
+)
 MEMORY = {"memcpy", "memset", "memcmp", "memmove"}  # the compiler itself may ask for these four
 
 TEXT = {"strchr", "strtof", "strtoul", "__errno_location"}  # the host's reader of NAME=VALUE
@@ -51,7 +53,8 @@ def mutable(path: Path) -> set[str]:
 
 
 def test_only_main_has_variables_of_its_own_when_compiled(puppet_build: Path) -> None:
-    found = {path.stem: mutable(path) for path in (puppet_build / "obj" / "src").glob("*.o")}
+    folder = puppet_build / "obj" / "src"
+    found = {str(path.relative_to(folder).with_suffix("")): mutable(path) for path in folder.rglob("*.o")}
     assert found.pop("main") == {
         "firmware",
         "weights",
@@ -66,7 +69,7 @@ def test_only_main_has_variables_of_its_own_when_compiled(puppet_build: Path) ->
 
 
 def test_the_core_is_the_same_for_every_target_when_preprocessed() -> None:
-    for path in sorted([*SOURCE.glob("*.c"), *SOURCE.glob("*.h")]):
+    for path in sorted([*SOURCE.rglob("*.c"), *SOURCE.rglob("*.h")]):
         text = path.read_text()
         conditions = re.findall(r"^\s*#\s*(?:if|ifdef|ifndef|elif)\b.*", text, re.MULTILINE)
         guards = 1 if path.suffix == ".h" else 0
@@ -74,5 +77,5 @@ def test_the_core_is_the_same_for_every_target_when_preprocessed() -> None:
 
 
 def test_main_alone_reaches_the_hardware_boundary_when_read() -> None:
-    users = [path.name for path in SOURCE.iterdir() if "hal/" in path.read_text()]
+    users = [path.name for path in SOURCE.rglob("*.[ch]") if "hal/" in path.read_text()]
     assert users == ["main.c"]

@@ -28,5 +28,5 @@ def test_what_depends_on_a_header_is_rebuilt_when_it_changes(hexacopter_build: P
     while policy.stat().st_mtime_ns <= newest:
         policy.write_text(text)
     plan = make("-n", *arguments).stdout
-    assert "src/firmware.c" in plan and "src/mixer.c" in plan
-    assert "src/sbus.c" not in plan
+    assert "src/firmware.c" in plan and "src/control/mixer.c" in plan
+    assert "src/receiver/sbus.c" not in plan

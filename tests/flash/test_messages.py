@@ -54,7 +54,7 @@ TASKS = struct.pack("<IB", 216_000_000, 2) + struct.pack("<H5I", 3000, 9, 0, 500
 FAULT_WORDS = range(0x100, 0x100 + 13)
 FAULTS = (
     struct.pack("<IBII", 12, 1, 11, 2) + struct.pack("<13I", *FAULT_WORDS) + struct.pack("<I", 345)
-    + b"src/gyro.c".ljust(24, b"\0") + struct.pack("<I", 60_000)
+    + b"src/sensing/gyro.c".ljust(24, b"\0") + struct.pack("<I", 60_000)
 )  # fmt: skip
 SETTING = struct.pack("<HBfff", 67, 1, 0.5, 20.0, 3.0) + b"\x0fdynamic_notch_q" + b"\x011"
 PAYLOADS = {
@@ -172,7 +172,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
                 12,
                 Fault(
                     *(11, FaultKind.ASSERT, dict(zip(FAULT_REGISTERS, FAULT_WORDS, strict=True))),
-                    *("src/gyro.c", 345, 60_000),
+                    *("src/sensing/gyro.c", 345, 60_000),
                 ),
             ),
         ),

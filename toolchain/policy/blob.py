@@ -1,7 +1,8 @@
 """The policy blob: weights and self-test of a policy as the bytes that are compiled in or put in a slot.
 
 Bytes in, nouns out, and back, with nothing lost either way: docs/policy-blob.md. A blob holds no code. It
-runs only in an image whose compiled-in policy has the same architecture; firmware/src/policy_blob.c decides.
+runs only in an image whose compiled-in policy has the same architecture; firmware/src/storage/policy_blob.c
+decides.
 """
 
 from __future__ import annotations

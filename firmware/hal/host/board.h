@@ -3,7 +3,7 @@
 #define NF_HOST_BOARD_H
 
 #include "firmware.h"
-#include "msp.h"
+#include "msp/msp.h"
 
 extern const struct msp_identity host_identity;
 

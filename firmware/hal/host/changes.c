@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "settings.h"
+#include "storage/settings.h"
 
 #define NAME_BYTES 40
 

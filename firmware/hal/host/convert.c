@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#include "settings.h"
+#include "storage/settings.h"
 
 #define DEG_PER_RAD (180.0 / 3.14159265358979323846)
 #define STANDARD_GRAVITY 9.80665 /* m/s^2 */

@@ -5,9 +5,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "gyro.h"
+#include "sensing/gyro.h"
 #include "nf_contract.h"
-#include "power_sample.h"
+#include "housekeeping/power_sample.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip so aligned, +-2000 deg/s over int16,
  * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN: a chip cannot

@@ -7,7 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "flash.h"
+#include "storage/flash.h"
 #include "nf_contract.h"
 
 #define FLASH_MODEL_NEVER UINT32_MAX /* the cut that does not come */

@@ -8,7 +8,7 @@
 
 #include "hal/host/options.h"
 #include "nf_contract.h"
-#include "status.h"
+#include "common/status.h"
 
 struct link {
 	int state, receiver, power;     /* sockets */

@@ -9,7 +9,7 @@
 #include "hal/host/convert.h"
 #include "hal/host/flash_model.h"
 #include "hal/host/receiver_line.h"
-#include "pid.h"
+#include "control/pid.h"
 
 struct reference {
 	struct firmware firmware;

@@ -2,7 +2,7 @@
 
 #include "clock.h"
 #include "dma.h"
-#include "dshot.h"
+#include "motors/dshot.h"
 #include "fault.h"
 #include "nf_contract.h"
 #include "registers.h"

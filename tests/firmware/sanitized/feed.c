@@ -7,9 +7,9 @@
 #include <string.h>
 
 #include "firmware.h"
-#include "msp.h"
-#include "policy_blob.h"
-#include "settings.h"
+#include "msp/msp.h"
+#include "storage/policy_blob.h"
+#include "storage/settings.h"
 
 int main(void)
 {

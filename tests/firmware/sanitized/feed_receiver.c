@@ -6,8 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "rates.h"
-#include "receiver.h"
+#include "receiver/rates.h"
+#include "receiver/receiver.h"
 
 #define PIECES_MAX 300000
 #define SETPOINT_MAX 34.9f /* rad/s: 1998 deg/s and a hair */

@@ -8,10 +8,10 @@
 #include <string.h>
 
 #include "hal/host/flash_model.h"
-#include "msp.h"
-#include "msp_commands.h"
+#include "msp/msp.h"
+#include "msp/msp_commands.h"
 #include "policy.h"
-#include "settings_store.h"
+#include "storage/settings_store.h"
 
 static struct flash_model model;
 static struct flash flash;

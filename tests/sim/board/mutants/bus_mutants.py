@@ -177,7 +177,7 @@ BUS_MUTANTS = (
     ),
     Mutant(
         name="DShot checksum wrong",
-        file="src/dshot.c",
+        file="src/motors/dshot.c",
         old="const unsigned checksum = (",
         new="const unsigned checksum = ~(",
         message=r"motor 1: frame 0x000F has the checksum F, expected 0",

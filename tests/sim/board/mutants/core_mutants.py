@@ -32,7 +32,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="stack overflow by recursion in flight",
-        file="src/mixer.c",
+        file="src/control/mixer.c",
         old="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n",
         new="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n\t\tif (mixed < 2.0f)\n"
         "\t\t\tmixer_step(mixer, output, throttle, output);\n",
@@ -203,7 +203,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="flash programmed without erasing it",
-        file="src/fault_log.c",
+        file="src/storage/fault_log.c",
         old="flash_program(flash, address_of(index), &entry,",
         new="flash_program(flash, address_of(0), &entry,",
         message=r"flash at 0x0800C\w{3} is 0x\w{8} and is to become 0x\w{8}: programming a 1 over a 0",

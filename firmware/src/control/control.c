@@ -1,0 +1,187 @@
+#include "control/control.h"
+
+#include <string.h>
+
+#include "common/limit.h"
+
+enum nf_err control_init(struct control *control, const struct control_config *config)
+{
+	static const struct observation_terms terms = {
+		.blocks = policy_observation_blocks,
+		.ages = policy_observation_ages,
+		.gains = policy_observation_gains,
+		.count = POLICY_OBSERVATION_TERM_COUNT,
+	};
+	enum nf_err err;
+
+	memset(control, 0, sizeof *control);
+	control->weights = config->weights;
+	control->good[CONTROLLER_POLICY] = config->policy_good;
+	control->good[CONTROLLER_PID] = config->pid->motor_count == POLICY_ACTION_COUNT;
+	control->handover_steps = POLICY_CONTROL_RATE_HZ * NF_HANDOVER_MS / 1000u;
+	pid_init(&control->pid, config->pid);
+	if ((err = mixer_init(&control->mixers[CONTROLLER_POLICY], config->settings, config->policy_idle)) != NF_OK ||
+	    (err = mixer_init(&control->mixers[CONTROLLER_PID], config->settings, config->pid->idle)) != NF_OK)
+		return err;
+	if ((err = observation_init(&control->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
+				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
+		return err;
+	control_reset(control);
+	return NF_OK;
+}
+
+static void forget(struct control *control, enum controller controller)
+{
+	if (controller == CONTROLLER_PID) {
+		pid_reset(&control->pid);
+		return;
+	}
+	observation_reset(&control->observation);
+	policy_init(&control->policy, control->weights);
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		control->action[i] = 0.0f;
+}
+
+/* `controller` begins to fly, and knows nothing of what was. */
+static void begin(struct control *control, enum controller controller)
+{
+	control->flying = controller;
+	forget(control, controller);
+}
+
+void control_rest(struct control *control)
+{
+	if (control->fresh)
+		return;
+	forget(control, CONTROLLER_PID);
+	forget(control, CONTROLLER_POLICY);
+	control->fresh = true;
+}
+
+void control_reset(struct control *control)
+{
+	control->first = true;
+	control->latched = false;
+	control->fallback = NF_FALLBACK_NONE;
+	control->misses = 0;
+	control->handover_left = 0;
+	control->flying = CONTROLLER_POLICY;
+	control_rest(control);
+}
+
+uint32_t control_reasons(const struct control *control, bool pid_wanted)
+{
+	if (pid_wanted)
+		return control->good[CONTROLLER_PID] ? 0u : 1u << NF_ARMING_REASON_PID_MISSING;
+	return control->good[CONTROLLER_POLICY] ? 0u : 1u << NF_ARMING_REASON_POLICY_BAD;
+}
+
+/* From now until the next reset the PID flies, where there is one. */
+static void fall_back(struct control *control, enum nf_fallback_cause cause)
+{
+	control->latched = control->good[CONTROLLER_PID];
+	control->fallback = control->latched ? cause : control->fallback;
+}
+
+/* Who is to fly: the one the pilot wants, unless only the other can. */
+static enum controller choose(const struct control *control, bool pid_wanted)
+{
+	const enum controller wanted = pid_wanted || control->latched ? CONTROLLER_PID : CONTROLLER_POLICY;
+	const enum controller other = wanted == CONTROLLER_PID ? CONTROLLER_POLICY : CONTROLLER_PID;
+
+	return control->good[wanted] || !control->good[other] ? wanted : other;
+}
+
+/* Is this what a controller may answer? Any NaN says no. */
+static bool within_range(const float action[POLICY_ACTION_COUNT])
+{
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		if (!(action[i] >= 0.0f && action[i] <= 1.0f))
+			return false;
+	return true;
+}
+
+/* Asks the controller that flies. Returns whether its answer may be flown. */
+static bool answer(struct control *control, const struct control_input *input)
+{
+	const struct observation_input seen = {
+		.rate = input->rate,
+		.setpoint = input->setpoint,
+		.previous_action = control->action,
+		.throttle = input->throttle,
+	};
+	float observation[POLICY_OBSERVATION_COUNT];
+
+	if (control->flying == CONTROLLER_PID) {
+		pid_step(&control->pid, input->setpoint, input->rate, control->action);
+	} else {
+		observation_step(&control->observation, &seen, observation);
+		policy_step(&control->policy, observation, control->action);
+	}
+	return within_range(control->action);
+}
+
+/* The outputs pass from where they were to the new controller's: what lay between them at the change fades. */
+static void hand_over(struct control *control, bool changed, float output[POLICY_ACTION_COUNT])
+{
+	if (changed) {
+		control->handover_left = control->handover_steps;
+		for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+			control->offset[i] = control->output[i] - output[i];
+	}
+	if (control->handover_left == 0)
+		return;
+	control->handover_left--;
+	const float share = (float)control->handover_left / (float)control->handover_steps;
+	const float most = control->mixers[control->flying].limit;
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		output[i] = limit(output[i] + share * control->offset[i], 0.0f, most);
+}
+
+bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
+{
+	const enum controller before = control->flying;
+	const enum controller chosen = choose(control, input->pid_wanted);
+
+	control->fresh = false;
+	if (chosen != before) {
+		begin(control, chosen);
+		if (!control->latched)
+			control->fallback = chosen == CONTROLLER_PID ? NF_FALLBACK_SWITCH : NF_FALLBACK_NONE;
+	}
+	if (!answer(control, input)) {
+		fall_back(control, NF_FALLBACK_POLICY_OUTPUT);
+		if (!control->latched) {
+			control->good[CONTROLLER_POLICY] = false;
+			return false;
+		}
+		begin(control, CONTROLLER_PID);
+		answer(control, input);
+	}
+	mixer_step(&control->mixers[control->flying], control->action, input->throttle, output);
+	hand_over(control, control->flying != before && !control->first, output);
+	memcpy(control->output, output, sizeof control->output);
+	control->first = false;
+	return true;
+}
+
+void control_deadline(struct control *control, bool missed)
+{
+	control->misses = missed ? (uint8_t)(control->misses + 1u) : 0u;
+	if (control->misses < NF_DEADLINE_MISSES_MAX)
+		return;
+	control->misses = 0;
+	if (control->flying == CONTROLLER_POLICY)
+		fall_back(control, NF_FALLBACK_DEADLINE);
+}
+
+float control_spread(const struct control *control)
+{
+	float least = control->action[0], most = control->action[0];
+
+	for (int i = 1; i < POLICY_ACTION_COUNT; i++) {
+		least = control->action[i] < least ? control->action[i] : least;
+		most = control->action[i] > most ? control->action[i] : most;
+	}
+	return most - least;
+}

@@ -1,0 +1,162 @@
+#include "control/observation.h"
+
+#include <string.h>
+
+#include "common/limit.h"
+
+/* Each writes one block and returns the end of it. */
+typedef float *block_writer(const struct observation *o, const struct observation_input *input, float *out);
+
+static float *put(const float *values, size_t count, float *out)
+{
+	for (size_t i = 0; i < count; i++)
+		*out++ = values[i];
+	return out;
+}
+
+static float *write_rate(const struct observation *o, const struct observation_input *input, float *out)
+{
+	(void)o;
+	return put(input->rate, 3, out);
+}
+
+static float *write_rate_error(const struct observation *o, const struct observation_input *input, float *out)
+{
+	(void)input;
+	return put(o->error, 3, out);
+}
+
+static float *write_rate_error_delta(const struct observation *o, const struct observation_input *input, float *out)
+{
+	(void)input;
+	return put(o->delta, 3, out);
+}
+
+static float *write_rate_error_integral(const struct observation *o, const struct observation_input *input,
+					float *out)
+{
+	(void)input;
+	return put(o->integral, 3, out);
+}
+
+static float *write_previous_action(const struct observation *o, const struct observation_input *input, float *out)
+{
+	return put(input->previous_action, o->motor_count, out);
+}
+
+static float *write_throttle(const struct observation *o, const struct observation_input *input, float *out)
+{
+	(void)o;
+	return put(&input->throttle, 1, out);
+}
+
+/* One row for each of the contract's blocks that this core has a source for, at its code; one without a writer
+ * does not compile. */
+static const struct block {
+	block_writer *write;
+	size_t width; /* 0: one value a motor */
+} table[] = {
+#define ROW(name, code, width) [code] = { write_##name, width },
+	NF_OBSERVATION_BLOCKS(ROW)
+#undef ROW
+};
+
+/* The block's values, 0 for a code that is none. */
+static size_t block_width(unsigned char code, size_t motor_count)
+{
+	if (code >= sizeof table / sizeof table[0] || !table[code].write)
+		return 0;
+	return table[code].width ? table[code].width : motor_count;
+}
+
+enum nf_err observation_init(struct observation *o, const struct observation_terms *terms, size_t motor_count,
+			     size_t width, unsigned control_rate_hz)
+{
+	size_t sum = 0, remembered = 0;
+
+	if (terms->count > NF_OBSERVATION_TERMS_MAX)
+		return NF_ERR_OBSERVATION;
+	for (size_t i = 0; i < terms->count; i++) {
+		const size_t values = block_width(terms->blocks[i], motor_count);
+		if (values == 0 || terms->ages[i] > NF_OBSERVATION_AGE_MAX ||
+		    !(terms->gains[i] >= 0.0f && terms->gains[i] < 1.0f))
+			return NF_ERR_OBSERVATION;
+		sum += values;
+		remembered += values * (terms->ages[i] + (terms->gains[i] > 0.0f ? 1u : 0u));
+	}
+	if (sum != width || remembered > NF_OBSERVATION_MEMORY_MAX)
+		return NF_ERR_OBSERVATION;
+	o->terms = *terms;
+	o->motor_count = motor_count;
+	o->period_s = 1.0f / (float)control_rate_hz;
+	observation_reset(o);
+	return NF_OK;
+}
+
+void observation_reset(struct observation *o)
+{
+	o->first = true;
+	for (int i = 0; i < 3; i++) {
+		o->error[i] = 0.0f;
+		o->delta[i] = 0.0f;
+		o->integral[i] = 0.0f;
+	}
+	memset(o->memory, 0, sizeof o->memory);
+	memset(o->turns, 0, sizeof o->turns);
+}
+
+static void update(struct observation *o, const struct observation_input *input)
+{
+	for (int i = 0; i < 3; i++) {
+		const float error = input->setpoint[i] - input->rate[i];
+		o->delta[i] = o->first ? 0.0f : error - o->error[i];
+		o->integral[i] = limit(o->integral[i] + error * o->period_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,
+				       NF_RATE_ERROR_INTEGRAL_LIMIT_RAD);
+		o->error[i] = error;
+	}
+}
+
+/* Replaces the values from `out` to `end` by their low-pass, whose state is `state`. */
+static void pass(float *state, float gain, bool first, float *out, const float *end)
+{
+	for (; out < end; out++, state++) {
+		*state = first ? *out : *state + gain * (*out - *state);
+		*out = *state;
+	}
+}
+
+/* Puts the values from `out` to `end` where the oldest in the line wait, and takes those out. */
+static void exchange(float *oldest, float *out, const float *end)
+{
+	for (; out < end; out++, oldest++) {
+		const float old = *oldest;
+		*oldest = *out;
+		*out = old;
+	}
+}
+
+void observation_step(struct observation *o, const struct observation_input *input, float out[])
+{
+	const struct observation_terms *const terms = &o->terms;
+	float *memory = o->memory;
+
+	update(o, input);
+	for (size_t i = 0; i < terms->count; i++) {
+		const unsigned age = terms->ages[i];
+		const float gain = terms->gains[i];
+		float *const end = table[terms->blocks[i]].write(o, input, out);
+		const size_t width = (size_t)(end - out);
+
+		if (gain > 0.0f) {
+			pass(memory, gain, o->first, out, end);
+			memory += width;
+		}
+		if (age > 0) {
+			exchange(memory + o->turns[i] * width, out, end);
+			o->turns[i] = (unsigned char)(o->turns[i] + 1u == age ? 0u : o->turns[i] + 1u);
+			memory += age * width;
+		}
+		out = end;
+	}
+	o->first = false;
+}

@@ -1,0 +1,53 @@
+/* Observation: the policy's input, put together from terms: named blocks (toolchain/contract.py), each perhaps
+ * low-passed, then perhaps some steps old. */
+#ifndef NF_OBSERVATION_H
+#define NF_OBSERVATION_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+#include "nf_contract.h"
+#include "common/nf_err.h"
+
+/* What a control step knows before the policy runs. */
+struct observation_input {
+	const float *rate;            /* [3] rad/s, body */
+	const float *setpoint;        /* [3] rad/s, body */
+	const float *previous_action; /* [motor_count], the policy's last output; zeros on the first step */
+	float throttle;               /* 0..1 */
+};
+
+/* The terms in the policy's order, `count` of each. */
+struct observation_terms {
+	const unsigned char *blocks; /* codes of enum nf_observation */
+	const unsigned char *ages;   /* control steps, at most NF_OBSERVATION_AGE_MAX */
+	const float *gains;          /* a of the low-pass y += a (x - y), [0, 1); 0: none */
+	size_t count;                /* at most NF_OBSERVATION_TERMS_MAX */
+};
+
+struct observation {
+	struct observation_terms terms;
+	size_t motor_count;
+	float period_s;              /* control period */
+	bool first;                  /* no step since the reset */
+	float error[3];              /* rad/s, setpoint - rate of the last step */
+	float delta[3];              /* rad/s, error - that of the step before; 0 on the first step */
+	float integral[3];           /* rad, sum of error times period, the present step's included; clamped */
+	/* Term by term: the low-pass's y, then the values of the last `age` steps, the oldest at turns[term]. */
+	float memory[NF_OBSERVATION_MEMORY_MAX];
+	unsigned char turns[NF_OBSERVATION_TERMS_MAX];
+};
+
+/* The arrays of `terms` must outlive the observation. NF_ERR_OBSERVATION for an unknown code (a block that this
+ * core has no source for, say), an age, gain or count beyond the bounds above, terms that would remember more
+ * than NF_OBSERVATION_MEMORY_MAX floats, or a width (the sum of the blocks') other than `width`. */
+enum nf_err observation_init(struct observation *o, const struct observation_terms *terms, size_t motor_count,
+			     size_t width, unsigned control_rate_hz);
+
+/* Forgets the past: the next step is the first. */
+void observation_reset(struct observation *o);
+
+/* One control step: writes `width` values. */
+void observation_step(struct observation *o, const struct observation_input *input, float out[]);
+
+#endif

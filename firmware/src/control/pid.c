@@ -1,0 +1,61 @@
+#include "control/pid.h"
+
+#include "common/limit.h"
+
+void pid_init(struct pid *pid, const struct pid_gains *gains)
+{
+	*pid = (struct pid){ .gains = gains };
+	pid_reset(pid);
+}
+
+void pid_reset(struct pid *pid)
+{
+	pid->first = true;
+	for (int i = 0; i < 3; i++) {
+		pid->integral[i] = 0.0f;
+		pid->slope[i] = 0.0f;
+		pid->rate[i] = 0.0f;
+	}
+}
+
+/* What an axis asks of the motors whose share in it is 1. */
+static float axis_step(struct pid *pid, int i, float setpoint, float rate)
+{
+	const struct pid_gains *g = pid->gains;
+	const float error = setpoint - rate;
+	const float slope = pid->first ? 0.0f : (rate - pid->rate[i]) / g->period_s;
+
+	pid->slope[i] += g->smoothing * (slope - pid->slope[i]);
+	pid->rate[i] = rate;
+	pid->integral[i] = limit(pid->integral[i] + error * g->period_s, -g->integral_max[i], g->integral_max[i]);
+	return g->p[i] * error + g->i[i] * pid->integral[i] - g->d[i] * pid->slope[i];
+}
+
+/* Moves demands into 0..1: narrowed where they span more than 1, lifted until none is below 0, cut at 1. */
+static void desaturate(float demand[POLICY_ACTION_COUNT])
+{
+	float lowest = demand[0], highest = demand[0];
+
+	for (int i = 1; i < POLICY_ACTION_COUNT; i++) {
+		lowest = demand[i] < lowest ? demand[i] : lowest;
+		highest = demand[i] > highest ? demand[i] : highest;
+	}
+	const float span = highest - lowest > 1.0f ? highest - lowest : 1.0f;
+	const float lift = lowest < 0.0f ? -lowest : 0.0f;
+	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		demand[i] = limit((demand[i] + lift) / span, 0.0f, 1.0f);
+}
+
+void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float action[POLICY_ACTION_COUNT])
+{
+	float axes[3];
+
+	for (int i = 0; i < 3; i++)
+		axes[i] = axis_step(pid, i, setpoint[i], rate[i]);
+	pid->first = false;
+	for (int m = 0; m < POLICY_ACTION_COUNT; m++) {
+		const float *share = pid->gains->mixer[m];
+		action[m] = share[0] * axes[0] + share[1] * axes[1] + share[2] * axes[2];
+	}
+	desaturate(action);
+}

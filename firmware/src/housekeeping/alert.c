@@ -1,0 +1,80 @@
+#include "housekeeping/alert.h"
+
+#define SLOT_MS 50u
+#define FLASH_PAUSE 16u /* slots between two rounds of a fault's flashes */
+
+/* '#' is on, '.' is off, each for SLOT_MS. */
+struct rhythm {
+	const char *slots; /* NULL: this condition leaves the output to the next one */
+	uint8_t count;
+	bool once;         /* then off; else over and over */
+};
+
+#define REPEATED(slots) { slots, sizeof slots - 1, false }
+#define ONCE(slots) { slots, sizeof slots - 1, true }
+#define NOTHING { 0, 0, false }
+
+static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = {
+	[ALERT_FAULT] = { NOTHING, REPEATED("#.") }, /* counted: see flashing() */
+	[ALERT_CRASHED] = { REPEATED("######....######........"), REPEATED("##..") },
+	[ALERT_FIND_ME] = { REPEATED("#.#.#...#.#.#......."), REPEATED("#...") },
+	[ALERT_RECEIVER_LOST] = { REPEATED("##..##.............."), REPEATED("##..##..............") },
+	[ALERT_BATTERY_LOW] = { REPEATED("########.."), REPEATED("########..") },
+	[ALERT_BATTERY_WARN] = { REPEATED("####................"), NOTHING },
+	[ALERT_CALIBRATING] = { NOTHING, REPEATED("#.") },
+	[ALERT_ARMED] = { ONCE("####"), REPEATED("#") },
+	[ALERT_DISARMED] = { ONCE("#..#"), REPEATED("#...................") },
+};
+
+void alert_init(struct alert *alert)
+{
+	*alert = (struct alert){ .playing = { ALERT_CONDITION_COUNT, ALERT_CONDITION_COUNT } };
+}
+
+/* The first condition that holds and has a rhythm for the output. */
+static uint8_t first(uint32_t conditions, enum alert_output output)
+{
+	uint8_t condition = 0;
+
+	while (condition < ALERT_CONDITION_COUNT &&
+	       !(conditions >> condition & 1u && rhythms[condition][output].slots))
+		condition++;
+	return condition;
+}
+
+static bool flashing(unsigned flashes, uint32_t slot)
+{
+	const uint32_t round = 2u * (flashes > 0 ? flashes : 1u);
+	const uint32_t place = slot % (round + FLASH_PAUSE);
+
+	return place < round && place % 2u == 0;
+}
+
+static bool on(const struct rhythm *rhythm, uint32_t slot)
+{
+	if (rhythm->once && slot >= rhythm->count)
+		return false;
+	return rhythm->slots[slot % rhythm->count] == '#';
+}
+
+static bool play(struct alert *alert, enum alert_output output, uint32_t conditions, unsigned flashes, uint32_t ms)
+{
+	const uint8_t condition = first(conditions, output);
+
+	if (condition != alert->playing[output]) {
+		alert->playing[output] = condition;
+		alert->since_ms[output] = ms;
+	}
+	const uint32_t slot = (ms - alert->since_ms[output]) / SLOT_MS;
+	if (condition == ALERT_CONDITION_COUNT)
+		return false;
+	return condition == ALERT_FAULT ? flashing(flashes, slot) : on(&rhythms[condition][output], slot);
+}
+
+struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms)
+{
+	return (struct alert_state){
+		.beeper = play(alert, ALERT_BEEPER, conditions, flashes, ms),
+		.led = play(alert, ALERT_LED, conditions, flashes, ms),
+	};
+}

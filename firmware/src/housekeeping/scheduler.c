@@ -1,0 +1,58 @@
+#include "housekeeping/scheduler.h"
+
+void task_stats_init(struct task_stats *stats, uint32_t rate_hz)
+{
+	*stats = (struct task_stats){ .rate_hz = rate_hz };
+}
+
+void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed)
+{
+	if (cycles > stats->worst)
+		stats->worst = cycles;
+	if (stats->runs == 0 || cycles < stats->best)
+		stats->best = cycles;
+	stats->sum += cycles;
+	stats->runs++;
+	stats->misses += missed;
+}
+
+uint32_t task_stats_mean(const struct task_stats *stats)
+{
+	return stats->runs == 0 ? 0 : (uint32_t)(stats->sum / stats->runs);
+}
+
+void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count,
+		    struct task_stats stats[TASK_COUNT], uint32_t gyro_rate_hz, uint32_t (*cycles)(void *clock),
+		    void *clock)
+{
+	*scheduler = (struct scheduler){
+		.tasks = tasks,
+		.count = count,
+		.gyro_rate_hz = gyro_rate_hz,
+		.cycles = cycles,
+		.clock = clock,
+		.stats = stats,
+	};
+	for (size_t i = 0; i < count; i++)
+		task_stats_init(&stats[tasks[i].id], tasks[i].rate_hz);
+}
+
+bool scheduler_step(struct scheduler *scheduler, uint32_t now, void *context)
+{
+	for (size_t i = 0; i < scheduler->count; i++) {
+		const struct task *task = &scheduler->tasks[i];
+		const uint32_t period = scheduler->gyro_rate_hz / task->rate_hz;
+		const uint32_t late = now - scheduler->due[i];
+
+		/* The index wraps: what is more than half of it away is still to come. */
+		if (late > UINT32_MAX / 2)
+			continue;
+		const bool missed = late >= period;
+		scheduler->due[i] = missed ? now + period : scheduler->due[i] + period;
+		const uint32_t start = scheduler->cycles(scheduler->clock);
+		task->run(context);
+		task_stats_add(&scheduler->stats[task->id], scheduler->cycles(scheduler->clock) - start, missed);
+		return true;
+	}
+	return false;
+}

@@ -1,0 +1,183 @@
+#include "msp/msp.h"
+
+#include <stdbool.h>
+
+#include "common/crc8.h"
+#include "msp/msp_commands.h"
+#include "msp/msp_replies.h"
+#include "nf_contract.h"
+
+#define JUMBO 255u        /* the v1 size that announces a 16-bit one */
+#define FRAME_V1_BYTES 6u /* around a payload: "$M>", size, command, checksum */
+#define FRAME_V2_BYTES 9u /* "$X>", flags, command, size, checksum */
+#define REPLY_MAX 240u    /* bytes of a reply's payload */
+_Static_assert(REPLY_MAX < JUMBO, "no reply of this server needs a jumbo frame");
+
+/* Named for the byte that is awaited. */
+enum msp_state {
+	MSP_DOLLAR,
+	MSP_VERSION,
+	MSP_DIRECTION,
+	MSP_V1_SIZE,
+	MSP_V1_COMMAND,
+	MSP_V1_JUMBO_LOW,
+	MSP_V1_JUMBO_HIGH,
+	MSP_V2_FLAGS,
+	MSP_V2_COMMAND_LOW,
+	MSP_V2_COMMAND_HIGH,
+	MSP_V2_SIZE_LOW,
+	MSP_V2_SIZE_HIGH,
+	MSP_PAYLOAD,
+	MSP_CHECKSUM,
+};
+
+void msp_init(struct msp *msp, const struct msp_identity *identity)
+{
+	*msp = (struct msp){ .identity = identity };
+	msp_reset(msp);
+}
+
+void msp_offer(struct msp *msp, const struct msp_services *services)
+{
+	msp->services = services;
+}
+
+void msp_reset(struct msp *msp)
+{
+	msp->state = MSP_DOLLAR;
+}
+
+static uint8_t checksum_step(unsigned version, uint8_t checksum, uint8_t byte)
+{
+	return version == 1 ? checksum ^ byte : crc8(checksum, &byte, 1);
+}
+
+/* The state behind a complete header. A size that no request can have is noise: wait for the next '$'. */
+static enum msp_state behind_header(struct msp *msp)
+{
+	if (msp->size > NF_MSP_PAYLOAD_MAX)
+		return MSP_DOLLAR;
+	msp->received = 0;
+	return msp->size > 0 ? MSP_PAYLOAD : MSP_CHECKSUM;
+}
+
+/* Takes one byte. Returns whether it completed a request, which is then in version and command. */
+static bool push(struct msp *msp, uint8_t byte)
+{
+	if (msp->state == MSP_CHECKSUM) {
+		msp->state = MSP_DOLLAR;
+		return byte == msp->checksum;
+	}
+	if (msp->state > MSP_DIRECTION)
+		msp->checksum = checksum_step(msp->version, msp->checksum, byte);
+
+	switch ((enum msp_state)msp->state) {
+	case MSP_DOLLAR:
+		msp->state = byte == '$' ? MSP_VERSION : MSP_DOLLAR;
+		break;
+	case MSP_VERSION:
+		msp->version = byte == 'X' ? 2 : 1;
+		msp->state = byte == 'M' || byte == 'X' ? MSP_DIRECTION : byte == '$' ? MSP_VERSION : MSP_DOLLAR;
+		break;
+	case MSP_DIRECTION:
+		msp->checksum = 0;
+		msp->state = byte != '<' ? MSP_DOLLAR : msp->version == 1 ? MSP_V1_SIZE : MSP_V2_FLAGS;
+		break;
+	case MSP_V1_SIZE:
+		msp->size = byte;
+		msp->state = MSP_V1_COMMAND;
+		break;
+	case MSP_V1_COMMAND:
+		msp->command = byte;
+		msp->state = msp->size == JUMBO ? MSP_V1_JUMBO_LOW : (uint8_t)behind_header(msp);
+		break;
+	case MSP_V2_FLAGS:
+		msp->state = MSP_V2_COMMAND_LOW;
+		break;
+	case MSP_V2_COMMAND_LOW:
+		msp->command = byte;
+		msp->state = MSP_V2_COMMAND_HIGH;
+		break;
+	case MSP_V2_COMMAND_HIGH:
+		msp->command = (uint16_t)(msp->command | byte << 8);
+		msp->state = MSP_V2_SIZE_LOW;
+		break;
+	case MSP_V1_JUMBO_LOW:
+	case MSP_V2_SIZE_LOW:
+		msp->size = byte;
+		msp->state++;
+		break;
+	case MSP_V1_JUMBO_HIGH:
+	case MSP_V2_SIZE_HIGH:
+		msp->size = (uint16_t)(msp->size | byte << 8);
+		msp->state = (uint8_t)behind_header(msp);
+		break;
+	case MSP_PAYLOAD:
+		msp->payload[msp->received++] = byte;
+		if (msp->received == msp->size)
+			msp->state = MSP_CHECKSUM;
+		break;
+	case MSP_CHECKSUM: /* dealt with above */
+		break;
+	}
+	return false;
+}
+
+/* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
+static bool carry_out(const struct msp *msp, const struct firmware_status *status, struct msp_writer *payload)
+{
+	const struct policy_slots *slots = msp->services ? msp->services->slots : NULL;
+	enum nf_refusal refusal;
+
+	if (msp_reply(msp->command, msp->identity, status, slots, payload))
+		return false;
+	return !msp->services ||
+	       !msp_command(msp->services, status, msp->command, msp->payload, msp->size, payload, &refusal) ||
+	       refusal != NF_REFUSAL_NONE;
+}
+
+/* Writes the reply to the request just read; 0 bytes if it does not fit. */
+static size_t answer(const struct msp *msp, const struct firmware_status *status, uint8_t *reply, size_t capacity)
+{
+	uint8_t payload[REPLY_MAX];
+	struct msp_writer writer = { payload, payload + sizeof payload };
+	const bool refused = carry_out(msp, status, &writer);
+	const size_t size = (size_t)(writer.at - payload);
+	const size_t header_end = msp->version == 1 ? FRAME_V1_BYTES - 1 : FRAME_V2_BYTES - 1;
+	size_t n = 0;
+
+	if (header_end + size + 1 > capacity)
+		return 0;
+	reply[n++] = '$';
+	reply[n++] = msp->version == 1 ? 'M' : 'X';
+	reply[n++] = refused ? '!' : '>';
+	const size_t checked_from = n;
+	if (msp->version == 1) {
+		reply[n++] = (uint8_t)size;
+		reply[n++] = (uint8_t)msp->command;
+	} else {
+		reply[n++] = 0; /* flags */
+		reply[n++] = (uint8_t)msp->command;
+		reply[n++] = (uint8_t)(msp->command >> 8);
+		reply[n++] = (uint8_t)size;
+		reply[n++] = (uint8_t)(size >> 8);
+	}
+	for (size_t i = 0; i < size; i++)
+		reply[n++] = payload[i];
+	uint8_t checksum = 0;
+	for (size_t i = checked_from; i < n; i++)
+		checksum = checksum_step(msp->version, checksum, reply[i]);
+	reply[n++] = checksum;
+	return n;
+}
+
+size_t msp_serve(struct msp *msp, const struct firmware_status *status, const uint8_t *bytes, size_t count,
+		 uint8_t *reply, size_t capacity)
+{
+	size_t written = 0;
+
+	for (size_t i = 0; i < count; i++)
+		if (push(msp, bytes[i]))
+			written += answer(msp, status, reply + written, capacity - written);
+	return written;
+}

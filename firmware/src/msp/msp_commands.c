@@ -1,0 +1,261 @@
+#include "msp/msp_commands.h"
+
+#include <string.h>
+
+#include "storage/settings.h"
+#include "storage/settings_store.h"
+
+/* A request and what answers it. */
+struct request {
+	const struct msp_services *services;
+	struct msp_reader payload;
+	struct msp_writer *reply;
+	int detail; /* of a refusal */
+};
+
+static enum nf_refusal tasks(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	msp_put_u32(q->reply, s->cycles_hz);
+	msp_put_u8(q->reply, TASK_COUNT);
+	for (unsigned i = 0; i < TASK_COUNT; i++) {
+		const struct task_stats *task = &s->tasks[i];
+		msp_put_u16(q->reply, task->rate_hz);
+		msp_put_u32(q->reply, task->runs);
+		msp_put_u32(q->reply, task->misses);
+		msp_put_u32(q->reply, task->worst);
+		msp_put_u32(q->reply, task->best);
+		msp_put_u32(q->reply, task_stats_mean(task));
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal faults_read(struct request *q)
+{
+	const struct fault_log *log = q->services->faults;
+
+	msp_put_u32(q->reply, log->boots);
+	msp_put_u8(q->reply, log->pending);
+	if (!log->pending)
+		return NF_REFUSAL_NONE;
+	msp_put_u32(q->reply, log->boot);
+	msp_put_bytes(q->reply, &log->record, sizeof log->record);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal faults_acknowledge(struct request *q)
+{
+	return fault_log_acknowledge(q->services->faults, msp_take_u32(&q->payload));
+}
+
+static enum nf_refusal setting_info(struct request *q)
+{
+	const struct setting *setting = settings_info(msp_take_u16(&q->payload));
+
+	if (!setting)
+		return NF_REFUSAL_INDEX;
+	msp_put_u16(q->reply, NF_SETTING_COUNT);
+	msp_put_u8(q->reply, setting->kind);
+	msp_put_bytes(q->reply, &setting->low, sizeof setting->low);
+	msp_put_bytes(q->reply, &setting->high, sizeof setting->high);
+	msp_put_bytes(q->reply, &setting->preset, sizeof setting->preset);
+	msp_put_counted_text(q->reply, setting->name, MSP_TEXT_MAX);
+	msp_put_counted_text(q->reply, setting->unit, MSP_TEXT_MAX);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal setting_get(struct request *q)
+{
+	const unsigned index = msp_take_u16(&q->payload);
+	const struct setting *setting = settings_info(index);
+	union setting_value value;
+
+	if (!setting)
+		return NF_REFUSAL_INDEX;
+	settings_get(q->services->settings, index, &value);
+	msp_put_u8(q->reply, setting->kind);
+	msp_put_bytes(q->reply, &value, sizeof value);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal setting_set(struct request *q)
+{
+	const unsigned index = msp_take_u16(&q->payload);
+	const union setting_value value = { .as_uint32_t = msp_take_u32(&q->payload) };
+
+	return settings_set(q->services->settings, index, &value);
+}
+
+static enum nf_refusal settings_write(struct request *q)
+{
+	const enum nf_refusal refusal = settings_save(q->services->settings, q->services->flash);
+
+	if (refusal == NF_REFUSAL_CONFLICT)
+		q->detail = (int)settings_conflict(q->services->settings);
+	return refusal;
+}
+
+/* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect; those that are not
+ * told are low. */
+static enum nf_refusal channels(struct request *q)
+{
+	const struct msp_services *s = q->services;
+	uint16_t channels_us[NF_CHANNEL_COUNT];
+
+	if (!s->channels)
+		return NF_REFUSAL_ABSENT;
+	for (unsigned i = 0; i < NF_CHANNEL_COUNT; i++) {
+		const bool told = q->payload.left >= sizeof channels_us[0];
+		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_MIN_US;
+	}
+	return s->channels(s->context, channels_us);
+}
+
+static enum nf_refusal motor_test(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	return s->motor_test ? s->motor_test(s->context, msp_take_u32(&q->payload)) : NF_REFUSAL_ABSENT;
+}
+
+static enum nf_refusal motors(struct request *q)
+{
+	const struct msp_services *s = q->services;
+	uint16_t values_us[NF_MOTOR_COUNT_MAX];
+	size_t count = 0;
+
+	if (!s->motors)
+		return NF_REFUSAL_ABSENT;
+	while (count < NF_MOTOR_COUNT_MAX && q->payload.left >= sizeof values_us[0]) {
+		const uint16_t us = (uint16_t)msp_take_u16(&q->payload);
+		if (us < NF_CHANNEL_MIN_US || us > NF_CHANNEL_MAX_US)
+			return NF_REFUSAL_PAYLOAD;
+		values_us[count++] = us;
+	}
+	return s->motors(s->context, values_us, count);
+}
+
+static enum nf_refusal dshot_command(struct request *q)
+{
+	const struct msp_services *s = q->services;
+	const unsigned motor = msp_take_u8(&q->payload);
+
+	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
+}
+
+static enum nf_refusal slot_begin(struct request *q)
+{
+	const enum nf_refusal refusal = policy_slots_begin(q->services->slots, msp_take_u32(&q->payload));
+
+	if (refusal == NF_REFUSAL_NONE)
+		msp_put_u32(q->reply, policy_slots_next_sequence(q->services->slots));
+	return refusal;
+}
+
+static enum nf_refusal slot_write(struct request *q)
+{
+	const uint32_t offset = msp_take_u32(&q->payload);
+
+	return policy_slots_write(q->services->slots, offset, q->payload.at, q->payload.left);
+}
+
+static enum nf_refusal slot_end(struct request *q)
+{
+	enum nf_err why;
+	const enum nf_refusal refusal = policy_slots_end(q->services->slots, &why);
+
+	q->detail = why;
+	return refusal;
+}
+
+static enum nf_refusal reboot(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	/* Other kinds of restart, into a boot loader for instance, are not to be had. */
+	if (msp_take_u8(&q->payload) != 0)
+		return NF_REFUSAL_PAYLOAD;
+	return s->reboot ? s->reboot(s->context) : NF_REFUSAL_ABSENT;
+}
+
+/* When a command may be carried out. */
+enum when {
+	ALWAYS,
+	STOPPED, /* not armed, as the last control step saw it */
+	STORING, /* not armed, and nothing arms before it is done: flash is written */
+};
+
+static const struct command {
+	enum nf_msp code;
+	enum when when;
+	uint16_t shortest, longest; /* payload [bytes] */
+	enum nf_refusal (*run)(struct request *q);
+} commands[] = {
+	{ NF_MSP_TASKS, ALWAYS, 0, 0, tasks },
+	{ NF_MSP_FAULTS, ALWAYS, 0, 0, faults_read },
+	{ NF_MSP_FAULTS, STORING, 4, 4, faults_acknowledge },
+	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, setting_info },
+	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, setting_get },
+	{ NF_MSP_SETTING_SET, STOPPED, 6, 6, setting_set },
+	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, settings_write },
+	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, channels },
+	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, motor_test },
+	{ NF_MSP_SET_MOTOR, STOPPED, 2, 2 * NF_MOTOR_COUNT_MAX, motors },
+	{ NF_MSP_DSHOT_COMMAND, STOPPED, 2, 2, dshot_command },
+	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, slot_begin },
+	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, slot_write },
+	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, slot_end },
+	{ NF_MSP_REBOOT, STOPPED, 0, 1, reboot },
+};
+
+/* The row of a command with a payload of that size; one of another size, *fits false, or NULL. */
+static const struct command *find(uint16_t code, size_t size, bool *fits)
+{
+	const struct command *found = NULL;
+
+	*fits = false;
+	for (size_t i = 0; i < sizeof commands / sizeof commands[0] && !*fits; i++) {
+		if (commands[i].code != code)
+			continue;
+		found = &commands[i];
+		*fits = size >= found->shortest && size <= found->longest;
+	}
+	return found;
+}
+
+static enum nf_refusal run(const struct command *command, const struct firmware_status *status, struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	if (command->when == ALWAYS)
+		return command->run(q);
+	if (status->trace.armed)
+		return NF_REFUSAL_ARMED;
+	if (command->when == STOPPED)
+		return command->run(q);
+	/* The status is some time old: the motors may have been armed since. */
+	const enum nf_refusal refusal = s->storing ? s->storing(s->context, true) : NF_REFUSAL_ABSENT;
+	if (refusal != NF_REFUSAL_NONE)
+		return refusal;
+	const enum nf_refusal result = command->run(q);
+	(void)s->storing(s->context, false);
+	return result;
+}
+
+bool msp_command(const struct msp_services *services, const struct firmware_status *status, uint16_t code,
+		 const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal)
+{
+	struct request q = { .services = services, .payload = { payload, size }, .reply = reply };
+	bool fits;
+	const struct command *command = find(code, size, &fits);
+
+	if (!command)
+		return false;
+	*refusal = fits ? run(command, status, &q) : NF_REFUSAL_PAYLOAD;
+	if (*refusal != NF_REFUSAL_NONE) {
+		msp_put_u8(reply, *refusal);
+		msp_put_u16(reply, (unsigned)q.detail);
+	}
+	return true;
+}

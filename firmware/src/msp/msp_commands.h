@@ -1,0 +1,49 @@
+/* MSP commands that take a payload, change something, or tell what only the background knows. */
+#ifndef NF_MSP_COMMANDS_H
+#define NF_MSP_COMMANDS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "storage/fault_log.h"
+#include "storage/flash.h"
+#include "msp/msp_payload.h"
+#include "nf_contract.h"
+#include "storage/policy_slots.h"
+#include "housekeeping/scheduler.h"
+#include "common/status.h"
+
+/* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; what lies
+ * beyond, the functions reach. One that is NULL refuses its command as absent. */
+struct msp_services {
+	const struct flash *flash;
+	struct nf_settings *settings;   /* as changed and perhaps not saved; not those that are flown */
+	struct policy_slots *slots;
+	struct fault_log *faults;
+	const struct task_stats *tasks; /* [TASK_COUNT] */
+	uint32_t cycles_hz;             /* of the cycles they tell */
+	void *context;                  /* of the functions below */
+
+	/* busy: from now on nothing may arm, as flash is about to be written (NF_ARMING_REASON_STORING); returns
+	 * NF_REFUSAL_ARMED, and nothing has changed, if the motors are armed or under test. Not busy: it is done. */
+	enum nf_refusal (*storing)(void *context, bool busy);
+	/* Channels [us] in the contract's order, where the receiver is MSP. Also while armed. */
+	enum nf_refusal (*channels)(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+	/* Opens the motor test with the right magic, closes it with any other. */
+	enum nf_refusal (*motor_test)(void *context, uint32_t magic);
+	/* A motor test's values, 1000 to 2000 us each; 1000 stops. */
+	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
+	/* A DShot command for the motor of that index, UINT8_MAX: for all. */
+	enum nf_refusal (*dshot_command)(void *context, unsigned motor, unsigned command);
+	/* Starts anew, once the reply is on its way. */
+	enum nf_refusal (*reboot)(void *context);
+};
+
+/* Carries out `command` with a payload of `size` bytes, aligned to 4, and writes the reply. Returns false if the
+ * command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal
+ * (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting, else 0. */
+bool msp_command(const struct msp_services *services, const struct firmware_status *status, uint16_t command,
+		 const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal);
+
+#endif

@@ -1,0 +1,295 @@
+#include "msp/msp_replies.h"
+
+#include <stddef.h>
+
+#include "housekeeping/battery.h"
+#include "common/limit.h"
+#include "nf_contract.h"
+#include "policy.h"
+
+#define SENSOR_GYRO (1u << 5)     /* bits of the sensors in STATUS */
+#define SENSOR_ACCELEROMETER (1u << 0)
+#define MCU_NOT_TOLD 255u         /* BOARD_INFO: the numbering of chips differs between versions */
+#define CONFIGURED 2u             /* BOARD_INFO's configuration state: set up */
+#define SHA256_DIGITS 64
+#define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
+#define DEG_PER_RAD 57.29578f
+#define RSSI_FULL 1023u
+
+struct source {
+	const struct msp_identity *identity;
+	const struct firmware_status *status;
+	const struct policy_slots *slots; /* NULL: none here */
+};
+
+static void api_version(struct msp_writer *w, const struct source *s)
+{
+	(void)s;
+	msp_put_u8(w, NF_MSP_PROTOCOL_VERSION);
+	msp_put_u8(w, NF_MSP_API_MAJOR);
+	msp_put_u8(w, NF_MSP_API_MINOR);
+}
+
+static void fc_variant(struct msp_writer *w, const struct source *s)
+{
+	(void)s;
+	msp_put_text(w, NF_MSP_VARIANT, 4);
+}
+
+static void fc_version(struct msp_writer *w, const struct source *s)
+{
+	static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
+
+	(void)s;
+	for (int i = 0; i < NF_VERSION_COUNT; i++)
+		msp_put_u8(w, version[i]);
+}
+
+static void board_info(struct msp_writer *w, const struct source *s)
+{
+	msp_put_text(w, s->identity->board, 4);
+	msp_put_u16(w, 0); /* hardware revision */
+	msp_put_u8(w, 0);  /* board type: a flight controller without an OSD of its own */
+	msp_put_u8(w, 0);  /* capabilities: no USB serial, no soft serial */
+	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX);
+	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX); /* board name */
+	msp_put_u8(w, 4);
+	msp_put_text(w, s->identity->maker, 4);
+	msp_put_zeros(w, 32); /* signature: none */
+	msp_put_u8(w, MCU_NOT_TOLD);
+	msp_put_u8(w, CONFIGURED);
+	msp_put_u16(w, s->status->gyro_rate_hz);
+	msp_put_u32(w, 0); /* configuration problems */
+	msp_put_u8(w, 0);  /* SPI and I2C devices that a pilot could set up */
+	msp_put_u8(w, 0);
+}
+
+/* Builds are reproducible, so an image knows no date; the policy's hash tells two of them apart. */
+static void build_info(struct msp_writer *w, const struct source *s)
+{
+	(void)s;
+	msp_put_text(w, "Jan 01 1970", 11);
+	msp_put_text(w, "00:00:00", 8);
+	msp_put_text(w, "0000000", 7);
+}
+
+static void name(struct msp_writer *w, const struct source *s)
+{
+	(void)s;
+	msp_put_text(w, POLICY_NAME, MSP_TEXT_MAX);
+}
+
+/* The common part of STATUS and STATUS_EX. */
+static void put_status(struct msp_writer *w, const struct source *s)
+{
+	msp_put_u16(w, 1000000u / POLICY_CONTROL_RATE_HZ); /* control period, us */
+	msp_put_u16(w, 0);                                 /* I2C errors */
+	msp_put_u16(w, SENSOR_GYRO | (s->status->attitude_known ? SENSOR_ACCELEROMETER : 0u));
+	msp_put_u32(w, s->status->trace.armed ? NF_MSP_MODE_ARMED : 0);
+	msp_put_u8(w, 0); /* profile */
+	msp_put_u16(w, s->status->load_percent);
+}
+
+static void put_arming(struct msp_writer *w, const struct source *s)
+{
+	msp_put_u8(w, 0); /* no flight modes beyond the first 32 */
+	msp_put_u8(w, NF_ARMING_REASON_PID_MISSING + 1);
+	msp_put_u32(w, s->status->arming_reasons);
+	msp_put_u8(w, 0);  /* no restart needed */
+	msp_put_u16(w, 0); /* core temperature: not measured */
+}
+
+static void status(struct msp_writer *w, const struct source *s)
+{
+	put_status(w, s);
+	msp_put_u16(w, 1000000u / s->status->gyro_rate_hz); /* gyro period, us */
+	put_arming(w, s);
+}
+
+static void status_ex(struct msp_writer *w, const struct source *s)
+{
+	put_status(w, s);
+	msp_put_u8(w, 1); /* profiles */
+	msp_put_u8(w, 0); /* rate profile */
+	put_arming(w, s);
+}
+
+/* Body axes: the accelerometer in 1/512 g, the gyro in whole deg/s; there is no magnetometer. */
+static void raw_imu(struct msp_writer *w, const struct source *s)
+{
+	for (int i = 0; i < 3; i++)
+		msp_put_rounded(w, s->status->accel_g[i] * COUNTS_PER_G);
+	for (int i = 0; i < 3; i++)
+		msp_put_rounded(w, s->status->trace.gyro[i] * DEG_PER_RAD);
+	msp_put_zeros(w, 6);
+}
+
+static void motor(struct msp_writer *w, const struct source *s)
+{
+	const struct control_trace *trace = &s->status->trace;
+
+	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; i++) {
+		const unsigned value = trace->dshot[i];
+		const unsigned running = 1000u + (value - NF_DSHOT_MIN) * 1000u / NF_DSHOT_SPAN;
+		msp_put_u16(w, i >= trace->motor_count ? 0 : value == NF_DSHOT_STOP ? 1000 : running);
+	}
+}
+
+/* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
+static void rc(struct msp_writer *w, const struct source *s)
+{
+	const uint16_t *channels_us = s->status->channels_us;
+
+	msp_put_u16(w, channels_us[NF_CHANNEL_ROLL]);
+	msp_put_u16(w, channels_us[NF_CHANNEL_PITCH]);
+	msp_put_u16(w, channels_us[NF_CHANNEL_YAW]);
+	msp_put_u16(w, channels_us[NF_CHANNEL_THROTTLE]);
+	for (int i = NF_CHANNEL_ARM; i < NF_CHANNEL_COUNT; i++)
+		msp_put_u16(w, channels_us[i]);
+}
+
+/* For those who have one byte for it. */
+static unsigned tenths_of_volts(float volts)
+{
+	return (unsigned)(limit(volts * 10.0f, 0.0f, UINT8_MAX - 1) + 0.5f);
+}
+
+/* Tenths of a degree; the heading, whole degrees, turns right from where the aircraft woke up. */
+static void attitude(struct msp_writer *w, const struct source *s)
+{
+	const float *angles = s->status->attitude_deg;
+	const float right = -angles[2];
+
+	msp_put_rounded(w, angles[0] * 10.0f);
+	msp_put_rounded(w, angles[1] * 10.0f);
+	msp_put_rounded(w, right < 0.0f ? right + 360.0f : right);
+}
+
+static void analog(struct msp_writer *w, const struct source *s)
+{
+	const struct firmware_status *status = s->status;
+
+	msp_put_u8(w, tenths_of_volts(status->volts));
+	msp_put_rounded(w, status->drawn_mah);
+	msp_put_u16(w, status->receiver_quality * RSSI_FULL / 100u);
+	msp_put_rounded(w, status->amps * 100.0f);
+	msp_put_rounded(w, status->volts * 100.0f);
+}
+
+static void battery_state(struct msp_writer *w, const struct source *s)
+{
+	static const uint8_t states[] = { /* the ecosystem's: 0 good, 1 warning, 2 critical, 3 none there */
+		[BATTERY_UNKNOWN] = 3,
+		[BATTERY_GOOD] = 0,
+		[BATTERY_WARN] = 1,
+		[BATTERY_LOW] = 2,
+	};
+	const struct firmware_status *status = s->status;
+
+	msp_put_u8(w, status->cells);
+	msp_put_u16(w, 0); /* capacity: nobody told */
+	msp_put_u8(w, tenths_of_volts(status->volts));
+	msp_put_rounded(w, status->drawn_mah);
+	msp_put_rounded(w, status->amps * 100.0f);
+	msp_put_u8(w, states[status->battery_level <= BATTERY_LOW ? status->battery_level : BATTERY_UNKNOWN]);
+	msp_put_rounded(w, status->volts * 100.0f);
+}
+
+static void uid(struct msp_writer *w, const struct source *s)
+{
+	for (int i = 0; i < 3; i++)
+		msp_put_u32(w, s->identity->unique_id[i]);
+}
+
+static unsigned hex_digit(char digit)
+{
+	return (unsigned)(digit <= '9' ? digit - '0' : digit - 'a' + 10);
+}
+
+/* Name and hash of the policy that is flown; where none is good, of the compiled-in one. */
+static void policy_is(struct msp_writer *w, const struct source *s)
+{
+	static const char sha256[] = POLICY_SHA256;
+	struct nf_policy_blob_header header;
+	_Static_assert(sizeof sha256 == SHA256_DIGITS + 1, "lower-case hexadecimal");
+
+	if (s->slots && policy_slots_header(s->slots, &header)) {
+		msp_put_counted_text(w, header.aircraft, sizeof header.aircraft);
+		msp_put_bytes(w, header.policy_sha256, sizeof header.policy_sha256);
+		return;
+	}
+	msp_put_counted_text(w, POLICY_NAME, MSP_TEXT_MAX);
+	for (int i = 0; i < SHA256_DIGITS; i += 2)
+		msp_put_u8(w, hex_digit(sha256[i]) << 4 | hex_digit(sha256[i + 1]));
+}
+
+static void policy_info(struct msp_writer *w, const struct source *s)
+{
+	msp_put_u32(w, POLICY_ARCHITECTURE_HASH);
+	msp_put_u16(w, POLICY_OBSERVATION_COUNT);
+	msp_put_u16(w, POLICY_ACTION_COUNT);
+	msp_put_u32(w, POLICY_WEIGHT_COUNT);
+	msp_put_u16(w, POLICY_CONTROL_RATE_HZ);
+	msp_put_u16(w, s->status->gyro_rate_hz);
+	msp_put_u8(w, s->status->policy_good);
+	policy_is(w, s);
+	msp_put_float(w, s->slots ? s->slots->idle : POLICY_IDLE);
+	msp_put_u8(w, s->slots ? s->slots->flown : POLICY_COMPILED_IN);
+	msp_put_u32(w, s->slots ? s->slots->sequence : 0);
+	for (unsigned i = 0; i < POLICY_SOURCE_COUNT; i++) /* enum nf_err, each a signed byte */
+		msp_put_u8(w, s->slots ? (unsigned)s->slots->found[i] : 0);
+}
+
+static void safety(struct msp_writer *w, const struct source *s)
+{
+	const struct firmware_status *status = s->status;
+
+	msp_put_u8(w, status->state);
+	msp_put_u8(w, status->stop_cause);
+	msp_put_u8(w, status->fallback_cause);
+	msp_put_u8(w, status->gyro_health);
+	msp_put_u32(w, status->arming_reasons);
+	msp_put_u8(w, status->policy_good);
+	msp_put_u8(w, status->pid_built_in);
+	msp_put_u8(w, status->pid_flies);
+	msp_put_u8(w, status->receiver_quality);
+	msp_put_rounded(w, status->temperature_deg_c * 100.0f);
+	msp_put_float(w, status->idle);
+}
+
+static const struct command {
+	enum nf_msp code;
+	void (*write)(struct msp_writer *w, const struct source *s);
+} commands[] = {
+	{ NF_MSP_API_VERSION, api_version },
+	{ NF_MSP_FC_VARIANT, fc_variant },
+	{ NF_MSP_FC_VERSION, fc_version },
+	{ NF_MSP_BOARD_INFO, board_info },
+	{ NF_MSP_BUILD_INFO, build_info },
+	{ NF_MSP_NAME, name },
+	{ NF_MSP_STATUS, status },
+	{ NF_MSP_RAW_IMU, raw_imu },
+	{ NF_MSP_MOTOR, motor },
+	{ NF_MSP_RC, rc },
+	{ NF_MSP_ATTITUDE, attitude },
+	{ NF_MSP_ANALOG, analog },
+	{ NF_MSP_BATTERY_STATE, battery_state },
+	{ NF_MSP_STATUS_EX, status_ex },
+	{ NF_MSP_UID, uid },
+	{ NF_MSP_POLICY_INFO, policy_info },
+	{ NF_MSP_SAFETY, safety },
+};
+
+bool msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *firmware,
+	       const struct policy_slots *slots, struct msp_writer *reply)
+{
+	const struct source source = { identity, firmware, slots };
+
+	for (size_t i = 0; i < sizeof commands / sizeof commands[0]; i++) {
+		if (commands[i].code == command) {
+			commands[i].write(reply, &source);
+			return true;
+		}
+	}
+	return false;
+}

@@ -1,0 +1,89 @@
+#include "receiver/crsf.h"
+
+#include <string.h>
+
+#include "receiver/channels.h"
+#include "common/crc8.h"
+
+/* Where things stand in a frame. */
+#define LENGTH 1
+#define TYPE 2
+#define PAYLOAD 3
+/* Values of the length: type, payload and CRC. */
+#define LENGTH_MIN 2u
+#define LENGTH_MAX (NF_CRSF_FRAME_BYTES_MAX - 2u)
+#define CHANNELS_LENGTH (CHANNELS_PACKED_BYTES + 2u)
+#define LINK_LENGTH (10u + 2u) /* at least; RSSI of two antennas stands before the uplink's quality */
+#define LINK_QUALITY (PAYLOAD + 2)
+#define PERCENT_MAX 100u
+
+void crsf_reset(struct crsf *crsf)
+{
+	crsf->count = 0;
+	crsf->needed = 1;
+}
+
+size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count)
+{
+	const size_t wanted = (size_t)(crsf->needed - crsf->count);
+	const size_t taken = count < wanted ? count : wanted;
+
+	memcpy(crsf->bytes + crsf->count, bytes, taken);
+	crsf->count = (uint8_t)(crsf->count + taken);
+	return taken;
+}
+
+/* How many of the bytes are done with: a whole frame's, 1 when no frame begins here, 0 when one may yet become. */
+static size_t judge(const uint8_t *bytes, size_t count)
+{
+	if (count > 0 && bytes[0] != NF_CRSF_SYNC)
+		return 1;
+	if (count <= LENGTH)
+		return 0;
+	const size_t length = bytes[LENGTH];
+	if (length < LENGTH_MIN || length > LENGTH_MAX)
+		return 1;
+	if (count < TYPE + length)
+		return 0;
+	return crc8(0, bytes + TYPE, length) == 0 ? TYPE + length : 1;
+}
+
+/* Reads a whole frame; returns whether it is of a kind that matters. */
+static bool decode(const uint8_t *bytes, struct crsf_frame *frame)
+{
+	const size_t length = bytes[LENGTH];
+
+	if (bytes[TYPE] == NF_CRSF_TYPE_CHANNELS && length == CHANNELS_LENGTH) {
+		frame->kind = CRSF_CHANNELS;
+		channels_unpack(bytes + PAYLOAD, frame->channels_us);
+		return true;
+	}
+	if (bytes[TYPE] == NF_CRSF_TYPE_LINK && length >= LINK_LENGTH) {
+		const uint8_t quality = bytes[LINK_QUALITY];
+		frame->kind = CRSF_LINK;
+		frame->quality = quality < PERCENT_MAX ? quality : PERCENT_MAX;
+		return true;
+	}
+	return false;
+}
+
+/* Ends: each round is done with at least one byte. What stays is shorter than the longest frame. */
+bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
+{
+	size_t from = 0, done;
+	bool taken = false;
+
+	while (!taken && (done = judge(crsf->bytes + from, crsf->count - from)) > 0) {
+		taken = done > 1 && decode(crsf->bytes + from, frame);
+		from += done;
+	}
+	crsf->count = (uint8_t)(crsf->count - from);
+	if (from > 0)
+		memmove(crsf->bytes, crsf->bytes + from, crsf->count);
+	/* What a frame left behind is not judged yet, what no frame came of is the beginning of one. */
+	if (taken)
+		crsf->needed = crsf->count;
+	else
+		crsf->needed = (uint8_t)(crsf->count > LENGTH ? TYPE + crsf->bytes[LENGTH] : crsf->count + 1);
+	return taken;
+}

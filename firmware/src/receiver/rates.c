@@ -1,0 +1,111 @@
+#include "receiver/rates.h"
+
+#include "common/limit.h"
+
+#define HALF_STICK_US 500u /* from the centre to an end */
+#define THROTTLE_PER_US 0.001f
+_Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MID_US == HALF_STICK_US, "of the upper half");
+_Static_assert(NF_CHANNEL_MID_US - NF_CHANNEL_MIN_US == HALF_STICK_US, "of the lower half");
+_Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US says otherwise");
+
+#define RAD_PER_DEG 0.017453292519943295f
+#define RATE_MAX (1998.0f * RAD_PER_DEG) /* rad/s: what the ecosystem's rates end at */
+
+/* Of style betaflight. */
+#define RC_RATE_DEG_S 200.0f  /* at full stick, for an RC rate of 1 */
+#define RC_RATE_STEEP 2.0f    /* above it an RC rate counts more, */
+#define RC_RATE_STEEPER 14.54f/* by so much */
+#define SUPER_ROOM_MIN 0.01f  /* of 1 - x s */
+
+static const struct stick {
+	uint8_t channel;
+	float sign; /* of the body's rate for the channel's upper half */
+} sticks[3] = {
+	{ NF_CHANNEL_ROLL, 1.0f },
+	{ NF_CHANNEL_PITCH, 1.0f },
+	{ NF_CHANNEL_YAW, -1.0f },
+};
+
+/* One axis of the settings, in their units. */
+struct numbers {
+	float rate, max, expo;
+	uint32_t deadband_us;
+};
+
+static void init_actual(struct rates_axis *axis, const struct numbers *numbers)
+{
+	const float rise = numbers->max - numbers->rate;
+
+	axis->slope = numbers->rate * RAD_PER_DEG;
+	axis->rise = rise > 0.0f ? rise * RAD_PER_DEG : 0.0f;
+}
+
+static void init_betaflight(struct rates_axis *axis, const struct numbers *numbers)
+{
+	const float steep = numbers->rate - RC_RATE_STEEP;
+	const float rate = steep > 0.0f ? numbers->rate + RC_RATE_STEEPER * steep : numbers->rate;
+
+	axis->slope = rate * (RC_RATE_DEG_S * RAD_PER_DEG);
+	axis->rise = numbers->max;
+}
+
+/* The curves are odd: they are told the stick's way from the centre, 0..1, and answer a rate [rad/s], >= 0. */
+static float actual(const struct rates_axis *axis, float x)
+{
+	const float x2 = x * x;
+
+	return x * axis->slope + axis->rise * (x * (x2 * x2 * x * axis->expo + x * (1.0f - axis->expo)));
+}
+
+static float betaflight(const struct rates_axis *axis, float x)
+{
+	const float command = x * (x * x * x * axis->expo + (1.0f - axis->expo));
+
+	return axis->slope * command / limit(1.0f - x * axis->rise, SUPER_ROOM_MIN, 1.0f);
+}
+
+static const struct style {
+	void (*init)(struct rates_axis *axis, const struct numbers *numbers);
+	float (*curve)(const struct rates_axis *axis, float x);
+} styles[] = {
+	[NF_RATES_STYLE_ACTUAL] = { init_actual, actual },
+	[NF_RATES_STYLE_BETAFLIGHT] = { init_betaflight, betaflight },
+};
+
+void rates_init(struct rates *rates, const struct nf_settings *settings)
+{
+	const struct nf_settings *s = settings;
+	const struct numbers numbers[3] = {
+		{ s->roll_rate, s->roll_max, s->roll_expo, s->deadband_us },
+		{ s->pitch_rate, s->pitch_max, s->pitch_expo, s->deadband_us },
+		{ s->yaw_rate, s->yaw_max, s->yaw_expo, s->yaw_deadband_us },
+	};
+
+	rates->style = s->rates_style;
+	for (int i = 0; i < 3; i++) {
+		struct rates_axis *axis = &rates->axes[i];
+		axis->deadband = (float)numbers[i].deadband_us;
+		axis->per_us = 1.0f / (float)(HALF_STICK_US - numbers[i].deadband_us);
+		axis->expo = numbers[i].expo;
+		styles[rates->style].init(axis, &numbers[i]);
+	}
+}
+
+void rates_setpoint(const struct rates *rates, const uint16_t channels_us[NF_CHANNEL_COUNT], float setpoint[3])
+{
+	for (int i = 0; i < 3; i++) {
+		const struct rates_axis *axis = &rates->axes[i];
+		const int offset_us = channels_us[sticks[i].channel] - NF_CHANNEL_MID_US;
+		const float way_us = (float)(offset_us < 0 ? -offset_us : offset_us) - axis->deadband;
+		const float x = limit(way_us * axis->per_us, 0.0f, 1.0f);
+		const float rate = limit(styles[rates->style].curve(axis, x), 0.0f, RATE_MAX);
+		setpoint[i] = sticks[i].sign * (offset_us < 0 ? -rate : rate);
+	}
+}
+
+float rates_throttle(const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	const float offset_us = (float)(channels_us[NF_CHANNEL_THROTTLE] - NF_CHANNEL_MIN_US);
+
+	return limit(offset_us * THROTTLE_PER_US, 0.0f, 1.0f);
+}

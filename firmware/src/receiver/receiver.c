@@ -1,0 +1,240 @@
+#include "receiver/receiver.h"
+
+#include <string.h>
+
+/* Longer than any pause between two bytes of a frame, shorter than the one between two frames. */
+#define LINE_GAP_MS 2u
+
+static const uint8_t sticks[RECEIVER_STICKS] = { NF_CHANNEL_ROLL, NF_CHANNEL_PITCH, NF_CHANNEL_YAW };
+_Static_assert(NF_CHANNEL_BEEPER == RECEIVER_MAPPED - 1, "the mapped channels are the first ones");
+
+static void lose(struct receiver *receiver)
+{
+	receiver->age = receiver->lost_after;
+	receiver->recovering = receiver->recovery;
+	link_quality_reset(&receiver->quality);
+}
+
+void receiver_init(struct receiver *receiver, const struct nf_settings *settings, unsigned gyro_rate_hz)
+{
+	*receiver = (struct receiver){
+		.protocol = (uint8_t)settings->receiver_protocol,
+		.map = {
+			[NF_CHANNEL_ROLL] = (uint8_t)settings->map_roll,
+			[NF_CHANNEL_PITCH] = (uint8_t)settings->map_pitch,
+			[NF_CHANNEL_THROTTLE] = (uint8_t)settings->map_throttle,
+			[NF_CHANNEL_YAW] = (uint8_t)settings->map_yaw,
+			[NF_CHANNEL_ARM] = (uint8_t)settings->map_arm,
+			[NF_CHANNEL_PID] = (uint8_t)settings->map_pid,
+			[NF_CHANNEL_BEEPER] = (uint8_t)settings->map_beeper,
+		},
+		.interpolates = settings->interpolation != 0,
+		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,
+		.lost_after = gyro_rate_hz * NF_RECEIVER_LOST_MS / 1000u,
+		.recovery = gyro_rate_hz * NF_RECEIVER_RECOVERY_MS / 1000u + 1u, /* the last one is a frame's */
+		.gap_after = gyro_rate_hz * LINE_GAP_MS / 1000u,
+	};
+	receiver->since = receiver->hold_after;
+	link_quality_init(&receiver->quality, gyro_rate_hz);
+	lose(receiver);
+}
+
+/* Something whole has come, news or not: it tells how far frames are apart. */
+static void heard(struct receiver *receiver, bool good)
+{
+	if (receiver->since > 0 && receiver->since < receiver->hold_after)
+		receiver->interval = receiver->since;
+	receiver->since = 0;
+	link_quality_frame(&receiver->quality, good);
+}
+
+static void take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_COUNT])
+{
+	uint16_t flown_us[NF_CHANNEL_COUNT];
+
+	if (receiver->interpolates) {
+		receiver_channels(receiver, flown_us);
+		for (int i = 0; i < RECEIVER_STICKS; i++)
+			receiver->from_us[i] = flown_us[sticks[i]];
+	}
+	memcpy(receiver->channels_us, wire_us, sizeof receiver->channels_us);
+	for (int i = 0; i < RECEIVER_MAPPED; i++)
+		receiver->channels_us[i] = wire_us[receiver->map[i]];
+	receiver->age = 0;
+	if (receiver->recovering == 1)
+		receiver->recovering = 0;
+	heard(receiver, true);
+}
+
+/* Repeated channels (frame_lost) are no news and go on ageing; failsafe means lost at once. */
+static bool push_sbus(struct receiver *receiver, uint8_t byte)
+{
+	struct sbus_frame frame;
+
+	if (!sbus_push(&receiver->line.sbus, byte, &frame))
+		return false;
+	if (frame.failsafe)
+		lose(receiver);
+	else if (frame.frame_lost)
+		heard(receiver, false);
+	else
+		take(receiver, frame.channels_us);
+	return true;
+}
+
+static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+{
+	const uint8_t *at = *bytes, *const end = at + *count;
+	bool frame = false;
+
+	while (at < end && !frame) {
+		at += sbus_fill(&receiver->line.sbus, at, (size_t)(end - at));
+		if (at < end)
+			frame = push_sbus(receiver, *at++);
+	}
+	*bytes = at;
+	*count = (size_t)(end - at);
+	return frame;
+}
+
+/* Takes what waits; returns whether sticks were among it, which is where it stops. */
+static bool take_crsf(struct receiver *receiver)
+{
+	struct crsf_frame frame;
+
+	while (crsf_take(&receiver->line.crsf, &frame)) {
+		if (frame.kind == CRSF_CHANNELS) {
+			take(receiver, frame.channels_us);
+			return true;
+		}
+		link_quality_tell(&receiver->quality, frame.quality);
+	}
+	return false;
+}
+
+/* One byte may complete several frames: those that wait come before the next byte. */
+static bool read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+{
+	const uint8_t *at = *bytes, *const end = at + *count;
+	bool frame = take_crsf(receiver);
+
+	while (at < end && !frame) {
+		at += crsf_put(&receiver->line.crsf, at, (size_t)(end - at));
+		frame = take_crsf(receiver);
+	}
+	*bytes = at;
+	*count = (size_t)(end - at);
+	return frame;
+}
+
+/* MSP has a line of its own: what is heard on this one is noise. */
+static bool read_nothing(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+{
+	(void)receiver;
+	*bytes += *count;
+	*count = 0;
+	return false;
+}
+
+static void reset_nothing(struct receiver *receiver)
+{
+	(void)receiver;
+}
+
+static void reset_sbus(struct receiver *receiver)
+{
+	sbus_reset(&receiver->line.sbus);
+}
+
+static void reset_crsf(struct receiver *receiver)
+{
+	crsf_reset(&receiver->line.crsf);
+}
+
+static const struct protocol {
+	void (*reset)(struct receiver *receiver);
+	bool (*read)(struct receiver *receiver, const uint8_t **bytes, size_t *count);
+} protocols[] = {
+	[NF_RECEIVER_PROTOCOL_SBUS] = { reset_sbus, read_sbus },
+	[NF_RECEIVER_PROTOCOL_CRSF] = { reset_crsf, read_crsf },
+	[NF_RECEIVER_PROTOCOL_MSP] = { reset_nothing, read_nothing },
+};
+
+bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+{
+	const struct protocol *protocol = &protocols[receiver->protocol];
+
+	/* Frames are told apart by the silence between them: what began before one does not go on. */
+	if (*count > 0 && receiver->silent >= receiver->gap_after)
+		protocol->reset(receiver);
+	if (*count > 0)
+		receiver->silent = 0;
+	return protocol->read(receiver, bytes, count);
+}
+
+bool receiver_waits(const struct receiver *receiver)
+{
+	return receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF && receiver->line.crsf.count > 0;
+}
+
+bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	if (receiver->protocol != NF_RECEIVER_PROTOCOL_MSP)
+		return false;
+	for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+		if (channels_us[i] < NF_CHANNEL_VALID_MIN_US || channels_us[i] > NF_CHANNEL_VALID_MAX_US)
+			return false;
+	take(receiver, channels_us);
+	return true;
+}
+
+void receiver_tick(struct receiver *receiver)
+{
+	link_quality_tick(&receiver->quality);
+	if (receiver->silent < receiver->gap_after)
+		receiver->silent++;
+	if (receiver->since < receiver->hold_after)
+		receiver->since++;
+	if (receiver->age < receiver->lost_after && ++receiver->age == receiver->lost_after)
+		lose(receiver);
+	else if (receiver->recovering > 0 && receiver->age >= receiver->hold_after)
+		receiver->recovering = receiver->recovery;
+	else if (receiver->recovering > 1)
+		receiver->recovering--;
+}
+
+enum receiver_link receiver_link(const struct receiver *receiver)
+{
+	if (receiver->recovering > 0)
+		return RECEIVER_LOST;
+	return receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;
+}
+
+/* From where the stick was to where the last frame says it is, over the time until the next one. */
+static uint16_t ramp(const struct receiver *receiver, int from_us, int to_us)
+{
+	if (receiver->age >= receiver->interval)
+		return (uint16_t)to_us;
+	return (uint16_t)(from_us + (to_us - from_us) * (int)receiver->age / (int)receiver->interval);
+}
+
+void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	const enum receiver_link link = receiver_link(receiver);
+
+	memcpy(channels_us, receiver->channels_us, sizeof receiver->channels_us);
+	if (link == RECEIVER_LOST)
+		for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+			channels_us[i] = NF_CHANNEL_MIN_US;
+	if (link == RECEIVER_GOOD && !receiver->interpolates)
+		return;
+	for (int i = 0; i < RECEIVER_STICKS; i++) {
+		uint16_t *stick_us = &channels_us[sticks[i]];
+		*stick_us = link == RECEIVER_GOOD ? ramp(receiver, receiver->from_us[i], *stick_us) : NF_CHANNEL_MID_US;
+	}
+}
+
+unsigned receiver_quality(const struct receiver *receiver)
+{
+	return link_quality_percent(&receiver->quality);
+}

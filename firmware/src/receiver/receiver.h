@@ -1,0 +1,77 @@
+/* Receiver: bytes of any protocol to the channels that are flown, how old they are in gyro samples, and what is
+ * flown when they stay away. */
+#ifndef NF_RECEIVER_H
+#define NF_RECEIVER_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "receiver/crsf.h"
+#include "receiver/link_quality.h"
+#include "nf_contract.h"
+#include "receiver/sbus.h"
+
+enum receiver_link {
+	RECEIVER_LOST, /* never heard, silent for NF_RECEIVER_LOST_MS or in failsafe, and until frames have come for
+			* NF_RECEIVER_RECOVERY_MS again */
+	RECEIVER_HOLD, /* silent for NF_RECEIVER_HOLD_MS: rates centred, throttle kept */
+	RECEIVER_GOOD,
+};
+
+#define RECEIVER_STICKS 3 /* that turn the aircraft: roll, pitch, yaw */
+#define RECEIVER_MAPPED 7 /* channels with a setting map_... of their own, the first ones */
+
+struct receiver {
+	union {
+		struct sbus sbus;
+		struct crsf crsf;
+	} line;                                 /* the frame being read, by protocol */
+	uint8_t protocol;                       /* NF_RECEIVER_PROTOCOL_... */
+	uint8_t map[RECEIVER_MAPPED];           /* which of the wire's channels is this one */
+	bool interpolates;
+	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped */
+	uint16_t from_us[RECEIVER_STICKS];      /* sticks as they were flown when it came */
+	uint32_t interval;                      /* gyro samples between two frames, 0: not known */
+	uint32_t since;                         /* gyro samples since the last frame, at most hold_after */
+	uint32_t age;                           /* gyro samples since the last good frame, at most lost_after */
+	uint32_t recovering;                    /* gyro samples until a frame makes the link good again, 1: the next
+						 * one does, 0: it is not lost */
+	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
+	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
+	struct link_quality quality;
+};
+
+/* Starts lost. `settings` within their limits; what is needed of them is copied. */
+void receiver_init(struct receiver *receiver, const struct nf_settings *settings, unsigned gyro_rate_hz);
+
+/* Reads bytes up to the end of the next frame, and moves *bytes and *count past what it read. Returns whether a
+ * frame came; false: all bytes are read. Whoever decides about the motors looks at the channels after each frame,
+ * so that no "off" is lost behind an "on":
+ *
+ *	while (receiver_push(&receiver, &bytes, &count))
+ *		look();
+ *
+ * Survives any bytes. Ignores them if the protocol is MSP. */
+bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *count);
+
+/* May the bytes that receiver_push has taken hold another frame? */
+bool receiver_waits(const struct receiver *receiver);
+
+/* Channels [us] from MSP, in the wire's order: a frame. Returns false, and nothing has come, when the protocol is
+ * another or a channel lies outside NF_CHANNEL_VALID_MIN_US..NF_CHANNEL_VALID_MAX_US. */
+bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* One gyro sample has passed. */
+void receiver_tick(struct receiver *receiver);
+
+enum receiver_link receiver_link(const struct receiver *receiver);
+
+/* Channels [us] as they are to be flown now, in the contract's order. Lost: sticks centred, throttle and all
+ * switches low. With interpolation the sticks that turn the aircraft ramp from one frame to the next. */
+void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_CHANNEL_COUNT]);
+
+/* 0..100 %: the receiver's own figure if it told one within the last second, else the share of frames. */
+unsigned receiver_quality(const struct receiver *receiver);
+
+#endif

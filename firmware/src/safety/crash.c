@@ -1,0 +1,73 @@
+#include "safety/crash.h"
+
+#define RAD_PER_DEG 0.017453292519943295f
+#define ERROR_LIMIT (NF_CRASH_ERROR_DEG_S * RAD_PER_DEG)
+
+void crash_init(struct crash *crash, const struct nf_settings *settings, unsigned control_rate_hz)
+{
+	*crash = (struct crash){
+		.crash_after = settings->crash_detection ? control_rate_hz * NF_CRASH_MS / 1000u : 0,
+		.runaway_after = settings->runaway_detection ? control_rate_hz * NF_RUNAWAY_MS / 1000u : 0,
+		.window = control_rate_hz * NF_RUNAWAY_WINDOW_MS / 1000u,
+	};
+}
+
+void crash_reset(struct crash *crash)
+{
+	crash->flown = 0;
+	crash->helpless = 0;
+	crash->away = 0;
+}
+
+static float size(float value)
+{
+	return value < 0.0f ? -value : value;
+}
+
+static int furthest(const float setpoint[3], const float rate[3])
+{
+	int axis = 0;
+
+	for (int i = 1; i < 3; i++)
+		if (size(setpoint[i] - rate[i]) > size(setpoint[axis] - rate[axis]))
+			axis = i;
+	return axis;
+}
+
+static bool lasts(uint32_t steps, uint32_t limit)
+{
+	return limit > 0 && steps >= limit;
+}
+
+/* Counts steps in which `axis`, far off by `error`, turns further away. Returns whether that is a runaway. */
+static bool runs_away(struct crash *crash, int axis, float error, float rate)
+{
+	if (rate * error >= 0.0f || (crash->away > 0 && axis != crash->axis)) {
+		crash->away = 0;
+		return false;
+	}
+	if (crash->away++ == 0) {
+		crash->axis = axis;
+		crash->first_rate = size(rate);
+	}
+	return crash->flown < crash->window && lasts(crash->away, crash->runaway_after) &&
+	       size(rate) > crash->first_rate;
+}
+
+enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread)
+{
+	const int axis = furthest(setpoint, rate);
+	const float error = setpoint[axis] - rate[axis];
+
+	if (crash->flown < crash->window)
+		crash->flown++;
+	if (!(size(error) > ERROR_LIMIT)) {
+		crash->helpless = 0;
+		crash->away = 0;
+		return CRASH_NONE;
+	}
+	crash->helpless = spread >= NF_CRASH_SPREAD ? crash->helpless + 1u : 0u;
+	if (runs_away(crash, axis, error, rate[axis]))
+		return CRASH_RUNAWAY;
+	return lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
+}

@@ -1,0 +1,117 @@
+#include "safety/safety.h"
+
+#include <stddef.h>
+
+#define REASONS ((1u << (NF_ARMING_REASON_PID_MISSING + 1)) - 1u)
+#define OWN_REASONS (SAFETY_REASON(SWITCH_NOT_CYCLED) | SAFETY_REASON(CRASHED))
+#define FORBIDS_ARMING (REASONS & ~OWN_REASONS)
+#define LOST SAFETY_REASON(RECEIVER_LOST)
+
+/* Conditions that safety adds itself. */
+#define READY (1u << 30)   /* the look before saw the switch off */
+#define DROPPED (1u << 31) /* in FAILSAFE_DROP the motors have stopped */
+_Static_assert(REASONS < SAFETY_SWITCH_ON && SAFETY_NO_CONTROLLER < READY, "conditions overlap");
+
+#define IN(state) (1u << NF_FLIGHT_##state)
+#define FLYING (IN(ARMED) | IN(FAILSAFE_HOLD))
+#define TURNING (FLYING | IN(FAILSAFE_DROP))
+
+/* The first row that fits moves the state; none leaves it. A row fits in the states of `from` when all bits of
+ * `all` and none of `none` hold.
+ *
+ * Arming takes a switch that moves: it was off at the look before, with the receiver heard, and nothing forbids it
+ * at the very look that sees it on. A switch moved too early, or found on when the receiver returns, must be moved
+ * off and on again. */
+static const struct transition {
+	uint32_t from, all, none;
+	enum nf_flight_state to;
+	enum nf_stop_cause cause;
+} transitions[] = {
+	/* No controller flies without a gyro. A motor that stands still needs none. */
+	{ TURNING, SAFETY_GYRO_INVALID, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_INVALID },
+	{ TURNING, SAFETY_GYRO_STUCK, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_STUCK },
+	{ TURNING, SAFETY_GYRO_SATURATED, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_SATURATED },
+	{ TURNING, SAFETY_GYRO_SILENT, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_SILENT },
+	{ TURNING, SAFETY_NO_CONTROLLER, DROPPED, NF_FLIGHT_DISARMED, NF_STOP_NO_CONTROLLER },
+	{ TURNING, SAFETY_CRASH, DROPPED, NF_FLIGHT_CRASHED, NF_STOP_CRASH },
+	{ TURNING, SAFETY_RUNAWAY, DROPPED, NF_FLIGHT_CRASHED, NF_STOP_RUNAWAY },
+	/* What a lost receiver says of the switch is not the pilot's word. */
+	{ FLYING, LOST, 0, NF_FLIGHT_FAILSAFE_DROP, NF_STOP_RECEIVER },
+	{ FLYING, 0, SAFETY_SWITCH_ON, NF_FLIGHT_DISARMED, NF_STOP_SWITCH },
+	{ IN(ARMED), SAFETY_RECEIVER_HELD, 0, NF_FLIGHT_FAILSAFE_HOLD, NF_STOP_NONE },
+	{ IN(FAILSAFE_HOLD), 0, SAFETY_RECEIVER_HELD, NF_FLIGHT_ARMED, NF_STOP_NONE },
+	/* But a pilot who is heard again, however badly, may end a descent. */
+	{ IN(FAILSAFE_DROP), SAFETY_OFF_HEARD, DROPPED, NF_FLIGHT_DISARMED, NF_STOP_SWITCH },
+	{ IN(FAILSAFE_DROP) | IN(CRASHED), 0, SAFETY_SWITCH_ON | LOST, NF_FLIGHT_DISARMED, NF_STOP_NONE },
+	{ IN(BOOT), 0, 0, NF_FLIGHT_CALIBRATING, NF_STOP_NONE },
+	{ IN(CALIBRATING), 0, SAFETY_REASON(GYRO_NOT_CALIBRATED), NF_FLIGHT_DISARMED, NF_STOP_NONE },
+	{ IN(DISARMED), READY | SAFETY_SWITCH_ON, FORBIDS_ARMING, NF_FLIGHT_ARMED, NF_STOP_NONE },
+};
+
+void safety_init(struct safety *safety, const struct nf_settings *settings, unsigned control_rate_hz)
+{
+	*safety = (struct safety){
+		.state = NF_FLIGHT_BOOT,
+		.stop_cause = NF_STOP_NONE,
+		.descends = settings->failsafe_stage == NF_FAILSAFE_STAGE_DESCEND,
+		.descent_steps = (uint32_t)((uint64_t)settings->failsafe_descend_ms * control_rate_hz / 1000u),
+	};
+}
+
+static const struct transition *fitting(enum nf_flight_state state, uint32_t conditions)
+{
+	for (size_t i = 0; i < sizeof transitions / sizeof transitions[0]; i++) {
+		const struct transition *t = &transitions[i];
+		if ((t->from & 1u << state) && (conditions & t->all) == t->all && (conditions & t->none) == 0)
+			return t;
+	}
+	return NULL;
+}
+
+static uint32_t own_conditions(const struct safety *safety)
+{
+	return (safety->ready ? READY : 0u) |
+	       (safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left == 0 ? DROPPED : 0u);
+}
+
+bool safety_look(struct safety *safety, uint32_t conditions)
+{
+	const enum nf_flight_state before = safety->state;
+	const struct transition *t = fitting(before, conditions | own_conditions(safety));
+
+	if (t) {
+		safety->state = t->to;
+		if (t->cause != NF_STOP_NONE)
+			safety->stop_cause = t->cause;
+		if (t->to == NF_FLIGHT_FAILSAFE_DROP)
+			safety->descent_left = safety->descends ? safety->descent_steps : 0;
+	}
+	safety->ready = (conditions & (SAFETY_SWITCH_ON | LOST)) == 0;
+	return before == NF_FLIGHT_DISARMED && safety->state == NF_FLIGHT_ARMED;
+}
+
+void safety_tick(struct safety *safety)
+{
+	if (safety->descent_left > 0)
+		safety->descent_left--;
+}
+
+bool safety_descending(const struct safety *safety)
+{
+	return safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left > 0;
+}
+
+bool safety_motors(const struct safety *safety)
+{
+	return (FLYING & 1u << safety->state) != 0 || safety_descending(safety);
+}
+
+uint32_t safety_reasons(const struct safety *safety, uint32_t conditions)
+{
+	if (safety_motors(safety))
+		return 0;
+	return (conditions & FORBIDS_ARMING) |
+	       (safety->ready ? 0u : SAFETY_REASON(SWITCH_NOT_CYCLED)) |
+	       (safety->state == NF_FLIGHT_CRASHED ? SAFETY_REASON(CRASHED) : 0u) |
+	       (safety->state == NF_FLIGHT_FAULT ? SAFETY_REASON(FAULT) : 0u);
+}

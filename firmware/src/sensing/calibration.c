@@ -1,0 +1,55 @@
+#include "sensing/calibration.h"
+
+#include "nf_contract.h"
+
+#define COUNTS_PER_DEG_S ((float)NF_GYRO_COUNTS / (float)NF_GYRO_FULL_SCALE_DEG_S)
+#define MOTION_COUNTS (NF_CALIBRATION_MOTION_DEG_S * COUNTS_PER_DEG_S)
+#define MOTION_VARIANCE ((int64_t)(MOTION_COUNTS * MOTION_COUNTS)) /* counts^2 */
+#define BIAS_MILLICOUNTS ((int64_t)(1000.0f * NF_CALIBRATION_BIAS_DEG_S * COUNTS_PER_DEG_S))
+
+void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz)
+{
+	*calibration = (struct calibration){ .window = gyro_rate_hz * NF_CALIBRATION_MS / 1000u };
+}
+
+void calibration_restart(struct calibration *calibration)
+{
+	calibration->collected = 0;
+	for (int i = 0; i < 3; i++) {
+		calibration->sum[i] = 0;
+		calibration->sum_of_squares[i] = 0;
+	}
+}
+
+/* Did the sums come from an aircraft at rest? Exact in integers: at most 8000 squares of 2^30, times 8000. */
+static bool still(const struct calibration *calibration)
+{
+	const int64_t n = calibration->window;
+	const int64_t largest_sum = n * BIAS_MILLICOUNTS / 1000;
+
+	for (int i = 0; i < 3; i++) {
+		const int64_t sum = calibration->sum[i];
+		const int64_t variance = (n * calibration->sum_of_squares[i] - sum * sum) / (n * n);
+		if (variance > MOTION_VARIANCE || sum > largest_sum || sum < -largest_sum)
+			return false;
+	}
+	return true;
+}
+
+bool calibration_step(struct calibration *calibration, const int16_t counts[3], float mean[3])
+{
+	for (int i = 0; i < 3; i++) {
+		calibration->sum[i] += counts[i];
+		calibration->sum_of_squares[i] += (int32_t)counts[i] * counts[i];
+	}
+	if (++calibration->collected < calibration->window)
+		return false;
+	const bool good = still(calibration);
+	if (good) {
+		/* What is still fits: 8000 times 328 counts, exact in float32 too. */
+		for (int i = 0; i < 3; i++)
+			mean[i] = (float)(int32_t)calibration->sum[i] / (float)calibration->window;
+	}
+	calibration_restart(calibration);
+	return good;
+}

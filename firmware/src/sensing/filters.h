@@ -1,0 +1,51 @@
+/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the notches that follow tones.
+ * As set: none. A policy flies behind the filters that it was trained with, so their hash is part of it. */
+#ifndef NF_FILTERS_H
+#define NF_FILTERS_H
+
+#include <stdint.h>
+
+#include "sensing/dynamic_notch.h"
+#include "nf_contract.h"
+#include "sensing/svf.h"
+
+#define FILTER_ORDER_MAX 3
+
+/* PTn: n low-passes of first order in a row, y += a (x - y), a = 1 - exp(-2 pi f' / rate), which together let 0.707
+ * through at f. Biquad: low-pass of second order; notch: 1 but at f; both as their analog prototypes of quality Q
+ * under the bilinear transform, warped to be exact at f. */
+struct filter_stage {
+	uint8_t order;           /* of a PTn; 0: of second order */
+	uint8_t notch;           /* of those of second order: 1 a notch, 0 a low-pass */
+	float damping;           /* 1 / Q of those of second order */
+	union {
+		float gain;      /* a of a PTn */
+		struct section section;
+	};
+};
+
+union filter_memory {
+	float first[FILTER_ORDER_MAX];
+	struct section_memory second;
+};
+
+struct filters {
+	struct filter_stage stages[NF_FILTER_STAGES];
+	uint32_t count;          /* used stages */
+	union filter_memory memory[NF_FILTER_STAGES][3];
+	struct dynamic_notch dynamic;
+};
+
+/* At rest at 0 rad/s. A biquad or notch at or above half the gyro rate has nothing to take away and is left out. */
+void filters_init(struct filters *filters, const struct nf_settings *settings, unsigned gyro_rate_hz);
+
+/* One gyro sample, in place [rad/s], body axes. Without a stage not a bit changes. */
+void filters_step(struct filters *filters, float rate[3]);
+
+/* What a policy blob says of the filters that it was trained behind (filters_hash): CRC-32 of the JSON list of the
+ * filters as set. One list a filter, in order: its kind, then hertz and, where it has one, quality, both times 1000
+ * and rounded: [["pt1",100000],["notch",180000,3000]]; the notches that follow tones last:
+ * ["dynamic",count,low,high,quality]. NF_POLICY_FILTERS_NONE for [], no filter. */
+uint32_t filters_hash(const struct nf_settings *settings);
+
+#endif

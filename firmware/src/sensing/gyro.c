@@ -1,0 +1,165 @@
+#include "sensing/gyro.h"
+
+#include "common/nf_math.h"
+
+/* rad/s of one count: 2000 deg/s over 32768 counts, pi/180. One constant, one rounding. */
+#define RATE_PER_COUNT 1.0652644360316954e-3f
+_Static_assert(NF_GYRO_FULL_SCALE_DEG_S == 2000 && NF_GYRO_COUNTS == 32768, "RATE_PER_COUNT says otherwise");
+#define ACCELERATION_PER_COUNT (NF_GRAVITY * (float)NF_ACCEL_FULL_SCALE_G / (float)NF_ACCEL_COUNTS) /* m/s^2 */
+#define FULL_SWING (2.0f * (float)NF_GYRO_COUNTS) /* counts */
+
+/* Body axis i is chip axis `axis[i]` times `sign[i]`. Turned clockwise, the chip's x points to the right. */
+static const struct rotation {
+	uint8_t axis[3];
+	int8_t sign[3];
+} rotations[] = {
+	[ALIGN_CW0] = { { 0, 1, 2 }, { 1, 1, 1 } },
+	[ALIGN_CW90] = { { 1, 0, 2 }, { 1, -1, 1 } },
+	[ALIGN_CW180] = { { 0, 1, 2 }, { -1, -1, 1 } },
+	[ALIGN_CW270] = { { 1, 0, 2 }, { -1, 1, 1 } },
+};
+_Static_assert(sizeof rotations / sizeof rotations[0] == ALIGN_COUNT, "one rotation an alignment");
+
+/* Data sheets: MPU-6500 rev. 1.1 and ICM-20689 rev. 1.1, register TEMP_OUT. */
+static const struct thermometer {
+	float counts_per_degree;
+	float zero_c; /* at 0 counts */
+} thermometers[] = {
+	[GYRO_MPU6500] = { 333.87f, 21.0f },
+	[GYRO_ICM20689] = { 326.8f, 25.0f },
+};
+_Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
+
+static void to_body(enum board_alignment alignment, const float chip[3], float body[3])
+{
+	const struct rotation *r = &rotations[alignment];
+
+	for (int i = 0; i < 3; i++)
+		body[i] = (float)r->sign[i] * chip[r->axis[i]];
+}
+
+enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms)
+{
+	if ((unsigned)alignment >= ALIGN_COUNT)
+		return NF_ERR_ALIGNMENT;
+	*gyro = (struct gyro){
+		.alignment = alignment,
+		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
+		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
+		/* A low-pass follows a step of the whole range steepest if it is of first order. */
+		.jump = (int32_t)(FULL_SWING * nf_one_minus_exp(NF_TAU * NF_GYRO_BANDWIDTH_HZ / (float)gyro_rate_hz)),
+	};
+	calibration_init(&gyro->calibration, gyro_rate_hz);
+	return NF_OK;
+}
+
+static void calibrate(struct gyro *gyro, const int16_t counts[3])
+{
+	float mean[3];
+
+	if (!calibration_step(&gyro->calibration, counts, mean))
+		return;
+	for (int i = 0; i < 3; i++)
+		mean[i] *= RATE_PER_COUNT;
+	to_body(gyro->alignment, mean, gyro->bias);
+	gyro->calibrated = true;
+}
+
+/* What is wrong with this sample. The longer ago the last good one, the further away the rate may be. */
+static enum nf_gyro_health judge(const struct gyro *gyro, const struct imu_sample *sample)
+{
+	const int32_t reach = gyro->jump * (int32_t)(gyro->bad + 1);
+
+	if (!sample->valid)
+		return NF_GYRO_HEALTH_INVALID;
+	for (int i = 0; i < 3; i++) {
+		const int32_t counts = sample->gyro[i];
+		if (counts >= NF_GYRO_SATURATED_COUNTS || counts <= -NF_GYRO_SATURATED_COUNTS)
+			return NF_GYRO_HEALTH_SATURATED;
+	}
+	for (int i = 0; i < 3; i++) {
+		const int32_t jumped = sample->gyro[i] - gyro->last.gyro[i];
+		if (jumped > reach || jumped < -reach)
+			return NF_GYRO_HEALTH_INVALID;
+	}
+	return NF_GYRO_HEALTH_GOOD;
+}
+
+/* Keeps a good sample. Returns whether it is the last one again in every word: noise alone makes that rare in a
+ * chip that lives. */
+static bool repeats(struct imu_sample *last, const struct imu_sample *sample)
+{
+	int changed = last->valid ? last->temperature ^ sample->temperature : 1;
+
+	last->temperature = sample->temperature;
+	last->valid = true;
+	for (int i = 0; i < 3; i++) {
+		changed |= (last->gyro[i] ^ sample->gyro[i]) | (last->accel[i] ^ sample->accel[i]);
+		last->gyro[i] = sample->gyro[i];
+		last->accel[i] = sample->accel[i];
+	}
+	return changed == 0;
+}
+
+static void take(struct gyro *gyro, const struct imu_sample *sample)
+{
+	gyro->bad = 0;
+	if (!repeats(&gyro->last, sample))
+		gyro->same = 0;
+	else if (gyro->same < gyro->stuck_after)
+		gyro->same++;
+}
+
+enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3])
+{
+	const enum nf_gyro_health judged = judge(gyro, sample);
+
+	if (judged == NF_GYRO_HEALTH_GOOD)
+		take(gyro, sample);
+	else if (gyro->bad < gyro->bad_after)
+		gyro->bad++;
+
+	if (gyro->bad >= gyro->bad_after)
+		gyro->health = judged;
+	else if (gyro->stuck_after > 0 && gyro->same >= gyro->stuck_after)
+		gyro->health = NF_GYRO_HEALTH_STUCK;
+	else
+		gyro->health = NF_GYRO_HEALTH_GOOD;
+
+	if (!gyro->calibrated) {
+		if (judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD)
+			calibrate(gyro, sample->gyro);
+		else
+			calibration_restart(&gyro->calibration);
+	}
+
+	const int16_t *counts = gyro->last.gyro;
+	const float chip[3] = {
+		(float)counts[0] * RATE_PER_COUNT,
+		(float)counts[1] * RATE_PER_COUNT,
+		(float)counts[2] * RATE_PER_COUNT,
+	};
+	to_body(gyro->alignment, chip, rate);
+	for (int i = 0; i < 3; i++)
+		rate[i] -= gyro->bias[i];
+	return gyro->health;
+}
+
+void gyro_acceleration(const struct gyro *gyro, float acceleration[3])
+{
+	const int16_t *counts = gyro->last.accel;
+	const float chip[3] = {
+		(float)counts[0] * ACCELERATION_PER_COUNT,
+		(float)counts[1] * ACCELERATION_PER_COUNT,
+		(float)counts[2] * ACCELERATION_PER_COUNT,
+	};
+
+	to_body(gyro->alignment, chip, acceleration);
+}
+
+float gyro_temperature_c(const struct gyro *gyro, enum gyro_chip chip)
+{
+	const struct thermometer *t = &thermometers[chip];
+
+	return (float)gyro->last.temperature / t->counts_per_degree + t->zero_c;
+}

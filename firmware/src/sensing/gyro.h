@@ -1,0 +1,64 @@
+/* Gyro: chip counts to body rates, the still calibration that refuses motion, and whether to believe them. */
+#ifndef NF_GYRO_H
+#define NF_GYRO_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "sensing/calibration.h"
+#include "common/imu.h"
+#include "nf_contract.h"
+#include "common/nf_err.h"
+
+/* How the chip is turned on the board, clockwise seen from above. CW0: its x forward, y left, z up. */
+enum board_alignment {
+	ALIGN_CW0,
+	ALIGN_CW90,
+	ALIGN_CW180,
+	ALIGN_CW270,
+	ALIGN_COUNT,
+};
+
+enum gyro_chip {
+	GYRO_MPU6500,
+	GYRO_ICM20689,
+	GYRO_CHIP_COUNT,
+};
+
+struct gyro {
+	enum board_alignment alignment;
+	struct calibration calibration;
+	float bias[3];            /* rad/s, body axes; 0 until calibrated */
+	bool calibrated;
+	enum nf_gyro_health health; /* what the last gyro_step returned */
+	struct imu_sample last;   /* the last good one; before it, zero and not valid */
+	int32_t jump;             /* counts, that a good sample may lie away from the one before */
+	uint32_t bad;             /* samples since the last good one, at most bad_after */
+	uint32_t bad_after;       /* bad samples that are no glitch any more */
+	uint32_t same;            /* good samples that repeated the one before, at most stuck_after */
+	uint32_t stuck_after;     /* repetitions that no living chip makes; 0: any number */
+};
+
+/* Starts uncalibrated and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
+enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms);
+
+/* Takes one sample and writes the body rates [rad/s].
+ *
+ * A bad sample is one that is not valid, has an axis at the end of its range, or lies further from the last good
+ * one than the chip's low-pass can move; the last good one stands in for it (before the first: 0 rad/s). Returns
+ * the present health: INVALID or SATURATED from NF_GYRO_BAD_MS of bad samples in a row on, STUCK from stuck_ms of
+ * samples on that are the same in every word, and GOOD again with the first that is neither. NF_GYRO_HEALTH_SILENT
+ * is not this module's: there is no sample to say it.
+ *
+ * Until calibrated each good sample also enters the calibration. A window of NF_CALIBRATION_MS whose spread or mean
+ * says motion on any axis is thrown away and a new one begins, and so is one with a bad or stuck sample in it. */
+enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3]);
+
+/* Specific force of the last good sample [m/s^2], body axes: 9.81 upwards at rest. All zero: the chip does not
+ * tell. */
+void gyro_acceleration(const struct gyro *gyro, float acceleration[3]);
+
+/* Temperature of the chip at the last good sample [deg C]. */
+float gyro_temperature_c(const struct gyro *gyro, enum gyro_chip chip);
+
+#endif

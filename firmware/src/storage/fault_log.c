@@ -1,0 +1,122 @@
+#include "storage/fault_log.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "common/crc32.h"
+
+#define FAULT_LOG_MAGIC 0x4C46464Eu /* "NFFL" */
+#define FAULT_LOG_SECTOR 3u
+
+struct entry {
+	uint32_t magic;
+	uint32_t boot;              /* number of the boot that wrote it */
+	struct fault_record record; /* what it found, FAULT_NONE: nothing */
+	uint32_t crc;               /* of all before it */
+	uint32_t acknowledged;      /* FLASH_ERASED until somebody has, then 0; else that was cut: not yet */
+};
+
+#define ENTRY_COUNT (NF_FLASH_FAULT_RECORD_SIZE / sizeof(struct entry))
+_Static_assert(NF_FLASH_FAULT_RECORD_ADDRESS == NF_FLASH_SECTORS_3_ADDRESS, "the sector to erase");
+_Static_assert(sizeof(struct entry) % FLASH_WORD_BYTES == 0, "whole words");
+
+static uint32_t address_of(unsigned index)
+{
+	return NF_FLASH_FAULT_RECORD_ADDRESS + index * (uint32_t)sizeof(struct entry);
+}
+
+static struct entry read(const struct flash *flash, unsigned index)
+{
+	struct entry entry;
+
+	memcpy(&entry, flash_at(flash, address_of(index)), sizeof entry);
+	return entry;
+}
+
+static bool valid(const struct entry *entry)
+{
+	return entry->magic == FAULT_LOG_MAGIC && crc32_more(0, entry, offsetof(struct entry, crc)) == entry->crc;
+}
+
+static bool blank(const struct flash *flash, unsigned index)
+{
+	const uint8_t *at = flash_at(flash, address_of(index));
+	uint32_t word;
+
+	for (size_t i = 0; i < sizeof(struct entry); i += sizeof word) {
+		memcpy(&word, at + i, sizeof word);
+		if (word != FLASH_ERASED)
+			return false;
+	}
+	return true;
+}
+
+/* The first entry behind all that is written, ENTRY_COUNT: full. */
+static unsigned first_blank(const struct flash *flash)
+{
+	unsigned index = ENTRY_COUNT;
+
+	while (index > 0 && blank(flash, index - 1))
+		index--;
+	return index;
+}
+
+/* Brings `log` up to date with what flash says. */
+static void scan(struct fault_log *log, unsigned count)
+{
+	log->pending = false;
+	for (unsigned i = 0; i < count; i++) {
+		const struct entry entry = read(log->flash, i);
+		if (!valid(&entry))
+			continue;
+		log->boots = entry.boot;
+		if (entry.record.kind == FAULT_NONE || entry.acknowledged == 0)
+			continue;
+		log->pending = true;
+		log->record = entry.record;
+		log->boot = entry.boot;
+		log->address = address_of(i);
+	}
+}
+
+void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record)
+{
+	unsigned index = first_blank(flash);
+	struct entry entry = { .magic = FAULT_LOG_MAGIC };
+
+	*log = (struct fault_log){ .flash = flash };
+	scan(log, index);
+	entry.boot = ++log->boots;
+	if (record)
+		entry.record = *record;
+	if (index == ENTRY_COUNT) {
+		if (log->pending && !record)
+			entry.record = log->record; /* carried over, as found by this boot */
+		index = flash_erase(flash, FAULT_LOG_SECTOR) ? 0 : ENTRY_COUNT;
+		log->address = 0;
+	}
+	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
+	const bool kept = index < ENTRY_COUNT &&
+			  flash_program(flash, address_of(index), &entry, offsetof(struct entry, acknowledged));
+	if (entry.record.kind == FAULT_NONE)
+		return;
+	log->pending = true;
+	log->record = entry.record;
+	log->boot = entry.boot;
+	log->address = kept ? address_of(index) : 0;
+}
+
+enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)
+{
+	static const uint32_t acknowledged = 0;
+	const uint32_t boots = log->boots;
+
+	if (!log->pending || log->boot != boot)
+		return NF_REFUSAL_INDEX;
+	if (log->address && !flash_program(log->flash, log->address + offsetof(struct entry, acknowledged),
+					   &acknowledged, sizeof acknowledged))
+		return NF_REFUSAL_FLASH;
+	scan(log, ENTRY_COUNT);
+	log->boots = boots; /* also where flash did not take this boot's entry */
+	return NF_REFUSAL_NONE;
+}

@@ -1,0 +1,34 @@
+/* Policy blob: may the bytes of a policy slot be flown by this image? docs/policy-blob.md has the layout. */
+#ifndef NF_POLICY_BLOB_H
+#define NF_POLICY_BLOB_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/nf_err.h"
+
+/* What the code of this image is made for: the compiled-in policy's figures. */
+struct policy_blob_identity {
+	uint32_t architecture_hash;
+	uint32_t filters_hash;      /* of the gyro filters before the policy, NF_POLICY_FILTERS_NONE for none */
+	uint32_t control_rate_hz;   /* Hz */
+	uint32_t weight_count;      /* floats of the table */
+	uint32_t observation_count; /* floats */
+	uint32_t action_count;      /* floats */
+};
+
+/* Judges the blob that begins at `bytes`, of any alignment and any value; `size` [bytes] is all that may be
+ * read there, and may be more than the blob. Returns NF_OK, or the first of these that is wrong:
+ * NF_ERR_BLOB_SHORT, _MAGIC, _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
+ *
+ * NF_OK: the blob is whole and ends within `size`; its weights are weight_count floats behind the header, its
+ * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it.
+ * Integers only; about 12 cycles a byte of the blob, 3 ms for the largest at 216 MHz: for boot and background, not
+ * for an interrupt. */
+enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running);
+
+/* The same, as if the first word at `bytes` were `magic`: of a blob whose first word is not written yet. */
+enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
+				     const struct policy_blob_identity *running);
+
+#endif

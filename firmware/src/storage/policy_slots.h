@@ -1,0 +1,77 @@
+/* Policy slots: which policy this boot flies, and how a slot gets a new one.
+ *
+ * The compiled-in policy and two slots of flash hold blobs (docs/policy-blob.md). At boot the one with the highest
+ * sequence number that is whole, made for this image and passes its own self-test is taken; the compiled-in one is the
+ * last. A slot's first word is written last, so that one half written is none. */
+#ifndef NF_POLICY_SLOTS_H
+#define NF_POLICY_SLOTS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "storage/flash.h"
+#include "nf_contract.h"
+#include "common/nf_err.h"
+#include "policy.h"
+#include "storage/policy_blob.h"
+
+/* Where a policy can come from. */
+enum policy_source {
+	POLICY_SLOT_A,
+	POLICY_SLOT_B,
+	POLICY_COMPILED_IN,
+	POLICY_SOURCE_COUNT, /* as a source: none */
+};
+
+/* A slot being written. */
+struct policy_update {
+	enum policy_source target; /* POLICY_SOURCE_COUNT: no slot is */
+	uint32_t total;            /* bytes that the blob will have */
+	uint32_t written;          /* bytes so far, the first word included, which is kept here */
+	uint32_t head;             /* that word */
+	bool ended;                /* the last update arrived whole, and none has begun since */
+};
+
+struct policy_slots {
+	const struct flash *flash;
+	struct policy_blob_identity running;
+	const void *compiled_in;
+	size_t compiled_in_bytes;
+	/* NF_OK, or what was wrong with it at boot, NF_ERR_POLICY being its self-test; NF_OK once written anew. */
+	enum nf_err found[POLICY_SOURCE_COUNT];
+	enum policy_source flown;               /* POLICY_SOURCE_COUNT: none is good */
+	uint32_t sequence;                      /* of the flown one */
+	float idle;                             /* of the flown one: motor fraction at zero thrust */
+	struct policy_update update;
+};
+
+/* Chooses for this boot: leaves the chosen one's weights in `weights` and `policy` initialized with them. `running`:
+ * what this image and its settings ask for. `compiled_in`: the image's own blob, of so many bytes. Blob and flash
+ * outlive `slots`.
+ * NF_ERR_POLICY: none is good, do not fly `policy`; slots->found tells why, and a slot can still be written. */
+enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
+				const struct policy_blob_identity *running, const void *compiled_in,
+				size_t compiled_in_bytes, struct policy *policy, float weights[POLICY_WEIGHT_COUNT]);
+
+/* Header of the flown blob. Returns false, `header` unset, if none is flown. */
+bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob_header *header);
+
+/* Begins an update with a blob of `total` bytes: erases the slot that is not flown; if none is, one that does not hold
+ * the best policy. Waits for the flash, as the next two do; only while nothing can arm.
+ * NF_REFUSAL_PAYLOAD: no blob has that size. NF_REFUSAL_FLASH. */
+enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
+
+/* The blob's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. What was just written
+ * may be repeated, for a reply may have been lost. NF_REFUSAL_ORDER, NF_REFUSAL_PAYLOAD, NF_REFUSAL_FLASH. */
+enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes);
+
+/* Ends the update: checks all of it, then makes it valid. It is flown from the next boot on. May be repeated.
+ * NF_REFUSAL_ORDER, NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not above all
+ * others here. A slot that is refused stays empty until it is begun again. */
+enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
+
+/* The sequence number that the next policy has to have at least. Reads all blobs: some milliseconds. */
+uint32_t policy_slots_next_sequence(const struct policy_slots *slots);
+
+#endif

@@ -1,0 +1,153 @@
+#include "storage/settings_store.h"
+
+#include <string.h>
+
+#include "common/crc32.h"
+
+#define SETTINGS_MAGIC 0x5350464Eu /* "NFPS" */
+#define SETTINGS_LAYOUT 1u
+
+/* A set begins a sector: head, entries, CRC-32 of both. A setting is known by the CRC-32 of its name, so that sets
+ * of other versions can be read; one that changes its kind or its unit has to change its name. */
+struct head {
+	uint32_t magic;
+	uint32_t layout;
+	uint32_t sequence; /* the higher one is the newer one; sectors wear out long before it wraps */
+	uint32_t count;    /* of entries */
+};
+
+struct entry {
+	uint32_t key;
+	union setting_value value;
+};
+
+static const struct place {
+	uint32_t address;
+	unsigned sector;
+} places[] = {
+	{ NF_FLASH_SETTINGS_0_ADDRESS, 1 },
+	{ NF_FLASH_SETTINGS_1_ADDRESS, 2 },
+};
+_Static_assert(NF_FLASH_SETTINGS_COUNT == 2, "alternately");
+_Static_assert(NF_FLASH_SETTINGS_0_ADDRESS == NF_FLASH_SECTORS_1_ADDRESS, "the sector to erase");
+_Static_assert(NF_FLASH_SETTINGS_1_ADDRESS == NF_FLASH_SECTORS_2_ADDRESS, "the sector to erase");
+
+#define COUNT_MAX ((NF_FLASH_SETTINGS_0_SIZE - sizeof(struct head) - sizeof(uint32_t)) / sizeof(struct entry))
+_Static_assert(NF_SETTING_COUNT <= COUNT_MAX, "a sector holds them");
+
+static uint32_t key_of(const struct setting *setting)
+{
+	uint32_t crc = 0;
+
+	for (const char *c = setting->name; *c; c++)
+		crc = crc32_more(crc, c, 1);
+	return crc;
+}
+
+/* Reads the head at `set`. Returns whether a whole set stands there. */
+static bool read_head(const uint8_t *set, struct head *head)
+{
+	uint32_t told;
+
+	memcpy(head, set, sizeof *head);
+	if (head->magic != SETTINGS_MAGIC || head->layout != SETTINGS_LAYOUT || head->count > COUNT_MAX)
+		return false;
+	const size_t checked = sizeof *head + head->count * sizeof(struct entry);
+	memcpy(&told, set + checked, sizeof told);
+	return crc32_more(0, set, checked) == told;
+}
+
+/* The newest set, NULL if there is none. Tells where it stands, and its head. */
+static const uint8_t *newest(const struct flash *flash, struct head *head, unsigned *place)
+{
+	const uint8_t *found = NULL;
+
+	for (unsigned i = 0; i < NF_FLASH_SETTINGS_COUNT; i++) {
+		const uint8_t *set = flash_at(flash, places[i].address);
+		struct head other;
+		if (!read_head(set, &other) || (found && other.sequence < head->sequence))
+			continue;
+		*head = other;
+		*place = i;
+		found = set;
+	}
+	return found;
+}
+
+/* Takes over what the set says of the setting `index`, if it says something that is allowed. */
+static void take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count)
+{
+	const uint32_t key = key_of(settings_info(index));
+	struct entry entry;
+
+	for (uint32_t i = 0; i < count; i++) {
+		memcpy(&entry, entries + i * sizeof entry, sizeof entry);
+		if (entry.key == key) {
+			(void)settings_set(settings, index, &entry.value); /* refused: the default stays */
+			return;
+		}
+	}
+}
+
+bool settings_load(struct nf_settings *settings, const struct flash *flash)
+{
+	struct head head;
+	unsigned place;
+	const uint8_t *set = newest(flash, &head, &place);
+
+	settings_default(settings);
+	if (!set)
+		return false;
+	for (unsigned index = 0; index < NF_SETTING_COUNT; index++)
+		take(settings, index, set + sizeof head, head.count);
+	settings_mend(settings);
+	return true;
+}
+
+/* A place in flash that fills up, and the CRC of what it holds. */
+struct pen {
+	const struct flash *flash;
+	uint32_t address;
+	uint32_t crc;
+};
+
+static bool write(struct pen *pen, const void *words, size_t bytes)
+{
+	const uint32_t address = pen->address;
+
+	pen->crc = crc32_more(pen->crc, words, bytes);
+	pen->address += (uint32_t)bytes;
+	return flash_program(pen->flash, address, words, bytes);
+}
+
+/* The CRC comes last: before it stands whole, there is no set. */
+static bool write_set(struct pen *pen, const struct head *head, const struct nf_settings *settings)
+{
+	bool good = write(pen, head, sizeof *head);
+
+	for (unsigned index = 0; good && index < NF_SETTING_COUNT; index++) {
+		struct entry entry = { .key = key_of(settings_info(index)) };
+		settings_get(settings, index, &entry.value);
+		good = write(pen, &entry, sizeof entry);
+	}
+	const uint32_t crc = pen->crc;
+	return good && write(pen, &crc, sizeof crc);
+}
+
+enum nf_refusal settings_save(const struct nf_settings *settings, const struct flash *flash)
+{
+	struct head head = { 0 };
+	unsigned last = NF_FLASH_SETTINGS_COUNT - 1;
+
+	if (settings_conflict(settings) != NF_SETTING_COUNT)
+		return NF_REFUSAL_CONFLICT;
+	(void)newest(flash, &head, &last);
+	head = (struct head){ SETTINGS_MAGIC, SETTINGS_LAYOUT, head.sequence + 1, NF_SETTING_COUNT };
+	const struct place *place = &places[(last + 1) % NF_FLASH_SETTINGS_COUNT];
+	struct pen pen = { .flash = flash, .address = place->address };
+
+	if (!flash_erase(flash, place->sector) || !write_set(&pen, &head, settings) ||
+	    !read_head(flash_at(flash, place->address), &head))
+		return NF_REFUSAL_FLASH;
+	return NF_REFUSAL_NONE;
+}

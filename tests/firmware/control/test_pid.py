@@ -1,0 +1,116 @@
+"""pid.c: the real C against sim.control.pid.Pid in float64, with the gains that a build compiles in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import PidSettings, load_aircraft
+from sim.control.pid import Pid, aircraft_pid, mixer
+from sim.control.pid_table import named_pid_table, shipped_pid_table
+from toolchain.rendering.pid_table import PidTable, render_pid_table
+
+STEPS = 3000
+RATE_HZ = 1000
+# Numbers of the sum that a fraction is made of are at most about 1: float32 keeps 7 digits of each.
+TOLERANCE = 1e-4
+
+
+def flight(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Setpoints that jump and rates that follow them lazily with gyro noise, float32 (STEPS, 3) [rad/s]."""
+    setpoint = np.repeat(rng.normal(0, 4, (STEPS // 250, 3)), 250, axis=0)
+    rate = np.zeros((STEPS, 3))
+    for k in range(1, STEPS):
+        rate[k] = rate[k - 1] + 0.02 * (setpoint[k] - rate[k - 1])
+    rate += rng.normal(0, 0.02, rate.shape)
+    return setpoint.astype(np.float32), rate.astype(np.float32)
+
+
+def stepped(core: Any, pid: Any, setpoint: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    out = core.new("float[4]")
+    rows = []
+    for s, r in zip(setpoint.tolist(), rate.tolist(), strict=True):
+        core.lib.pid_step(pid, core.new("float[3]", s), core.new("float[3]", r), out)
+        rows.append(list(out))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_built_in_pid_is_the_tuned_one_when_it_flies_at_random(reference_core: Any, seed: int) -> None:
+    core = reference_core
+    pid = core.new("struct pid *")
+    gains = core.ffi.addressof(core.lib, "pid_gains_built_in")
+    core.lib.pid_init(pid, gains)
+    setpoint, rate = flight(np.random.default_rng(seed))
+    peer = aircraft_pid(load_aircraft("nf1"), 1, RATE_HZ)
+    still = np.zeros(1, np.float32)
+    expected = np.concatenate(
+        [peer.step(s[None], r[None], still) for s, r in zip(setpoint, rate, strict=True)]
+    )
+    got = stepped(core, pid, setpoint, rate)
+    assert np.ptp(expected, axis=0).min() > 0.9, "every motor went through its range"
+    worst = float(np.abs(got - expected).max())
+    print(f"pid.c against sim.control.pid: {worst:.1e}")
+    assert worst <= TOLERANCE
+    core.lib.pid_reset(pid)
+    peer.reset()
+    again = np.concatenate(
+        [peer.step(s[None], r[None], still) for s, r in zip(setpoint[:50], rate, strict=False)]
+    )
+    assert np.abs(stepped(core, pid, setpoint[:50], rate[:50]) - again).max() <= TOLERANCE
+
+
+def built(core: Any, settings: PidSettings, mix: np.ndarray) -> Any:
+    """A PID of other gains, as C with the numbers of the rendered table."""
+    table = PidTable("x", "y", np.array(settings.gains), settings.derivative_cutoff_hz, settings.idle, mix)
+    text = render_pid_table(table, 4, RATE_HZ)
+    gains = core.new("struct pid_gains *")
+    for line in text.splitlines():
+        if line.startswith("\t.") and not line.endswith("{"):
+            name, value = line.strip(" \t.,").split(" = ")
+            numbers = [float(word.rstrip("f")) for word in value.strip("{} ").split(",")]
+            setattr(gains, name, numbers if len(numbers) > 1 else type(getattr(gains, name))(numbers[0]))
+    gains.mixer = mix.tolist()
+    return gains
+
+
+def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(puppet: Any) -> None:
+    gains = ((2.0, 300.0, 0.03), (0.0, 20.0, 0.0), (1.0, 0.0, 0.05))
+    settings = PidSettings(gains=gains, derivative_cutoff_hz=None, idle=0.0)
+    mix = mixer(load_aircraft("nf1"))
+    pid = puppet.new("struct pid *")
+    kept = built(puppet, settings, mix)
+    puppet.lib.pid_init(pid, kept)
+    peer = Pid(mix, settings, 1, RATE_HZ)
+    setpoint, rate = flight(np.random.default_rng(5))
+    expected = np.concatenate(
+        [peer.step(s[None], r[None], np.zeros(1, np.float32)) for s, r in zip(setpoint, rate, strict=True)]
+    )
+    got = stepped(puppet, pid, setpoint, rate)
+    assert abs(pid.integral[0]) == pytest.approx(kept.integral_max[0])
+    assert np.abs(got - expected).max() <= TOLERANCE
+
+
+def test_no_pid_is_built_in_when_the_aircraft_is_not_known() -> None:
+    assert shipped_pid_table("somebody's") is None
+    assert ".motor_count = 0" in render_pid_table(None, 4, RATE_HZ)
+
+
+def test_a_pid_of_other_motors_is_refused_when_rendered() -> None:
+    table = named_pid_table("hexa")
+    if table is None:
+        pytest.skip("the hexacopter has no PID")
+    with pytest.raises(ValueError, match="6 motors, expected 4"):
+        render_pid_table(table, 4, RATE_HZ)
+
+
+def test_the_aircrafts_file_decides_when_it_is_named(tmp_path: Path) -> None:
+    source = Path(__file__).resolve().parents[3] / "sim" / "aircraft" / "nf1.toml"
+    own = tmp_path / "own.toml"
+    own.write_text(source.read_text().replace("idle = 0.23", "idle = 0.11"))
+    table = named_pid_table(own)
+    assert table is not None
+    assert table.idle == 0.11

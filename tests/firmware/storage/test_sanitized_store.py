@@ -1,0 +1,117 @@
+"""What reads and writes flash under the sanitizers: wild requests, wild flash, power that goes."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flash import requests
+from flash.msp import Direction, Message, Version, encode
+from toolchain.contract import (
+    FLASH_BASE,
+    FLASH_FAULT_RECORD,
+    FLASH_POLICY_SLOTS,
+    FLASH_SETTINGS,
+    SETTINGS,
+    Msp,
+)
+from toolchain.policy.blob import PolicyBlob, pack
+
+ROOT = Path(__file__).resolve().parents[3]
+FIRMWARE = ROOT / "firmware"
+SOURCE = FIRMWARE / "src"
+FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
+CORE = (
+    *("common/crc8", "common/crc32", "housekeeping/scheduler"),
+    *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_replies"),
+    *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
+    *("storage/settings", "storage/settings_store"),
+)
+SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
+PIECES = 3000
+
+
+@pytest.fixture(scope="module")
+def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The feeding program around what stores and the puppet policy."""
+    program = tmp_path_factory.mktemp("sanitized") / "store"
+    generated = puppet_build.parent / "generated"
+    sources = [SOURCE / f"{name}.c" for name in CORE]
+    sources += [FIRMWARE / "hal" / "host" / "flash_model.c", generated / "policy.c", FEED]
+    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
+    command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{FIRMWARE}", f"-I{SOURCE}", f"-I{generated}"]
+    subprocess.run([*command, "-o", str(program), *map(str, sources)], check=True)
+    return program
+
+
+def ask(command: int, payload: bytes = b"") -> bytes:
+    return encode(Message(Version.V2, Direction.REQUEST, command, payload))
+
+
+def request(rng: np.random.Generator, blob: PolicyBlob) -> bytes:
+    """A request that means something, now and then with a payload that does not."""
+    data = pack(replace(blob, sequence=int(rng.integers(1, 40))))
+    index = int(rng.integers(0, len(SETTINGS) + 2))
+    choices = [
+        ask(Msp.SETTING_INFO, requests.setting_index(index)),
+        ask(Msp.SETTING_GET, requests.setting_index(index)),
+        ask(Msp.SETTING_SET, requests.setting_index(index) + rng.bytes(4)),
+        ask(Msp.SETTING_SET, requests.setting_set(index, int(rng.integers(0, 6)), whole=True)),
+        ask(Msp.EEPROM_WRITE),
+        ask(Msp.FAULTS),
+        ask(Msp.FAULTS, requests.acknowledge(int(rng.integers(0, 10)))),
+        ask(Msp.TASKS),
+        ask(Msp.SET_RAW_RC, rng.bytes(int(rng.integers(0, 40)))),
+        ask(Msp.SET_MOTOR, rng.bytes(int(rng.integers(0, 20)))),
+        ask(Msp.POLICY_INFO),
+        ask(Msp.POLICY_SLOT_END),
+        ask(Msp.POLICY_SLOT_WRITE, rng.bytes(4) + bytes(8)),
+        ask(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))
+        + ask(Msp.POLICY_SLOT_WRITE, requests.slot_write(0, data[:500]))
+        + ask(Msp.POLICY_SLOT_WRITE, requests.slot_write(500, data[500:]))
+        + ask(Msp.POLICY_SLOT_END),
+        ask(int(rng.choice(list(Msp))), rng.bytes(int(rng.integers(0, 64)))),
+    ]
+    return choices[rng.integers(len(choices))]
+
+
+def pieces(seed: int, blob: PolicyBlob) -> tuple[bytes, int]:
+    """What to feed, and how many boots it asks for."""
+    rng = np.random.default_rng(seed)
+    regions = [*FLASH_SETTINGS, FLASH_FAULT_RECORD, *FLASH_POLICY_SLOTS]
+    out, boots = b"", 0
+    for _ in range(PIECES):
+        draw = rng.random()
+        if draw < 0.7:
+            kind, piece = b"M", request(rng, blob)
+        elif draw < 0.8:
+            kind, piece, boots = b"F", b"", boots + 1
+        elif draw < 0.9:
+            kind, piece = b"C", rng.bytes(3)
+        else:
+            region = regions[rng.integers(len(regions))]
+            at = region.address - FLASH_BASE + int(rng.integers(0, 64)) * int(rng.integers(0, 8))
+            kind, piece = b"F", at.to_bytes(4, "little") + rng.bytes(int(rng.integers(1, 9)))
+        if rng.random() < 0.1 and kind == b"M":
+            damaged = bytearray(piece)
+            damaged[rng.integers(len(damaged))] ^= 1 << rng.integers(8)
+            piece = bytes(damaged)
+        out += kind + len(piece).to_bytes(2, "little") + piece
+    return out, boots
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_sanitizer_speaks_when_requests_and_flash_are_wild(
+    feed: Path, puppets_blob: PolicyBlob, seed: int
+) -> None:
+    data, boots = pieces(seed, puppets_blob)
+    done = subprocess.run([str(feed)], input=data, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    replies, sets, policies = map(int, done.stdout.split())
+    assert replies > PIECES / 3
+    assert sets > 20, "settings were saved and found again"
+    assert policies == 1 + boots, "every boot finds a policy, the compiled-in one at least"
