@@ -16,7 +16,7 @@ from toolchain.cortex_m7.disassembly import Instruction
 from toolchain.cortex_m7.llvm_mca import PricingError, block_cycles, pricer_version
 from toolchain.errors import BuildError
 
-CORE_HZ = 216_000_000  # of the MATEKF722: firmware/hal/stm32f7/clock.h
+CORE_HZ = 216_000_000  # of the MATEKF722: firmware/hal/stm32f7/core/clock.h
 # llvm-mca knows memory without a wait. A register of a peripheral lies behind bridges, the slower of them at
 # half or a quarter of the core's clock: so much more for each access, and for each barrier, is assumed.
 DEVICE_CYCLES = 12

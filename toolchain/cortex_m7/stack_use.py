@@ -26,7 +26,7 @@ from toolchain.errors import BuildError
 # What the core pushes before a handler: 8 words, the FPU's 18, and a word to align them (ARMv7-M B1.5.7).
 EXCEPTION_BYTES = 108
 THREAD = "reset_handler"
-# From the least urgent level to the most (firmware/hal/stm32f7/core.h). `fault_handler` ends the program.
+# From the least urgent level to the most: firmware/hal/stm32f7/core/core.h. `fault_handler` ends the program.
 LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fault_handler",))
 
 # Where calls through pointers go that no constant table of their own file holds: C file, or C file and

@@ -1,19 +1,20 @@
 # The board's image: one ELF with the boot part (sector 0) and bank A (sector 5).
 CROSS := arm-none-eabi-
 CPUFLAGS := -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -mno-unaligned-access \
-	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage
+	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage -fmacro-prefix-map=hal/stm32f7/=
 
-HAL_SOURCES := $(sort $(wildcard hal/stm32f7/*.c))
+HAL_SOURCES := $(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c))
 LINKER_SCRIPT := targets/MATEKF722/image.ld
 OUTPUTS := $(addprefix $(BUILD)/neuroflight.,elf bin hex)
 
 # Run before there is an FPU or memcpy; and memcpy must not become a call to itself.
-$(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o: CFLAGS += -mgeneral-regs-only
-$(OBJ)/hal/stm32f7/startup.o $(OBJ)/hal/stm32f7/boot.o $(OBJ)/hal/stm32f7/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
+STARTUP := $(OBJ)/hal/stm32f7/startup
+$(STARTUP)/startup.o $(STARTUP)/boot.o: CFLAGS += -mgeneral-regs-only
+$(STARTUP)/startup.o $(STARTUP)/boot.o $(STARTUP)/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
 
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there.
-$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/flash_memory.o: CFLAGS += -Os
+$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
 
 .SECONDEXPANSION:
 $(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)

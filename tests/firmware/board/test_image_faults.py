@@ -140,7 +140,7 @@ def test_file_and_line_are_kept_when_an_assertion_fails(board: Board) -> None:
     board.boot(SOFTWARE)
     record = board.take()
     assert record is not None
-    assert (record.kind, record.file) == (ASSERT, "hal/stm32f7/motors.c")
+    assert (record.kind, record.file) == (ASSERT, "devices/motors.c")
     assert record.line > 0
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from tests.sim.board.mutants.mutant import Mutant
 
-GYRO = "hal/stm32f7/gyro_chip.c"
-SPI = "hal/stm32f7/spi.c"
-DMA = "hal/stm32f7/dma.h"
-MOTORS = "hal/stm32f7/motors.c"
+GYRO = "hal/stm32f7/devices/gyro_chip.c"
+SPI = "hal/stm32f7/peripherals/spi.c"
+DMA = "hal/stm32f7/peripherals/dma.h"
+MOTORS = "hal/stm32f7/devices/motors.c"
 
 BUS_MUTANTS = (
     Mutant(
         name="gyro data clocked at 27 MHz",
-        file="hal/stm32f7/spi.h",
+        file="hal/stm32f7/peripherals/spi.h",
         old="SPI_13M5 = 2,",
         new="SPI_13M5 = 1,",
         message=r"SPI1 reads or writes data of the MPU6500 at 27 MHz, expected 20 MHz at most",
@@ -20,7 +20,7 @@ BUS_MUTANTS = (
     ),
     Mutant(
         name="gyro registers clocked at 1.7 MHz",
-        file="hal/stm32f7/spi.h",
+        file="hal/stm32f7/peripherals/spi.h",
         old="SPI_844K = 6,",
         new="SPI_844K = 5,",
         message=r"register 0x6B of the MPU6500 at 1.6875 MHz, expected 1 MHz at most",
@@ -133,7 +133,7 @@ BUS_MUTANTS = (
     ),
     Mutant(
         name="memory of DMA buffers left cached",
-        file="hal/stm32f7/core.c",
+        file="hal/stm32f7/core/core.c",
         old="\t{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers */\n",
         new="",
         message=r"DMA2 stream \d: 0x2003\w{4} lies in cached RAM while the data cache is on",

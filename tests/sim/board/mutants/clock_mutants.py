@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.sim.board.mutants.mutant import Mutant
 
-CLOCK = "hal/stm32f7/clock.c"
+CLOCK = "hal/stm32f7/core/clock.c"
 
 CLOCK_MUTANTS = (
     Mutant(
@@ -99,7 +99,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="motors' pins given to another timer",
-        file="hal/stm32f7/motors.c",
+        file="hal/stm32f7/devices/motors.c",
         old="#define AF_TIM8 3u",
         new="#define AF_TIM8 2u",
         message=r"TIM8 makes pulses on channel 1: PC6 is alternate function 2, expected alternate function 3",
@@ -107,7 +107,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="bus pin left analog",
-        file="hal/stm32f7/gyro_chip.c",
+        file="hal/stm32f7/devices/gyro_chip.c",
         old="gpio_alternate(BOARD_GYRO_MISO, AF_SPI1, GPIO_PULL_UP, GPIO_FAST);",
         new="gpio_mode(BOARD_GYRO_MISO, GPIO_ANALOG);",
         message=r"SPI1 sends: PA6 is analog, expected alternate function 5 \(SPI1_MISO\)",
@@ -117,7 +117,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="converter's pin left digital",
-        file="hal/stm32f7/power.c",
+        file="hal/stm32f7/devices/power.c",
         old="\tgpio_mode(BOARD_AMPS, GPIO_ANALOG);\n",
         new="",
         message=r"ADC1 converts channel 14: PC4 is an input, expected analog",
@@ -127,7 +127,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="converter on a channel without a pin",
-        file="hal/stm32f7/power.c",
+        file="hal/stm32f7/devices/power.c",
         old="CHANNEL_VOLTS = 10",
         new="CHANNEL_VOLTS = 11",
         message=r"ADC1 converts channel 11, which has no pin on this board",
@@ -137,7 +137,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="converter clocked too fast",
-        file="hal/stm32f7/power.c",
+        file="hal/stm32f7/devices/power.c",
         old="FIELD(ADC_CCR_ADCPRE, DIVIDE_BY_4)",
         new="FIELD(ADC_CCR_ADCPRE, 0)",
         message=r"ADC1 is clocked at 54 MHz, expected 36 MHz at most",
@@ -147,7 +147,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="receiver's line changed while it is on",
-        file="hal/stm32f7/uart.c",
+        file="hal/stm32f7/peripherals/uart.c",
         old="\tUSART_CR2(uart) = cr2;\n",
         new="\tUSART_CR1(uart) = USART_CR1_UE;\n\tUSART_CR2(uart) = cr2;\n",
         message=r"USART\d_CR3 OVRDIS changes while UE is 1, expected 0",
@@ -166,7 +166,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="peripheral that the emulator does not know",
-        file="hal/stm32f7/motors.c",
+        file="hal/stm32f7/devices/motors.c",
         old="\tTIM_PSC(bank->timer) = 0;\n",
         new="\tTIM_PSC(bank->timer) = 0;\n\tREGISTER(0x40005400u) = 1u; /* I2C1_CR1 */\n",
         message=r"write at 0x40005400: I2C1 is not modelled",
@@ -176,7 +176,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="reserved bit set",
-        file="hal/stm32f7/spi.c",
+        file="hal/stm32f7/peripherals/spi.c",
         old="FIELD(SPI_CR2_DS, BITS_8) | SPI_CR2_FRXTH;",
         new="FIELD(SPI_CR2_DS, BITS_8) | SPI_CR2_FRXTH | BIT(15);",
         message=r"SPI1_CR2 = 0x00009700 changes reserved bits 0x00008000",
@@ -193,7 +193,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="watchdog locked when it is set up",
-        file="hal/stm32f7/watchdog.c",
+        file="hal/stm32f7/core/watchdog.c",
         old="\tIWDG_KR = UNLOCK;\n",
         new="",
         message=r"IWDG_PR is written while it is locked, expected IWDG_KR 0x5555 before",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tests.sim.board.mutants.mutant import Mutant
 
-GYRO = "hal/stm32f7/gyro_chip.c"
+GYRO = "hal/stm32f7/devices/gyro_chip.c"
 HAL = "hal/stm32f7/hal.c"
-FLASH = "hal/stm32f7/flash_memory.c"
+FLASH = "hal/stm32f7/peripherals/flash_memory.c"
 MAIN = "src/main.c"
 LINKER = "targets/MATEKF722/image.ld"
 BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
@@ -14,7 +14,7 @@ BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
 CORE_MUTANTS = (
     Mutant(
         name="floating-point unit not enabled",
-        file="hal/stm32f7/startup.c",
+        file="hal/stm32f7/startup/startup.c",
         old="\tSCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */\n",
         new="",
         message=r"a floating-point instruction while CPACR = 0x00000000 does not allow it",
@@ -64,7 +64,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="handler missing in the vector table",
-        file="hal/stm32f7/vectors.c",
+        file="hal/stm32f7/startup/vectors.c",
         old="[IRQ_DMA2_STREAM2] = gyro_sample_handler,",
         new="[IRQ_DMA2_STREAM2] = 0,",
         message=r"exception 74 has no vector at 0x\w+",
@@ -114,7 +114,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="memory of DMA buffers closed to the core",
-        file="hal/stm32f7/core.c",
+        file="hal/stm32f7/core/core.c",
         old="{0x2003C000u, 14, UNCACHED}",
         new="{0x2003C000u, 14, NO_ACCESS}",
         message=r"MPU region 3 \(MPU_RASR 0x1000001B\) closes 0x2003C000 to 0x2003FFFF",
@@ -131,7 +131,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="write to code",
-        file="hal/stm32f7/core.c",
+        file="hal/stm32f7/core/core.c",
         old="\tNVIC_ISER(irq / 32u) =",
         new="\tREGISTER(0x200u + 4u * (16u + irq)) = 0x08020401u; /* the vector, in ITCM */\n"
         "\tNVIC_ISER(irq / 32u) =",
@@ -141,7 +141,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="unaligned words",
-        file="hal/stm32f7/memory.c",
+        file="hal/stm32f7/startup/memory.c",
         old="& 3u) == 0u",
         new="& 0u) == 0u",
         message=r"unaligned access at 0x\w+, this instruction needs \d bytes' alignment",
@@ -174,7 +174,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="unaligned access to a register",
-        file="hal/stm32f7/power.c",
+        file="hal/stm32f7/devices/power.c",
         old="\tADC1_CR1 = ADC1_CR1_SCAN;\n",
         new='\t__asm volatile("str %0, [%1]" ::"r"(ADC1_CR1_SCAN), "r"(0x40012006u));\n',
         message=r"unaligned access at 0x40012006, this instruction needs 4 bytes' alignment",
@@ -183,7 +183,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="register written by a byte",
-        file="hal/stm32f7/power.c",
+        file="hal/stm32f7/devices/power.c",
         old="\tADC1_CR1 = ADC1_CR1_SCAN;\n",
         new="\t*(volatile uint8_t *)0x40012005u = 1u;\n",
         message=r"ADC1_CR1 has a write of 8 bits, but takes 32",
@@ -213,7 +213,7 @@ CORE_MUTANTS = (
     Mutant(
         name="flash driven by code in flash",
         file=LINKER,
-        old="\t\t*hal/stm32f7/flash_memory.o(.text .text.*)\n",
+        old="\t\t*hal/stm32f7/peripherals/flash_memory.o(.text .text.*)\n",
         new="",
         message=r"data-ready edge \(EXTI3\) waited .*: the core waited for busy flash",
         seconds=1.2,

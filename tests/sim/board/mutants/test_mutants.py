@@ -62,7 +62,7 @@ def test_line_is_noted_when_the_firmware_listens_at_another_baud(fly_mutant: Fly
     """No error: a receiver of another kind may be plugged in. The firmware does not arm."""
     wrong = Mutant(
         name="receiver's line at another baud",
-        file="hal/stm32f7/receiver_line.c",
+        file="hal/stm32f7/devices/receiver_line.c",
         old=".baud = 100000,",
         new=".baud = 115200,",
         message="",

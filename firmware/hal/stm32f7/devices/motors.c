@@ -1,11 +1,11 @@
-#include "motors.h"
+#include "hal/stm32f7/devices/motors.h"
 
-#include "clock.h"
-#include "dma.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/peripherals/dma.h"
 #include "motors/dshot.h"
-#include "fault.h"
+#include "hal/stm32f7/core/fault.h"
 #include "nf_contract.h"
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 #include "targets/MATEKF722/board.h"
 
 #define FRAME_BITS 16u

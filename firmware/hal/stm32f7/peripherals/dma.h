@@ -6,9 +6,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "core.h"
-#include "registers.h"
-#include "time.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/time.h"
 
 /* Every buffer that DMA touches, so that no cache maintenance is ever due. What DMA writes and the control path reads
  * lies in DTCM (the linker script holds all of .bss there). What DMA reads never does: the vendor's errata for this

@@ -1,6 +1,6 @@
-#include "uart.h"
+#include "hal/stm32f7/peripherals/uart.h"
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 
 void uart_configure(uint32_t uart, uint32_t clock_hz, uint32_t baud, uint32_t cr1, uint32_t cr2, uint32_t cr3)
 {

@@ -25,8 +25,8 @@ from toolchain.rendering.register_table import (
     render,
 )
 
-ROOT = Path(__file__).resolve().parents[2]
-HEADER = ROOT / "firmware" / "hal" / "stm32f7" / "registers.h"
+ROOT = Path(__file__).resolve().parents[3]
+HEADER = ROOT / "firmware" / "hal" / "stm32f7" / "core" / "registers.h"
 TARGET = ROOT / "firmware" / "targets" / "MATEKF722"
 # The vendor's description of the STM32F7x2, version 1.3, from which the committed table comes.
 SVD_SHA256 = "8d411b234d33dad0d4daa56acdc03991d45feb91ab6ffecf49b2cfca83c119d9"

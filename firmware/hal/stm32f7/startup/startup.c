@@ -1,10 +1,10 @@
 /* From the bank's reset vector to main: FPU, code and data in place, then the program. */
 #include <stdint.h>
 
-#include "core.h"
-#include "handlers.h"
-#include "registers.h"
-#include "stop.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/stop.h"
 
 /* Linker script: where each part lies in flash (load) and where it runs; all word-aligned. */
 extern const uint32_t itcm_load[], data_load[];

@@ -1,9 +1,9 @@
-#include "receiver_line.h"
+#include "hal/stm32f7/devices/receiver_line.h"
 
-#include "clock.h"
+#include "hal/stm32f7/core/clock.h"
 #include "nf_contract.h"
 #include "targets/MATEKF722/board.h"
-#include "uart.h"
+#include "hal/stm32f7/peripherals/uart.h"
 
 #define AF_USART2 7u
 #define STOP_BITS_2 2u /* USART_CR2 STOP; 0 is one */

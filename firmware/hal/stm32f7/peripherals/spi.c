@@ -1,9 +1,9 @@
-#include "spi.h"
+#include "hal/stm32f7/peripherals/spi.h"
 
-#include "clock.h"
-#include "dma.h"
-#include "registers.h"
-#include "time.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/peripherals/dma.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/time.h"
 
 enum { BITS_8 = 7 }; /* SPI_CR2 DS */
 

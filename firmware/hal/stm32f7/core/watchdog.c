@@ -1,9 +1,9 @@
-#include "watchdog.h"
+#include "hal/stm32f7/core/watchdog.h"
 
 #include <stdbool.h>
 
-#include "clock.h"
-#include "time.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/time.h"
 
 /* Values of IWDG_KR (RM0431 IWDG). */
 #define START 0xCCCCu

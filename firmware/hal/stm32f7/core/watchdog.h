@@ -2,7 +2,7 @@
 #ifndef STM32F7_WATCHDOG_H
 #define STM32F7_WATCHDOG_H
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 
 #define WATCHDOG_FEED 0xAAAAu /* IWDG_KR (RM0431 IWDG) */
 

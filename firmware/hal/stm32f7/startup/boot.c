@@ -4,7 +4,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 #include "targets/MATEKF722/board.h"
 
 /* Linker script. */

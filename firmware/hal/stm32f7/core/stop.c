@@ -1,14 +1,14 @@
-#include "stop.h"
+#include "hal/stm32f7/core/stop.h"
 
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "clock.h"
-#include "core.h"
-#include "motors.h"
-#include "registers.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/core/registers.h"
 #include "targets/MATEKF722/board.h"
-#include "watchdog.h"
+#include "hal/stm32f7/core/watchdog.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
 #define PAUSE_MS 900u

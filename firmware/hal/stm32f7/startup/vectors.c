@@ -2,8 +2,8 @@
  * start-up copies it to ITCM. */
 #include <stdint.h>
 
-#include "handlers.h"
-#include "registers.h"
+#include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/core/registers.h"
 
 extern uint32_t stack_top[]; /* linker script */
 

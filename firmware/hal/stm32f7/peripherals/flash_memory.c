@@ -1,11 +1,11 @@
-#include "flash_memory.h"
+#include "hal/stm32f7/peripherals/flash_memory.h"
 
-#include "clock.h"
-#include "core.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/core.h"
 #include "nf_contract.h"
-#include "registers.h"
-#include "time.h"
-#include "watchdog.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/time.h"
+#include "hal/stm32f7/core/watchdog.h"
 
 /* FLASH_KEYR (RM0431 3.3.5). */
 #define KEY_1 0x45670123u

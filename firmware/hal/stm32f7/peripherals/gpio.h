@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 
 struct pin {
 	uint32_t port;   /* GPIOA.. */

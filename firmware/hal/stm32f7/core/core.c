@@ -1,6 +1,6 @@
-#include "core.h"
+#include "hal/stm32f7/core/core.h"
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 
 /* Attributes of a region (MPU_RASR; ARMv7-M B3.5.9). */
 #define NO_ACCESS 0u

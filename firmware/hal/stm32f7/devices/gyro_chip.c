@@ -1,15 +1,15 @@
-#include "gyro_chip.h"
+#include "hal/stm32f7/devices/gyro_chip.h"
 
-#include "core.h"
-#include "dma.h"
-#include "fault.h"
-#include "handlers.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/peripherals/dma.h"
+#include "hal/stm32f7/core/fault.h"
+#include "hal/stm32f7/core/handlers.h"
 #include "nf_contract.h"
-#include "registers.h"
-#include "spi.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/peripherals/spi.h"
 #include "targets/MATEKF722/board.h"
-#include "time.h"
-#include "watchdog.h"
+#include "hal/stm32f7/core/time.h"
+#include "hal/stm32f7/core/watchdog.h"
 
 #define AF_SPI1 5u
 #define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */

@@ -1,12 +1,12 @@
-#include "fault.h"
+#include "hal/stm32f7/core/fault.h"
 
 #include <stddef.h>
 
-#include "core.h"
-#include "handlers.h"
-#include "motors.h"
-#include "registers.h"
-#include "stop.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/stop.h"
 
 #define NOTE_MAGIC 0x544C4146u /* "FALT" */
 /* A board that faults before anybody can ask it would start anew for ever: after so many in a row that nobody

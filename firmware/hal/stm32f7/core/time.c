@@ -1,7 +1,7 @@
-#include "time.h"
+#include "hal/stm32f7/core/time.h"
 
-#include "clock.h"
-#include "core.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/core.h"
 
 static volatile uint32_t milliseconds_passed; /* written by time_tick alone */
 

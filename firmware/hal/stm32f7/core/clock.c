@@ -1,9 +1,9 @@
-#include "clock.h"
+#include "hal/stm32f7/core/clock.h"
 
-#include "core.h"
-#include "registers.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/registers.h"
 #include "targets/MATEKF722/board.h"
-#include "time.h"
+#include "hal/stm32f7/core/time.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
 #define PLL_M 4u

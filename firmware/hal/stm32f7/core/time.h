@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "registers.h"
+#include "hal/stm32f7/core/registers.h"
 
 /* Starts the cycle counter. False: it does not count, and no wait would be bounded. */
 bool time_cycles_start(void);

@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "dma.h"
+#include "hal/stm32f7/peripherals/dma.h"
 
 #define UART_RING_BYTES 256u /* 22 ms of MSP at 115200 baud, 2.8 ms at 921600; 28 ms of SBUS */
 

@@ -1,8 +1,8 @@
-#include "msp_uart.h"
+#include "hal/stm32f7/devices/msp_uart.h"
 
-#include "clock.h"
+#include "hal/stm32f7/core/clock.h"
 #include "targets/MATEKF722/board.h"
-#include "uart.h"
+#include "hal/stm32f7/peripherals/uart.h"
 
 #define AF_USART1 7u
 #define REPLY_BYTES 1024u
