@@ -1,4 +1,4 @@
-"""Flights of the shipped policy in the twin of the NF1."""
+"""Flights of a shipped policy in the twin of its aircraft, the NF1 unless a test says another."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ Flown = Callable[..., Trace]
 
 @pytest.fixture(scope="session")
 def flown() -> Flown:
-    """Flies a port in a fresh twin of the NF1, gyro noise on, and closes both."""
+    """Flies a port in a fresh twin, gyro noise on, and closes both."""
 
     def run(
         port: FirmwarePort,
         scenario: Scenario,
         seed: int = 1,
         motor_order: tuple[int, ...] | None = None,
+        aircraft: str = "nf1",
     ) -> Trace:
         rng = np.random.default_rng((seed, 1))
-        twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+        twin = Twin(load_aircraft(aircraft), rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
         with closing(port), closing(twin):
             return fly(twin, port, scenario, motor_order=motor_order)
 

@@ -11,6 +11,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -33,6 +34,7 @@ from toolchain.policy.model import PolicyModel, read_policy
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
+TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
 BOARD_MEMORY = (*RAM, FLASH)
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 NO_STACK = "the operating system gives this program its stack"
@@ -44,11 +46,21 @@ class Target:
     """Something that the firmware can be built for; firmware/targets/<name> holds the rest."""
 
     name: str
-    motors: int
     compiler: str
     packages: str  # the system's packages that bring the compiler
     products: tuple[str, ...]  # made by make; the first is the ELF that the report describes
     has_board_memory: bool
+
+    @property
+    def motors(self) -> int:
+        """Motor outputs: a board's as its board.h says, the host program has as many as the core drives."""
+        header = TARGETS_FOLDER / self.name / "board.h"
+        if not header.is_file():
+            return contract.MOTOR_COUNT_MAX
+        found = re.search(r"^#define BOARD_MOTOR_COUNT (\d+)$", header.read_text(), re.MULTILINE)
+        if found is None:
+            raise BuildError(f"{header}: it does not define BOARD_MOTOR_COUNT, a number")
+        return int(found[1])
 
 
 TARGETS = {
@@ -56,7 +68,6 @@ TARGETS = {
     for target in (
         Target(
             name="MATEKF722",
-            motors=4,
             compiler="arm-none-eabi-gcc",
             packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
             products=("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
@@ -64,7 +75,6 @@ TARGETS = {
         ),
         Target(
             name="HOST",
-            motors=4,
             compiler="gcc",
             packages="build-essential",
             products=("neuroflight", "libneuroflight.so"),
@@ -99,13 +109,13 @@ def build(
     model = read_policy(policy)
     compiled = compile_policy(model)
     check_fit(compiled, known)
-    _check_pid(pid, known)
+    _check_pid(pid, model)
     _check_tools(known)
     optimized = time.perf_counter()
     out = (folder or root / "build") / known.name
     generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
     with _locked(out):
-        _write_generated(compiled, pid, known, generated)
+        _write_generated(compiled, pid, generated)
         built = run_make(known, root, out, generated)
         made = out / "make" / known.products[0]
         image = read_image(made)
@@ -144,10 +154,10 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
     """Raise PolicyError naming the first figure of the policy that this firmware cannot serve."""
     policy = compiled.policy
     rates = contract.CONTROL_RATES_HZ
-    if policy.action_count != target.motors:
+    if policy.action_count > target.motors:
         raise PolicyError(
             f"the policy drives {policy.action_count} motors, {target.name} has {target.motors}; "
-            "train it for an aircraft with as many"
+            "train it for an aircraft with no more"
         )
     if lacking := [term.name for term in policy.blocks if not term.block.in_firmware]:
         raise PolicyError(
@@ -155,7 +165,7 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             "train it on other blocks"
         )
     try:
-        contract.check_observation(policy.blocks, target.motors)
+        contract.check_observation(policy.blocks, policy.action_count)
     except ValueError as error:
         raise PolicyError(f"the policy cannot be flown: {error}") from error
     if policy.control_rate_hz not in rates:
@@ -178,11 +188,11 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             raise PolicyError(f"the policy {facts}, {excess}; train a smaller network")
 
 
-def _check_pid(pid: PidTable | None, target: Target) -> None:
-    if pid is not None and pid.motor_count != target.motors:
+def _check_pid(pid: PidTable | None, policy: PolicyModel) -> None:
+    if pid is not None and pid.motor_count != policy.action_count:
         raise BuildError(
-            f"the PID of aircraft {pid.aircraft} drives {pid.motor_count} motors, {target.name} has "
-            f"{target.motors}; name another with --aircraft"
+            f"the PID of aircraft {pid.aircraft} drives {pid.motor_count} motors, the policy "
+            f"{policy.action_count}; name another with --aircraft"
         )
 
 
@@ -201,8 +211,9 @@ def _locked(out: Path) -> Iterator[None]:
         yield
 
 
-def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, target: Target, directory: Path) -> None:
-    table = render_pid_table(pid, target.motors, compiled.policy.control_rate_hz)
+def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, directory: Path) -> None:
+    policy = compiled.policy
+    table = render_pid_table(pid, policy.action_count, policy.control_rate_hz)
     write_text_if_changed(directory / "policy.c", compiled.emission.source)
     write_text_if_changed(directory / "policy.h", compiled.emission.header)
     write_text_if_changed(directory / "pid_table.c", table)

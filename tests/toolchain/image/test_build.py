@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from toolchain.codegen.compiler import compile_policy
+from toolchain.contract import MOTOR_COUNT_MAX
 from toolchain.cortex_m7.llvm_mca import find_pricer
 from toolchain.errors import BuildError, NeuroflightError, PolicyError
-from toolchain.image.build import TARGETS, MakeError, build
+from toolchain.image.build import TARGETS, MakeError, build, check_fit
 from toolchain.image.elf import read_image
 from toolchain.image.report import built_idle
+from toolchain.policy.model import read_policy
 from toolchain.rendering.pid_table import PidTable
 
 if TYPE_CHECKING:
@@ -84,8 +87,8 @@ def test_build_is_refused_with_the_command_when_the_compiler_is_missing(
     )
 
 
-def six_motors(kit: Kit) -> Chain:
-    return kit.mlp((6, 8, 6))
+def seven_motors(kit: Kit) -> Chain:
+    return kit.mlp((6, 8, 7))
 
 
 def slow(kit: Kit) -> Chain:
@@ -127,7 +130,7 @@ def broad(kit: Kit) -> Chain:
 
 
 MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
-    (six_motors, "the policy drives 6 motors, MATEKF722 has 4"),
+    (seven_motors, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
     (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
     (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
@@ -145,6 +148,19 @@ def test_build_is_refused_when_the_policy_does_not_fit(
     policy = tmp_path / "policy.onnx"
     policy.write_bytes(make(kit).data())
     assert words in refused("MATEKF722", policy, project(tmp_path / "root"), PolicyError)
+
+
+@pytest.mark.parametrize(("target", "motors"), [("MATEKF722", 6), ("HOST", MOTOR_COUNT_MAX)])
+def test_a_target_serves_as_many_motors_as_it_has_outputs(
+    kit: Kit, tmp_path: Path, target: str, motors: int
+) -> None:
+    policy = tmp_path / "policy.onnx"
+    for count in (4, motors):
+        policy.write_bytes(kit.mlp((6, 8, count)).data())
+        check_fit(compile_policy(read_policy(policy)), TARGETS[target])
+    policy.write_bytes(kit.mlp((6, 8, motors + 1)).data())
+    with pytest.raises(PolicyError, match=f"drives {motors + 1} motors, {target} has {motors}"):
+        check_fit(compile_policy(read_policy(policy)), TARGETS[target])
 
 
 def test_build_is_refused_when_the_policy_is_truncated(tmp_path: Path, policy_file: Path) -> None:
@@ -194,7 +210,7 @@ def test_build_is_refused_when_the_pid_is_of_another_number_of_motors(
     tmp_path: Path, policy_file: Path
 ) -> None:
     root = project(tmp_path / "root")
-    with pytest.raises(BuildError, match="the PID of aircraft nf9 drives 6 motors, HOST has 4"):
+    with pytest.raises(BuildError, match="the PID of aircraft nf9 drives 6 motors, the policy 4; name"):
         build("HOST", policy_file, root, pid=table(6))
     assert not (root / "build").exists()
 

@@ -1,0 +1,67 @@
+"""The shipped policy of the hexacopter: it builds for board and host, and flies the same bits on both."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from sim.control.pid_table import pid_table
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.ports.emulator import EmulatedPort
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from tests.conftest import BUILD, ROOT
+from toolchain.contract import DSHOT_MIN
+from toolchain.image.build import TARGETS, build
+
+MOTORS = 6
+POLICY = ROOT / "training" / "policies" / "hexa" / "policy.onnx"
+TURNS = Scenario(
+    "turns",
+    (
+        Segment(0.4, (60.0, 0.0, 0.0), 0.3),
+        Segment(0.4, (0.0, -60.0, 0.0), 0.5),
+        Segment(0.4, (-30.0, 30.0, 40.0), 0.4),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def built() -> Path:
+    """Folder with a build of the policy for each target, beside the aircraft's PID."""
+    folder = BUILD / "hexa"
+    for target in TARGETS:
+        build(target, POLICY, ROOT, folder, pid_table(load_aircraft("hexa")))
+    return folder
+
+
+def test_six_motors_get_equal_dshot_values_on_host_library_and_board(
+    built: Path, flown: Callable[..., Trace]
+) -> None:
+    ports = (
+        HostPort(built / "HOST" / "neuroflight"),
+        ReferencePort(built / "HOST" / "libneuroflight.so"),
+        EmulatedPort(built / "MATEKF722" / "neuroflight.bin"),
+    )
+    host, *others = (flown(port, TURNS, aircraft="hexa") for port in ports)
+    assert host.dshot.shape[1] == MOTORS
+    assert host.dshot.min() >= DSHOT_MIN  # every motor turns at every step
+    assert np.ptp(host.dshot.astype(int), axis=0).min() > 100  # and each is steered
+    for other in others:
+        assert np.array_equal(host.dshot, other.dshot)
+        assert host.same(other)
+    error = np.abs(host.setpoint - host.rate)
+    settled = error.reshape(3, -1, 3)[:, 200:]  # the last 0.2 s of each command
+    assert np.degrees(settled.mean()) < 10.0
+
+
+def test_the_image_with_six_motors_keeps_its_memory_budgets(built: Path) -> None:
+    report = json.loads((built / "MATEKF722" / "report.json").read_text())
+    assert report["pid"]["aircraft"] == report["policy"]["aircraft"] == "hexa"
+    assert all(budget["used"] <= budget["size"] for budget in report["budgets"])
