@@ -26,6 +26,7 @@ from sim.physics.twin import Twin
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
 from tests.firmware.board.conftest import Chip, Sketch
+from tests.firmware.board.registers import registers_in_use
 from toolchain.contract import (
     DTCM,
     FLASH_BASE,
@@ -42,7 +43,6 @@ from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES, Route, price_rout
 from toolchain.cortex_m7.disassembly import disassemble
 from toolchain.cortex_m7.emulator import CortexM7, load_program
 from toolchain.image.build import build
-from toolchain.rendering.register_table import load
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ("nf1", "nf1-six")  # the shipped one, and 6-64-64-4
@@ -243,9 +243,7 @@ class _Board:
 
     def __init__(self, elf: Path) -> None:
         with elf.open("rb") as file:
-            sketch = Sketch(
-                ELFFile(file), load(ROOT / "firmware" / "targets" / "MATEKF722"), cycles_a_read=2000
-            )
+            sketch = Sketch(ELFFile(file), registers_in_use(), cycles_a_read=2000)
         Chip(sketch, 0x70)
         program = load_program(elf)
         sketch.run(program.symbol("msp_uart_serve").address)

@@ -8,6 +8,7 @@ refuses what the chip's manual refuses, and counts what the image touches.
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from sim.board.core.context import Bus, Context
+from toolchain.errors import BuildError
 
 TABLE = Path(__file__).with_name("registers.json")
 WINDOW = 0x400  # the engine attaches peripherals in windows of this many bytes
@@ -104,10 +106,18 @@ class Table:
         return None
 
 
+def digest(rows: dict[str, Any]) -> str:
+    """SHA-256 of a table's interrupts and peripherals, so that an edit by hand is noticed."""
+    kept = [rows["interrupts"], rows["peripherals"]]
+    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()
+
+
 @cache
-def load_table() -> Table:
-    """The committed table."""
-    data = json.loads(TABLE.read_text())
+def load_table(path: Path = TABLE) -> Table:
+    """The committed table. Raises BuildError when it was edited by hand."""
+    data = json.loads(path.read_text())
+    if data["rows_sha256"] != digest(data):
+        raise BuildError(f"{path}: its rows are not those that were extracted; extract it again")
     return Table(
         data["sha256"],
         {name: _block(name, block) for name, block in data["peripherals"].items()},

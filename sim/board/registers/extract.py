@@ -1,10 +1,11 @@
-"""The register table of the emulated board: taken from the vendor's description, committed as JSON.
+"""The register table of the chip: taken from the vendor's description, committed as registers.json.
 
     python -m sim.board.registers.extract STM32F7x2.svd
 
-The emulator checks every access against it: addresses, reset values, access rights, fields and interrupt
-numbers are the vendor's. What the emulator adds stands below: the registers that it models and, of each, the
-fields. The firmware's header is no source of this table, so that an error in one shows against the other.
+The emulator checks every access against it, and the firmware's tests the firmware's header: addresses, reset
+values, access rights, fields and interrupt numbers are the vendor's. What the emulator adds stands below: the
+registers that it models and, of each, the fields. The header is written by hand from the manuals and is no
+source of this table, so that an error in one shows against the other.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sim.board.registers.bus import TABLE, digest
+from sim.board.registers.core_registers import CORE_REGISTERS
 from toolchain.errors import BuildError, NeuroflightError
 from toolchain.files import write_text_if_changed
-
-TABLE = Path(__file__).with_name("registers.json")
 
 _ALL = "*"  # every field that the description has
 _TIMER = {
@@ -141,6 +142,7 @@ def extract(svd: Path) -> dict[str, object]:
     missing = sorted(set(MODELLED) - set(named))
     if missing:
         raise BuildError(f"{svd}: has no {', '.join(missing)}; give the description of the STM32F7x2")
+    _check_core(named)
     peripherals = {
         name: _peripheral(name, named)
         for name in sorted(named, key=lambda n: _number(named[n], "baseAddress"))
@@ -149,12 +151,35 @@ def extract(svd: Path) -> dict[str, object]:
     interrupts = sorted(
         {(_number(node, "value"), _text(node, "name").upper()) for node in root.iter("interrupt")}
     )
+    rows = {"interrupts": {name: number for number, name in interrupts}, "peripherals": peripherals}
     return {
         "device": f"{_text(root, 'name')} {_text(root, 'version')}",
         "sha256": hashlib.sha256(data).hexdigest(),
-        "interrupts": {name: number for number, name in interrupts},
-        "peripherals": peripherals,
+        "rows_sha256": digest(rows),
+        **rows,
     }
+
+
+def _check_core(named: dict[str, ET.Element]) -> None:
+    """Raise BuildError where the description puts a field of a register stated by hand onto other bits."""
+    described = {
+        _number(node, "baseAddress") + offset: register
+        for node in named.values()
+        for register, offset, _ in _registers(node)
+    }
+    for register in CORE_REGISTERS:
+        node = described.get(register.address)
+        theirs = {} if node is None else {_text(field, "name"): field for field in node.iter("field")}
+        for field in register.fields:
+            found = theirs.get(field.name)
+            if found is not None and _bits(found) != (field.lsb, field.width):
+                raise BuildError(
+                    f"register description: {register.name} {field.name} is elsewhere than stated"
+                )
+
+
+def _bits(field: ET.Element) -> tuple[int, int]:
+    return _number(field, "bitOffset"), _number(field, "bitWidth")
 
 
 def _peripheral(name: str, named: dict[str, ET.Element]) -> dict[str, object]:
@@ -211,8 +236,7 @@ def _register(
         "sizes": list(sizes),
         "fields": {
             name: [
-                _number(field, "bitOffset"),
-                _number(field, "bitWidth"),
+                *_bits(field),
                 _ACCESS[field.findtext("access") or node.findtext("access")],
                 int(name in wanted),
             ]

@@ -6,7 +6,7 @@ import io
 import itertools
 import struct
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,9 @@ from unicorn.arm_const import (
 )
 
 from sim.aircraft.model import load_aircraft
+from sim.board.registers.core_registers import Register
 from sim.control.pid_table import pid_table
+from tests.firmware.board.registers import registers_in_use
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
 from toolchain.ir.network import chain
@@ -36,10 +38,8 @@ from toolchain.ir.operations import Clip, Linear, Operation, Tanh
 from toolchain.policy.model import PolicyModel
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import render_pid_table
-from toolchain.rendering.register_table import Register, RegisterTable, load
 
 ROOT = Path(__file__).resolve().parents[3]
-TARGET = ROOT / "firmware" / "targets" / "MATEKF722"
 WIDTHS = (6, 64, 64, 4)
 CONTROL_HZ = 1000
 
@@ -120,9 +120,9 @@ def symbols(elf: ELFFile) -> dict[str, int]:
 
 
 @pytest.fixture(scope="session")
-def registers() -> RegisterTable:
-    """The committed register table."""
-    return load(TARGET)
+def registers() -> tuple[Register, ...]:
+    """Those that the firmware touches, as the vendor describes them."""
+    return registers_in_use()
 
 
 def processor() -> Any:
@@ -144,18 +144,18 @@ class Sketch:
     def __init__(
         self,
         elf: ELFFile,
-        table: RegisterTable,
+        registers: Sequence[Register],
         dead: frozenset[str] = frozenset(),
         cycles_a_read: int = 20000,
     ) -> None:
-        self._made_of = elf, table
+        self._made_of = elf, registers
         names = elf.get_section_by_name(".symtab")
         assert isinstance(names, SymbolTableSection)
         counter = names.get_symbol_by_name("milliseconds_passed")
         assert counter is not None
         self._milliseconds = int(counter[0]["st_value"])
-        self.by_address = {r.address: r for r in table.registers}
-        self.by_name = {(r.name, r.instance): r for r in table.registers}
+        self.by_address = {r.address: r for r in registers}
+        self.by_name = {(r.name, r.instance): r for r in registers}
         self.dead = dead
         self.cycles, self.cycles_a_read = 0, cycles_a_read
         self.sins: list[str] = []
@@ -335,7 +335,7 @@ def make_chip() -> Callable[..., Chip]:
 
 
 @pytest.fixture(scope="session")
-def make_sketch(elf: ELFFile, registers: RegisterTable) -> Callable[..., Sketch]:
+def make_sketch(elf: ELFFile, registers: Sequence[Register]) -> Callable[..., Sketch]:
     """Makes a board with the image in its flash; `dead` names ready bits that never come true."""
     return lambda **options: Sketch(elf, registers, **options)
 

@@ -12,6 +12,7 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
+from sim.board.registers.bus import load_table
 from toolchain.contract import (
     DTCM,
     FLASH_BANK_A,
@@ -24,7 +25,6 @@ from toolchain.contract import (
     Region,
 )
 from toolchain.cortex_m7.arm_policy import state_bytes
-from toolchain.rendering.register_table import RegisterTable
 
 KIB = 1024
 NULL_PAGE = 512  # bytes at the start of ITCM that the MPU closes
@@ -116,17 +116,16 @@ def test_the_boot_part_can_start_alone_when_reset(elf: ELFFile, symbols: dict[st
         assert handler & 1 and within(handler & ~1, 2, boot)
 
 
-def test_every_vector_points_at_code_when_the_bank_starts(
-    elf: ELFFile, symbols: dict[str, int], registers: RegisterTable
-) -> None:
-    table = SYSTEM_VECTORS + max(registers.interrupts.values()) + 1
+def test_every_vector_points_at_code_when_the_bank_starts(elf: ELFFile, symbols: dict[str, int]) -> None:
+    interrupts = load_table().interrupts
+    table = SYSTEM_VECTORS + max(interrupts.values()) + 1
     stack, *handlers = words(elf, ".vectors")
     code = allocated(elf, SH_FLAGS.SHF_EXECINSTR).values()
     own = {
         1: "reset_handler",
         TICK_VECTOR: "tick_handler",
-        SYSTEM_VECTORS + registers.interrupts["EXTI3"]: "gyro_edge_handler",
-        SYSTEM_VECTORS + registers.interrupts["DMA2_STREAM2"]: "gyro_sample_handler",
+        SYSTEM_VECTORS + interrupts["EXTI3"]: "gyro_edge_handler",
+        SYSTEM_VECTORS + interrupts["DMA2_STREAM2"]: "gyro_sample_handler",
     }
     assert allocated(elf)[".vectors"].address == FLASH_BANK_A.address
     assert symbols["fast_vectors"] % 512 == 0  # of 120 vectors (ARMv7-M B3.2.5)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from sim.board.registers.core_registers import Register
 from toolchain.contract import DTCM
-from toolchain.rendering.register_table import Register
 
 SCRATCH = 0x2000F000  # DTCM that the image does not use
 HARD, ASSERT, WATCHDOG, BROWN_OUT, CLOCK = range(1, 6)

@@ -5,31 +5,19 @@ The header is read by the compiler: its preprocessor lists the macros, a small p
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import pytest
 
-from toolchain.errors import BuildError
-from toolchain.rendering.register_table import (
-    INTERRUPTS_FILE,
-    REGISTERS_FILE,
-    Register,
-    RegisterTable,
-    extract,
-    load,
-    main,
-    render,
-)
+from sim.board.registers.bus import load_table
+from sim.board.registers.core_registers import Register
+from tests.firmware.board.registers import registers_in_use
 
 ROOT = Path(__file__).resolve().parents[3]
 HEADER = ROOT / "firmware" / "hal" / "stm32f7" / "core" / "registers.h"
-TARGET = ROOT / "firmware" / "targets" / "MATEKF722"
-# The vendor's description of the STM32F7x2, version 1.3, from which the committed table comes.
-SVD_SHA256 = "8d411b234d33dad0d4daa56acdc03991d45feb91ab6ffecf49b2cfca83c119d9"
 HELPERS = {"STM32F7_REGISTERS_H", "REGISTER", "BIT", "BITS", "FIELD", "VALUE"}
 INSTANCE = re.compile(r"(GPIO[A-Z]|DMA\d|TIM\d|SPI\d|USART\d)")
 
@@ -37,8 +25,8 @@ Evaluate = Callable[[Iterable[str]], dict[str, int]]
 
 
 @pytest.fixture(scope="module")
-def table() -> RegisterTable:
-    return load(TARGET)
+def registers() -> tuple[Register, ...]:
+    return registers_in_use()
 
 
 @pytest.fixture(scope="module")
@@ -82,44 +70,45 @@ def expression(register: Register) -> str:
 
 
 def test_every_register_is_where_the_table_says_when_compiled(
-    table: RegisterTable, macros: set[str], evaluate: Evaluate
+    registers: Sequence[Register], macros: set[str], evaluate: Evaluate
 ) -> None:
-    expressions = {f"(uintptr_t)&{expression(r)}": r.address for r in table.registers if r.name in macros}
+    expressions = {f"(uintptr_t)&{expression(r)}": r.address for r in registers if r.name in macros}
     assert len(expressions) > 100
     assert evaluate(expressions) == expressions
 
 
-def test_header_and_table_hold_the_same_registers_when_listed(table: RegisterTable, macros: set[str]) -> None:
-    names = {register.name for register in table.registers}
+def test_header_and_table_hold_the_same_registers_when_listed(
+    registers: Sequence[Register], macros: set[str]
+) -> None:
+    names = {register.name for register in registers}
     stated = {name for name in macros if not INSTANCE.fullmatch(name) and name.count("_") == 1}
     stated -= {name for name in stated if name.startswith("IRQ_")}
     assert stated == names
 
 
 def test_every_field_has_the_tables_bits_when_compiled(
-    table: RegisterTable, macros: set[str], evaluate: Evaluate
+    registers: Sequence[Register], macros: set[str], evaluate: Evaluate
 ) -> None:
     fields = {name for name in macros if name.count("_") >= 2 and not name.startswith("IRQ_")}
     masks = evaluate(fields)
     assert len(fields) > 100
     for name in fields:
         family, short, field = name.split("_", 2)
-        registers = [r for r in table.registers if r.name == f"{family}_{short}"]
-        assert registers, f"{name} belongs to no register"
-        for register in registers:
+        alike = [r for r in registers if r.name == f"{family}_{short}"]
+        assert alike, f"{name} belongs to no register"
+        for register in alike:
             known = {f.name: f.mask for f in register.fields}
             assert known.get(field) == masks[name], f"{name} of {register.instance}"
 
 
-def test_interrupt_numbers_are_the_tables_when_compiled(
-    table: RegisterTable, macros: set[str], evaluate: Evaluate
-) -> None:
+def test_interrupt_numbers_are_the_tables_when_compiled(macros: set[str], evaluate: Evaluate) -> None:
+    interrupts = load_table().interrupts
     stated = {name for name in macros if name.startswith("IRQ_")}
     numbers = evaluate(stated)
-    assert numbers.pop("IRQ_COUNT") == max(table.interrupts.values()) + 1
+    assert numbers.pop("IRQ_COUNT") == max(interrupts.values()) + 1
     assert len(numbers) >= 2
     for name, number in numbers.items():
-        assert table.interrupts[name.removeprefix("IRQ_")] == number
+        assert interrupts[name.removeprefix("IRQ_")] == number
 
 
 def test_field_macros_place_and_read_values_when_used(evaluate: Evaluate) -> None:
@@ -132,11 +121,10 @@ def test_field_macros_place_and_read_values_when_used(evaluate: Evaluate) -> Non
     assert evaluate(expected) == expected
 
 
-def test_the_committed_table_is_sound_when_read(table: RegisterTable) -> None:
-    assert table.svd_sha256 == SVD_SHA256
-    places = [register.address for register in table.registers]
+def test_the_registers_in_use_are_sound_when_read(registers: Sequence[Register]) -> None:
+    places = [register.address for register in registers]
     assert len(places) == len(set(places))
-    for register in table.registers:
+    for register in registers:
         assert register.address % 4 == 0
         assert register.access in {"r", "w", "rw"}
         assert register.reset is None or 0 <= register.reset < 1 << 32
@@ -145,51 +133,3 @@ def test_the_committed_table_is_sound_when_read(table: RegisterTable) -> None:
             assert field.mask < 1 << 32 and not taken & field.mask, (register.name, field.name)
             assert field.access in {"r", "w", "rw"}
             taken |= field.mask
-
-
-def test_the_committed_table_is_the_scripts_when_the_description_is_at_hand(table: RegisterTable) -> None:
-    """Where it is not, the digests inside the files stand for it: `load` has compared the rows'."""
-    beside = ROOT.parent / "shared" / "svd" / "stm32f7x2.svd"
-    svd = Path(os.environ.get("NEUROFLIGHT_SVD", beside))
-    committed = {name: (TARGET / name).read_text() for name in (REGISTERS_FILE, INTERRUPTS_FILE)}
-    assert render(table) == committed
-    if svd.is_file():
-        assert render(extract(svd)) == committed
-
-
-def test_a_row_edited_by_hand_is_refused_when_read(tmp_path: Path) -> None:
-    for name in (REGISTERS_FILE, INTERRUPTS_FILE):
-        (tmp_path / name).write_text((TARGET / name).read_text())
-    (tmp_path / REGISTERS_FILE).write_text(
-        (TARGET / REGISTERS_FILE).read_text().replace("0x40023800", "0x40023804", 1)
-    )
-    with pytest.raises(BuildError, match=r"registers\.csv: its rows are not those that were extracted"):
-        load(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("no xml", "syntax error"),
-        ("<device/>", "has no <peripherals>"),
-        ("<device><peripherals/></device>", "no peripheral FLASH"),
-    ],
-)
-def test_another_file_is_refused_and_nothing_written_when_extracting(
-    text: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    svd = tmp_path / "some.svd"
-    svd.write_text(text)
-    assert main([str(svd), "--out", str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_missing_register_is_named_when_extracting(tmp_path: Path) -> None:
-    register = "<register><name>OPTKEYR</name><addressOffset>0x8</addressOffset></register>"
-    flash = f"<name>FLASH</name><baseAddress>0x1000</baseAddress><registers>{register}</registers>"
-    svd = tmp_path / "some.svd"
-    svd.write_text(f"<device><peripherals><peripheral>{flash}</peripheral></peripherals></device>")
-    with pytest.raises(BuildError, match="FLASH lacks ACR"):
-        extract(svd)

@@ -1,7 +1,7 @@
 /* Registers of the STM32F722 and its Cortex-M7 that this firmware touches, and no others.
  *
  * Written by hand from the manuals; tests/firmware/board/test_registers.py holds every address and field
- * against firmware/targets/MATEKF722/registers.csv, which a script extracts from the vendor's
+ * against sim/board/registers/registers.json, which a script extracts from the vendor's
  * description, so that an error in one shows against the other.
  *
  * Names: PERIPHERAL_REGISTER is the register (function-like where there are several instances),

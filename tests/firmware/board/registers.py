@@ -1,0 +1,75 @@
+"""What the firmware touches of the chip: the vendor's table under the names of the firmware's header.
+
+The values are those of sim/board/registers; which registers are in use is stated here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from sim.board.registers.bus import Table, load_table
+from sim.board.registers.core_registers import CORE_REGISTERS, Register
+
+_GPIO = "MODER OTYPER OSPEEDR PUPDR BSRR AFRL AFRH"
+_DMA = "LISR HISR LIFCR HIFCR SCR SNDTR SPAR SM0AR"
+_USART = "CR1 CR2 CR3 BRR ISR ICR RDR TDR"
+_IN_USE = {
+    "FLASH": "ACR KEYR SR CR OPTCR",
+    "PWR": "CR1 CSR1",
+    "RCC": "CR PLLCFGR CFGR CIR AHB1ENR APB1ENR APB2ENR CSR",
+    "GPIOA": _GPIO,
+    "GPIOB": _GPIO,
+    "GPIOC": _GPIO,
+    "SYSCFG": "EXTICR1",
+    "DMA1": _DMA,
+    "DMA2": _DMA,
+    "EXTI": "IMR RTSR PR",
+    "TIM1": "CR1 CR2 DIER EGR CCMR1 CCER CNT PSC ARR CCR BDTR",
+    "TIM3": "CR1 DIER EGR CCMR2 CCER CNT PSC ARR CCR",
+    "TIM8": "CR1 DIER EGR CCMR1 CCMR2 CCER CNT PSC ARR CCR BDTR DCR DMAR",
+    "ADC1": "SR CR1 CR2 SMPR1 SQR1 SQR3 DR",
+    "ADC_Common": "CCR",
+    "IWDG": "KR PR RLR SR",
+    "DBGMCU": "APB1FZ",
+    "SPI1": "CR1 CR2 SR DR",
+    "USART1": _USART,
+    "USART2": _USART,
+}
+_STREAMS = {"DMA1": "25", "DMA2": "0123567"}  # of the controllers' eight
+_MANUALS = {"ADC_Common": "ADC", "APB1_FZ": "APB1FZ"}  # the manual's names where the vendor's differ
+_FAMILIES = re.compile(r"(GPIO|DMA|TIM|SPI|USART)[A-Z0-9]+")  # instances that share their registers' names
+
+
+def registers_in_use(table: Table | None = None) -> tuple[Register, ...]:
+    """Every register that the firmware touches, in order of address, the core's included."""
+    found = [r for name in _IN_USE for r in _peripheral(table or load_table(), name)]
+    return tuple(sorted([*found, *CORE_REGISTERS], key=lambda register: register.address))
+
+
+def _peripheral(table: Table, name: str) -> Iterator[Register]:
+    block, wanted = table.blocks[name], set(_IN_USE[name].split())
+    family = match[1] if (match := _FAMILIES.fullmatch(name)) else _MANUALS.get(name, name)
+    missing = set(wanted)
+    for vendors in block.registers.values():
+        title, index = _MANUALS.get(vendors.name, vendors.name), ""
+        # In the header the number is an argument: S1CR is SCR, index 1; CCR2 is CCR, index 2.
+        if family == "DMA" and (one := re.fullmatch(r"S(\d)(\w+)", title)):
+            title, index = f"S{one[2]}", one[1]
+        elif family == "TIM" and (one := re.fullmatch(r"CCR([1-4])", title)):
+            title, index = "CCR", one[1]
+        if title not in wanted or (family == "DMA" and index and index not in _STREAMS[name]):
+            continue
+        missing.discard(title)
+        assert vendors.modelled, f"{name}: the table has no fields of {vendors.name}"
+        yield Register(
+            name=f"{family}_{title}",
+            instance=_MANUALS.get(name, name),
+            index=index,
+            address=block.base + vendors.offset,
+            access=vendors.access,
+            reset=vendors.reset,
+            source="svd",
+            fields=tuple(vendors.fields.values()),
+        )
+    assert not missing, f"{name}: the table lacks {missing}"
