@@ -17,7 +17,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packets are read and 
 #define SERVO_PACKET_MOTORS 16
 #define PACKET_MAX 256 /* longer than any good packet, so that a longer one shows */
 
-/* The packets of contract.py. */
+/* The packets of toolchain/contract/simulator_link.py. */
 struct state_packet {
 	double time_s, rates_frd[3], force_frd[3], ignored[11];
 };

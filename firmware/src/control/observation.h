@@ -1,4 +1,4 @@
-/* Observation: the policy's input, put together from terms: named blocks (toolchain/contract.py), each perhaps
+/* Observation: the policy's input, put together from terms: named blocks (toolchain/contract/), each perhaps
  * low-passed, then perhaps some steps old. */
 #ifndef NF_OBSERVATION_H
 #define NF_OBSERVATION_H

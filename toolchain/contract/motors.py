@@ -1,0 +1,37 @@
+"""The motor test, DShot values and commands, and the idle of armed motors."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+MOTOR_TEST_TIMEOUT_MS = 500  # a motor test without a fresh request ends; arming waits as long after it
+MOTOR_TEST_MAGIC = 0x5453544D  # "MTST": opens it; 0 closes it
+MOTOR_TEST_MAX = 0.5  # motor fraction: shows direction, order and balance at a quarter of the thrust
+MOTOR_TEST_SUM_MAX = 1.0  # of all motors: the NF1 hovers at four times 0.27
+
+DSHOT_STOP = 0
+DSHOT_MIN, DSHOT_MAX = 48, 2047  # 1..47 are commands, never sent by the control path
+DSHOT_SPAN = DSHOT_MAX - DSHOT_MIN  # value = 48 + (uint16)(1999 u + 0.5)
+DSHOT_ALL_MOTORS = 255  # where a command may name one
+
+
+class DshotCommand(IntEnum):
+    """Commands to a motor's controller; all others are refused."""
+
+    STOP = 0  # ends what is under way
+    BEACON_1 = 1
+    BEACON_2 = 2
+    BEACON_3 = 3
+    BEACON_4 = 4
+    BEACON_5 = 5
+    DIRECTION_1 = 7  # as the motor is wired
+    DIRECTION_2 = 8
+    SAVE = 12  # what direction was told last
+    DIRECTION_NORMAL = 20  # as the controller is set up
+    DIRECTION_REVERSED = 21
+
+
+# u' = idle + (1 - idle) u: the fraction that an armed motor turns at without thrust. A policy is trained with
+# its own, which it brings along.
+IDLE_DEFAULT = 0.0  # of policies that do not tell
+IDLE_MAX = 0.5

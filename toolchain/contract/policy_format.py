@@ -1,0 +1,82 @@
+"""The files of a policy: metadata of policy.onnx, the header of a policy blob, checkpoints."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from toolchain.contract.observation import OBSERVATION_TERMS_MAX
+
+# --- policy.onnx: its metadata_props ---------------------------------------------------------
+POLICY_FORMAT_VERSION = "1"
+POLICY_INPUT, POLICY_OUTPUT = "observation", "action"
+META_VERSION = "neuroflight.version"
+META_OBSERVATION = "neuroflight.observation"
+META_CONTROL_RATE = "neuroflight.control_rate_hz"
+META_FILTERS = "neuroflight.filters"
+META_IDLE = "neuroflight.idle"  # absent: IDLE_DEFAULT
+META_AIRCRAFT = "neuroflight.aircraft"
+META_AIRCRAFT_SHA256 = "neuroflight.aircraft_sha256"
+META_TRAINING = "neuroflight.training"
+POLICY_FILE_BYTES_MAX = 4 << 20
+SELFTEST_COUNT = 16
+
+# --- Policy blob: the bytes compiled in and put in a policy slot (docs/policy-blob.md) ---------
+# header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
+# behind the one before without a gap, all little-endian.
+POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
+POLICY_BLOB_LAYOUT = 2
+POLICY_BLOB_AIRCRAFT_BYTES = 32
+POLICY_BLOB_CRC_BYTES = 4
+POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter
+SHA256_BYTES = 32
+
+
+@dataclass(frozen=True)
+class HeaderField:
+    """One field of the blob's header; an array where `count` is above 1."""
+
+    c_type: str
+    name: str
+    unit: str
+    meaning: str
+    count: int = 1
+
+    @property
+    def format(self) -> str:
+        """The field for `struct`; an array counts as its bytes."""
+        code = {"char": "B", "uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f"}[self.c_type]
+        return f"{self.count * struct.calcsize(code)}s" if self.count > 1 else code
+
+
+POLICY_BLOB_FIELDS = (
+    HeaderField("uint32_t", "magic", "", "NFPB, in that order in memory"),
+    HeaderField("uint16_t", "layout", "", "version of this layout"),
+    HeaderField("uint16_t", "header_bytes", "bytes", "where the weights begin, a multiple of 8"),
+    HeaderField("uint32_t", "total_bytes", "bytes", "of the whole blob, CRC included"),
+    HeaderField("uint32_t", "sequence", "", "0: compiled in; of valid slots the highest is flown"),
+    HeaderField("uint32_t", "architecture_hash", "", "same: weights may be exchanged"),
+    HeaderField("uint32_t", "filters_hash", "", "CRC-32 of the gyro filters' JSON list"),
+    HeaderField("uint32_t", "control_rate_hz", "Hz", "of policy_step, at least 1"),
+    HeaderField("uint16_t", "observation_count", "floats", "of an observation, at least 1"),
+    HeaderField("uint16_t", "action_count", "floats", "of an action: the motors, at least 1"),
+    HeaderField("uint32_t", "weight_offset", "bytes", "of the weights from the blob's begin"),
+    HeaderField("uint32_t", "weight_count", "floats", "of the table, tables of functions included"),
+    HeaderField("uint32_t", "selftest_offset", "bytes", "of the observations; the actions follow them"),
+    HeaderField("uint16_t", "selftest_count", "rows", "of observations and of actions, at least 1"),
+    HeaderField("uint16_t", "selftest_steps", "rows", "from one policy_init to the next; divides the count"),
+    HeaderField("uint32_t", "observation_term_count", "", "used entries of the next three, at least 1"),
+    HeaderField("uint8_t", "observation_blocks", "", "codes in order, then 0", OBSERVATION_TERMS_MAX),
+    HeaderField("uint8_t", "observation_ages", "steps", "of each term, then 0", OBSERVATION_TERMS_MAX),
+    HeaderField("float", "observation_gains", "", "of each low-pass, 0: none", OBSERVATION_TERMS_MAX),
+    HeaderField("char", "aircraft", "", "ASCII, then 0; a name may fill it", POLICY_BLOB_AIRCRAFT_BYTES),
+    HeaderField("uint8_t", "aircraft_sha256", "", "of the aircraft trained for", SHA256_BYTES),
+    HeaderField("uint8_t", "policy_sha256", "", "of the ONNX file", SHA256_BYTES),
+    HeaderField("float", "idle", "", "motor fraction at zero thrust, 0 to 0.5"),
+)
+POLICY_BLOB_HEADER_FORMAT = "<" + "".join(field.format for field in POLICY_BLOB_FIELDS)
+
+# --- Checkpoint (torch.save of plain containers and tensors, loaded with weights_only) --------
+CHECKPOINT_FORMAT = "neuroflight.checkpoint"
+CHECKPOINT_VERSION = 1
+CHECKPOINT_FILE_BYTES_MAX = 64 << 20

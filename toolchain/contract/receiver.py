@@ -1,0 +1,24 @@
+"""The pilot's sticks, and the frames of the receivers that bring them."""
+
+from __future__ import annotations
+
+CHANNEL_COUNT = 16
+CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_ARM = range(5)
+CHANNEL_PID, CHANNEL_BEEPER = 5, 6
+CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
+CHANNEL_VALID_MIN_US, CHANNEL_VALID_MAX_US = 750, 2250  # no pulse of a receiver lies outside
+ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
+PID_ON_US = 1700  # at or above this the PID flies
+BEEPER_ON_US = 1700
+THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
+RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
+
+# SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
+SBUS_FRAME_BYTES = 25
+SBUS_HEADER, SBUS_FOOTER = 0x0F, 0x00
+SBUS_FLAG_FRAME_LOST, SBUS_FLAG_FAILSAFE = 0x04, 0x08
+
+# CRSF: sync, length of what follows, type, payload, CRC-8/DVB-S2 over type and payload; channels as in SBUS.
+CRSF_SYNC = 0xC8
+CRSF_FRAME_BYTES_MAX = 64
+CRSF_TYPE_LINK, CRSF_TYPE_CHANNELS = 0x14, 0x16

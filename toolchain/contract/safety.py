@@ -1,0 +1,92 @@
+"""Limits of arming, failsafe and crash detection, and the states and reasons that the firmware tells."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+# Times are in milliseconds of gyro samples.
+BOOT_GRACE_MS = 1000  # no arming before this
+CALIBRATION_MS = 1000  # length of the still gyro average
+CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
+CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
+RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
+RECEIVER_LOST_MS = 400  # silence after which the configured failsafe stage begins
+RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
+GYRO_BAD_MS = 10  # bad, stuck, saturated or silent: so long the last good sample stands in, then motors stop
+DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
+# A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so
+# much more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
+CRASH_ERROR_DEG_S = 500.0
+CRASH_SPREAD = 0.5  # of the controller's answer, before the throttle
+CRASH_MS = 250
+# A runaway, as of a motor or propeller in the wrong place: for so long an axis is as far off, turns away from
+# what was asked for, and faster at the end. A pilot who turns round sees the rate fall within 30 ms.
+RUNAWAY_WINDOW_MS = 1000  # after arming
+RUNAWAY_MS = 50
+HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
+
+
+class FlightState(IntEnum):
+    """What the firmware is doing; firmware/src/safety/safety.c has the transitions."""
+
+    BOOT = 0
+    CALIBRATING = 1
+    DISARMED = 2
+    ARMED = 3
+    FAILSAFE_HOLD = 4  # armed, the receiver silent: rates centred, throttle kept
+    FAILSAFE_DROP = 5  # the configured stage: motors stopped, or a descent that ends so
+    CRASHED = 6  # motors stopped until the switch has been off
+    FAULT = 7  # motors stopped until the next boot
+
+
+class ArmingReason(IntEnum):
+    """Bit number of each reason that keeps the motors stopped."""
+
+    BOOT_GRACE = 0
+    GYRO_NOT_CALIBRATED = 1
+    RECEIVER_LOST = 2
+    THROTTLE_HIGH = 3
+    SWITCH_NOT_CYCLED = 4
+    POLICY_BAD = 5  # and the switch chooses the policy
+    GYRO_BAD = 6  # stuck, saturated, silent or no number
+    NOT_LEVEL = 7  # tilted beyond the limit, or the attitude is not known
+    BATTERY_UNKNOWN = 8
+    FAULT = 9  # a fault record that nobody acknowledged
+    CRASHED = 10
+    MOTOR_TEST = 11
+    STORING = 12  # flash is being erased or written, or the board is about to start anew
+    PID_MISSING = 13  # the switch chooses a PID that is not built in
+
+
+class StopCause(IntEnum):
+    """Why the motors stopped last."""
+
+    NONE = 0
+    SWITCH = 1
+    RECEIVER = 2
+    GYRO_INVALID = 3
+    GYRO_STUCK = 4
+    GYRO_SATURATED = 5
+    GYRO_SILENT = 6
+    CRASH = 7
+    RUNAWAY = 8
+    NO_CONTROLLER = 9  # the policy was refused in flight and no PID is built in
+
+
+class FallbackCause(IntEnum):
+    """Why the PID flies instead of the policy."""
+
+    NONE = 0
+    SWITCH = 1  # the pilot's
+    POLICY_OUTPUT = 2  # NaN or out of range
+    DEADLINE = 3
+
+
+class GyroHealth(IntEnum):
+    """What is wrong with the gyro's samples."""
+
+    GOOD = 0
+    INVALID = 1  # the transfer failed or the value is no rate
+    STUCK = 2
+    SATURATED = 3
+    SILENT = 4
