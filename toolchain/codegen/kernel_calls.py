@@ -1,10 +1,9 @@
-"""The nouns that lowering leaves: calls of kernels, and the places in `struct policy` that they work on."""
+"""What lowering gives: calls of kernels, and the places in `struct policy` that they work on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-LANES = 4  # values that a kernel takes at a time
 BLOCK = 8  # outputs summed at a time: 8 sums, 8 inputs and 16 weights fill the FPU's 32 registers
 
 
@@ -27,8 +26,3 @@ class Call:
     table: int | None = None  # where in the table its part begins
     inputs: int = 0  # of a linear kernel, or how far apart a "copy" reads
     constants: tuple[float, ...] = ()
-
-
-def padded(count: int) -> int:
-    """`count` rounded up to whole lanes."""
-    return -(-count // LANES) * LANES

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import assert_never
 
 import numpy as np
 
-from toolchain.codegen.kernel_calls import BLOCK, LANES, Call, Place, padded
+from toolchain.codegen.kernel_calls import BLOCK, Call, Place
 from toolchain.codegen.scratch_allocation import PendingCall
 from toolchain.codegen.weight_table import block_part, function_part, lanes_part, padded_gates
 from toolchain.ir.activation_tables import EXPM1, TANH, Lookup
 from toolchain.ir.float32 import Float32
+from toolchain.ir.lanes import LANES, padded
 from toolchain.ir.network import Network, Node
 from toolchain.ir.operations import (
     Add,
@@ -116,7 +118,8 @@ class Lowering:
                 return self._gru(node.operation, x)
             case Lstm():
                 return self._lstm(node.operation, x)
-        raise TypeError(f"{node.operation} cannot be lowered")
+            case never:
+                assert_never(never)
 
     # --- kernels -----------------------------------------------------------------------------------
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.codegen.kernel_calls import padded
 from toolchain.ir.activation_tables import Lookup
 from toolchain.ir.float32 import Float32
+from toolchain.ir.lanes import padded
 
 
 def function_part(lookup: Lookup) -> Float32:

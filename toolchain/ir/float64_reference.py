@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,13 @@ from toolchain.ir.operations import (
     Lstm,
     Multiply,
     Operation,
+    Recurrent,
     Relu,
     Sigmoid,
     Silu,
     Slice,
     Softsign,
+    Stateless,
     Tanh,
 )
 
@@ -96,12 +98,17 @@ def _moved(operation: Operation, rng: np.random.Generator) -> Operation:
 
 
 def _clear(operation: Operation, sequences: int) -> tuple[Float64, ...]:
+    """The state after policy_init: none, h, or h and c."""
+    if not isinstance(operation, Recurrent):
+        return ()
+    none = np.zeros((sequences, operation.units))
     match operation:
         case Gru():
-            return (np.zeros((sequences, operation.units)),)
+            return (none,)
         case Lstm():
-            return (np.zeros((sequences, operation.units)), np.zeros((sequences, operation.units)))
-    return ()
+            return (none, none)
+        case never:
+            assert_never(never)
 
 
 def _cell(
@@ -119,7 +126,7 @@ def _cell(
     return (_sigmoid(o, tanh) * tanh(c), c)
 
 
-def _apply(operation: Operation, tanh: Function, inputs: list[Float64]) -> Float64:
+def _apply(operation: Stateless, tanh: Function, inputs: list[Float64]) -> Float64:
     x = inputs[0]
     match operation:
         case Linear():
@@ -154,7 +161,8 @@ def _apply(operation: Operation, tanh: Function, inputs: list[Float64]) -> Float
             return np.concatenate(inputs, axis=1)
         case Slice(start, count, step):
             return x[:, start + step * np.arange(count)]
-    raise TypeError(f"{operation} is no operation of one step")
+        case never:
+            assert_never(never)
 
 
 def _sigmoid(x: Float64, tanh: Function) -> Float64:

@@ -10,12 +10,13 @@ motor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import assert_never
 
 import numpy as np
 
-from toolchain.codegen.kernel_calls import LANES
 from toolchain.ir.activation_tables import EXPM1, TANH, apply
 from toolchain.ir.float32 import Float32, fma
+from toolchain.ir.lanes import LANES
 from toolchain.ir.network import Network
 from toolchain.ir.operations import (
     Add,
@@ -29,13 +30,13 @@ from toolchain.ir.operations import (
     Linear,
     Lstm,
     Multiply,
-    Operation,
     Recurrent,
     Relu,
     Sigmoid,
     Silu,
     Slice,
     Softsign,
+    Stateless,
     Tanh,
 )
 
@@ -100,7 +101,7 @@ def advance(
     return np.where(usable, values[-1], np.float32(door.low)), tuple(new)
 
 
-def _apply(operation: Operation, inputs: Sequence[Float32], exact: bool) -> Float32:
+def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Float32:
     x = inputs[0]
     match operation:
         case Linear(weight, bias):
@@ -136,7 +137,8 @@ def _apply(operation: Operation, inputs: Sequence[Float32], exact: bool) -> Floa
             return np.concatenate(inputs, axis=1)
         case Slice(start, count, step):
             return x[:, [start + step * index for index in range(count)]]
-    raise TypeError(f"{operation} is no operation of one step")
+        case never:
+            assert_never(never)
 
 
 def _linear(weight: Float32, bias: Float32, x: Float32, exact: bool) -> Float32:

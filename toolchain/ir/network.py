@@ -5,14 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
 
 from toolchain.ir.operations import (
+    Activation,
+    Add,
     Affine,
     Concat,
     Gru,
     LayerNorm,
     Linear,
     Lstm,
+    Multiply,
     Operation,
     Recurrent,
     Slice,
@@ -91,23 +98,28 @@ def chain(inputs: int, operations: Iterable[Operation]) -> Network:
 
 def output_width(operation: Operation, widths: Sequence[int]) -> int:
     """Width of what `operation` gives for values of `widths`. Raises ValueError when they do not fit it."""
-    match operation:
-        case Concat():
-            return sum(widths)
-        case Linear():
-            expected, result = [operation.inputs], operation.outputs
-        case Gru() | Lstm():
-            expected, result = [int(operation.input_weight.shape[1])], operation.units
-        case Affine() | LayerNorm():
-            expected, result = [operation.scale.size], operation.scale.size
-        case Slice(start, count, step):
-            last = start + (count - 1) * step
-            if count < 1 or step == 0 or not (0 <= start < widths[0] and 0 <= last < widths[0]):
-                raise ValueError(f"{operation} of {widths[0]} values")
-            return count
-        case _:
-            result = widths[0] if widths else 0
-            expected = [result] * (2 if type(operation).__name__ in ("Add", "Multiply") else 1)
+    same = widths[0] if widths else 0
+    if isinstance(operation, Activation):
+        expected, result = [same], same
+    else:
+        match operation:
+            case Add() | Multiply():
+                expected, result = [same, same], same
+            case Affine() | LayerNorm():
+                expected, result = [operation.scale.size], operation.scale.size
+            case Linear():
+                expected, result = [operation.inputs], operation.outputs
+            case Gru() | Lstm():
+                expected, result = [int(operation.input_weight.shape[1])], operation.units
+            case Concat():
+                expected, result = list(widths), sum(widths)
+            case Slice(start, count, step):
+                last = start + (count - 1) * step
+                if count < 1 or step == 0 or not (0 <= start < same and 0 <= last < same):
+                    raise ValueError(f"{operation} of {same} values")
+                expected, result = [same], count
+            case never:
+                assert_never(never)
     if list(widths) != expected:
         raise ValueError(f"{type(operation).__name__} takes values of widths {expected}, got {list(widths)}")
     return result
@@ -115,9 +127,9 @@ def output_width(operation: Operation, widths: Sequence[int]) -> int:
 
 def multiply_adds(operation: Operation) -> int:
     """Multiply-accumulates of the operation's matrices."""
-    match operation:
-        case Linear():
-            return int(operation.weight.size)
-        case Gru() | Lstm():
-            return int(operation.input_weight.size + operation.state_weight.size)
-    return 0
+    return sum(array.size for array in arrays(operation) if array.ndim == 2)
+
+
+def arrays(operation: Operation) -> list[NDArray[np.floating[Any]]]:
+    """The operation's constants that are arrays."""
+    return [value for value in vars(operation).values() if isinstance(value, np.ndarray)]

@@ -6,6 +6,7 @@ Sources: the ONNX operator specification, opset 17.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import assert_never
 
 import numpy as np
 import onnx
@@ -139,6 +140,8 @@ def _write(graph: _Graph, node: Node, inputs: list[str], output: str, state: boo
             graph.add("Slice", [x, *(graph.constant([number], np.int64) for number in ends)], y)
         case Gru() | Lstm() as cell:
             _write_cell(graph, cell, x, output, state)
+        case never:
+            assert_never(never)
 
 
 def _write_cell(graph: _Graph, cell: Gru | Lstm, x: str, output: str, state: bool) -> None:

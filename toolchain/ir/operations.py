@@ -1,4 +1,4 @@
-"""The nouns of a policy's network: what one node computes from the values it takes.
+"""The operations of a policy's network: what one node computes from the values it takes.
 
 A value is a row of float32; every operation takes one or more values and gives one. Weights are float32, in
 the layout that the mathematics has, not the one a kernel reads (toolchain.codegen.plan).
@@ -164,5 +164,7 @@ class Lstm:
 
 
 Activation = Tanh | Sigmoid | Silu | Softsign | Relu | LeakyRelu | Elu | Clip
+Elementwise = Affine | Activation | Add | Multiply  # each element of the result from the same of the inputs
+Stateless = Elementwise | Linear | LayerNorm | Concat | Slice
 Recurrent = Gru | Lstm
-Operation = Linear | Affine | Activation | LayerNorm | Add | Multiply | Concat | Slice | Recurrent
+Operation = Stateless | Recurrent  # a new one: mypy then lists every `match` that lacks it

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, assert_never
 
-from toolchain.ir.network import Network, multiply_adds
+from toolchain.ir.network import Network, arrays, multiply_adds
 from toolchain.ir.operations import (
+    Add,
     Affine,
+    Clip,
     Concat,
     Elu,
     Gru,
@@ -20,11 +22,14 @@ from toolchain.ir.operations import (
     LeakyRelu,
     Linear,
     Lstm,
+    Multiply,
     Operation,
+    Relu,
     Sigmoid,
     Silu,
     Slice,
     Softsign,
+    Tanh,
 )
 from toolchain.passes.affine import fold_affine, lower_sigmoid, merge_affine, move_affine, rounded
 from toolchain.passes.bounds import drop_bounds, fold_constants
@@ -34,6 +39,8 @@ from toolchain.passes.unread import drop_unread
 
 if TYPE_CHECKING:
     from toolchain.passes.equivalence import Proof
+
+FLOAT_BYTES = 4
 
 
 @dataclass(frozen=True)
@@ -113,17 +120,7 @@ def size(network: Network) -> Size:
 
 def weight_bytes(operation: Operation) -> int:
     """Bytes of the operation's weights in float32."""
-    match operation:
-        case Linear(weight, bias):
-            return weight.nbytes + bias.nbytes
-        case Affine(scale, offset) | LayerNorm(_, scale, offset):
-            return 4 * (scale.size + offset.size)
-        case Gru():
-            biases = operation.input_bias.nbytes + operation.state_bias.nbytes
-            return operation.input_weight.nbytes + operation.state_weight.nbytes + biases
-        case Lstm():
-            return operation.input_weight.nbytes + operation.state_weight.nbytes + operation.bias.nbytes
-    return 0
+    return sum(FLOAT_BYTES * array.size for array in arrays(operation))
 
 
 def operations(operation: Operation, width: int) -> int:
@@ -143,7 +140,10 @@ def operations(operation: Operation, width: int) -> int:
             return 4 * width
         case LeakyRelu():
             return 2 * width
-    return width
+        case Affine() | Tanh() | Relu() | Clip() | Add() | Multiply():
+            return width
+        case never:
+            assert_never(never)
 
 
 def _add(old: Saving | None, name: str, before: Network, after: Network, prove: bool) -> Saving:

@@ -6,6 +6,7 @@ What a value can be is found by interval arithmetic from any observation on, exa
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +146,8 @@ def _interval(operation: Operation, taken: Sequence[Interval], width: int) -> In
         case Slice(start, count, step):
             places = start + step * np.arange(count)
             return low[places], high[places]
-    raise TypeError(f"nothing is known of {operation}")
+        case never:
+            assert_never(never)
 
 
 def _bent(

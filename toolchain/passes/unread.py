@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolchain.ir.network import OBSERVATION, Network, Node
-from toolchain.ir.operations import Affine, Concat, Gru, LayerNorm, Linear, Lstm, Operation, Slice
+from toolchain.ir.operations import (
+    Affine,
+    Concat,
+    Elementwise,
+    Gru,
+    LayerNorm,
+    Linear,
+    Lstm,
+    Operation,
+    Slice,
+)
 from toolchain.passes.rewrite import sweep
 
 Mask = NDArray[np.bool_]  # (n,): which elements of a value are kept
@@ -55,6 +66,12 @@ def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
     """Keep of what is `taken` what `result` needs, and of `result` what comes with that."""
     if not result.any():
         return
+    if isinstance(operation, Elementwise):
+        for mask in taken:
+            result |= mask
+        for mask in taken:
+            mask |= result
+        return
     match operation:
         case Linear(weight, _):
             taken[0] |= (weight[result] != 0).any(axis=0)
@@ -69,11 +86,8 @@ def _mark(operation: Operation, result: Mask, taken: Sequence[Mask]) -> None:
                     part |= mask
         case Slice():
             _mark_slice(operation, result, taken[0])
-        case _:
-            for mask in taken:
-                result |= mask
-            for mask in taken:
-                mask |= result
+        case never:
+            assert_never(never)
 
 
 def _parts(result: Mask, widths: Sequence[int]) -> list[Mask]:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from toolchain.codegen.kernel_calls import LANES, Call
+from toolchain.codegen.kernel_calls import Call
 from toolchain.codegen.plan import Plan, lower
 from toolchain.contract import observation_blocks
 from toolchain.ir.activation_tables import TANH
+from toolchain.ir.lanes import LANES
 from toolchain.ir.network import Network, Node, chain
 from toolchain.ir.operations import Add, Clip, Concat, Gru, Linear, Lstm, Operation, Relu, Slice, Tanh
 from toolchain.policy.model import PolicyModel
