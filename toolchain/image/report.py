@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -156,9 +157,9 @@ def print_report(report: BuildReport, console: Console) -> None:
         took = "" if stage.seconds is None else f" ({stage.seconds:.1f} s)"
         table.add_row("" if index else report.target, stage.name, stage.did + took)
     policy = report.policy
-    training = ", ".join(f"{key} {policy.training[key]}" for key in TRAINING_SHOWN if key in policy.training)
+    training = ", ".join(_training(policy.training)) or "not told"
     table.add_row("policy", "network", f"{policy.network}, {policy.weights} weights, {policy.observation}")
-    table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training or 'not told'}")
+    table.add_row("", "training", f"{policy.aircraft}, {policy.control_rate_hz} Hz, {training}")
     table.add_row("", "sha256", f"{policy.sha256[:16]}… (whole in report.json)")
     if report.step_instructions is not None:
         table.add_row("", "a step", _step(report))
@@ -181,6 +182,15 @@ def print_report(report: BuildReport, console: Console) -> None:
     for index, file in enumerate(report.files):
         table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
     console.print(table)
+
+
+def _training(facts: Mapping[str, object]) -> Iterator[str]:
+    """The entries of TRAINING_SHOWN in words: of a table, such as the algorithm's, its name."""
+    for key in TRAINING_SHOWN:
+        value = facts.get(key)
+        value = value.get("name") if isinstance(value, dict) else value
+        if isinstance(value, str | int):
+            yield f"{key} {value:,}" if isinstance(value, int) else f"{key} {value}"
 
 
 def _step(report: BuildReport) -> str:

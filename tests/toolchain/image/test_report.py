@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -12,9 +13,11 @@ from toolchain.image.report import BuildReport, PolicyFacts, print_report
 POLICY = PolicyFacts("p.onnx", "0" * 64, "6-4", "rate_error", 2000, 0.25, 28, "0" * 8, "nf1", "0" * 64, {})
 
 
-def printed(instructions: int | None, cycles: int | None, reason: str | None) -> str:
+def printed(
+    instructions: int | None, cycles: int | None, reason: str | None, policy: PolicyFacts = POLICY
+) -> str:
     """The table of a build with such a step, as one line."""
-    report = BuildReport("BOARD", (), POLICY, (), (), (), instructions, cycles, reason)
+    report = BuildReport("BOARD", (), policy, (), (), (), instructions, cycles, reason)
     console = Console(file=io.StringIO(), width=200)
     print_report(report, console)
     assert isinstance(console.file, io.StringIO)
@@ -35,6 +38,26 @@ def test_step_is_told_in_words_when_it_was_counted(
     step: tuple[int | None, int | None, str | None], words: str
 ) -> None:
     assert words in printed(*step)
+
+
+@pytest.mark.parametrize(
+    ("training", "words"),
+    [
+        ({}, "training nf1, 2000 Hz, not told"),
+        (
+            {
+                "algorithm": {"name": "pathwise", "square": 0.03},
+                "steps": 12_006_400,
+                "seed": 1,
+                "hidden": [64],
+            },
+            "training nf1, 2000 Hz, algorithm pathwise, steps 12,006,400, seed 1",
+        ),
+        ({"algorithm": "ppo", "seed": [1, 2]}, "training nf1, 2000 Hz, algorithm ppo"),
+    ],
+)
+def test_training_is_told_in_words(training: dict[str, object], words: str) -> None:
+    assert words in printed(None, None, "no model", replace(POLICY, training=training))
 
 
 def test_step_is_left_out_when_it_was_not_counted() -> None:
