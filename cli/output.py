@@ -1,4 +1,4 @@
-"""What commands that write or record share: refusing early what could not be written, retelling a command."""
+"""Shared by commands that write files: check early that they can be written; the command that made them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolchain.errors import NeuroflightError
 
 
 def check_output(path: Path | None, suffix: str) -> None:
-    """Refuse a file that could not be written after the work."""
+    """Reject a file that could not be written after the work."""
     if path is None:
         return
     if path.suffix != suffix:

@@ -1,4 +1,4 @@
-"""Asking a firmware over MSP: one request, one reply, and a clear line when it stays away."""
+"""An MSP client: one request, one reply, or a LinkError of one line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Let the line go."""
+        """Close the line."""
         self._transport.close()
 
     def request(
@@ -121,7 +121,7 @@ class Info:
 
 
 def read_info(client: Client) -> Info:
-    """Ask a firmware who it is and how it is. Only reads. Raises LinkError."""
+    """Read a firmware's identity and state. Raises LinkError."""
     api = messages.api_version(client.request(Msp.API_VERSION))
     if (api.protocol, api.major) != (MSP_PROTOCOL_VERSION, MSP_API_MAJOR):
         raise LinkError(

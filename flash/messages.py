@@ -1,4 +1,4 @@
-"""What the replies say: payload bytes in, frozen dataclasses out.
+"""Decodes the replies: payload bytes in, frozen dataclasses out.
 
 Layouts are those of Betaflight's MSP at API 1.46, little-endian; POLICY_INFO and those of flash/records.py
 are this project's own. MSP grows at a payload's end, so bytes after the known ones are ignored and missing

@@ -34,7 +34,7 @@ class Version(IntEnum):
 
 
 class Direction(Enum):
-    """Who speaks, and how it went; the value is the third byte of a frame."""
+    """Request, reply or error reply; the value is the third byte of a frame."""
 
     REQUEST = b"<"
     REPLY = b">"

@@ -1,4 +1,4 @@
-"""What this firmware alone tells: safety, tasks and faults. Payload bytes in, frozen dataclasses out."""
+"""Decodes the replies that only this firmware gives: safety, tasks and faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a request says: the payloads of commands that take one, and why a firmware refuses.
+"""Encodes the payloads of requests, and words the reasons why a firmware refuses one.
 
 A value that the command cannot take is a ValueError, before anything is sent; limits of settings are the
 firmware's business. Layouts beyond SET_RAW_RC, SET_MOTOR and REBOOT are this project's own.

@@ -67,17 +67,17 @@ class Settings:
     def _find(self, name: str) -> tuple[int, SettingInfo]:
         if name not in self._known:
             guess = _BY_NAME[name][0] if name in _BY_NAME else 0  # in a firmware of this version
-            first = self._ask(guess)
+            first = self._query(guess)
             for index in range(first.count):
                 if name in self._known:
                     break
                 if index != guess:
-                    self._ask(index)
+                    self._query(index)
         if name not in self._known:
             raise LinkError(f"setting {name!r}: the firmware has none of that name; see docs/settings.md")
         return self._known[name]
 
-    def _ask(self, index: int) -> SettingInfo:
+    def _query(self, index: int) -> SettingInfo:
         told = self._client.request(Msp.SETTING_INFO, requests.setting_index(index))
         info = requests.setting_info(told)
         self._known[info.name] = index, info

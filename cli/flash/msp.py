@@ -1,4 +1,4 @@
-"""`neuroflight msp`: ask a running firmware over MSP. Reads only; nothing is changed on the board."""
+"""`neuroflight msp`: query a running firmware over MSP. Reads only; nothing is changed on the board."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask and print. Returns 0; raises LinkError when the firmware cannot be asked."""
+    """Query and print. Returns 0; raises LinkError when the firmware does not answer."""
     from flash.client import Client, read_info
     from flash.transport import open_transport
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from toolchain.codegen.compiler import CompiledPolicy
     from toolchain.codegen.explain import Explanation, NodeFacts
     from toolchain.passes import Saving
-    from toolchain.passes.equivalence import Proof
+    from toolchain.passes.equivalence import Equivalence
     from toolchain.policy.model import PolicyModel
 
 FINDS = "what it finds"  # the one column that may wrap
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--explain",
         action="store_true",
-        help="prove every pass in onnxruntime, and tell what each did and saved; needs no --out",
+        help="check every pass in onnxruntime, and print what each did and saved; needs no --out",
     )
     parser.add_argument("--json", action="store_true", help="print what was done as JSON")
 
@@ -79,7 +79,7 @@ def _explain(args: argparse.Namespace, policy: PolicyModel) -> Explanation:
     from toolchain.codegen.explain import explain_policy
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
-    with console.status("proving every pass in onnxruntime"):
+    with console.status("checking every pass in onnxruntime"):
         return explain_policy(policy)
 
 
@@ -163,7 +163,7 @@ def _saved(saving: Saving) -> list[str]:
     return [f"{-value:+,}" if value else "0" for value in (saving.nodes, saving.operations, saving.bytes)]
 
 
-def _proof(proof: Proof | None) -> list[str]:
+def _proof(proof: Equivalence | None) -> list[str]:
     return [f"{value:.1e}" if value else "0" for value in (proof.unit, proof.beyond)] if proof else []
 
 

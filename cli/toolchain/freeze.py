@@ -49,11 +49,11 @@ def run(args: argparse.Namespace) -> int:
     check_output(args.out, ".onnx")
     changes: Sequence[str] = ()
     if is_checkpoint(args.source):
-        _refuse_claims(args)
+        _reject_claims(args)
         freeze(args.source, args.out)
         policy = read_policy(args.out)
     else:
-        policy, changes = _adopt(args)
+        policy, changes = _import(args)
     if args.json:
         document = {
             "source": str(args.source),
@@ -91,7 +91,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
     }
 
 
-def _refuse_claims(args: argparse.Namespace) -> None:
+def _reject_claims(args: argparse.Namespace) -> None:
     from toolchain.errors import PolicyError
 
     if given := [name for name, value in _claims(args).items() if value is not None]:
@@ -101,11 +101,11 @@ def _refuse_claims(args: argparse.Namespace) -> None:
         )
 
 
-def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
+def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
     from sim.aircraft.model import load_aircraft
     from toolchain.contract import IDLE_DEFAULT, IDLE_MAX
     from toolchain.errors import PolicyError
-    from toolchain.policy.import_onnx import PolicyClaims, adopt
+    from toolchain.policy.import_onnx import PolicyClaims, import_onnx
 
     needed = ("--observation", "--rate", "--aircraft")
     if missing := [name for name in needed if _claims(args)[name] is None]:
@@ -125,4 +125,4 @@ def _adopt(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         motors=aircraft.motor_count,
         idle=IDLE_DEFAULT if args.idle is None else args.idle,
     )
-    return adopt(args.source, args.out, claims, clip=args.clip, output=args.output)
+    return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output)

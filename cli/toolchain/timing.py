@@ -52,14 +52,14 @@ def run(args: argparse.Namespace) -> int:
     from cli.toolchain import timing_image
 
     of_image = args.policy.suffix == ".bin"
-    _refuse(args, ("inputs", "blocks") if of_image else ("aircraft", "count", "seed"), of_image)
+    _reject(args, ("inputs", "blocks") if of_image else ("aircraft", "count", "seed"), of_image)
     for name, default in DEFAULTS.items():
         if getattr(args, name) is None:
             setattr(args, name, default)
     return timing_image.run(args) if of_image else _time_policy(args)
 
 
-def _refuse(args: argparse.Namespace, names: Sequence[str], of_image: bool) -> None:
+def _reject(args: argparse.Namespace, names: Sequence[str], of_image: bool) -> None:
     """Say which option has no meaning for what was given."""
     from toolchain.errors import NeuroflightError
 

@@ -1,4 +1,4 @@
-"""`neuroflight verify POLICY.onnx`: one policy through every machine."""
+"""`neuroflight verify POLICY.onnx`: run one policy on every machine and compare them."""
 
 from __future__ import annotations
 

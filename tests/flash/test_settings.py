@@ -1,4 +1,4 @@
-"""Settings as people write them; how a firmware takes them is tested on the emulated board (test_desk.py)."""
+"""Settings as people write them; tests/sim/board/serial/test_idle_board.py changes those of a firmware."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What compiling a policy did: each pass with its proof, the network before and after, memory."""
+"""What compiling a policy did: each pass with its equivalence check, the network before and after, memory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from toolchain.ir.operations import (
     Slice,
 )
 from toolchain.passes import Size, operations, optimize, size, weight_bytes
-from toolchain.passes.equivalence import Proof, prove_equal
+from toolchain.passes.equivalence import Equivalence, check_equivalence
 from toolchain.policy.model import PolicyModel
 
 FLOAT = 4  # bytes
@@ -52,7 +52,7 @@ class Explanation:
     """A compiled policy and how it came to be."""
 
     compiled: CompiledPolicy  # its savings carry their proofs
-    proof: Proof | None  # of all passes together, None if none did anything
+    proof: Equivalence | None  # of all passes together, None if none did anything
     before: tuple[NodeFacts, ...]
     after: tuple[NodeFacts, ...]
     size_before: Size
@@ -63,14 +63,14 @@ class Explanation:
 def explain_policy(policy: PolicyModel) -> Explanation:
     """Compile `policy`, each pass proven in onnxruntime.
 
-    Raises PolicyError where folding leaves float32's range, ProofError where a pass is wrong.
+    Raises PolicyError where folding leaves float32's range, EquivalenceError where a pass is wrong.
     """
     network, savings = optimize(policy.network, prove=True)
     compiled = compile_network(policy, network, savings)
     plan = compiled.plan
     return Explanation(
         compiled,
-        prove_equal(policy.network, network, "all passes together") if savings else None,
+        check_equivalence(policy.network, network, "all passes together") if savings else None,
         node_facts(policy.network),
         node_facts(network),
         size(policy.network),

@@ -11,7 +11,7 @@ import numpy as np
 from toolchain.codegen.kernel_calls import BLOCK, Call, Place
 from toolchain.codegen.scratch_allocation import PendingCall
 from toolchain.codegen.weight_table import block_part, function_part, lanes_part, padded_gates
-from toolchain.ir.activation_tables import EXPM1, TANH, Lookup
+from toolchain.ir.activation_tables import EXPM1, TANH, ActivationTable
 from toolchain.ir.float32 import Float32
 from toolchain.ir.lanes import LANES, padded
 from toolchain.ir.network import Network, Node
@@ -52,7 +52,7 @@ class Lowering:
     def __init__(self, network: Network) -> None:
         self.calls: list[PendingCall] = []
         self.table: list[Float32] = []
-        self.functions: list[Lookup] = []
+        self.functions: list[ActivationTable] = []
         self.state = 0
         self._size = 0
         self._buffers = 0
@@ -66,12 +66,12 @@ class Lowering:
         values = [entrance]
         for node in network.nodes[:-1]:
             values.append(self._lower(node, [values[number] for number in node.inputs]))
-        door = network.nodes[-1]
-        assert isinstance(door.operation, Clip), "a policy's last node is its Clip"
-        (value,) = (values[number] for number in door.inputs)
+        last = network.nodes[-1]
+        assert isinstance(last.operation, Clip), "a policy's last node is its Clip"
+        (value,) = (values[number] for number in last.inputs)
         if not self.table:
             self._store(np.zeros(LANES, np.float32))  # C has no empty array
-        call = Call("leave", None, (value.place,), value.count, constants=_bounds(door.operation))
+        call = Call("leave", None, (value.place,), value.count, constants=_bounds(last.operation))
         self.calls.append(PendingCall(call, None, (value.buffer,)))
 
     def _lower(self, node: Node, inputs: list[_Value]) -> _Value:
@@ -137,7 +137,7 @@ class Lowering:
             self._emit("linear4", part, (x,), 1, table=table, inputs=inputs, size=BLOCK * eights + LANES)
         return target
 
-    def _look_up(self, function: Lookup, x: _Value) -> _Value:
+    def _look_up(self, function: ActivationTable, x: _Value) -> _Value:
         return self._map("look_up", [x], table=self._tables[function.name])
 
     def _sigmoid(self, half: _Value) -> _Value:

@@ -22,7 +22,7 @@ import numpy as np
 from toolchain.codegen.kernel_calls import Call
 from toolchain.codegen.lowering import Lowering
 from toolchain.codegen.scratch_allocation import place_buffers
-from toolchain.ir.activation_tables import Lookup
+from toolchain.ir.activation_tables import ActivationTable
 from toolchain.ir.float32 import Float32
 from toolchain.ir.network import Network
 from toolchain.policy.model import PolicyModel
@@ -54,7 +54,9 @@ def lower(policy: PolicyModel, network: Network) -> Plan:
     return Plan(tuple(calls), table, scratch, unshared, lowering.state, hashed)
 
 
-def _architecture_hash(policy: PolicyModel, calls: Iterable[Call], functions: Iterable[Lookup]) -> int:
+def _architecture_hash(
+    policy: PolicyModel, calls: Iterable[Call], functions: Iterable[ActivationTable]
+) -> int:
     """CRC-32 over everything that the code, rather than the table, decides, as lines of text."""
     lines = [
         f"observation {policy.observation}",

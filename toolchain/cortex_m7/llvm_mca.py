@@ -7,7 +7,7 @@ docs/timing.md says how this was held against published figures, and what the mo
 
 1. llvm-mca prices a VLDM of 16 registers like one of one, the core moves 64 bits a cycle. So LDM, STM, VLDM,
    VSTM, PUSH and POP of n words are written as ceil(n / 2) accesses of 64 bits: the same registers in the
-   same order, so that who waits for which register stays true. The last access is a multiple itself, with the
+   same order, so that every wait for a register stays. The last access is a multiple itself, with the
    base's write-back.
 2. A block that ends in a branch costs 1 more.
 """

@@ -1,10 +1,10 @@
 """The deepest that an image's stack can become, without running it.
 
-What each function reserves is the compiler's word (-fstack-usage), who calls whom is read off the linked
-code. A call through a pointer names no callee: it may go to any function in a constant table of the C file
-that it is written in, unless `POINTERS` says otherwise. The worst case is the deepest path of the program,
-and on it each level of interrupts with the deepest path of its handlers: levels interrupt each other,
-handlers of one level do not.
+The compiler tells what each function reserves (-fstack-usage); calls are read from the linked code. A call
+through a pointer names no callee: it may go to any function in a constant table of the C file that it is
+written in, unless `POINTERS` says otherwise. The worst case is the deepest path of the program, and on it
+each level of interrupts with the deepest path of its handlers: levels interrupt each other, handlers of one
+level do not.
 
 Every path is taken to be possible, and a function that ends in a jump to another to keep its own part.
 """
@@ -126,7 +126,7 @@ def _usages(objects: Path) -> dict[tuple[str, str], int]:
 
 
 class _Code:
-    """The linked code: its functions, and who calls whom."""
+    """The linked code: its functions, and their calls."""
 
     def __init__(self, program: Path, usages: Mapping[tuple[str, str], int]) -> None:
         self._usages = usages
@@ -162,7 +162,7 @@ class _Code:
         return self._known[function.start]
 
     def _own(self, function: _Function) -> int:
-        """What the function itself takes; code without the compiler's word is measured by what it pushes."""
+        """The function's own frame; where the compiler tells none, what its code pushes."""
         name = _CLONE.sub("", function.name)
         told = [
             size

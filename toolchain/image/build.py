@@ -1,6 +1,6 @@
 """Builds a target around a policy: check, compile the policy, run make, read the image, report.
 
-Everything that can be refused is refused before the first file is written. Make works in its own directory
+Whatever can be rejected is rejected before the first file is written. Make works in its own directory
 and its products replace the old ones when all of them are there, so that a build that fails or is
 interrupted leaves the last good image in place.
 """

@@ -1,4 +1,4 @@
-"""What a build tells its user: a document for programs (report.json) and a short table for people."""
+"""The report of a build: report.json for programs and a short table for people."""
 
 from __future__ import annotations
 

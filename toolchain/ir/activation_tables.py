@@ -32,7 +32,7 @@ from toolchain.ir.float32 import Float32, fma
 
 
 @dataclass(frozen=True, eq=False)
-class Lookup:
+class ActivationTable:
     """A function as a table of cubics.
 
     `step` is a power of two. Row k of `rows`, float32 (n, 4), holds c0, c1, c2, c3 of
@@ -51,29 +51,29 @@ class Lookup:
         return 1.5 * 2.0**23 * self.step
 
 
-def apply(lookup: Lookup, x: Float32) -> Float32:
+def apply(table: ActivationTable, x: Float32) -> Float32:
     """The tabulated function of each float32 value of `x`, rounded at each step as the compiled C is.
 
     NaN counts as `high`, as it does for the processor's own minimum.
     """
     f = np.float32
     with np.errstate(invalid="ignore", under="ignore"):
-        x = np.where(x <= f(lookup.high), x, f(lookup.high))
-        x = np.where(x > f(lookup.low), x, f(lookup.low))
+        x = np.where(x <= f(table.high), x, f(table.high))
+        x = np.where(x > f(table.low), x, f(table.low))
         a = np.abs(x)
-        total = a + f(lookup.magic)
-        r = a - (total - f(lookup.magic))
-        row = total.view(np.int32) - f(lookup.magic).view(np.int32)
-        c0, c1, c2, c3 = np.moveaxis(lookup.rows[row], -1, 0)
+        total = a + f(table.magic)
+        r = a - (total - f(table.magic))
+        row = total.view(np.int32) - f(table.magic).view(np.int32)
+        c0, c1, c2, c3 = np.moveaxis(table.rows[row], -1, 0)
         return x * fma(fma(fma(c3, r, c2), r, c1), r, c0)
 
 
-def _load(name: str) -> Lookup:
-    table = json.loads(Path(__file__).with_name("lookup_tables.json").read_text())[name]
+def _load(name: str) -> ActivationTable:
+    table = json.loads(Path(__file__).with_name("activation_tables.json").read_text())[name]
     rows = np.array([[float.fromhex(c) for c in row] for row in table["rows"]], np.float32)
     rows.flags.writeable = False
     low, high, step = (float.fromhex(table[key]) for key in ("low", "high", "step"))
-    return Lookup(name, low, high, step, rows)
+    return ActivationTable(name, low, high, step, rows)
 
 
 TANH = _load("tanh")

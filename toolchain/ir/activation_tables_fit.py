@@ -1,4 +1,4 @@
-"""Fits the tables of activations; `python -m toolchain.ir.activation_tables_fit` writes lookup_tables.json.
+"""Fits activations by tables; `python -m toolchain.ir.activation_tables_fit` writes activation_tables.json.
 
 The tables are part of every policy's bytes, so nothing here may differ from machine to machine. Reference
 values and fits are in `decimal` (its exp is correctly rounded), the search uses float32 and float64
@@ -26,7 +26,7 @@ import numpy as np
 from toolchain.files import write_text
 from toolchain.ir.float32 import Float32
 
-PATH = Path(__file__).with_name("lookup_tables.json")
+PATH = Path(__file__).with_name("activation_tables.json")
 DIGITS = 50  # of the decimal arithmetic; differences of near values lose at most a few of them
 GRID = 96  # points of an interval that the fit looks at
 SAMPLES = 513  # inputs of an interval that the bound is taken over
@@ -160,7 +160,7 @@ def _solve(matrix: list[list[Decimal]], right: list[Decimal]) -> list[Decimal]:
 
 
 def tables_json(functions: Sequence[Function] = (TANH, EXPM1)) -> str:
-    """The tables as the JSON text of lookup_tables.json: floats in hexadecimal, one row a line."""
+    """The tables as the JSON text of activation_tables.json: floats in hexadecimal, one row a line."""
     blocks = []
     for function in functions:
         rows = (fit_row(function, row) for row in range(function.rows))

@@ -1,7 +1,7 @@
 """Float32 arithmetic that rounds exactly as the compiled C does.
 
-numpy has no fused multiply-add; this one gives the bits of C's `fmaf` on every input, so that the
-evaluator of `toolchain.ir.interpreter` and the firmware can be held to identical results.
+numpy has no fused multiply-add; this one gives the bits of C's `fmaf` on every input, so that
+`toolchain.ir.interpreter` and the firmware can be compared bit by bit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What a policy's network computes in real arithmetic, or so near to it that float32 sees no difference.
+"""Evaluates a policy's network in float64: the reference that float32 results are compared with.
 
-The operations' mathematics in float64, with numpy's functions: no kernel, no pass and no table of the
-compiler takes part, so that an error of theirs shows against it.
+The operations' mathematics with numpy's functions: no kernel, pass or table of the compiler takes part, so
+that an error in one of them shows.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Evaluates a policy's network exactly as the emitted C does, bit for bit, on many observations at once.
 
-The order of every operation is the law that `toolchain.codegen.emit`'s kernels follow too: a linear layer
+Every operation has the order of the kernels that `toolchain.codegen.emit` writes: a linear layer
 starts from the bias and adds inputs in ascending order, each by one fused multiply-add; bounds are chosen by
 comparison, so that an activation turns a NaN into one of its bounds and recurrent state stays finite whatever
 comes in; an observation that holds a NaN or an infinity gives the lower bound of the output's Clip on every
@@ -78,9 +78,9 @@ def advance(
     network: Network, observation: Float32, state: State, *, exact: bool = True
 ) -> tuple[Float32, State]:
     """One step of N policies side by side: actions (N, outputs) and the state after it."""
-    door = network.nodes[-1].operation
-    if not isinstance(door, Clip) or door.low is None or door.high is None:
-        raise ValueError(f"the last operation is {door}, expected a Clip with both bounds")
+    last = network.nodes[-1].operation
+    if not isinstance(last, Clip) or last.low is None or last.high is None:
+        raise ValueError(f"the last operation is {last}, expected a Clip with both bounds")
     usable = np.isfinite(observation).all(axis=1, keepdims=True)
     old, new = iter(state), list[Float32]()
     with np.errstate(all="ignore"):
@@ -98,7 +98,7 @@ def advance(
                     values.append(h)
                 case operation:
                     values.append(_apply(operation, inputs, exact))
-    return np.where(usable, values[-1], np.float32(door.low)), tuple(new)
+    return np.where(usable, values[-1], np.float32(last.low)), tuple(new)
 
 
 def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Float32:

@@ -38,7 +38,7 @@ from toolchain.passes.shape import drop_identities, share_equal, simplify_slices
 from toolchain.passes.unread import drop_unread
 
 if TYPE_CHECKING:
-    from toolchain.passes.equivalence import Proof
+    from toolchain.passes.equivalence import Equivalence
 
 FLOAT_BYTES = 4
 
@@ -84,7 +84,7 @@ class Saving:
     nodes: int
     operations: int
     bytes: int
-    proof: Proof | None = None  # the worst of its runs
+    proof: Equivalence | None = None  # the worst of its runs
 
 
 def optimize(network: Network, prove: bool = False) -> tuple[Network, tuple[Saving, ...]]:
@@ -151,9 +151,9 @@ def _add(old: Saving | None, name: str, before: Network, after: Network, prove: 
     less, now = size(before), size(after)
     proof = None if old is None else old.proof
     if prove:
-        from toolchain.passes.equivalence import prove_equal
+        from toolchain.passes.equivalence import check_equivalence
 
-        fresh = prove_equal(before, after, name)
+        fresh = check_equivalence(before, after, name)
         proof = fresh if proof is None else proof.worst(fresh)
     base = old or Saving(name, 0, 0, 0)
     return Saving(

@@ -1,4 +1,4 @@
-"""Passes that make affine maps vanish: into each other, into matrices, and through what lies between."""
+"""Passes that fold affine maps: into each other, into matrices, and through Concat and Slice between."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Passes over what values can be: bounds that cannot bind, and values that cannot vary.
+"""Passes that use the range of each value: bounds that cannot bind go, values that cannot vary are folded.
 
 What a value can be is found by interval arithmetic from any observation on, exact in real arithmetic.
 """
@@ -45,7 +45,7 @@ def drop_bounds(network: Network) -> Network:
     intervals = value_intervals(network)
 
     def rule(draft: Draft, node: Node, number: int) -> Node | int | None:
-        door = number == len(network.nodes)
+        last = number == len(network.nodes)
         low, high = intervals[draft.roles[node.inputs[0]][0]]
         match node.operation:
             case Relu() | LeakyRelu() | Elu() if (low >= 0).all():
@@ -55,10 +55,10 @@ def drop_bounds(network: Network) -> Network:
                 before = draft.sole(node.inputs[0])
                 if before is not None and isinstance(before.operation, Relu | Clip):
                     joined = _join(_bounds(before.operation), bounds)
-                    # The door's lower bound is also what a NaN gives: it stays as it is.
-                    if not door or joined[0] == bounds[0]:
+                    # The last Clip's lower bound is also what a NaN gives: it stays as it is.
+                    if not last or joined[0] == bounds[0]:
                         return Node(_bound(*joined), before.inputs, node.name)
-                if door:
+                if last:
                     return None
                 free_low, free_high = (low >= bounds[0]).all(), (high <= bounds[1]).all()
                 if free_low and free_high:

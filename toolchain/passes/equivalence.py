@@ -1,4 +1,4 @@
-"""Holds two networks against each other in onnxruntime: do they compute the same action?
+"""Compares two networks in onnxruntime: do they compute the same action?
 
 Both run in float32, unoptimized, on random observations of unit scale, of a gyro's range and far beyond,
 on tiny and subnormal ones and on zero; recurrent ones over several steps from cleared state. Where no value
@@ -29,12 +29,12 @@ STEPS = 6  # of a recurrent network
 MAGNITUDES = (0.0, 1e-45, 1e-39, 1.2e-38, 1e-6, 0.1, 0.5, 1.0, 35.0, 3000.0, 1e10, 1e30, 3.4e38)
 
 
-class ProofError(Exception):
+class EquivalenceError(Exception):
     """A pass that changed what a network computes: our own mistake, not the user's."""
 
 
 @dataclass(frozen=True)
-class Proof:
+class Equivalence:
     """How far two networks are apart."""
 
     observations: int
@@ -43,9 +43,9 @@ class Proof:
     overflowing: int  # observations that were not compared: a value between leaves float32's range
     bound: float = BOUND  # of both
 
-    def worst(self, other: Proof) -> Proof:
+    def worst(self, other: Equivalence) -> Equivalence:
         """Both as one: the larger of each figure."""
-        return Proof(
+        return Equivalence(
             self.observations + other.observations,
             max(self.unit, other.unit),
             max(self.beyond, other.beyond),
@@ -53,10 +53,10 @@ class Proof:
         )
 
 
-def prove_equal(before: Network, after: Network, name: str) -> Proof:
-    """The proof that `after` computes what `before` does.
+def check_equivalence(before: Network, after: Network, name: str) -> Equivalence:
+    """Check that `after` computes what `before` does.
 
-    Raises ProofError, which calls the change `name`, if it does not; the observations are the same in
+    Raises EquivalenceError, which calls the change `name`, if it does not; the observations are the same in
     every run.
     """
     observations = _observations(before.inputs, STEPS if before.recurrent else 1)
@@ -69,12 +69,12 @@ def prove_equal(before: Network, after: Network, name: str) -> Proof:
     allowed = np.maximum(BOUND * scale, ROUNDING * noise.max(axis=1, keepdims=True))
     if (difference > allowed).any():
         magnitude, row = np.unravel_index(np.argmax(difference / allowed), difference.shape)
-        raise ProofError(
+        raise EquivalenceError(
             f"{name} changes an action by {difference[magnitude, row]:.3g} at magnitude "
             f"{MAGNITUDES[magnitude]:g}, expected at most {allowed[magnitude, row]:.3g}"
         )
     unit = scale <= 1
-    return Proof(
+    return Equivalence(
         difference.size,
         float(difference[unit].max(initial=0.0)),
         float((difference / scale)[~unit].max(initial=0.0)),
@@ -97,7 +97,7 @@ def _observations(inputs: int, steps: int) -> Float32:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What a network made of the observations."""
+    """What a network computed from the observations."""
 
     actions: NDArray[np.float64]  # (magnitudes, ROWS, steps, outputs)
     exact: NDArray[np.float64]  # the same in float64

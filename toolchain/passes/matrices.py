@@ -1,4 +1,4 @@
-"""The pass that makes one matrix of several: in a row, and side by side."""
+"""The pass that joins matrices: one after the other, and side by side."""
 
 from __future__ import annotations
 

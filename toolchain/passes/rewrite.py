@@ -1,4 +1,4 @@
-"""The one way in which a pass changes a network: node by node in order of computation, by a local rule."""
+"""How every pass changes a network: node by node in order of computation, by a local rule."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def rewrite(network: Network, rule: Rule) -> Network:
     """`network` after `rule` has seen every node, rewritten ones again; the same object if it did nothing.
 
     The rule may add nodes to the draft. It may not replace the last node by an earlier value: that node
-    is the policy's door. Nodes that nothing takes any more are dropped.
+    is the Clip that a policy ends with. Nodes that nothing takes any more are dropped.
     """
     uses = _uses(network)
     draft = Draft([network.inputs], [uses[OBSERVATION]], roles=defaultdict(list, {0: [OBSERVATION]}))

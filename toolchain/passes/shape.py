@@ -1,4 +1,4 @@
-"""Passes over what moves values without computing: equal values, identities, Slice and Concat."""
+"""Passes over nodes that compute nothing new: equal values, identities, Slice and Concat."""
 
 from __future__ import annotations
 

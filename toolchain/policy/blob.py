@@ -1,6 +1,6 @@
 """The policy blob: weights and self-test of a policy as the bytes that are compiled in or put in a slot.
 
-Bytes in, nouns out, and back, with nothing lost either way: docs/policy-blob.md. A blob holds no code. It
+Packs and parses it without loss: docs/policy-blob.md. A blob holds no code. It
 runs only in an image whose compiled-in policy has the same architecture; firmware/src/storage/policy_blob.c
 decides.
 """
@@ -92,7 +92,7 @@ def same_architecture(a: PolicyBlob, b: PolicyBlob) -> bool:
 
 def pack(blob: PolicyBlob) -> bytes:
     """The bytes of `blob`, the same in every run. Raises PolicyError where the layout cannot say it."""
-    _refuse_unsayable(blob)
+    _reject_unsayable(blob)
     body = HEADER.pack(*header_values(blob).values())
     for array in (blob.weights, blob.selftest_observation, blob.selftest_action):
         body += np.ascontiguousarray(array, FLOAT).tobytes()
@@ -137,7 +137,7 @@ def parse(data: bytes) -> PolicyBlob:
     in the data is believed before it is held against the data.
     """
     header, arrays, idle = _read_header(data)
-    _refuse_sizes(header, len(data))
+    _reject_sizes(header, len(data))
     (told,) = CRC.unpack_from(data, len(data) - CRC.size)
     if (found := zlib.crc32(data[: -CRC.size])) != told:
         raise PolicyError(f"the blob has the CRC-32 {found:08x}, expected {told:08x}: it is damaged; {MEND}")
@@ -159,7 +159,7 @@ def parse(data: bytes) -> PolicyBlob:
         selftest_action=action.reshape(rows, m),
         selftest_steps=header["selftest_steps"],
     )
-    _refuse_unsayable(blob)
+    _reject_unsayable(blob)
     return blob
 
 
@@ -175,7 +175,7 @@ def _architecture(blob: PolicyBlob) -> tuple[int, ...]:
 
 
 def _read_header(data: bytes) -> tuple[dict[str, int], dict[str, bytes], float]:
-    """The header's whole numbers, arrays and idle; proven is only that the layout is the known one."""
+    """The header's whole numbers, arrays and idle; only the version of the layout has been checked."""
     if len(data) < HEADER.size + CRC.size:
         raise PolicyError(
             f"the blob is {len(data)} bytes, expected at least {HEADER.size + CRC.size}; is it a policy blob?"
@@ -200,7 +200,7 @@ def _float_count(header: dict[str, int]) -> int:
     return header["weight_count"] + header["selftest_count"] * row
 
 
-def _refuse_sizes(header: dict[str, int], length: int) -> None:
+def _reject_sizes(header: dict[str, int], length: int) -> None:
     """Raise PolicyError unless the header's sizes and offsets are those of this layout and of the data."""
     body = HEADER.size + FLOAT.itemsize * _float_count(header)
     expected = {
@@ -231,7 +231,7 @@ def _read_terms(arrays: dict[str, bytes], count: int) -> tuple[BlobTerm, ...]:
     return tuple(BlobTerm(known[code], age, gain) for code, age, gain in rows)
 
 
-def _refuse_unsayable(blob: PolicyBlob) -> None:
+def _reject_unsayable(blob: PolicyBlob) -> None:
     """Raise PolicyError naming the first value that the layout has no room for or that cannot be flown."""
     rows = len(blob.selftest_observation)
     widths = sum(term.block.count(blob.action_count) for term in blob.terms)
@@ -264,7 +264,7 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
             )
     if not 0.0 <= blob.idle <= contract.IDLE_MAX:
         raise PolicyError(f"the policy's idle is {blob.idle}, expected 0 to {contract.IDLE_MAX}")
-    _refuse_names(blob)
+    _reject_names(blob)
     if not np.isfinite(blob.weights).all():
         count = int((~np.isfinite(blob.weights)).sum())
         raise PolicyError(f"the policy's weights hold {count} NaN or infinite values, expected finite ones")
@@ -272,7 +272,7 @@ def _refuse_unsayable(blob: PolicyBlob) -> None:
         raise PolicyError("the policy's self-test holds an action outside 0 to 1; compile it again")
 
 
-def _refuse_names(blob: PolicyBlob) -> None:
+def _reject_names(blob: PolicyBlob) -> None:
     if not AIRCRAFT_NAME.fullmatch(blob.aircraft):
         raise PolicyError(
             f"the policy's aircraft is {blob.aircraft[:60]!r}, "

@@ -1,4 +1,4 @@
-"""Makes a policy of an ONNX model that another trainer exported: names, fixed shapes, metadata, the door.
+"""Makes a policy of an ONNX model that another trainer exported: names, fixed shapes, metadata, range.
 
 Nothing that computes is changed but what the user asked for: the model keeps its nodes and weights.
 """
@@ -58,7 +58,7 @@ def is_checkpoint(path: Path) -> bool:
     return False
 
 
-def adopt(
+def import_onnx(
     source: Path, out: Path, claims: PolicyClaims, *, clip: bool, output: str | None = None
 ) -> tuple[PolicyModel, Sequence[str]]:
     """Write the policy of the ONNX file `source` to `out`; returns it and what was changed, in words.
@@ -70,8 +70,8 @@ def adopt(
     data = read_file(source)
     try:
         data, embedded = _in_one_file(data, source.parent)
-        adopted, changes = adopted_model(data, claims, clip=clip, output=output)
-        policy = parse_policy(adopted)
+        imported, changes = imported_model(data, claims, clip=clip, output=output)
+        policy = parse_policy(imported)
         if policy.action_count != claims.motors:
             raise PolicyError(
                 f"the policy drives {policy.action_count} motors, aircraft {claims.aircraft} has "
@@ -79,11 +79,11 @@ def adopt(
             )
     except PolicyError as error:
         raise PolicyError(f"{source}: {error}") from error
-    write_bytes(out, adopted)
+    write_bytes(out, imported)
     return policy, [*embedded, *changes]
 
 
-def adopted_model(
+def imported_model(
     data: bytes, claims: PolicyClaims, *, clip: bool, output: str | None = None
 ) -> tuple[bytes, Sequence[str]]:
     """The bytes of the policy, and what was changed. Raises PolicyError where it cannot be read back."""
@@ -107,17 +107,17 @@ def adopted_model(
         changes += _rename(graph, values[0], name, role)
         changes += _fix_shape(values[0], claims.motors if role == "output" else None)
     _describe(model, claims, hashlib.sha256(data).hexdigest())
-    adopted = _bytes(model)
+    imported = _bytes(model)
     try:
-        parse_policy(adopted)
+        parse_policy(imported)
     except UnboundedError:
         if not clip:
             raise
         _append_clip(graph)
         changes.append("appended a Clip to [0, 1]")
-        adopted = _bytes(model)
-        parse_policy(adopted)
-    return adopted, changes
+        imported = _bytes(model)
+        parse_policy(imported)
+    return imported, changes
 
 
 def _in_one_file(data: bytes, folder: Path) -> tuple[bytes, list[str]]:

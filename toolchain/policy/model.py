@@ -1,6 +1,6 @@
 """The policy as the toolchain knows it: what it observes, at which rate, and the network inside.
 
-`read_policy` is the one door: whatever passes it is complete, finite, float32, of fixed shape and bounded.
+`read_policy` checks all of it: a PolicyModel is complete, finite, float32, of fixed shape and bounded.
 """
 
 from __future__ import annotations

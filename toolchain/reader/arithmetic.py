@@ -78,7 +78,7 @@ def read_arithmetic(build: Builder, call: Call) -> Row:
     shape = joint_shape(call, row.shape, constant.shape)
     row = build.broadcast(call, row, shape)
     values = np.broadcast_to(constant, shape).ravel().astype(np.float64)
-    _refuse_constant_state(build, call, row, constant)
+    _reject_constant_state(build, call, row, constant)
     match call.operator:
         case "Add":
             return mapped(build, call, row, 1.0, values, shape)
@@ -134,8 +134,8 @@ def _gated_by_itself(build: Builder, first: Row, second: Row) -> Row | None:
     return None
 
 
-def _refuse_constant_state(build: Builder, call: Call, row: Row, constant: Array) -> None:
-    """Refuse what is left of a recurrent cell whose state the exporter took for a constant."""
+def _reject_constant_state(build: Builder, call: Call, row: Row, constant: Array) -> None:
+    """Reject what is left of a recurrent cell whose state the exporter took for a constant."""
     if constant.any():
         return
     node = build.operation(row)

@@ -1,4 +1,4 @@
-"""What is refused of a whole model before any node is read."""
+"""Checks of a whole model before any node is read."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WEIGHTED = {  # operator: places of its weights
 
 
 def check_model(model: onnx.ModelProto) -> None:
-    """Raise PolicyError, one line, for a model that no reader of nodes should see."""
+    """Raise PolicyError, one line, for a model that must not reach the readers of nodes."""
     check_parts(model)
     version = _opset(model)
     _check_operators(model.graph)

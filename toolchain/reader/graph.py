@@ -1,4 +1,4 @@
-"""The walk over a model's nodes, in the order of computation."""
+"""Reads a model's nodes in the order of computation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One reader an operator: what a node that takes computed values adds to the network."""
+"""One reader for each ONNX operator: what a node that takes computed values adds to the network."""
 
 from __future__ import annotations
 

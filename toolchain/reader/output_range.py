@@ -1,7 +1,7 @@
-"""The door of every policy: its last operation is a Clip within [0, 1], motor fractions.
+"""Every policy ends with a Clip within [0, 1], motor fractions.
 
-An export that ends with an activation of that range, such as a sigmoid, gets the Clip that changes nothing
-but what NaN does; anything else without one is refused.
+An export that ends with an activation of that range, such as a sigmoid, gets such a Clip here: it changes
+only what NaN gives. Any other model without one is rejected.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def bounded(network: Network) -> Network:
                     f"the policy ends with {_short(last)}, expected Clip within [0, 1]; clip the motor "
                     "fractions, or let `neuroflight freeze --clip` do it"
                 )
-    door = Node(Clip(0.0, 1.0), (len(network.nodes),), "clip")
-    return Network(network.inputs, (*network.nodes, door))
+    clip = Node(Clip(0.0, 1.0), (len(network.nodes),), "clip")
+    return Network(network.inputs, (*network.nodes, clip))
 
 
 def _ranges(network: Network) -> list[Range]:

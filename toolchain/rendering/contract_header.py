@@ -3,7 +3,7 @@
 Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
 suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and
 `_SIZE`, and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The header of the policy blob
-becomes a struct whose offsets the C compiler proves.
+becomes a struct whose offsets the C compiler checks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What actions are held against: the float64 reference, what may be off, and how far a machine is from it."""
+"""The float64 reference of the actions, the tolerance, and how far a machine is from the reference."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DSHOT_STEP = 2.0**-11  # of a motor fraction; the ulp of a smaller action is tak
 
 @dataclass(frozen=True, eq=False)
 class Standard:
-    """What actions on one group of inputs are held against."""
+    """What actions on one group of inputs are compared with."""
 
     inputs: Inputs
     reference: Float64  # (S, T, outputs)

@@ -1,10 +1,10 @@
-"""One policy through every machine: do they agree, within what, and does it stay within bounds on anything?
+"""Runs one policy on every machine and checks that they agree and keep the output's bounds.
 
-Laws, each with the machines that are held to it:
+Laws, each with the machines that must keep it:
 - error: on finite observations torch, onnxruntime and our machines lie within what is allowed of the float64
   reference, and ours within as much of onnxruntime (toolchain.verification.tolerance);
 - bounds: whatever comes in, our actions are finite and within the bounds of the policy's last Clip;
-- door: an observation that holds a NaN or an infinity gives the lower bound on every motor;
+- door (the NaN gate): an observation that holds a NaN or an infinity gives the lower bound on every motor;
 - state: recurrent state stays finite;
 - bits: this machine's C and the Cortex-M7 give the evaluator's actions bit for bit;
 - selftest: the vectors in policy.c are repeated exactly, by the evaluator too;
@@ -116,7 +116,7 @@ class Candidate:
 class _Bench:
     """What is known while machines run one after the other: actions by group."""
 
-    door: Clip
+    last: Clip
     network: Network
     onnxruntime: dict[str, Float32] = field(default_factory=dict)
     evaluator: dict[str, Float32] = field(default_factory=dict)
@@ -136,9 +136,9 @@ def verify(
     """
     rng = np.random.default_rng(seed)
     standards = [standard(compiled.policy.network, group, rng) for group in inputs]
-    door = compiled.network.nodes[-1].operation
-    assert isinstance(door, Clip)
-    bench = _Bench(door, compiled.network)
+    last = compiled.network.nodes[-1].operation
+    assert isinstance(last, Clip)
+    bench = _Bench(last, compiled.network)
     reports = [
         _examine(candidate, standards, bench, partial(progress, candidate.name)) for candidate in candidates
     ]
@@ -206,7 +206,7 @@ def _broken(
     group, observation = expected.inputs.name, expected.inputs.observation
     found = partial(_found, name, actions, expected)
     if machine.is_ours:
-        low, high = np.float32(bench.door.low), np.float32(bench.door.high)
+        low, high = np.float32(bench.last.low), np.float32(bench.last.high)
         with np.errstate(invalid="ignore"):
             outside = ~((actions >= low) & (actions <= high))
         yield from found("bounds", outside, None, f"leaves the bounds {low:g} to {high:g}")

@@ -22,7 +22,7 @@ from toolchain.policy.model import PolicyModel
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
 
-DOOR = Clip(0.0, 1.0)
+CLIP = Clip(0.0, 1.0)
 TANH_FLOATS = LANES + TANH.rows.size  # bounds and magic number, then the rows
 
 
@@ -56,14 +56,14 @@ def linear(outputs: int, inputs: int) -> Linear:
 def test_blocks_cover_every_output_when_the_last_is_not_full(
     policy: PolicyModel, outputs: int, blocks: dict[str, int]
 ) -> None:
-    plan = lowered(policy, chain(6, [linear(outputs, 6), DOOR]))
+    plan = lowered(policy, chain(6, [linear(outputs, 6), CLIP]))
     assert {call.kernel: call.count for call in plan.calls[1:-1]} == blocks
     assert plan.table.size == sum({"linear8": 8, "linear4": 4}[name] * 7 * n for name, n in blocks.items())
 
 
 def test_table_holds_biases_then_weights_by_input_when_read_block_by_block(policy: PolicyModel) -> None:
     layer = linear(11, 6)
-    table = lowered(policy, chain(6, [layer, DOOR])).table
+    table = lowered(policy, chain(6, [layer, CLIP])).table
     eight, four = table[:56].reshape(7, 8), table[56:].reshape(7, 4)
     np.testing.assert_array_equal(eight[0], layer.bias[:8])
     np.testing.assert_array_equal(eight[1:], layer.weight[:8].T)
@@ -72,7 +72,7 @@ def test_table_holds_biases_then_weights_by_input_when_read_block_by_block(polic
 
 
 def test_functions_come_first_and_once_when_several_layers_look_them_up(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(6, [linear(4, 6), Tanh(), linear(4, 4), Tanh(), DOOR]))
+    plan = lowered(policy, chain(6, [linear(4, 6), Tanh(), linear(4, 4), Tanh(), CLIP]))
     assert [call.table for call in plan.calls if call.kernel == "look_up"] == [0, 0]
     np.testing.assert_array_equal(plan.table[:3], np.array([TANH.low, TANH.high, TANH.magic], np.float32))
     np.testing.assert_array_equal(plan.table[LANES:TANH_FLOATS], TANH.rows.ravel())
@@ -80,7 +80,7 @@ def test_functions_come_first_and_once_when_several_layers_look_them_up(policy: 
 
 
 def test_parts_of_the_table_start_on_whole_lanes_when_widths_are_odd(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(3, [linear(7, 3), Tanh(), linear(9, 7), Relu(), linear(1, 9), DOOR]))
+    plan = lowered(policy, chain(3, [linear(7, 3), Tanh(), linear(9, 7), Relu(), linear(1, 9), CLIP]))
     assert all(call.table % LANES == 0 for call in plan.calls if call.table is not None)
     assert all(place.offset % LANES == 0 for call in plan.calls for place in call.sources)
 
@@ -89,7 +89,7 @@ def deep() -> Network:
     """Values of many widths and lives: the observation is needed at the very end."""
     nodes = [Node(linear(40, 6), (0,)), Node(Tanh(), (1,)), Node(linear(9, 40), (2,)), Node(Relu(), (3,))]
     nodes += [Node(linear(17, 9), (4,)), Node(Slice(1, 9), (5,)), Node(Add(), (6, 4))]
-    return Network(6, (*nodes, Node(Concat(), (7, 0)), Node(linear(4, 15), (8,)), Node(DOOR, (9,))))
+    return Network(6, (*nodes, Node(Concat(), (7, 0)), Node(linear(4, 15), (8,)), Node(CLIP, (9,))))
 
 
 def spans(call: Call) -> list[tuple[int, int]]:
@@ -135,12 +135,12 @@ def cell(kind: type, units: int, inputs: int) -> Operation:
 def test_state_has_room_for_whole_lanes_when_a_cell_is_recurrent(
     policy: PolicyModel, kind: type, floats: int
 ) -> None:
-    assert lowered(policy, chain(6, [cell(kind, 5, 6), linear(4, 5), DOOR])).state == floats
+    assert lowered(policy, chain(6, [cell(kind, 5, 6), linear(4, 5), CLIP])).state == floats
     assert lowered(policy).state == 0
 
 
 def test_calls_in_one_step_do_not_share_places_when_both_are_in_use(policy: PolicyModel) -> None:
-    plan = lowered(policy, chain(6, [cell(Lstm, 5, 6), linear(4, 5), DOOR]))
+    plan = lowered(policy, chain(6, [cell(Lstm, 5, 6), linear(4, 5), CLIP]))
     for call in plan.calls:
         sources = [place for place in call.sources if place.memory == "scratch"]
         for one, other in combinations([*sources, *([call.target] if call.target else [])], 2):

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from toolchain.ir import activation_tables_fit as lookup_fit
-from toolchain.ir.activation_tables import EXPM1, TANH, Lookup, apply
+from toolchain.ir.activation_tables import EXPM1, TANH, ActivationTable, apply
 from toolchain.ir.float32 import Float32
 
 INFINITY_BITS = 0x7F800000
@@ -27,7 +27,7 @@ SOURCE = Path(__file__).with_name("activation_tables_every.c")
 class Case:
     """A table, the function it stands for, and the bounds that toolchain/ir/activation_tables.py states."""
 
-    lookup: Lookup
+    lookup: ActivationTable
     exact: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     fit: lookup_fit.Function
     ulp: float
@@ -98,7 +98,7 @@ def test_results_are_those_of_the_upper_limit_when_x_is_above_it_or_nan(case: Ca
 
 
 @pytest.mark.parametrize(("lookup", "largest"), [(TANH, 2**-12), (EXPM1, 2**-24)])
-def test_results_are_x_when_x_is_tiny(lookup: Lookup, largest: float) -> None:
+def test_results_are_x_when_x_is_tiny(lookup: ActivationTable, largest: float) -> None:
     special = np.array([0.0, 1e-45, 1e-40, 1.2e-38, largest], np.float32)
     x = -np.concatenate([special, floats(0, largest, 997), floats(largest / 2, largest, 11)])
     np.testing.assert_array_equal(apply(lookup, x).view(np.uint32), x.view(np.uint32))
@@ -173,7 +173,9 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def described(lookup: Lookup) -> tuple[ctypes.c_void_p, ctypes.c_float, ctypes.c_float, ctypes.c_float]:
+def described(
+    lookup: ActivationTable,
+) -> tuple[ctypes.c_void_p, ctypes.c_float, ctypes.c_float, ctypes.c_float]:
     """`lookup` as the first arguments of the functions of activation_tables_every.c."""
     values = (lookup.low, lookup.high, lookup.step)
     low, high, step = map(ctypes.c_float, values)

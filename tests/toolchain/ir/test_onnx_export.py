@@ -38,7 +38,7 @@ from toolchain.policy.model import parse_policy
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Kit
 
-DOOR = Clip(0.0, 1.0)
+CLIP = Clip(0.0, 1.0)
 
 
 def array(*shape: int, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
@@ -81,7 +81,7 @@ def observations(count: int, inputs: int = 6) -> np.ndarray[tuple[int, ...], np.
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_onnxruntime_agrees_when_the_operation_is(name: str) -> None:
-    network = chain(6, (OPERATIONS[name], DOOR))
+    network = chain(6, (OPERATIONS[name], CLIP))
     run = session(to_model(network))
     rows = observations(50)
     expected = np.concatenate([run.run(["action"], {"observation": row[None]})[0] for row in rows])
@@ -97,7 +97,7 @@ def test_onnxruntime_agrees_when_the_network_branches() -> None:
         Node(Concat(), (3, 1)),
         Node(Slice(4, 6), (4,)),
         Node(Add(), (5, 2)),
-        Node(DOOR, (6,)),
+        Node(CLIP, (6,)),
     )
     network = Network(6, nodes)
     rows = observations(50)
@@ -106,7 +106,7 @@ def test_onnxruntime_agrees_when_the_network_branches() -> None:
 
 
 def test_state_is_taken_and_given_when_asked_for() -> None:
-    network = chain(6, (GRU, LSTM, Linear(array(4, 3), array(4) + np.float32(0.5)), DOOR))
+    network = chain(6, (GRU, LSTM, Linear(array(4, 3), array(4) + np.float32(0.5)), CLIP))
     run = session(to_model(network, rows="rows", state=True))
     assert [value.name for value in run.get_inputs()] == ["observation", "state0", "state1", "state2"]
     names = [value.name for value in run.get_outputs()]
@@ -123,7 +123,7 @@ def test_state_is_taken_and_given_when_asked_for() -> None:
 
 
 def test_every_value_is_given_when_asked_for() -> None:
-    network = chain(6, (Affine(np.full(6, 2.0), np.ones(6)), Linear(array(4, 6), array(4)), Tanh(), DOOR))
+    network = chain(6, (Affine(np.full(6, 2.0), np.ones(6)), Linear(array(4, 6), array(4)), Tanh(), CLIP))
     run = session(to_model(network, values=True))
     assert [value.name for value in run.get_outputs()] == ["action", "value1", "value2", "value3"]
     row = observations(1)
@@ -133,7 +133,7 @@ def test_every_value_is_given_when_asked_for() -> None:
 
 
 def test_model_is_the_same_when_it_is_written_twice() -> None:
-    network = chain(6, (GRU, LSTM, DOOR))
+    network = chain(6, (GRU, LSTM, CLIP))
     assert to_model(network).SerializeToString() == to_model(network).SerializeToString()
 
 
@@ -141,7 +141,7 @@ def test_model_is_the_same_when_it_is_written_twice() -> None:
 def test_network_is_read_back_when_the_operation_is(name: str, kit: Kit) -> None:
     joined = Network(6, (Node(OPERATIONS[name], (0,)), Node(Concat(), (1, 0)), Node(Multiply(), (2, 2))))
     last = Linear(array(4, joined.outputs), array(4) + np.float32(0.5))
-    network = Network(6, (*joined.nodes, Node(last, (3,)), Node(DOOR, (4,))))
+    network = Network(6, (*joined.nodes, Node(last, (3,)), Node(CLIP, (4,))))
     model = to_model(network)
     helper.set_model_props(model, kit.chain().metadata)
     read = parse_policy(bytes(model.SerializeToString())).network

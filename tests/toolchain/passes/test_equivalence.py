@@ -1,4 +1,4 @@
-"""The proof of a pass: it catches what a pass could do wrong, and blames nobody for float32's rounding."""
+"""The check of a pass: it finds what a pass could do wrong, and tolerates float32's rounding."""
 
 from __future__ import annotations
 
@@ -22,9 +22,16 @@ from toolchain.ir.operations import (
     Softsign,
     Tanh,
 )
-from toolchain.passes.equivalence import BOUND, MAGNITUDES, ROWS, Proof, ProofError, prove_equal
+from toolchain.passes.equivalence import (
+    BOUND,
+    MAGNITUDES,
+    ROWS,
+    Equivalence,
+    EquivalenceError,
+    check_equivalence,
+)
 
-DOOR = Clip(0.0, 1.0)
+CLIP = Clip(0.0, 1.0)
 
 
 def array(*shape: int, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
@@ -46,28 +53,28 @@ GRU = Gru(array(9, 6), array(9, 3, seed=1), array(9, seed=2), array(9, seed=3))
 LSTM = Lstm(array(12, 6), array(12, 3, seed=1), array(12, seed=2))
 HIDDEN, LAST = linear(8, 6), linear(4, 8)
 
-# what a wrong pass leaves of (HIDDEN, Tanh(), LAST, DOOR)
+# what a wrong pass leaves of (HIDDEN, Tanh(), LAST, CLIP)
 WRONG: dict[str, tuple[Operation, ...]] = {
     "a weight is off by 1e-4": (
         HIDDEN,
         Tanh(),
         replace(LAST, weight=LAST.weight + np.float32(1e-4) * (LAST.weight == LAST.weight.max())),
-        DOOR,
+        CLIP,
     ),
-    "a bias is lost": (HIDDEN, Tanh(), replace(LAST, bias=0 * LAST.bias), DOOR),
-    "inputs change places": (HIDDEN, Tanh(), turned(LAST), DOOR),
-    "another activation": (HIDDEN, Softsign(), LAST, DOOR),
-    "half a sigmoid": (HIDDEN, Sigmoid(), LAST, DOOR),
-    "a bound too many": (HIDDEN, Tanh(), LAST, Clip(0.0, 0.75), DOOR),
-    "a bound that only binds in a turn": (Clip(-100.0, None), HIDDEN, Tanh(), LAST, DOOR),
+    "a bias is lost": (HIDDEN, Tanh(), replace(LAST, bias=0 * LAST.bias), CLIP),
+    "inputs change places": (HIDDEN, Tanh(), turned(LAST), CLIP),
+    "another activation": (HIDDEN, Softsign(), LAST, CLIP),
+    "half a sigmoid": (HIDDEN, Sigmoid(), LAST, CLIP),
+    "a bound too many": (HIDDEN, Tanh(), LAST, Clip(0.0, 0.75), CLIP),
+    "a bound that only binds in a turn": (Clip(-100.0, None), HIDDEN, Tanh(), LAST, CLIP),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_pass_is_caught_when(name: str) -> None:
-    before = chain(6, (HIDDEN, Tanh(), LAST, DOOR))
-    with pytest.raises(ProofError, match=r"a test changes an action by .* expected at most"):
-        prove_equal(before, chain(6, WRONG[name]), "a test")
+    before = chain(6, (HIDDEN, Tanh(), LAST, CLIP))
+    with pytest.raises(EquivalenceError, match=r"a test changes an action by .* expected at most"):
+        check_equivalence(before, chain(6, WRONG[name]), "a test")
 
 
 @pytest.mark.parametrize(
@@ -80,20 +87,20 @@ def test_pass_is_caught_when(name: str) -> None:
 )
 def test_pass_is_caught_when_only_later_steps_show_it(cell: Operation, wrong: Operation) -> None:
     last = linear(4, 3)
-    with pytest.raises(ProofError):
-        prove_equal(chain(6, (cell, last, DOOR)), chain(6, (wrong, last, DOOR)), "a test")
-    assert prove_equal(chain(6, (cell, last, DOOR)), chain(6, (cell, last, DOOR)), "a test").unit == 0
+    with pytest.raises(EquivalenceError):
+        check_equivalence(chain(6, (cell, last, CLIP)), chain(6, (wrong, last, CLIP)), "a test")
+    assert check_equivalence(chain(6, (cell, last, CLIP)), chain(6, (cell, last, CLIP)), "a test").unit == 0
 
 
 def test_pass_is_caught_when_it_errs_beyond_the_gyros_range_only() -> None:
-    before = chain(6, (linear(4, 6, size=1e-4), DOOR))
-    after = chain(6, (Clip(-1000.0, 1000.0), linear(4, 6, size=1e-4), DOOR))
-    with pytest.raises(ProofError, match="at magnitude 3000"):
-        prove_equal(before, after, "a test")
+    before = chain(6, (linear(4, 6, size=1e-4), CLIP))
+    after = chain(6, (Clip(-1000.0, 1000.0), linear(4, 6, size=1e-4), CLIP))
+    with pytest.raises(EquivalenceError, match="at magnitude 3000"):
+        check_equivalence(before, after, "a test")
 
 
 def folded(count: int, make: Callable[[int], tuple[Operation, ...]]) -> Network:
-    return chain(6, [operation for index in range(count) for operation in make(index)] + [Slice(0, 4), DOOR])
+    return chain(6, [operation for index in range(count) for operation in make(index)] + [Slice(0, 4), CLIP])
 
 
 def test_rounding_is_no_fault_when_weights_are_large() -> None:
@@ -107,7 +114,7 @@ def test_rounding_is_no_fault_when_weights_are_large() -> None:
         bias = layer.weight.astype(float) @ scale.offset + layer.bias
         return Linear((layer.weight * scale.scale).astype(np.float32), bias.astype(np.float32)), Tanh()
 
-    proof = prove_equal(folded(4, layers), folded(4, merged), "a test")
+    proof = check_equivalence(folded(4, layers), folded(4, merged), "a test")
     assert proof.unit > BOUND
 
 
@@ -115,22 +122,24 @@ def test_observation_is_not_compared_when_a_value_overflows() -> None:
     large = Affine(np.full(6, 1e20), np.zeros(6))
     small = Affine(np.full(6, 1e-20), np.zeros(6))
     before, after = (
-        chain(6, (large, small, HIDDEN, Tanh(), LAST, DOOR)),
-        chain(6, (HIDDEN, Tanh(), LAST, DOOR)),
+        chain(6, (large, small, HIDDEN, Tanh(), LAST, CLIP)),
+        chain(6, (HIDDEN, Tanh(), LAST, CLIP)),
     )
-    proof = prove_equal(before, after, "a test")
+    proof = check_equivalence(before, after, "a test")
     overflowing = sum(magnitude * 1e20 > 3.4e38 for magnitude in MAGNITUDES)
     assert 0 < proof.overflowing <= overflowing * ROWS
-    assert prove_equal(after, after, "a test").overflowing < proof.overflowing
+    assert check_equivalence(after, after, "a test").overflowing < proof.overflowing
 
 
 def test_layer_norm_is_equal_to_itself_when_its_input_is_shifted() -> None:
     norm = LayerNorm(1e-5, array(8), array(8, seed=1))
     shifted = Linear(HIDDEN.weight, HIDDEN.bias + np.float32(0.25))
-    proof = prove_equal(chain(6, (HIDDEN, norm, LAST, DOOR)), chain(6, (shifted, norm, LAST, DOOR)), "a test")
+    proof = check_equivalence(
+        chain(6, (HIDDEN, norm, LAST, CLIP)), chain(6, (shifted, norm, LAST, CLIP)), "a test"
+    )
     assert 0 < proof.unit < BOUND
 
 
 def test_worst_of_two_proofs_is_kept_when_a_pass_runs_twice() -> None:
-    one, other = Proof(10, 1e-7, 3e-8, 0), Proof(20, 2e-7, 1e-8, 4)
-    assert one.worst(other) == Proof(30, 2e-7, 3e-8, 4)
+    one, other = Equivalence(10, 1e-7, 3e-8, 0), Equivalence(20, 2e-7, 1e-8, 4)
+    assert one.worst(other) == Equivalence(30, 2e-7, 3e-8, 4)

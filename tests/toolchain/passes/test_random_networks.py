@@ -32,7 +32,7 @@ from toolchain.ir.operations import (
     Tanh,
 )
 from toolchain.passes import PASSES, optimize, size
-from toolchain.passes.equivalence import BOUND, prove_equal
+from toolchain.passes.equivalence import BOUND, check_equivalence
 
 SEEDS, SEEDS_PROVEN = range(150), range(1000, 5000)
 WIDEST = 8
@@ -142,7 +142,7 @@ def check(seed: int) -> set[str]:
     assert isinstance(shorter.nodes[-1].operation, Clip)
     assert size(shorter).operations <= size(network).operations
     assert size(shorter).bytes <= size(network).bytes
-    together = prove_equal(network, shorter, "all passes")
+    together = check_equivalence(network, shorter, "all passes")
     observation = np.random.default_rng(seed).normal(size=(12, network.inputs)).astype(np.float32)
     difference = np.abs(replay(shorter, observation) - replay(network, observation)).max()
     assert difference <= max(BOUND * np.abs(observation).max(), 16 * together.unit)

@@ -15,7 +15,7 @@ from cli.main import main
 from sim.aircraft.model import load_aircraft
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
-from toolchain.policy.import_onnx import PolicyClaims, adopt, adopted_model
+from toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
 from toolchain.policy.model import parse_policy, read_policy
 
 if TYPE_CHECKING:
@@ -81,10 +81,10 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
 def test_model_computes_the_same_when_frozen(kit: Kit) -> None:
     chain = kit.mlp((6, 8, 4))
     network = parse_policy(chain.data()).network
-    data, changes = adopted_model(foreign(chain), CLAIMS, clip=True)
+    data, changes = imported_model(foreign(chain), CLAIMS, clip=True)
     observation = kit.observations(50, 6)
-    adopted = parse_policy(data)
-    np.testing.assert_array_equal(evaluate(adopted.network, observation), evaluate(network, observation))
+    imported = parse_policy(data)
+    np.testing.assert_array_equal(evaluate(imported.network, observation), evaluate(network, observation))
     assert "appended a Clip to [0, 1]" not in changes
 
 
@@ -92,7 +92,7 @@ def test_metadata_are_replaced_when_the_model_has_some(kit: Kit) -> None:
     chain = kit.mlp((6, 8, 4))
     model = chain.model()
     model.metadata_props.add(key="trainer", value="another")
-    data, changes = adopted_model(model.SerializeToString(), CLAIMS, clip=False)
+    data, changes = imported_model(model.SerializeToString(), CLAIMS, clip=False)
     assert not changes
     kept = {entry.key: entry.value for entry in onnx.load_from_string(data).metadata_props}
     assert (kept["trainer"], kept["neuroflight.aircraft_sha256"]) == ("another", "ab" * 32)
@@ -221,7 +221,7 @@ def with_data_beside(kit: Kit, folder: Path, **edits: str) -> Path:
 
 def test_weights_are_embedded_when_they_lie_beside_the_model(kit: Kit, tmp_path: Path) -> None:
     out = tmp_path / "out" / "policy.onnx"
-    policy, changes = adopt(with_data_beside(kit, tmp_path), out, CLAIMS, clip=False)
+    policy, changes = import_onnx(with_data_beside(kit, tmp_path), out, CLAIMS, clip=False)
     assert changes[0] == "took the weights out of 'weights.data'"
     observation = kit.observations(20, 6)
     expected = evaluate(parse_policy(kit.mlp((6, 8, 4)).data()).network, observation)
@@ -247,7 +247,7 @@ def test_model_is_refused_when_its_weights_beside_it_are_not_sound(
 ) -> None:
     source, out = with_data_beside(kit, tmp_path, **edits), tmp_path / "out" / "policy.onnx"
     with pytest.raises(PolicyError) as caught:
-        adopt(source, out, CLAIMS, clip=False)
+        import_onnx(source, out, CLAIMS, clip=False)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not out.parent.exists()
@@ -257,13 +257,13 @@ def test_critic_is_dropped_when_the_output_is_chosen(kit: Kit) -> None:
     chain = kit.mlp((6, 8, 4))
     network = parse_policy(chain.data()).network
     source = foreign(chain, two_outputs)
-    data, changes = adopted_model(source, CLAIMS, clip=False, output="act")
+    data, changes = imported_model(source, CLAIMS, clip=False, output="act")
     assert changes[0] == "kept the output 'act', dropped 1 other(s) and 1 node(s)"
     observation = kit.observations(20, 6)
-    adopted = parse_policy(data).network
-    np.testing.assert_array_equal(evaluate(adopted, observation), evaluate(network, observation))
+    imported = parse_policy(data).network
+    np.testing.assert_array_equal(evaluate(imported, observation), evaluate(network, observation))
     with pytest.raises(PolicyError, match="no output 'motors', its outputs are 'act', 'value'"):
-        adopted_model(source, CLAIMS, clip=False, output="motors")
+        imported_model(source, CLAIMS, clip=False, output="motors")
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_model_is_refused_when_its_ends_are_not_one_row(
     kit: Kit, edit: Callable[[onnx.GraphProto], object], words: str
 ) -> None:
     with pytest.raises(PolicyError) as caught:
-        adopted_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
+        imported_model(foreign(kit.mlp((6, 8, 4)), edit), CLAIMS, clip=True)
     assert words in str(caught.value)
 
 
@@ -292,7 +292,7 @@ def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:
         for place in rng.integers(0, len(data), 2):
             damaged[place] = rng.integers(0, 256)
         try:
-            adopted_model(bytes(damaged), CLAIMS, clip=True)
+            imported_model(bytes(damaged), CLAIMS, clip=True)
         except PolicyError as error:
             assert "\n" not in str(error)
             refused += 1

@@ -21,7 +21,7 @@ from torch import nn
 
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate, replay
-from toolchain.policy.import_onnx import PolicyClaims, adopted_model
+from toolchain.policy.import_onnx import PolicyClaims, imported_model
 from toolchain.policy.model import parse_policy
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def test_actor_is_adopted_when_stable_baselines_exports_its_critic_too() -> None
             parameter.normal_(std=0.3)
     model = export(Onnxable(actor), False, 17, outputs=3)
     claims = PolicyClaims("rate_error,rate_error_delta", 1000, "[]", "nf1", "ab" * 32, 4)
-    data, changes = adopted_model(model.SerializeToString(), claims, clip=True, output="action")
+    data, changes = imported_model(model.SerializeToString(), claims, clip=True, output="action")
     assert "appended a Clip to [0, 1]" in changes
     network = parse_policy(data).network
     assert network.text == "6-16-16-4 tanh"

@@ -73,7 +73,7 @@ class Maker:
         """Random values of a size that keeps sums near 1."""
         return np.asarray(self._rng.normal(size=shape) / np.sqrt(shape[-1]), np.float32)
 
-    def door(self) -> Network:
+    def clipped(self) -> Network:
         """The network, ending in four actions that mostly lie inside the bounds."""
         self.linear(4)
         self.add(Affine(np.full(4, 0.3), np.full(4, 0.4)))
@@ -89,7 +89,7 @@ def perceptron(inputs: int, *layers: int | Operation, seed: int = 0) -> Network:
             make.linear(layer)
         else:
             make.add(layer)
-    return make.door()
+    return make.clipped()
 
 
 def gru(make: Maker, inputs: int, units: int) -> Gru:
@@ -117,7 +117,7 @@ def normed() -> Network:
     make.linear(21)
     make.add(Tanh())
     make.add(norm(make, 21))
-    return make.door()
+    return make.clipped()
 
 
 def branched() -> Network:
@@ -130,14 +130,14 @@ def branched() -> Network:
     make.add(Concat(), residual, OBSERVATION, right)
     make.linear(24)
     make.add(LeakyRelu(0.2))
-    return make.door()
+    return make.clipped()
 
 
 def gated() -> Network:
     """A GRU on the observation."""
     make = Maker(6, 10)
     make.add(gru(make, 6, 24))
-    return make.door()
+    return make.clipped()
 
 
 def remembering() -> Network:
@@ -146,7 +146,7 @@ def remembering() -> Network:
     make.linear(20)
     make.add(Relu())
     make.add(lstm(make, 20, 17))
-    return make.door()
+    return make.clipped()
 
 
 def everything() -> Network:
@@ -160,7 +160,7 @@ def everything() -> Network:
     make.add(Concat(), len(make.nodes), OBSERVATION)
     make.linear(13)
     make.add(Clip(-1.0, 1.0))
-    return make.door()
+    return make.clipped()
 
 
 NETWORKS: dict[str, Callable[[], Network]] = {
