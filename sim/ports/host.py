@@ -1,6 +1,6 @@
 """The host program behind the port: build/HOST/neuroflight over its real sockets, in strict lockstep.
 
-The wire is Betaflight's (toolchain/contract/simulator_link.py): body axes forward, right, down;
+The wire is Betaflight's simulator format (facts in toolchain/contract.py): body axes forward, right, down;
 attitude as a quaternion w x y z from the body (x forward, y left, z up) to the world (north, west, up);
 velocity and position east, north, up.
 """
