@@ -1,4 +1,4 @@
-"""Strict reading of a TOML table: every key is asked for once, by type and range, or refused by name."""
+"""Strict reading of TOML: a key of the wrong type, out of its range or unknown is an error that names it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ SHOWN_MAX = 60  # characters of a wrong value in a message
 TEXT_MAX = 200  # characters
 
 
-class Table:
-    """One table of a parsed file. `finish()` refuses the keys that nobody asked for."""
+class StrictTable:
+    """One table of a parsed file. `finish()` raises the error on keys that were never read."""
 
     def __init__(
         self, values: Mapping[str, Any], where: str, error: type[NeuroflightError], path: str = ""
@@ -31,7 +31,7 @@ class Table:
         return key in self._values
 
     def either(self, *keys: str) -> str:
-        """The one of `keys` that the file gives; none of them and more than one are refused."""
+        """The one of `keys` that the file gives; none or more than one is an error."""
         given = [key for key in keys if self.has(key)]
         if not given:
             raise self.error(keys[0], f"missing; give it or one of: {', '.join(keys[1:])}")
@@ -65,14 +65,14 @@ class Table:
         return value
 
     def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
-        """One of the words of `values`; returns what it stands for."""
+        """The value of `values` whose name the file gives."""
         value = self._get(key, default)
         if not isinstance(value, str) or value not in values:
             raise self.error(key, f"got {shown(value)}, expected one of: {', '.join(values)}")
         return values[value]
 
     def names(self) -> tuple[str, ...]:
-        """The keys of a table whose keys are names, in the file's order."""
+        """All keys, in the file's order: for a table whose keys are names."""
         return tuple(self._values)
 
     def vector(
@@ -100,14 +100,14 @@ class Table:
             self._number(f"{key}[{i}]" if many else key, item, low, high) for i, item in enumerate(value)
         )
 
-    def table(self, key: str) -> Table:
+    def table(self, key: str) -> StrictTable:
         """The table called `key`."""
         value = self._get(key, None)
         if not isinstance(value, dict):
             raise self.error(key, f"got {shown(value)}, expected a table [{self._path}{key}]")
         return self._within(value, key)
 
-    def tables(self, key: str, low: int, high: int) -> list[Table]:
+    def tables(self, key: str, low: int, high: int) -> list[StrictTable]:
         """The list of tables [[key]], `low` to `high` of them."""
         value = self._get(key, None)
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
@@ -117,12 +117,12 @@ class Table:
         return [self._within(item, f"{key}[{i}]") for i, item in enumerate(value)]
 
     def finish(self) -> None:
-        """Refuse what is in the file but was never read: most often a slip of the pen."""
+        """Raise the error if the file has a key that was never read: most often a misspelt one."""
         unknown = sorted(set(self._values) - self._read)
         if unknown:
             raise self.error(unknown[0], f"unknown key; known here: {', '.join(sorted(self._known))}")
 
-    def _within(self, values: Mapping[str, Any], key: str) -> Table:
+    def _within(self, values: Mapping[str, Any], key: str) -> StrictTable:
         return type(self)(values, self._where, self._error, f"{self._path}{key}.")
 
     def _get(self, key: str, default: object) -> Any:  # noqa: ANN401 - any TOML value
@@ -141,7 +141,7 @@ class Table:
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: on one line, and not all of it if it is long."""
+    """A value as a message shows it: on one line, cut off if it is long."""
     try:
         text = repr(value)
     except ValueError:  # Python does not print integers of thousands of digits

@@ -35,10 +35,9 @@ def run(args: argparse.Namespace) -> int:
 
     from cli.output import check_output
     from sim.aircraft.model import load_aircraft
-    from sim.analysis.flight_report import png
     from sim.identification.link_drift import FORMULATIONS, drift
     from sim.identification.link_drift_plot import draw
-    from toolchain.files import write_bytes
+    from sim.plotting import save_png
 
     check_output(args.plot, ".png")
     for step in args.steps_ms:
@@ -54,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
                 task = bar.add_task(f"{formulation}, {step:g} ms", total=flights)
                 runs.append(drift(aircraft, formulation, step / 1e3, partial(bar.advance, task)))
     if args.plot:
-        write_bytes(args.plot, png(draw(runs, f"{aircraft.name}: do its links stay together?")))
+        save_png(args.plot, draw(runs, f"{aircraft.name}: do its links stay together?"))
     if args.json:
         print(json.dumps(_document(args, aircraft, runs), indent=2))
     else:

@@ -59,9 +59,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from sim.aircraft.edit import edit_aircraft
-    from sim.analysis.flight_report import png
-    from sim.identification.gyro_noise import aircraft_keys, draw, measure_noise
+    from sim.identification.gyro_noise import aircraft_keys, measure_noise
+    from sim.identification.gyro_noise_plot import draw
     from sim.identification.recording import read_recording
+    from sim.plotting import png
     from toolchain.files import write_bytes
 
     console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())

@@ -77,9 +77,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.analysis.flight_report import png
+    from sim.plotting import save_png
     from toolchain.errors import TrainingError
-    from toolchain.files import write_bytes
     from training.evaluation.comparison import enter
     from training.evaluation.comparison_plot import draw
     from training.evaluation.controllers import load_contender
@@ -110,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plot:
         first = args.throttle[0]
         drawn = title if first == 0.0 else f"{title}, throttle {first:g}"
-        write_bytes(args.plot, png(draw(rounds[first], drawn)))
+        save_png(args.plot, draw(rounds[first], drawn))
     if args.json:
         told = command("compare", args, *args.controllers, throttle=_told(args.throttle))
         document = {

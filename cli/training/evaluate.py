@@ -62,10 +62,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.analysis.flight_report import png
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
-    from toolchain.files import write_bytes
+    from sim.plotting import save_png
     from training.evaluation.controllers import load_contender
     from training.evaluation.evaluation import figures
 
@@ -86,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     held = flights.hold()
     if args.plot and held and result.response:
         line = Line(contender.label, result.spectrum, result.smoothness)
-        write_bytes(args.plot, png(draw(held, result.response, line, title)))
+        save_png(args.plot, draw(held, result.response, line, title))
     if args.json:
         document = {
             "command": command("evaluate", args, args.controller, throttle=args.throttle or None),

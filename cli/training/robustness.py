@@ -64,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sim.analysis.flight_report import png
-    from toolchain.files import write_bytes
+    from sim.plotting import save_png
     from training.evaluation.controllers import load_contender
     from training.evaluation.robustness import examine
     from training.evaluation.robustness_plot import draw
@@ -87,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         f"{plan.throttle_max:g}, seed {plan.seed}"
     )
     if args.plot:
-        write_bytes(args.plot, png(draw(results, title)))
+        save_png(args.plot, draw(results, title))
     if args.json:
         print(json.dumps(_document(args, plan, results), indent=2))
     else:

@@ -198,8 +198,7 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
 
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
     """monitor.png, as far as there is something to draw."""
-    from sim.analysis.flight_report import png
-    from toolchain.files import write_bytes
+    from sim.plotting import save_png
     from training.checkpoints.monitor import EPISODES, flown
     from training.checkpoints.monitor_plot import draw, read_monitor
     from training.runs.train import MONITOR
@@ -208,7 +207,7 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
     if any(run.readings for run in runs):
         task = flown(planned[0].config).task.name
         title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
-        write_bytes(out / PLOT, png(draw(runs, f"seed {best}", title)))
+        save_png(out / PLOT, draw(runs, f"seed {best}", title))
 
 
 def _print(

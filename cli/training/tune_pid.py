@@ -64,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
     from sim.aircraft.model import FOLDER, load_aircraft, shipped
     from sim.aircraft.pid_write import write_pid
-    from sim.analysis.flight_report import png
-    from toolchain.files import write_bytes
+    from sim.plotting import save_png
     from training.pid_tuning.tuning import Limits, idle_limit
     from training.pid_tuning.tuning_plot import draw
 
@@ -83,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         write_pid(source, args.write, args.name, best, _comment(args, checked["tuned"]))
     if args.plot:
         title = f"{aircraft.name}: PID tuning, seed {args.seed}"
-        write_bytes(args.plot, png(draw(tuning, aircraft, limits, RATE_HZ, title)))
+        save_png(args.plot, draw(tuning, aircraft, limits, RATE_HZ, title))
     if args.json:
         print(json.dumps(_document(args, aircraft, limits, tuning, checked), indent=2))
     else:

@@ -17,7 +17,7 @@ import numpy as np
 from sim.aircraft import mesh
 from sim.aircraft.mass import Part, Tensor, Vector, principal
 from sim.aircraft.mesh import Solid
-from sim.strict_toml import Table
+from sim.strict_toml import StrictTable
 from toolchain.contract import MOTOR_COUNT_MAX
 
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -78,12 +78,12 @@ class Meshes:
         return data
 
 
-def read_parts(root: Table, meshes: Meshes) -> list[Part]:
+def read_parts(root: StrictTable, meshes: Meshes) -> list[Part]:
     """Every [[part]]."""
     return [_placed_part(table, meshes) for table in root.tables("part", 1, PARTS_MAX)]
 
 
-def read_rotors(root: Table, meshes: Meshes) -> tuple[tuple[Rotor, ...], list[Part]]:
+def read_rotors(root: StrictTable, meshes: Meshes) -> tuple[tuple[Rotor, ...], list[Part]]:
     """Every [[rotor]], and the motors and propellers that sit on them."""
     motor = _mounted_part(root, "motor_part", meshes)
     propeller = _mounted_part(root, "propeller_part", meshes)
@@ -108,7 +108,7 @@ def read_rotors(root: Table, meshes: Meshes) -> tuple[tuple[Rotor, ...], list[Pa
     return tuple(rotors), parts
 
 
-def refuse_collisions(root: Table, rotors: Sequence[Rotor], diameter: float | None) -> None:
+def refuse_collisions(root: StrictTable, rotors: Sequence[Rotor], diameter: float | None) -> None:
     """Raise for two hubs in one place, or nearer than a propeller's radius [m] in one plane."""
     for (i, a), (j, b) in combinations(enumerate(rotors), 2):
         across = math.dist(a.position[:2], b.position[:2])
@@ -121,7 +121,7 @@ def refuse_collisions(root: Table, rotors: Sequence[Rotor], diameter: float | No
             )
 
 
-def _placed_part(table: Table, meshes: Meshes) -> Part:
+def _placed_part(table: StrictTable, meshes: Meshes) -> Part:
     part = replace(
         _part(table, table.text("name"), meshes),
         position=table.vector("position_m", -10, 10),
@@ -131,7 +131,7 @@ def _placed_part(table: Table, meshes: Meshes) -> Part:
     return part
 
 
-def _mounted_part(root: Table, key: str, meshes: Meshes) -> Part | None:
+def _mounted_part(root: StrictTable, key: str, meshes: Meshes) -> Part | None:
     """The part that sits on every rotor, or None where the file has no such table."""
     if not root.has(key):
         return None
@@ -141,14 +141,14 @@ def _mounted_part(root: Table, key: str, meshes: Meshes) -> Part | None:
     return part
 
 
-def _rotation(table: Table) -> Vector:
+def _rotation(table: StrictTable) -> Vector:
     if not table.has("rotation_rad"):
         return (0.0, 0.0, table.number("yaw_rad", -TURN, TURN, 0.0))
     table.either("yaw_rad", "rotation_rad")
     return table.vector("rotation_rad", -TURN, TURN)
 
 
-def _part(table: Table, name: str, meshes: Meshes) -> Part:
+def _part(table: StrictTable, name: str, meshes: Meshes) -> Part:
     """A part at the origin, as the table weighs it; its pose is the caller's."""
     mass = table.number("mass_kg", 1e-6, 1000)
     form = table.either("inertia_kg_m2", "mesh", "box_m", "cylinder_m")
@@ -169,7 +169,7 @@ def _part(table: Table, name: str, meshes: Meshes) -> Part:
     return Part(name, mass, ZERO, ZERO, solid.centre, inertia, solid.surface)
 
 
-def _mesh(table: Table, meshes: Meshes) -> Solid:
+def _mesh(table: StrictTable, meshes: Meshes) -> Solid:
     name, unit = table.text("mesh"), table.number("mesh_unit_m", 1e-6, 1)
     try:
         return mesh.read_solid(meshes.read(name), unit)
@@ -177,7 +177,7 @@ def _mesh(table: Table, meshes: Meshes) -> Solid:
         raise table.error("mesh", f"{name!r} {error}") from error
 
 
-def _inertia(table: Table) -> Tensor:
+def _inertia(table: StrictTable) -> Tensor:
     """Three principal moments along the part's axes, or the six elements xx, yy, zz, xy, xz, yz."""
     values = table.numbers("inertia_kg_m2", 3, 6, -1000, 1000)
     if len(values) not in (3, 6):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_collisions
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
-from sim.strict_toml import Table
+from sim.strict_toml import StrictTable
 from toolchain import contract
 from toolchain.contract import AXES
 from toolchain.errors import AircraftError
@@ -203,7 +203,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
 
     folder: where its meshes lie; without one, a file that names a mesh is refused.
     """
-    root = Table(_document(data, where), f"aircraft file {where}", AircraftError)
+    root = StrictTable(_document(data, where), f"aircraft file {where}", AircraftError)
     root.integer("format", 1, 1)
     name = root.text("name")
     if not NAME.fullmatch(name):
@@ -277,7 +277,7 @@ def _document(data: bytes, where: str) -> dict[str, object]:
         ) from error
 
 
-def _propulsion(table: Table) -> Propulsion:
+def _propulsion(table: StrictTable) -> Propulsion:
     a, b, c = table.vector("speed_curve_rpm", -1e6, 1e6)
     if b <= 0 or 2 * a + b < 0 or c < 0:
         raise table.error(
@@ -302,7 +302,7 @@ def _propulsion(table: Table) -> Propulsion:
     return propulsion
 
 
-def _coefficients(table: Table, speed_max: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _coefficients(table: StrictTable, speed_max: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """K_T and K_Q, given as such or by the propeller's dimensionless C_T and C_Q."""
     if table.either("thrust_coefficient", "c_t") == "thrust_coefficient":
         table.either("torque_ratio_m", "c_q")
@@ -315,7 +315,7 @@ def _coefficients(table: Table, speed_max: float) -> tuple[tuple[float, ...], tu
     return (thrust_coefficient(c_t, diameter, density),), (torque_ratio(c_t, c_q, diameter),)
 
 
-def _coefficient(table: Table, key: str, speed_max: float, high: float) -> tuple[float, ...]:
+def _coefficient(table: StrictTable, key: str, speed_max: float, high: float) -> tuple[float, ...]:
     """A number, or a polynomial of rotor speed that stays positive up to `speed_max` [rad/s]."""
     polynomial = table.numbers(key, 1, COEFFICIENT_TERMS_MAX, -high, high)
     speeds = np.linspace(0.0, speed_max, 1001)
@@ -330,7 +330,7 @@ def _coefficient(table: Table, key: str, speed_max: float, high: float) -> tuple
     return polynomial
 
 
-def _response(table: Table) -> Response:
+def _response(table: StrictTable) -> Response:
     kind = table.choice("kind", {"torque": "torque", "first_order": "first_order"})
     response: Response
     if kind == "torque":
@@ -348,7 +348,7 @@ def _response(table: Table) -> Response:
     return response
 
 
-def _battery(table: Table) -> Battery:
+def _battery(table: StrictTable) -> Battery:
     battery = Battery(
         cells=table.integer("cells", 1, 100),
         capacity=3600 * table.number("capacity_ah", 1e-3, 1e4),
@@ -367,7 +367,7 @@ def _battery(table: Table) -> Battery:
     return battery
 
 
-def _gyro(table: Table) -> Gyro:
+def _gyro(table: StrictTable) -> Gyro:
     gyro = Gyro(
         noise=_radians(table.vector("noise_deg_s", 0, 100)),
         bias=math.radians(table.number("bias_deg_s", 0, 100)),
@@ -379,7 +379,7 @@ def _gyro(table: Table) -> Gyro:
     return gyro
 
 
-def _accelerometer(table: Table) -> Accelerometer:
+def _accelerometer(table: StrictTable) -> Accelerometer:
     accelerometer = Accelerometer(
         noise=table.vector("noise_m_s2", 0, 100),
         bias=table.number("bias_m_s2", 0, 10, 0.0),
@@ -391,7 +391,7 @@ def _accelerometer(table: Table) -> Accelerometer:
     return accelerometer
 
 
-def _esc(table: Table) -> EscTelemetry:
+def _esc(table: StrictTable) -> EscTelemetry:
     esc = EscTelemetry(
         speed_step=table.number("speed_step_rpm", 0, 1e4, 0.0) * RPM,
         voltage_step=table.number("voltage_step_v", 0, 10, 0.0),
@@ -401,7 +401,7 @@ def _esc(table: Table) -> EscTelemetry:
     return esc
 
 
-def _body(table: Table) -> Body:
+def _body(table: StrictTable) -> Body:
     body = Body(
         size=table.vector("size_m", 1e-3, 20),
         centre=table.vector("centre_m", -10, 10),
@@ -411,7 +411,7 @@ def _body(table: Table) -> Body:
     return body
 
 
-def _pids(table: Table, motors: int) -> tuple[tuple[str, PidSettings], ...]:
+def _pids(table: StrictTable, motors: int) -> tuple[tuple[str, PidSettings], ...]:
     pids = []
     for name in table.names():
         pid = table.table(name)
@@ -428,7 +428,7 @@ def _pids(table: Table, motors: int) -> tuple[tuple[str, PidSettings], ...]:
     return tuple(pids)
 
 
-def _mixer(table: Table, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+def _mixer(table: StrictTable, motors: int) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     roll, pitch, yaw = (table.numbers(axis, motors, motors, -10, 10) for axis in AXES)
     table.finish()
     return roll, pitch, yaw
@@ -439,5 +439,5 @@ def _radians(degrees: Vector) -> Vector:
     return (x, y, z)
 
 
-def _optional(table: Table, key: str, low: float, high: float) -> float | None:
+def _optional(table: StrictTable, key: str, low: float, high: float) -> float | None:
     return table.number(key, low, high) if table.has(key) else None

@@ -1,10 +1,9 @@
-"""What a flight looks like: a plot, a table of figures, a page that carries both."""
+"""Report of a flight: a plot, a table of figures, and an HTML page with both."""
 
 from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
@@ -20,17 +18,22 @@ from sim.analysis.confidence import Mean
 from sim.analysis.metrics import Figures
 from sim.analysis.response import ResponseFigures
 from sim.flight.trace import Trace
+from sim.plotting import (
+    AXIS_COLOURS,
+    FLIGHT_COLOURS,
+    INK,
+    MOTOR_COLOURS,
+    dress,
+    legend_above,
+    png,
+    save_png,
+    titled_figure,
+)
 from toolchain.contract import AXES
-from toolchain.files import write_bytes, write_text
+from toolchain.files import write_text
 
 WINDOW_S = 13.5  # the most a plot shows: three pulses of 4.5 s
 SMOOTH_S = 0.020  # of the motors' moving average
-DPI = 130
-# Okabe and Ito's palette: told apart in every kind of colour vision.
-INK, GRID = "#22272e", "#d8dde3"
-FLIGHT_COLOURS = ("#0072b2", "#e69f00", "#cc79a7", "#009e73")
-AXIS_COLOURS = ("#0072b2", "#d55e00", "#009e73")
-MOTOR_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000")
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #22272e }
 body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
@@ -97,8 +100,7 @@ def _add_response(
 
 def draw(flights: Sequence[Flight], title: str) -> Figure:
     """Rates of each axis, then error and motors of the first flight; at most WINDOW_S of it."""
-    figure = Figure(figsize=(11, 11.5), layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((11, 11.5), title, (0.06, 0.08))
     panels: list[Axes] = list(
         figure.subplots(5, 1, sharex=True, gridspec_kw={"height_ratios": (3, 3, 3, 2.4, 2.6)})
     )
@@ -111,18 +113,7 @@ def draw(flights: Sequence[Flight], title: str) -> Figure:
     for panel, name in zip(panels, names, strict=True):
         dress(panel, name)
     for panel in (panels[0], *panels[3:]):
-        handles, labels = panel.get_legend_handles_labels()
-        panel.legend(
-            handles,
-            labels,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 0.99),
-            ncols=len(labels),
-            frameon=False,
-            fontsize=9,
-            borderaxespad=0.2,
-            handlelength=1.6,
-        )
+        legend_above(panel)
     panels[-1].set_xlabel("time since arming, s", color=INK)
     t = flights[0].trace.t[shown]
     panels[-1].set_xlim(0.0, float(t[-1] + t[1]) if len(t) > 1 else 1.0)
@@ -132,7 +123,7 @@ def draw(flights: Sequence[Flight], title: str) -> Figure:
 
 def save_plot(path: Path, flights: Sequence[Flight], title: str) -> None:
     """Write the plot as PNG."""
-    write_bytes(path, png(draw(flights, title)))
+    save_png(path, draw(flights, title))
 
 
 def save_report(path: Path, flights: Sequence[Flight], title: str, note: str) -> None:
@@ -194,24 +185,6 @@ def _draw_motors(panel: Axes, flight: Flight, shown: NDArray[np.bool_]) -> None:
         panel.plot(trace.t[shown], smooth, color=colour, lw=1.2, label=str(motor + 1), zorder=3)
     panel.set_ylabel("%", color=INK)
     panel.set_ylim(0, 104)
-
-
-def dress(panel: Axes, name: str) -> None:
-    """Title, grid and spines of a panel in the look that all plots share."""
-    panel.set_title(name, loc="left", fontsize=11, fontweight="bold", color=INK, pad=4)
-    panel.grid(color=GRID, lw=0.6)
-    panel.set_axisbelow(True)
-    panel.tick_params(colors=INK, labelsize=9)
-    for side, spine in panel.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(GRID)
-
-
-def png(figure: Figure) -> bytes:
-    """The figure as PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()
 
 
 def _axes(values: NDArray[np.float64], digits: int) -> str:

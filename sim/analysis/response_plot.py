@@ -1,14 +1,12 @@
-"""What step responses look like: all commands of an evaluation, each normalised by its own."""
+"""Plot of step responses: all commands of an evaluation, each response in parts of its command."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from sim.analysis.flight_report import AXIS_COLOURS, INK, dress
 from sim.analysis.response import (
     BAND,
     LATE_S,
@@ -21,20 +19,18 @@ from sim.analysis.response import (
     progress,
 )
 from sim.analysis.spectrum_plot import Line, draw_spectra
+from sim.plotting import AXIS_COLOURS, INK, MUTED, SHADE, dress, legend_above, titled_figure
 from toolchain.contract import AXES
 
 WINDOW_S = 1.0  # the most that is shown of a held command
 PERCENTILES = (5, 25, 50, 75, 95)
-SHADE = "#eef1f4"
-MUTED = "#57606a"
 
 
 def draw(held: Hold, figures: ResponseFigures, line: Line, title: str) -> Figure:
-    """A panel for each axis with median, percentiles, rise and peak; below, who is in the band when, and
-    what the motors were asked for.
+    """A panel for each axis with median, percentiles, rise and peak; below, the share of commands in the
+    band over time, and the spectrum of the motors.
     """
-    figure = Figure(figsize=(12, 8), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((12, 8), title)
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 2))
     shown = held.t < WINDOW_S
     part, enough = 100 * progress(held)[:, shown], large(held, figures.floor_deg_s)
@@ -113,15 +109,7 @@ def _draw_band(panel: Axes, held: Hold, figures: ResponseFigures, shown: NDArray
     panel.set_xlabel("time since the command, ms", color=INK)
     panel.set_ylabel("% of commands", color=INK)
     dress(panel, f"within 10 % or {figures.floor_deg_s:g} deg/s")
-    panel.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.99),
-        ncols=4,
-        frameon=False,
-        fontsize=9,
-        borderaxespad=0.2,
-        handlelength=1.6,
-    )
+    legend_above(panel)
 
 
 def _top(part: NDArray[np.float64], enough: NDArray[np.bool_]) -> float:

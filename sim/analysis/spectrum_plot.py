@@ -1,4 +1,4 @@
-"""A panel with the spectra of motor outputs, of one controller or of several."""
+"""Plot of the spectra of motor outputs, of one controller or of several."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter
 
-from sim.analysis.flight_report import INK, MOTOR_COLOURS, dress
 from sim.analysis.spectrum import Spectrum
+from sim.plotting import INK, MOTOR_COLOURS, dress, plain_numbers
 
 PERCENT_MIN = 1e-4  # what is drawn of the amplitudes' scale [% of full command]
 
@@ -37,7 +36,7 @@ def draw_spectra(panel: Axes, lines: Sequence[Line]) -> None:
     panel.set_xscale("log")
     panel.set_yscale("log")
     for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        plain_numbers(axis)
     least = min((float(line.spectrum.amplitude.min(initial=1.0)) for line in lines), default=1.0)
     panel.set_ylim(bottom=max(PERCENT_MIN, 50 * least))
     panel.set_xlabel("frequency, Hz", color=INK)

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from sim.aircraft.mass import Part, rotation_matrix
 from sim.aircraft.mesh import cylinder, equal_box
 from sim.aircraft.model import RPM, Aircraft, Rotor
-from sim.analysis.flight_report import GRID, INK, png
 from sim.design.airworthiness import Figures
-from toolchain.files import write_bytes
+from sim.plotting import GRID, INK, save_png
 
 Array = NDArray[np.float64]
 MM = 1000.0  # drawn in millimetres
@@ -104,7 +103,7 @@ def draw_aircraft(aircraft: Aircraft, figures: Figures) -> Figure:
 
 def save_drawing(path: Path, aircraft: Aircraft, figures: Figures) -> None:
     """Write the drawing as PNG."""
-    write_bytes(path, png(draw_aircraft(aircraft, figures)))
+    save_png(path, draw_aircraft(aircraft, figures))
 
 
 def _radius(aircraft: Aircraft) -> float:

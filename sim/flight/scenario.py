@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sim.control import sticks
 from sim.physics.world import Mount
-from sim.strict_toml import Table
+from sim.strict_toml import StrictTable
 from toolchain.contract import RATE_FULL_STICK_DEG_S
 from toolchain.errors import ScenarioError
 
@@ -147,7 +147,7 @@ def _read(path: Path) -> Scenario:
 def parse_scenario(data: bytes, where: str, name: str) -> Scenario:
     """Scenario from the bytes of a file; `where` names it in messages, `name` it unless it says so itself."""
     try:
-        root = Table(tomllib.loads(data.decode()), where, ScenarioError)
+        root = StrictTable(tomllib.loads(data.decode()), where, ScenarioError)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{where}: not TOML: {error}") from error
     name = root.text("name", name)
@@ -157,7 +157,7 @@ def parse_scenario(data: bytes, where: str, name: str) -> Scenario:
     return Scenario(name, segments, mount)
 
 
-def _segments(tables: Sequence[Table]) -> tuple[Segment, ...]:
+def _segments(tables: Sequence[StrictTable]) -> tuple[Segment, ...]:
     full = RATE_FULL_STICK_DEG_S
     segments = []
     for table in tables:

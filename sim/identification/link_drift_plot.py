@@ -1,4 +1,4 @@
-"""What `neuroflight stability` draws: drift of the links against the rate of the airframe."""
+"""Plot of `neuroflight stability`: drift of the links against the rate of the airframe."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from sim.analysis.flight_report import AXIS_COLOURS, INK, dress
 from sim.identification.link_drift import Drift, worst_by_rate
+from sim.plotting import AXIS_COLOURS, INK, dress, titled_figure
 
 DRIFT_MIN_M = 1e-17  # what a drift of nothing is drawn as
 POINTS = 2500  # samples drawn of each run: enough for a cloud
@@ -19,8 +18,7 @@ MARKERS = {"reduced": "s", "maximal": "o"}
 
 def draw(runs: Sequence[Drift], title: str) -> Figure:
     """Each sample as a dot, the largest drift at each rate as a line; one colour a step."""
-    figure = Figure(figsize=(11, 6.2), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((11, 6.2), title)
     panel = figure.subplots()
     steps = sorted({run.step_s for run in runs}, reverse=True)
     for run in runs:

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 
-from sim.analysis.flight_report import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress
+from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
 from toolchain.errors import TrainingError
 from training.checkpoints.metrics import Reading
 
@@ -61,8 +60,7 @@ def draw(runs: Sequence[Monitored], best: str, title: str) -> Figure:
     runs = [run for run in runs if run.readings]
     if not runs:
         raise ValueError("no readings to draw")
-    figure = Figure(figsize=(11, 7.5), layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((11, 7.5), title, (0.1, 0.1))
     (mae, output), (change, reward) = figure.subplots(2, 2, sharex=True)
     last = max(run.readings[-1].steps for run in runs)
     unit, word = next((unit, word) for unit, word in STEPS if last >= unit)
@@ -126,4 +124,4 @@ def _logarithmic(panel: Axes) -> None:
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
     panel.yaxis.set_minor_locator(NullLocator())
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_numbers(panel.yaxis)

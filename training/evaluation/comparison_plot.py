@@ -7,13 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter
 
-from sim.analysis.flight_report import INK, MOTOR_COLOURS, dress
 from sim.analysis.response import BAND
-from sim.analysis.response_plot import SHADE
 from sim.analysis.spectrum_plot import Line, draw_spectra
+from sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled_figure
 from toolchain.contract import AXES
 from training.evaluation.comparison import Entry
 
@@ -23,9 +20,7 @@ ERROR_MIN_DEG_S = 0.1  # what is drawn of an error's scale
 def draw(entries: Sequence[Entry], title: str) -> Figure:
     """Median and 90 % of the commands of each entry; the first in front."""
     held = all(len(entry.curves.step_t) for entry in entries)
-    layout = ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08)
-    figure = Figure(figsize=(12, 8.6 if held else 4.6), layout=layout)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((12, 8.6 if held else 4.6), title)
     grid = figure.add_gridspec(2 if held else 1, 3)
     if held:
         first = figure.add_subplot(grid[0, 0])
@@ -68,7 +63,7 @@ def _draw_errors(panel: Axes, entries: Sequence[Entry]) -> None:
             entry.curves.t, median, color=colour, lw=1.3, label=entry.contender.label, zorder=2 + front
         )
     panel.set_yscale("log")
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_numbers(panel.yaxis)
     panel.set_ylim(bottom=ERROR_MIN_DEG_S)
     panel.set_xlim(0, float(entries[0].curves.t[-1]))
     panel.set_xlabel("time of the episode, s", color=INK)

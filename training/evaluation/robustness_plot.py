@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import NullLocator
 
-from sim.analysis.flight_report import INK, MOTOR_COLOURS, dress
-from sim.analysis.response_plot import MUTED, SHADE
+from sim.plotting import INK, MOTOR_COLOURS, MUTED, SHADE, dress, plain_numbers
 from training.evaluation.robustness import (
     CASE_RATIO_MAX,
     HIGH,
@@ -159,5 +158,5 @@ def _scale(panel: Axes, top: float) -> None:
 
 def _ticks(panel: Axes, ticks: Sequence[float]) -> None:
     panel.set_xticks(ticks)
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_numbers(panel.xaxis)
     panel.xaxis.set_minor_locator(NullLocator())

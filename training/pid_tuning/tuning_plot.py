@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft, PidSettings
-from sim.analysis.flight_report import FLIGHT_COLOURS, GRID, INK, dress
 from sim.control.pid import Pid, mixer
+from sim.plotting import FLIGHT_COLOURS, GRID, INK, dress, titled_figure
 from toolchain.contract import AXES
 from training.evaluation.evaluation import record
 from training.pid_tuning.tuning import Limits, Pulses, Trial, Tuning
@@ -25,8 +24,7 @@ OUTSIDE = "#b3bac4"  # candidates that exceed a limit
 
 def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, control_rate_hz: int, title: str) -> Figure:
     """A step on each axis with the gains of the start and the best; below, every candidate of the search."""
-    figure = Figure(figsize=(12, 7.5), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((12, 7.5), title)
     grid = figure.add_gridspec(2, 3)
     panels = [figure.add_subplot(grid[0, axis]) for axis in range(3)]
     top = 1.15 * STEP_DEG_S

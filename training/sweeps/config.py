@@ -38,7 +38,7 @@ import numpy as np
 
 from sim.aircraft.model import Aircraft, load_aircraft, shipped
 from sim.physics.world import COUNT_MAX
-from sim.strict_toml import Table
+from sim.strict_toml import StrictTable
 from toolchain.errors import TrainingError
 from training.config.config_file import load_config, recipes
 from training.config.training_config import SEED_MAX, TrainingConfig
@@ -118,7 +118,7 @@ def load_sweep(path: Path) -> Sweep:
     """
     where = f"sweep {path.name}"
     document = _read(path, where)
-    table = Table(document, where, TrainingError)
+    table = StrictTable(document, where, TrainingError)
     aircraft = load_aircraft(_beside(path, table.text("aircraft"), shipped()))
     base = table.text(CONFIG, "")
     common = _flat(document["set"]) if table.has("set") and table.table("set") else {}
@@ -184,7 +184,7 @@ def _beside(path: Path, name: str, known: Sequence[str]) -> str:
 
 def _axes(vary: dict[str, Any], where: str) -> dict[str, list[Any] | Range]:
     """Grid axes and ranges of [vary], by dotted key."""
-    table = Table(vary, where, TrainingError, "vary.")
+    table = StrictTable(vary, where, TrainingError, "vary.")
     axes: dict[str, list[Any] | Range] = {}
     for key, value in _flat(vary).items():
         if isinstance(value, dict):
@@ -201,7 +201,7 @@ def _axes(vary: dict[str, Any], where: str) -> dict[str, list[Any] | Range]:
 
 
 def _range(values: dict[str, Any], where: str, path: str) -> Range:
-    ends = Table(values, where, TrainingError, path)
+    ends = StrictTable(values, where, TrainingError, path)
     low, high = (ends.number(key, -NUMBER_MAX, NUMBER_MAX) for key in ("low", "high"))
     for key, value in values.items():
         if key not in RANGE_KEYS:
@@ -218,7 +218,7 @@ def _range(values: dict[str, Any], where: str, path: str) -> Range:
     return Range(low, high, log, whole)
 
 
-def _validation(table: Table) -> Validation:
+def _validation(table: StrictTable) -> Validation:
     usual = Validation()
     # A task that needs more than its name, a recording say, is nothing to compare all runs on.
     tasks = {name: name for name, task in TASKS.items() if _complete(task)}

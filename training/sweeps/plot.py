@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from sim.analysis.flight_report import GRID, INK, dress
+from sim.plotting import GRID, INK, dress, plain_numbers, titled_figure
 from training.sweeps.config import Validation, described
 from training.sweeps.summary import Configuration, pareto
 
@@ -28,8 +27,7 @@ WIDE = 6.0  # an axis that spans more than so many times is logarithmic
 
 def draw(found: Sequence[Configuration], title: str, validation: Validation) -> Figure:
     """A large dot a configuration, joined with small ones of its seeds; colour: cycles of its network."""
-    figure = Figure(figsize=(12, 6.8), layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
+    figure = titled_figure((12, 6.8), title, (0.1, 0.1))
     panel, listing = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     cycles = [c.predicted_cycles for c in found if c.predicted_cycles is not None]
     scale = ScalarMappable(Normalize(min(cycles, default=0.0), max(cycles, default=1.0)), COSTS)
@@ -143,7 +141,7 @@ def _scale(panel: Axes, name: str, values: Sequence[float]) -> None:
         ticks = [m * 10.0**k for k in range(-6, 7) for m in (1, 2, 5)]
         axis.set_major_locator(FixedLocator([t for t in ticks if low / room <= t <= high * room]))
         axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        plain_numbers(axis)
     else:
         room = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
         panel.set(**{f"{name}lim": (low - room, high + room)})

@@ -6,9 +6,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from sim.analysis.flight_report import png
+from sim.plotting import save_png
 from toolchain.errors import TrainingError
-from toolchain.files import write_bytes, write_text
+from toolchain.files import write_text
 from training.sweeps.config import Sweep
 from training.sweeps.plot import draw
 from training.sweeps.ray_workers import STOP, Job, SweepWatcher, check_ray, clear_stop, ray_session, run_jobs
@@ -91,7 +91,7 @@ class Keeper(SweepWatcher):
         """Write sweep.png, if anything is done."""
         if found := configurations(self.runs):
             title = f"Sweep {self._sweep.name} on {self._sweep.aircraft.name}"
-            write_bytes(self._out / PLOT, png(draw(found, title, self._sweep.validation)))
+            save_png(self._out / PLOT, draw(found, title, self._sweep.validation))
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
         """See SweepWatcher."""

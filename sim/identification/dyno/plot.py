@@ -1,4 +1,4 @@
-"""What a dynamometer recorded, and what a fit makes of it, as pictures."""
+"""Plots of a dynamometer's recording and of the model fitted to it."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from sim.aircraft.model import RPM
-from sim.analysis.flight_report import AXIS_COLOURS, INK, MOTOR_COLOURS, dress, png
 from sim.identification.dyno.fit import Fit
 from sim.identification.dyno.recording import Recording
 from sim.identification.dyno.robust_fit import Estimate
 from sim.identification.dyno.signal import WINDOW_S, jumps, settled_rows
-from toolchain.files import write_bytes
+from sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, dress, legend_above, save_png, titled_figure
 
 Array = NDArray[np.float64]
 
 DATA, MODEL, OFF = "#8b949e", AXIS_COLOURS[0], AXIS_COLOURS[1]
 THROTTLE = AXIS_COLOURS[2]
+PAD = (0.06, 0.08)  # [inch], vertical and horizontal, between panels
 ROWS_SHOWN = 20_000  # more dots than that tell no more
 BEFORE_S = 0.05  # [s] shown before a step
 NEAR = 0.02  # of the top speed: what is left of a step when the picture may end
@@ -33,17 +32,17 @@ CHANNELS = (("speed", "rotor speed", "rpm"), ("thrust", "thrust", "N"), ("torque
 
 def save_recording_plot(path: Path, recording: Recording, title: str) -> None:
     """Write `draw_recording` as PNG."""
-    write_bytes(path, png(draw_recording(recording, title)))
+    save_png(path, draw_recording(recording, title))
 
 
 def save_fit_plot(path: Path, fit: Fit, title: str) -> None:
     """Write `draw_fit` as PNG."""
-    write_bytes(path, png(draw_fit(fit, title)))
+    save_png(path, draw_fit(fit, title))
 
 
 def draw_recording(recording: Recording, title: str) -> Figure:
     """Throttle, rotor speed, thrust and torque over time."""
-    figure = _figure((11, 9), title)
+    figure = titled_figure((11, 9), title, PAD)
     panels: list[Axes] = list(figure.subplots(4, 1, sharex=True, height_ratios=(1, 2, 2, 2)))
     panels[0].plot(recording.time, 100 * recording.throttle, color=THROTTLE, lw=1.2, drawstyle="steps-post")
     panels[0].set_ylabel("%", color=INK)
@@ -65,7 +64,7 @@ def draw_recording(recording: Recording, title: str) -> Figure:
 def draw_fit(fit: Fit, title: str) -> Figure:
     """Data and model over time with what is left, H, K_T and K_Q against data, and each step close up."""
     rows = 4 if fit.response is not None else 3
-    figure = _figure((14, 3.9 * rows), title)
+    figure = titled_figure((14, 3.9 * rows), title, PAD)
     grid = GridSpec(rows, 2, figure, width_ratios=(2.1, 1))
     over_time = [_draw_channel(figure, grid[row, 0], fit, row) for row in range(3)]
     over_time[-1].set_xlabel("time, s", color=INK)
@@ -93,12 +92,6 @@ def _settling(fit: Fit, rows: NDArray[np.intp]) -> float:
     return min(1.3 * longest + 0.1, WINDOW_S)
 
 
-def _figure(size: tuple[float, float], title: str) -> Figure:
-    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=15, fontweight="bold", color=INK)
-    return figure
-
-
 def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) -> Axes:
     """One channel over time, with its residuals in a strip below, which is returned."""
     name, label, unit = CHANNELS[channel]
@@ -120,16 +113,7 @@ def _draw_channel(figure: Figure, place: SubplotSpec, fit: Fit, channel: int) ->
     panel.set_xlim(time[0], time[-1])
     panel.tick_params(labelbottom=False)
     dress(panel, label)
-    legend = panel.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.99),
-        ncols=3,
-        frameon=False,
-        fontsize=9,
-        borderaxespad=0.2,
-        handlelength=1.6,
-    )
-    for handle in legend.get_lines():
+    for handle in legend_above(panel).get_lines():
         handle.set(alpha=1.0, markersize=6)
     _dots(strip, time[kept], (data - model)[kept])
     largest = 1.3 * float(np.quantile(np.abs((data - model)[~off]), 0.999)) or 1.0

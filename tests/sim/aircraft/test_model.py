@@ -24,7 +24,7 @@ from sim.aircraft.model import (
     torque_ratio,
 )
 from sim.design.airworthiness import Level, examine
-from sim.strict_toml import Table, Value
+from sim.strict_toml import StrictTable, Value
 from toolchain.errors import AircraftError
 from toolchain.policy.model import AIRCRAFT_NAME
 
@@ -356,7 +356,7 @@ def test_example_of_the_guide_flies_without_a_warning_when_loaded(tmp_path: Path
     assert aircraft.battery is not None and aircraft.body is not None
 
 
-class Recording(Table):
+class Recording(StrictTable):
     """Notes every key that the parser asks for, with its range and default as the guide writes them."""
 
     asked: dict[str, set[tuple[str, str]]]
@@ -442,7 +442,7 @@ def test_guide_lists_every_key_with_its_range_and_default_when_compared_with_the
 ) -> None:
     asked: dict[str, set[tuple[str, str]]] = {}
     monkeypatch.setattr(Recording, "asked", asked, raising=False)
-    monkeypatch.setattr(sim.aircraft.model, "Table", Recording)
+    monkeypatch.setattr(sim.aircraft.model, "StrictTable", Recording)
     for text in every_form(tmp_path):
         assert isinstance(parse_aircraft(text.encode(), "mine", tmp_path), Aircraft)
     other_pids = {name for name in asked if name.startswith("pid.") and not name.startswith("pid.NAME.")}

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Gyro
-from sim.identification.gyro_noise import aircraft_keys, allan_deviation, doubts, draw, measure_noise
+from sim.identification.gyro_noise import aircraft_keys, allan_deviation, doubts, measure_noise
+from sim.identification.gyro_noise_plot import draw
 from sim.identification.recording import Recording
 from sim.physics.imu import GyroModel, quantised_rate
 from toolchain.errors import TraceError

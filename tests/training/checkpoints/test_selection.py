@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import load_aircraft
-from sim.analysis.flight_report import png
+from sim.plotting import png
 from toolchain.errors import TrainingError
 from training.checkpoints.metrics import Reading, Spread
 from training.checkpoints.monitor_plot import Monitored, draw, read_monitor

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.analysis.flight_report import png
+from sim.plotting import png
 from training.config.training_config import TrainingConfig
 from training.sweeps.config import Trial, Validation
 from training.sweeps.plot import draw
