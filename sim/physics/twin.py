@@ -1,4 +1,13 @@
-"""The digital twin: world, rotors, battery, air and sensors of N copies of an aircraft, advanced together."""
+"""The digital twin: N copies of an aircraft, advanced together by one sample of the gyro a step.
+
+`Twin.step` is the list of stages, each a module beside this one:
+
+    commands -> delay -> rotor speed -> supply -> wind -> wrench of rotors and drag -> world -> sensors
+
+The formulas (rotor, battery, esc, rotation, drag) are pure functions over arrays of N aircraft. What keeps
+a state between samples is an object of its own: command delay, supply, wind, sensors, and the world, whose
+bodies live in a pybullet client. The twin keeps rotor speeds and angles, velocity and the last readings.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +17,8 @@ from numpy.typing import NDArray
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import GRAVITY, Aircraft
 from sim.physics.air import Wind, body_drag
-from sim.physics.battery import BatteryState, shaft_power
-from sim.physics.esc import Telemetry, telemetry
+from sim.physics.delay import CommandDelay
+from sim.physics.esc import Telemetry
 from sim.physics.imu import EVERYONE, AccelerometerModel, GyroModel, Which
 from sim.physics.rotation import turned_back
 from sim.physics.rotor import (
@@ -18,11 +27,10 @@ from sim.physics.rotor import (
     rotor_geometry,
     rotor_wrench,
     target_speed,
-    thrust_and_torque,
 )
+from sim.physics.supply import Supply
 from sim.physics.variation import Variation
 from sim.physics.world import Mount, World
-from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 CALM: Vector = (0.0, 0.0, 0.0)
@@ -74,25 +82,19 @@ class Twin:
         self._gravity = gravity if gravity is not None else mount is Mount.FREE
         # Specific force at rest, upwards [m/s^2]: of a rig in the Earth's field even if that does not pull.
         self._field = GRAVITY if mount is Mount.RIG or (self._gravity and mount is Mount.FREE) else 0.0
+        self._supply = Supply(aircraft, count, rate_hz, charge)
         self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground)
         self._geometry = rotor_geometry(aircraft)
         self._speed_max = aircraft.propulsion.speed_max
-        self._delay = max(1, round(aircraft.propulsion.delay * rate_hz))
         shape = (count, aircraft.motor_count)
-        self._commands = np.zeros((self._delay + 1, *shape))  # the last ones, by sample modulo length
-        self._sample = 0
-        self._good = b""  # commands that are in range
+        self._delay = CommandDelay(*shape, max(1, round(aircraft.propulsion.delay * rate_hz)))
         self.rotor_speed = np.zeros(shape)
         self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes; where the centre is held, the rotors'
-        self._battery = None if charge is None else _battery(aircraft, count)
-        self._charge: float | Array = 0.0 if charge is None else charge
         self._variation = variation
         self._lag: float | Array = 1.0
         self._mass: float | Array = aircraft.mass_properties.mass  # [kg], or (N, 1)
-        self._load: Array | None = None  # (N, 6), factors of the wrench of thrust and torque
-        self._faster: Array | None = None  # (N, 1), factor of the speed that a command settles at
-        self._delays: NDArray[np.intp] | None = None  # (N,) samples
-        self._supplied: NDArray[np.bool_] | None = None  # (N, 1), those on the bench supply beside batteries
+        self._load_factor: Array | None = None  # (N, 6), of the wrench of thrust and torque
+        self._speed_factor: Array | None = None  # (N, 1), of the speed that a command settles at
         self._wind = None
         if any(wind) or gust:
             # A stream of its own: the sensors' noise is the same with and without wind.
@@ -108,9 +110,8 @@ class Twin:
         self._phase_rng = rng.spawn(1)[0]
         self.gyro = np.zeros((count, 3))
         self._acceleration = np.zeros((count, 3))  # [m/s^2], read off the centre
-        self._everyone = np.arange(count)
         if variation is not None:
-            self.vary(self._everyone, variation)
+            self.vary(np.arange(count), variation)
         self.reset()
 
     def close(self) -> None:
@@ -153,13 +154,7 @@ class Twin:
     @property
     def telemetry(self) -> Telemetry:
         """What the ESCs report of this sample; voltage and current are NaN on a supply of unknown voltage."""
-        voltage = np.full(self.count, self.aircraft.propulsion.supply_voltage or np.nan)
-        current = self._power(self.rotor_speed, self.rotor_speed) / voltage
-        if self._battery is not None:
-            drained = slice(None) if self._supplied is None else ~self._supplied[:, 0]
-            voltage[drained] = self._battery.voltage[drained, 0]
-            current[drained] = self._battery.current[drained]
-        return telemetry(self.rotor_speed, voltage, current, self.aircraft.esc)
+        return self._supply.telemetry(self.rotor_speed)
 
     @property
     def variation(self) -> Variation | None:
@@ -176,19 +171,14 @@ class Twin:
             raise ValueError("this twin was made without a variation; give it one to begin with")
         self._variation = everyone = self._variation.changed(index, variation)
         self._lag = everyone.lag[:, None]
-        self._faster = everyone.speed[:, None]
+        self._speed_factor = everyone.speed[:, None]
         self._mass = self.aircraft.mass_properties.mass * everyone.mass[:, None]
-        self._load = load_factors(everyone.thrust, everyone.torque)
+        self._load_factor = load_factors(everyone.thrust, everyone.torque)
         self._world.vary(index, variation.mass, variation.inertia)
         if self._gyro is not None:
             self._gyro.vary(everyone.noise)
-        self._delays = np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp))
-        self._make_room(int(self._delays.max()))
-        supplied = np.isnan(everyone.charge)
-        if self._battery is None and not supplied.all():
-            self._battery = _battery(self.aircraft, self.count)
-        self._supplied = supplied[:, None] if supplied.any() else None
-        self._charge = np.where(supplied, 1.0, everyone.charge)
+        self._delay.vary(np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp)))
+        self._supply.vary(everyone.charge, self._load_factor[:, 5:])
 
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
         """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.
@@ -196,16 +186,14 @@ class Twin:
         All aircraft, or those of `index`.
         """
         index = np.arange(self.count) if index is None else index
-        self._commands[:, index] = 0.0
+        self._delay.reset(index)
         self.rotor_speed[index] = 0.0
         if self._phase is not None:
             self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())
         self._velocity = self._world.velocity
         self.specific_force[index] = (0.0, 0.0, self._field)  # held where it is
-        if self._battery is not None:
-            charge = self._charge
-            self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
+        self._supply.reset(index)
         if self._wind is not None:
             self._wind.reset(index)
         for sensor in (self._gyro, self._accelerometer):
@@ -218,31 +206,15 @@ class Twin:
 
         Raises ValueError on a wrong shape or a command that is not in 0..1 (NaN included).
         """
-        if motors.shape != self.rotor_speed.shape:
-            raise ValueError(f"motor commands have shape {motors.shape}, expected {self.rotor_speed.shape}")
-        values = motors.tobytes()
-        if values != self._good:  # they often stay as they are
-            if not (motors.min() >= 0.0 and motors.max() <= 1.0):
-                raise ValueError(f"motor commands are {motors.min()}..{motors.max()}, expected 0..1")
-            self._good = values
-        slots = len(self._commands)
-        self._commands[self._sample % slots] = motors
-        self._sample += 1
-        if self._delays is None:
-            acting = self._commands[self._sample % slots]  # the oldest slot: `delay` samples before this one
-        else:
-            acting = self._commands[(self._sample - 1 - self._delays) % slots, self._everyone]
-
         world, dt, propulsion = self._world, self._dt, self.aircraft.propulsion
         before = self.rotor_speed
-        target = target_speed(acting, propulsion, self._voltage())
-        if self._faster is not None:
-            target *= self._faster
+        target = target_speed(self._delay.step(motors), propulsion, self._supply.voltage)
+        if self._speed_factor is not None:
+            target *= self._speed_factor
         after = next_speed(before, target, dt, propulsion, self._lag)
-        if self._battery is not None:
-            self._battery.step(self._power(before, after), dt)
-        through_air = world.body_velocity if self._wind is None else self._met(self._wind)
-        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry, self._load)
+        self._supply.step(before, after)
+        through_air = world.body_velocity if self._wind is None else self._air_velocity(self._wind)
+        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry, self._load_factor)
         if self.mount is Mount.FREE:
             wrench[:, :3] += body_drag(through_air, self._drag_area)
         if self._phase is not None:
@@ -277,49 +249,8 @@ class Twin:
         gained[:, 2] += self._field
         self.specific_force = turned_back(world.rotation, gained)
 
-    def _met(self, wind: Wind) -> Array:
+    def _air_velocity(self, wind: Wind) -> Array:
         """Velocity through moving air [m/s], (N, 3), body axes; advances the gusts."""
         through_air: Array = self._velocity - wind.velocity
         wind.step(np.sqrt((through_air * through_air).sum(axis=1)))
         return turned_back(self._world.rotation, through_air)
-
-    def _voltage(self) -> Array | None:
-        """Of each aircraft's supply [V], (N, 1); None: all are on the bench supply."""
-        if self._battery is None or self._supplied is None:
-            return None if self._battery is None else self._battery.voltage
-        bench = np.float64(self.aircraft.propulsion.supply_voltage)  # known where there is a battery
-        return np.where(self._supplied, bench, self._battery.voltage)
-
-    def _make_room(self, delay: int) -> None:
-        """Let commands be kept for `delay` samples at least."""
-        old, last = self._commands, self._sample - 1
-        if delay < len(old):
-            return
-        self._commands = np.zeros((delay + 1, *old.shape[1:]))
-        ages = last - np.arange(len(old))
-        self._commands[ages % len(self._commands)] = old[ages % len(old)]
-
-    def _power(self, before: Array, after: Array) -> Array:
-        """What motors and electronics draw over a sample [W], (N,)."""
-        propulsion, battery = self.aircraft.propulsion, self.aircraft.battery
-        gained = propulsion.rotor_inertia * (after - before) * self.rate_hz
-        torque = thrust_and_torque(after, propulsion)[1]
-        if self._load is not None:
-            torque *= self._load[:, 5:]
-        torque += gained
-        electronics = 0.0 if battery is None else battery.electronics_power
-        drawn: Array = shaft_power(after, torque) / propulsion.efficiency + electronics
-        return drawn
-
-
-def _battery(aircraft: Aircraft, count: int) -> BatteryState:
-    if aircraft.battery is None:
-        raise AircraftError(
-            f"aircraft {aircraft.name}: no [battery] table, so it flies on the bench supply only"
-        )
-    if aircraft.propulsion.supply_voltage is None:
-        raise AircraftError(
-            f"aircraft {aircraft.name}: propulsion.supply_voltage_v missing; without it a battery's voltage "
-            f"says nothing about rotor speed"
-        )
-    return BatteryState(aircraft.battery, count)
