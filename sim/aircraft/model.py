@@ -19,14 +19,12 @@ from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from sim.strict_toml import StrictTable
-from toolchain import contract
-from toolchain.contract import AXES
+from toolchain.contract import AXES, GRAVITY
 from toolchain.errors import AircraftError
 
 FOLDER = Path(__file__).parent
 FILE_BYTES_MAX = 256 << 10
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")  # it is printed into the C of a policy
-GRAVITY = contract.GRAVITY  # [m/s^2]
 RPM = 2 * math.pi / 60  # [rad/s] in one revolution a minute
 COEFFICIENT_TERMS_MAX = 4  # of a polynomial of rotor speed
 EFFICIENCY_DEFAULT = 0.7  # of motor and ESC together; small brushless drives reach 0.6 to 0.8 under load

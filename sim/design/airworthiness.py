@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.mass import principal, rotation_matrix
-from sim.aircraft.model import GRAVITY, RPM, Aircraft, Battery, Propulsion
+from sim.aircraft.model import RPM, Aircraft, Battery, Propulsion
 from sim.physics.air import AIR_DENSITY
 from sim.physics.battery import loaded_voltage, open_circuit_voltage
 from sim.physics.rotor import coefficient, target_speed, thrust_and_torque
-from toolchain.contract import AXES
+from toolchain.contract import AXES, GRAVITY
 
 Array = NDArray[np.float64]
 

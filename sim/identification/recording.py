@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.model import GRAVITY
 from sim.flight.trace import load_trace
+from toolchain.contract import GRAVITY
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]

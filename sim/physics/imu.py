@@ -18,6 +18,7 @@ from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 Array = NDArray[np.float64]
 Which = NDArray[np.intp] | slice  # some of the aircraft
 EVERYONE = slice(None)
+RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s], the firmware's
 ONE = 1.0  # times the noise of the settings
 
 # Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle.
@@ -59,8 +60,7 @@ def counts(rate: Array) -> NDArray[np.int16]:
 
 def quantised_rate(rate: Array) -> NDArray[np.float32]:
     """Rate [rad/s] after the chip and the firmware's conversion back, float32."""
-    scale = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))
-    return counts(rate).astype(np.float32) * scale
+    return counts(rate).astype(np.float32) * RATE_PER_COUNT
 
 
 def rotor_vibration(phase: Array, speed: Array, speed_max: float, amplitude: Array) -> Array:

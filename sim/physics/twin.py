@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
-from sim.aircraft.model import GRAVITY, Aircraft
+from sim.aircraft.model import Aircraft
 from sim.physics.air import Wind, body_drag
 from sim.physics.delay import CommandDelay
 from sim.physics.esc import Telemetry
@@ -31,6 +31,7 @@ from sim.physics.rotor import (
 from sim.physics.supply import Supply
 from sim.physics.variation import Variation
 from sim.physics.world import Mount, World
+from toolchain.contract import GRAVITY
 
 Array = NDArray[np.float64]
 CALM: Vector = (0.0, 0.0, 0.0)

@@ -24,8 +24,9 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from sim.aircraft.model import GRAVITY, Aircraft
+from sim.aircraft.model import Aircraft
 from sim.physics.rotation import cross_matrix, quaternion, turned, turned_back
+from toolchain.contract import GRAVITY
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]

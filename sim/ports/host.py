@@ -1,8 +1,6 @@
 """The host program behind the port: build/HOST/neuroflight over its real sockets, in strict lockstep.
 
-The wire is Betaflight's simulator format (facts in toolchain/contract.py): body axes forward, right, down;
-attitude as a quaternion w x y z from the body (x forward, y left, z up) to the world (north, west, up);
-velocity and position east, north, up.
+The packets are Betaflight's (`simulator_link`), and a trace packet of our own for each control step.
 """
 
 from __future__ import annotations
@@ -26,14 +24,19 @@ from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.control.motors import motor_fractions
-from sim.physics.rotation import quaternion
 from sim.ports.port import Reply, Sample, control_divider, setting_changes
+from sim.ports.simulator_link import (
+    LOOPBACK,
+    PACKET_BYTES_MAX,
+    RECEIVER,
+    SEA_LEVEL_PA,
+    SERVO,
+    state_packet,
+    udp_socket,
+)
 from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
     SIM_MOTOR_FORMAT,
-    SIM_RECEIVER_FORMAT,
-    SIM_SERVO_FORMAT,
-    SIM_STATE_FORMAT,
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
     SIM_TRACE_MAGIC,
@@ -41,20 +44,15 @@ from toolchain.contract import (
 )
 from toolchain.errors import LinkError
 
-LOOPBACK = "127.0.0.1"
 START_S = 10.0  # from start to `ready`
 REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
 END_S = 2.0  # from the polite signal to the rude one
 LAST_WORDS_S = 0.1  # for a dying program to be gone
 LISTENING = ("state-port", "receiver-port", "power-port", "msp-port")
-PACKET_BYTES_MAX = 2048
-SEA_LEVEL_PA, SCALE_HEIGHT_M = 101325.0, 8434.5  # isothermal atmosphere at 15 degC
+SCALE_HEIGHT_M = 8434.5  # of an isothermal atmosphere at 15 degC
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
 
-_STATE = struct.Struct(SIM_STATE_FORMAT)
-_RECEIVER = struct.Struct(SIM_RECEIVER_FORMAT)
 _MOTOR = struct.Struct(SIM_MOTOR_FORMAT)
-_SERVO = struct.Struct(SIM_SERVO_FORMAT)
 _TRACE = struct.Struct(SIM_TRACE_FORMAT)
 
 
@@ -74,7 +72,9 @@ class HostPort:
         if not program.is_file():
             raise LinkError(f"{program}: not built yet; build it with `make host`")
         with contextlib.ExitStack() as undo:
-            self._motor, self._servo, self._trace = (undo.enter_context(_udp()) for _ in range(3))
+            self._motor, self._servo, self._trace = (
+                undo.enter_context(udp_socket(REPLY_S)) for _ in range(3)
+            )
             options = {
                 "gyro-hz": gyro_rate_hz,
                 "motor-port": _port(self._motor),
@@ -83,7 +83,7 @@ class HostPort:
             }
             changes = setting_changes(settings or {})
             self._child = undo.enter_context(_Child(program, options, changes))
-            self._state, self._receiver = (undo.enter_context(_udp()) for _ in range(2))
+            self._state, self._receiver = (undo.enter_context(udp_socket(REPLY_S)) for _ in range(2))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
             self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
             with self._msp() as msp:
@@ -100,8 +100,8 @@ class HostPort:
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
         if channels_us is not None:
-            self._send(self._receiver, _RECEIVER.pack(sample.time_s, *channels_us))
-        self._send(self._state, _STATE.pack(*_state_fields(sample)))
+            self._send(self._receiver, RECEIVER.pack(sample.time_s, *channels_us))
+        self._send(self._state, _state_packet(sample))
         motors = self._read_motors()
         if self._samples % self._divider == 0:
             self._reply = self._read_trace(self._samples // self._divider)
@@ -145,12 +145,12 @@ class HostPort:
         """Motor fractions (M,) of the one packet that answers a state packet."""
         quad = self.motor_count == _MOTOR.size // 4
         packet = self._receive(self._motor if quad else self._servo, "motor packet")
-        layout = _MOTOR if quad else _SERVO
+        layout = _MOTOR if quad else SERVO
         if len(packet) != layout.size:
             raise self._child.lost(f"a motor packet of {len(packet)} bytes, expected {layout.size}")
         if quad:
             return np.array(_MOTOR.unpack(packet))
-        count, *widths = _SERVO.unpack(packet)
+        count, *widths = SERVO.unpack(packet)
         if count != self.motor_count:
             raise self._child.lost(f"a motor packet of {count} motors, expected {self.motor_count}")
         return (np.array(widths[:count]) - 1000.0) / 1000.0
@@ -249,27 +249,12 @@ class _Child:
         self.ports = {name: int(port) for name, port in said.items()}
 
 
-def _udp() -> socket.socket:
-    """A socket on a loopback port of the system's choice."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.bind((LOOPBACK, 0))
-    sock.settimeout(REPLY_S)
-    return sock
-
-
 def _port(sock: socket.socket) -> int:
     return int(sock.getsockname()[1])
 
 
-def _state_fields(sample: Sample) -> list[float]:
-    """The 18 numbers of a state packet."""
+def _state_packet(sample: Sample) -> bytes:
     x, y, z = sample.gyro.tolist()
     fx, fy, fz = sample.specific_force.tolist()
-    vn, vw, vu = sample.velocity.tolist()
-    north, west, up = sample.position.tolist()
-    pressure = SEA_LEVEL_PA * math.exp(-up / SCALE_HEIGHT_M)
-    rates, force = (x, -y, -z), (fx, -fy, -fz)
-    return [
-        *(sample.time_s, *rates, *force, *quaternion(sample.rotation)),
-        *(-vw, vn, vu, -west, north, up, pressure),
-    ]
+    pressure = SEA_LEVEL_PA * math.exp(-float(sample.position[2]) / SCALE_HEIGHT_M)
+    return state_packet(sample.time_s, (x, -y, -z), (fx, -fy, -fz), sample, pressure)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim.control import sticks
 from sim.control.controller import Controller
 from sim.control.motors import dshot_values, throttle_mix
-from sim.physics.imu import counts
+from sim.physics.imu import RATE_PER_COUNT, counts
 from sim.ports.port import Reply, Sample, control_divider
 from toolchain.contract import (
     ARM_ON_US,
@@ -24,16 +24,12 @@ from toolchain.contract import (
     CALIBRATION_MS,
     CHANNEL_ARM,
     CHANNEL_THROTTLE,
-    GYRO_COUNTS,
-    GYRO_FULL_SCALE_DEG_S,
     GYRO_RATE_DEFAULT_HZ,
     IDLE_DEFAULT,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     THROTTLE_LOW_US,
 )
-
-_RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s]
 
 
 class ControllerPort:
@@ -74,12 +70,12 @@ class ControllerPort:
             self._sum += raw
             if self._samples == self._calibration - 1:
                 mean = self._sum.astype(np.float32) / np.float32(self._calibration)
-                self._bias = mean * _RATE_PER_COUNT
+                self._bias = mean * RATE_PER_COUNT
         self._age += 1
         if channels_us is not None:
             self._channels, self._age = np.array(channels_us, np.uint16), 0
         if self._samples % self._divider == 0 or self._reply is None:
-            gyro = raw.astype(np.float32) * _RATE_PER_COUNT - self._bias
+            gyro = raw.astype(np.float32) * RATE_PER_COUNT - self._bias
             self._reply = self._control(gyro, self._samples // self._divider)
         self._samples += 1
         return self._reply

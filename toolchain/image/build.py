@@ -7,7 +7,6 @@ interrupted leaves the last good image in place.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -15,8 +14,7 @@ import re
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +25,7 @@ from toolchain.cortex_m7.emulator import load_program
 from toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
 from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
 from toolchain.errors import BuildError, PolicyError
-from toolchain.files import replacing, write_text, write_text_if_changed
+from toolchain.files import locked, replacing, write_text, write_text_if_changed
 from toolchain.image.elf import FLASH, RAM, image_budgets, memory_use, read_image
 from toolchain.image.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage
 from toolchain.policy.model import PolicyModel, read_policy
@@ -114,7 +112,7 @@ def build(
     optimized = time.perf_counter()
     out = (folder or root / "build") / known.name
     generated = out / "generated" if folder else root / "firmware" / "generated" / known.name
-    with _locked(out):
+    with locked(out):
         _write_generated(compiled, pid, generated)
         built = run_make(known, root, out, generated)
         made = out / "make" / known.products[0]
@@ -200,15 +198,6 @@ def _check_tools(target: Target) -> None:
     for tool, packages in ((target.compiler, target.packages), ("make", "make")):
         if shutil.which(tool) is None:
             raise BuildError(f"{tool} is not installed; run: sudo apt-get install {packages}")
-
-
-@contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """One build of a target at a time; the lock goes with the process that holds it."""
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 def _write_generated(compiled: CompiledPolicy, pid: PidTable | None, directory: Path) -> None:

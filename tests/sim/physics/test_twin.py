@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import GRAVITY, Battery, Body, load_aircraft
+from sim.aircraft.model import Battery, Body, load_aircraft
 from sim.physics.rotor import target_speed, thrust_and_torque
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
+from toolchain.contract import GRAVITY
 from toolchain.errors import AircraftError
 
 BODY = Body(size=(0.2, 0.16, 0.06), centre=(0.0, 0.0, 0.03), drag_area=(0.01, 0.01, 0.02))

@@ -8,8 +8,9 @@ import pybullet
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim.aircraft.model import GRAVITY, Body, load_aircraft
+from sim.aircraft.model import Body, load_aircraft
 from sim.physics.world import COUNT_MAX, Mount, World
+from toolchain.contract import GRAVITY
 from toolchain.errors import AircraftError
 
 NF1 = load_aircraft("nf1")

@@ -166,7 +166,7 @@ def test_a_state_packet_speaks_the_wires_axes_when_the_aircraft_moves() -> None:
         position=np.array([7.0, 8.0, 100.0]),
         specific_force=np.array([0.1, 0.2, 9.8]),
     )
-    time_s, *rest = host_port._state_fields(moving)
+    time_s, *rest = struct.unpack("<18d", host_port._state_packet(moving))
     assert (time_s, rest[:3], rest[3:6]) == (1.5, [1.0, -2.0, -3.0], [0.1, -0.2, -9.8])
     assert rest[6:10] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     assert rest[10:16] == [-5.0, 4.0, 6.0, -8.0, 7.0, 100.0]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.aircraft.model import GRAVITY, load_aircraft, shipped
+from sim.aircraft.model import load_aircraft, shipped
 from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
-from toolchain.contract import AXES
+from toolchain.contract import AXES, GRAVITY
 from training.evaluation.evaluation import evaluate
 from training.pid_tuning.tuning import POPULATION, Limits, Trial, Tuning, idle_limit, training_commands, tune
 from training.tasks.task import EpisodicTask
