@@ -1,4 +1,4 @@
-"""`neuroflight aircraft`: what an aircraft file says, whether it can fly, and what it looks like."""
+"""`neuroflight aircraft`: figures of an aircraft file, whether it can fly, and a drawing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what can be done with a file."""
+    """Declare the actions on an aircraft file."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     summary = "figures of an aircraft and whether they can be true; exit status 1 if it cannot fly"
     check = actions.add_parser("check", help=summary, description=summary)
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _document(aircraft: Aircraft, figures: Figures, verdicts: list[Verdict]) -> dict[str, Any]:
-    """The whole report in SI units; what is not known or cannot be is null."""
+    """The whole report in SI units; unknown or impossible values are null."""
     hover, endurance = figures.hover, figures.endurance
     return {
         "name": aircraft.name,

@@ -1,4 +1,4 @@
-"""`neuroflight dyno`: a rotor on the dynamometer, simulated; and a rotor's model from a real one's log."""
+"""`neuroflight dyno`: simulate a rotor on the dynamometer; fit a rotor's model to a log."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RATE_HZ_DEFAULT = 500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare both directions."""
+    """Declare `dyno run` and `dyno fit`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     summary = "simulate step (25, 50, 75, 100 %%) and ramp (0-100-0 %% in 40 s) experiments of one rotor"
     run = actions.add_parser("run", help=summary, description=summary)
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what was asked for. Returns 0."""
+    """Run one of the two. Returns 0."""
     return _run(args) if args.action == "run" else _fit(args)
 
 

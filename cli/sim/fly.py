@@ -30,7 +30,7 @@ WIND_MAX = 50.0  # [m/s]; beyond any wind that such an aircraft could fly in
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what flies, where, and what is kept."""
+    """Declare the options of a flight and its outputs."""
     parser.add_argument(
         "--on",
         choices=FIRMWARES,
@@ -108,7 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly, write what was asked for, print the figures. Returns 0, or STOPPED."""
+    """Fly, write the outputs, print the figures. Returns 0, or STOPPED."""
     from sim.aircraft.model import load_aircraft
     from sim.analysis.flight_report import save_plot, save_report
     from sim.flight.trace import save_trace
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse what could not be flown or written, before anything is loaded."""
+    """Check scenarios and output files before anything is loaded."""
     from cli.output import check_output
 
     for path, suffix in ((args.trace, ".npz"), (args.plot, ".png"), (args.report, ".html")):
@@ -153,7 +153,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _scenarios(args: argparse.Namespace) -> list[Scenario]:
-    """What is flown, one after another."""
+    """The scenarios, in the order of flight."""
     from sim.flight.scenario import load_scenario
     from sim.physics.world import Mount
 
@@ -195,7 +195,7 @@ Show = Callable[[float], None]  # gets the flown part, 0..1
 
 @contextmanager
 def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
-    """Progress of flights by name, while somebody watches."""
+    """Progress of flights by name, on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -250,13 +250,13 @@ def _fly(
             trace = fly(twin, entry.port, scenario, progress=progress)
         report = None if entry.report is None else entry.report(scenario.duration_s)
     progress(1.0)
-    # A mixer that is not ours cannot be undone: its output is then all that it asks of the motors.
+    # Another mixer than ours cannot be undone: its output is then taken as the motors' whole command.
     asked = replace(trace, throttle=np.zeros_like(trace.throttle)) if entry.own_mixer else trace
     return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report)
 
 
 def _check_air(args: argparse.Namespace) -> None:
-    """Refuse a battery, wind or gust that nobody can fly with."""
+    """Check the ranges of battery, wind and gust."""
     if args.battery is not None and not 0.0 <= args.battery <= 1.0:
         raise NeuroflightError(f"--battery: got {args.battery:g}, expected a charge of 0 to 1")
     if not all(abs(speed) <= WIND_MAX for speed in args.wind):

@@ -1,4 +1,4 @@
-"""`neuroflight fly`: what is printed of flights."""
+"""`neuroflight fly`: tables and JSON of flights."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight, and what the emulated board says of it."""
+    """A flight, and the emulated board's report of it."""
 
     flight: Flight
     report: EmulatedReport | None
 
 
 def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
-    """In words, what was flown and where."""
+    """The conditions of the flight, in words."""
     words = [f"{scenario.duration_s:g} s", f"mount {scenario.mount.value}", f"gyro {args.gyro_hz} Hz"]
     if args.battery is not None:
         words.append(f"battery charged to {100 * args.battery:g} %")
@@ -43,7 +43,7 @@ def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
 def document(
     args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario, flown: list[Flown]
 ) -> dict[str, Any]:
-    """All that is told of one scenario, as JSON has it."""
+    """The JSON document of one scenario."""
     from cli.output import plain
 
     report = flown[0].report
@@ -72,7 +72,7 @@ def document(
 
 
 def print_flight(title: str, note: str, flown: list[Flown]) -> None:
-    """A column a flight, and what the emulated board says of the first."""
+    """A column a flight, and the emulated board's report of the first."""
     from sim.analysis.flight_report import table
 
     report = flown[0].report
@@ -84,7 +84,7 @@ def print_flight(title: str, note: str, flown: list[Flown]) -> None:
 def print_several(
     title: str, args: argparse.Namespace, scenarios: list[Scenario], flown: list[Flown]
 ) -> None:
-    """A row a flight, and of the emulated board what all have in common."""
+    """A row a flight, and the part of the emulated board's report that all share."""
     report = flown[0].report
     headings = EMULATOR_HEADINGS if report else ("armed",)
     rows: list[tuple[str, ...]] = [("", "length", "MAE, deg/s", *headings)]

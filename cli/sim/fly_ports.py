@@ -1,4 +1,4 @@
-"""`neuroflight fly`: the controllers that take part, each freshly booted behind its port."""
+"""`neuroflight fly`: the firmware and the controllers that it is compared with, each freshly booted."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller that takes part, freshly booted."""
+    """A firmware or controller behind its port, freshly booted."""
 
     name: str
     port: FirmwarePort
     idle: float  # motor fraction of its armed motors at zero thrust
-    own_mixer: bool = False  # it lays the throttle on by another rule than ours
+    own_mixer: bool = False  # it mixes the throttle by another rule than ours
     report: Callable[[float], EmulatedReport] | None = None  # of the flight of so many seconds that is over
     ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
 
@@ -41,7 +41,7 @@ class Entry:
 
 
 def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
-    """What `--on` names."""
+    """The firmware that `--on` names."""
     from flash.settings import parse_change
     from sim.ports.host import HostPort
     from sim.ports.library import ReferencePort
@@ -68,7 +68,7 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
 
 def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int) -> Entry:
-    """The aircraft's PID behind the firmware's frame."""
+    """The aircraft's PID in the firmware's control path."""
     from sim.control.pid import aircraft_pid, pid_settings
     from sim.ports.python_controller import ControllerPort
 
@@ -79,7 +79,7 @@ def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int)
 
 
 def quiet(args: argparse.Namespace) -> bool:
-    """Whether nobody watches."""
+    """Whether to show no progress: JSON output or no terminal."""
     return bool(args.json) or not sys.stderr.isatty()
 
 
@@ -107,7 +107,7 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entr
 
 
 def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
-    """Betaflight, built first where it is not yet; each stage of that is told on stderr."""
+    """Betaflight, built first if needed; each stage of the build is printed to stderr."""
     from rich.console import Console
 
     from sim.ports.betaflight.build import build_betaflight

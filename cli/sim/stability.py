@@ -1,4 +1,4 @@
-"""neuroflight stability: do the links of an aircraft stay together, in reduced and in maximal coordinates?"""
+"""`neuroflight stability`: drift of an aircraft's links in reduced and in maximal coordinates."""
 
 from __future__ import annotations
 

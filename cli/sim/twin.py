@@ -1,4 +1,4 @@
-"""`neuroflight twin`: what a twin should know of the real aircraft."""
+"""`neuroflight twin`: measure the real aircraft for its twin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BIAS_NOTE = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what is measured."""
+    """Declare the measurements."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     summary = "measure gyro and accelerometer noise in a log of an aircraft at rest"
     noise = actions.add_parser(
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, write what was asked for, print the figures. Returns 0."""
+    """Measure, write the outputs, print the figures. Returns 0."""
     from cli.output import check_output
 
     check_output(args.plot, ".png")

@@ -1,4 +1,4 @@
-"""What an aircraft is made of and where it sits: the parts and rotors of its file.
+"""Parts and rotors of an aircraft file: mass, inertia and place of each.
 
 A part's inertia is given as measured, or follows from a mesh or a simple solid of uniform density.
 """
@@ -108,7 +108,7 @@ def read_rotors(root: StrictTable, meshes: Meshes) -> tuple[tuple[Rotor, ...], l
     return tuple(rotors), parts
 
 
-def refuse_collisions(root: StrictTable, rotors: Sequence[Rotor], diameter: float | None) -> None:
+def reject_collisions(root: StrictTable, rotors: Sequence[Rotor], diameter: float | None) -> None:
     """Raise for two hubs in one place, or nearer than a propeller's radius [m] in one plane."""
     for (i, a), (j, b) in combinations(enumerate(rotors), 2):
         across = math.dist(a.position[:2], b.position[:2])
@@ -149,7 +149,7 @@ def _rotation(table: StrictTable) -> Vector:
 
 
 def _part(table: StrictTable, name: str, meshes: Meshes) -> Part:
-    """A part at the origin, as the table weighs it; its pose is the caller's."""
+    """A part of the table's mass and inertia, at the origin; the caller places it."""
     mass = table.number("mass_kg", 1e-6, 1000)
     form = table.either("inertia_kg_m2", "mesh", "box_m", "cylinder_m")
     if form == "inertia_kg_m2":

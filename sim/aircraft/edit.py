@@ -1,4 +1,4 @@
-"""Numbers into an aircraft file that a person wrote: only their keys change, every other byte stays."""
+"""Edit values in a hand-written aircraft file: every other byte stays."""
 
 from __future__ import annotations
 

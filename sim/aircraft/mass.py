@@ -29,7 +29,7 @@ class Part:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """What the parts weigh together."""
+    """Of all parts together."""
 
     mass: float  # [kg]
     centre: NDArray[np.float64]  # (3,) [m], body frame
@@ -55,7 +55,7 @@ def mass_properties(parts: Sequence[Part]) -> MassProperties:
 def principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Principal moments (3,) and their axes, the columns of (3, 3), of a symmetric inertia tensor.
 
-    Each moment stands in the place of the body axis that its own axis is nearest to, and points along it.
+    In the order of the body axes that the principal axes are nearest to; each points along its body axis.
     """
     moments, axes = np.linalg.eigh(inertia)
     order = []

@@ -1,7 +1,7 @@
-"""The description of an aircraft: a TOML file in, one frozen object out.
+"""The model of an aircraft, frozen dataclasses, and the reader of its TOML file.
 
-Keys carry their unit; each number's source stands in the file. A file that is missing, malformed or
-names a key nobody reads is refused with the key's name. docs/own-aircraft.md lists every key.
+Keys carry their unit; each number's source stands in the file. A file that is missing, malformed or has an
+unknown key is an error that names the key. docs/own-aircraft.md lists every key.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, refuse_collisions
+from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_collisions
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from sim.strict_toml import StrictTable
@@ -140,7 +140,7 @@ class PidSettings:
 
 @dataclass(frozen=True)
 class Aircraft:
-    """Everything the twin knows of an aircraft."""
+    """All that an aircraft file says."""
 
     name: str
     description: str
@@ -212,7 +212,7 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
     parts = read_parts(root, meshes)
     rotors, mounted = read_rotors(root, meshes)
     propulsion = _propulsion(root.table("propulsion"))
-    refuse_collisions(root, rotors, propulsion.propeller_diameter)
+    reject_collisions(root, rotors, propulsion.propeller_diameter)
     gyro = _gyro(root.table("gyro"))
     accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
     esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()

@@ -1,4 +1,4 @@
-"""A PID's settings into an aircraft file: one table changes, all other lines stay as they are."""
+"""Write PID settings into an aircraft file: one table changes, all other lines stay."""
 
 from __future__ import annotations
 

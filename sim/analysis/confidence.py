@@ -1,4 +1,4 @@
-"""A mean over episodes and how sure it is. Pure functions."""
+"""Means over episodes with their 95 % confidence intervals. Pure functions."""
 
 from __future__ import annotations
 

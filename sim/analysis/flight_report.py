@@ -47,7 +47,7 @@ td { font-variant-numeric: tabular-nums }
 
 @dataclass(frozen=True)
 class Flight:
-    """A flown scenario and what came of it."""
+    """A flown scenario: trace and figures."""
 
     name: str  # of what flew: "firmware", "PID"
     trace: Trace
@@ -147,7 +147,7 @@ def _draw_axis(panel: Axes, flights: Sequence[Flight], axis: int, shown: NDArray
     panel.plot(t, setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint", zorder=4)
     rates = [np.rad2deg(flight.trace.rate[shown, axis]) for flight in flights]
     for number, (flight, rate) in enumerate(zip(flights, rates, strict=True)):
-        # The first flight is the one the reader came for: thickest, and on top of the others.
+        # The first flight is the main one: thickest, and on top of the others.
         colour, width = FLIGHT_COLOURS[number % len(FLIGHT_COLOURS)], 1.1 if number else 1.7
         panel.plot(t, rate, color=colour, lw=width, label=flight.name, zorder=3 - number / len(flights))
     panel.set_ylabel("deg/s", color=INK)

@@ -1,4 +1,4 @@
-"""Figures of a flight: tracking errors and how hard the controller works. Pure functions.
+"""Figures of a flight: tracking errors and control effort. Pure functions.
 
 Errors are setpoint - rate in deg/s. The sums IAE, ISE, ITAE and ITSE follow Koch 2019, chapter 5: over
 1 ms samples, divided by the seconds of the episode, so that IAE = 1000 MAE and ISE = 1000 MSE; t in ITAE
@@ -40,7 +40,7 @@ class Tracking:
 
 @dataclass(frozen=True)
 class Effort:
-    """What the controller asks of the motors, before the throttle mix."""
+    """The controller's outputs, before the throttle mix."""
 
     output: float  # mean control output, fraction 0..1
     change: float  # mean |y_t - y_(t-1)| over motors and 1 ms steps

@@ -1,10 +1,10 @@
-"""How an aircraft answers a command that is held: success, rise, peak, drift. Pure functions.
+"""Response to a held command: success, rise time, peak, drift. Pure functions.
 
-The figures of Koch 2019, chapters 3 and 5. The initial error is setpoint - rate where the command begins, and
-an axis has settled when its error stays within 10 % of that. Two readings of this band stand side by side:
-bare, as the text has it, and no narrower than a floor, as the author's published reward has it: a tenth of a
-small command is less than the gyro's own noise. Percentages of an initial error below the floor say nothing;
-such axes are left out of them, and counted.
+The figures of Koch 2019, chapters 3 and 5. The initial error is setpoint - rate where the command begins,
+and an axis has settled when its error stays within 10 % of that. The figures are given for two bands: bare,
+as in the text, and no narrower than a floor, as in the author's published reward: a tenth of a small
+command is less than the gyro's noise. Percentages leave out axes whose initial error is below the floor;
+the count of a mean says how many are left.
 
 Axes last: roll, pitch, yaw. E is a number of episodes, L one of samples of the held command.
 """
@@ -25,7 +25,7 @@ FLOOR_DEG_S = 5.0  # least half width of the band [deg/s]
 LATE_S = 0.50  # after the command: settled by then, or late
 LATER_S = 0.75
 STEADY_S = 1.50  # to hold steady: in the band from LATE_S to then, at every sample
-STAY_S = 0.10  # what must be left of the command when it settles: a rate that swings through has not settled
+STAY_S = 0.10  # from settling to the end of the command, at least: a rate that only crosses the band is out
 HOLD_S = 1.0  # the shortest command these figures are taken of
 RISE = (0.1, 0.9)  # of the initial error
 SAMPLES_PER_S = 1000.0  # the 1 ms samples of the summed error
@@ -130,7 +130,7 @@ def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
 
 
 def progress(held: Hold) -> Array:
-    """How far the rate has come, (E, L, 3): 0 where it began, 1 at the setpoint; 0 without a command."""
+    """Progress of the rate, (E, L, 3): 0 where it began, 1 at the setpoint; 0 without a command."""
     initial = held.initial[:, None]
     part: Array = 1.0 - held.error / np.where(initial == 0.0, 1.0, initial)
     return np.where(initial == 0.0, 0.0, part)
@@ -190,7 +190,7 @@ def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
 
 
 def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
-    """Means of responses judged with that floor, with their 95 % confidence."""
+    """Means of responses taken with that floor, with their 95 % confidence."""
     everyone = np.ones_like(each.large)
     return ResponseFigures(
         episodes=len(each.large),
@@ -218,7 +218,7 @@ def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
 
 
 def _settled(inside: Mask, step_s: float) -> tuple[Mask, NDArray[np.intp]]:
-    """Whether (E, 3) each axis comes to stay, and the first sample from which it does."""
+    """Whether each axis settles (E, 3), and the first sample from which it stays in the band."""
     steps = inside.shape[1]
     outside_last = np.where(inside.all(axis=1), 0, steps - (~inside[:, ::-1]).argmax(axis=1))
     return outside_last <= steps - round(STAY_S / step_s), outside_last

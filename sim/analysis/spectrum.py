@@ -1,4 +1,4 @@
-"""What the motors are asked for, by frequency: spectra of a controller's output and their one figure, Sm.
+"""Spectra of a controller's motor outputs, and the smoothness figure Sm.
 
 Sm = 2 / (n f_s) sum M_i f_i over n components (Mysore et al. 2021, "Regularizing Action Policies for Smooth
 Control with Reinforcement Learning", eq. 4): the mean over components of amplitude times frequency in parts

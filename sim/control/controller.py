@@ -19,7 +19,7 @@ class Controller(Protocol):
     """N rate controllers of aircraft with M motors, stepped together at the control rate."""
 
     def reset(self) -> None:
-        """Forget the past, as when a flight is armed."""
+        """Clear all state, as when the firmware arms."""
         ...
 
     def step(
@@ -38,7 +38,7 @@ class PolicyController:
     def __init__(self, policy: PolicyModel, count: int = 1, *, exact: bool = True) -> None:
         """The controller is to be stepped at `policy.control_rate_hz`.
 
-        exact: with the very roundings of the compiled C; see `toolchain.ir.interpreter`.
+        exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)
@@ -50,13 +50,13 @@ class PolicyController:
         self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
 
     def reset(self) -> None:
-        """Forget the past: deltas, the previous action and recurrent state of the next step are zero."""
+        """Clear all state: deltas, the previous action and recurrent state of the next step are zero."""
         self._observer.reset(self._everyone)
         self._action[:] = 0.0
         self._state = clear_state(self._network, len(self._everyone))
 
     def sense(self, rotor_speed: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
-        """Tell what the next step may observe of the aircraft beside the gyro.
+        """Set rotor speeds and attitude that the next step may observe.
 
         rotor_speed: (N, M) [rad/s]; rotation: (N, 3, 3), matrices from body to world.
         """

@@ -1,6 +1,6 @@
-"""From a controller's outputs to what the ESCs do: throttle mix, idle, DShot values. Pure and vectorised.
+"""From controller outputs to motor commands: throttle mix, idle, DShot values. Pure and vectorised.
 
-float32 in the firmware's order of operations; DESIGN law 4.
+float32 in the firmware's order of operations.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
 def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
     """Motor fractions 0..1 that an ESC decodes: 0 for 0, else (v - 48) / 1999.
 
-    dshot: 11-bit values, any shape. Raises LinkError on one that is no throttle.
+    dshot: 11-bit values, any shape. Raises LinkError on a value that is no throttle.
     """
     command = (dshot > DSHOT_STOP) & (dshot < DSHOT_MIN)
     if command.any() or (dshot > DSHOT_MAX).any():
@@ -46,5 +46,5 @@ def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
 
 
 def motor_commands(y: Array, throttle: Array, idle: float) -> NDArray[np.float64]:
-    """What the ESCs decode (N, M) when a controller answers y (N, M) under the pilot's thrust (N,)."""
+    """Motor fractions (N, M) that ESCs decode, of outputs y (N, M) under the pilot's thrust (N,)."""
     return motor_fractions(dshot_values(throttle_mix(y, throttle), idle))

@@ -45,7 +45,7 @@ def limits(terms: tuple[ObservationTerm, ...], motors: int) -> tuple[Array, Arra
 
 
 class Observer:
-    """Builds observations (N, n) step by step; holds what terms with memory need."""
+    """Builds observations (N, n) step by step; keeps past values and filter states."""
 
     def __init__(
         self, terms: tuple[ObservationTerm, ...], count: int, motors: int, control_rate_hz: int
@@ -59,7 +59,7 @@ class Observer:
         self._fresh = np.ones(count, bool)
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Forget the past of the aircraft of `index`, as arming does: their next step is the first."""
+        """Clear the state of the aircraft of `index`, as arming does: their next step is the first."""
         self._fresh[index] = True
         self._integral[index] = 0.0
         for term in self._terms:
@@ -114,7 +114,7 @@ class Observer:
 
 
 class _Term:
-    """What a term remembers of N aircraft: the state of its low-pass, and values that wait to be old."""
+    """State of a term for N aircraft: its low-pass, and the past values of a delayed term."""
 
     def __init__(self, term: ObservationTerm, count: int, motors: int, control_rate_hz: int) -> None:
         self.name = term.name
@@ -124,7 +124,7 @@ class _Term:
         self._waiting = np.zeros((term.age, count, width), np.float32)  # the newest first
 
     def reset(self, index: NDArray[np.intp]) -> None:
-        """Forget the past of the aircraft of `index`."""
+        """Clear the past values of the aircraft of `index`."""
         self._waiting[:, index] = 0.0
 
     def observe(self, which: Which, fresh: NDArray[np.bool_] | None, value: Array) -> Array:

@@ -1,9 +1,9 @@
-"""The attitude-rate PID: the opponent every policy is held against.
+"""The attitude-rate PID: the baseline that every policy is compared with.
 
 u_axis = (K_P e + K_I sum(e) dt - K_D d gyro/dt) / 1000 with the rate error e and the gyro in deg/s, spread
 over the motors by a mixer that follows from the geometry unless the settings name their own. The sum is
-then lifted until no motor is below zero, and narrowed if it spans more than the whole range: differences
-turn the aircraft and survive.
+then lifted until no motor is below zero, and narrowed if it spans more than the whole range: the
+differences between motors, which turn the aircraft, stay.
 
 Three choices are ours. The derivative is the gyro's, not the error's: no kick when the sticks jump. It may
 be low-passed, as on every flight controller: bare, the NF1's gyro noise alone moves the motors by a tenth
@@ -59,7 +59,7 @@ class Pid:
     ) -> None:
         """mix: (M, 3), the share of each motor in roll, pitch, yaw; settings: for all, or `count` of them.
 
-        The mixer of the settings is not looked at: `mix` is what counts.
+        `mix` is used, not the mixer of the settings.
         """
         each = [settings] if isinstance(settings, PidSettings) else list(settings)
         if len(each) not in (1, count):
@@ -80,7 +80,7 @@ class Pid:
         return 1.0 if cutoff_hz is None else 1.0 - math.exp(-2 * math.pi * cutoff_hz * self._dt)
 
     def reset(self) -> None:
-        """Forget the past; the derivative of the next step is zero."""
+        """Clear integral and derivative; the derivative of the next step is zero."""
         self._integral[:] = 0.0
         self._slope[:] = 0.0
         self._previous = None
@@ -88,7 +88,7 @@ class Pid:
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See Controller; `throttle` has no part in it."""
+        """See Controller; `throttle` is not used."""
         rate = np.rad2deg(gyro.astype(np.float64))
         error = np.rad2deg(setpoint.astype(np.float64)) - rate
         slope = 0.0 if self._previous is None else (rate - self._previous) / self._dt

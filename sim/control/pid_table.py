@@ -1,4 +1,4 @@
-"""The PID that an image gets beside its policy: that of the aircraft, as the toolchain compiles it in."""
+"""The aircraft's PID as the toolchain compiles it into an image beside the policy."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def pid_table(aircraft: Aircraft) -> PidTable | None:
 
 
 def shipped_pid_table(name: str) -> PidTable | None:
-    """That of the shipped aircraft called `name`, None if none is called so: a policy only tells a name."""
+    """The PID of the shipped aircraft `name`; None if there is none: a policy holds only a name."""
     return pid_table(load_aircraft(name)) if name in shipped() else None
 
 
 def named_pid_table(aircraft: str | Path) -> PidTable | None:
-    """That of the aircraft which the user names or whose file the user gives. Raises AircraftError."""
+    """The PID of a shipped aircraft or of an aircraft file. Raises AircraftError."""
     return pid_table(load_aircraft(aircraft))

@@ -1,8 +1,8 @@
-"""Sticks: the receiver channels of a pilot's command, and what the firmware makes of them.
+"""Sticks: a pilot's command as receiver channels, and channels as the firmware's setpoint and throttle.
 
-Full stick is 1000 deg/s, so one microsecond is 2 deg/s: a command becomes what the nearest whole
-microsecond says, for every controller alike. Channel high is roll right, pitch forward, yaw right;
-the body's yaw is positive to the left, hence the sign.
+Full stick is 1000 deg/s, so one microsecond is 2 deg/s: a command is rounded to the nearest whole
+microsecond, for every controller alike. Channel high is roll right, pitch forward, yaw right; the body's
+yaw is positive to the left, hence the sign.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whether an aircraft can fly, and whether its numbers can be true: figures and verdicts from its file.
 
-What is certainly wrong is refused where the file is read; here is what takes judgement. The limits are
-drawn wide: they find a slip of unit or place, not an unusual aircraft.
+Values that cannot be right are errors where the file is read; here are checks of plausibility. Their limits
+are wide: they find a wrong unit or decimal place, not an unusual aircraft.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CENTRE_OFF = 0.1  # of the hubs' distance: how far the stated centre of thrust m
 
 
 class Level(Enum):
-    """How bad it is."""
+    """Severity of a verdict."""
 
     OK = "ok"
     WARNING = "warning"
@@ -53,7 +53,7 @@ class Level(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """One line of judgement."""
+    """Result of one check."""
 
     level: Level
     subject: str
@@ -62,7 +62,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Hover:
-    """Hanging still in the air, on the bench supply."""
+    """Hovering in still air, on the bench supply."""
 
     thrust: Array  # (M,) [N]
     speed: Array  # (M,) [rad/s]
@@ -72,7 +72,7 @@ class Hover:
 
 @dataclass(frozen=True)
 class Endurance:
-    """What a battery makes of a hover."""
+    """Current and flight time on the battery."""
 
     current: float  # [A], with a full pack
     seconds: float  # from full to 20 % left
@@ -82,7 +82,7 @@ class Endurance:
 
 @dataclass(frozen=True)
 class Figures:
-    """What follows from an aircraft file."""
+    """Figures that follow from an aircraft file."""
 
     mass: float  # [kg]
     centre: Array  # (3,) [m], of mass, body frame
@@ -100,7 +100,7 @@ class Figures:
 
 
 def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
-    """Figures of an aircraft and what to think of them."""
+    """Figures of an aircraft and the verdicts of all checks."""
     figures = _figures(aircraft)
     checks = (_thrust, _hover, _control, _size, _inertia, _centre, _propeller, _rotor, _battery, _body)
     return figures, [verdict for check in checks for verdict in check(aircraft, figures)]

@@ -1,4 +1,4 @@
-"""An aircraft on paper: seen from above and from behind, to one scale.
+"""Drawing of an aircraft from above and from behind, to one scale.
 
 Solids and meshes are drawn as they are; a part of which only the inertia is known, as the box (a motor: the
 cylinder) that has this inertia, dashed.

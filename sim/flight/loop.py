@@ -1,11 +1,12 @@
 """The lockstep loop: a twin and a firmware behind a port, one gyro sample at a time.
 
-At each sample the port gets the twin's gyro and answers with DShot values, which act on the twin from
-the next sample on. Until the firmware is armed the aircraft is held where it is; after the scenario the
-pilot closes the throttle and switches off, and the motors must stop. Receiver frames go out just before the
+At each sample the port gets the twin's gyro and answers with DShot values, which act on the twin from the
+next sample on. Until the firmware is armed the aircraft is held where it is; after the scenario the pilot
+closes the throttle and switches off, and the motors must stop. Receiver frames go out just before the
 control step they belong to: when the sticks changed, but no closer than SBUS can send them, and every 10 ms
-in any case. A frame takes its time on a line, so the pilot decides for each FRAME_SPACING_S ahead, on every
-port alike, or further where gyro samples are rare; a port that has such a line hears of it then.
+in any case. Receiver frames are decided 4 ms (FRAME_SPACING_S) ahead of their control step, further at low
+gyro rates, because a frame takes that long on a serial line: on every port alike, and a port that simulates
+the line gets the frame at once.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sim.control.motors import motor_fractions
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
-from sim.ports.port import FirmwarePort, ForeseeingPort, Reply, Sample, control_divider
+from sim.ports.port import FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
 from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
 from toolchain.errors import LinkError
 
@@ -31,7 +32,7 @@ FRAME_PERIOD_S = 0.010  # between frames of unchanged sticks
 SWITCH_OFF_S = (max(BOOT_GRACE_MS, CALIBRATION_MS) + 50) / 1000  # before the first try to arm
 SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
 ARM_LIMIT_S = 10.0  # from power-on; a noisy gyro may need more than one calibration
-DISARM_LIMIT_S = 1.0  # from the pilot's switch to motors that stand
+DISARM_LIMIT_S = 1.0  # from the pilot's switch to stopped motors
 PROGRESS_S = 0.1  # of flight between two calls of `progress`
 
 Progress = Callable[[float], None]  # gets the flown part, 0..1
@@ -47,7 +48,7 @@ def fly(
 ) -> Trace:
     """Boot and arm the firmware, fly `scenario` and disarm; row 0 is the first armed control step.
 
-    What comes after the scenario is flown but is in no row.
+    Arming and disarming are flown but not recorded.
 
     twin: one aircraft at rest, at the port's gyro rate. port: freshly booted. motor_order: output i of the
     firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests.
@@ -140,11 +141,11 @@ class _Lockstep:
         if sorted(order) != list(range(motors)):
             raise ValueError(f"motor order {order} is no permutation of {motors} motors")
         self._twin, self._port, self.pilot, self._order = twin, port, pilot, order
-        self._foreseeing = port if isinstance(port, ForeseeingPort) else None
+        self._serial = port if isinstance(port, SerialReceiverPort) else None
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
         self._period = round(FRAME_PERIOD_S * port.control_rate_hz)
-        # Steps ahead that frames are decided: after a sample, for one that they have to end a sample before.
+        # Control steps from the decision on a frame to its step: it must end one sample before that.
         lead_s = max(FRAME_SPACING_S, FRAME_S + 2 / port.gyro_rate_hz)
         self._lead = math.ceil(round(lead_s * port.control_rate_hz, 6))
         self._planned: dict[int, NDArray[np.uint16]] = {}  # frames by control step
@@ -153,7 +154,7 @@ class _Lockstep:
         self._sample = 0
         self._held = True
         self._motors = np.zeros((1, motors))
-        self._values: bytes | None = None  # DShot values that `_motors` stands for
+        self._values: bytes | None = None  # DShot values whose fractions `_motors` holds
         self.step = 0  # control steps so far
         self.armed = False  # at the last of them
         self._armed_at: int | None = None  # the first of them that was
@@ -187,8 +188,8 @@ class _Lockstep:
             return
         self._frame, self._frame_step = channels, step
         self._planned[step] = channels
-        if self._foreseeing is not None:
-            self._foreseeing.announce(channels.tolist(), step * self._divider - self._sample)
+        if self._serial is not None:
+            self._serial.announce(channels.tolist(), step * self._divider - self._sample)
 
     def _exchange(self, channels: NDArray[np.uint16] | None) -> Reply:
         twin = self._twin
@@ -205,7 +206,7 @@ class _Lockstep:
         if values != self._values:
             self._motors[0, self._order] = motor_fractions(reply.dshot)
             self._values = values
-        # Until it is armed the aircraft stands: only its gyro goes on.
+        # Until the firmware is armed the aircraft is held at rest: only its sensors are sampled.
         self._held = self._held and not reply.armed
         if self._held:
             if reply.dshot.any():
@@ -235,7 +236,7 @@ def _arm(link: _Lockstep, scenario: Scenario) -> Row:
 
 
 def _disarm(link: _Lockstep) -> None:
-    """Go on with the switch off until no motor is told to turn."""
+    """Go on with the switch off until all motors are commanded to stop."""
     values = None
     for _ in range(math.ceil(DISARM_LIMIT_S * link.control_rate_hz)):
         values = link.control_step()[3]

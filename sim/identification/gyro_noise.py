@@ -31,7 +31,7 @@ MOTION_NOISE = 8.0  # and this many standard deviations of a mean of white noise
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """What one sensor does at rest; arrays are (3,), in the unit of the sensor."""
+    """Noise of one sensor at rest; arrays are (3,), in the unit of the sensor."""
 
     mean: Array
     sigma: Array  # standard deviation of a sample, without what rounding in the log adds
@@ -64,7 +64,7 @@ class Noise:
 
     @property
     def bias(self) -> float:
-        """Spread of the gyro's bias over episodes [rad/s], as far as one record tells: the three means' RMS.
+        """Spread of the gyro's bias over episodes [rad/s], estimated from one record: RMS of the three means.
 
         Each axis is one draw of a zero-mean bias, so the spread of this estimate is 41 %.
         """
@@ -113,7 +113,7 @@ def measure_noise(recording: Recording) -> Noise:
 
 
 def doubts(noise: Noise) -> list[str]:
-    """What speaks against the figures, one sentence each."""
+    """Reasons to distrust the figures, one sentence each."""
     found = []
     if noise.moved:
         found.append("the aircraft moved: these figures are not noise alone; record it at rest on the ground")

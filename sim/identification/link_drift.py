@@ -1,15 +1,14 @@
-"""Do an aircraft's links stay together? Reduced against maximal coordinates, after Koch 2019, chapter 5.
+"""Drift of an aircraft's links in reduced and in maximal coordinates, after Koch 2019, chapter 5.
 
-The twin is one rigid body, so nothing in it can come apart. This module builds what it could have been
-instead: the airframe and each propeller as links of their own, joined by hinges about body z, with each motor
-turning its propeller. Every combination of motors on and off flies from rest, free and without gravity, and
-the distance of each propeller from the airframe is held against where it began.
+The twin is one rigid body, so its parts cannot drift. This module builds the alternative: the airframe and
+each propeller as links of their own, joined by hinges about body z, with each motor turning its propeller.
+Every combination of motors on and off flies from rest, free and without gravity, and the distance of each
+propeller from the airframe is compared with that at the start.
 
-Reduced coordinates are pybullet's multibody from a URDF (Featherstone): a state is a joint's angle, and a
-link has nowhere to go. For maximal coordinates pybullet would load the same URDF as separate rigid bodies,
-but then tells nothing of any link but the first; so the bodies are made one by one, and two ball joints on
-the axis of each propeller make its hinge. The solver of sequential impulses holds them together, as far as it
-does.
+Reduced coordinates are pybullet's multibody from a URDF (Featherstone): the state is the joints' angles, so
+a link cannot leave its joint. For maximal coordinates pybullet would load the same URDF as separate rigid
+bodies, but then reports only the first link; so the bodies are made one by one, and two ball joints on the
+axis of each propeller make its hinge. The sequential impulse solver holds them together, approximately.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ Array = NDArray[np.float64]
 FORMULATIONS = ("reduced", "maximal")
 STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5
 DURATION_S = 0.5  # of each flight; a racer with two of four motors on is past RATE_MAX in 0.2 s
-RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s], where a flight ends: what the gyro can tell
+RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s], where a flight ends: full scale of the gyro
 HINGE_HALF = 0.005  # [m], from the middle of a hinge to each of its two ball joints
 FORCE_MAX = 1e4  # [N], what a ball joint may hold with: never the limit
 SPEED_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
@@ -68,7 +67,7 @@ def drift(
 ) -> Drift:
     """Fly every combination of motors on and off; `progress` is called after each.
 
-    Raises AircraftError if a rotor has no propeller to come off.
+    Raises AircraftError if a rotor has no propeller part.
     """
     airframe, propellers = _links(aircraft)
     rates, drifts = [], []
@@ -131,8 +130,8 @@ def _fly(
     for _ in range(round(DURATION_S / step_s)):
         after = next_speed(speed, target, step_s, aircraft.propulsion)
         thrust, torque = thrust_and_torque(after, aircraft.propulsion)
-        shaft = aircraft.spins * spin_inertia * (after - speed)[0] / step_s  # turns the propeller, and ...
-        motor = shaft + aircraft.spins * torque[0]  # ... against the air: what the airframe feels
+        shaft = aircraft.spins * spin_inertia * (after - speed)[0] / step_s  # accelerates the propeller
+        motor = shaft + aircraft.spins * torque[0]  # and overcomes its drag: the airframe's reaction
         speed = after
         pybullet.applyExternalTorque(*base, (turned @ axes.T)[:, 2] * -motor.sum(), world, client)
         for (body, link), (at, attitude), force, turn in zip(rotors, poses, thrust[0], shaft, strict=True):

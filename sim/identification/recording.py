@@ -1,4 +1,4 @@
-"""Gyro and accelerometer records: our traces, and CSV files of ours or of Betaflight's blackbox tools."""
+"""Gyro and accelerometer recordings: traces, and CSV files, ours or those of Betaflight's blackbox tools."""
 
 from __future__ import annotations
 

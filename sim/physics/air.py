@@ -1,4 +1,4 @@
-"""Air that moves: drag of the body, and wind with the Dryden model's gusts. Vectorised over N aircraft."""
+"""Drag of the body, and wind with the Dryden model's gusts. Vectorised over N aircraft."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class Wind:
     mean: (3,) world axes [m/s]. gust: wind speed 20 feet above the ground that sets the turbulence [m/s];
     0 is a steady wind. u of the gusts blows along the mean wind's horizontal part (along x without one), w
     along world z. The turbulence is frozen: an aircraft meets it as fast as it moves through the air, and
-    one that stands still in it meets nothing new.
+    one that stands still in it meets a constant wind.
 
     The spectra of MIL-F-8785C are those of white noise behind s sqrt(2 T) / (1 + T s) for u, T = L_u / V, and
     s sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2 for v and w. They are stepped exactly, so that variance and
-    correlation depend neither on `dt` nor on changes of airspeed. `rng` is the only source of chance.
+    correlation depend neither on `dt` nor on changes of airspeed. All random numbers come from `rng`.
     """
 
     def __init__(

@@ -50,7 +50,7 @@ class BatteryState:
         self.charge = np.zeros(count)  # used [A s]
         self.current = np.zeros(count)  # [A]
         self.voltage = np.full((count, 1), battery.rest_voltage)  # under load [V], a column beside (N, M)
-        self._empty = -STATE_OF_CHARGE[0]  # below zero state of charge where nothing is left
+        self._empty = -STATE_OF_CHARGE[0]  # how far below zero state of charge the voltage is 0
 
     @property
     def state_of_charge(self) -> Array:

@@ -1,4 +1,4 @@
-"""Derivatives of one step of the twin, from its equations of motion, along what was flown.
+"""Derivatives of one step of the twin, from its equations of motion, along a flown trajectory.
 
 For aircraft that turn about their centre of mass (`Mount.CENTRE`) in calm air. State and command of a step
 are rotor speeds w and body rate r before it and the command c that acts in it; w' and r' come after it.
@@ -29,7 +29,7 @@ CROSS = np.array([cross_matrix(unit) for unit in np.eye(3)])  # (3, 3, 3): v x i
 
 
 class Pull(NamedTuple):
-    """Derivatives of a scalar by what a step begins with."""
+    """Derivatives of a scalar by the state and command before a step."""
 
     speed: Array  # (N, M) [s/rad]
     rate: Array  # (N, 3) [s/rad]
@@ -38,7 +38,7 @@ class Pull(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StepDerivatives:
-    """Of many steps at once. A rotor's speed depends on its own speed and command alone."""
+    """Derivatives of many steps. A rotor's speed depends on its own speed and command alone."""
 
     speed_by_speed: Array  # (..., N, M): dw'_i / dw_i
     speed_by_command: Array  # (..., N, M) [rad/s]: dw'_i / dc_i
@@ -47,7 +47,7 @@ class StepDerivatives:
     rate_by_command: Array  # (..., N, M, 3) [rad/s]: row i is dr' / dc_i
 
     def pull(self, k: int, speed: Array, rate: Array) -> Pull:
-        """Back through step `k` of the first axis: from derivatives by w' and r' to those by w, r and c."""
+        """Backward pass through step `k`: from derivatives by w' and r' to those by w, r and c."""
         along = rate[:, :, None]
         return Pull(
             speed * self.speed_by_speed[k] + (self.rate_by_speed[k] @ along)[:, :, 0],

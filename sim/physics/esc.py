@@ -1,4 +1,4 @@
-"""What ESCs report of a motor: rounded numbers. Pure and vectorised."""
+"""ESC telemetry: speed, voltage and current, rounded as an ESC reports them. Pure and vectorised."""
 
 from __future__ import annotations
 

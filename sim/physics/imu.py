@@ -1,7 +1,7 @@
-"""Gyro and accelerometer: what they make of a motion, and the 16-bit numbers of a gyro chip. Vectorised.
+"""Models of gyro and accelerometer, and the 16-bit counts of a gyro chip. Vectorised over N aircraft.
 
 A reading is the true value turned to the chip, lagged by its low-pass, plus the constant of the episode,
-white noise and what the rotors shake. What an aircraft file leaves out is skipped.
+white noise and vibration from the rotors. Effects that the aircraft file leaves out are skipped.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def measured_rate(
     rng: np.random.Generator,
     factor: Array | float = ONE,
 ) -> Array:
-    """What an ideal converter would read, (N, 3): the true value with bias and `factor` times white noise.
+    """Reading before rounding, (N, 3): the true value with bias and `factor` times white noise.
 
     factor: one for all or (N, 1).
     """
@@ -64,7 +64,7 @@ def quantised_rate(rate: Array) -> NDArray[np.float32]:
 
 
 def rotor_vibration(phase: Array, speed: Array, speed_max: float, amplitude: Array) -> Array:
-    """What the rotors' unbalance shakes into each axis, (N, 3), in the unit of `amplitude` (3,).
+    """Vibration of each axis from the rotors' unbalance, (N, 3), in the unit of `amplitude` (3,).
 
     phase: angle of each rotor [rad], speed: its speed [rad/s], both (N, M). An unbalance pulls with the
     square of the speed: `amplitude` is that of one rotor at `speed_max` [rad/s].

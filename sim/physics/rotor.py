@@ -36,8 +36,7 @@ def next_speed(
 ) -> Array:
     """Rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
 
-    lag: how many times as long the rotors take as `propulsion` says, (N, 1) or one for all: time passes so
-    much slower for them.
+    lag: factor of the rotors' time constants, (N, 1) or one for all.
     TorqueResponse: I_r dw/dt = clamp(K (H(u) - w), -down, +up), exact while the clamp is away or holds
     throughout; source: facts of the published twin and Koch 2019, chapter 5. FirstOrderResponse: exact.
     """
@@ -65,7 +64,7 @@ def _settled(passed: Array | float) -> Array | float:
 
 @lru_cache(maxsize=16)
 def _settled_alike(passed: float) -> float:
-    """The same for all rotors, and at every step."""
+    """As `_settled`, kept between steps: a scalar is the same at every step."""
     settled: np.float64 = -np.expm1(passed)
     return settled
 
@@ -163,9 +162,10 @@ def rotor_wrench(
 
 
 def load_factors(thrust: Array, torque: Array) -> Array:
-    """Factors (N, 6) of the loads' wrench of aircraft whose thrust and torque ratio are so many times, (N,).
+    """Factors (N, 6) of the wrench of thrust and drag torque.
 
-    Rotors stand upright: thrust never yaws, and drag torque does nothing else.
+    thrust, torque: factors of thrust and of the torque ratio, (N,). Rotors are upright: thrust has no yaw
+    moment, and drag torque has no other.
     """
     factors = np.repeat(thrust[:, None], 6, axis=1)
     factors[:, 5] *= torque

@@ -42,8 +42,8 @@ class Twin:
     """N aircraft in lockstep; one `step` is one sample of the gyro.
 
     A command given at a sample acts `delay` later (the aircraft's ESC and loop delay, rounded to whole
-    samples), at the earliest from the next sample on. `rng` is the only source of chance: the same
-    generator state and commands repeat a run exactly.
+    samples), at the earliest from the next sample on. All random numbers come from `rng`: the
+    same generator state and commands repeat a run exactly.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Twin:
         charge: the battery's state of charge at the start, 0..1; None: the bench supply that the speed curve
         was measured with. wind: [m/s], world axes; gust: wind speed 20 feet above the ground that sets the
         Dryden turbulence [m/s]. ground: the plane z = 0, free flight only. variation: how each aircraft
-        differs from its file, the charge of its battery included; None: not at all, and then for good.
+        differs from its file, the charge of its battery included; None: not at all, and `vary` is refused.
         Raises AircraftError if the aircraft lacks what is asked for, ValueError on numbers out of range.
         """
         if variation is not None and len(variation) != count:
@@ -116,7 +116,7 @@ class Twin:
         self.reset()
 
     def close(self) -> None:
-        """Leave the physics client; the twin cannot be used afterwards."""
+        """Disconnect from pybullet; the twin cannot be used afterwards."""
         self._world.close()
 
     @property
@@ -141,11 +141,10 @@ class Twin:
 
     @property
     def accelerometer(self) -> Array:
-        """What the accelerometers tell of this sample [m/s^2], (N, 3), body axes.
+        """Accelerometer readings of this sample [m/s^2], (N, 3), body axes.
 
-        A mount holds the aircraft in the Earth's field, whether that pulls at it or not: on the rig the
-        accelerometer feels it beside the swinging, and held at its centre, where nothing else can move it,
-        feels it alone and without noise.
+        On a mount they include 1 g even if the world has no gravity: on the rig beside the acceleration of
+        the swing, held at the centre 1 g alone and without noise.
         """
         if self.mount is Mount.CENTRE:
             upwards: Array = self._world.rotation[:, 2] * GRAVITY  # the world's upward axis in the body's
@@ -154,7 +153,7 @@ class Twin:
 
     @property
     def telemetry(self) -> Telemetry:
-        """What the ESCs report of this sample; voltage and current are NaN on a supply of unknown voltage."""
+        """ESC telemetry of this sample; voltage and current are NaN on a supply of unknown voltage."""
         return self._supply.telemetry(self.rotor_speed)
 
     @property
@@ -163,7 +162,7 @@ class Twin:
         return self._variation
 
     def vary(self, index: NDArray[np.intp], variation: Variation) -> None:
-        """Make the aircraft of `index` as `variation` (len(index)) says; to be followed by their `reset`.
+        """Change the aircraft of `index` to `variation` (len(index)); `reset` them afterwards.
 
         Raises ValueError if the twin was made without a variation, AircraftError on a charge if the
         aircraft has no battery.
@@ -225,7 +224,7 @@ class Twin:
         self.measure()
 
     def measure(self, which: Which = EVERYONE) -> None:
-        """Read the sensors of the aircraft of `which` anew, as at the next sample of those that are held."""
+        """Draw new sensor readings of the aircraft of `which`, also without a step while they are held."""
         phase = None if self._phase is None else self._phase[which]
         rotors = (phase, self.rotor_speed[which], self._speed_max, which)
         rate, force = self._world.rate[which], self.specific_force[which]
@@ -238,7 +237,7 @@ class Twin:
             self.gyro[which], self._acceleration[which] = gyro, acceleration
 
     def _move(self, wrench: Array) -> None:
-        """Advance the world, and find the specific force from what became of the velocity."""
+        """Advance the world, and find the specific force from the change of velocity."""
         world = self._world
         if self.mount is Mount.CENTRE:
             world.step(wrench)

@@ -29,7 +29,7 @@ class Variation:
     charge: Array  # state of charge of the battery, 0..1; NaN: the bench supply
 
     def __post_init__(self) -> None:
-        """Refuse what cannot fly."""
+        """Check shapes and ranges."""
         shape = self.mass.shape
         for field in fields(self):
             values: Array = getattr(self, field.name)
@@ -55,11 +55,11 @@ class Variation:
         return len(self.mass)
 
     def at(self, which: Which) -> Variation:
-        """Of the aircraft of `which` alone."""
+        """The rows of the aircraft of `which`."""
         return Variation(*(getattr(self, field.name)[which] for field in fields(self)))
 
     def changed(self, which: Which, other: Variation) -> Variation:
-        """With the aircraft of `which` as `other` says, one row each."""
+        """A copy with the rows of `which` replaced by those of `other`."""
         columns = []
         for field in fields(self):
             column: Array = getattr(self, field.name).copy()

@@ -7,7 +7,7 @@ asked of it is the one whose Euler step ends there, so it turns the body by the 
 is integrated from the moments, and the rate at a sample follows from momentum and attitude. Without a moment
 the momentum is thus kept to rounding, and energy to second order of the step.
 
-The copies do not feel each other; with `ground` each meets the plane z = 0.
+The copies do not touch each other; with `ground` each can touch the plane z = 0.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class World:
 
     rate: (N, 3) [rad/s] body axes; rotation: (N, 3, 3) body to world; body_velocity: (N, 3) [m/s] of the
     centre of mass, body axes; momentum: (N, 3) [N m s] world axes, angular, about the centre of mass or, on
-    the rig, about the ball joint. An aircraft that `vary` made different turns and, off the rig, flies as
-    the file's does under its wrench over the factors; its momentum there is that of the file's.
+    the rig, about the ball joint. Off the rig, an aircraft that `vary` changed is moved as
+    the file's aircraft under the wrench divided by its factors, and the momentum is of the file's aircraft.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class World:
         self.reset(range(count))
 
     def close(self) -> None:
-        """Leave the client; the world cannot be used afterwards."""
+        """Disconnect from pybullet; the world cannot be used afterwards."""
         if self._client >= 0:
             pybullet.disconnect(self._client)
             self._client = -1
@@ -163,7 +163,7 @@ class World:
         self.body_velocity[which] = rates @ self._swing
 
     def vary(self, index: NDArray[np.intp], mass: Array, inertia: Array) -> None:
-        """Give the aircraft of `index` so many times the file's mass and moments of inertia, (len,) each.
+        """Set mass and moments of inertia of the aircraft of `index`: factors of the file's, (len,) each.
 
         The moments are those about the centre of mass, which stays. Resting aircraft only: `reset` them.
         """
@@ -176,7 +176,7 @@ class World:
             self._turning = self._turning_of(inertias[:, None, None] * own + masses[:, None, None] * swung)
             return
         self._burden = np.repeat(np.stack([masses, inertias], axis=1), 3, axis=1)
-        if self._ground:  # it meets the bodies as they are
+        if self._ground:  # contact needs the true masses
             for i in index.tolist():
                 pybullet.changeDynamics(
                     self._bodies[i],
@@ -270,7 +270,7 @@ class World:
         self.rotation = (_squares(_rows(turns, 4)) @ self._attitude).reshape(-1, 3, 3)
 
     def _read_motion(self) -> None:
-        """Velocities as pybullet has them; what the ground did to the rate goes into the momentum."""
+        """Read pybullet's velocities; the change of rate by ground contact goes into the momentum."""
         motions = [pybullet.getBaseVelocity(b, self._client) for b in self._bodies]
         self._velocity = _rows([motion[0] for motion in motions], 3)
         self.body_velocity = turned_back(self.rotation, self._velocity)

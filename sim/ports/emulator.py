@@ -152,7 +152,7 @@ class EmulatedPort:
     )  # fmt: skip
 
     def announce(self, channels_us: Sequence[int], samples: int) -> None:
-        """See ForeseeingPort. The frame's last byte ends one gyro period before the sample's edge.
+        """See SerialReceiverPort. The frame's last byte ends one gyro period before the sample's edge.
 
         Half a period where every sample is a control step, or it would be heard by the one before. Raises
         LinkError when it is too late for that.

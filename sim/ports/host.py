@@ -46,8 +46,8 @@ from toolchain.errors import LinkError
 
 START_S = 10.0  # from start to `ready`
 REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
-END_S = 2.0  # from the polite signal to the rude one
-LAST_WORDS_S = 0.1  # for a dying program to be gone
+END_S = 2.0  # from SIGTERM to SIGKILL
+LAST_WORDS_S = 0.1  # for the exit status of a program that fails
 LISTENING = ("state-port", "receiver-port", "power-port", "msp-port")
 SCALE_HEIGHT_M = 8434.5  # of an isothermal atmosphere at 15 degC
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
@@ -214,7 +214,7 @@ class _Child:
         self._errors.close()
 
     def lost(self, what: str) -> LinkError:
-        """The link failed: what happened, how the program ended if it did, and its last words."""
+        """Error of a failed link: what happened, the exit status if it ended, its error output."""
         ended = ""
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):

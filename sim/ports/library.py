@@ -76,7 +76,7 @@ class Reference:
         self._library.reference_receiver(self._memory, self._channels)
 
     def power(self, volts: float, amps: float, control_us: float = 0.0) -> None:
-        """Tell of the battery [V], [A], and how long each control step takes [us]."""
+        """Set voltage [V] and current [A] of the battery, and the duration of each control step [us]."""
         self._library.reference_power(self._memory, volts, amps, control_us)
 
     def sample(self, gyro: NDArray[np.float64], specific_force: NDArray[np.float64]) -> bytes:
@@ -92,7 +92,7 @@ class Reference:
         return bytes(self._dshot)
 
     def silent(self) -> bytes:
-        """The gyro has said nothing for GYRO_BAD_MS. Returns as `sample`."""
+        """Report that the gyro sent nothing for GYRO_BAD_MS. Returns as `sample`."""
         self._library.reference_silent(self._memory, self._dshot)
         return bytes(self._dshot)
 
@@ -113,11 +113,11 @@ class Reference:
         return answer
 
     def close(self) -> None:
-        """Nothing to let go: the memory is Python's."""
+        """Nothing to release: the memory is Python's."""
 
 
 class ReferencePort:
-    """FirmwarePort around the library: the fastest way to fly the firmware's very bits."""
+    """FirmwarePort around the library: the fastest way to fly the firmware bit for bit."""
 
     def __init__(
         self,

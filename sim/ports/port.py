@@ -1,4 +1,4 @@
-"""The one interface behind which a firmware stands."""
+"""The interface of every firmware that flies in lockstep: gyro samples in, motor values out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolchain.errors import LinkError
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What the twin says at one gyro sample: body x forward, y left, z up; world x north, y west, z up."""
+    """State of the twin at one gyro sample: body x forward, y left, z up; world x north, y west, z up."""
 
     time_s: float  # since the port's first sample
     gyro: NDArray[np.float64]  # (3,) [rad/s], measured, unrounded
@@ -27,7 +27,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What the firmware answers to one gyro sample; all but `dshot` tell of its last control step."""
+    """Answer of the firmware to one gyro sample; all fields but `dshot` are of its last control step."""
 
     dshot: NDArray[np.uint16]  # (M,) values of 11 bits, motor order
     step: int  # number of the control step, rising by one
@@ -65,19 +65,19 @@ class FirmwarePort(Protocol):
 
 
 @runtime_checkable
-class ForeseeingPort(FirmwarePort, Protocol):
-    """A port whose receiver frames come over a line on which they take their time."""
+class SerialReceiverPort(FirmwarePort, Protocol):
+    """A port that sends receiver frames over a simulated serial line, which takes time."""
 
     def announce(self, channels_us: Sequence[int], samples: int) -> None:
-        """The exchange after `samples` more will come with these channels: they go on the line now.
+        """Put these channels on the line; the exchange `samples` after the next one will pass them.
 
-        0 more is the next exchange. Frames are announced in order, each before its exchange.
+        Frames are announced in order, each before its exchange.
         """
         ...
 
 
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
-    """Settings that a firmware needs to fly the twin of `aircraft`: a gyro without noise is not stuck."""
+    """Firmware settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
 
 

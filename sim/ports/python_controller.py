@@ -1,7 +1,7 @@
-"""A Python controller behind the port: the firmware's frame around another algorithm.
+"""A Python controller behind the port: another algorithm in the firmware's control path.
 
 Gyro counts and their conversion, sticks, throttle mix, idle and DShot values are the firmware's, in
-float32. Arming is the least that makes a flight alike: after a second of gyro averaging (its mean is the
+float32. Arming is reduced to what makes flights comparable: after a second of gyro averaging (its mean is the
 bias; motion is not looked for) the switch going on with the throttle low arms, the switch going off or a
 receiver lost for 400 ms disarms, and after 100 ms of silence the sticks count as centred.
 """
@@ -81,7 +81,7 @@ class ControllerPort:
         return self._reply
 
     def arming_reasons(self) -> tuple[str, ...]:
-        """See FirmwarePort; this one only waits for its second and the switch."""
+        """See FirmwarePort; always empty: it waits for calibration and the switch only."""
         return ()
 
     def close(self) -> None:

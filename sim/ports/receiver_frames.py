@@ -58,7 +58,7 @@ def _crc8(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Receiver:
-    """What speaks on the receiver's line."""
+    """A receiver protocol on the serial line."""
 
     frame: Callable[[Sequence[int]], bytes]  # of channels [us]
     format: Format

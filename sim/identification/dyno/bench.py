@@ -1,4 +1,4 @@
-"""The dynamometer: one rotor of an aircraft driven through steps and a ramp of throttle, and what is read.
+"""A simulated dynamometer: records one rotor driven through steps and a ramp of throttle.
 
 A recording is what a bench logs: time, throttle, rotor speed, thrust and torque. The torque is the
 propeller's drag, without the reaction to the rotor's own acceleration.
@@ -23,10 +23,7 @@ RAMP_S = 40.0  # 0 to 1 and back; Koch 2019, chapter 5
 REST_S, HOLD_S = 1.0, 2.0  # [s], throttle off before the first step and after each, throttle held
 SIMULATION_HZ = 2000  # fine against the fastest rotor's lag of some 10 ms
 RATE_HZ_MIN, RATE_HZ_MAX = 10, SIMULATION_HZ
-JITTER, LOST = (
-    0.5,
-    0.05,
-)  # of an uneven log: part of a period that a row is early or late, part of rows missing
+JITTER, LOST = 0.5, 0.05  # of an uneven log: part of a period that rows are off, part of rows missing
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ EXPERIMENTS = {"steps": STEPS, "ramp": RAMP, "all": (*STEPS, *RAMP)}
 
 @dataclass(frozen=True)
 class Step:
-    """What one step from rest shows."""
+    """Figures of one step from rest."""
 
     level: float  # throttle
     rise: float  # [s], from the command to 90 % of the settled speed

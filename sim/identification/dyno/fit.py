@@ -1,9 +1,9 @@
-"""What a recording of a dynamometer says about a rotor: H, K_T, K_Q, the response and the latency.
+"""Fit a rotor's H, K_T, K_Q, response and latency to a dynamometer's recording.
 
-The whole recording is simulated and fitted at once by a soft-L1 loss, which outliers hardly move. Thrust
-and torque are fitted where the rotor hardly accelerates, against a speed cleaned of its noise.
-Standard errors are those of an M-estimator and assume noise without memory: where the model itself does
-not fit, or an uneven log leaves open when throttle jumped, they are too small.
+The whole recording is simulated and fitted at once by a soft-L1 loss, which limits the weight of outliers.
+Thrust and torque are fitted where the rotor hardly accelerates, against a speed cleaned of its noise.
+Standard errors are those of an M-estimator and assume noise without memory: where the model itself does not
+fit, or an uneven log leaves open when throttle jumped, they are too small.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sim.identification.dyno.response import (
     why_better,
     why_none,
 )
-from sim.identification.dyno.robust_fit import Estimate, robust
+from sim.identification.dyno.robust_fit import Estimate, robust_fit
 from sim.identification.dyno.signal import (
     JUMP,
     NOISE_FLOOR,
@@ -177,7 +177,7 @@ def fit(
 def _static_slopes(throttle: Array, speed: Array, full: float, noise: float) -> tuple[Array, Array]:
     """H from rows at which the rotor has settled, and its covariance."""
     bounds = np.array([0.0, SLOPE_MIN, SLOPE_MIN]), np.array([2.0, 50.0, 50.0])
-    found, _, covariance = robust(
+    found, _, covariance = robust_fit(
         lambda p: curve(p * full, throttle) - speed, np.array([0.01, 1.0, 1.0]), noise, bounds
     )
     return found * full, covariance * full**2
@@ -202,7 +202,7 @@ def _fit_polynomial(
         columns = (load / load.max())[:, None] * (speed[:, None] / top) ** np.arange(terms)
         start = np.zeros(terms)
         start[0] = 1.0
-        p, cost, covariance = robust(lambda p: columns @ p * size - values, start, scale)
+        p, cost, covariance = robust_fit(lambda p: columns @ p * size - values, start, scale)
         return p, cost, covariance, values - columns @ p * size
 
     most = COEFFICIENT_TERMS_MAX if speed_dependent else 1

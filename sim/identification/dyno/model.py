@@ -1,4 +1,4 @@
-"""A rotor in closed form: speed under a schedule of throttle, for a fit that asks a hundred times a second.
+"""Rotor speed in closed form under a schedule of throttle, fast enough for a fit.
 
 `sim.physics.rotor` moves every rotor of a twin by one step; here one rotor runs through a whole recording,
 exact for throttle that is held from one instant to the next.
@@ -34,7 +34,7 @@ class Schedule:
     fresh: NDArray[np.bool_]  # (S,), whether a run begins with it
     first: Array  # (S,) [rad/s], measured speed at the beginning of a run, else 0
     row: NDArray[np.intp]  # (S,), at which each shows first
-    middle: Array  # (S,) [s], `time` as far as the log alone tells
+    middle: Array  # (S,) [s], middle of the interval that the log leaves for `time`
     slack: Array  # (S,) [s], by which that may be early or late
     near: float  # [rad/s], a run that begins no further from its target begins there
 
@@ -51,7 +51,7 @@ class Dynamics:
 
 
 def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, held: float = HELD) -> Schedule:
-    """Stretches on which throttle moves less than `held`, each with its mean; noise [rad/s]: of the speed."""
+    """Schedule of stretches on which throttle moves less than `held`; noise [rad/s]: of the speed."""
     begins = []
     starts = set(recording.starts)
     low = high = 0.0
@@ -69,7 +69,7 @@ def make_schedule(recording: Recording, throttle: Array, noise: float = 0.0, hel
         first[index] = max(float(np.median(recording.speed[row : row + FIRST_ROWS])), 0.0)
     time = recording.time[rows]
     slack = np.zeros(len(rows))
-    if uneven(recording.time):  # such a log only says that throttle changed since the row before
+    if uneven(recording.time):  # then throttle may have changed at any time since the row before
         slack = np.where(fresh, 0.0, 0.5 * (time - recording.time[rows - 1]))
     middle = time - slack
     value = np.add.reduceat(throttle, rows) / sizes

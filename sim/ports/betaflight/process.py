@@ -1,7 +1,7 @@
 """A running Betaflight SITL in simulated time.
 
-The program is started with sim/ports/betaflight/clock.c between it and the system: it runs up to a moment of
-the simulator's choice and stands there, so that a flight depends neither on the computer's speed nor on
+The program is started with sim/ports/betaflight/clock.c between it and the system: it runs up to a time
+that the simulator chooses and waits there, so that a flight depends neither on the computer's speed nor on
 its load, and repeats exactly. Its servers get free ports on loopback, so that several can run at a time.
 """
 
@@ -26,11 +26,11 @@ from toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
 from toolchain.errors import LinkError
 
 START_NS = 3_000_000_000  # of simulated time, for its servers to stand
-STEP_NS = 1_000_000  # of simulated time, between two looks at what it says
+STEP_NS = 1_000_000  # of simulated time, between two checks of its output
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
 END_S = 5.0  # real, from its decision to restart to its end
-LAST_WORDS_S = 0.1  # real, for one that is dying to be gone
-POLL_S = 0.0005  # real, for its TCP thread to carry what was said
+LAST_WORDS_S = 0.1  # real, for the exit status of one that fails
+POLL_S = 0.0005  # real, for its TCP thread to carry bytes
 EEPROM = "eeprom.bin"  # its settings, in its working directory
 
 # struct report and struct permit of clock.c
@@ -121,7 +121,7 @@ class BetaflightProcess:
         return (self._folder / EEPROM).read_bytes()
 
     def lost(self, what: str) -> LinkError:
-        """It failed: what happened, how it ended if it did, and its last words."""
+        """Error of a failure: what happened, the exit status if it ended, the last line of its errors."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             what += f"; it ended with {self._process.wait(LAST_WORDS_S)}"
         end = self._errors.seek(0, os.SEEK_END)
