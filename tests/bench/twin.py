@@ -1,9 +1,8 @@
 """Speed of the twin and of training beside bare pybullet.
 
-Bare pybullet is the floor that the twin stands on: the same bodies and the same calls (moment in, step, pose
-out; in free flight force and velocity too) with no rotors, no sensors and no arithmetic around them. All
-are timed in turn, several times over, and the best of each counts: a neighbour on the machine slows a
-turn, not the figure.
+Bare pybullet bounds the speed of the twin: the same bodies and the same calls (moment in, step, pose out; in
+free flight force and velocity too) without rotors, sensors and arithmetic. All are timed in turn, several
+times, and the best of each counts, so that other load on the machine slows a turn, not the figure.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ NF1 = load_aircraft("nf1")
 LEARNING = PpoConfig().aircraft
 ROUNDS = 5
 MINUTE_S = 57.0  # of learning; the rest is for what comes before and after
-UNSEEN, UNSEEN_SEED = 200, 20002  # pulses that the policy of a minute is told by
+UNSEEN, UNSEEN_SEED = 200, 20002  # pulses that the policy trained for a minute is evaluated on
 
 
 @dataclass

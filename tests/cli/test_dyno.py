@@ -1,4 +1,4 @@
-"""`neuroflight dyno` from the outside: a bench simulated, its log fitted, the fit put into a file."""
+"""`neuroflight dyno`: simulate a bench, fit its log, write the fit into a file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     return path
 
 
-def test_run_writes_the_log_and_tells_each_step_when_asked(
+def test_run_writes_the_log_and_prints_each_step_when_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, plot = tmp_path / "a.csv", tmp_path / "a.png"

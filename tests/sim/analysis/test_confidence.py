@@ -1,4 +1,4 @@
-"""Intervals against printed tables and against what happens."""
+"""Confidence intervals against printed tables and against random draws."""
 
 from __future__ import annotations
 

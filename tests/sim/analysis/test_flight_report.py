@@ -41,7 +41,7 @@ def test_table_stands_the_flights_side_by_side_when_there_are_two() -> None:
     assert rows["armed"] == ("100.0 %", "100.0 %")
 
 
-def test_table_judges_the_commands_when_they_are_held() -> None:
+def test_table_has_the_response_figures_when_commands_are_held() -> None:
     held, brief = make_flight("firmware"), make_flight("PID", 1200)
     rows = {row[0].strip(): row[1:] for row in table([held, brief])}
     # Off by 2 deg/s from the first sample on: in the band, and none of it is risen.

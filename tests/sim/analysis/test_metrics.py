@@ -90,7 +90,7 @@ def test_effort_has_its_closed_form_when_one_motor_of_four_alternates() -> None:
     assert result.output == pytest.approx(0.4 * 500 / 1001 / 4)
 
 
-def test_effort_looks_a_millisecond_back_when_the_rate_is_higher() -> None:
+def test_effort_takes_changes_over_a_millisecond_when_the_rate_is_higher() -> None:
     ramp = np.linspace(0, 1, 4001)[:, None] * np.ones(4)  # 1 in one second
     assert effort(ramp, 0.00025).change == pytest.approx(0.001)
 
@@ -134,7 +134,7 @@ def test_figures_refuse_when_the_episodes_do_not_divide_the_flight() -> None:
         figures(make_trace(*np.zeros((3, 10, 3))), episodes=3)
 
 
-def test_figures_judge_each_command_when_a_flight_holds_them() -> None:
+def test_figures_include_the_response_when_a_flight_holds_its_commands() -> None:
     setpoint = np.zeros((2, 2000, 3))
     setpoint[0, 500:1500], setpoint[1, 500:1500] = np.deg2rad(100.0), np.deg2rad(-40.0)
     rate = setpoint.copy()

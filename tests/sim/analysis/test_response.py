@@ -54,7 +54,7 @@ def test_peak_is_the_overshoot_when_the_answer_is_a_damped_oscillation() -> None
     assert each.success.all()
 
 
-def test_nothing_settles_when_the_rate_swings_for_ever() -> None:
+def test_nothing_settles_when_the_rate_oscillates_without_end() -> None:
     command = np.array([[100.0, -100.0, 40.0]])
     # 2.25 turns: at the end the swing passes through the setpoint, inside the band.
     each = response(held((1 - np.cos(4.5 * np.pi * T))[None, :, None] * command[:, None], command))
@@ -83,7 +83,7 @@ def test_success_begins_again_when_the_rate_leaves_the_band() -> None:
     assert each.all_in_band_750 == pytest.approx([0.8])
 
 
-def test_two_readings_of_the_band_differ_when_the_command_is_small() -> None:
+def test_bands_with_and_without_floor_differ_when_the_command_is_small() -> None:
     command = np.array([[20.0, 20.0, 0.5]])
     rate = np.full((1, 1000, 3), [17.0, 14.0, 4.0])  # off by 3, 6 and 3.5 deg/s
     rate[:, 0] = 0.0

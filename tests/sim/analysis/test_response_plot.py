@@ -1,4 +1,4 @@
-"""The picture of step responses shows what the figures say."""
+"""The plot of step responses agrees with the figures."""
 
 from __future__ import annotations
 

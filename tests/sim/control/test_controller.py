@@ -1,4 +1,4 @@
-"""A policy as a controller in Python, and what of the twin it may be told."""
+"""A policy as a controller in Python, and the rotor speed and attitude that it may observe."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def showing(observation: str, columns: list[int]) -> PolicyModel:
     )
 
 
-def test_rotor_speed_and_gravity_are_what_it_was_told_when_it_observes_them() -> None:
+def test_rotor_speed_and_gravity_are_those_it_was_given_when_it_observes_them() -> None:
     controller = PolicyController(showing("rotor_speed,gravity", [0, 3, 5, 6]), 2)
     assert controller.senses
     speed = np.array([[0.25, 0, 0, 0.5], [0.125, 0, 0, 0.75]])
@@ -46,14 +46,14 @@ def test_rotor_speed_and_gravity_are_what_it_was_told_when_it_observes_them() ->
     assert shown.tolist() == [[0.25, 0.5, 0, 1], [0.125, 0.75, 1, 0]]
 
 
-def test_a_step_is_refused_when_it_was_not_told_what_it_observes() -> None:
+def test_a_step_is_refused_when_it_was_not_given_what_it_observes() -> None:
     controller = PolicyController(showing("rotor_speed,gravity", [0, 3, 4, 6]), 2)
     with pytest.raises(ValueError, match="observe needs rotor_speed, got none"):
         controller.step(ZERO, ZERO, NO_THRUST)
     assert not PolicyController(showing("rate,rate_error", [0, 1, 2, 3]), 2).senses
 
 
-def test_an_evaluation_tells_the_twins_rotor_speed_when_the_policy_observes_it() -> None:
+def test_an_evaluation_gives_the_twins_rotor_speed_when_the_policy_observes_it() -> None:
     policy = showing("rotor_speed", [0, 1, 2, 3])
     task = PulseTask(idle_s=0.01, command_s=0.01, rest_s=0.01)
     flights = record(

@@ -1,4 +1,4 @@
-"""Throttle mix and DShot values by their formulas (DESIGN law 4)."""
+"""Throttle mix and DShot values by their formulas."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Observation blocks by their definitions (DESIGN law 3)."""
+"""Observation blocks by their definitions."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_low_pass_starts_at_its_first_value_and_follows_by_its_gain() -> None:
     assert look(observer, 0.0, 5.0, 2)[:, 0] == pytest.approx([5.0 - 2.0 * (1 - gain) ** 2, 5.0], rel=1e-6)
 
 
-def test_old_values_come_after_their_age_and_are_zero_before_the_reset() -> None:
+def test_delayed_values_come_after_their_delay_and_are_zero_before_the_reset() -> None:
     observer = Observer(observation_blocks("rate@2,rate"), 2, 4, 1000)
     seen = [look(observer, 0.0, value, 2)[0, [0, 3]].tolist() for value in (1.0, 2.0, 3.0, 4.0)]
     assert seen == [[0, 1], [0, 2], [1, 3], [2, 4]]

@@ -1,4 +1,4 @@
-"""Figures of an aircraft against closed forms, and what its file is told when it cannot fly."""
+"""Figures of an aircraft against closed forms, and the verdicts on files that cannot fly."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ def verdicts(aircraft: Aircraft, level: Level) -> list[Verdict]:
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_shipped_aircraft_pass_without_a_word_when_examined(name: str) -> None:
+def test_shipped_aircraft_pass_without_a_warning_when_examined(name: str) -> None:
     found = examine(load_aircraft(name))[1]
     assert {verdict.level for verdict in found} == {Level.OK}
     assert {"thrust", "hover", "control", "inertia", "battery", "body"} <= {v.subject for v in found}
@@ -257,14 +257,14 @@ def test_greatest_moment_is_that_of_the_simplex_method_when_random(count: int) -
         ),
     ],
 )
-def test_says_what_to_mend_when_a_number_has_slipped(
+def test_verdict_names_the_mistake_when_a_number_is_wrong(
     text: str, changes: list[tuple[str, str]], level: Level, subject: str, expected: str
 ) -> None:
     found = verdicts(changed(text, *changes), level)
     assert any(v.subject == subject and re.search(expected, v.message) for v in found), found
 
 
-def test_three_rotors_are_told_so_when_they_cannot_steer_four_ways() -> None:
+def test_three_rotors_get_an_error_when_they_cannot_steer_four_ways() -> None:
     # Without the fourth rotor, and without the PIDs, whose mixers know four.
     text = NF1[: NF1.rindex("[[rotor]]")] + NF1[NF1.index("# Measured on a dynamometer") : NF1.index("[pid.")]
     assert any("can set 3 of" in v.message for v in verdicts(changed(text), Level.ERROR))

@@ -1,4 +1,4 @@
-"""What is on the drawing: every rotor in its place with its number and spin, in millimetres."""
+"""The drawing shows every rotor in its place with its number and spin, in millimetres."""
 
 import dataclasses
 import io

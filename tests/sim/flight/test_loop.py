@@ -1,4 +1,4 @@
-"""The lockstep itself, with a port that only writes down what it gets."""
+"""The lockstep loop with a port that records what it gets."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_frames_come_at_control_steps_as_a_receiver_sends_them_when_flown() -> N
 
 
 @pytest.mark.parametrize(("gyro_rate_hz", "first_ms"), [(8000, 4), (4000, 4), (2000, 4), (1000, 5)])
-def test_the_first_frame_is_heard_when_a_line_can_have_carried_it(gyro_rate_hz: int, first_ms: int) -> None:
+def test_the_first_frame_arrives_when_a_serial_line_can_carry_it(gyro_rate_hz: int, first_ms: int) -> None:
     port = Recorder(gyro_rate_hz)
     flown(port, Scenario("short", (Segment(0.01),)))
     assert port.frames[0][0] == first_ms * gyro_rate_hz // 1000
@@ -175,7 +175,7 @@ def test_stops_when_the_firmware_turns_motors_while_disarmed() -> None:
         flown(Runaway())
 
 
-def test_the_pilot_switches_off_and_the_motors_stand_when_the_scenario_is_over() -> None:
+def test_the_pilot_switches_off_and_the_motors_stop_when_the_scenario_is_over() -> None:
     port = Recorder()
     twin, trace, start = flown(port, Scenario("short", (Segment(0.05, (100.0, 0.0, 0.0), 0.4),)))
     number, last = port.frames[-1]
@@ -263,7 +263,7 @@ def test_it_refuses_when_firmware_and_twin_do_not_fit(port: Recorder, message: s
     twin.close()
 
 
-def test_it_refuses_when_the_order_or_the_count_is_our_mistake() -> None:
+def test_it_raises_a_value_error_when_the_motor_order_or_the_count_is_wrong() -> None:
     twin, pair = Watched(4000), Watched(4000, count=2)
     with pytest.raises(ValueError, match="no permutation"):
         fly(twin, Recorder(), HOLD, motor_order=(0, 1, 1, 3))

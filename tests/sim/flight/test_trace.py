@@ -39,7 +39,7 @@ def test_two_files_hold_the_same_bytes_when_the_traces_are_equal(tmp_path: Path)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_same_tells_traces_apart_when_one_bit_differs() -> None:
+def test_same_is_false_when_one_bit_differs() -> None:
     trace = make_trace()
     rate = trace.rate.copy()
     rate[7, 1] = np.nextafter(rate[7, 1], 9)

@@ -81,7 +81,7 @@ def test_sigma_is_without_the_rounding_when_the_log_is_in_whole_degrees(sigma: f
     assert doubts(noise) == []
 
 
-def test_log_is_doubted_when_rounding_hides_the_noise() -> None:
+def test_log_gets_a_warning_when_rounding_hides_the_noise() -> None:
     noise = measure_noise(record(np.rint(np.random.default_rng(3).standard_normal((COUNT, 3)) * 0.3)))
     assert [line.split(":")[0] for line in doubts(noise)] == ["roll", "pitch", "yaw"]
     assert "rounded to 1 deg/s" in doubts(noise)[0]
@@ -100,7 +100,7 @@ def test_bandwidth_is_recovered_when_noise_passed_a_low_pass(bandwidth_hz: float
     assert not noise.moved
 
 
-def test_samples_are_doubted_when_they_alternate() -> None:
+def test_samples_get_a_warning_when_they_alternate() -> None:
     source = np.random.default_rng(5).standard_normal((COUNT, 3))
     (line,) = doubts(measure_noise(record(source[1:] - 0.5 * source[:-1])))
     assert "alternate" in line

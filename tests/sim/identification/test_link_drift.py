@@ -1,4 +1,4 @@
-"""Links that cannot drift, links that do, and the one rigid body they are compared with."""
+"""Links in reduced coordinates do not drift, those in maximal ones do; both against the rigid twin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading gyro records: what they mean, and one line for each file that is none."""
+"""Reading gyro recordings: units and axes, and one line for each file that is none."""
 
 from pathlib import Path
 
@@ -64,7 +64,7 @@ def test_blackbox_counts_are_scaled_when_their_unit_is_given(tmp_path: Path) -> 
     assert np.rad2deg(seen.gyro[4]) == pytest.approx([0.4, -0.4, 0.1])
 
 
-def test_blackbox_units_are_heeded_when_the_decoder_was_asked_for_them(tmp_path: Path) -> None:
+def test_blackbox_units_are_converted_when_the_decoder_wrote_them(tmp_path: Path) -> None:
     heading = BLACKBOX.replace("(us)", "(ms)")
     for axis in range(3):
         heading = heading.replace(f"gyroADC[{axis}]", f"gyroADC[{axis}] (rad/s)")
@@ -100,7 +100,7 @@ def test_trace_gives_its_gyro_when_read(tmp_path: Path) -> None:
     assert seen.gyro.tolist() == gyro.tolist()
 
 
-def test_gaps_are_counted_and_the_rate_is_not_fooled_when_samples_are_lost(tmp_path: Path) -> None:
+def test_gaps_are_counted_and_left_out_of_the_rate_when_samples_are_lost(tmp_path: Path) -> None:
     time = np.delete(np.arange(2 * COUNT) / 1000, [300, 301, 302, 900])
     seen = read_recording(write(tmp_path, f"{OURS}\n{ours(time)}"))
     assert seen.gaps == 2

@@ -112,7 +112,7 @@ def test_gusts_move_in_small_steps_when_the_air_is_slow() -> None:
     assert moved == pytest.approx(expected, rel=SIGMAS / math.sqrt(2 * count))
 
 
-def test_gusts_stand_when_the_aircraft_stands_in_the_air() -> None:
+def test_gusts_are_constant_when_the_aircraft_stands_in_the_air() -> None:
     wind = Wind(np.zeros(3), GUST, 2.0, 8, 0.001, np.random.default_rng(1))
     before = wind.velocity.copy()
     wind.step(np.zeros(8))

@@ -1,4 +1,4 @@
-"""Aircraft that differ from their file: each parameter does what it says, and nothing else."""
+"""Aircraft that differ from their file: each parameter has its effect and no other."""
 
 from dataclasses import replace
 from itertools import pairwise

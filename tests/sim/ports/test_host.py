@@ -102,7 +102,7 @@ def test_the_link_fails_clearly_when_the_program_dies_in_flight(
     port.close()
 
 
-def test_the_programs_own_words_are_passed_on_when_it_refuses_to_start(host_program: Path) -> None:
+def test_the_programs_own_message_is_passed_on_when_it_refuses_to_start(host_program: Path) -> None:
     before = children()
     with pytest.raises(LinkError, match=r"it ended with 1: .*gyro-hz got 3000"):
         HostPort(host_program, 3000)

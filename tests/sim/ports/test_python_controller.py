@@ -1,4 +1,4 @@
-"""The frame around a Python controller, held against the firmware's own."""
+"""The control path around a Python controller, compared with the firmware's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames of receivers, read back by parsers of another make."""
+"""Frames of receivers, read back by independent parsers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fit finds rotors that it knows nothing of, and says what a recording does not show."""
+"""The fit recovers the parameters of simulated rotors, and notes what a recording does not show."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_fit_is_exact_when_the_recording_is() -> None:
     assert found.notes == ()
 
 
-def test_error_bars_hold_the_truth_when_noise_has_no_memory() -> None:
+def test_error_bars_hold_the_truth_when_noise_is_white() -> None:
     rng = np.random.default_rng(12)
     for _ in range(3):
         time = sample_times(duration(STEPS), 250)

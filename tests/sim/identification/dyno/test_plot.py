@@ -1,4 +1,4 @@
-"""Pictures of a recording and of a fit carry what they say they carry."""
+"""Plots of a recording and of a fit show the right curves in the right units."""
 
 from __future__ import annotations
 

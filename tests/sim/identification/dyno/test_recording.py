@@ -1,4 +1,4 @@
-"""Logs of a dynamometer: read as they were written, refused in one line that says how to mend them."""
+"""Logs of a dynamometer: read as they were written; an error is one line that says how to correct them."""
 
 from __future__ import annotations
 

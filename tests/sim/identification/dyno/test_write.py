@@ -1,4 +1,4 @@
-"""A fit goes into an aircraft file and nothing else in it moves."""
+"""A fit is written into an aircraft file, and nothing else in the file changes."""
 
 from __future__ import annotations
 

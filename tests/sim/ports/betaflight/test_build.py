@@ -1,4 +1,4 @@
-"""Fetching and building Betaflight: what is refused, and that nothing half built stays."""
+"""Fetching and building Betaflight: errors, and no half-built file after one."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_one_line_names_the_log_when_the_build_fails(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".lock", "build.log"]
 
 
-def test_pips_last_word_is_passed_on_when_it_cannot_fetch(
+def test_pips_last_line_is_passed_on_when_it_cannot_fetch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")

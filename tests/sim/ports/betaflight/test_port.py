@@ -1,4 +1,4 @@
-"""Betaflight's wire at this edge, and what happens when the program behind it is not Betaflight."""
+"""Packets to and from Betaflight, and errors when the program is not Betaflight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped policy through torch, onnxruntime and the compiled C, on what it meets in flight and beyond."""
+"""The shipped policy in torch, onnxruntime and compiled C, on observations of a flight and random ones."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def through_torch(checkpoint: Path, observation: Float32) -> Float32:
 
 
 def through_onnxruntime(policy: Path, observation: Float32) -> Float32:
-    """The file as any runtime reads it, one observation a call."""
+    """The ONNX file in onnxruntime, one observation a call."""
     session = onnxruntime.InferenceSession(policy, providers=["CPUExecutionProvider"])
     return np.concatenate([session.run(["action"], {"observation": row[None]})[0] for row in observation])
 
@@ -97,7 +97,7 @@ def test_torch_onnxruntime_and_c_agree_on_ten_thousand_observations(
     assert float(np.abs(trained - runtime).max()) <= TOLERANCE
 
 
-def test_the_evaluator_is_the_c_to_the_bit_and_its_fast_form_within_the_tolerance(
+def test_the_interpreter_is_the_c_to_the_bit_and_its_fast_form_within_the_tolerance(
     shipped_policy: Path, reference_library: Path, observations: Float32
 ) -> None:
     network, _ = optimize(read_policy(shipped_policy).network)

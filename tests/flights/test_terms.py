@@ -1,4 +1,4 @@
-"""A policy of low-passed and old observations with an idle of its own, squashed, from freeze to flight."""
+"""A policy with low-passed and delayed observations, an idle and a squashed output, from freeze to flight."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ BUSY = Scenario(
 
 
 def frozen(observation: str) -> bytes:
-    """A policy.onnx of random weights, too gentle to turn the aircraft faster than its gyro can tell."""
+    """A policy.onnx of random weights, too weak to turn the aircraft faster than its gyro's full scale."""
     rng = np.random.default_rng(8)
     inputs = observation_count(observation_blocks(observation), 4)
     state = {}
@@ -67,7 +67,7 @@ def frozen(observation: str) -> bytes:
 
 
 class Recorder(PolicyController):
-    """A policy's controller that keeps what it answered."""
+    """A policy's controller that keeps its outputs."""
 
     def __init__(self, policy: Path) -> None:
         super().__init__(read_policy(policy))
@@ -94,7 +94,7 @@ def folder(policy: Path) -> Path:
     return policy.parent / "HOST"
 
 
-def test_python_library_and_program_fly_the_same_bits_when_terms_have_a_past(
+def test_python_library_and_program_fly_the_same_bits_when_terms_have_memory(
     policy: Path, folder: Path, flown: Flown
 ) -> None:
     controller = Recorder(policy)
@@ -105,7 +105,7 @@ def test_python_library_and_program_fly_the_same_bits_when_terms_have_a_past(
     assert in_python.motors.min() >= IDLE - 0.5 / 1999
 
 
-def test_fly_tells_the_policys_own_output_when_it_has_an_idle(
+def test_fly_reports_the_policys_own_output_when_it_has_an_idle(
     policy: Path, folder: Path, flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scenario = tmp_path / "steps.toml"
@@ -118,13 +118,13 @@ def test_fly_tells_the_policys_own_output_when_it_has_an_idle(
     )
     arguments = ["--scenario", str(scenario), "--build", str(folder), "--gyro-hz", str(GYRO_HZ), "--json"]
     assert main(["fly", "--on", "reference", *arguments]) == 0
-    told = json.loads(capsys.readouterr().out)["flights"]["firmware"]["effort"]
+    effort = json.loads(capsys.readouterr().out)["flights"]["firmware"]["effort"]
     controller = Recorder(policy)
     steps = tuple(Segment(0.1, (a, b, c), throttle) for a, b, c, throttle in segments)
     flown(ControllerPort(controller, 4, GYRO_HZ, idle=IDLE), Scenario("steps", steps))
     y = np.concatenate(controller.outputs).astype(float)
-    assert told["output"] == pytest.approx(y.mean(), abs=1e-4)  # DShot's rounding
-    assert told["change"] == pytest.approx(np.abs(np.diff(y, axis=0)).mean(), abs=5e-4)
+    assert effort["output"] == pytest.approx(y.mean(), abs=1e-4)  # DShot's rounding
+    assert effort["change"] == pytest.approx(np.abs(np.diff(y, axis=0)).mean(), abs=5e-4)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What the firmware makes of faults, on the emulated board, as docs/safety.md says."""
+"""Reactions of the firmware to injected faults on the emulated board, as docs/safety.md states them."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ class Still:
 
 @pytest.fixture(scope="module")
 def image(board_image: Path) -> Path:
-    """What is flashed."""
+    """The file to be flashed."""
     return board_image.with_suffix(".bin")
 
 
 @pytest.fixture(scope="module")
 def started(image: Path) -> Iterator[tuple[Still, Any]]:
-    """A flight of 50 ms, and that moment."""
+    """A flight of 50 ms, and a snapshot at its end."""
     still = Still(EmulatedPort(image))
     still.fly(1.1, armed=False)
     still.fly(0.2, until=lambda reply: reply.armed)
@@ -82,7 +82,7 @@ Drill = Callable[..., tuple[list[Reply], list[Event]]]
 
 @pytest.fixture
 def drill(started: tuple[Still, Any]) -> Drill:
-    """Flies on from that moment with faults; the replies, and what happened but the arming and the faults."""
+    """Flies on from that snapshot with faults; returns replies and events, arming and faults left out."""
     still, moment = started
 
     def run(*faults: str, seconds: float = 0.1) -> tuple[list[Reply], list[Event]]:
@@ -108,7 +108,7 @@ def test_the_motors_stop_when_the_gyro_is_silent(drill: Drill, started: tuple[St
     assert {"GYRO_BAD", "FAULT"} <= set(started[0].port.arming_reasons())
 
 
-def test_it_flies_on_when_the_gyro_is_silent_for_less_than_it_bears(drill: Drill) -> None:
+def test_it_flies_on_when_the_gyro_is_silent_for_less_than_the_limit(drill: Drill) -> None:
     replies, events = drill(f"gyro-silent={(GYRO_BAD_MS - 3) / 1000}@0.06")
     assert not events
     assert all(reply.armed and reply.dshot.all() for reply in replies)
@@ -120,7 +120,7 @@ def test_spikes_are_flown_when_bits_of_the_gyro_turn_over(drill: Drill) -> None:
     replies, events = drill("spi-bit-errors=0.01@0.06")
     rates = np.abs([reply.gyro for reply in replies[::4]]).max(axis=1)
     hit = rates > 0.1  # of a gyro with a noise of 0.01 rad/s
-    assert not events  # no sum goes with the chip's bytes: nothing tells a spike from motion
+    assert not events  # the chip's bytes have no checksum: a spike cannot be told from motion
     assert not hit[:9].any()
     assert 0.1 < hit[10:].mean() < 0.5  # of 48 bits, some 2/3 of which are worth 0.1 rad/s
 
@@ -146,9 +146,7 @@ def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) 
     ]
 
 
-def test_it_stands_for_good_and_the_escs_stop_when_the_crystal_fails(
-    drill: Drill, started: tuple[Still, Any]
-) -> None:
+def test_it_halts_and_the_escs_stop_when_the_crystal_fails(drill: Drill, started: tuple[Still, Any]) -> None:
     replies, (reset,) = drill("crystal@0.06", seconds=0.6)
     assert reset == Event(0.06, "reset: software", stops=True)
     assert turning(replies) == pytest.approx(0.06 - START_S + SILENT_S, abs=0.002)
@@ -172,7 +170,7 @@ def test_it_flies_on_when_some_receiver_frames_are_broken(drill: Drill) -> None:
     assert all(reply.armed for reply in replies)
 
 
-def test_a_moment_is_flown_on_to_the_bit_when_it_is_restored(drill: Drill) -> None:
+def test_a_flight_continues_bit_for_bit_when_a_snapshot_is_restored(drill: Drill) -> None:
     first, second = (drill("spi-bit-errors=0.01@0.06")[0] for _ in range(2))
     assert [reply.dshot.tobytes() for reply in first] == [reply.dshot.tobytes() for reply in second]
 
@@ -189,7 +187,7 @@ def test_it_says_so_when_a_fault_lets_the_firmware_never_boot(image: Path) -> No
         EmulatedPort(image, faults=[parse_fault("crystal@boot")])
 
 
-def test_faults_are_told_as_they_are_written_when_read() -> None:
+def test_a_fault_prints_as_it_was_written_when_parsed() -> None:
     written = ("gyro-silent@1.5", "gyro-silent=0.005@0", "flash-cut=7@boot", "spi-bit-errors=1e-05@3")
     assert [str(parse_fault(text)) for text in written] == list(written)
     assert parse_fault("brown-out@2") == Fault("brown-out", 0.0, 2.0)

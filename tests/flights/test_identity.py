@@ -1,4 +1,4 @@
-"""The image that is flashed flies the bits of the host build on the emulated board, and flies them again."""
+"""The image on the emulated board flies the bits of the host build, and repeats a flight to the bit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def five_seconds() -> Scenario:
 
 @pytest.fixture(scope="module")
 def image(board_image: Path) -> Path:
-    """What is flashed."""
+    """The file to be flashed."""
     return board_image.with_suffix(".bin")
 
 
@@ -81,7 +81,7 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
     "phase_us",
     [pytest.param(us, marks=[] if us == 60 else [pytest.mark.prove]) for us in range(0, 125, 4)],
 )
-def test_the_bits_are_the_same_when_the_chips_clock_stands_elsewhere(
+def test_the_bits_are_the_same_when_the_gyro_chips_clock_has_another_phase(
     image: Path, reference_library: Path, flown: Flown, phase_us: int
 ) -> None:
     segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
@@ -96,48 +96,48 @@ def test_the_bits_are_the_same_when_the_chips_clock_stands_elsewhere(
     assert flown(ReferencePort(reference_library), scenario).same(on_board)
 
 
-# ---- the same again ----
+# ---- repeated flights ----
 HANDLER = "gyro_sample_handler"
 
 
 class RecordedPort(EmulatedPort):
-    """Keeps a moment of the flight and all that it was asked from there on."""
+    """Keeps a snapshot of the flight and all calls after it."""
 
     def __init__(self, image: Path, armed_for: int) -> None:
-        """armed_for: samples with the motors armed until that moment."""
+        """armed_for: samples with the motors armed before the snapshot."""
         super().__init__(image)
         self._until = armed_for
-        self.moment: Moment | None = None
-        self._asked: list[tuple[Callable[..., object], tuple[object, ...]]] = []
+        self.snapshot: Moment | None = None
+        self._calls: list[tuple[Callable[..., object], tuple[object, ...]]] = []
 
     def announce(self, channels_us: Sequence[int], samples: int) -> None:
-        self._asked.append((EmulatedPort.announce, (list(channels_us), samples)))
+        self._calls.append((EmulatedPort.announce, (list(channels_us), samples)))
         super().announce(channels_us, samples)
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         if self._until == 0:
-            self.moment = self.save()
-            self._asked.clear()
+            self.snapshot = self.save()
+            self._calls.clear()
         kept = Sample(
             sample.time_s,
             *(sample.gyro.copy(), sample.rotation.copy(), sample.velocity.copy()),
             *(sample.position.copy(), sample.specific_force.copy()),
         )
-        self._asked.append((EmulatedPort.exchange, (kept, channels_us)))
+        self._calls.append((EmulatedPort.exchange, (kept, channels_us)))
         reply = super().exchange(sample, channels_us)
         self._until -= reply.armed
         return reply
 
     def again(self, port: EmulatedPort) -> None:
-        """Let `port`, this one or one with the same image, go on from the moment as this one did."""
-        assert self.moment is not None
-        port.restore(self.moment)
-        for ask, arguments in self._asked:
-            ask(port, *arguments)
+        """Repeat the calls after the snapshot on `port`, this one or one with the same image."""
+        assert self.snapshot is not None
+        port.restore(self.snapshot)
+        for call, arguments in self._calls:
+            call(port, *arguments)
 
 
 def facts(port: EmulatedPort) -> tuple[object, ...]:
-    """All that may tell one run from another."""
+    """All state in which two runs may differ."""
     engine, report = port.board.engine, port.board.report()
     ram = engine.memory(0x20000000, 0x40000)
     return engine.cycle, engine.instructions, engine.trace_hash, ram, str(report), task_counts(engine)
@@ -154,7 +154,7 @@ def flown_once(port: EmulatedPort, scenario: Scenario) -> Trace:
 
 @pytest.fixture(scope="module")
 def recorded(image: Path) -> Iterator[RecordedPort]:
-    """A flight of 0.3 s with a moment in its middle, in which the policy takes over from the PID."""
+    """A flight of 0.3 s with a snapshot in its middle; the policy takes over from the PID in it."""
     segments = five_seconds().segments[CHANGE - 1 : CHANGE + 1]
     scenario = Scenario("some", (Segment(0.15, segments[0].setpoint_deg_s, pid=True), segments[1]))
     with closing(RecordedPort(image, armed_for=560)) as port:
@@ -163,9 +163,9 @@ def recorded(image: Path) -> Iterator[RecordedPort]:
 
 
 def test_a_flight_goes_on_identically_when_its_middle_is_restored(recorded: RecordedPort) -> None:
-    assert recorded.moment is not None
+    assert recorded.snapshot is not None
     first = facts(recorded)
-    recorded.restore(recorded.moment)
+    recorded.restore(recorded.snapshot)
     assert facts(recorded)[2] != first[2]
     recorded.again(recorded)
     assert facts(recorded) == first
@@ -183,8 +183,8 @@ def test_a_flight_is_the_same_when_its_control_tasks_are_counted_on_another_boar
         return meters[0].run_to
 
     with closing(EmulatedPort(image, attach=attach)) as port:
-        assert recorded.moment is not None
-        port.restore(recorded.moment)
+        assert recorded.snapshot is not None
+        port.restore(recorded.snapshot)
         before = handled(port)
         recorded.again(port)
         assert facts(port) == facts(recorded)
@@ -212,7 +212,7 @@ def instructions(route: Route, addresses: Sequence[int]) -> int:
 
 
 def handled(port: EmulatedPort) -> TaskCount:
-    """What the handler of the gyro's samples has taken so far."""
+    """Counts of the handler of the gyro's samples so far."""
     return next(task for task in task_counts(port.board.engine) if task.handler == HANDLER)
 
 

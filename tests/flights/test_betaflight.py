@@ -42,7 +42,7 @@ def children() -> set[str]:
     return set(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
 
 
-def test_it_holds_what_the_sticks_say_on_every_axis_when_flown(betaflight: Betaflight, flown: Flown) -> None:
+def test_it_holds_the_setpoint_on_every_axis_when_flown(betaflight: Betaflight, flown: Flown) -> None:
     command = (-140.0, 90.0, 60.0)
     scenario = Scenario("held", (Segment(0.3), Segment(1.2, command)))
     trace = flown(BetaflightPort(betaflight, 2000), scenario, seed=7)  # a bias of -0.6 deg/s in pitch
@@ -104,7 +104,7 @@ def test_it_names_its_reason_when_it_does_not_arm(betaflight: Betaflight, flown:
         flown(BetaflightPort(betaflight, 1000, patient), TURN)
 
 
-def test_the_command_prints_the_same_document_as_elsewhere_when_it_flies(
+def test_the_command_prints_the_same_document_as_on_other_ports_when_it_flies(
     betaflight: Betaflight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scenario = tmp_path / "short.toml"
@@ -118,7 +118,7 @@ def test_the_command_prints_the_same_document_as_elsewhere_when_it_flies(
 
 
 @pytest.mark.prove
-def test_feedforward_has_no_part_when_sticks_come_over_the_link(betaflight: Betaflight, flown: Flown) -> None:
+def test_feedforward_has_no_effect_when_sticks_come_by_packet(betaflight: Betaflight, flown: Flown) -> None:
     without = (*SETTINGS, "set f_roll = 0", "set f_pitch = 0", "set f_yaw = 0")
     first, second = (flown(BetaflightPort(betaflight, 2000, lines), TURN) for lines in (SETTINGS, without))
     assert first.same(second)
@@ -146,7 +146,7 @@ def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Be
 
 @pytest.mark.prove
 @pytest.mark.parametrize("mount", [Mount.RIG, Mount.FREE])
-def test_it_holds_the_rate_when_the_aircraft_hangs_elsewhere(
+def test_it_holds_the_rate_when_the_mount_is_another(
     betaflight: Betaflight, flown: Flown, mount: Mount
 ) -> None:
     climb = Segment(0.5, throttle=0.4), Segment(1.0, (60.0, 0.0, -40.0), throttle=0.4)

@@ -44,7 +44,7 @@ def test_library_and_host_program_fly_the_same_bits_when_the_scenario_is_busy(
     assert flown(ReferencePort(reference_library, gyro_rate_hz), BUSY).same(over_sockets)
 
 
-def test_the_toolchains_evaluator_flies_the_compiled_policys_bits_when_behind_the_port(
+def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_the_port(
     shipped_policy: Path, reference_library: Path, flown: Flown
 ) -> None:
     policy = read_policy(shipped_policy)

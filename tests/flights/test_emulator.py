@@ -1,4 +1,4 @@
-"""The image that is flashed, on the emulated board in the loop: how it flies, and what its port refuses."""
+"""The image to be flashed, on the emulated board: receiver protocols and the errors of its port."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STILL = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([
 
 @pytest.fixture(scope="module")
 def image(board_image: Path) -> Path:
-    """What is flashed."""
+    """The file to be flashed."""
     return board_image.with_suffix(".bin")
 
 
@@ -48,7 +48,7 @@ def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> No
     port.close()
 
 
-def test_it_says_so_when_the_firmware_resets_that_nobody_asked_to(image: Path) -> None:
+def test_the_link_fails_with_the_cause_when_the_firmware_resets_unexpectedly(image: Path) -> None:
     port = EmulatedPort(image)
     port.exchange(STILL, None)
     port.board.brown_out()
