@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
-    from sim.design.airworthiness import Figures, Verdict
+    from sim.design.airworthiness import Verdict
+    from sim.design.figures import Figures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,23 +10,20 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aircraft.mass import principal, rotation_matrix
-from sim.aircraft.model import RPM, Aircraft, Battery, Propulsion
+from sim.aircraft.mass import rotation_matrix
+from sim.aircraft.model import RPM, Aircraft, Propulsion
+from sim.design.figures import Figures, aircraft_figures, balanced_thrust, thrust_map
 from sim.physics.air import AIR_DENSITY
-from sim.physics.battery import loaded_voltage, open_circuit_voltage
-from sim.physics.rotor import coefficient, target_speed, thrust_and_torque
+from sim.physics.rotor import thrust_and_torque
 from toolchain.contract import AXES, GRAVITY
 
 Array = NDArray[np.float64]
 
-HOVER_PASSES = 5  # K_Q depends on the speed, if at all, weakly
-SPEEDS = 2001  # points of the grid on which speed and throttle are looked up
-CHARGE_USED = 0.8  # of a full pack: the usual limit for its health
 THRUST_TO_WEIGHT_LOW = 1.5  # below it little is left to steer with
 SHARE_HIGH = 1.3  # greatest hover thrust of a rotor over the least
 # Radius of gyration over the hubs' distance from the centre of mass: 0.35 to 0.6 for the shipped aircraft,
@@ -60,190 +57,11 @@ class Verdict:
     message: str
 
 
-@dataclass(frozen=True)
-class Hover:
-    """Hovering in still air, on the bench supply."""
-
-    thrust: Array  # (M,) [N]
-    speed: Array  # (M,) [rad/s]
-    throttle: Array  # (M,), 0..1
-    power: float  # [W], electrical, of motors and electronics
-
-
-@dataclass(frozen=True)
-class Endurance:
-    """Current and flight time on the battery."""
-
-    current: float  # [A], with a full pack
-    seconds: float  # from full to 20 % left
-    full_throttle_current: float  # [A], with a full pack
-    full_throttle_voltage: float  # [V], with a full pack; 0: more than it can give
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Figures that follow from an aircraft file."""
-
-    mass: float  # [kg]
-    centre: Array  # (3,) [m], of mass, body frame
-    inertia: Array  # (3, 3) [kg m^2], about it, body axes
-    principal_moments: Array  # (3,) [kg m^2], each at the body axis its own axis is nearest to
-    principal_axes: Array  # (3, 3), the columns
-    wheelbase: float  # [m], longest distance between hubs
-    reach: float  # [m], from the centre of mass to the farthest hub, seen from above
-    thrust_max: float  # [N], all rotors
-    thrust_to_weight: float
-    hover: Hover | None  # None: it cannot
-    acceleration: Array  # (3,) [rad/s^2], most about each axis alone, whatever the thrust; weaker direction
-    hover_acceleration: Array  # (3,) [rad/s^2], the same with the thrust held at the weight
-    endurance: Endurance | None  # None: no battery, or no hover
-
-
 def examine(aircraft: Aircraft) -> tuple[Figures, list[Verdict]]:
     """Figures of an aircraft and the verdicts of all checks."""
-    figures = _figures(aircraft)
+    figures = aircraft_figures(aircraft)
     checks = (_thrust, _hover, _control, _size, _inertia, _centre, _propeller, _rotor, _battery, _body)
     return figures, [verdict for check in checks for verdict in check(aircraft, figures)]
-
-
-def thrust_map(aircraft: Aircraft, ratio: Array) -> Array:
-    """Thrust and moments of a newton of each rotor: thrust, roll, pitch, yaw, (4, M).
-
-    ratio: K_Q [m] of each rotor, (M,).
-    """
-    x, y, _ = aircraft.rotor_positions.T
-    return np.stack([np.ones_like(x), y, -x, -aircraft.spins * ratio])
-
-
-def balanced_thrust(rows: Array, wanted: Array, high: float) -> Array | None:
-    """Thrusts t (M,), 0 <= t <= high, with rows @ t = wanted, on as many rotors as can share it.
-
-    rows: (K, M). None if there are none. Of several, the one with the least sum of squares.
-    """
-    count = rows.shape[1]
-    scale = np.abs(rows).max(axis=1)
-    for size in range(count, 0, -1):
-        for rotors in combinations(range(count), size):
-            part = rows[:, rotors]
-            thrust = np.linalg.lstsq(part, wanted, rcond=None)[0]
-            missed = np.abs(part @ thrust - wanted) / scale
-            if missed.max() < 1e-6 * high and thrust.min() > -1e-9 * high and thrust.max() <= high:
-                whole = np.zeros(count)
-                whole[list(rotors)] = thrust.clip(0.0)
-                return whole
-    return None
-
-
-def greatest_moment(moment: Array, rows: Array, wanted: Array, high: float) -> float:
-    """Most that moment @ t can be with 0 <= t <= high and rows @ t = wanted; 0 if nothing fits.
-
-    moment: (M,), rows: (K, M) with K < M. A linear programme: the best is a corner, where all but K rotors
-    stand at a limit; M is small enough to visit every corner.
-    """
-    count, bound = rows.shape[1], len(rows)
-    corners = np.array(list(product((0.0, high), repeat=count - bound)))
-    best = 0.0
-    for free in combinations(range(count), bound):
-        part = rows[:, free]
-        if np.linalg.cond(part) > 1e9:
-            continue
-        fixed = [rotor for rotor in range(count) if rotor not in free]
-        found = np.linalg.solve(part, wanted[:, None] - rows[:, fixed] @ corners.T)
-        fits = ((found > -1e-9 * high) & (found < (1 + 1e-9) * high)).all(axis=0)
-        values = moment[list(free)] @ found + corners @ moment[fixed]
-        best = max(best, float(values[fits].max(initial=0.0)))
-    return best
-
-
-def _figures(aircraft: Aircraft) -> Figures:
-    properties, propulsion = aircraft.mass_properties, aircraft.propulsion
-    weight = GRAVITY * properties.mass
-    moments, axes = principal(properties.inertia)
-    hubs = aircraft.rotor_positions
-    thrust_max = float(thrust_and_torque(np.array(propulsion.speed_max), propulsion)[0])
-    hover = _hovering(aircraft, weight, thrust_max)
-    speed = np.full(aircraft.motor_count, propulsion.speed_max) if hover is None else hover.speed
-    rows = thrust_map(aircraft, coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count))
-    return Figures(
-        mass=properties.mass,
-        centre=properties.centre,
-        inertia=properties.inertia,
-        principal_moments=moments,
-        principal_axes=axes,
-        wheelbase=max(math.dist(a, b) for a, b in combinations(hubs.tolist(), 2)),
-        reach=float(np.hypot(hubs[:, 0], hubs[:, 1]).max()),
-        thrust_max=thrust_max * aircraft.motor_count,
-        thrust_to_weight=thrust_max * aircraft.motor_count / weight,
-        hover=hover,
-        acceleration=_accelerations(rows, properties.inertia, thrust_max, None),
-        hover_acceleration=_accelerations(rows, properties.inertia, thrust_max, weight),
-        endurance=None if hover is None else _endurance(aircraft, hover),
-    )
-
-
-def _hovering(aircraft: Aircraft, weight: float, thrust_max: float) -> Hover | None:
-    propulsion = aircraft.propulsion
-    speeds = np.linspace(0.0, propulsion.speed_max, SPEEDS)
-    thrusts = np.maximum.accumulate(thrust_and_torque(speeds, propulsion)[0])
-    throttles = np.linspace(0.0, 1.0, SPEEDS)
-    speed = np.full(aircraft.motor_count, propulsion.speed_max)
-    wanted = np.array([weight, 0.0, 0.0, 0.0])
-    for _ in range(HOVER_PASSES):
-        ratio = coefficient(propulsion.torque_ratio, speed) * np.ones(aircraft.motor_count)
-        found = balanced_thrust(thrust_map(aircraft, ratio), wanted, thrust_max)
-        if found is None:
-            return None
-        thrust, speed = found, np.interp(found, thrusts, speeds)
-    throttle = np.interp(speed, target_speed(throttles, propulsion), throttles)
-    return Hover(thrust, speed, throttle, _power(aircraft, speed))
-
-
-def _power(aircraft: Aircraft, speed: Array) -> float:
-    """Electrical power [W] at steady rotor speeds (M,), electronics included."""
-    torque = thrust_and_torque(speed, aircraft.propulsion)[1]
-    electronics = 0.0 if aircraft.battery is None else aircraft.battery.electronics_power
-    return float(speed @ torque) / aircraft.propulsion.efficiency + electronics
-
-
-def _accelerations(rows: Array, inertia: Array, high: float, weight: float | None) -> Array:
-    """Most angular acceleration about each axis with no moment about the others; weaker direction, (3,)."""
-    inverse = np.linalg.inv(inertia)
-    found = np.zeros(3)
-    for axis in range(3):
-        others = [row for row in range(1, 4) if row != axis + 1]
-        wanted = np.zeros(2)
-        if weight is not None:
-            others, wanted = [0, *others], np.array([weight, 0.0, 0.0])
-        if np.linalg.matrix_rank(rows[others]) < len(others):
-            continue
-        moment = rows[axis + 1]
-        found[axis] = min(greatest_moment(sign * moment, rows[others], wanted, high) for sign in (1, -1))
-    return found * np.diag(inverse)
-
-
-def _endurance(aircraft: Aircraft, hover: Hover) -> Endurance | None:
-    battery = aircraft.battery
-    if battery is None:
-        return None
-    full = np.full(aircraft.motor_count, aircraft.propulsion.speed_max)
-    most = _power(aircraft, full)
-    voltage = _loaded(battery, 1.0, most)
-    charge = np.linspace(1.0, 1.0 - CHARGE_USED, 101)
-    currents = np.array([hover.power / max(_loaded(battery, left, hover.power), 1e-9) for left in charge])
-    return Endurance(
-        current=float(currents[0]),
-        seconds=CHARGE_USED * battery.capacity * float(np.mean(1.0 / currents)),
-        full_throttle_current=most / voltage if voltage > 0.0 else math.inf,
-        full_throttle_voltage=voltage,
-    )
-
-
-def _loaded(battery: Battery, charge: float, power: float) -> float:
-    """Voltage [V] of a pack at `charge` that gives `power` [W]; 0 if it cannot."""
-    open_circuit = open_circuit_voltage(battery, np.array(charge))
-    if 4 * battery.resistance * power > open_circuit**2:
-        return 0.0
-    return float(loaded_voltage(open_circuit, np.array(power), battery.resistance))
 
 
 def _thrust(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
@@ -321,7 +139,7 @@ def _size(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
     loading = figures.mass / figures.wheelbase**2
     message = f"{figures.mass:.3g} kg on a wheelbase of {1000 * figures.wheelbase:.0f} mm"
     hint = "; masses are in kg, lengths in m"
-    yield _judged("size", message, loading, LOADING_USUAL, LOADING_POSSIBLE, hint)
+    yield _graded("size", message, loading, LOADING_USUAL, LOADING_POSSIBLE, hint)
     for part in aircraft.parts:
         at = np.array(part.position) + rotation_matrix(part.rotation) @ np.array(part.centre)
         away = float(np.linalg.norm(at - figures.centre))
@@ -341,7 +159,7 @@ def _inertia(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
     values = " / ".join(f"{1000 * radius:.0f}" for radius in radii)
     message = f"radii of gyration {values} mm, the farthest rotor {1000 * figures.reach:.0f} mm"
     hint = "; check inertia_kg_m2 of the parts: kg m², about their own centre of mass"
-    yield _judged("inertia", message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
+    yield _graded("inertia", message, float(ratios[worst]), GYRATION_USUAL, GYRATION_POSSIBLE, hint)
 
 
 def _centre(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
@@ -426,7 +244,7 @@ def _battery(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         message = f"{battery.rest_voltage:g} V full, speed curve at {supply:g} V"
         hint = "; check cells, rest_voltage_v and supply_voltage_v"
         ratio = battery.rest_voltage / supply
-        yield _judged("battery", message, ratio, SUPPLY_USUAL, SUPPLY_POSSIBLE, hint)
+        yield _graded("battery", message, ratio, SUPPLY_USUAL, SUPPLY_POSSIBLE, hint)
     endurance = figures.endurance
     if endurance is not None:
         voltage = endurance.full_throttle_voltage
@@ -455,7 +273,7 @@ def _body(aircraft: Aircraft, figures: Figures) -> Iterator[Verdict]:
         yield Verdict(Level.OK, "body", f"{sides} mm, centre of mass inside")
 
 
-def _judged(
+def _graded(
     subject: str,
     message: str,
     value: float,

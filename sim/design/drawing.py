@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sim.aircraft.mass import Part, rotation_matrix
 from sim.aircraft.mesh import cylinder, equal_box
 from sim.aircraft.model import RPM, Aircraft, Rotor
-from sim.design.airworthiness import Figures
+from sim.design.figures import Figures
 from sim.plotting import GRID, INK, save_png
 
 Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.mass import MassProperties, mass_properties, principal
 from sim.aircraft.model import Aircraft
-from sim.physics.rotation import quaternion
+from sim.physics.rotation import quaternion, roll_pitch_yaw
 from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
 from toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from toolchain.errors import AircraftError
@@ -238,7 +238,7 @@ def _free(body: int, link: int, client: int) -> None:
 
 def _urdf(airframe: MassProperties, propellers: Sequence[MassProperties]) -> str:
     moments, axes = principal(airframe.inertia)
-    turn = (math.atan2(axes[2, 1], axes[2, 2]), math.asin(-axes[2, 0]), math.atan2(axes[1, 0], axes[0, 0]))
+    turn = roll_pitch_yaw(axes)
     lines = ['<robot name="aircraft">', _urdf_link("airframe", airframe.mass, moments, turn)]
     for number, propeller in enumerate(propellers, start=1):
         name, at = f"propeller_{number}", _numbers(propeller.centre - airframe.centre)

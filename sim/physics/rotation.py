@@ -28,6 +28,12 @@ def quaternion(rotation: NDArray[np.float64]) -> Quaternion:
     return (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)
 
 
+def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
+    """Angles [rad] about the fixed x, then y, then z axis that make a rotation matrix (3, 3)."""
+    r = rotation
+    return math.atan2(r[2, 1], r[2, 2]), math.asin(-r[2, 0]), math.atan2(r[1, 0], r[0, 0])
+
+
 def turned(rotation: Array, vectors: Array) -> Array:
     """Rows of `vectors` (N, 3), each turned by its own matrix of `rotation` (N, 3, 3)."""
     rows: Array = np.einsum("nij,nj->ni", rotation, vectors)

@@ -12,19 +12,17 @@ The copies do not touch each other; with `ground` each can touch the plane z = 0
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import chain
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
+from sim.physics.bodies import AIRCRAFT, GROUND, create_box, create_ground, load_rig, resting_height
 from sim.physics.rotation import cross_matrix, quaternion, turned, turned_back
 from toolchain.contract import GRAVITY
 from toolchain.errors import AircraftError
@@ -34,7 +32,6 @@ COUNT_MAX = 4096
 RATE_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
 FRICTION = 0.6  # of the ground; grass and asphalt lie on either side
 RESTITUTION = 0.1
-_GROUND, _AIRCRAFT = 1, 2  # collision groups
 _CENTRE = (0.0, 0.0, 0.0)
 
 
@@ -107,7 +104,8 @@ class World:
         if mount is Mount.FREE:
             pybullet.setGravity(0.0, 0.0, self._weight[2] / self._mass, self._client)
         if ground:
-            self._create_ground()
+            create_ground(self._client)
+            self._height = resting_height(aircraft)
         w, x, y, z = quaternion(axes)
         self._quaternion = (x, y, z, w)  # pybullet's order
         self._link = 0 if mount is Mount.RIG else -1
@@ -283,20 +281,9 @@ class World:
     def _create(self, aircraft: Aircraft, moments: Array, axes: Array) -> int:
         client = self._client
         if self.mount is Mount.RIG:
-            body = _load_rig(self._mass, self._arm, moments, axes, client)
-            # A spherical joint comes with a motor that holds it still.
-            pybullet.setJointMotorControlMultiDof(
-                body,
-                0,
-                pybullet.POSITION_CONTROL,
-                targetPosition=[0.0, 0.0, 0.0, 1.0],
-                positionGain=0.0,
-                velocityGain=1.0,
-                force=[0.0, 0.0, 0.0],
-                physicsClientId=client,
-            )
+            body = load_rig(self._mass, self._arm, moments, axes, client)
         else:
-            shape = self._create_box(aircraft) if self._ground else -1
+            shape = create_box(aircraft, self._axes, client) if self._ground else -1
             body = int(
                 pybullet.createMultiBody(
                     baseMass=self._mass,
@@ -319,33 +306,9 @@ class World:
             physicsClientId=client,
         )
         # Copies share the origin; without this the broad phase pairs all of them, quadratically.
-        group, mask = (_AIRCRAFT, _GROUND) if self._ground else (0, 0)
+        group, mask = (AIRCRAFT, GROUND) if self._ground else (0, 0)
         pybullet.setCollisionFilterGroupMask(body, self._link, group, mask, client)
         return body
-
-    def _create_ground(self) -> None:
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
-        ground = pybullet.createMultiBody(0, plane, physicsClientId=self._client)
-        pybullet.changeDynamics(
-            ground, -1, lateralFriction=1.0, restitution=1.0, physicsClientId=self._client
-        )
-        pybullet.setCollisionFilterGroupMask(ground, -1, _GROUND, _AIRCRAFT, self._client)
-
-    def _create_box(self, aircraft: Aircraft) -> int:
-        """Collision box of the aircraft, in the principal axes about the centre of mass."""
-        assert aircraft.body is not None
-        offset = np.array(aircraft.body.centre) - aircraft.mass_properties.centre
-        self._height = aircraft.body.size[2] / 2 - offset[2]  # of the centre of mass when it stands
-        w, x, y, z = quaternion(self._axes.T)
-        return int(
-            pybullet.createCollisionShape(
-                pybullet.GEOM_BOX,
-                halfExtents=[size / 2 for size in aircraft.body.size],
-                collisionFramePosition=(offset @ self._axes).tolist(),
-                collisionFrameOrientation=(x, y, z, w),
-                physicsClientId=self._client,
-            )
-        )
 
 
 def _squares(rows: Array) -> Array:
@@ -387,37 +350,3 @@ def _matrix_of_squares() -> Array:
 def _rows(tuples: Sequence[tuple[float, ...]], width: int) -> Array:
     """Array (N, width) of pybullet's tuples; quicker than np.array."""
     return np.fromiter(chain.from_iterable(tuples), np.float64, width * len(tuples)).reshape(-1, width)
-
-
-def _load_rig(mass: float, arm: Array, moments: Array, axes: Array, client: int) -> int:
-    """A fixed base with the aircraft on a ball joint at its centre of thrust.
-
-    Goes through a URDF because pybullet ignores the inertia of a link that has no collision shape.
-    """
-    x, y, z = (f"{value:.17g}" for value in arm @ axes)
-    # The link's frame lies along the principal axes: pybullet's joint turns in those, whatever the file says.
-    turn = (math.atan2(axes[2, 1], axes[2, 2]), math.asin(-axes[2, 0]), math.atan2(axes[1, 0], axes[0, 0]))
-    roll, pitch, yaw = (f"{value:.17g}" for value in turn)
-    terms = " ".join(f'i{i}="{v:.17g}"' for i, v in zip(("xx", "yy", "zz"), moments, strict=True))
-    nothing = 'ixx="0" iyy="0" izz="0"'
-    products = 'ixy="0" ixz="0" iyz="0"'
-    urdf = f"""<robot name="rig">
-  <link name="base"><inertial><mass value="0"/><inertia {nothing} {products}/></inertial></link>
-  <link name="aircraft"><inertial>
-    <origin xyz="{x} {y} {z}"/><mass value="{mass:.17g}"/><inertia {terms} {products}/>
-  </inertial></link>
-  <joint name="ball" type="spherical">
-    <origin rpy="{roll} {pitch} {yaw}"/><parent link="base"/><child link="aircraft"/><axis xyz="0 0 1"/>
-  </joint>
-</robot>"""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "rig.urdf"
-        path.write_text(urdf)
-        return int(
-            pybullet.loadURDF(
-                str(path),
-                useFixedBase=True,
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                physicsClientId=client,
-            )
-        )

@@ -11,7 +11,8 @@ from scipy.optimize import linprog
 
 from sim.aircraft.mass import MassProperties
 from sim.aircraft.model import FOLDER, Aircraft, load_aircraft, parse_aircraft, shipped
-from sim.design.airworthiness import Level, Verdict, balanced_thrust, examine, greatest_moment
+from sim.design.airworthiness import Level, Verdict, examine
+from sim.design.figures import balanced_thrust, greatest_moment
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from toolchain.contract import GRAVITY
