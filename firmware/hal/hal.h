@@ -9,16 +9,17 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "storage/fault_record.h"
-#include "firmware.h"
 #include "common/imu.h"
-#include "msp/msp.h"
+#include "common/nf_err.h"
+#include "common/status.h"
 #include "housekeeping/power_sample.h"
+#include "msp/msp_identity.h"
+#include "nf_contract.h"
+#include "storage/fault_record.h"
+#include "storage/settings.h"
 
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
 #define HAL_RECEIVER_BYTES 256  /* the most that one hal_receiver_read hands over */
-
-struct setting_change; /* background.h */
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {

@@ -31,12 +31,6 @@ struct background_io {
 	void (*reset)(void *context);       /* starts anew, once the replies so far are on their way */
 };
 
-/* A setting that this start has other than stored. */
-struct setting_change {
-	unsigned index;
-	union setting_value value;
-};
-
 struct background_config {
 	struct background_io io;
 	struct flash flash;

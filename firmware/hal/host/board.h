@@ -2,8 +2,8 @@
 #ifndef NF_HOST_BOARD_H
 #define NF_HOST_BOARD_H
 
-#include "firmware.h"
-#include "msp/msp.h"
+#include "common/imu.h"
+#include "msp/msp_identity.h"
 
 extern const struct msp_identity host_identity;
 

@@ -4,8 +4,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "storage/settings.h"
-
 #define NAME_BYTES 40
 
 static bool parse_value(const char *text, enum setting_kind kind, union setting_value *value)

@@ -4,7 +4,7 @@
 
 #include <stdbool.h>
 
-#include "background.h"
+#include "storage/settings.h"
 
 /* Reads `text`. Returns false, `change` unset, if the name is no setting's or the value is no number within its
  * limits. Settings with named choices take their numbers. */

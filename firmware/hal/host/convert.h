@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "sensing/gyro.h"
+#include "common/imu.h"
 #include "nf_contract.h"
 #include "housekeeping/power_sample.h"
 

@@ -19,6 +19,7 @@
 #include "hal/host/msp_tcp.h"
 #include "hal/host/options.h"
 #include "hal/host/receiver_line.h"
+#include "policy.h"
 
 static struct host {
 	struct options options;

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "background.h"
+#include "storage/settings.h"
 
 struct options {
 	unsigned state_port, receiver_port, power_port; /* bound here; 0: any free one */

@@ -6,13 +6,16 @@
 #include "hal/stm32f7/core/fault.h"
 #include "hal/stm32f7/peripherals/flash_memory.h"
 #include "hal/stm32f7/devices/gyro_chip.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/devices/motors.h"
 #include "hal/stm32f7/devices/msp_uart.h"
 #include "nf_contract.h"
 #include "hal/stm32f7/devices/power.h"
 #include "hal/stm32f7/devices/receiver_line.h"
 #include "hal/stm32f7/core/stop.h"
+#include "policy.h"
 #include "targets/MATEKF722/board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
@@ -37,11 +40,11 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	if (!time_cycles_start() || !clock_start())
 		stop(LED_NO_CLOCK);
 	clock_peripherals();
-	motors_start();
+	motor_pins_start();
 	watchdog_start();
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
-	time_tick_start();
+	time_tick_start(CLOCK_CORE_HZ / 1000u);
 	power_start();
 	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
 	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */

@@ -1,10 +1,26 @@
-/* What the gyro chip says at one sample: counts in chip axes. */
+/* Gyro chips: which one, how it is mounted, and one sample of it. */
 #ifndef NF_IMU_H
 #define NF_IMU_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
+/* How the chip is turned on the board, clockwise seen from above. CW0: its x forward, y left, z up. */
+enum board_alignment {
+	ALIGN_CW0,
+	ALIGN_CW90,
+	ALIGN_CW180,
+	ALIGN_CW270,
+	ALIGN_COUNT,
+};
+
+enum gyro_chip {
+	GYRO_MPU6500,
+	GYRO_ICM20689,
+	GYRO_CHIP_COUNT,
+};
+
+/* Counts in chip axes. */
 struct imu_sample {
 	int16_t gyro[3];     /* +-2000 deg/s over int16 */
 	int16_t accel[3];    /* +-16 g over int16; all zero: the chip does not tell */

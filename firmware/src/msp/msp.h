@@ -5,18 +5,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "nf_contract.h"
 #include "common/status.h"
+#include "msp/msp_identity.h"
+#include "nf_contract.h"
 
 struct msp_services;
-
-/* Who answers: constant for a board. */
-struct msp_identity {
-	const char *board;       /* 4 letters, the ecosystem's board identifier */
-	const char *target;      /* build target, at most 32 letters */
-	const char *maker;       /* 4 letters */
-	uint32_t unique_id[3];
-};
 
 /* The request being read. */
 struct msp {

@@ -5,7 +5,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "msp/msp.h"
+#include "common/status.h"
+#include "msp/msp_identity.h"
 #include "msp/msp_payload.h"
 #include "storage/policy_slots.h"
 

@@ -10,21 +10,6 @@
 #include "nf_contract.h"
 #include "common/nf_err.h"
 
-/* How the chip is turned on the board, clockwise seen from above. CW0: its x forward, y left, z up. */
-enum board_alignment {
-	ALIGN_CW0,
-	ALIGN_CW90,
-	ALIGN_CW180,
-	ALIGN_CW270,
-	ALIGN_COUNT,
-};
-
-enum gyro_chip {
-	GYRO_MPU6500,
-	GYRO_ICM20689,
-	GYRO_CHIP_COUNT,
-};
-
 struct gyro {
 	enum board_alignment alignment;
 	struct calibration calibration;

@@ -22,6 +22,12 @@ struct setting {
 	union setting_value low, high, preset; /* of its kind; both limits may be taken */
 };
 
+/* A setting that this start has other than stored. */
+struct setting_change {
+	unsigned index;
+	union setting_value value;
+};
+
 /* Every setting at its default. */
 void settings_default(struct nf_settings *settings);
 

@@ -2,8 +2,6 @@
 #ifndef MATEKF722_BOARD_H
 #define MATEKF722_BOARD_H
 
-#include "hal/stm32f7/peripherals/gpio.h"
-
 #define BOARD_ID "S7X2" /* what configurators know F72x boards by */
 #define BOARD_TARGET "MATEKF722"
 #define BOARD_MAKER "MTKS"

@@ -27,7 +27,7 @@ class Motors:
 
     def __init__(self, sketch: Any, symbols: dict[str, int], protocol: int, count: int) -> None:
         self.sketch, self.symbols = sketch, symbols
-        sketch.call_with(symbols["motors_start"])
+        sketch.call_with(symbols["motor_pins_start"])
         sketch.call_with(symbols["motors_run"], protocol, count)
 
     def write(self, *values: int, telemetry: bool = False) -> None:
@@ -154,7 +154,7 @@ def test_every_line_is_driven_low_when_forced(motors: Callable[..., Motors]) -> 
     board.sketch.on_write = lambda register, value: (
         written.append((register.instance, value)) if register.name == "GPIO_BSRR" else None
     )
-    board.sketch.call_with(board.symbols["motors_force_low"])
+    board.sketch.call_with(board.symbols["motor_pins_force_low"])
     assert board.modes() == [1] * 6
     low = [("GPIOC", 1 << 16 + pin) for pin in (6, 7, 8, 9)] + [("GPIOB", 1 << 17), ("GPIOA", 1 << 24)]
     assert written == low

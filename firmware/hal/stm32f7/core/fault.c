@@ -4,7 +4,7 @@
 
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/handlers.h"
-#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/stop.h"
 
@@ -109,7 +109,7 @@ static _Noreturn void reset(void)
 _Noreturn void fault_reset(void)
 {
 	interrupts_disable();
-	motors_force_low();
+	motor_pins_force_low();
 	reset();
 }
 
@@ -131,7 +131,7 @@ static _Noreturn void keep(struct fault_record *record)
 _Noreturn void fault_assert_failed(const char *file, uint32_t line)
 {
 	interrupts_disable();
-	motors_force_low();
+	motor_pins_force_low();
 	struct fault_record record = {.kind = FAULT_ASSERT, .line = line};
 
 	for (size_t i = 0; i + 1u < sizeof record.file && file[i] != '\0'; ++i)
@@ -152,7 +152,7 @@ static void copy_frame(struct fault_record *record, const uint32_t *frame)
 /* `frame`: where the exception stacked its registers, anything at all after a stack overflow. */
 _Noreturn void fault_stop(const uint32_t *frame)
 {
-	motors_force_low();
+	motor_pins_force_low();
 	const uint32_t exception = VALUE(SCB_ICSR_VECTACTIVE, SCB_ICSR);
 	const uint32_t at = (uint32_t)frame;
 	struct fault_record record = {

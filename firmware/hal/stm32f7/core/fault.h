@@ -6,7 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "hal/hal.h"
+#include "storage/fault_record.h"
 
 /* Our own mistake, not the world's: ends here. Any context. */
 #define HAL_ASSERT(condition)                                                        \

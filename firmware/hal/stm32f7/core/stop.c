@@ -5,8 +5,9 @@
 
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
-#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
 #include "hal/stm32f7/core/watchdog.h"
 
@@ -34,7 +35,7 @@ static void burn_millisecond(void)
 _Noreturn void stop(enum led_code code)
 {
 	interrupts_disable();
-	motors_force_low();
+	motor_pins_force_low();
 	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOBEN;
 	(void)RCC_AHB1ENR;
 	gpio_output(BOARD_LED0, true);

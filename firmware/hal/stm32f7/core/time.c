@@ -1,6 +1,5 @@
 #include "hal/stm32f7/core/time.h"
 
-#include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 
 static volatile uint32_t milliseconds_passed; /* written by time_tick alone */
@@ -25,10 +24,10 @@ void time_delay_ms(uint32_t milliseconds)
 		wait_for_interrupt(); /* the cycle counter may stand meanwhile */
 }
 
-void time_tick_start(void)
+void time_tick_start(uint32_t cycles)
 {
 	SCB_SHPR3 = (SCB_SHPR3 & ~SCB_SHPR3_PRI_15) | FIELD(SCB_SHPR3_PRI_15, PRIORITY_TICK << 4);
-	SYST_RVR = CLOCK_CORE_HZ / 1000u - 1u;
+	SYST_RVR = cycles - 1u;
 	SYST_CVR = 0;
 	SYST_CSR = SYST_CSR_CLKSOURCE | SYST_CSR_TICKINT | SYST_CSR_ENABLE;
 }

@@ -33,8 +33,8 @@ static inline bool time_wait(const volatile uint32_t *reg, uint32_t mask, uint32
  * watchdog ends it. */
 void time_delay_ms(uint32_t milliseconds);
 
-/* Starts the millisecond interrupt; the core runs at 216 MHz from here on. */
-void time_tick_start(void);
+/* Starts the millisecond interrupt; `cycles`: of the core, from here on, in a millisecond. */
+void time_tick_start(uint32_t cycles);
 
 /* A millisecond has passed. From its interrupt. */
 void time_tick(void);

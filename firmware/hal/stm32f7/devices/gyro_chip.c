@@ -7,6 +7,7 @@
 #include "nf_contract.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/peripherals/spi.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
@@ -49,10 +50,10 @@ static const struct chip {
 };
 
 /* Written in this order, each read back; the same numbers for both chips. */
-static const struct setting {
+static const struct chip_setting {
 	uint8_t address;
 	uint8_t value;
-} settings[] = {
+} chip_settings[] = {
 	{PWR_MGMT_1, 0x01},    /* awake, clock from the gyro's PLL */
 	{USER_CTRL, 0x10},     /* SPI only */
 	{PWR_MGMT_2, 0x00},    /* all axes on */
@@ -124,11 +125,11 @@ static const struct chip *identify(void)
 
 static bool configure(void)
 {
-	for (size_t i = 0; i < sizeof settings / sizeof settings[0]; ++i) {
+	for (size_t i = 0; i < sizeof chip_settings / sizeof chip_settings[0]; ++i) {
 		uint8_t kept;
 
-		if (!write_register(settings[i].address, settings[i].value) ||
-		    !read_register(settings[i].address, &kept) || kept != settings[i].value)
+		if (!write_register(chip_settings[i].address, chip_settings[i].value) ||
+		    !read_register(chip_settings[i].address, &kept) || kept != chip_settings[i].value)
 			return false;
 	}
 	return true;

@@ -5,6 +5,7 @@
 #include "motors/dshot.h"
 #include "hal/stm32f7/core/fault.h"
 #include "nf_contract.h"
+#include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "targets/MATEKF722/board.h"
 
@@ -13,22 +14,8 @@
  * low line; the second keeps it low for a whole bit before the stream can be seen as free. */
 #define SLOTS (FRAME_BITS + 2u)
 
-#define AF_TIM1 1u
-#define AF_TIM3 2u
-#define AF_TIM8 3u
-
 enum { PWM_MODE_1 = 6 };                  /* TIM_CCMR OCxM: high while the counter is below the compare value */
 enum { CCR1_INDEX = 13, BURST_OF_4 = 3 }; /* TIM_DCR: CCR1 is the 13th word, 4 transfers a burst */
-
-static const struct output {
-	struct pin pin;
-	uint32_t function;
-} outputs[] = {
-	{BOARD_MOTOR_1, AF_TIM8}, {BOARD_MOTOR_2, AF_TIM8}, {BOARD_MOTOR_3, AF_TIM8},
-	{BOARD_MOTOR_4, AF_TIM8}, {BOARD_MOTOR_5, AF_TIM3}, {BOARD_MOTOR_6, AF_TIM1},
-};
-#define OUTPUT_COUNT (sizeof outputs / sizeof outputs[0])
-_Static_assert(OUTPUT_COUNT == BOARD_MOTOR_COUNT, "one pin a motor");
 
 /* Pulse widths, bit by bit, as DMA moves them: four motors side by side for the burst, then one alone. The
  * trailing slots stay 0. */
@@ -92,12 +79,6 @@ struct pulse {
 static uint32_t banks_in_use;
 static struct pulse pulses[BANK_COUNT];
 
-void motors_start(void)
-{
-	for (size_t i = 0; i < OUTPUT_COUNT; ++i)
-		gpio_output(outputs[i].pin, false);
-}
-
 static void start_bank(const struct bank *bank, uint32_t bit_ticks)
 {
 	TIM_PSC(bank->timer) = 0;
@@ -122,7 +103,7 @@ static void start_bank(const struct bank *bank, uint32_t bit_ticks)
 
 void motors_run(uint32_t protocol, size_t count)
 {
-	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= OUTPUT_COUNT);
+	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= BOARD_MOTOR_COUNT);
 	uint32_t used = 0;
 
 	for (; used < BANK_COUNT && banks[used].first < count; ++used) {
@@ -132,8 +113,7 @@ void motors_run(uint32_t protocol, size_t count)
 		pulses[used].more = ticks * 3u / 4u - pulses[used].zero;
 		start_bank(&banks[used], ticks);
 	}
-	for (size_t i = 0; i < count; ++i)
-		gpio_alternate(outputs[i].pin, outputs[i].function, GPIO_PULL_DOWN, GPIO_MEDIUM);
+	motor_pins_connect(count);
 	barrier();
 	banks_in_use = used;
 }
@@ -186,11 +166,4 @@ void motors_write(const uint16_t dshot[], size_t count, bool telemetry)
 		}
 		send(bank);
 	}
-}
-
-void motors_force_low(void)
-{
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN;
-	(void)RCC_AHB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
-	motors_start();
 }

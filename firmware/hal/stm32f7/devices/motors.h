@@ -6,19 +6,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* All motor lines driven low. First of all. */
-void motors_start(void);
-
 /* Timers running, no frame yet. `protocol`: NF_MOTOR_PROTOCOL_...; `count`: motors in use, at most
- * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motors_start. */
+ * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motor_pins_start. */
 void motors_run(uint32_t protocol, size_t count);
 
 /* Sends one frame to every motor in use (26.7 us with DShot600), with or without the telemetry bit; missing
  * values send a stop. Dropped while the last frame is still on the wire, and before motors_run. From the sample
  * handler or the tick only. */
 void motors_write(const uint16_t dshot[], size_t count, bool telemetry);
-
-/* Takes the pins from the timers and drives them low, from any state of the chip. */
-void motors_force_low(void);
-
 #endif

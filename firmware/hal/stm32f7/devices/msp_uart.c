@@ -1,7 +1,9 @@
 #include "hal/stm32f7/devices/msp_uart.h"
 
 #include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
+#include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/peripherals/uart.h"
 
 #define AF_USART1 7u

@@ -1,6 +1,7 @@
 #include "hal/stm32f7/devices/power.h"
 
 #include "hal/stm32f7/peripherals/dma.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
 
 enum { CHANNEL_VOLTS = 10, CHANNEL_AMPS = 14 }; /* of ADC1, behind the pins (data sheet, pin definitions) */

@@ -2,6 +2,7 @@
 
 #include "hal/stm32f7/core/clock.h"
 #include "nf_contract.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
 #include "hal/stm32f7/peripherals/uart.h"
 

@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "targets/MATEKF722/board.h"
 
 /* Linker script. */

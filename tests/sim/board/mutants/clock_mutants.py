@@ -99,7 +99,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="motors' pins given to another timer",
-        file="hal/stm32f7/devices/motors.c",
+        file="hal/stm32f7/core/motor_pins.c",
         old="#define AF_TIM8 3u",
         new="#define AF_TIM8 2u",
         message=r"TIM8 makes pulses on channel 1: PC6 is alternate function 2, expected alternate function 3",

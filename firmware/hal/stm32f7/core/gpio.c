@@ -1,4 +1,4 @@
-#include "hal/stm32f7/peripherals/gpio.h"
+#include "hal/stm32f7/core/gpio.h"
 
 /* Replaces the `width` bits of pin `number` in a register that packs its pins from bit 0. */
 static void set_field(volatile uint32_t *reg, uint32_t number, uint32_t width, uint32_t value)

@@ -1,0 +1,15 @@
+/* What identifies a board to an MSP peer. */
+#ifndef NF_MSP_IDENTITY_H
+#define NF_MSP_IDENTITY_H
+
+#include <stdint.h>
+
+/* Constant for a board. */
+struct msp_identity {
+	const char *board;       /* 4 letters, the ecosystem's board identifier */
+	const char *target;      /* build target, at most 32 letters */
+	const char *maker;       /* 4 letters */
+	uint32_t unique_id[3];
+};
+
+#endif
