@@ -1,5 +1,5 @@
-/* The one hardware boundary. main.c calls these functions and nobody else does; each chip directory
- * (hal/host, hal/stm32f7) implements all of them. Only a chip directory touches a register or a socket.
+/* The one hardware boundary. Each chip directory (hal/host, hal/stm32f7) implements all of it; only a chip directory
+ * touches a register or a socket. main.c starts and runs the chip; the core calls it through a struct hal.
  *
  * Order of life: hal_init, hal_run. hal_run owns the program: it calls the handlers until the end. */
 #ifndef NF_HAL_H
@@ -16,13 +16,50 @@
 #include "msp/msp_identity.h"
 #include "nf_contract.h"
 #include "storage/fault_record.h"
+#include "storage/flash.h"
 #include "storage/settings.h"
 
 #define HAL_RUN (-1)            /* hal_init: go on to hal_run */
-#define HAL_RECEIVER_BYTES 256  /* the most that one hal_receiver_read hands over */
+#define HAL_RECEIVER_BYTES 256  /* the most that one receiver_read hands over */
+
+/* What the chip does for the core. No function waits unless it says so. */
+struct hal {
+	void *context; /* the first argument of every function */
+
+	/* From `sample`: receiver bytes since the last call, oldest first, at most `capacity` (the rest stays). Called
+	 * once, at the start of each control step. */
+	size_t (*receiver_read)(void *context, uint8_t *bytes, size_t capacity);
+	/* From `sample` and `gyro_silent`, every gyro sample: DShot values (11 bits, motor order, 0 stops), held
+	 * between control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as
+	 * frames (dshot_frame of dshot.h) or packets. If the last frame is still on the wire, this one is dropped. */
+	void (*motors_write)(void *context, const uint16_t dshot[], size_t count, bool telemetry);
+	/* From `sample`, after motors_write: the control step just done. A chip without a trace does nothing. */
+	void (*trace_write)(void *context, const struct control_trace *trace);
+	/* From `sample`: did the control step that took `cycles` miss its deadline, the next control step's sample?
+	 * Host: only where a power packet says so, as the simulator's clock does not run meanwhile. */
+	bool (*deadline_missed)(void *context, uint32_t cycles);
+
+	/* A free-running counter, wrapping at 2^32. Only measures; no decision of the core depends on it. */
+	uint32_t (*cycles)(void *context);
+
+	/* From `background`: the battery's last measurement. */
+	void (*power_read)(void *context, struct power_sample *power);
+	void (*beeper)(void *context, bool on);
+	void (*led)(void *context, bool on);
+	/* Feeds the watchdog; without it the board resets within a second. */
+	void (*watchdog_feed)(void *context);
+	/* From `msp`: asks to start anew, motors stopped, when what MSP has replied so far is sent: hal_run then never
+	 * returns (board; 1.5 s from now at the latest) or returns with success (host). Nothing may arm from here on. */
+	void (*reset)(void *context);
+
+	/* Erasing and programming wait, feed the watchdog, and stop samples meanwhile. Only disarmed: the caller's
+	 * duty. */
+	struct flash flash;
+};
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {
+	const struct hal *hal;          /* lives as long as the program */
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
 	enum gyro_chip gyro_chip;       /* which one that is */
 	unsigned gyro_rate_hz;          /* 0: as set; another: asked for on this start, whatever the settings say */
@@ -35,7 +72,7 @@ struct hal_info {
 struct hal_handlers {
 	void *context;
 	/* Each gyro sample, chip axes, in order, none twice. Board: from the gyro interrupt, which nothing
-	 * of the core preempts. Calls the hal_*_read and hal_*_write functions below before it returns. */
+	 * of the core preempts. Calls the functions of struct hal that say so before it returns. */
 	void (*sample)(void *context, const struct imu_sample *sample);
 	/* No sample came for NF_GYRO_BAD_MS. Same context as `sample`; called again each time as long passes. */
 	void (*gyro_silent)(void *context);
@@ -61,48 +98,8 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
  * board: LED), motors stopped. Board: never returns. Host: returns the program's exit code. */
 int hal_refuse(enum nf_err why);
 
-/* Receiver bytes since the last call, oldest first, at most `capacity` (the rest stays). Never waits.
- * Called from `sample`, once at the start of each control step. */
-size_t hal_receiver_read(uint8_t *bytes, size_t capacity);
-
-/* DShot values (11 bits, motor order, 0 stops) from `sample` or `gyro_silent`, every gyro sample, held between
- * control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as frames
- * (dshot_frame of dshot.h) or packets. Never waits: if the last frame is still on the wire, this one is dropped. */
-void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry);
-
-/* The control step just done, from `sample`, after hal_motors_write. A chip without a trace does nothing. */
-void hal_trace_write(const struct control_trace *trace);
-
-/* A free-running counter, wrapping at 2^32. Only measures; no decision of the core depends on it. */
-uint32_t hal_cycles(void);
-
-/* Did the control step that took `cycles` miss its deadline, the next control step's sample? From `sample`.
- * Host: only where a power packet says so, as the simulator's clock does not run meanwhile. */
-bool hal_deadline_missed(uint32_t cycles);
-
-/* The battery's last measurement. Never waits. */
-void hal_power_read(struct power_sample *power);
-
-/* Beeper and LED. */
-void hal_beeper(bool on);
-void hal_led(bool on);
-
-/* Keeps the watchdog content; without it the board resets within a second. From `background` only. */
-void hal_watchdog_feed(void);
-
-/* Flash, by the addresses of the contract's flash map. Reading is memory. Erasing sets a sector's bits, programming
- * clears bits and takes whole 4-byte words at multiples of 4; both wait, keep the watchdog content, stop samples
- * meanwhile, and return whether flash then holds what was asked for. Only disarmed: the caller's duty. */
-const uint8_t *hal_flash_at(uint32_t address);
-bool hal_flash_erase(unsigned sector);
-bool hal_flash_program(uint32_t address, const void *words, size_t bytes);
-
 /* What a fault before this boot left behind, if one did. hal_fault_clear forgets it. */
 bool hal_fault_take(struct fault_record *record);
 void hal_fault_clear(void);
-
-/* Asks to start anew, motors stopped, when what MSP has replied so far is sent: hal_run then never returns (board;
- * 1.5 s from now at the latest) or returns with success (host). From `msp`; nothing may arm from here on. */
-void hal_reset(void);
 
 #endif

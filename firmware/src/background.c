@@ -14,7 +14,7 @@ static enum nf_err load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
-	settings_load(&background->edited, &config->flash);
+	settings_load(&background->edited, &config->hal->flash);
 	background->settings = background->edited;
 	for (size_t i = 0; i < config->change_count; i++)
 		if (settings_set(&background->settings, config->changes[i].index, &config->changes[i].value) !=
@@ -42,7 +42,7 @@ static bool choose_policy(struct background *background)
 	};
 
 	/* The policy's memory is the firmware's, which starts after this. */
-	return policy_slots_choose(&background->slots, &config->flash, &running, &policy_blob, sizeof policy_blob,
+	return policy_slots_choose(&background->slots, &config->hal->flash, &running, &policy_blob, sizeof policy_blob,
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
 
@@ -126,13 +126,13 @@ static enum nf_refusal command_motors(void *context, unsigned motor, unsigned co
 static enum nf_refusal reboot(void *context)
 {
 	struct background *background = context;
-	const struct background_io *io = &background->config.io;
+	const struct hal *hal = background->config.hal;
 	const enum nf_refusal refusal = storing(context, true);
 
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
 	background->rebooting = true; /* nothing arms while the reply is on its way */
-	io->reset(io->context);
+	hal->reset(hal->context);
 	return NF_REFUSAL_NONE;
 }
 
@@ -141,7 +141,7 @@ static void offer_services(struct background *background)
 	const struct background_config *config = &background->config;
 
 	background->services = (struct msp_services){
-		.flash = &config->flash,
+		.flash = &config->hal->flash,
 		.settings = &background->edited,
 		.slots = &background->slots,
 		.faults = &background->faults,
@@ -163,10 +163,10 @@ static void offer_services(struct background *background)
 static void run_battery(void *context)
 {
 	struct background *background = context;
-	const struct background_io *io = &background->config.io;
+	const struct hal *hal = background->config.hal;
 	struct power_sample power;
 
-	io->power_read(io->context, &power);
+	hal->power_read(hal->context, &power);
 	battery_step(&background->battery, power.volts_mv, power.amps_mv, power.valid);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_BATTERY_UNKNOWN,
 			battery_level(&background->battery) == BATTERY_UNKNOWN);
@@ -194,7 +194,7 @@ static uint32_t alerts(const struct background *background, const struct firmwar
 static void run_alert(void *context)
 {
 	struct background *background = context;
-	const struct background_io *io = &background->config.io;
+	const struct hal *hal = background->config.hal;
 	const struct firmware *fw = background->config.firmware;
 	const uint32_t ms = (uint32_t)((uint64_t)firmware_samples(fw) * 1000u / background->settings.gyro_rate_hz);
 	struct firmware_status status;
@@ -203,8 +203,8 @@ static void run_alert(void *context)
 	background->heard |= status.receiver_good;
 	const unsigned flashes = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind;
 	const struct alert_state state = alert_step(&background->alert, alerts(background, &status), flashes, ms);
-	io->beeper(io->context, state.beeper);
-	io->led(io->context, state.led);
+	hal->beeper(hal->context, state.beeper);
+	hal->led(hal->context, state.led);
 }
 
 /* A fault that was acknowledged over MSP forbids nothing any more. */
@@ -228,7 +228,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	*background = (struct background){ .config = *config };
 	if ((err = load_settings(background)) != NF_OK || (err = start_firmware(background)) != NF_OK)
 		return err;
-	fault_log_boot(&background->faults, &background->config.flash, config->fault);
+	fault_log_boot(&background->faults, &background->config.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert);
@@ -238,7 +238,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	config->stats[NF_TASK_GYRO].rate_hz = background->settings.gyro_rate_hz - POLICY_CONTROL_RATE_HZ;
 	config->stats[NF_TASK_CONTROL].rate_hz = POLICY_CONTROL_RATE_HZ;
 	scheduler_init(&background->scheduler, tasks, sizeof tasks / sizeof tasks[0], config->stats,
-		       background->settings.gyro_rate_hz, config->io.cycles, config->io.context);
+		       background->settings.gyro_rate_hz, config->hal->cycles, config->hal->context);
 	return NF_OK;
 }
 
@@ -275,13 +275,13 @@ void background_status(const struct background *background, struct firmware_stat
 size_t background_msp(struct background *background, const uint8_t *bytes, size_t count, uint8_t *reply,
 		      size_t capacity)
 {
-	const struct background_io *io = &background->config.io;
-	const uint32_t start = io->cycles(io->context);
+	const struct hal *hal = background->config.hal;
+	const uint32_t start = hal->cycles(hal->context);
 	struct firmware_status status;
 
 	background_status(background, &status);
 	const size_t written = msp_serve(&background->msp, &status, bytes, count, reply, capacity);
-	task_stats_add(&background->config.stats[NF_TASK_MSP], io->cycles(io->context) - start, false);
+	task_stats_add(&background->config.stats[NF_TASK_MSP], hal->cycles(hal->context) - start, false);
 	return written;
 }
 

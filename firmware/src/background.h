@@ -7,33 +7,23 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "common/status.h"
+#include "firmware.h"
+#include "hal/hal.h"
 #include "housekeeping/alert.h"
 #include "housekeeping/battery.h"
-#include "storage/fault_log.h"
-#include "firmware.h"
-#include "storage/flash.h"
-#include "msp/msp.h"
-#include "msp/msp_commands.h"
-#include "storage/policy_slots.h"
 #include "housekeeping/power_sample.h"
 #include "housekeeping/scheduler.h"
+#include "msp/msp.h"
+#include "msp/msp_commands.h"
+#include "storage/fault_log.h"
+#include "storage/flash.h"
+#include "storage/policy_slots.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
-#include "common/status.h"
-
-/* What it needs of the board. None of these waits. */
-struct background_io {
-	void *context;
-	uint32_t (*cycles)(void *context);
-	void (*power_read)(void *context, struct power_sample *power);
-	void (*beeper)(void *context, bool on);
-	void (*led)(void *context, bool on);
-	void (*reset)(void *context);       /* starts anew, once the replies so far are on their way */
-};
 
 struct background_config {
-	struct background_io io;
-	struct flash flash;
+	const struct hal *hal;
 	struct firmware *firmware;          /* started by background_start */
 	float *weights;                     /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
 	struct task_stats *stats;           /* [TASK_COUNT], by enum nf_task */
@@ -45,7 +35,7 @@ struct background_config {
 	const struct setting_change *changes;
 	size_t change_count;
 	unsigned gyro_rate_hz;              /* of this start; 0: as set */
-	uint32_t cycles_hz;                 /* of io.cycles */
+	uint32_t cycles_hz;                 /* of hal->cycles */
 };
 
 struct background {

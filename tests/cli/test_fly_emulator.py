@@ -89,7 +89,7 @@ def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
     assert [event["what"] for event in told["events"]] == ["ARMED", "DISARMED: SWITCH"]
     assert told["events"][1]["at_s"] == pytest.approx(0.1, abs=0.01)
     assert told["board_s"] == pytest.approx(0.3 + 1.05 + 0.1, abs=0.2)
-    assert told["instructions"] > 1e7 and told["real_time"] > 0
+    assert told["instructions"] > 9e6 and told["real_time"] > 0
     assert 0 <= told["gyro_wait_us"] < 5
     assert 0.1 < told["watchdog_margin_s"] < 0.5
     assert len(load_trace(trace).t) == 100

@@ -31,18 +31,25 @@ LEVELS = (("gyro_sample_handler", "tick_handler"), ("gyro_edge_handler",), ("fau
 
 # Where calls through pointers go that no constant table of their own file holds: C file, or C file and
 # function of the image, -> functions, or tables whose functions, by file and name.
-_IO = ("main.c:cycles", "main.c:power_read", "main.c:beeper", "main.c:led", "main.c:reset")
 POINTERS: Mapping[str, tuple[str, ...]] = {
     "boot.c": ("startup.c:reset_handler",),
-    "gyro_chip.c:gyro_sample_handler": ("main.c:on_sample",),
-    "gyro_chip.c:gyro_tick": ("main.c:on_gyro_silent",),
-    "hal.c": ("main.c:on_background",),
-    "msp_uart.c": ("main.c:on_msp", "main.c:on_msp_reset"),
-    "flash.c:flash_at": ("main.c:at",),
-    "flash.c:flash_erase": ("main.c:erase",),
-    "flash.c:flash_program": ("main.c:program",),
-    "background.c": _IO,
-    "scheduler.c": ("background.c:tasks", "main.c:cycles"),
+    "gyro_chip.c:gyro_sample_handler": ("program.c:program_sample",),
+    "gyro_chip.c:gyro_tick": ("program.c:program_gyro_silent",),
+    "hal.c": ("program.c:program_background",),
+    "msp_uart.c": ("program.c:program_msp", "program.c:program_msp_reset"),
+    "flash.c:flash_at": ("hal.c:hal_flash_at",),
+    "flash.c:flash_erase": ("hal.c:hal_flash_erase",),
+    "flash.c:flash_program": ("hal.c:hal_flash_program",),
+    "program.c:program_sample": (
+        *("receiver_line.c:receiver_line_read", "motors.c:motors_write", "hal.c:hal_trace_write"),
+        *("hal.c:hal_cycles", "hal.c:hal_deadline_missed"),
+    ),
+    "program.c:program_gyro_silent": ("motors.c:motors_write",),
+    "program.c:program_background": ("hal.c:hal_watchdog_feed",),
+    "background.c": (
+        *("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led", "hal.c:hal_reset"),
+    ),
+    "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
     "msp_commands.c": (
         *("background.c:storing", "background.c:channels", "background.c:test_motors"),
         *("background.c:turn_motors", "background.c:command_motors", "background.c:reboot"),

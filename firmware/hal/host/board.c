@@ -1,8 +1,100 @@
 #include "hal/host/board.h"
 
+#include <string.h>
+
+#include "hal/host/convert.h"
+#include "policy.h"
+
 const struct msp_identity host_identity = {
 	.board = "HOST",
 	.target = "HOST",
 	.maker = "NRFL",
 	.unique_id = { 0x484F5354u, 0, 0 }, /* "HOST" */
 };
+
+void host_board_init(struct host_board *board, uint8_t *bytes)
+{
+	*board = (struct host_board){ .power = convert_power(HOST_FULL_VOLTS, 0.0) };
+	flash_model_init(&board->flash, bytes);
+}
+
+struct imu_sample host_board_sample(const double rates_frd[3], const double force_frd[3])
+{
+	struct imu_sample sample = { 0 };
+
+	sample.valid = convert_rates(rates_frd, HOST_GYRO_ALIGNMENT, sample.gyro);
+	convert_force(force_frd, HOST_GYRO_ALIGNMENT, sample.accel);
+	return sample;
+}
+
+static size_t host_board_receiver_read(void *context, uint8_t *bytes, size_t capacity)
+{
+	struct host_board *board = context;
+
+	return receiver_line_take(&board->line, bytes, capacity);
+}
+
+static void host_board_motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
+{
+	struct host_board *board = context;
+
+	(void)telemetry;
+	board->motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
+	memcpy(board->dshot, dshot, board->motor_count * sizeof dshot[0]);
+}
+
+static void host_board_trace_write(void *context, const struct control_trace *trace)
+{
+	(void)context;
+	(void)trace;
+}
+
+static bool host_board_deadline_missed(void *context, uint32_t cycles)
+{
+	const struct host_board *board = context;
+
+	(void)cycles;
+	return board->control_us > 1e6 / POLICY_CONTROL_RATE_HZ;
+}
+
+static uint32_t host_board_cycles(void *context)
+{
+	(void)context;
+	return 0;
+}
+
+static void host_board_power_read(void *context, struct power_sample *power)
+{
+	const struct host_board *board = context;
+
+	*power = board->power;
+}
+
+static void host_board_switch(void *context, bool on)
+{
+	(void)context;
+	(void)on;
+}
+
+static void host_board_nothing(void *context)
+{
+	(void)context;
+}
+
+struct hal host_board_hal(struct host_board *board)
+{
+	return (struct hal){
+		.context = board,
+		.receiver_read = host_board_receiver_read,
+		.motors_write = host_board_motors_write,
+		.trace_write = host_board_trace_write,
+		.deadline_missed = host_board_deadline_missed,
+		.cycles = host_board_cycles,
+		.power_read = host_board_power_read,
+		.beeper = host_board_switch,
+		.led = host_board_switch,
+		.watchdog_feed = host_board_nothing,
+		.reset = host_board_nothing,
+		.flash = flash_model_interface(&board->flash),
+	};
+}

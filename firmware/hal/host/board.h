@@ -1,9 +1,14 @@
-/* The board that the host program pretends to be: a MATEKF722's gyro alignment, nobody's identity. */
+/* The board that the host program and the library pretend to be: a MATEKF722's gyro alignment, nobody's identity,
+ * sensors and motors in memory. */
 #ifndef NF_HOST_BOARD_H
 #define NF_HOST_BOARD_H
 
 #include "common/imu.h"
+#include "hal/hal.h"
+#include "hal/host/flash_model.h"
+#include "hal/host/receiver_line.h"
 #include "msp/msp_identity.h"
+#include "nf_contract.h"
 
 extern const struct msp_identity host_identity;
 
@@ -12,5 +17,23 @@ extern const struct msp_identity host_identity;
 
 /* The pack that is assumed where no simulator tells of one: four cells, full, at rest. */
 #define HOST_FULL_VOLTS 16.8
+
+struct host_board {
+	struct receiver_line line;
+	struct power_sample power;
+	double control_us;             /* that each control step takes, says the simulator; 0: it does not */
+	uint16_t dshot[NF_MOTOR_COUNT_MAX]; /* as last written */
+	size_t motor_count;
+	struct flash_model flash;
+};
+
+/* A board with a full battery over flash of `bytes`, which must outlive it. */
+void host_board_init(struct host_board *board, uint8_t *bytes);
+
+/* One gyro sample from rates [rad/s] and specific force [m/s^2], axes forward, right, down. */
+struct imu_sample host_board_sample(const double rates_frd[3], const double force_frd[3]);
+
+/* `board` for the core: no trace, no clock, no beeper, LED, watchdog or reset. */
+struct hal host_board_hal(struct host_board *board);
 
 #endif

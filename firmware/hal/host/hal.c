@@ -14,26 +14,19 @@
 #include "hal/host/board.h"
 #include "hal/host/convert.h"
 #include "hal/host/flash_file.h"
-#include "hal/host/flash_model.h"
 #include "hal/host/link.h"
 #include "hal/host/msp_tcp.h"
 #include "hal/host/options.h"
-#include "hal/host/receiver_line.h"
 #include "policy.h"
 
 static struct host {
 	struct options options;
 	struct link link;
 	struct msp_tcp tcp;
-	struct receiver_line line;
-	enum board_alignment alignment;
-	struct flash_model flash;
-	struct power_sample power;
-	double control_us;           /* that each control step takes, says the simulator; 0: it does not */
+	struct host_board board;
+	struct hal hal;              /* of the board */
 	double time_s;               /* of the last state packet; NaN: there was none */
 	unsigned long bad;           /* samples whose rate was NaN */
-	uint16_t dshot[NF_MOTOR_COUNT_MAX];
-	size_t motor_count;
 	sigset_t while_waiting;      /* signals let through only there */
 } host;
 
@@ -64,6 +57,27 @@ static void hold_signals(void)
 	sigaction(SIGINT, &action, NULL);
 }
 
+static void host_trace_write(void *context, const struct control_trace *trace)
+{
+	(void)context;
+	link_send_trace(&host.link, trace);
+}
+
+static uint32_t host_cycles(void *context)
+{
+	struct timespec now;
+
+	(void)context;
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (uint32_t)now.tv_sec * 1000000000u + (uint32_t)now.tv_nsec;
+}
+
+static void host_reset(void *context)
+{
+	(void)context;
+	ended = 1;
+}
+
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	const int start = options_parse(&host.options, argc, argv);
@@ -76,16 +90,20 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	uint8_t *flash = flash_file_open(host.options.settings);
 	if (!flash)
 		return 1;
-	flash_model_init(&host.flash, flash);
+	host_board_init(&host.board, flash);
+	host.hal = host_board_hal(&host.board);
+	host.hal.trace_write = host_trace_write;
+	host.hal.cycles = host_cycles;
+	host.hal.reset = host_reset;
 	if (!link_open(&host.link, &host.options))
 		return 1;
 	if (!msp_tcp_open(&host.tcp, host.options.msp_port)) {
 		link_close(&host.link);
 		return 1;
 	}
-	host.power = convert_power(HOST_FULL_VOLTS, 0.0);
 	host.time_s = (double)NAN;
 	*info = (struct hal_info){
+		.hal = &host.hal,
 		.alignment = HOST_GYRO_ALIGNMENT,
 		.gyro_rate_hz = host.options.gyro_hz,
 		.changes = host.options.changes,
@@ -93,7 +111,6 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 		.identity = host_identity,
 		.cycles_hz = 1000000000u,
 	};
-	host.alignment = info->alignment;
 	return HAL_RUN;
 }
 
@@ -118,10 +135,10 @@ static void take_surroundings(void)
 	struct link_power power;
 
 	while (link_take_receiver(&host.link, channels_us))
-		receiver_line_put(&host.line, channels_us);
+		receiver_line_put(&host.board.line, channels_us);
 	while (link_take_power(&host.link, &power)) {
-		host.power = convert_power(power.volts, power.amps);
-		host.control_us = power.control_us;
+		host.board.power = convert_power(power.volts, power.amps);
+		host.board.control_us = power.control_us;
 	}
 }
 
@@ -129,18 +146,16 @@ static void take_surroundings(void)
 static void step(const struct hal_handlers *handlers)
 {
 	struct link_state state;
-	struct imu_sample sample = { 0 };
 
 	if (!link_take_state(&host.link, &state))
 		return;
 	take_surroundings();
 	pass_silence(handlers, state.time_s);
-	sample.valid = convert_rates(state.rates_frd, host.alignment, sample.gyro);
-	convert_force(state.force_frd, host.alignment, sample.accel);
+	const struct imu_sample sample = host_board_sample(state.rates_frd, state.force_frd);
 	host.bad += !sample.valid;
 	handlers->sample(handlers->context, &sample);
 	handlers->background(handlers->context);
-	link_send_motors(&host.link, host.dshot, host.motor_count);
+	link_send_motors(&host.link, host.board.dshot, host.board.motor_count);
 }
 
 static void say_ready(void)
@@ -214,72 +229,6 @@ int hal_refuse(enum nf_err why)
 	return 1;
 }
 
-size_t hal_receiver_read(uint8_t *bytes, size_t capacity)
-{
-	return receiver_line_take(&host.line, bytes, capacity);
-}
-
-void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry)
-{
-	(void)telemetry;
-	host.motor_count = count < NF_MOTOR_COUNT_MAX ? count : NF_MOTOR_COUNT_MAX;
-	memcpy(host.dshot, dshot, host.motor_count * sizeof dshot[0]);
-}
-
-void hal_trace_write(const struct control_trace *trace)
-{
-	link_send_trace(&host.link, trace);
-}
-
-uint32_t hal_cycles(void)
-{
-	struct timespec now;
-
-	clock_gettime(CLOCK_MONOTONIC, &now);
-	return (uint32_t)now.tv_sec * 1000000000u + (uint32_t)now.tv_nsec;
-}
-
-bool hal_deadline_missed(uint32_t cycles)
-{
-	(void)cycles;
-	return host.control_us > 1e6 / POLICY_CONTROL_RATE_HZ;
-}
-
-void hal_power_read(struct power_sample *power)
-{
-	*power = host.power;
-}
-
-/* Nobody listens and nobody looks. */
-void hal_beeper(bool on)
-{
-	(void)on;
-}
-
-void hal_led(bool on)
-{
-	(void)on;
-}
-
-void hal_watchdog_feed(void)
-{
-}
-
-const uint8_t *hal_flash_at(uint32_t address)
-{
-	return flash_model_at(&host.flash, address);
-}
-
-bool hal_flash_erase(unsigned sector)
-{
-	return flash_model_erase(&host.flash, sector);
-}
-
-bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
-{
-	return flash_model_program(&host.flash, address, words, bytes);
-}
-
 /* A program's faults are its operating system's. */
 bool hal_fault_take(struct fault_record *record)
 {
@@ -289,9 +238,4 @@ bool hal_fault_take(struct fault_record *record)
 
 void hal_fault_clear(void)
 {
-}
-
-void hal_reset(void)
-{
-	ended = 1;
 }

@@ -3,24 +3,21 @@
 #include <string.h>
 
 #include "background.h"
-#include "firmware.h"
 #include "hal/host/board.h"
 #include "hal/host/changes.h"
 #include "hal/host/convert.h"
-#include "hal/host/flash_model.h"
-#include "hal/host/receiver_line.h"
 #include "control/pid.h"
+#include "program.h"
 
 struct reference {
 	struct firmware firmware;
 	_Alignas(8) float weights[POLICY_WEIGHT_COUNT];
 	struct task_stats stats[TASK_COUNT];
 	struct background background;
-	struct power_sample power;
-	double control_us;
+	struct program program;
+	struct host_board board;
+	struct hal hal;              /* of the board */
 	struct setting_change changes[NF_SETTING_COUNT];
-	struct receiver_line line;
-	struct flash_model flash;
 	_Alignas(8) uint8_t flash_bytes[NF_FLASH_BYTES];
 };
 _Static_assert(_Alignof(struct reference) <= 8, "callers align to 8");
@@ -30,37 +27,11 @@ size_t reference_size(void)
 	return sizeof(struct reference);
 }
 
-/* No time passes in a library. */
-static uint32_t cycles(void *context)
-{
-	(void)context;
-	return 0;
-}
-
-static void power_read(void *context, struct power_sample *power)
-{
-	const struct reference *r = context;
-
-	*power = r->power;
-}
-
-static void switch_nothing(void *context, bool on)
-{
-	(void)context;
-	(void)on;
-}
-
-static void reset_nothing(void *context)
-{
-	(void)context;
-}
-
 int reference_init(void *self, unsigned gyro_hz, const char *const settings[], size_t count)
 {
 	struct reference *r = self;
-	struct background_config config = {
-		.io = { .context = r, .cycles = cycles, .power_read = power_read, .beeper = switch_nothing,
-			.led = switch_nothing, .reset = reset_nothing },
+	const struct background_config config = {
+		.hal = &r->hal,
 		.firmware = &r->firmware,
 		.weights = r->weights,
 		.stats = r->stats,
@@ -82,9 +53,9 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 		if (!change_parse(settings[i], &r->changes[i]))
 			return NF_ERR_SETTINGS;
 	memset(r->flash_bytes, 0xFF, sizeof r->flash_bytes);
-	flash_model_init(&r->flash, r->flash_bytes);
-	config.flash = flash_model_interface(&r->flash);
-	r->power = convert_power(HOST_FULL_VOLTS, 0.0);
+	host_board_init(&r->board, r->flash_bytes);
+	r->hal = host_board_hal(&r->board);
+	r->program = (struct program){ &r->hal, &r->firmware, r->stats, &r->background, 0 };
 	return background_start(&r->background, &config);
 }
 
@@ -92,40 +63,33 @@ void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]
 {
 	struct reference *r = self;
 
-	receiver_line_put(&r->line, channels_us);
+	receiver_line_put(&r->board.line, channels_us);
 }
 
 void reference_power(void *self, double volts, double amps, double control_us)
 {
 	struct reference *r = self;
 
-	r->power = convert_power(volts, amps);
-	r->control_us = control_us;
+	r->board.power = convert_power(volts, amps);
+	r->board.control_us = control_us;
 }
 
 void reference_sample(void *self, const double rates_frd[3], const double force_frd[3], uint16_t dshot[])
 {
 	struct reference *r = self;
-	const bool control_step = firmware_control_due(&r->firmware);
-	struct imu_sample sample = { 0 };
+	const struct imu_sample sample = host_board_sample(rates_frd, force_frd);
 
-	sample.valid = convert_rates(rates_frd, HOST_GYRO_ALIGNMENT, sample.gyro);
-	convert_force(force_frd, HOST_GYRO_ALIGNMENT, sample.accel);
-	if (control_step) {
-		uint8_t bytes[sizeof r->line.bytes];
-		firmware_receive(&r->firmware, bytes, receiver_line_take(&r->line, bytes, sizeof bytes));
-	}
-	firmware_sample(&r->firmware, &sample, dshot);
-	if (control_step)
-		firmware_deadline(&r->firmware, r->control_us > 1e6 / POLICY_CONTROL_RATE_HZ);
-	background_step(&r->background);
+	program_sample(&r->program, &sample);
+	program_background(&r->program);
+	memcpy(dshot, r->board.dshot, r->board.motor_count * sizeof dshot[0]);
 }
 
 void reference_silent(void *self, uint16_t dshot[])
 {
 	struct reference *r = self;
 
-	firmware_gyro_silent(&r->firmware, dshot);
+	program_gyro_silent(&r->program);
+	memcpy(dshot, r->board.dshot, r->board.motor_count * sizeof dshot[0]);
 }
 
 void reference_trace(const void *self, struct reference_trace *out)

@@ -31,6 +31,88 @@ static struct {
 	uint32_t since_ms;
 } restart;
 
+/* Traces leave the board by a log, which this target does not keep yet; MSP shows the last step. */
+static void hal_trace_write(void *context, const struct control_trace *trace)
+{
+	(void)context;
+	fault_note_steps(trace->step);
+}
+
+static uint32_t hal_cycles(void *context)
+{
+	(void)context;
+	return time_cycles();
+}
+
+static bool hal_deadline_missed(void *context, uint32_t cycles)
+{
+	(void)context;
+	return cycles > CONTROL_CYCLES;
+}
+
+static void hal_power_read(void *context, struct power_sample *power)
+{
+	(void)context;
+	power_read(power);
+}
+
+static void hal_beeper(void *context, bool on)
+{
+	(void)context;
+	gpio_write(BOARD_BEEPER, on);
+}
+
+static void hal_led(void *context, bool on)
+{
+	(void)context;
+	gpio_write(BOARD_LED0, !on);
+}
+
+static void hal_watchdog_feed(void *context)
+{
+	(void)context;
+	watchdog_feed();
+}
+
+static const uint8_t *hal_flash_at(void *context, uint32_t address)
+{
+	(void)context;
+	return (const uint8_t *)address;
+}
+
+static bool hal_flash_erase(void *context, unsigned sector)
+{
+	(void)context;
+	return flash_memory_erase(sector);
+}
+
+static bool hal_flash_program(void *context, uint32_t address, const void *words, size_t bytes)
+{
+	(void)context;
+	return flash_memory_program(address, words, bytes);
+}
+
+static void hal_reset(void *context)
+{
+	(void)context;
+	restart.wanted = true;
+	restart.since_ms = time_ms();
+}
+
+static const struct hal functions = {
+	.receiver_read = receiver_line_read,
+	.motors_write = motors_write,
+	.trace_write = hal_trace_write,
+	.deadline_missed = hal_deadline_missed,
+	.cycles = hal_cycles,
+	.power_read = hal_power_read,
+	.beeper = hal_beeper,
+	.led = hal_led,
+	.watchdog_feed = hal_watchdog_feed,
+	.reset = hal_reset,
+	.flash = { .at = hal_flash_at, .erase = hal_flash_erase, .program = hal_flash_program },
+};
+
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	(void)argc;
@@ -50,6 +132,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
 	watchdog_feed();
 
+	info->hal = &functions;
 	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
 	info->identity = (struct msp_identity){
@@ -93,67 +176,6 @@ void tick_handler(void)
 	gyro_tick();
 }
 
-size_t hal_receiver_read(uint8_t *bytes, size_t capacity)
-{
-	return receiver_line_read(bytes, capacity);
-}
-
-void hal_motors_write(const uint16_t dshot[], size_t count, bool telemetry)
-{
-	motors_write(dshot, count, telemetry);
-}
-
-/* Traces leave the board by a log, which this target does not keep yet; MSP shows the last step. */
-void hal_trace_write(const struct control_trace *trace)
-{
-	fault_note_steps(trace->step);
-}
-
-uint32_t hal_cycles(void)
-{
-	return time_cycles();
-}
-
-bool hal_deadline_missed(uint32_t cycles)
-{
-	return cycles > CONTROL_CYCLES;
-}
-
-void hal_power_read(struct power_sample *power)
-{
-	power_read(power);
-}
-
-void hal_beeper(bool on)
-{
-	gpio_write(BOARD_BEEPER, on);
-}
-
-void hal_led(bool on)
-{
-	gpio_write(BOARD_LED0, !on);
-}
-
-void hal_watchdog_feed(void)
-{
-	watchdog_feed();
-}
-
-const uint8_t *hal_flash_at(uint32_t address)
-{
-	return (const uint8_t *)address;
-}
-
-bool hal_flash_erase(unsigned sector)
-{
-	return flash_memory_erase(sector);
-}
-
-bool hal_flash_program(uint32_t address, const void *words, size_t bytes)
-{
-	return flash_memory_program(address, words, bytes);
-}
-
 bool hal_fault_take(struct fault_record *record)
 {
 	return fault_take(record);
@@ -162,10 +184,4 @@ bool hal_fault_take(struct fault_record *record)
 void hal_fault_clear(void)
 {
 	fault_clear();
-}
-
-void hal_reset(void)
-{
-	restart.wanted = true;
-	restart.since_ms = time_ms();
 }

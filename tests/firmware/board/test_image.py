@@ -32,10 +32,24 @@ POLICY_POINTERS = 16  # bytes of struct policy beside its floats, at most
 SYSTEM_VECTORS = 16
 TICK_VECTOR = 15
 HOT = (
-    *("gyro_edge_handler", "gyro_sample_handler", "spi_start", "spi_finish", "on_sample", "tick_handler"),
-    *("hal_receiver_read", "uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step"),
-    *("observation_step", "policy_step", "mixer_step", "dshot_value", "dshot_frame", "hal_motors_write"),
-    *("motors_write", "memcpy", "gyro_tick", "on_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
+    *(
+        "gyro_edge_handler",
+        "gyro_sample_handler",
+        "spi_start",
+        "spi_finish",
+        "program_sample",
+        "tick_handler",
+    ),
+    *("uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step"),
+    *("observation_step", "policy_step", "mixer_step", "dshot_value", "dshot_frame"),
+    *(
+        "motors_write",
+        "memcpy",
+        "gyro_tick",
+        "program_gyro_silent",
+        "receiver_line_read",
+        "hal_deadline_missed",
+    ),
 )
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")

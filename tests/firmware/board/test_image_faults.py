@@ -155,7 +155,7 @@ def test_the_end_of_the_path_is_kept_when_it_is_long(board: Board) -> None:
 @pytest.mark.parametrize(("flags", "kind"), [(BITTEN, WATCHDOG), (BROWNED_OUT, BROWN_OUT)])
 def test_the_chips_own_reset_is_told_with_the_step_it_came_at(flags: int, kind: int, board: Board) -> None:
     board.sketch.uc.mem_write(SCRATCH, struct.pack("<I", 4711))
-    board.sketch.call_with(board.symbols["hal_trace_write"], SCRATCH)  # a trace begins with its step
+    board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)  # a trace begins with its step
     board.boot(flags)
     record = board.take()
     assert record is not None and (record.kind, record.uptime_steps) == (kind, 4711)

@@ -38,11 +38,11 @@ class Flash:
         sketch.uc.hook_add(UC_HOOK_MEM_READ, self._read_flash, begin=FLASH_BASE, end=end)
 
     def erase(self, sector: int) -> bool:
-        return bool(self.sketch.call_with(self.symbols["hal_flash_erase"], sector))
+        return bool(self.sketch.call_with(self.symbols["hal_flash_erase"], 0, sector))
 
     def program(self, address: int, data: bytes, source: int = SRAM1.address + 0x8000) -> bool:
         self.sketch.uc.mem_write(source, data)
-        return bool(self.sketch.call_with(self.symbols["hal_flash_program"], address, source, len(data)))
+        return bool(self.sketch.call_with(self.symbols["hal_flash_program"], 0, address, source, len(data)))
 
     def contents(self, address: int, count: int) -> bytes:
         return bytes(self.sketch.uc.mem_read(address, count))
@@ -202,7 +202,8 @@ def test_interrupts_are_on_again_and_caches_empty_when_done(flash: Flash) -> Non
 
 def test_reading_is_memory_when_asked_where(flash: Flash, symbols: dict[str, int]) -> None:
     assert (
-        flash.sketch.call_with(symbols["hal_flash_at"], FLASH_SECTORS[4].address) == FLASH_SECTORS[4].address
+        flash.sketch.call_with(symbols["hal_flash_at"], 0, FLASH_SECTORS[4].address)
+        == FLASH_SECTORS[4].address
     )
 
 

@@ -32,7 +32,7 @@ class Motors:
 
     def write(self, *values: int, telemetry: bool = False) -> None:
         self.sketch.uc.mem_write(SCRATCH, struct.pack(f"<{len(values)}H", *values))
-        self.sketch.call_with(self.symbols["motors_write"], SCRATCH, len(values), telemetry)
+        self.sketch.call_with(self.symbols["motors_write"], 0, SCRATCH, len(values), telemetry)
 
     def register(self, bank: int, offset: int) -> int:
         controller, stream, *_ = BANKS[bank]

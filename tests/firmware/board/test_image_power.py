@@ -23,7 +23,7 @@ class Power:
 
     def read(self) -> tuple[int, int, bool]:
         """struct power_sample."""
-        self.sketch.call_with(self.symbols["hal_power_read"], SCRATCH)
+        self.sketch.call_with(self.symbols["hal_power_read"], 0, SCRATCH)
         volts, amps, valid = struct.unpack("<HH?", self.sketch.uc.mem_read(SCRATCH, 5))
         return volts, amps, valid
 
@@ -94,6 +94,6 @@ def test_a_pin_follows_when_told(
     written: list[tuple[str, int]] = []
     power.sketch.on_write = lambda register, value: written.append((register.instance, value))
     for on in (True, False):
-        power.sketch.call_with(symbols[function], on)
+        power.sketch.call_with(symbols[function], 0, on)
     high, low = (port, 1 << pin), (port, 1 << 16 + pin)
     assert written == ([high, low] if active_high else [low, high])

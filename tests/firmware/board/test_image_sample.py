@@ -63,11 +63,11 @@ class Flight:
         self.sketch.poke(DMA2 + 0x10 + 0x18 * stream, self.stream(stream, "SCR") & ~1)
 
     def _on_code(self, address: int) -> None:
-        if address == self.symbols["on_sample"] & ~1:
+        if address == self.symbols["program_sample"] & ~1:
             at = self.sketch.uc.reg_read(UC_ARM_REG_R1)
             words = struct.unpack("<7h?", self.sketch.uc.mem_read(at, 15))  # struct imu_sample
             self.samples.append((words[:3], words[3:6], words[6], words[7]))
-        if address == self.symbols["on_gyro_silent"] & ~1:
+        if address == self.symbols["program_gyro_silent"] & ~1:
             self.silences += 1
 
     @property
@@ -126,7 +126,7 @@ def test_the_board_says_which_chip_it_has_and_how_it_is_turned_when_it_is_known(
     identity: int, alignment: int, chip: int, board_with: Callable[[int], Flight], symbols: dict[str, int]
 ) -> None:
     sketch = board_with(identity).sketch
-    assert bytes(sketch.uc.mem_read(symbols["info"], 2)) == bytes([alignment, chip])  # struct hal_info
+    assert bytes(sketch.uc.mem_read(symbols["info"] + 4, 2)) == bytes([alignment, chip])  # struct hal_info
 
 
 def test_another_chip_is_not_flown_when_it_answers(board_with: Callable[[int], Flight]) -> None:

@@ -93,8 +93,8 @@ def test_a_deadline_is_missed_when_a_control_step_takes_longer_than_its_period(
 ) -> None:
     board = make_booted()
     millisecond = 216_000  # cycles: the period of a policy at 1 kHz
-    assert not board.call_with(symbols["hal_deadline_missed"], millisecond) & 0xFF
-    assert board.call_with(symbols["hal_deadline_missed"], millisecond + 1) & 0xFF
+    assert not board.call_with(symbols["hal_deadline_missed"], 0, millisecond) & 0xFF
+    assert board.call_with(symbols["hal_deadline_missed"], 0, millisecond + 1) & 0xFF
 
 
 def test_memory_is_closed_or_uncached_where_it_must_be_when_started(

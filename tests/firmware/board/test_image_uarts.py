@@ -44,7 +44,7 @@ def read(board: Any, symbols: dict[str, int]) -> Callable[..., bytes]:
     """Calls receiver_line_read."""
 
     def take(capacity: int = RING_BYTES) -> bytes:
-        count = board.call_with(symbols["receiver_line_read"], SCRATCH, capacity)
+        count = board.call_with(symbols["receiver_line_read"], 0, SCRATCH, capacity)
         return bytes(board.uc.mem_read(SCRATCH, count))
 
     return take
@@ -90,7 +90,7 @@ def test_the_line_rests_when_the_receiver_speaks_msp(
     assert board.call_with(symbols["receiver_line_start"], MSP) is not None
     assert board.field("USART_CR1", "UE", "USART2") == 0
     Line(board, symbols["receiver_ring_bytes"], DMA1_S5NDTR).send(b"noise")
-    assert board.call_with(symbols["receiver_line_read"], SCRATCH, RING_BYTES) == 0
+    assert board.call_with(symbols["receiver_line_read"], 0, SCRATCH, RING_BYTES) == 0
 
 
 def test_bytes_come_once_and_in_order_when_the_ring_wraps(sbus: Line, read: Callable[..., bytes]) -> None:

@@ -28,7 +28,14 @@ def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     sources = [path for path in sorted(SOURCE.rglob("*.c")) if path.name != "main.c"]
     command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno"]
     command += ["-fno-sanitize-recover=all"]
-    command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{SOURCE}", f"-I{generated}", "-o", str(program)]
+    command += [
+        f"-fsanitize={','.join(SANITIZERS)}",
+        f"-I{SOURCE}",
+        f"-I{SOURCE.parent}",
+        f"-I{generated}",
+        "-o",
+        str(program),
+    ]
     subprocess.run([*command, *map(str, sources), str(generated / "policy.c"), str(FEED)], check=True)
     return program
 

@@ -148,8 +148,9 @@ static inline __attribute__((always_inline)) void fill(uint32_t *slots, uint32_t
 		slots[bit * width] = zero + (frame >> (FRAME_BITS - 1u - bit) & 1u) * more;
 }
 
-void motors_write(const uint16_t dshot[], size_t count, bool telemetry)
+void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
+	(void)context;
 	if (busy())
 		return;
 	for (uint32_t i = 0; i < banks_in_use; ++i) {

@@ -67,8 +67,9 @@ static bool broken(uint32_t status)
 	return true;
 }
 
-size_t receiver_line_read(uint8_t *bytes, size_t capacity)
+size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity)
 {
+	(void)context;
 	if (!started)
 		return 0;
 	const uint32_t status = USART_ISR(USART2);

@@ -8,8 +8,8 @@
 /* `protocol`: NF_RECEIVER_PROTOCOL_...; the line rests for one that does not come by it. */
 void receiver_line_start(uint32_t protocol);
 
-/* Bytes since the last call, at most `capacity`. SBUS has no checksum, so there a parity or framing error throws
+/* As receiver_read of struct hal: bytes since the last call, at most `capacity`. SBUS has no checksum, so there a parity or framing error throws
  * away what came with it and the rest of its frame. From the sample handler only. */
-size_t receiver_line_read(uint8_t *bytes, size_t capacity);
+size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity);
 
 #endif

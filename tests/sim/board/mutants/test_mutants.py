@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 MUTANTS = (*CLOCK_MUTANTS, *BUS_MUTANTS, *CORE_MUTANTS)
 UNCHANGED = Mutant(
     name="none",
-    file="src/main.c",
-    old="static void on_sample(",
-    new="static void on_sample(",
+    file="src/program.c",
+    old="void program_sample(",
+    new="void program_sample(",
     message="",
 )
 

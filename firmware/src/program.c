@@ -1,0 +1,62 @@
+#include "program.h"
+
+void program_sample(void *context, const struct imu_sample *sample)
+{
+	const struct program *program = context;
+	const struct hal *hal = program->hal;
+	const uint32_t start = hal->cycles(hal->context);
+	struct firmware *fw = program->firmware;
+	const bool control_step = firmware_control_due(fw);
+	uint16_t dshot[POLICY_ACTION_COUNT];
+
+	if (control_step) {
+		uint8_t bytes[HAL_RECEIVER_BYTES];
+		firmware_receive(fw, bytes, hal->receiver_read(hal->context, bytes, sizeof bytes));
+	}
+	const bool telemetry = firmware_sample(fw, sample, dshot);
+	hal->motors_write(hal->context, dshot, POLICY_ACTION_COUNT, telemetry);
+	if (control_step)
+		hal->trace_write(hal->context, firmware_trace(fw));
+
+	const uint32_t cycles = hal->cycles(hal->context) - start;
+	const bool missed = control_step && hal->deadline_missed(hal->context, cycles);
+	if (control_step)
+		firmware_deadline(fw, missed);
+	task_stats_add(&program->stats[control_step ? NF_TASK_CONTROL : NF_TASK_GYRO], cycles, missed);
+}
+
+void program_gyro_silent(void *context)
+{
+	const struct program *program = context;
+	uint16_t dshot[POLICY_ACTION_COUNT];
+
+	firmware_gyro_silent(program->firmware, dshot);
+	program->hal->motors_write(program->hal->context, dshot, POLICY_ACTION_COUNT, false);
+}
+
+/* The watchdog is fed while time goes on for the core: samples come, or their silence is known. */
+void program_background(void *context)
+{
+	struct program *program = context;
+	const uint32_t now = firmware_samples(program->firmware);
+
+	background_step(program->background);
+	if (now != program->fed_at) {
+		program->fed_at = now;
+		program->hal->watchdog_feed(program->hal->context);
+	}
+}
+
+size_t program_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
+{
+	const struct program *program = context;
+
+	return background_msp(program->background, bytes, count, reply, capacity);
+}
+
+void program_msp_reset(void *context)
+{
+	const struct program *program = context;
+
+	background_msp_reset(program->background);
+}
