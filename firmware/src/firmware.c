@@ -2,8 +2,9 @@
 
 #include <string.h>
 
-#include "motors/dshot.h"
+#include "common/fence.h"
 #include "common/nf_math.h"
+#include "motors/dshot.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
 #define ANY_TILT (-2.0f)          /* below every cosine */
@@ -11,12 +12,6 @@
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
 _Static_assert(POLICY_WEIGHT_COUNT <= NF_POLICY_WEIGHT_COUNT_MAX, "too many weights for DTCM");
-
-/* Keeps the compiler from moving memory accesses across; the interrupt runs on the same core. */
-static inline void fence(void)
-{
-	__atomic_signal_fence(__ATOMIC_SEQ_CST);
-}
 
 static enum nf_err check_rates(unsigned gyro_rate_hz)
 {
@@ -305,7 +300,8 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	filters_step(&fw->filters, rate);
 	if (firmware_control_due(fw))
 		control_step_due(fw, rate);
-	memcpy(dshot, fw->status.trace.dshot, POLICY_ACTION_COUNT * sizeof dshot[0]);
+	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
+		dshot[i] = fw->status.trace.dshot[i];
 	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
 	tick(fw);
 	return dshot_command_step(&fw->dshot_command, stopped(fw), dshot);

@@ -1,12 +1,7 @@
 #include "motors/motor_test.h"
 
+#include "common/fence.h"
 #include "motors/dshot.h"
-
-/* Keeps the compiler from moving memory accesses across; the interrupt runs on the same core. */
-static inline void fence(void)
-{
-	__atomic_signal_fence(__ATOMIC_SEQ_CST);
-}
 
 void motor_test_init(struct motor_test *test, unsigned control_rate_hz, unsigned motor_count)
 {

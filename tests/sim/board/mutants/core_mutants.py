@@ -146,7 +146,8 @@ CORE_MUTANTS = (
         new="& 0u) == 0u",
         message=r"unaligned access at 0x\w+, this instruction needs \d bytes' alignment",
         place="memcpy",
-        seconds=0.5,
+        seconds=0.6,
+        flown=True,  # receiver frames are copied from where the last bytes ended
     ),
     Mutant(
         name="unaligned double word",

@@ -1,0 +1,11 @@
+/* Order between the background and the gyro interrupt, which run on the same core. */
+#ifndef NF_FENCE_H
+#define NF_FENCE_H
+
+/* Keeps the compiler from moving memory accesses across. */
+static inline __attribute__((always_inline)) void fence(void)
+{
+	__atomic_signal_fence(__ATOMIC_SEQ_CST);
+}
+
+#endif
