@@ -41,7 +41,10 @@ def analyse(policy: Path, firmware: Path = FIRMWARE) -> str:
         write_text(generated / "nf_contract.h", render_contract())
         write_text(generated / "policy.h", emission.header)
         write_text(generated / "policy.c", emission.source)
-        include = [f"-I{path}" for path in (firmware, firmware / "src", generated)]
+        include = [
+            f"-I{path}"
+            for path in (firmware, firmware / "src", firmware / "targets" / "MATEKF722", generated)
+        ]
         sources = [str(firmware / source) for source in SOURCES] + [str(generated / "policy.c")]
         suppressed = f"--suppressions-list={firmware / 'cppcheck.txt'}"
         command = [ANALYSER, *OPTIONS, suppressed, *include, *sources]

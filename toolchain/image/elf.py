@@ -17,7 +17,7 @@ from toolchain.errors import BuildError
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 RAM = (ITCM, DTCM, SRAM1, SRAM2)
 
-# What an image may take of them (firmware/targets/MATEKF722/image.ld holds it too).
+# What an image may take of them (firmware/hal/stm32f7/image.ld holds it too).
 FLASH_BUDGET = 128 * 1024
 RAM_BUDGET = 96 * 1024
 

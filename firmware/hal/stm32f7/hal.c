@@ -16,7 +16,7 @@
 #include "hal/stm32f7/devices/receiver_line.h"
 #include "hal/stm32f7/core/stop.h"
 #include "policy.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
 

@@ -1,4 +1,5 @@
-/* MATEKF722: which pin does what. Timers, UARTs and DMA streams behind the pins are the drivers' own. */
+/* MATEKF722: which pin does what, and which timer, UART and DMA stream is behind it. Names of gpio.h, registers.h,
+ * clock.h and dma.h: whoever uses one of these includes what it is made of. */
 #ifndef MATEKF722_BOARD_H
 #define MATEKF722_BOARD_H
 
@@ -10,6 +11,11 @@
 #define BOARD_MPU6500_ALIGNMENT ALIGN_CW180
 #define BOARD_ICM20689_ALIGNMENT ALIGN_CW90 /* sources disagree, CW180 is said too: the pilot's setting decides */
 
+/* RCC enable bits of the ports, timers and UARTs below. */
+#define BOARD_PORT_CLOCKS (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN)
+#define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN)
+#define BOARD_APB2_CLOCKS (RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN)
+
 #define BOARD_LED0 ((struct pin){GPIOB, 9}) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
 
 #define BOARD_GYRO_CS ((struct pin){GPIOC, 2})
@@ -19,20 +25,35 @@
 #define BOARD_GYRO_MOSI ((struct pin){GPIOA, 7})
 
 #define BOARD_MOTOR_COUNT 6
-#define BOARD_MOTOR_1 {GPIOC, 6} /* TIM8 CH1..CH4, AF3 */
-#define BOARD_MOTOR_2 {GPIOC, 7}
-#define BOARD_MOTOR_3 {GPIOC, 8}
-#define BOARD_MOTOR_4 {GPIOC, 9}
-#define BOARD_MOTOR_5 {GPIOB, 1} /* TIM3 CH4, AF2 */
-#define BOARD_MOTOR_6 {GPIOA, 8} /* TIM1 CH1, AF1 */
+#define BOARD_MOTOR_PINS /* pin and alternate function of each motor */               \
+	{{GPIOC, 6}, 3}, {{GPIOC, 7}, 3}, {{GPIOC, 8}, 3}, {{GPIOC, 9}, 3}, /* TIM8 */ \
+	{{GPIOB, 1}, 2},                                                    /* TIM3 */ \
+	{{GPIOA, 8}, 1}                                                     /* TIM1 */
+/* First motor, timer, channel, clock, DMA stream and request, has a main output switch; the macros are those of
+ * motors.c. TIM1's update request comes by the stream of the MSP line; its channel's, moved to the update by CCDS, has
+ * a free one. */
+#define BOARD_MOTOR_BANKS                                                                                         \
+	MOTOR_BANK_OF_4(0, TIM8, CLOCK_TIM8_HZ, ((struct dma_stream){DMA2, 1, 7}), TIM_DIER_UDE, true),           \
+	MOTOR_BANK_OF_1(4, TIM3, 4, CLOCK_TIM3_HZ, ((struct dma_stream){DMA1, 2, 5}), TIM_DIER_UDE, false),       \
+	MOTOR_BANK_OF_1(5, TIM1, 1, CLOCK_TIM8_HZ, ((struct dma_stream){DMA2, 6, 0}), TIM_DIER_CC1DE, true)
 
 #define BOARD_BEEPER ((struct pin){GPIOC, 13}) /* high sounds, what the ecosystem calls inverted */
 
 #define BOARD_VOLTS ((struct pin){GPIOC, 0}) /* ADC1 IN10 */
 #define BOARD_AMPS ((struct pin){GPIOC, 4})  /* ADC1 IN14 */
 
-#define BOARD_MSP_TX ((struct pin){GPIOA, 9}) /* USART1, AF7 */
+#define BOARD_MSP_UART USART1
+#define BOARD_MSP_UART_HZ CLOCK_APB2_HZ
+#define BOARD_MSP_AF 7u
+#define BOARD_MSP_TX ((struct pin){GPIOA, 9})
 #define BOARD_MSP_RX ((struct pin){GPIOA, 10})
-#define BOARD_RECEIVER_RX ((struct pin){GPIOA, 3}) /* USART2, AF7 */
+#define BOARD_MSP_DMA_RX ((struct dma_stream){DMA2, 5, 4})
+#define BOARD_MSP_DMA_TX ((struct dma_stream){DMA2, 7, 4})
+
+#define BOARD_RECEIVER_UART USART2
+#define BOARD_RECEIVER_UART_HZ CLOCK_APB1_HZ
+#define BOARD_RECEIVER_AF 7u
+#define BOARD_RECEIVER_RX ((struct pin){GPIOA, 3})
+#define BOARD_RECEIVER_DMA_RX ((struct dma_stream){DMA1, 5, 4})
 
 #endif

@@ -40,23 +40,15 @@ HOT = (
         "program_sample",
         "tick_handler",
     ),
-    *("uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step"),
-    *("observation_step", "policy_step", "mixer_step", "dshot_value", "dshot_frame"),
-    *(
-        "motors_write",
-        "memcpy",
-        "gyro_tick",
-        "program_gyro_silent",
-        "receiver_line_read",
-        "hal_deadline_missed",
-    ),
+    *("uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step", "observation_step"),
+    *("policy_step", "mixer_step", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
+    *("program_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
 )
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")
 # What DMA reads, which must not be DTCM while the core sleeps, and the background's.
 SLOW_DMA_BUFFERS = (
-    *("motor_slots", "motor_5_slots", "motor_6_slots", "gyro_request"),
-    *("msp_ring_bytes", "msp_reply_bytes", "power_conversions"),
+    *("motor_slots", "gyro_request", "msp_ring_bytes", "msp_reply_bytes", "power_conversions"),
 )
 # Functions of libm, and what they call themselves.
 LIBM = (

@@ -2,7 +2,7 @@
 
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/registers.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 #include "hal/stm32f7/core/time.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
@@ -92,11 +92,9 @@ bool clock_start(void)
 
 void clock_peripherals(void)
 {
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN |
-		       RCC_AHB1ENR_DMA2EN;
-	RCC_APB1ENR |= RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN;
-	RCC_APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN |
-		       RCC_APB2ENR_SPI1EN | RCC_APB2ENR_SYSCFGEN;
+	RCC_AHB1ENR |= BOARD_PORT_CLOCKS | RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN;
+	RCC_APB1ENR |= BOARD_APB1_CLOCKS;
+	RCC_APB2ENR |= BOARD_APB2_CLOCKS | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_SPI1EN | RCC_APB2ENR_SYSCFGEN;
 	(void)RCC_APB2ENR;
 	barrier();
 }

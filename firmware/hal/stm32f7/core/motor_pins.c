@@ -2,19 +2,12 @@
 
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/registers.h"
-#include "targets/MATEKF722/board.h"
-
-#define AF_TIM1 1u
-#define AF_TIM3 2u
-#define AF_TIM8 3u
+#include "board.h"
 
 static const struct motor_pin {
 	struct pin pin;
 	uint32_t function;
-} motor_pins[] = {
-	{BOARD_MOTOR_1, AF_TIM8}, {BOARD_MOTOR_2, AF_TIM8}, {BOARD_MOTOR_3, AF_TIM8},
-	{BOARD_MOTOR_4, AF_TIM8}, {BOARD_MOTOR_5, AF_TIM3}, {BOARD_MOTOR_6, AF_TIM1},
-};
+} motor_pins[] = {BOARD_MOTOR_PINS};
 _Static_assert(sizeof motor_pins / sizeof motor_pins[0] == BOARD_MOTOR_COUNT, "one pin a motor");
 
 void motor_pins_start(void)
@@ -31,7 +24,7 @@ void motor_pins_connect(size_t count)
 
 void motor_pins_force_low(void)
 {
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN;
+	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
 	(void)RCC_AHB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
 	motor_pins_start();
 }

@@ -8,7 +8,7 @@
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 #include "hal/stm32f7/core/watchdog.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
@@ -36,7 +36,7 @@ _Noreturn void stop(enum led_code code)
 {
 	interrupts_disable();
 	motor_pins_force_low();
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOBEN;
+	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
 	(void)RCC_AHB1ENR;
 	gpio_output(BOARD_LED0, true);
 	for (uint32_t ms = 0;; ++ms) {

@@ -8,7 +8,7 @@
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/peripherals/spi.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
 

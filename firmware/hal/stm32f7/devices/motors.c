@@ -7,7 +7,7 @@
 #include "nf_contract.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 
 #define FRAME_BITS 16u
 /* What DMA writes takes effect one bit later (preload), so the first trailing slot ends the last bit with a
@@ -20,12 +20,10 @@ enum { CCR1_INDEX = 13, BURST_OF_4 = 3 }; /* TIM_DCR: CCR1 is the 13th word, 4 t
 /* Pulse widths, bit by bit, as DMA moves them: four motors side by side for the burst, then one alone. The
  * trailing slots stay 0. */
 #define BURST_WIDTH 4u
-static DMA_BUFFER_SLOW uint32_t motor_slots[SLOTS * BURST_WIDTH];
-static DMA_BUFFER_SLOW uint32_t motor_5_slots[SLOTS];
-static DMA_BUFFER_SLOW uint32_t motor_6_slots[SLOTS];
+static DMA_BUFFER_SLOW uint32_t motor_slots[SLOTS * BOARD_MOTOR_COUNT];
 
 /* A timer and the motors that it drives. */
-static const struct bank {
+struct bank {
 	uint32_t timer;
 	uint32_t clock_hz;
 	uint32_t first;              /* motor, by index */
@@ -36,33 +34,33 @@ static const struct bank {
 	uint32_t *slots;             /* SLOTS times `width` */
 	uint32_t ccmr1, ccmr2, ccer; /* compare channels in use */
 	bool advanced;               /* has a main output switch */
-} banks[] = {
-	{
-		.timer = TIM8, .clock_hz = CLOCK_TIM8_HZ, .first = 0, .width = BURST_WIDTH,
-		.stream = DMA_MOTORS, .target = &TIM_DMAR(TIM8), .request = TIM_DIER_UDE, .slots = motor_slots,
-		.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE |
-			 FIELD(TIM_CCMR1_OC2M, PWM_MODE_1) | TIM_CCMR1_OC2PE,
-		.ccmr2 = FIELD(TIM_CCMR2_OC3M, PWM_MODE_1) | TIM_CCMR2_OC3PE |
-			 FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,
-		.ccer = TIM_CCER_CC1E | TIM_CCER_CC2E | TIM_CCER_CC3E | TIM_CCER_CC4E,
-		.advanced = true,
-	},
-	{
-		.timer = TIM3, .clock_hz = CLOCK_TIM3_HZ, .first = 4, .width = 1,
-		.stream = DMA_MOTOR_5, .target = &TIM_CCR(TIM3, 4), .request = TIM_DIER_UDE, .slots = motor_5_slots,
-		.ccmr2 = FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,
-		.ccer = TIM_CCER_CC4E,
-	},
-	{
-		/* TIM1's update request comes by the stream of the MSP line; its channel's, moved to the update by
-		 * CCDS, has a free one. */
-		.timer = TIM1, .clock_hz = CLOCK_TIM8_HZ, .first = 5, .width = 1,
-		.stream = DMA_MOTOR_6, .target = &TIM_CCR(TIM1, 1), .request = TIM_DIER_CC1DE, .slots = motor_6_slots,
-		.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE,
-		.ccer = TIM_CCER_CC1E,
-		.advanced = true,
-	},
 };
+
+/* Compare channels in use. */
+#define CHANNEL_1 .ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE, .ccer = TIM_CCER_CC1E
+#define CHANNEL_4 .ccmr2 = FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE, .ccer = TIM_CCER_CC4E
+#define CHANNELS_1_TO_4                                                                \
+	.ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE |                 \
+		 FIELD(TIM_CCMR1_OC2M, PWM_MODE_1) | TIM_CCMR1_OC2PE,                  \
+	.ccmr2 = FIELD(TIM_CCMR2_OC3M, PWM_MODE_1) | TIM_CCMR2_OC3PE |                 \
+		 FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE,                  \
+	.ccer = TIM_CCER_CC1E | TIM_CCER_CC2E | TIM_CCER_CC3E | TIM_CCER_CC4E
+
+/* The rows of board.h: four motors on all channels of a timer, or one on one of them. `dma`, `dma_request`: what
+ * moves the pulse widths at each bit's begin. */
+#define MOTOR_BANK_OF_4(motor, tim, hz, dma, dma_request, switched)                                \
+	{                                                                                          \
+		.timer = tim, .clock_hz = hz, .first = motor, .width = BURST_WIDTH, .stream = dma, \
+		.target = &TIM_DMAR(tim), .request = dma_request,                                  \
+		.slots = motor_slots + SLOTS * motor, CHANNELS_1_TO_4, .advanced = switched        \
+	}
+#define MOTOR_BANK_OF_1(motor, tim, channel, hz, dma, dma_request, switched)             \
+	{                                                                                \
+		.timer = tim, .clock_hz = hz, .first = motor, .width = 1, .stream = dma, \
+		.target = &TIM_CCR(tim, channel), .request = dma_request,                \
+		.slots = motor_slots + SLOTS * motor, CHANNEL_##channel, .advanced = switched \
+	}
+static const struct bank banks[] = {BOARD_MOTOR_BANKS};
 #define BANK_COUNT (sizeof banks / sizeof banks[0])
 
 static const uint32_t bits_a_second[] = {

@@ -1,4 +1,4 @@
-/* MSP on USART1: 8N1, requests in a ring, one reply buffer at a time. Background only. */
+/* MSP on a UART: 8N1, requests in a ring, one reply buffer at a time. Background only. */
 #ifndef STM32F7_MSP_UART_H
 #define STM32F7_MSP_UART_H
 

@@ -2,7 +2,7 @@
 
 #include "hal/stm32f7/peripherals/dma.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 
 enum { CHANNEL_VOLTS = 10, CHANNEL_AMPS = 14 }; /* of ADC1, behind the pins (data sheet, pin definitions) */
 enum { DIVIDE_BY_4 = 1 };                       /* ADC_CCR ADCPRE: 27 MHz, 36 at most */

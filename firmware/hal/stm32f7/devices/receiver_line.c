@@ -3,10 +3,9 @@
 #include "hal/stm32f7/core/clock.h"
 #include "nf_contract.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 #include "hal/stm32f7/peripherals/uart.h"
 
-#define AF_USART2 7u
 #define STOP_BITS_2 2u /* USART_CR2 STOP; 0 is one */
 
 static DMA_BUFFER uint8_t receiver_ring_bytes[UART_RING_BYTES];
@@ -33,7 +32,7 @@ static const struct format {
 };
 
 /* Touched by the sample handler alone, once started. */
-static struct uart_ring ring = {.stream = DMA_RECEIVER_RX, .bytes = receiver_ring_bytes};
+static struct uart_ring ring = {.stream = BOARD_RECEIVER_DMA_RX, .bytes = receiver_ring_bytes};
 static bool started;
 static bool drops_broken;
 static bool frame_broken; /* drop bytes until the line rests: a frame is sent without a pause in it */
@@ -44,9 +43,9 @@ void receiver_line_start(uint32_t protocol)
 		return;
 	const struct format *const format = &formats[protocol];
 
-	gpio_alternate(BOARD_RECEIVER_RX, AF_USART2, format->rest, GPIO_SLOW);
-	uart_ring_start(&ring, USART2);
-	uart_configure(USART2, CLOCK_APB1_HZ, format->baud, format->cr1 | USART_CR1_RE, format->cr2,
+	gpio_alternate(BOARD_RECEIVER_RX, BOARD_RECEIVER_AF, format->rest, GPIO_SLOW);
+	uart_ring_start(&ring, BOARD_RECEIVER_UART);
+	uart_configure(BOARD_RECEIVER_UART, BOARD_RECEIVER_UART_HZ, format->baud, format->cr1 | USART_CR1_RE, format->cr2,
 		       USART_CR3_DMAR);
 	drops_broken = format->drops_broken;
 	started = true;
@@ -56,7 +55,7 @@ void receiver_line_start(uint32_t protocol)
 static bool broken(uint32_t status)
 {
 	if ((status & (USART_ISR_PE | USART_ISR_FE)) != 0u) {
-		USART_ICR(USART2) = USART_ICR_PECF | USART_ICR_FECF | USART_ICR_IDLECF;
+		USART_ICR(BOARD_RECEIVER_UART) = USART_ICR_PECF | USART_ICR_FECF | USART_ICR_IDLECF;
 		frame_broken = true;
 		return true;
 	}
@@ -72,7 +71,7 @@ size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity)
 	(void)context;
 	if (!started)
 		return 0;
-	const uint32_t status = USART_ISR(USART2);
+	const uint32_t status = USART_ISR(BOARD_RECEIVER_UART);
 	const size_t count = uart_ring_read(&ring, bytes, capacity);
 
 	return drops_broken && broken(status) ? 0 : count;

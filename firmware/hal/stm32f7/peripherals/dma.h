@@ -23,16 +23,10 @@ struct dma_stream {
 	uint32_t channel;    /* the request that drives it (RM0431 8.3.3, request mapping) */
 };
 
-/* Who uses what (RM0431 8.3.3). */
-#define DMA_POWER ((struct dma_stream){DMA2, 0, 0})       /* ADC1 */
-#define DMA_MOTORS ((struct dma_stream){DMA2, 1, 7})      /* TIM8_UP */
-#define DMA_MOTOR_5 ((struct dma_stream){DMA1, 2, 5})     /* TIM3_UP */
-#define DMA_MOTOR_6 ((struct dma_stream){DMA2, 6, 0})     /* TIM1_CH1 */
-#define DMA_GYRO_RX ((struct dma_stream){DMA2, 2, 3})     /* SPI1_RX */
-#define DMA_GYRO_TX ((struct dma_stream){DMA2, 3, 3})     /* SPI1_TX */
-#define DMA_MSP_RX ((struct dma_stream){DMA2, 5, 4})      /* USART1_RX */
-#define DMA_MSP_TX ((struct dma_stream){DMA2, 7, 4})      /* USART1_TX */
-#define DMA_RECEIVER_RX ((struct dma_stream){DMA1, 5, 4}) /* USART2_RX */
+/* Streams of peripherals that every board uses (RM0431 8.3.3); board.h has the others. */
+#define DMA_POWER ((struct dma_stream){DMA2, 0, 0})   /* ADC1 */
+#define DMA_GYRO_RX ((struct dma_stream){DMA2, 2, 3}) /* SPI1_RX */
+#define DMA_GYRO_TX ((struct dma_stream){DMA2, 3, 3}) /* SPI1_TX */
 
 /* Values of DMA_SCR fields. */
 enum dma_direction { DMA_FROM_PERIPHERAL = 0, DMA_TO_PERIPHERAL = 1 };

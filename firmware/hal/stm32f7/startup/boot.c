@@ -6,7 +6,7 @@
 
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "targets/MATEKF722/board.h"
+#include "board.h"
 
 /* Linker script. */
 extern uint32_t stack_top[];
@@ -35,7 +35,7 @@ void boot_fault(void)
 {
 	const struct pin led = BOARD_LED0;
 
-	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOBEN;
+	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
 	(void)RCC_AHB1ENR;
 	gpio_write(led, false);
 	GPIO_MODER(led.port) = (GPIO_MODER(led.port) & ~BITS(2u * led.number, 2)) |

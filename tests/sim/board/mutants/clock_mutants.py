@@ -81,7 +81,7 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="forgotten clock of a timer",
-        file=CLOCK,
+        file="targets/MATEKF722/board.h",
         old="RCC_APB2ENR_TIM8EN | ",
         new="",
         message=r"TIM8_\w+ is written without its clock: RCC_APB2ENR TIM8EN is 0",
@@ -91,7 +91,7 @@ CLOCK_MUTANTS = (
     Mutant(
         name="forgotten clock of a DMA controller",
         file=CLOCK,
-        old=" |\n\t\t       RCC_AHB1ENR_DMA2EN;",
+        old=" | RCC_AHB1ENR_DMA2EN;",
         new=";",
         message=r"DMA2_S\d\w+ is (read|written) without its clock: RCC_AHB1ENR DMA2EN is 0",
         place="power_start",
@@ -99,9 +99,9 @@ CLOCK_MUTANTS = (
     ),
     Mutant(
         name="motors' pins given to another timer",
-        file="hal/stm32f7/core/motor_pins.c",
-        old="#define AF_TIM8 3u",
-        new="#define AF_TIM8 2u",
+        file="targets/MATEKF722/board.h",
+        old="{{GPIOC, 6}, 3}",
+        new="{{GPIOC, 6}, 2}",
         message=r"TIM8 makes pulses on channel 1: PC6 is alternate function 2, expected alternate function 3",
         seconds=0.4,
     ),

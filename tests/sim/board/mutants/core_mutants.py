@@ -8,7 +8,7 @@ GYRO = "hal/stm32f7/devices/gyro_chip.c"
 HAL = "hal/stm32f7/hal.c"
 FLASH = "hal/stm32f7/peripherals/flash_memory.c"
 PROGRAM = "src/program.c"
-LINKER = "targets/MATEKF722/image.ld"
+LINKER = "hal/stm32f7/image.ld"
 BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
 
 CORE_MUTANTS = (
