@@ -35,14 +35,16 @@ from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
+    SIM_BATTERY_MV,
+    SIM_GYRO_ALIGNMENT,
     FlightState,
     StopCause,
 )
 from toolchain.errors import LinkError
 from toolchain.image.elf import read_flashable
 
-ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
-FULL_VOLTS = 16.8  # of the pack that feeds it: four cells, full, at rest
+ALIGNMENT = Alignment(SIM_GYRO_ALIGNMENT)
+FULL_VOLTS = SIM_BATTERY_MV / 1000
 RECEIVER = "USART2"
 BOOT_S = 5.0  # from power to the first sample that the firmware reads
 EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ

@@ -11,6 +11,8 @@ SIM_MOTOR_FORMAT = "<4f"  # fractions, motor 1..4
 SIM_SERVO_FORMAT = "<H2x16f"  # count, pulse widths in microseconds
 SIM_POWER_FORMAT = "<Id3f"  # magic, time s, volts, amps, control-time override in microseconds
 SIM_POWER_MAGIC = 0x3150464E  # "NFP1"
+SIM_BATTERY_MV = 16800  # assumed where no simulator tells: four cells, full, at rest
+SIM_GYRO_ALIGNMENT = 2  # quarter turns clockwise of the simulated chip, as on a MATEKF722
 # What the controller used at a control step, sent on request (--trace-port) before the motor packet:
 # magic, control step, setpoint rad/s, gyro rad/s, throttle, motor count, flags, DShot values.
 SIM_TRACE_FORMAT = "<II3f3ffBB2x8H"

@@ -1,9 +1,9 @@
 """Renders the contract as the C header nf_contract.h: `python -m toolchain.rendering.contract_header FILE`.
 
 Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
-suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and
-`_SIZE`, and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The header of the policy blob
-becomes a struct whose offsets the C compiler checks.
+suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and `_SIZE`
+(several also as an initializer), and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The
+header of the policy blob becomes a struct whose offsets the C compiler checks.
 """
 
 from __future__ import annotations
@@ -123,6 +123,8 @@ def _defines(name: str, value: object) -> Iterator[Define]:
             yield Define(f"{name}_SIZE", f"0x{value.size:X}u")
         case tuple() if all(isinstance(item, contract.Region) for item in value):
             yield Define(f"{name}_COUNT", str(len(value)))
+            rows = ", ".join(f"{{ 0x{item.address:08X}u, 0x{item.size:X}u }}" for item in value)
+            yield Define(name, f"{{ {rows} }}")
             for index, item in enumerate(value):
                 yield from _defines(f"{name}_{index}", item)
         case tuple():

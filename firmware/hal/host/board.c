@@ -14,7 +14,7 @@ const struct msp_identity host_identity = {
 
 void host_board_init(struct host_board *board, uint8_t *bytes)
 {
-	*board = (struct host_board){ .power = convert_power(HOST_FULL_VOLTS, 0.0) };
+	*board = (struct host_board){ .power = convert_power(NF_SIM_BATTERY_MV / 1000.0, 0.0) };
 	flash_model_init(&board->flash, bytes);
 }
 

@@ -12,11 +12,7 @@
 
 extern const struct msp_identity host_identity;
 
-/* How the chip that the host pretends to have is turned. */
-#define HOST_GYRO_ALIGNMENT ALIGN_CW180
-
-/* The pack that is assumed where no simulator tells of one: four cells, full, at rest. */
-#define HOST_FULL_VOLTS 16.8
+#define HOST_GYRO_ALIGNMENT ((enum board_alignment)NF_SIM_GYRO_ALIGNMENT)
 
 struct host_board {
 	struct receiver_line line;

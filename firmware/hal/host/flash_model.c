@@ -4,14 +4,6 @@
 
 #define SPREAD 0x9E3779B1u /* an odd number of many bits: neighbouring seeds begin far apart */
 
-static const struct region {
-	uint32_t address;
-	uint32_t size;
-} sectors[NF_FLASH_SECTORS_COUNT] = {
-#define SECTOR(i) { NF_FLASH_SECTORS_##i##_ADDRESS, NF_FLASH_SECTORS_##i##_SIZE }
-	SECTOR(0), SECTOR(1), SECTOR(2), SECTOR(3), SECTOR(4), SECTOR(5), SECTOR(6), SECTOR(7),
-};
-
 void flash_model_init(struct flash_model *model, uint8_t *bytes)
 {
 	*model = (struct flash_model){ .bytes = bytes, .cut_at = FLASH_MODEL_NEVER, .random = 1 };
@@ -92,9 +84,9 @@ bool flash_model_erase(struct flash_model *model, unsigned sector)
 	if (sector >= NF_FLASH_SECTORS_COUNT)
 		return false;
 	const bool whole = powered(model, &cut);
-	const uint32_t begin = sectors[sector].address - NF_FLASH_BASE;
+	const uint32_t begin = flash_sectors[sector].address - NF_FLASH_BASE;
 	if (whole || cut)
-		for (uint32_t at = 0; at < sectors[sector].size; at += FLASH_WORD_BYTES)
+		for (uint32_t at = 0; at < flash_sectors[sector].size; at += FLASH_WORD_BYTES)
 			change(model, begin + at, FLASH_ERASED, cut);
 	return whole;
 }

@@ -12,8 +12,8 @@ $(STARTUP)/startup.o $(STARTUP)/boot.o: CFLAGS += -mgeneral-regs-only
 $(STARTUP)/startup.o $(STARTUP)/boot.o $(STARTUP)/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
 
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
-# waits for flash there.
-$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
+# waits for flash there; hal.c only joins the drivers.
+$(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
 
 .SECONDEXPANSION:
 $(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)

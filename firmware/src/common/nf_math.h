@@ -6,6 +6,7 @@
 #define NF_PI 3.14159265358979323846f
 #define NF_TAU 6.28318530717958647693f
 #define NF_DEG_PER_RAD 57.2957795130823208768f
+#define NF_RAD_PER_DEG 0.017453292519943295f
 
 /* sin and cos of `turns` full turns, 0 to 0.5. Error at most 2e-7 of the result. */
 float nf_sin_turns(float turns);

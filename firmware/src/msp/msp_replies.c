@@ -4,6 +4,7 @@
 
 #include "housekeeping/battery.h"
 #include "common/limit.h"
+#include "common/nf_math.h"
 #include "nf_contract.h"
 #include "policy.h"
 
@@ -13,7 +14,6 @@
 #define CONFIGURED 2u             /* BOARD_INFO's configuration state: set up */
 #define SHA256_DIGITS 64
 #define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
-#define DEG_PER_RAD 57.29578f
 #define RSSI_FULL 1023u
 
 struct source {
@@ -120,7 +120,7 @@ static void raw_imu(struct msp_writer *w, const struct source *s)
 	for (int i = 0; i < 3; i++)
 		msp_put_rounded(w, s->status->accel_g[i] * COUNTS_PER_G);
 	for (int i = 0; i < 3; i++)
-		msp_put_rounded(w, s->status->trace.gyro[i] * DEG_PER_RAD);
+		msp_put_rounded(w, s->status->trace.gyro[i] * NF_DEG_PER_RAD);
 	msp_put_zeros(w, 6);
 }
 

@@ -1,6 +1,7 @@
 #include "receiver/rates.h"
 
 #include "common/limit.h"
+#include "common/nf_math.h"
 
 #define HALF_STICK_US 500u /* from the centre to an end */
 #define THROTTLE_PER_US 0.001f
@@ -8,8 +9,7 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MID_US == HALF_STICK_US, "of the u
 _Static_assert(NF_CHANNEL_MID_US - NF_CHANNEL_MIN_US == HALF_STICK_US, "of the lower half");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US says otherwise");
 
-#define RAD_PER_DEG 0.017453292519943295f
-#define RATE_MAX (1998.0f * RAD_PER_DEG) /* rad/s: what the ecosystem's rates end at */
+#define RATE_MAX (1998.0f * NF_RAD_PER_DEG) /* rad/s: what the ecosystem's rates end at */
 
 /* Of style betaflight. */
 #define RC_RATE_DEG_S 200.0f  /* at full stick, for an RC rate of 1 */
@@ -36,8 +36,8 @@ static void init_actual(struct rates_axis *axis, const struct numbers *numbers)
 {
 	const float rise = numbers->max - numbers->rate;
 
-	axis->slope = numbers->rate * RAD_PER_DEG;
-	axis->rise = rise > 0.0f ? rise * RAD_PER_DEG : 0.0f;
+	axis->slope = numbers->rate * NF_RAD_PER_DEG;
+	axis->rise = rise > 0.0f ? rise * NF_RAD_PER_DEG : 0.0f;
 }
 
 static void init_betaflight(struct rates_axis *axis, const struct numbers *numbers)
@@ -45,7 +45,7 @@ static void init_betaflight(struct rates_axis *axis, const struct numbers *numbe
 	const float steep = numbers->rate - RC_RATE_STEEP;
 	const float rate = steep > 0.0f ? numbers->rate + RC_RATE_STEEPER * steep : numbers->rate;
 
-	axis->slope = rate * (RC_RATE_DEG_S * RAD_PER_DEG);
+	axis->slope = rate * (RC_RATE_DEG_S * NF_RAD_PER_DEG);
 	axis->rise = numbers->max;
 }
 

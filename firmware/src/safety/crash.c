@@ -1,7 +1,8 @@
 #include "safety/crash.h"
 
-#define RAD_PER_DEG 0.017453292519943295f
-#define ERROR_LIMIT (NF_CRASH_ERROR_DEG_S * RAD_PER_DEG)
+#include "common/nf_math.h"
+
+#define ERROR_LIMIT (NF_CRASH_ERROR_DEG_S * NF_RAD_PER_DEG)
 
 void crash_init(struct crash *crash, const struct nf_settings *settings, unsigned control_rate_hz)
 {

@@ -1,5 +1,7 @@
 #include "storage/flash.h"
 
+const struct flash_sector flash_sectors[NF_FLASH_SECTORS_COUNT] = NF_FLASH_SECTORS;
+
 const uint8_t *flash_at(const struct flash *flash, uint32_t address)
 {
 	return flash->at(flash->context, address);

@@ -6,8 +6,15 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
+
 #define FLASH_WORD_BYTES 4u /* the least that is programmed, at multiples of itself */
 #define FLASH_ERASED 0xFFFFFFFFu /* an erased word */
+
+extern const struct flash_sector {
+	uint32_t address;
+	uint32_t size;
+} flash_sectors[NF_FLASH_SECTORS_COUNT];
 
 /* Its functions are called from the background only, and those that change something only while nothing can arm. */
 struct flash {

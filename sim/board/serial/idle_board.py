@@ -20,12 +20,21 @@ from sim.board.core.context import TIME_HZ
 from sim.board.devices.gyro_chip import MPU6500, Alignment, accel_counts, gyro_counts
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, GRAVITY, MSP_BAUD_DEFAULT
+from toolchain.contract import (
+    FLASH_BANK_A,
+    FLASH_BASE,
+    FLASH_BOOT,
+    FLASH_BYTES,
+    GRAVITY,
+    MSP_BAUD_DEFAULT,
+    SIM_BATTERY_MV,
+    SIM_GYRO_ALIGNMENT,
+)
 from toolchain.errors import LinkError
 
 STEP = TIME_HZ // 1000  # cycles between two measurements, and two looks at the lines: 1 ms
-FULL_VOLTS = 16.8  # of a pack of four cells, full
-ALIGNMENT = Alignment.CW180  # of the MPU6500 on this board
+FULL_VOLTS = SIM_BATTERY_MV / 1000
+ALIGNMENT = Alignment(SIM_GYRO_ALIGNMENT)
 # At rest: MPU-6500 product specification, 3.1 and 3.2 (0.01 deg/s/rtHz and 300 ug/rtHz over 250 Hz).
 GYRO_NOISE, ACCEL_NOISE = np.radians(0.16), 0.005 * GRAVITY  # standard deviations [rad/s], [m/s^2]
 TEMPERATURE = round((25.0 - 21.0) * 333.87)  # 25 deg C [counts]

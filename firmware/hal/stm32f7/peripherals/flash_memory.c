@@ -6,13 +6,13 @@
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "storage/flash.h"
 
 /* FLASH_KEYR (RM0431 3.3.5). */
 #define KEY_1 0x45670123u
 #define KEY_2 0xCDEF89ABu
 
 enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
-#define ERASED 0xFFFFFFFFu
 #define ERRORS                                                                                          \
 	(FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
 
@@ -25,24 +25,18 @@ enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define WORD_LOOKS (LOOKS_A_SECOND / 250u)
 #define LOOKS_A_FEED 256u /* of the watchdog: not much more than a millisecond */
 
-/* The sectors of the contract's map that hold no code. */
-static const struct sector {
-	uint32_t address, size;
-} sectors[NF_FLASH_SECTORS_COUNT] = {
-	[1] = {NF_FLASH_SECTORS_1_ADDRESS, NF_FLASH_SECTORS_1_SIZE},
-	[2] = {NF_FLASH_SECTORS_2_ADDRESS, NF_FLASH_SECTORS_2_SIZE},
-	[3] = {NF_FLASH_SECTORS_3_ADDRESS, NF_FLASH_SECTORS_3_SIZE},
-	[4] = {NF_FLASH_SECTORS_4_ADDRESS, NF_FLASH_SECTORS_4_SIZE},
-	[7] = {NF_FLASH_SECTORS_7_ADDRESS, NF_FLASH_SECTORS_7_SIZE},
-};
+#define CODE_SECTORS (BIT(0) | BIT(5) | BIT(6))
+_Static_assert(NF_FLASH_BOOT_ADDRESS == NF_FLASH_SECTORS_0_ADDRESS, "CODE_SECTORS");
+_Static_assert(NF_FLASH_BANK_A_ADDRESS == NF_FLASH_SECTORS_5_ADDRESS, "CODE_SECTORS");
+_Static_assert(NF_FLASH_BANK_B_ADDRESS == NF_FLASH_SECTORS_6_ADDRESS, "CODE_SECTORS");
 
-/* Does all of it lie in one of them? */
+/* Does all of it lie in one sector without code? */
 static bool storable(uint32_t address, size_t bytes)
 {
 	for (size_t i = 0; i < NF_FLASH_SECTORS_COUNT; ++i)
-		if (address >= sectors[i].address && bytes <= sectors[i].size &&
-		    address - sectors[i].address <= sectors[i].size - bytes)
-			return sectors[i].size != 0u;
+		if (address >= flash_sectors[i].address && bytes <= flash_sectors[i].size &&
+		    address - flash_sectors[i].address <= flash_sectors[i].size - bytes)
+			return (CODE_SECTORS & BIT(i)) == 0u;
 	return false;
 }
 
@@ -136,14 +130,14 @@ static bool program(uint32_t address, const uint32_t *words, size_t count)
 
 bool flash_memory_erase(unsigned sector)
 {
-	if (sector >= NF_FLASH_SECTORS_COUNT || sectors[sector].size == 0u)
+	if (sector >= NF_FLASH_SECTORS_COUNT || (CODE_SECTORS & BIT(sector)) != 0u)
 		return false;
-	const uint32_t address = sectors[sector].address, size = sectors[sector].size;
+	const uint32_t address = flash_sectors[sector].address, size = flash_sectors[sector].size;
 
 	if (!erase(sector, size))
 		return false;
 	for (uint32_t offset = 0; offset < size; offset += sizeof(uint32_t))
-		if (REGISTER(address + offset) != ERASED)
+		if (REGISTER(address + offset) != FLASH_ERASED)
 			return false;
 	return true;
 }
