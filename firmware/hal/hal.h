@@ -59,14 +59,14 @@ struct hal {
 
 /* What the board is. Filled by hal_init. */
 struct hal_info {
-	const struct hal *hal;          /* lives as long as the program */
+	const struct hal *hal; /* lives as long as the program */
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
-	enum gyro_chip gyro_chip;       /* which one that is */
-	unsigned gyro_rate_hz;          /* 0: as set; another: asked for on this start, whatever the settings say */
+	enum gyro_chip gyro_chip; /* which one that is */
+	unsigned gyro_rate_hz; /* 0: as set; another: asked for on this start, whatever the settings say */
 	const struct setting_change *changes; /* of this start to the stored settings; they live as long */
 	size_t change_count;
-	struct msp_identity identity;   /* its strings live as long as the program */
-	uint32_t cycles_hz;             /* what hal_cycles counts in a second */
+	struct msp_identity identity; /* its strings live as long as the program */
+	uint32_t cycles_hz; /* what hal_cycles counts in a second */
 };
 
 struct hal_handlers {

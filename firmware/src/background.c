@@ -10,13 +10,13 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US s
 
 /* --- Boot --------------------------------------------------------------------------------------------- */
 /* The settings of this boot: as stored, then changed. */
-static enum nf_err load_settings(struct background *background)
+static enum nf_err background_load_settings(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
 	settings_load(&background->edited, &config->hal->flash);
 	background->settings = background->edited;
-	for (size_t i = 0; i < config->change_count; i++)
+	for (size_t i = 0; i < config->change_count; ++i)
 		if (settings_set(&background->settings, config->changes[i].index, &config->changes[i].value) !=
 		    NF_REFUSAL_NONE)
 			return NF_ERR_SETTINGS;
@@ -29,7 +29,7 @@ static enum nf_err load_settings(struct background *background)
 }
 
 /* Takes the best policy for these settings. Returns whether there is one. */
-static bool choose_policy(struct background *background)
+static bool background_choose_policy(struct background *background)
 {
 	const struct background_config *config = &background->config;
 	const struct policy_blob_identity running = {
@@ -46,7 +46,7 @@ static bool choose_policy(struct background *background)
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
 
-static enum board_alignment alignment(const struct background *background)
+static enum board_alignment background_alignment(const struct background *background)
 {
 	const uint32_t set = background->settings.gyro_alignment;
 
@@ -54,13 +54,13 @@ static enum board_alignment alignment(const struct background *background)
 						(enum board_alignment)(set - NF_GYRO_ALIGNMENT_CW0);
 }
 
-static enum nf_err start_firmware(struct background *background)
+static enum nf_err background_start_firmware(struct background *background)
 {
 	const struct background_config *config = &background->config;
-	const bool good = choose_policy(background);
+	const bool good = background_choose_policy(background);
 	const struct firmware_config firmware = {
 		.gyro_rate_hz = background->settings.gyro_rate_hz,
-		.alignment = alignment(background),
+		.alignment = background_alignment(background),
 		.gyro_chip = config->gyro_chip,
 		.settings = &background->settings,
 		.weights = config->weights,
@@ -74,7 +74,7 @@ static enum nf_err start_firmware(struct background *background)
 
 /* --- What MSP changes --------------------------------------------------------------------------------- */
 /* Flash is written only while nothing can arm: first that is forbidden, then it is seen that nothing has. */
-static enum nf_refusal storing(void *context, bool busy)
+static enum nf_refusal background_storing(void *context, bool busy)
 {
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
@@ -86,14 +86,14 @@ static enum nf_refusal storing(void *context, bool busy)
 	return NF_REFUSAL_ARMED;
 }
 
-static enum nf_refusal channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
+static enum nf_refusal background_channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	struct background *background = context;
 
 	return firmware_post(background->config.firmware, channels_us);
 }
 
-static enum nf_refusal test_motors(void *context, uint32_t magic)
+static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 {
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
@@ -102,19 +102,19 @@ static enum nf_refusal test_motors(void *context, uint32_t magic)
 			      fw->status.state == NF_FLIGHT_DISARMED && !dshot_command_busy(&fw->dshot_command));
 }
 
-static enum nf_refusal turn_motors(void *context, const uint16_t values_us[], size_t count)
+static enum nf_refusal background_turn_motors(void *context, const uint16_t values_us[], size_t count)
 {
 	struct background *background = context;
 	float fractions[NF_MOTOR_COUNT_MAX];
 
 	if (count > NF_MOTOR_COUNT_MAX)
 		return NF_REFUSAL_INDEX;
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		fractions[i] = (float)(values_us[i] - NF_CHANNEL_MIN_US) * FRACTION_PER_US;
 	return motor_test_give(&background->config.firmware->motor_test, fractions, count);
 }
 
-static enum nf_refusal command_motors(void *context, unsigned motor, unsigned command)
+static enum nf_refusal background_command_motors(void *context, unsigned motor, unsigned command)
 {
 	struct background *background = context;
 	struct firmware *fw = background->config.firmware;
@@ -123,11 +123,11 @@ static enum nf_refusal command_motors(void *context, unsigned motor, unsigned co
 				 !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test));
 }
 
-static enum nf_refusal reboot(void *context)
+static enum nf_refusal background_reboot(void *context)
 {
 	struct background *background = context;
 	const struct hal *hal = background->config.hal;
-	const enum nf_refusal refusal = storing(context, true);
+	const enum nf_refusal refusal = background_storing(context, true);
 
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
@@ -136,7 +136,7 @@ static enum nf_refusal reboot(void *context)
 	return NF_REFUSAL_NONE;
 }
 
-static void offer_services(struct background *background)
+static void background_offer_services(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
@@ -148,19 +148,19 @@ static void offer_services(struct background *background)
 		.tasks = config->stats,
 		.cycles_hz = config->cycles_hz,
 		.context = background,
-		.storing = storing,
-		.channels = channels,
-		.motor_test = test_motors,
-		.motors = turn_motors,
-		.dshot_command = command_motors,
-		.reboot = reboot,
+		.storing = background_storing,
+		.channels = background_channels,
+		.motor_test = background_test_motors,
+		.motors = background_turn_motors,
+		.dshot_command = background_command_motors,
+		.reboot = background_reboot,
 	};
 	msp_init(&background->msp, config->identity);
 	msp_offer(&background->msp, &background->services);
 }
 
 /* --- Tasks -------------------------------------------------------------------------------------------- */
-static void run_battery(void *context)
+static void background_run_battery(void *context)
 {
 	struct background *background = context;
 	const struct hal *hal = background->config.hal;
@@ -173,7 +173,7 @@ static void run_battery(void *context)
 }
 
 /* What beeper and LED are to tell. */
-static uint32_t alerts(const struct background *background, const struct firmware_status *status)
+static uint32_t background_alerts(const struct background *background, const struct firmware_status *status)
 {
 	const enum battery_level level = battery_level(&background->battery);
 	const bool find_me = status->channels_us[NF_CHANNEL_BEEPER] >= NF_BEEPER_ON_US;
@@ -181,17 +181,15 @@ static uint32_t alerts(const struct background *background, const struct firmwar
 	const bool fault = status->state == NF_FLIGHT_FAULT || status->gyro_health != NF_GYRO_HEALTH_GOOD ||
 			   background->faults.pending;
 
-	return (uint32_t)fault << ALERT_FAULT |
-	       (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
-	       (uint32_t)find_me << ALERT_FIND_ME |
-	       (uint32_t)lost << ALERT_RECEIVER_LOST |
+	return (uint32_t)fault << ALERT_FAULT | (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
+	       (uint32_t)find_me << ALERT_FIND_ME | (uint32_t)lost << ALERT_RECEIVER_LOST |
 	       (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
 	       (uint32_t)(level == BATTERY_WARN) << ALERT_BATTERY_WARN |
 	       (uint32_t)(status->state == NF_FLIGHT_CALIBRATING) << ALERT_CALIBRATING |
 	       1u << (status->trace.armed ? ALERT_ARMED : ALERT_DISARMED);
 }
 
-static void run_alert(void *context)
+static void background_run_alert(void *context)
 {
 	struct background *background = context;
 	const struct hal *hal = background->config.hal;
@@ -202,13 +200,14 @@ static void run_alert(void *context)
 	firmware_status(fw, &status);
 	background->heard |= status.receiver_good;
 	const unsigned flashes = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind;
-	const struct alert_state state = alert_step(&background->alert, alerts(background, &status), flashes, ms);
+	const struct alert_state state = alert_step(&background->alert, background_alerts(background, &status), flashes,
+						    ms);
 	hal->beeper(hal->context, state.beeper);
 	hal->led(hal->context, state.led);
 }
 
 /* A fault that was acknowledged over MSP forbids nothing any more. */
-static void run_storage(void *context)
+static void background_run_storage(void *context)
 {
 	struct background *background = context;
 
@@ -216,9 +215,9 @@ static void run_storage(void *context)
 }
 
 static const struct task tasks[] = {
-	{ NF_TASK_BATTERY, BATTERY_RATE_HZ, run_battery },
-	{ NF_TASK_ALERT, ALERT_RATE_HZ, run_alert },
-	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, run_storage },
+	{ NF_TASK_BATTERY, BATTERY_RATE_HZ, background_run_battery },
+	{ NF_TASK_ALERT, ALERT_RATE_HZ, background_run_alert },
+	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, background_run_storage },
 };
 
 enum nf_err background_start(struct background *background, const struct background_config *config)
@@ -226,14 +225,15 @@ enum nf_err background_start(struct background *background, const struct backgro
 	enum nf_err err;
 
 	*background = (struct background){ .config = *config };
-	if ((err = load_settings(background)) != NF_OK || (err = start_firmware(background)) != NF_OK)
+	if ((err = background_load_settings(background)) != NF_OK ||
+	    (err = background_start_firmware(background)) != NF_OK)
 		return err;
 	fault_log_boot(&background->faults, &background->config.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert);
-	offer_services(background);
-	for (size_t i = 0; i < TASK_COUNT; i++)
+	background_offer_services(background);
+	for (size_t i = 0; i < TASK_COUNT; ++i)
 		task_stats_init(&config->stats[i], 0);
 	config->stats[NF_TASK_GYRO].rate_hz = background->settings.gyro_rate_hz - POLICY_CONTROL_RATE_HZ;
 	config->stats[NF_TASK_CONTROL].rate_hz = POLICY_CONTROL_RATE_HZ;
@@ -248,7 +248,7 @@ void background_step(struct background *background)
 }
 
 /* Share of the gyro's period that its longest sample took. */
-static uint16_t load_percent(const struct background *background)
+static uint16_t background_load_percent(const struct background *background)
 {
 	const struct task_stats *stats = background->config.stats;
 	const uint32_t gyro = stats[NF_TASK_GYRO].worst, control = stats[NF_TASK_CONTROL].worst;
@@ -263,7 +263,7 @@ void background_status(const struct background *background, struct firmware_stat
 	const struct battery *battery = &background->battery;
 
 	firmware_status(background->config.firmware, status);
-	status->load_percent = load_percent(background);
+	status->load_percent = background_load_percent(background);
 	status->volts = battery->volts;
 	status->amps = battery->amps;
 	status->drawn_mah = (float)battery_mah(battery);

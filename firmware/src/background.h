@@ -25,30 +25,30 @@
 struct background_config {
 	const struct hal *hal;
 	struct firmware *firmware;          /* started by background_start */
-	float *weights;                     /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
-	struct task_stats *stats;           /* [TASK_COUNT], by enum nf_task */
-	enum board_alignment alignment;     /* of the gyro chip, where the settings say "board" */
+	float *weights; /* [POLICY_WEIGHT_COUNT], 8-byte aligned: filled with the flown policy's */
+	struct task_stats *stats; /* [TASK_COUNT], by enum nf_task */
+	enum board_alignment alignment; /* of the gyro chip, where the settings say "board" */
 	enum gyro_chip gyro_chip;
 	const struct pid_gains *pid;
 	const struct msp_identity *identity;
-	const struct fault_record *fault;   /* what ended the run before; NULL: no fault did */
+	const struct fault_record *fault; /* what ended the run before; NULL: no fault did */
 	const struct setting_change *changes;
 	size_t change_count;
-	unsigned gyro_rate_hz;              /* of this start; 0: as set */
-	uint32_t cycles_hz;                 /* of hal->cycles */
+	unsigned gyro_rate_hz; /* of this start; 0: as set */
+	uint32_t cycles_hz; /* of hal->cycles */
 };
 
 struct background {
 	struct background_config config;
-	struct nf_settings settings;        /* as flown: of this boot */
-	struct nf_settings edited;          /* as stored, or as changed since and perhaps not saved */
+	struct nf_settings settings; /* as flown: of this boot */
+	struct nf_settings edited; /* as stored, or as changed since and perhaps not saved */
 	struct policy_slots slots;
 	struct fault_log faults;
 	struct scheduler scheduler;
 	struct battery battery;
 	struct alert alert;
-	bool heard;                         /* the receiver, since boot */
-	bool rebooting;                     /* was asked to, and is about to */
+	bool heard; /* the receiver, since boot */
+	bool rebooting; /* was asked to, and is about to */
 	struct msp msp;
 	struct msp_services services;
 };

@@ -13,18 +13,18 @@ _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
 _Static_assert(POLICY_WEIGHT_COUNT <= NF_POLICY_WEIGHT_COUNT_MAX, "too many weights for DTCM");
 
-static enum nf_err check_rates(unsigned gyro_rate_hz)
+static enum nf_err firmware_check_rates(unsigned gyro_rate_hz)
 {
 	static const unsigned known[] = NF_GYRO_RATES_HZ;
 
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
+	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
 		if (known[i] == gyro_rate_hz && gyro_rate_hz % POLICY_CONTROL_RATE_HZ == 0)
 			return NF_OK;
 	return NF_ERR_GYRO_RATE;
 }
 
 /* Does the tilt allow arming? Of no matter, and not looked at, while the motors turn. */
-static bool level(const struct firmware *fw)
+static bool firmware_level(const struct firmware *fw)
 {
 	float up[3];
 
@@ -35,7 +35,7 @@ static bool level(const struct firmware *fw)
 }
 
 /* All that safety looks at, but for what a control step finds out. */
-static uint32_t conditions(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	static const uint32_t health[] = {
 		[NF_GYRO_HEALTH_GOOD] = 0,
@@ -47,18 +47,17 @@ static uint32_t conditions(const struct firmware *fw, const uint16_t channels_us
 	const enum receiver_link link = receiver_link(&fw->receiver);
 
 	return fw->forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
-	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) |
-	       REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
+	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) | REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
 	       REASON_IF(link == RECEIVER_LOST, RECEIVER_LOST) |
 	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
-	       REASON_IF(!level(fw), NOT_LEVEL) |
+	       REASON_IF(!firmware_level(fw), NOT_LEVEL) |
 	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST) |
 	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
 	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
 }
 
 /* Brings safety up to date with everything known now and `found` beside it. */
-static void look(struct firmware *fw, uint32_t found)
+static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
@@ -66,20 +65,20 @@ static void look(struct firmware *fw, uint32_t found)
 	/* A lost receiver's switches say nothing: the controller stays the one that the pilot chose. */
 	if (receiver_link(&fw->receiver) != RECEIVER_LOST)
 		fw->pid_wanted = channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
-	if (safety_look(&fw->safety, conditions(fw, channels_us) | found)) {
+	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
 		control_reset(&fw->control);
 		crash_reset(&fw->crash);
 	}
 }
 
 /* Fills in what MSP tells beside the trace. */
-static void report(struct firmware *fw)
+static void firmware_report(struct firmware *fw)
 {
 	struct firmware_status *status = &fw->status;
 	const struct control *control = &fw->control;
 
 	receiver_channels(&fw->receiver, status->channels_us);
-	status->arming_reasons = safety_reasons(&fw->safety, conditions(fw, status->channels_us));
+	status->arming_reasons = safety_reasons(&fw->safety, firmware_conditions(fw, status->channels_us));
 	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
 	status->receiver_quality = (uint8_t)receiver_quality(&fw->receiver);
 	status->state = (uint8_t)fw->safety.state;
@@ -105,7 +104,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 		.policy_good = config->policy_good,
 		.pid = config->pid,
 	};
-	enum nf_err err = check_rates(config->gyro_rate_hz);
+	enum nf_err err = firmware_check_rates(config->gyro_rate_hz);
 	if (err != NF_OK)
 		return err;
 
@@ -114,7 +113,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->gyro_chip = config->gyro_chip;
 	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
 	fw->grace_left = config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u;
-	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) : ANY_TILT;
+	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) :
+							      ANY_TILT;
 	fw->failsafe_throttle = settings->failsafe_throttle;
 	fw->forbidden = SAFETY_REASON(BATTERY_UNKNOWN);
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
@@ -131,7 +131,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
 	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
 	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT);
-	report(fw); /* a board whose gyro never speaks must still say why it does not arm */
+	firmware_report(fw); /* a board whose gyro never speaks must still say why it does not arm */
 	return NF_OK;
 }
 
@@ -141,28 +141,28 @@ bool firmware_control_due(const struct firmware *fw)
 }
 
 /* Does the last good frame ask for armed motors, whatever the link is worth? */
-static bool switch_asks(const struct firmware *fw)
+static bool firmware_switch_on(const struct firmware *fw)
 {
 	return fw->receiver.channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US;
 }
 
-static struct motor_test_view view(const struct firmware *fw)
+static struct motor_test_view firmware_test_view(const struct firmware *fw)
 {
 	return (struct motor_test_view){
 		.stopped = fw->safety.state == NF_FLIGHT_DISARMED,
-		.switch_on = switch_asks(fw),
+		.switch_on = firmware_switch_on(fw),
 		.link = receiver_link(&fw->receiver),
 	};
 }
 
 /* A frame has come. Everybody sees each, so that no "off" is lost behind an "on" of the same step. */
-static void look_at_frame(struct firmware *fw)
+static void firmware_take_frame(struct firmware *fw)
 {
 	const bool good = fw->receiver.age == 0;
-	const struct motor_test_view seen = view(fw);
+	const struct motor_test_view seen = firmware_test_view(fw);
 
-	motor_test_look(&fw->motor_test, &seen);
-	look(fw, good && !switch_asks(fw) ? SAFETY_OFF_HEARD : 0u);
+	motor_test_update(&fw->motor_test, &seen);
+	firmware_update_safety(fw, good && !firmware_switch_on(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
 /* The last frame is looked at by the control step that follows, once for all that is new: the step that a frame falls
@@ -172,12 +172,12 @@ void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 	while (receiver_push(&fw->receiver, &bytes, &count)) {
 		fw->heard = count == 0 && !receiver_waits(&fw->receiver);
 		if (!fw->heard)
-			look_at_frame(fw);
+			firmware_take_frame(fw);
 	}
 }
 
 /* Takes up what the background has posted. */
-static void receive_posted(struct firmware *fw)
+static void firmware_receive_posted(struct firmware *fw)
 {
 	if (!fw->posted)
 		return;
@@ -188,7 +188,7 @@ static void receive_posted(struct firmware *fw)
 }
 
 /* Setpoint and throttle from the sticks, or from the failsafe while it brings the aircraft down. */
-static void command(struct firmware *fw)
+static void firmware_command(struct firmware *fw)
 {
 	struct control_trace *trace = &fw->status.trace;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
@@ -198,13 +198,13 @@ static void command(struct firmware *fw)
 	trace->throttle = rates_throttle(channels_us);
 	if (!safety_descending(&fw->safety))
 		return;
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		trace->setpoint[i] = 0.0f;
 	trace->throttle = fw->failsafe_throttle;
 }
 
 /* Gyro and setpoint to motor outputs. Returns what safety is to know of it: 0, or why `output` must not be flown. */
-static uint32_t fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
+static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
 {
 	static const uint32_t verdicts[] = {
 		[CRASH_NONE] = 0,
@@ -225,27 +225,27 @@ static uint32_t fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
 }
 
 /* The motors' values of a control step whose outputs are `output`. */
-static void drive(struct firmware *fw, const float output[POLICY_ACTION_COUNT])
+static void firmware_drive(struct firmware *fw, const float output[POLICY_ACTION_COUNT])
 {
 	struct control_trace *trace = &fw->status.trace;
 	const struct mixer *mixer = &fw->control.mixers[fw->control.flying];
-	const struct motor_test_view seen = view(fw);
+	const struct motor_test_view seen = firmware_test_view(fw);
 	const bool stand = !trace->armed || mixer_stops(mixer, trace->throttle);
 
 	if (motor_test_step(&fw->motor_test, &seen, trace->dshot))
 		return;
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		trace->dshot[i] = stand ? NF_DSHOT_STOP : dshot_value(output[i]);
 }
 
-static void publish(struct firmware *fw)
+static void firmware_publish(struct firmware *fw)
 {
-	report(fw);
+	firmware_report(fw);
 	fence();
-	fw->published++;
+	++fw->published;
 }
 
-static void control_step_due(struct firmware *fw, const float rate[3])
+static void firmware_control_step(struct firmware *fw, const float rate[3])
 {
 	struct control_trace *trace = &fw->status.trace;
 	float output[POLICY_ACTION_COUNT] = { 0 };
@@ -254,41 +254,41 @@ static void control_step_due(struct firmware *fw, const float rate[3])
 	memcpy(trace->gyro, rate, sizeof trace->gyro);
 	gyro_acceleration(&fw->gyro, acceleration);
 	attitude_step(&fw->attitude, rate, acceleration);
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		fw->status.accel_g[i] = acceleration[i] * (1.0f / NF_GRAVITY);
 	safety_tick(&fw->safety);
-	receive_posted(fw);
+	firmware_receive_posted(fw);
 	if (fw->heard)
-		look_at_frame(fw);
+		firmware_take_frame(fw);
 	else
-		look(fw, 0);
+		firmware_update_safety(fw, 0);
 	fw->heard = false;
-	command(fw);
+	firmware_command(fw);
 	if (safety_motors(&fw->safety)) {
-		const uint32_t found = fly(fw, output);
+		const uint32_t found = firmware_fly(fw, output);
 		if (found)
-			look(fw, found);
+			firmware_update_safety(fw, found);
 	} else {
 		control_rest(&fw->control);
 	}
 	trace->armed = safety_motors(&fw->safety);
-	drive(fw, output);
+	firmware_drive(fw, output);
 	trace->step = fw->control_steps++;
-	publish(fw);
+	firmware_publish(fw);
 }
 
 /* Do the motors stand still, and no test turns them? */
-static bool stopped(const struct firmware *fw)
+static bool firmware_motors_stopped(const struct firmware *fw)
 {
 	return !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test);
 }
 
 /* One gyro sample has passed for everything that waits. */
-static void tick(struct firmware *fw)
+static void firmware_tick(struct firmware *fw)
 {
-	fw->samples++;
+	++fw->samples;
 	if (fw->grace_left > 0)
-		fw->grace_left--;
+		--fw->grace_left;
 	receiver_tick(&fw->receiver);
 }
 
@@ -299,27 +299,27 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	fw->health = gyro_step(&fw->gyro, sample, rate);
 	filters_step(&fw->filters, rate);
 	if (firmware_control_due(fw))
-		control_step_due(fw, rate);
+		firmware_control_step(fw, rate);
 	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
 		dshot[i] = fw->status.trace.dshot[i];
 	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
-	tick(fw);
-	return dshot_command_step(&fw->dshot_command, stopped(fw), dshot);
+	firmware_tick(fw);
+	return dshot_command_step(&fw->dshot_command, firmware_motors_stopped(fw), dshot);
 }
 
 void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT])
 {
 	struct control_trace *trace = &fw->status.trace;
 
-	for (uint32_t i = 0; i < fw->gyro_rate_hz * NF_GYRO_BAD_MS / 1000u; i++)
-		tick(fw);
+	for (uint32_t i = 0; i < fw->gyro_rate_hz * NF_GYRO_BAD_MS / 1000u; ++i)
+		firmware_tick(fw);
 	fw->health = NF_GYRO_HEALTH_SILENT;
 	motor_test_end(&fw->motor_test);
-	look(fw, 0);
+	firmware_update_safety(fw, 0);
 	trace->armed = safety_motors(&fw->safety);
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		trace->dshot[i] = NF_DSHOT_STOP;
-	publish(fw);
+	firmware_publish(fw);
 	memcpy(dshot, trace->dshot, POLICY_ACTION_COUNT * sizeof dshot[0]);
 }
 
@@ -345,7 +345,7 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 bool firmware_stopped(const struct firmware *fw)
 {
 	fence();
-	return stopped(fw) && !dshot_command_busy(&fw->dshot_command);
+	return firmware_motors_stopped(fw) && !dshot_command_busy(&fw->dshot_command);
 }
 
 enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])

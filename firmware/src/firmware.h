@@ -9,21 +9,21 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "sensing/attitude.h"
-#include "control/control.h"
-#include "safety/crash.h"
-#include "motors/dshot_command.h"
-#include "sensing/filters.h"
-#include "sensing/gyro.h"
 #include "common/imu.h"
+#include "common/nf_err.h"
+#include "common/status.h"
+#include "control/control.h"
+#include "control/pid.h"
+#include "motors/dshot_command.h"
 #include "motors/motor_test.h"
 #include "nf_contract.h"
-#include "common/nf_err.h"
-#include "control/pid.h"
 #include "receiver/rates.h"
 #include "receiver/receiver.h"
+#include "safety/crash.h"
 #include "safety/safety.h"
-#include "common/status.h"
+#include "sensing/attitude.h"
+#include "sensing/filters.h"
+#include "sensing/gyro.h"
 
 struct firmware_config {
 	unsigned gyro_rate_hz;              /* one of NF_GYRO_RATES_HZ, a multiple of POLICY_CONTROL_RATE_HZ */

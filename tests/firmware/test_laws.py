@@ -79,3 +79,15 @@ def test_the_core_is_the_same_for_every_target_when_preprocessed() -> None:
 def test_only_the_top_of_the_core_knows_the_hardware_boundary_when_read() -> None:
     users = {path.name for path in SOURCE.rglob("*.[ch]") if '#include "hal/' in path.read_text()}
     assert users == {"main.c", "program.h", "background.h"}
+
+
+def test_no_two_static_functions_share_a_name_when_read() -> None:
+    definition = re.compile(r"^static .*?\b(?!__attribute__)(\w+)\([^;{]*\)\n\{", re.MULTILINE)
+    names = [
+        name
+        for path in sorted(SOURCE.parent.rglob("*.[ch]"))
+        if "generated" not in path.parts
+        for name in definition.findall(path.read_text())
+    ]
+    assert len(names) > 300
+    assert sorted(set(names)) == sorted(names)

@@ -51,10 +51,11 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     ),
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
     "msp_commands.c": (
-        *("background.c:storing", "background.c:channels", "background.c:test_motors"),
-        *("background.c:turn_motors", "background.c:command_motors", "background.c:reboot"),
+        *("background.c:background_storing", "background.c:background_channels"),
+        *("background.c:background_test_motors", "background.c:background_turn_motors"),
+        *("background.c:background_command_motors", "background.c:background_reboot"),
     ),
-    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:storing"),
+    "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:background_storing"),
 }
 
 _USAGE = re.compile(r"(?P<file>[^:]+):\d+:\d+:(?P<name>\S+)\t(?P<bytes>\d+)\t(?P<kind>\S+)")

@@ -6,7 +6,7 @@
 
 #define NAME_BYTES 40
 
-static bool parse_value(const char *text, enum setting_kind kind, union setting_value *value)
+static bool change_parse_value(const char *text, enum setting_kind kind, union setting_value *value)
 {
 	char *end;
 
@@ -35,7 +35,7 @@ bool change_parse(const char *text, struct setting_change *change)
 	name[equals - text] = '\0';
 	parsed.index = settings_find(name);
 	if (parsed.index == NF_SETTING_COUNT ||
-	    !parse_value(equals + 1, settings_info(parsed.index)->kind, &parsed.value))
+	    !change_parse_value(equals + 1, settings_info(parsed.index)->kind, &parsed.value))
 		return false;
 	settings_default(&scratch);
 	if (settings_set(&scratch, parsed.index, &parsed.value) != NF_REFUSAL_NONE)

@@ -22,7 +22,7 @@ static const struct mounting {
 	[ALIGN_CW270] = { { 1, 0, 2 }, { 1.0, -1.0, 1.0 } },
 };
 
-static int16_t rounded(double counts)
+static int16_t convert_rounded(double counts)
 {
 	const double whole = rint(counts);
 
@@ -34,16 +34,16 @@ static int16_t rounded(double counts)
 }
 
 /* A vector in the simulator's axes as the chip so aligned sees it, times `scale`. */
-static void mount(const double frd[3], enum board_alignment alignment, double scale, int16_t counts[3])
+static void convert_mount(const double frd[3], enum board_alignment alignment, double scale, int16_t counts[3])
 {
 	const double body[3] = { frd[0], -frd[1], -frd[2] };
 	const struct mounting *m = &mountings[alignment];
 
-	for (int i = 0; i < 3; i++)
-		counts[i] = rounded(m->sign[i] * body[m->axis[i]] * scale);
+	for (int i = 0; i < 3; ++i)
+		counts[i] = convert_rounded(m->sign[i] * body[m->axis[i]] * scale);
 }
 
-static bool any_nan(const double values[3])
+static bool convert_any_nan(const double values[3])
 {
 	return isnan(values[0]) || isnan(values[1]) || isnan(values[2]);
 }
@@ -52,11 +52,11 @@ bool convert_rates(const double rates_frd[3], enum board_alignment alignment, in
 {
 	double deg_s[3];
 
-	if (any_nan(rates_frd))
+	if (convert_any_nan(rates_frd))
 		return false;
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		deg_s[i] = rates_frd[i] * DEG_PER_RAD * NF_GYRO_COUNTS / NF_GYRO_FULL_SCALE_DEG_S;
-	mount(deg_s, alignment, 1.0, counts);
+	convert_mount(deg_s, alignment, 1.0, counts);
 	return true;
 }
 
@@ -64,10 +64,11 @@ void convert_force(const double force_frd[3], enum board_alignment alignment, in
 {
 	static const double none[3];
 
-	mount(any_nan(force_frd) ? none : force_frd, alignment, ACCEL_COUNTS_PER_G / STANDARD_GRAVITY, counts);
+	convert_mount(convert_any_nan(force_frd) ? none : force_frd, alignment, ACCEL_COUNTS_PER_G / STANDARD_GRAVITY,
+		      counts);
 }
 
-static uint16_t millivolts(double volts)
+static uint16_t convert_millivolts(double volts)
 {
 	const double whole = rint(volts * 1000.0);
 
@@ -82,14 +83,14 @@ struct power_sample convert_power(double volts, double amps)
 		return (struct power_sample){ .valid = false };
 	settings_default(&usual);
 	return (struct power_sample){
-		.volts_mv = millivolts(volts / (double)usual.battery_scale),
-		.amps_mv = millivolts(amps * (double)usual.current_scale / 1000.0),
+		.volts_mv = convert_millivolts(volts / (double)usual.battery_scale),
+		.amps_mv = convert_millivolts(amps * (double)usual.current_scale / 1000.0),
 		.valid = true,
 	};
 }
 
 /* The SBUS value that reads back as `us`: the inverse of 880 + (5 value + 4) / 8. */
-static uint32_t sbus_value(uint16_t us)
+static uint32_t convert_sbus_value(uint16_t us)
 {
 	if (us <= SBUS_ZERO_US)
 		return 0;
@@ -104,8 +105,8 @@ void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t fram
 	unsigned held = 0;
 
 	*next++ = NF_SBUS_HEADER;
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++) {
-		bits |= sbus_value(channels_us[i]) << held;
+	for (int i = 0; i < NF_CHANNEL_COUNT; ++i) {
+		bits |= convert_sbus_value(channels_us[i]) << held;
 		for (held += 11; held >= 8; held -= 8) {
 			*next++ = (uint8_t)bits;
 			bits >>= 8;

@@ -6,8 +6,8 @@
 #include <stdint.h>
 
 #include "common/imu.h"
-#include "nf_contract.h"
 #include "housekeeping/power_sample.h"
+#include "nf_contract.h"
 
 /* Body rates [rad/s], axes forward, right, down, to the counts of a chip so aligned, +-2000 deg/s over int16,
  * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN: a chip cannot

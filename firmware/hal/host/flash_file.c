@@ -16,7 +16,7 @@
 #define MODE 0666 /* as the umask allows */
 
 /* Brings a new file to its size. Returns false, errno set, if the file is neither new nor of that size. */
-static bool sized(int file, bool *fresh)
+static bool flash_file_resize(int file, bool *fresh)
 {
 	struct stat facts;
 
@@ -29,7 +29,7 @@ static bool sized(int file, bool *fresh)
 	return facts.st_size == NF_FLASH_BYTES;
 }
 
-static uint8_t *map(int file, bool fresh)
+static uint8_t *flash_file_map(int file, bool fresh)
 {
 	const int flags = file < 0 ? MAP_PRIVATE | MAP_ANONYMOUS : MAP_SHARED;
 	uint8_t *bytes = mmap(NULL, NF_FLASH_BYTES, PROT_READ | PROT_WRITE, flags, file, 0);
@@ -46,9 +46,9 @@ uint8_t *flash_file_open(const char *path)
 	bool fresh = true;
 
 	if (!path)
-		return map(-1, fresh);
+		return flash_file_map(-1, fresh);
 	const int file = open(path, O_RDWR | O_CREAT | O_CLOEXEC, MODE);
-	uint8_t *bytes = file >= 0 && sized(file, &fresh) ? map(file, fresh) : NULL;
+	uint8_t *bytes = file >= 0 && flash_file_resize(file, &fresh) ? flash_file_map(file, fresh) : NULL;
 	if (!bytes)
 		fprintf(stderr, "neuroflight: flash file %s: %s; expected none or one of %u bytes\n", path,
 			errno == EFBIG ? "it has another size" : strerror(errno), (unsigned)NF_FLASH_BYTES);

@@ -19,7 +19,7 @@ void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut,
 }
 
 /* Marsaglia's xorshift with the triple 13, 17, 5. */
-static uint32_t draw(struct flash_model *model)
+static uint32_t flash_model_random(struct flash_model *model)
 {
 	uint32_t x = model->random;
 
@@ -31,9 +31,9 @@ static uint32_t draw(struct flash_model *model)
 }
 
 /* What an interrupted operation leaves of a word. */
-static uint32_t torn(struct flash_model *model, uint32_t before, uint32_t after)
+static uint32_t flash_model_torn(struct flash_model *model, uint32_t before, uint32_t after)
 {
-	const uint32_t chance = draw(model);
+	const uint32_t chance = flash_model_random(model);
 
 	switch (model->cut) {
 	case FLASH_CUT_AFTER:
@@ -52,21 +52,21 @@ static uint32_t torn(struct flash_model *model, uint32_t before, uint32_t after)
 }
 
 /* Counts an operation. Returns whether there is power for the whole of it; *now says that it is interrupted. */
-static bool powered(struct flash_model *model, bool *now)
+static bool flash_model_powered(struct flash_model *model, bool *now)
 {
 	*now = !model->dark && model->operations == model->cut_at;
 	if (*now)
 		model->dark = true;
-	model->operations++;
+	++model->operations;
 	return !model->dark;
 }
 
-static void change(struct flash_model *model, uint32_t offset, uint32_t after, bool cut)
+static void flash_model_change(struct flash_model *model, uint32_t offset, uint32_t after, bool cut)
 {
 	uint32_t word;
 
 	memcpy(&word, model->bytes + offset, sizeof word);
-	word = cut ? torn(model, word, after) : after;
+	word = cut ? flash_model_torn(model, word, after) : after;
 	memcpy(model->bytes + offset, &word, sizeof word);
 }
 
@@ -83,24 +83,24 @@ bool flash_model_erase(struct flash_model *model, unsigned sector)
 
 	if (sector >= NF_FLASH_SECTORS_COUNT)
 		return false;
-	const bool whole = powered(model, &cut);
+	const bool whole = flash_model_powered(model, &cut);
 	const uint32_t begin = flash_sectors[sector].address - NF_FLASH_BASE;
 	if (whole || cut)
 		for (uint32_t at = 0; at < flash_sectors[sector].size; at += FLASH_WORD_BYTES)
-			change(model, begin + at, FLASH_ERASED, cut);
+			flash_model_change(model, begin + at, FLASH_ERASED, cut);
 	return whole;
 }
 
 /* Returns whether the word is then `wanted`. */
-static bool program_word(struct flash_model *model, uint32_t offset, uint32_t wanted)
+static bool flash_model_program_word(struct flash_model *model, uint32_t offset, uint32_t wanted)
 {
 	uint32_t before;
 	bool cut;
 
 	memcpy(&before, model->bytes + offset, sizeof before);
-	const bool whole = powered(model, &cut);
+	const bool whole = flash_model_powered(model, &cut);
 	if (whole || cut)
-		change(model, offset, before & wanted, cut);
+		flash_model_change(model, offset, before & wanted, cut);
 	return whole && (before & wanted) == wanted;
 }
 
@@ -115,27 +115,30 @@ bool flash_model_program(struct flash_model *model, uint32_t address, const void
 	for (uint32_t at = 0; at < bytes; at += FLASH_WORD_BYTES) {
 		uint32_t wanted;
 		memcpy(&wanted, (const uint8_t *)words + at, sizeof wanted);
-		good &= program_word(model, offset + at, wanted);
+		good &= flash_model_program_word(model, offset + at, wanted);
 	}
 	return good;
 }
 
-static const uint8_t *at(void *context, uint32_t address)
+static const uint8_t *flash_model_callback_at(void *context, uint32_t address)
 {
 	return flash_model_at(context, address);
 }
 
-static bool erase(void *context, unsigned sector)
+static bool flash_model_callback_erase(void *context, unsigned sector)
 {
 	return flash_model_erase(context, sector);
 }
 
-static bool program(void *context, uint32_t address, const void *words, size_t bytes)
+static bool flash_model_callback_program(void *context, uint32_t address, const void *words, size_t bytes)
 {
 	return flash_model_program(context, address, words, bytes);
 }
 
 struct flash flash_model_interface(struct flash_model *model)
 {
-	return (struct flash){ .context = model, .at = at, .erase = erase, .program = program };
+	return (struct flash){ .context = model,
+			       .at = flash_model_callback_at,
+			       .erase = flash_model_callback_erase,
+			       .program = flash_model_callback_program };
 }

@@ -7,8 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "storage/flash.h"
 #include "nf_contract.h"
+#include "storage/flash.h"
 
 #define FLASH_MODEL_NEVER UINT32_MAX /* the cut that does not come */
 

@@ -35,16 +35,16 @@ static struct host {
 
 static volatile sig_atomic_t ended;
 
-static void end(int signal_number)
+static void host_end(int signal_number)
 {
 	(void)signal_number;
 	ended = 1;
 }
 
 /* SIGTERM and SIGINT end the program between two packets: they are let in only where it waits. */
-static void hold_signals(void)
+static void host_hold_signals(void)
 {
-	const struct sigaction action = { .sa_handler = end };
+	const struct sigaction action = { .sa_handler = host_end };
 	sigset_t held;
 
 	sigemptyset(&held);
@@ -84,7 +84,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	if (start != HAL_RUN)
 		return start;
 
-	hold_signals();
+	host_hold_signals();
 	if (host.options.with_parent)
 		prctl(PR_SET_PDEATHSIG, SIGTERM);
 	uint8_t *flash = flash_file_open(host.options.settings);
@@ -115,7 +115,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 }
 
 /* A simulator that lets the time of its packets jump has a gyro that was silent meanwhile. */
-static void pass_silence(const struct hal_handlers *handlers, double time_s)
+static void host_pass_silence(const struct hal_handlers *handlers, double time_s)
 {
 	double silence = time_s - host.time_s;
 
@@ -129,7 +129,7 @@ static void pass_silence(const struct hal_handlers *handlers, double time_s)
 }
 
 /* Everything that came with a state packet, but for the sample itself. */
-static void take_surroundings(void)
+static void host_take_receiver_and_power(void)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 	struct link_power power;
@@ -143,14 +143,14 @@ static void take_surroundings(void)
 }
 
 /* One state packet: one sample, one reply. */
-static void step(const struct hal_handlers *handlers)
+static void host_step(const struct hal_handlers *handlers)
 {
 	struct link_state state;
 
 	if (!link_take_state(&host.link, &state))
 		return;
-	take_surroundings();
-	pass_silence(handlers, state.time_s);
+	host_take_receiver_and_power();
+	host_pass_silence(handlers, state.time_s);
 	const struct imu_sample sample = host_board_sample(state.rates_frd, state.force_frd);
 	host.bad += !sample.valid;
 	handlers->sample(handlers->context, &sample);
@@ -158,14 +158,14 @@ static void step(const struct hal_handlers *handlers)
 	link_send_motors(&host.link, host.board.dshot, host.board.motor_count);
 }
 
-static void say_ready(void)
+static void host_print_ready(void)
 {
 	printf("ready state=%u receiver=%u power=%u msp=%u\n", link_port(host.link.state),
 	       link_port(host.link.receiver), link_port(host.link.power), link_port(host.tcp.listener));
 	fflush(stdout);
 }
 
-static void say_what_was_wrong(void)
+static void host_print_problems(void)
 {
 	if (host.link.ignored > 0)
 		fprintf(stderr, "neuroflight: ignored %lu packets of a wrong size\n", host.link.ignored);
@@ -178,7 +178,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 	(void)settings;
 	int code = 0;
 
-	say_ready();
+	host_print_ready();
 	while (!ended) {
 		struct pollfd wait[] = {
 			{ .fd = host.link.state, .events = POLLIN },
@@ -193,13 +193,13 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			break;
 		}
 		if (wait[0].revents)
-			step(handlers);
+			host_step(handlers);
 		if (wait[1].revents || wait[2].revents)
 			msp_tcp_serve(&host.tcp, handlers);
 	}
 	msp_tcp_close(&host.tcp);
 	link_close(&host.link);
-	say_what_was_wrong();
+	host_print_problems();
 	return code;
 }
 

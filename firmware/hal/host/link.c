@@ -47,7 +47,7 @@ _Static_assert(sizeof(float[MOTOR_PACKET_MOTORS]) == NF_SIM_MOTOR_BYTES, "motor"
 _Static_assert(sizeof(struct servo_packet) == NF_SIM_SERVO_BYTES, "servo");
 _Static_assert(sizeof(struct trace_packet) == NF_SIM_TRACE_BYTES, "trace");
 
-static struct sockaddr_in loopback(unsigned port)
+static struct sockaddr_in link_loopback(unsigned port)
 {
 	return (struct sockaddr_in){
 		.sin_family = AF_INET,
@@ -56,15 +56,16 @@ static struct sockaddr_in loopback(unsigned port)
 	};
 }
 
-static int bind_udp(const char *name, unsigned port)
+static int link_bind(const char *name, unsigned port)
 {
-	const struct sockaddr_in address = loopback(port);
+	const struct sockaddr_in address = link_loopback(port);
 	const int bound = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
 
 	if (bound >= 0 && bind(bound, (const struct sockaddr *)&address, sizeof address) == 0)
 		return bound;
-	fprintf(stderr, "neuroflight: %s port %u on 127.0.0.1: %s; stop what holds it or choose another with --%s-port\n",
-		name, port, strerror(errno), name);
+	fprintf(stderr,
+		"neuroflight: %s port %u on 127.0.0.1: %s; stop what holds it or choose another with --%s-port\n", name,
+		port, strerror(errno), name);
 	if (bound >= 0)
 		close(bound);
 	return -1;
@@ -80,9 +81,9 @@ bool link_open(struct link *link, const struct options *options)
 		.servo_port = options->servo_port,
 		.trace_port = options->trace_port,
 	};
-	if ((link->state = bind_udp("state", options->state_port)) >= 0 &&
-	    (link->receiver = bind_udp("receiver", options->receiver_port)) >= 0 &&
-	    (link->power = bind_udp("power", options->power_port)) >= 0)
+	if ((link->state = link_bind("state", options->state_port)) >= 0 &&
+	    (link->receiver = link_bind("receiver", options->receiver_port)) >= 0 &&
+	    (link->power = link_bind("power", options->power_port)) >= 0)
 		return true;
 	link_close(link);
 	return false;
@@ -92,7 +93,7 @@ void link_close(struct link *link)
 {
 	const int sockets[] = { link->state, link->receiver, link->power };
 
-	for (size_t i = 0; i < sizeof sockets / sizeof sockets[0]; i++)
+	for (size_t i = 0; i < sizeof sockets / sizeof sockets[0]; ++i)
 		if (sockets[i] >= 0)
 			close(sockets[i]);
 }
@@ -108,7 +109,7 @@ unsigned link_port(int bound)
 
 /* Takes one waiting packet. Returns its size, 0 if none waits. An empty packet counts as one byte: neither
  * is a size that anybody expects. */
-static size_t take(int bound, uint8_t packet[PACKET_MAX])
+static size_t link_take(int bound, uint8_t packet[PACKET_MAX])
 {
 	const ssize_t size = recv(bound, packet, PACKET_MAX, MSG_DONTWAIT);
 
@@ -119,7 +120,7 @@ bool link_take_state(struct link *link, struct link_state *state)
 {
 	uint8_t bytes[PACKET_MAX];
 	struct state_packet packet;
-	const size_t size = take(link->state, bytes);
+	const size_t size = link_take(link->state, bytes);
 
 	if (size != sizeof packet) {
 		link->ignored += size > 0;
@@ -137,13 +138,13 @@ bool link_take_receiver(struct link *link, uint16_t channels_us[NF_CHANNEL_COUNT
 	uint8_t bytes[PACKET_MAX];
 	struct receiver_packet packet;
 
-	for (size_t size; (size = take(link->receiver, bytes)) > 0;) {
+	for (size_t size; (size = link_take(link->receiver, bytes)) > 0;) {
 		if (size == sizeof packet) {
 			memcpy(&packet, bytes, sizeof packet);
 			memcpy(channels_us, packet.channels_us, sizeof packet.channels_us);
 			return true;
 		}
-		link->ignored++;
+		++link->ignored;
 	}
 	return false;
 }
@@ -153,7 +154,7 @@ bool link_take_power(struct link *link, struct link_power *power)
 	uint8_t bytes[PACKET_MAX];
 	struct power_packet packet;
 
-	for (size_t size; (size = take(link->power, bytes)) > 0;) {
+	for (size_t size; (size = link_take(link->power, bytes)) > 0;) {
 		memcpy(&packet, bytes, sizeof packet);
 		if (size == sizeof packet && packet.magic == NF_SIM_POWER_MAGIC) {
 			power->volts = (double)packet.volts;
@@ -161,15 +162,15 @@ bool link_take_power(struct link *link, struct link_power *power)
 			power->control_us = (double)packet.control_us;
 			return true;
 		}
-		link->ignored++;
+		++link->ignored;
 	}
 	return false;
 }
 
 /* A simulator that has gone is no error of the firmware's: it simply hears nothing. */
-static void send_to(const struct link *link, unsigned port, const void *packet, size_t size)
+static void link_send(const struct link *link, unsigned port, const void *packet, size_t size)
 {
-	const struct sockaddr_in address = loopback(port);
+	const struct sockaddr_in address = link_loopback(port);
 
 	(void)!sendto(link->state, packet, size, 0, (const struct sockaddr *)&address, sizeof address);
 }
@@ -178,15 +179,15 @@ void link_send_motors(const struct link *link, const uint16_t dshot[], size_t co
 {
 	if (count <= MOTOR_PACKET_MOTORS) {
 		float fractions[MOTOR_PACKET_MOTORS] = { 0 };
-		for (size_t i = 0; i < count; i++)
+		for (size_t i = 0; i < count; ++i)
 			fractions[i] = convert_dshot(dshot[i]);
-		send_to(link, link->motor_port, fractions, sizeof fractions);
+		link_send(link, link->motor_port, fractions, sizeof fractions);
 		return;
 	}
 	struct servo_packet packet = { .count = (uint16_t)count };
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		packet.widths_us[i] = 1000.0f + 1000.0f * convert_dshot(dshot[i]);
-	send_to(link, link->servo_port, &packet, sizeof packet);
+	link_send(link, link->servo_port, &packet, sizeof packet);
 }
 
 void link_send_trace(const struct link *link, const struct control_trace *trace)
@@ -204,5 +205,5 @@ void link_send_trace(const struct link *link, const struct control_trace *trace)
 	memcpy(packet.setpoint, trace->setpoint, sizeof packet.setpoint);
 	memcpy(packet.gyro, trace->gyro, sizeof packet.gyro);
 	memcpy(packet.dshot, trace->dshot, sizeof packet.dshot);
-	send_to(link, link->trace_port, &packet, sizeof packet);
+	link_send(link, link->trace_port, &packet, sizeof packet);
 }

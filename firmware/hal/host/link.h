@@ -6,9 +6,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "common/status.h"
 #include "hal/host/options.h"
 #include "nf_contract.h"
-#include "common/status.h"
 
 struct link {
 	int state, receiver, power;     /* sockets */

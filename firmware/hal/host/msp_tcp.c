@@ -31,13 +31,14 @@ bool msp_tcp_open(struct msp_tcp *tcp, unsigned port)
 		    listen(tcp->listener, 4) == 0)
 			return true;
 	}
-	fprintf(stderr, "neuroflight: MSP port %u on 127.0.0.1: %s; stop what holds it or choose another with --msp-port\n",
+	fprintf(stderr,
+		"neuroflight: MSP port %u on 127.0.0.1: %s; stop what holds it or choose another with --msp-port\n",
 		port, strerror(errno));
 	msp_tcp_close(tcp);
 	return false;
 }
 
-static void hang_up(struct msp_tcp *tcp)
+static void msp_tcp_hang_up(struct msp_tcp *tcp)
 {
 	close(tcp->client);
 	tcp->client = -1;
@@ -46,14 +47,14 @@ static void hang_up(struct msp_tcp *tcp)
 void msp_tcp_close(struct msp_tcp *tcp)
 {
 	if (tcp->client >= 0)
-		hang_up(tcp);
+		msp_tcp_hang_up(tcp);
 	if (tcp->listener >= 0)
 		close(tcp->listener);
 }
 
 /* Takes what the client has said, and answers. Returns whether it has been heard out: nothing is left of it,
  * or it has hung up. */
-static bool answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
+static bool msp_tcp_answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
 	uint8_t request[REQUEST_BYTES], reply[REPLY_BYTES];
 	const ssize_t received = recv(tcp->client, request, sizeof request, MSG_DONTWAIT);
@@ -61,17 +62,17 @@ static bool answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 	if (received < 0 && (errno == EAGAIN || errno == EINTR))
 		return true;
 	if (received <= 0) {
-		hang_up(tcp);
+		msp_tcp_hang_up(tcp);
 		return true;
 	}
 	const size_t size = handlers->msp(handlers->context, request, (size_t)received, reply, sizeof reply);
 	/* A client that does not read its replies would get half a frame: better none. */
 	if (size > 0 && send(tcp->client, reply, size, MSG_DONTWAIT | MSG_NOSIGNAL) != (ssize_t)size)
-		hang_up(tcp);
+		msp_tcp_hang_up(tcp);
 	return false;
 }
 
-static void admit(struct msp_tcp *tcp, const struct hal_handlers *handlers)
+static void msp_tcp_accept(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
 	const int on = 1;
 	const int caller = accept4(tcp->listener, NULL, NULL, SOCK_CLOEXEC | SOCK_NONBLOCK);
@@ -90,6 +91,6 @@ static void admit(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
 	/* A client that has hung up makes room for the next caller, but its last words stand before that. */
-	if (tcp->client < 0 || answer(tcp, handlers))
-		admit(tcp, handlers);
+	if (tcp->client < 0 || msp_tcp_answer(tcp, handlers))
+		msp_tcp_accept(tcp, handlers);
 }

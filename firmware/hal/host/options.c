@@ -38,20 +38,21 @@ static const struct number {
 #define NUMBER_COUNT (sizeof numbers / sizeof numbers[0])
 enum { SETTINGS = NUMBER_COUNT, SET, WITH_PARENT, HELP, OPTION_COUNT };
 
-static void print_help(void)
+static void options_print_help(void)
 {
 	printf("usage: neuroflight [options]\n"
 	       "The firmware as a program, flown by a simulator in lockstep. Loopback only.\n\n");
-	for (size_t i = 0; i < NUMBER_COUNT; i++)
+	for (size_t i = 0; i < NUMBER_COUNT; ++i)
 		printf("  --%-14s N  %s (%u)\n", numbers[i].name, numbers[i].help, numbers[i].preset);
-	printf("  --%-14s F  %s\n", "settings", "file with the flash: settings, policies, faults; made if there is none");
+	printf("  --%-14s F  %s\n", "settings",
+	       "file with the flash: settings, policies, faults; made if there is none");
 	printf("  --%-14s S  %s\n", "set", "NAME=VALUE: a setting of this start; may be repeated");
 	printf("  --%-14s    %s\n", "with-parent", "end when the parent process ends");
 	printf("  --%-14s    %s\n", "help", "print this and end");
 	printf("\nPort 0 takes any free port; the line \"ready\" on stdout tells which.\n");
 }
 
-static bool parse_number(const char *text, unsigned max, unsigned *value)
+static bool options_parse_number(const char *text, unsigned max, unsigned *value)
 {
 	char *end;
 
@@ -63,21 +64,22 @@ static bool parse_number(const char *text, unsigned max, unsigned *value)
 	return true;
 }
 
-static bool take_number(struct options *options, size_t index, const char *text)
+static bool options_take_number(struct options *options, size_t index, const char *text)
 {
-	if (parse_number(text, numbers[index].max, (unsigned *)((char *)options + numbers[index].offset)))
+	if (options_parse_number(text, numbers[index].max, (unsigned *)((char *)options + numbers[index].offset)))
 		return true;
 	fprintf(stderr, "neuroflight: --%s got '%s', expected a whole number from 0 to %u\n", numbers[index].name, text,
 		numbers[index].max);
 	return false;
 }
 
-static bool take_change(struct options *options, const char *text)
+static bool options_take_change(struct options *options, const char *text)
 {
 	struct setting_change change;
 
 	if (!change_parse(text, &change)) {
-		fprintf(stderr, "neuroflight: --set got '%s', expected NAME=VALUE of a setting within its limits\n", text);
+		fprintf(stderr, "neuroflight: --set got '%s', expected NAME=VALUE of a setting within its limits\n",
+			text);
 		return false;
 	}
 	if (options->change_count == NF_SETTING_COUNT) {
@@ -89,22 +91,22 @@ static bool take_change(struct options *options, const char *text)
 }
 
 /* What option number `index` means. Returns HAL_RUN or an exit code. */
-static int take(struct options *options, size_t index, const char *text)
+static int options_take_next(struct options *options, size_t index, const char *text)
 {
 	switch (index) {
 	case SETTINGS:
 		options->settings = text;
 		return HAL_RUN;
 	case SET:
-		return take_change(options, text) ? HAL_RUN : 1;
+		return options_take_change(options, text) ? HAL_RUN : 1;
 	case WITH_PARENT:
 		options->with_parent = true;
 		return HAL_RUN;
 	case HELP:
-		print_help();
+		options_print_help();
 		return 0;
 	default:
-		return take_number(options, index, text) ? HAL_RUN : 1;
+		return options_take_number(options, index, text) ? HAL_RUN : 1;
 	}
 }
 
@@ -119,7 +121,7 @@ int options_parse(struct options *options, int argc, char **argv)
 	int index, code = HAL_RUN;
 
 	*options = (struct options){ 0 };
-	for (size_t i = 0; i < NUMBER_COUNT; i++) {
+	for (size_t i = 0; i < NUMBER_COUNT; ++i) {
 		*(unsigned *)((char *)options + numbers[i].offset) = numbers[i].preset;
 		known[i] = (struct option){ .name = numbers[i].name, .has_arg = required_argument };
 	}
@@ -133,7 +135,7 @@ int options_parse(struct options *options, int argc, char **argv)
 				fprintf(stderr, "neuroflight: '%s' is no option, see --help\n", word);
 			return 1;
 		}
-		code = take(options, (size_t)index, optarg);
+		code = options_take_next(options, (size_t)index, optarg);
 	}
 	return code;
 }

@@ -3,10 +3,10 @@
 #include <string.h>
 
 #include "background.h"
+#include "control/pid.h"
 #include "hal/host/board.h"
 #include "hal/host/changes.h"
 #include "hal/host/convert.h"
-#include "control/pid.h"
 #include "program.h"
 
 struct reference {
@@ -49,7 +49,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 		return NF_ERR_GYRO_RATE;
 	if (count > NF_SETTING_COUNT)
 		return NF_ERR_SETTINGS;
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		if (!change_parse(settings[i], &r->changes[i]))
 			return NF_ERR_SETTINGS;
 	memset(r->flash_bytes, 0xFF, sizeof r->flash_bytes);

@@ -1,24 +1,24 @@
 /* hal.h for the STM32F722: joins the drivers. */
 #include "hal/hal.h"
 
+#include "board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/fault.h"
-#include "hal/stm32f7/peripherals/flash_memory.h"
-#include "hal/stm32f7/devices/gyro_chip.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/handlers.h"
 #include "hal/stm32f7/core/motor_pins.h"
-#include "hal/stm32f7/devices/motors.h"
-#include "hal/stm32f7/devices/msp_uart.h"
-#include "nf_contract.h"
-#include "hal/stm32f7/devices/power.h"
-#include "hal/stm32f7/devices/receiver_line.h"
 #include "hal/stm32f7/core/stop.h"
-#include "policy.h"
-#include "board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "hal/stm32f7/devices/gyro_chip.h"
+#include "hal/stm32f7/devices/motors.h"
+#include "hal/stm32f7/devices/msp_uart.h"
+#include "hal/stm32f7/devices/power.h"
+#include "hal/stm32f7/devices/receiver_line.h"
+#include "hal/stm32f7/peripherals/flash_memory.h"
+#include "nf_contract.h"
+#include "policy.h"
 
 _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
@@ -139,7 +139,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 		.board = BOARD_ID,
 		.target = BOARD_TARGET,
 		.maker = BOARD_MAKER,
-		.unique_id = {SIGNATURE_UID(0), SIGNATURE_UID(1), SIGNATURE_UID(2)},
+		.unique_id = { SIGNATURE_UID(0), SIGNATURE_UID(1), SIGNATURE_UID(2) },
 	};
 	return HAL_RUN;
 }

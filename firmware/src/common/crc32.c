@@ -12,7 +12,7 @@ uint32_t crc32_more(uint32_t crc, const void *bytes, size_t count)
 	const uint8_t *in = bytes;
 
 	crc = ~crc;
-	for (size_t i = 0; i < count; i++) {
+	for (size_t i = 0; i < count; ++i) {
 		crc ^= in[i];
 		crc = crc >> 4 ^ table[crc & 0xFu];
 		crc = crc >> 4 ^ table[crc & 0xFu];

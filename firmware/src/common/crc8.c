@@ -5,14 +5,13 @@
 /* What four bits at the top of the CRC become once they are shifted out. Half a byte at a time: 16 bytes of
  * table, and a quarter of the steps that single bits would take. */
 static const uint8_t shifted[16] = {
-	0x00, 0xD5, 0x7F, 0xAA, 0xFE, 0x2B, 0x81, 0x54,
-	0x29, 0xFC, 0x56, 0x83, 0xD7, 0x02, 0xA8, 0x7D,
+	0x00, 0xD5, 0x7F, 0xAA, 0xFE, 0x2B, 0x81, 0x54, 0x29, 0xFC, 0x56, 0x83, 0xD7, 0x02, 0xA8, 0x7D,
 };
 _Static_assert(NF_CRC8_DVB_S2_POLY == 0xD5, "the table is another polynomial's");
 
 uint8_t crc8(uint8_t crc, const uint8_t *bytes, size_t count)
 {
-	for (size_t i = 0; i < count; i++) {
+	for (size_t i = 0; i < count; ++i) {
 		crc ^= bytes[i];
 		crc = (uint8_t)(crc << 4 ^ shifted[crc >> 4]);
 		crc = (uint8_t)(crc << 4 ^ shifted[crc >> 4]);

@@ -7,7 +7,7 @@
 #define HALF 0.5f
 
 /* Taylor series, the terms beyond are below 1e-8 of the result up to an eighth of a turn. */
-static float sin_eighth(float turns)
+static float nf_sin_eighth(float turns)
 {
 	const float x = NF_TAU * turns;
 	const float x2 = x * x;
@@ -15,7 +15,7 @@ static float sin_eighth(float turns)
 	return x * (1.0f + x2 * (-1.0f / 6 + x2 * (1.0f / 120 + x2 * (-1.0f / 5040 + x2 * (1.0f / 362880)))));
 }
 
-static float cos_eighth(float turns)
+static float nf_cos_eighth(float turns)
 {
 	const float x = NF_TAU * turns;
 	const float x2 = x * x;
@@ -25,24 +25,24 @@ static float cos_eighth(float turns)
 
 /* Up to a quarter of a turn. What is taken from a quarter or a half is taken exactly, as the two numbers are
  * within a factor of two of each other (Sterbenz): small results keep all their digits. */
-static float sin_quarter(float turns)
+static float nf_sin_quarter(float turns)
 {
-	return turns <= EIGHTH ? sin_eighth(turns) : cos_eighth(QUARTER - turns);
+	return turns <= EIGHTH ? nf_sin_eighth(turns) : nf_cos_eighth(QUARTER - turns);
 }
 
-static float cos_quarter(float turns)
+static float nf_cos_quarter(float turns)
 {
-	return turns <= EIGHTH ? cos_eighth(turns) : sin_eighth(QUARTER - turns);
+	return turns <= EIGHTH ? nf_cos_eighth(turns) : nf_sin_eighth(QUARTER - turns);
 }
 
 float nf_sin_turns(float turns)
 {
-	return turns <= QUARTER ? sin_quarter(turns) : sin_quarter(HALF - turns);
+	return turns <= QUARTER ? nf_sin_quarter(turns) : nf_sin_quarter(HALF - turns);
 }
 
 float nf_cos_turns(float turns)
 {
-	return turns <= QUARTER ? cos_quarter(turns) : -cos_quarter(HALF - turns);
+	return turns <= QUARTER ? nf_cos_quarter(turns) : -nf_cos_quarter(HALF - turns);
 }
 
 #define EXP_ALL 20.0f     /* from here on 1 - exp(-x) is 1 in float32 */
@@ -55,7 +55,7 @@ float nf_one_minus_exp(float x)
 
 	while (part > EXP_SERIES) {
 		part *= 0.5f;
-		doublings++;
+		++doublings;
 	}
 	float gain = part * (1.0f - part * (1.0f / 2 - part * (1.0f / 6 - part * (1.0f / 24 - part * (1.0f / 120)))));
 	while (doublings-- > 0)
@@ -68,12 +68,13 @@ float nf_one_minus_exp(float x)
 #define HALF_PI (NF_PI / 2)
 
 /* Up to tan(pi/8); odd Taylor series, the term beyond is 0.4142^15 / 15 = 1.2e-7 of a radian. */
-static float atan_small(float t)
+static float nf_atan_small(float t)
 {
 	const float t2 = t * t;
 
-	return t * (1.0f + t2 * (-1.0f / 3 + t2 * (1.0f / 5 + t2 * (-1.0f / 7 + t2 * (1.0f / 9 +
-		t2 * (-1.0f / 11 + t2 * (1.0f / 13)))))));
+	return t * (1.0f +
+		    t2 * (-1.0f / 3 +
+			  t2 * (1.0f / 5 + t2 * (-1.0f / 7 + t2 * (1.0f / 9 + t2 * (-1.0f / 11 + t2 * (1.0f / 13)))))));
 }
 
 float nf_atan2(float y, float x)
@@ -86,8 +87,8 @@ float nf_atan2(float y, float x)
 	if (!(large > 0.0f))
 		return 0.0f;
 	const float ratio = small / large; /* 0..1 */
-	float angle = ratio > TAN_EIGHTH_PI ? QUARTER_PI + atan_small((ratio - 1.0f) / (ratio + 1.0f)) :
-					      atan_small(ratio);
+	float angle = ratio > TAN_EIGHTH_PI ? QUARTER_PI + nf_atan_small((ratio - 1.0f) / (ratio + 1.0f)) :
+					      nf_atan_small(ratio);
 	if (high > wide)
 		angle = HALF_PI - angle;
 	if (x < 0.0f)

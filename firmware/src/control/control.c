@@ -30,7 +30,7 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	return NF_OK;
 }
 
-static void forget(struct control *control, enum controller controller)
+static void control_clear(struct control *control, enum controller controller)
 {
 	if (controller == CONTROLLER_PID) {
 		pid_reset(&control->pid);
@@ -38,23 +38,23 @@ static void forget(struct control *control, enum controller controller)
 	}
 	observation_reset(&control->observation);
 	policy_init(&control->policy, control->weights);
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		control->action[i] = 0.0f;
 }
 
 /* `controller` begins to fly, and knows nothing of what was. */
-static void begin(struct control *control, enum controller controller)
+static void control_begin(struct control *control, enum controller controller)
 {
 	control->flying = controller;
-	forget(control, controller);
+	control_clear(control, controller);
 }
 
 void control_rest(struct control *control)
 {
 	if (control->fresh)
 		return;
-	forget(control, CONTROLLER_PID);
-	forget(control, CONTROLLER_POLICY);
+	control_clear(control, CONTROLLER_PID);
+	control_clear(control, CONTROLLER_POLICY);
 	control->fresh = true;
 }
 
@@ -77,14 +77,14 @@ uint32_t control_reasons(const struct control *control, bool pid_wanted)
 }
 
 /* From now until the next reset the PID flies, where there is one. */
-static void fall_back(struct control *control, enum nf_fallback_cause cause)
+static void control_fall_back(struct control *control, enum nf_fallback_cause cause)
 {
 	control->latched = control->good[CONTROLLER_PID];
 	control->fallback = control->latched ? cause : control->fallback;
 }
 
 /* Who is to fly: the one the pilot wants, unless only the other can. */
-static enum controller choose(const struct control *control, bool pid_wanted)
+static enum controller control_choose(const struct control *control, bool pid_wanted)
 {
 	const enum controller wanted = pid_wanted || control->latched ? CONTROLLER_PID : CONTROLLER_POLICY;
 	const enum controller other = wanted == CONTROLLER_PID ? CONTROLLER_POLICY : CONTROLLER_PID;
@@ -93,16 +93,16 @@ static enum controller choose(const struct control *control, bool pid_wanted)
 }
 
 /* Is this what a controller may answer? Any NaN says no. */
-static bool within_range(const float action[POLICY_ACTION_COUNT])
+static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 {
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		if (!(action[i] >= 0.0f && action[i] <= 1.0f))
 			return false;
 	return true;
 }
 
 /* Asks the controller that flies. Returns whether its answer may be flown. */
-static bool answer(struct control *control, const struct control_input *input)
+static bool control_answer(struct control *control, const struct control_input *input)
 {
 	const struct observation_input seen = {
 		.rate = input->rate,
@@ -118,48 +118,48 @@ static bool answer(struct control *control, const struct control_input *input)
 		observation_step(&control->observation, &seen, observation);
 		policy_step(&control->policy, observation, control->action);
 	}
-	return within_range(control->action);
+	return control_within_range(control->action);
 }
 
 /* The outputs pass from where they were to the new controller's: what lay between them at the change fades. */
-static void hand_over(struct control *control, bool changed, float output[POLICY_ACTION_COUNT])
+static void control_hand_over(struct control *control, bool changed, float output[POLICY_ACTION_COUNT])
 {
 	if (changed) {
 		control->handover_left = control->handover_steps;
-		for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+		for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 			control->offset[i] = control->output[i] - output[i];
 	}
 	if (control->handover_left == 0)
 		return;
-	control->handover_left--;
+	--control->handover_left;
 	const float share = (float)control->handover_left / (float)control->handover_steps;
 	const float most = control->mixers[control->flying].limit;
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		output[i] = limit(output[i] + share * control->offset[i], 0.0f, most);
 }
 
 bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
 {
 	const enum controller before = control->flying;
-	const enum controller chosen = choose(control, input->pid_wanted);
+	const enum controller chosen = control_choose(control, input->pid_wanted);
 
 	control->fresh = false;
 	if (chosen != before) {
-		begin(control, chosen);
+		control_begin(control, chosen);
 		if (!control->latched)
 			control->fallback = chosen == CONTROLLER_PID ? NF_FALLBACK_SWITCH : NF_FALLBACK_NONE;
 	}
-	if (!answer(control, input)) {
-		fall_back(control, NF_FALLBACK_POLICY_OUTPUT);
+	if (!control_answer(control, input)) {
+		control_fall_back(control, NF_FALLBACK_POLICY_OUTPUT);
 		if (!control->latched) {
 			control->good[CONTROLLER_POLICY] = false;
 			return false;
 		}
-		begin(control, CONTROLLER_PID);
-		answer(control, input);
+		control_begin(control, CONTROLLER_PID);
+		control_answer(control, input);
 	}
 	mixer_step(&control->mixers[control->flying], control->action, input->throttle, output);
-	hand_over(control, control->flying != before && !control->first, output);
+	control_hand_over(control, control->flying != before && !control->first, output);
 	memcpy(control->output, output, sizeof control->output);
 	control->first = false;
 	return true;
@@ -172,14 +172,14 @@ void control_deadline(struct control *control, bool missed)
 		return;
 	control->misses = 0;
 	if (control->flying == CONTROLLER_POLICY)
-		fall_back(control, NF_FALLBACK_DEADLINE);
+		control_fall_back(control, NF_FALLBACK_DEADLINE);
 }
 
 float control_spread(const struct control *control)
 {
 	float least = control->action[0], most = control->action[0];
 
-	for (int i = 1; i < POLICY_ACTION_COUNT; i++) {
+	for (int i = 1; i < POLICY_ACTION_COUNT; ++i) {
 		least = control->action[i] < least ? control->action[i] : least;
 		most = control->action[i] > most ? control->action[i] : most;
 	}

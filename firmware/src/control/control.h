@@ -5,11 +5,11 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "control/mixer.h"
-#include "nf_contract.h"
 #include "common/nf_err.h"
+#include "control/mixer.h"
 #include "control/observation.h"
 #include "control/pid.h"
+#include "nf_contract.h"
 #include "policy.h"
 
 enum controller {

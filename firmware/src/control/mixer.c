@@ -3,8 +3,7 @@
 #include "common/limit.h"
 
 /* The thrust of the highest throttle stick that arms. */
-#define THROTTLE_LOW \
-	((float)(NF_THROTTLE_LOW_US - NF_CHANNEL_MIN_US) / (float)(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US))
+#define THROTTLE_LOW ((float)(NF_THROTTLE_LOW_US - NF_CHANNEL_MIN_US) / (float)(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US))
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 
@@ -28,11 +27,11 @@ void mixer_step(const struct mixer *mixer, const float action[POLICY_ACTION_COUN
 		float output[POLICY_ACTION_COUNT])
 {
 	float largest = action[0];
-	for (int i = 1; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 1; i < POLICY_ACTION_COUNT; ++i)
 		largest = action[i] > largest ? action[i] : largest;
 
 	const float thrust = throttle * (1.0f - largest);
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++) {
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
 		/* Rounding may carry the sum a hair past 1. */
 		const float mixed = limit(thrust + action[i], 0.0f, 1.0f);
 		output[i] = mixer->idle + mixer->span * mixed;

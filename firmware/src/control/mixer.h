@@ -4,8 +4,8 @@
 
 #include <stdbool.h>
 
-#include "nf_contract.h"
 #include "common/nf_err.h"
+#include "nf_contract.h"
 #include "policy.h"
 
 struct mixer {

@@ -7,47 +7,50 @@
 /* Each writes one block and returns the end of it. */
 typedef float *block_writer(const struct observation *o, const struct observation_input *input, float *out);
 
-static float *put(const float *values, size_t count, float *out)
+static float *observation_put(const float *values, size_t count, float *out)
 {
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		*out++ = values[i];
 	return out;
 }
 
-static float *write_rate(const struct observation *o, const struct observation_input *input, float *out)
+static float *observation_write_rate(const struct observation *o, const struct observation_input *input, float *out)
 {
 	(void)o;
-	return put(input->rate, 3, out);
+	return observation_put(input->rate, 3, out);
 }
 
-static float *write_rate_error(const struct observation *o, const struct observation_input *input, float *out)
+static float *observation_write_rate_error(const struct observation *o, const struct observation_input *input,
+					   float *out)
 {
 	(void)input;
-	return put(o->error, 3, out);
+	return observation_put(o->error, 3, out);
 }
 
-static float *write_rate_error_delta(const struct observation *o, const struct observation_input *input, float *out)
+static float *observation_write_rate_error_delta(const struct observation *o, const struct observation_input *input,
+						 float *out)
 {
 	(void)input;
-	return put(o->delta, 3, out);
+	return observation_put(o->delta, 3, out);
 }
 
-static float *write_rate_error_integral(const struct observation *o, const struct observation_input *input,
-					float *out)
+static float *observation_write_rate_error_integral(const struct observation *o, const struct observation_input *input,
+						    float *out)
 {
 	(void)input;
-	return put(o->integral, 3, out);
+	return observation_put(o->integral, 3, out);
 }
 
-static float *write_previous_action(const struct observation *o, const struct observation_input *input, float *out)
+static float *observation_write_previous_action(const struct observation *o, const struct observation_input *input,
+						float *out)
 {
-	return put(input->previous_action, o->motor_count, out);
+	return observation_put(input->previous_action, o->motor_count, out);
 }
 
-static float *write_throttle(const struct observation *o, const struct observation_input *input, float *out)
+static float *observation_write_throttle(const struct observation *o, const struct observation_input *input, float *out)
 {
 	(void)o;
-	return put(&input->throttle, 1, out);
+	return observation_put(&input->throttle, 1, out);
 }
 
 /* One row for each of the contract's blocks that this core has a source for, at its code; one without a writer
@@ -56,13 +59,13 @@ static const struct block {
 	block_writer *write;
 	size_t width; /* 0: one value a motor */
 } table[] = {
-#define ROW(name, code, width) [code] = { write_##name, width },
+#define ROW(name, code, width) [code] = { observation_write_##name, width },
 	NF_OBSERVATION_BLOCKS(ROW)
 #undef ROW
 };
 
 /* The block's values, 0 for a code that is none. */
-static size_t block_width(unsigned char code, size_t motor_count)
+static size_t observation_block_width(unsigned char code, size_t motor_count)
 {
 	if (code >= sizeof table / sizeof table[0] || !table[code].write)
 		return 0;
@@ -76,8 +79,8 @@ enum nf_err observation_init(struct observation *o, const struct observation_ter
 
 	if (terms->count > NF_OBSERVATION_TERMS_MAX)
 		return NF_ERR_OBSERVATION;
-	for (size_t i = 0; i < terms->count; i++) {
-		const size_t values = block_width(terms->blocks[i], motor_count);
+	for (size_t i = 0; i < terms->count; ++i) {
+		const size_t values = observation_block_width(terms->blocks[i], motor_count);
 		if (values == 0 || terms->ages[i] > NF_OBSERVATION_AGE_MAX ||
 		    !(terms->gains[i] >= 0.0f && terms->gains[i] < 1.0f))
 			return NF_ERR_OBSERVATION;
@@ -96,7 +99,7 @@ enum nf_err observation_init(struct observation *o, const struct observation_ter
 void observation_reset(struct observation *o)
 {
 	o->first = true;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		o->error[i] = 0.0f;
 		o->delta[i] = 0.0f;
 		o->integral[i] = 0.0f;
@@ -105,9 +108,9 @@ void observation_reset(struct observation *o)
 	memset(o->turns, 0, sizeof o->turns);
 }
 
-static void update(struct observation *o, const struct observation_input *input)
+static void observation_update(struct observation *o, const struct observation_input *input)
 {
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const float error = input->setpoint[i] - input->rate[i];
 		o->delta[i] = o->first ? 0.0f : error - o->error[i];
 		o->integral[i] = limit(o->integral[i] + error * o->period_s, -NF_RATE_ERROR_INTEGRAL_LIMIT_RAD,
@@ -117,18 +120,18 @@ static void update(struct observation *o, const struct observation_input *input)
 }
 
 /* Replaces the values from `out` to `end` by their low-pass, whose state is `state`. */
-static void pass(float *state, float gain, bool first, float *out, const float *end)
+static void observation_pass(float *state, float gain, bool first, float *out, const float *end)
 {
-	for (; out < end; out++, state++) {
+	for (; out < end; ++out, state++) {
 		*state = first ? *out : *state + gain * (*out - *state);
 		*out = *state;
 	}
 }
 
 /* Puts the values from `out` to `end` where the oldest in the line wait, and takes those out. */
-static void exchange(float *oldest, float *out, const float *end)
+static void observation_exchange(float *oldest, float *out, const float *end)
 {
-	for (; out < end; out++, oldest++) {
+	for (; out < end; ++out, oldest++) {
 		const float old = *oldest;
 		*oldest = *out;
 		*out = old;
@@ -140,19 +143,19 @@ void observation_step(struct observation *o, const struct observation_input *inp
 	const struct observation_terms *const terms = &o->terms;
 	float *memory = o->memory;
 
-	update(o, input);
-	for (size_t i = 0; i < terms->count; i++) {
+	observation_update(o, input);
+	for (size_t i = 0; i < terms->count; ++i) {
 		const unsigned age = terms->ages[i];
 		const float gain = terms->gains[i];
 		float *const end = table[terms->blocks[i]].write(o, input, out);
 		const size_t width = (size_t)(end - out);
 
 		if (gain > 0.0f) {
-			pass(memory, gain, o->first, out, end);
+			observation_pass(memory, gain, o->first, out, end);
 			memory += width;
 		}
 		if (age > 0) {
-			exchange(memory + o->turns[i] * width, out, end);
+			observation_exchange(memory + o->turns[i] * width, out, end);
 			o->turns[i] = (unsigned char)(o->turns[i] + 1u == age ? 0u : o->turns[i] + 1u);
 			memory += age * width;
 		}

@@ -6,8 +6,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "nf_contract.h"
 #include "common/nf_err.h"
+#include "nf_contract.h"
 
 /* What a control step knows before the policy runs. */
 struct observation_input {

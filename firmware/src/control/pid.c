@@ -11,7 +11,7 @@ void pid_init(struct pid *pid, const struct pid_gains *gains)
 void pid_reset(struct pid *pid)
 {
 	pid->first = true;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		pid->integral[i] = 0.0f;
 		pid->slope[i] = 0.0f;
 		pid->rate[i] = 0.0f;
@@ -19,7 +19,7 @@ void pid_reset(struct pid *pid)
 }
 
 /* What an axis asks of the motors whose share in it is 1. */
-static float axis_step(struct pid *pid, int i, float setpoint, float rate)
+static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate)
 {
 	const struct pid_gains *g = pid->gains;
 	const float error = setpoint - rate;
@@ -32,17 +32,17 @@ static float axis_step(struct pid *pid, int i, float setpoint, float rate)
 }
 
 /* Moves demands into 0..1: narrowed where they span more than 1, lifted until none is below 0, cut at 1. */
-static void desaturate(float demand[POLICY_ACTION_COUNT])
+static void pid_desaturate(float demand[POLICY_ACTION_COUNT])
 {
 	float lowest = demand[0], highest = demand[0];
 
-	for (int i = 1; i < POLICY_ACTION_COUNT; i++) {
+	for (int i = 1; i < POLICY_ACTION_COUNT; ++i) {
 		lowest = demand[i] < lowest ? demand[i] : lowest;
 		highest = demand[i] > highest ? demand[i] : highest;
 	}
 	const float span = highest - lowest > 1.0f ? highest - lowest : 1.0f;
 	const float lift = lowest < 0.0f ? -lowest : 0.0f;
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		demand[i] = limit((demand[i] + lift) / span, 0.0f, 1.0f);
 }
 
@@ -50,12 +50,12 @@ void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], flo
 {
 	float axes[3];
 
-	for (int i = 0; i < 3; i++)
-		axes[i] = axis_step(pid, i, setpoint[i], rate[i]);
+	for (int i = 0; i < 3; ++i)
+		axes[i] = pid_axis_step(pid, i, setpoint[i], rate[i]);
 	pid->first = false;
-	for (int m = 0; m < POLICY_ACTION_COUNT; m++) {
+	for (int m = 0; m < POLICY_ACTION_COUNT; ++m) {
 		const float *share = pid->gains->mixer[m];
 		action[m] = share[0] * axes[0] + share[1] * axes[1] + share[2] * axes[2];
 	}
-	desaturate(action);
+	pid_desaturate(action);
 }

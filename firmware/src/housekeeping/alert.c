@@ -32,17 +32,16 @@ void alert_init(struct alert *alert)
 }
 
 /* The first condition that holds and has a rhythm for the output. */
-static uint8_t first(uint32_t conditions, enum alert_output output)
+static uint8_t alert_first(uint32_t conditions, enum alert_output output)
 {
 	uint8_t condition = 0;
 
-	while (condition < ALERT_CONDITION_COUNT &&
-	       !(conditions >> condition & 1u && rhythms[condition][output].slots))
-		condition++;
+	while (condition < ALERT_CONDITION_COUNT && !(conditions >> condition & 1u && rhythms[condition][output].slots))
+		++condition;
 	return condition;
 }
 
-static bool flashing(unsigned flashes, uint32_t slot)
+static bool alert_flashing(unsigned flashes, uint32_t slot)
 {
 	const uint32_t round = 2u * (flashes > 0 ? flashes : 1u);
 	const uint32_t place = slot % (round + FLASH_PAUSE);
@@ -50,16 +49,17 @@ static bool flashing(unsigned flashes, uint32_t slot)
 	return place < round && place % 2u == 0;
 }
 
-static bool on(const struct rhythm *rhythm, uint32_t slot)
+static bool alert_on(const struct rhythm *rhythm, uint32_t slot)
 {
 	if (rhythm->once && slot >= rhythm->count)
 		return false;
 	return rhythm->slots[slot % rhythm->count] == '#';
 }
 
-static bool play(struct alert *alert, enum alert_output output, uint32_t conditions, unsigned flashes, uint32_t ms)
+static bool alert_play(struct alert *alert, enum alert_output output, uint32_t conditions, unsigned flashes,
+		       uint32_t ms)
 {
-	const uint8_t condition = first(conditions, output);
+	const uint8_t condition = alert_first(conditions, output);
 
 	if (condition != alert->playing[output]) {
 		alert->playing[output] = condition;
@@ -68,13 +68,13 @@ static bool play(struct alert *alert, enum alert_output output, uint32_t conditi
 	const uint32_t slot = (ms - alert->since_ms[output]) / SLOT_MS;
 	if (condition == ALERT_CONDITION_COUNT)
 		return false;
-	return condition == ALERT_FAULT ? flashing(flashes, slot) : on(&rhythms[condition][output], slot);
+	return condition == ALERT_FAULT ? alert_flashing(flashes, slot) : alert_on(&rhythms[condition][output], slot);
 }
 
 struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms)
 {
 	return (struct alert_state){
-		.beeper = play(alert, ALERT_BEEPER, conditions, flashes, ms),
-		.led = play(alert, ALERT_LED, conditions, flashes, ms),
+		.beeper = alert_play(alert, ALERT_BEEPER, conditions, flashes, ms),
+		.led = alert_play(alert, ALERT_LED, conditions, flashes, ms),
 	};
 }

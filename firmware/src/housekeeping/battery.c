@@ -8,11 +8,11 @@
 
 /* Gains of first-order low-passes; period / (period + time constant). */
 #define FILTER (PERIOD / (PERIOD + 0.1f)) /* 0.1 s: over what the motors draw by turns, quicker than a pilot */
-#define REST (PERIOD / (PERIOD + 30.0f))  /* 30 s: slower than a manoeuvre, quicker than the flight empties the pack */
+#define REST (PERIOD / (PERIOD + 30.0f)) /* 30 s: slower than a manoeuvre, quicker than the flight empties the pack */
 
-#define CELL_FULL_V 4.35f  /* and a hair: a charged LiHV cell */
-#define CELL_EMPTY_V 2.5f  /* below this there is no pack */
-#define HYSTERESIS_V 0.1f  /* a cell */
+#define CELL_FULL_V 4.35f /* and a hair: a charged LiHV cell */
+#define CELL_EMPTY_V 2.5f /* below this there is no pack */
+#define HYSTERESIS_V 0.1f /* a cell */
 #define CELLS_MAX 6u
 #define WATCH_STEPS (BATTERY_RATE_HZ / 2)
 #define GONE_STEPS (2 * BATTERY_RATE_HZ)
@@ -24,7 +24,7 @@ void battery_init(struct battery *battery, const struct nf_settings *settings)
 	*battery = (struct battery){ .settings = settings, .level = BATTERY_UNKNOWN };
 }
 
-static void measure(struct battery *battery, float volts, float amps)
+static void battery_measure(struct battery *battery, float volts, float amps)
 {
 	if (!battery->measured) {
 		battery->measured = true;
@@ -40,25 +40,25 @@ static void measure(struct battery *battery, float volts, float amps)
 }
 
 /* The fewest cells that are not overcharged by this voltage. */
-static unsigned count_cells(float volts)
+static unsigned battery_count_cells(float volts)
 {
 	unsigned cells = 1;
 
 	while (cells < CELLS_MAX && volts > CELL_FULL_V * (float)cells)
-		cells++;
+		++cells;
 	return cells;
 }
 
 /* Is there a pack, and do we know its cells? */
-static bool known(struct battery *battery)
+static bool battery_known(struct battery *battery)
 {
-	const unsigned cells = battery->cells > 0 ? battery->cells : count_cells(battery->volts);
+	const unsigned cells = battery->cells > 0 ? battery->cells : battery_count_cells(battery->volts);
 
 	if (battery->volts < CELL_EMPTY_V * (float)cells) {
 		battery->watched = 0;
 		battery->measured = false; /* a pack that is plugged in shows at once */
 		if (battery->gone < GONE_STEPS)
-			battery->gone++;
+			++battery->gone;
 		else
 			battery->cells = battery->settings->battery_cells;
 		return false;
@@ -67,7 +67,7 @@ static bool known(struct battery *battery)
 	if (battery->cells > 0)
 		return true;
 	if (battery->watched < WATCH_STEPS) {
-		battery->watched++;
+		++battery->watched;
 		return false;
 	}
 	battery->cells = cells;
@@ -75,7 +75,7 @@ static bool known(struct battery *battery)
 }
 
 /* The level of a cell's voltage; the present one gives way upwards only with some to spare. */
-static enum battery_level judge(const struct battery *battery)
+static enum battery_level battery_update_level(const struct battery *battery)
 {
 	const struct nf_settings *settings = battery->settings;
 	const float cell = battery->volts / (float)battery->cells;
@@ -98,11 +98,11 @@ void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, 
 		return;
 	}
 	const float amps = limit((float)amps_mv / settings->current_scale, 0.0f, AMPS_MAX);
-	measure(battery, (float)volts_mv * VOLTS_PER_MV * settings->battery_scale, amps);
+	battery_measure(battery, (float)volts_mv * VOLTS_PER_MV * settings->battery_scale, amps);
 	battery->charge += (uint32_t)(amps * MILLI + 0.5f);
 	if (battery->cells == 0)
 		battery->cells = settings->battery_cells;
-	battery->level = known(battery) ? judge(battery) : BATTERY_UNKNOWN;
+	battery->level = battery_known(battery) ? battery_update_level(battery) : BATTERY_UNKNOWN;
 }
 
 enum battery_level battery_level(const struct battery *battery)

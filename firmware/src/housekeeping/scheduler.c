@@ -12,7 +12,7 @@ void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed)
 	if (stats->runs == 0 || cycles < stats->best)
 		stats->best = cycles;
 	stats->sum += cycles;
-	stats->runs++;
+	++stats->runs;
 	stats->misses += missed;
 }
 
@@ -33,13 +33,13 @@ void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_
 		.clock = clock,
 		.stats = stats,
 	};
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		task_stats_init(&stats[tasks[i].id], tasks[i].rate_hz);
 }
 
 bool scheduler_step(struct scheduler *scheduler, uint32_t now, void *context)
 {
-	for (size_t i = 0; i < scheduler->count; i++) {
+	for (size_t i = 0; i < scheduler->count; ++i) {
 		const struct task *task = &scheduler->tasks[i];
 		const uint32_t period = scheduler->gyro_rate_hz / task->rate_hz;
 		const uint32_t late = now - scheduler->due[i];

@@ -28,9 +28,9 @@ static const struct row {
 #define ASKED_MOTORS 8
 #define ASKED_STOP (1u << 31) /* so that it differs from nothing */
 
-static const struct row *find(unsigned command)
+static const struct row *dshot_command_find(unsigned command)
 {
-	for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++)
+	for (size_t i = 0; i < sizeof rows / sizeof rows[0]; ++i)
 		if (rows[i].command == command)
 			return &rows[i];
 	return NULL;
@@ -52,7 +52,7 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
 		self->asked = ASKED_STOP;
 		return NF_REFUSAL_NONE;
 	}
-	if (!find(command))
+	if (!dshot_command_find(command))
 		return NF_REFUSAL_PAYLOAD;
 	if (motor >= self->motor_count && motor != NF_DSHOT_ALL_MOTORS)
 		return NF_REFUSAL_INDEX;
@@ -66,10 +66,10 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
 }
 
 /* One store asked, the interrupt takes it whole. */
-static void take(struct dshot_command *self)
+static void dshot_command_take(struct dshot_command *self)
 {
 	const uint32_t asked = self->asked;
-	const struct row *row = find(asked & 0xFFu);
+	const struct row *row = dshot_command_find(asked & 0xFFu);
 
 	self->asked = 0;
 	self->left = 0;
@@ -89,12 +89,12 @@ bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot
 		self->left = 0;
 	}
 	if (self->asked != 0)
-		take(self);
+		dshot_command_take(self);
 	if (self->left == 0)
 		return false;
-	self->left--;
+	--self->left;
 	const bool telling = self->left >= self->until && self->left < self->from;
-	for (unsigned i = 0; i < self->motor_count; i++)
+	for (unsigned i = 0; i < self->motor_count; ++i)
 		dshot[i] = telling && (self->motors >> i & 1u) ? self->command : NF_DSHOT_STOP;
 	return telling;
 }

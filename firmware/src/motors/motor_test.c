@@ -12,15 +12,15 @@ void motor_test_init(struct motor_test *test, unsigned control_rate_hz, unsigned
 }
 
 /* --- The background's side ------------------------------------------------------------------------------- */
-static bool wished(const struct motor_test *test)
+static bool motor_test_wished(const struct motor_test *test)
 {
 	return test->wish & 1u;
 }
 
 /* A test that the interrupt has not seen yet counts as open: values may follow in the same breath. */
-static bool open(const struct motor_test *test)
+static bool motor_test_open(const struct motor_test *test)
 {
-	return wished(test) && (test->wish != test->wish_seen || test->left > 0);
+	return motor_test_wished(test) && (test->wish != test->wish_seen || test->left > 0);
 }
 
 enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool stopped)
@@ -29,18 +29,18 @@ enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool sto
 
 	if (opens && !stopped)
 		return NF_REFUSAL_ARMED;
-	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; i++)
+	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
 		test->given[i] = NF_DSHOT_STOP;
 	fence();
-	test->wish += wished(test) == opens ? 2u : 1u;
+	test->wish += motor_test_wished(test) == opens ? 2u : 1u;
 	return opens || magic == 0 ? NF_REFUSAL_NONE : NF_REFUSAL_PAYLOAD;
 }
 
-static bool within_range(const float fractions[], size_t count)
+static bool motor_test_within_range(const float fractions[], size_t count)
 {
 	float sum = 0.0f;
 
-	for (size_t i = 0; i < count; i++) {
+	for (size_t i = 0; i < count; ++i) {
 		if (!(fractions[i] >= 0.0f && fractions[i] <= NF_MOTOR_TEST_MAX))
 			return false;
 		sum += fractions[i];
@@ -50,16 +50,16 @@ static bool within_range(const float fractions[], size_t count)
 
 enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[], size_t count)
 {
-	if (!open(test))
+	if (!motor_test_open(test))
 		return NF_REFUSAL_ORDER;
 	if (count > test->motor_count)
 		return NF_REFUSAL_INDEX;
-	if (!within_range(fractions, count))
+	if (!motor_test_within_range(fractions, count))
 		return NF_REFUSAL_RANGE;
-	for (size_t i = 0; i < test->motor_count; i++)
+	for (size_t i = 0; i < test->motor_count; ++i)
 		test->given[i] = i < count && fractions[i] > 0.0f ? dshot_value(fractions[i]) : NF_DSHOT_STOP;
 	fence();
-	test->refreshed++;
+	++test->refreshed;
 	return NF_REFUSAL_NONE;
 }
 
@@ -72,29 +72,29 @@ void motor_test_end(struct motor_test *test)
 	test->wish_seen = test->wish;
 }
 
-static bool allowed(const struct motor_test_view *view)
+static bool motor_test_allowed(const struct motor_test_view *view)
 {
 	return view->stopped && !view->switch_on;
 }
 
-void motor_test_look(struct motor_test *test, const struct motor_test_view *view)
+void motor_test_update(struct motor_test *test, const struct motor_test_view *view)
 {
-	if (!allowed(view) || (test->left > 0 && view->link != test->link))
+	if (!motor_test_allowed(view) || (test->left > 0 && view->link != test->link))
 		motor_test_end(test);
 }
 
 /* Carries out a wish of the background. */
-static void carry_out(struct motor_test *test, const struct motor_test_view *view)
+static void motor_test_carry_out(struct motor_test *test, const struct motor_test_view *view)
 {
 	motor_test_end(test);
-	if (!wished(test))
+	if (!motor_test_wished(test))
 		return;
 	test->left = test->timeout;
 	test->link = view->link;
 }
 
 /* Counts the time that is left, anew when values were given. */
-static void count_down(struct motor_test *test)
+static void motor_test_count_down(struct motor_test *test)
 {
 	if (test->refreshed != test->refreshed_seen) {
 		test->refreshed_seen = test->refreshed;
@@ -106,21 +106,21 @@ static void count_down(struct motor_test *test)
 
 bool motor_test_step(struct motor_test *test, const struct motor_test_view *view, uint16_t dshot[])
 {
-	motor_test_look(test, view);
+	motor_test_update(test, view);
 	if (test->wish != test->wish_seen)
-		carry_out(test, view);
+		motor_test_carry_out(test, view);
 	if (test->left > 0)
-		count_down(test);
+		motor_test_count_down(test);
 	else if (test->settling > 0)
-		test->settling--;
+		--test->settling;
 	if (test->left == 0)
 		return false;
-	for (unsigned i = 0; i < test->motor_count; i++)
+	for (unsigned i = 0; i < test->motor_count; ++i)
 		dshot[i] = test->given[i];
 	return true;
 }
 
 bool motor_test_forbids(const struct motor_test *test)
 {
-	return open(test) || test->left > 0 || test->settling > 0;
+	return motor_test_open(test) || test->left > 0 || test->settling > 0;
 }

@@ -47,7 +47,7 @@ enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[]
 
 /* In the interrupt, for each receiver frame. A test ends when it is not `stopped`, the switch is on, or the link is
  * another than when it opened. */
-void motor_test_look(struct motor_test *test, const struct motor_test_view *view);
+void motor_test_update(struct motor_test *test, const struct motor_test_view *view);
 
 /* In the interrupt, at each control step: looks, too. Returns whether the test is open; then it has written each
  * motor's DShot value. */

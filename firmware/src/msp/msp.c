@@ -47,13 +47,13 @@ void msp_reset(struct msp *msp)
 	msp->state = MSP_DOLLAR;
 }
 
-static uint8_t checksum_step(unsigned version, uint8_t checksum, uint8_t byte)
+static uint8_t msp_checksum_step(unsigned version, uint8_t checksum, uint8_t byte)
 {
 	return version == 1 ? checksum ^ byte : crc8(checksum, &byte, 1);
 }
 
 /* The state behind a complete header. A size that no request can have is noise: wait for the next '$'. */
-static enum msp_state behind_header(struct msp *msp)
+static enum msp_state msp_after_header(struct msp *msp)
 {
 	if (msp->size > NF_MSP_PAYLOAD_MAX)
 		return MSP_DOLLAR;
@@ -62,14 +62,14 @@ static enum msp_state behind_header(struct msp *msp)
 }
 
 /* Takes one byte. Returns whether it completed a request, which is then in version and command. */
-static bool push(struct msp *msp, uint8_t byte)
+static bool msp_push(struct msp *msp, uint8_t byte)
 {
 	if (msp->state == MSP_CHECKSUM) {
 		msp->state = MSP_DOLLAR;
 		return byte == msp->checksum;
 	}
 	if (msp->state > MSP_DIRECTION)
-		msp->checksum = checksum_step(msp->version, msp->checksum, byte);
+		msp->checksum = msp_checksum_step(msp->version, msp->checksum, byte);
 
 	switch ((enum msp_state)msp->state) {
 	case MSP_DOLLAR:
@@ -89,7 +89,7 @@ static bool push(struct msp *msp, uint8_t byte)
 		break;
 	case MSP_V1_COMMAND:
 		msp->command = byte;
-		msp->state = msp->size == JUMBO ? MSP_V1_JUMBO_LOW : (uint8_t)behind_header(msp);
+		msp->state = msp->size == JUMBO ? MSP_V1_JUMBO_LOW : (uint8_t)msp_after_header(msp);
 		break;
 	case MSP_V2_FLAGS:
 		msp->state = MSP_V2_COMMAND_LOW;
@@ -105,12 +105,12 @@ static bool push(struct msp *msp, uint8_t byte)
 	case MSP_V1_JUMBO_LOW:
 	case MSP_V2_SIZE_LOW:
 		msp->size = byte;
-		msp->state++;
+		++msp->state;
 		break;
 	case MSP_V1_JUMBO_HIGH:
 	case MSP_V2_SIZE_HIGH:
 		msp->size = (uint16_t)(msp->size | byte << 8);
-		msp->state = (uint8_t)behind_header(msp);
+		msp->state = (uint8_t)msp_after_header(msp);
 		break;
 	case MSP_PAYLOAD:
 		msp->payload[msp->received++] = byte;
@@ -124,7 +124,7 @@ static bool push(struct msp *msp, uint8_t byte)
 }
 
 /* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
-static bool carry_out(const struct msp *msp, const struct firmware_status *status, struct msp_writer *payload)
+static bool msp_carry_out(const struct msp *msp, const struct firmware_status *status, struct msp_writer *payload)
 {
 	const struct policy_slots *slots = msp->services ? msp->services->slots : NULL;
 	enum nf_refusal refusal;
@@ -137,11 +137,11 @@ static bool carry_out(const struct msp *msp, const struct firmware_status *statu
 }
 
 /* Writes the reply to the request just read; 0 bytes if it does not fit. */
-static size_t answer(const struct msp *msp, const struct firmware_status *status, uint8_t *reply, size_t capacity)
+static size_t msp_answer(const struct msp *msp, const struct firmware_status *status, uint8_t *reply, size_t capacity)
 {
 	uint8_t payload[REPLY_MAX];
 	struct msp_writer writer = { payload, payload + sizeof payload };
-	const bool refused = carry_out(msp, status, &writer);
+	const bool refused = msp_carry_out(msp, status, &writer);
 	const size_t size = (size_t)(writer.at - payload);
 	const size_t header_end = msp->version == 1 ? FRAME_V1_BYTES - 1 : FRAME_V2_BYTES - 1;
 	size_t n = 0;
@@ -162,11 +162,11 @@ static size_t answer(const struct msp *msp, const struct firmware_status *status
 		reply[n++] = (uint8_t)size;
 		reply[n++] = (uint8_t)(size >> 8);
 	}
-	for (size_t i = 0; i < size; i++)
+	for (size_t i = 0; i < size; ++i)
 		reply[n++] = payload[i];
 	uint8_t checksum = 0;
-	for (size_t i = checked_from; i < n; i++)
-		checksum = checksum_step(msp->version, checksum, reply[i]);
+	for (size_t i = checked_from; i < n; ++i)
+		checksum = msp_checksum_step(msp->version, checksum, reply[i]);
 	reply[n++] = checksum;
 	return n;
 }
@@ -176,8 +176,8 @@ size_t msp_serve(struct msp *msp, const struct firmware_status *status, const ui
 {
 	size_t written = 0;
 
-	for (size_t i = 0; i < count; i++)
-		if (push(msp, bytes[i]))
-			written += answer(msp, status, reply + written, capacity - written);
+	for (size_t i = 0; i < count; ++i)
+		if (msp_push(msp, bytes[i]))
+			written += msp_answer(msp, status, reply + written, capacity - written);
 	return written;
 }

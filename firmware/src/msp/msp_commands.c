@@ -13,13 +13,13 @@ struct request {
 	int detail; /* of a refusal */
 };
 
-static enum nf_refusal tasks(struct request *q)
+static enum nf_refusal command_tasks(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
 	msp_put_u32(q->reply, s->cycles_hz);
 	msp_put_u8(q->reply, TASK_COUNT);
-	for (unsigned i = 0; i < TASK_COUNT; i++) {
+	for (unsigned i = 0; i < TASK_COUNT; ++i) {
 		const struct task_stats *task = &s->tasks[i];
 		msp_put_u16(q->reply, task->rate_hz);
 		msp_put_u32(q->reply, task->runs);
@@ -31,7 +31,7 @@ static enum nf_refusal tasks(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal faults_read(struct request *q)
+static enum nf_refusal command_faults_read(struct request *q)
 {
 	const struct fault_log *log = q->services->faults;
 
@@ -44,12 +44,12 @@ static enum nf_refusal faults_read(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal faults_acknowledge(struct request *q)
+static enum nf_refusal command_faults_acknowledge(struct request *q)
 {
 	return fault_log_acknowledge(q->services->faults, msp_take_u32(&q->payload));
 }
 
-static enum nf_refusal setting_info(struct request *q)
+static enum nf_refusal command_setting_info(struct request *q)
 {
 	const struct setting *setting = settings_info(msp_take_u16(&q->payload));
 
@@ -65,7 +65,7 @@ static enum nf_refusal setting_info(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal setting_get(struct request *q)
+static enum nf_refusal command_setting_get(struct request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
 	const struct setting *setting = settings_info(index);
@@ -79,7 +79,7 @@ static enum nf_refusal setting_get(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
-static enum nf_refusal setting_set(struct request *q)
+static enum nf_refusal command_setting_set(struct request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
 	const union setting_value value = { .as_uint32_t = msp_take_u32(&q->payload) };
@@ -87,7 +87,7 @@ static enum nf_refusal setting_set(struct request *q)
 	return settings_set(q->services->settings, index, &value);
 }
 
-static enum nf_refusal settings_write(struct request *q)
+static enum nf_refusal command_settings_write(struct request *q)
 {
 	const enum nf_refusal refusal = settings_save(q->services->settings, q->services->flash);
 
@@ -98,28 +98,28 @@ static enum nf_refusal settings_write(struct request *q)
 
 /* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect; those that are not
  * told are low. */
-static enum nf_refusal channels(struct request *q)
+static enum nf_refusal command_channels(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
 	if (!s->channels)
 		return NF_REFUSAL_ABSENT;
-	for (unsigned i = 0; i < NF_CHANNEL_COUNT; i++) {
+	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i) {
 		const bool told = q->payload.left >= sizeof channels_us[0];
 		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_MIN_US;
 	}
 	return s->channels(s->context, channels_us);
 }
 
-static enum nf_refusal motor_test(struct request *q)
+static enum nf_refusal command_motor_test(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
 	return s->motor_test ? s->motor_test(s->context, msp_take_u32(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
-static enum nf_refusal motors(struct request *q)
+static enum nf_refusal command_motors(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	uint16_t values_us[NF_MOTOR_COUNT_MAX];
@@ -136,7 +136,7 @@ static enum nf_refusal motors(struct request *q)
 	return s->motors(s->context, values_us, count);
 }
 
-static enum nf_refusal dshot_command(struct request *q)
+static enum nf_refusal command_dshot_command(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	const unsigned motor = msp_take_u8(&q->payload);
@@ -144,7 +144,7 @@ static enum nf_refusal dshot_command(struct request *q)
 	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
-static enum nf_refusal slot_begin(struct request *q)
+static enum nf_refusal command_slot_begin(struct request *q)
 {
 	const enum nf_refusal refusal = policy_slots_begin(q->services->slots, msp_take_u32(&q->payload));
 
@@ -153,14 +153,14 @@ static enum nf_refusal slot_begin(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal slot_write(struct request *q)
+static enum nf_refusal command_slot_write(struct request *q)
 {
 	const uint32_t offset = msp_take_u32(&q->payload);
 
 	return policy_slots_write(q->services->slots, offset, q->payload.at, q->payload.left);
 }
 
-static enum nf_refusal slot_end(struct request *q)
+static enum nf_refusal command_slot_end(struct request *q)
 {
 	enum nf_err why;
 	const enum nf_refusal refusal = policy_slots_end(q->services->slots, &why);
@@ -169,7 +169,7 @@ static enum nf_refusal slot_end(struct request *q)
 	return refusal;
 }
 
-static enum nf_refusal reboot(struct request *q)
+static enum nf_refusal command_reboot(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
@@ -192,30 +192,30 @@ static const struct command {
 	uint16_t shortest, longest; /* payload [bytes] */
 	enum nf_refusal (*run)(struct request *q);
 } commands[] = {
-	{ NF_MSP_TASKS, ALWAYS, 0, 0, tasks },
-	{ NF_MSP_FAULTS, ALWAYS, 0, 0, faults_read },
-	{ NF_MSP_FAULTS, STORING, 4, 4, faults_acknowledge },
-	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, setting_info },
-	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, setting_get },
-	{ NF_MSP_SETTING_SET, STOPPED, 6, 6, setting_set },
-	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, settings_write },
-	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, channels },
-	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, motor_test },
-	{ NF_MSP_SET_MOTOR, STOPPED, 2, 2 * NF_MOTOR_COUNT_MAX, motors },
-	{ NF_MSP_DSHOT_COMMAND, STOPPED, 2, 2, dshot_command },
-	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, slot_begin },
-	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, slot_write },
-	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, slot_end },
-	{ NF_MSP_REBOOT, STOPPED, 0, 1, reboot },
+	{ NF_MSP_TASKS, ALWAYS, 0, 0, command_tasks },
+	{ NF_MSP_FAULTS, ALWAYS, 0, 0, command_faults_read },
+	{ NF_MSP_FAULTS, STORING, 4, 4, command_faults_acknowledge },
+	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, command_setting_info },
+	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, command_setting_get },
+	{ NF_MSP_SETTING_SET, STOPPED, 6, 6, command_setting_set },
+	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, command_settings_write },
+	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, command_channels },
+	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, command_motor_test },
+	{ NF_MSP_SET_MOTOR, STOPPED, 2, 2 * NF_MOTOR_COUNT_MAX, command_motors },
+	{ NF_MSP_DSHOT_COMMAND, STOPPED, 2, 2, command_dshot_command },
+	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, command_slot_begin },
+	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_slot_write },
+	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, command_slot_end },
+	{ NF_MSP_REBOOT, STOPPED, 0, 1, command_reboot },
 };
 
 /* The row of a command with a payload of that size; one of another size, *fits false, or NULL. */
-static const struct command *find(uint16_t code, size_t size, bool *fits)
+static const struct command *command_find(uint16_t code, size_t size, bool *fits)
 {
 	const struct command *found = NULL;
 
 	*fits = false;
-	for (size_t i = 0; i < sizeof commands / sizeof commands[0] && !*fits; i++) {
+	for (size_t i = 0; i < sizeof commands / sizeof commands[0] && !*fits; ++i) {
 		if (commands[i].code != code)
 			continue;
 		found = &commands[i];
@@ -224,7 +224,8 @@ static const struct command *find(uint16_t code, size_t size, bool *fits)
 	return found;
 }
 
-static enum nf_refusal run(const struct command *command, const struct firmware_status *status, struct request *q)
+static enum nf_refusal command_run(const struct command *command, const struct firmware_status *status,
+				   struct request *q)
 {
 	const struct msp_services *s = q->services;
 
@@ -248,11 +249,11 @@ bool msp_command(const struct msp_services *services, const struct firmware_stat
 {
 	struct request q = { .services = services, .payload = { payload, size }, .reply = reply };
 	bool fits;
-	const struct command *command = find(code, size, &fits);
+	const struct command *command = command_find(code, size, &fits);
 
 	if (!command)
 		return false;
-	*refusal = fits ? run(command, status, &q) : NF_REFUSAL_PAYLOAD;
+	*refusal = fits ? command_run(command, status, &q) : NF_REFUSAL_PAYLOAD;
 	if (*refusal != NF_REFUSAL_NONE) {
 		msp_put_u8(reply, *refusal);
 		msp_put_u16(reply, (unsigned)q.detail);

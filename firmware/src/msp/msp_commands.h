@@ -6,13 +6,13 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "storage/fault_log.h"
-#include "storage/flash.h"
+#include "common/status.h"
+#include "housekeeping/scheduler.h"
 #include "msp/msp_payload.h"
 #include "nf_contract.h"
+#include "storage/fault_log.h"
+#include "storage/flash.h"
 #include "storage/policy_slots.h"
-#include "housekeeping/scheduler.h"
-#include "common/status.h"
 
 /* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; what lies
  * beyond, the functions reach. One that is NULL refuses its command as absent. */

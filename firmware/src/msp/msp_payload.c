@@ -34,7 +34,7 @@ void msp_put_bytes(struct msp_writer *w, const void *bytes, size_t count)
 {
 	const uint8_t *from = bytes;
 
-	for (size_t i = 0; i < count; i++)
+	for (size_t i = 0; i < count; ++i)
 		msp_put_u8(w, from[i]);
 }
 
@@ -53,7 +53,7 @@ void msp_put_rounded(struct msp_writer *w, float value)
 
 void msp_put_text(struct msp_writer *w, const char *text, unsigned most)
 {
-	for (unsigned i = 0; i < most && text[i]; i++)
+	for (unsigned i = 0; i < most && text[i]; ++i)
 		msp_put_u8(w, (unsigned char)text[i]);
 }
 
@@ -62,7 +62,7 @@ void msp_put_counted_text(struct msp_writer *w, const char *text, unsigned most)
 	unsigned length = 0;
 
 	while (length < most && length < MSP_TEXT_MAX && text[length])
-		length++;
+		++length;
 	msp_put_u8(w, length);
 	msp_put_text(w, text, length);
 }
@@ -71,7 +71,7 @@ unsigned msp_take_u8(struct msp_reader *r)
 {
 	if (r->left == 0)
 		return 0;
-	r->left--;
+	--r->left;
 	return *r->at++;
 }
 

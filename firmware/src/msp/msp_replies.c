@@ -2,9 +2,9 @@
 
 #include <stddef.h>
 
-#include "housekeeping/battery.h"
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "housekeeping/battery.h"
 #include "nf_contract.h"
 #include "policy.h"
 
@@ -22,7 +22,7 @@ struct source {
 	const struct policy_slots *slots; /* NULL: none here */
 };
 
-static void api_version(struct msp_writer *w, const struct source *s)
+static void reply_api_version(struct msp_writer *w, const struct source *s)
 {
 	(void)s;
 	msp_put_u8(w, NF_MSP_PROTOCOL_VERSION);
@@ -30,22 +30,22 @@ static void api_version(struct msp_writer *w, const struct source *s)
 	msp_put_u8(w, NF_MSP_API_MINOR);
 }
 
-static void fc_variant(struct msp_writer *w, const struct source *s)
+static void reply_fc_variant(struct msp_writer *w, const struct source *s)
 {
 	(void)s;
 	msp_put_text(w, NF_MSP_VARIANT, 4);
 }
 
-static void fc_version(struct msp_writer *w, const struct source *s)
+static void reply_fc_version(struct msp_writer *w, const struct source *s)
 {
 	static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
 
 	(void)s;
-	for (int i = 0; i < NF_VERSION_COUNT; i++)
+	for (int i = 0; i < NF_VERSION_COUNT; ++i)
 		msp_put_u8(w, version[i]);
 }
 
-static void board_info(struct msp_writer *w, const struct source *s)
+static void reply_board_info(struct msp_writer *w, const struct source *s)
 {
 	msp_put_text(w, s->identity->board, 4);
 	msp_put_u16(w, 0); /* hardware revision */
@@ -65,7 +65,7 @@ static void board_info(struct msp_writer *w, const struct source *s)
 }
 
 /* Builds are reproducible, so an image knows no date; the policy's hash tells two of them apart. */
-static void build_info(struct msp_writer *w, const struct source *s)
+static void reply_build_info(struct msp_writer *w, const struct source *s)
 {
 	(void)s;
 	msp_put_text(w, "Jan 01 1970", 11);
@@ -73,14 +73,14 @@ static void build_info(struct msp_writer *w, const struct source *s)
 	msp_put_text(w, "0000000", 7);
 }
 
-static void name(struct msp_writer *w, const struct source *s)
+static void reply_name(struct msp_writer *w, const struct source *s)
 {
 	(void)s;
 	msp_put_text(w, POLICY_NAME, MSP_TEXT_MAX);
 }
 
 /* The common part of STATUS and STATUS_EX. */
-static void put_status(struct msp_writer *w, const struct source *s)
+static void reply_put_status(struct msp_writer *w, const struct source *s)
 {
 	msp_put_u16(w, 1000000u / POLICY_CONTROL_RATE_HZ); /* control period, us */
 	msp_put_u16(w, 0);                                 /* I2C errors */
@@ -90,7 +90,7 @@ static void put_status(struct msp_writer *w, const struct source *s)
 	msp_put_u16(w, s->status->load_percent);
 }
 
-static void put_arming(struct msp_writer *w, const struct source *s)
+static void reply_put_arming(struct msp_writer *w, const struct source *s)
 {
 	msp_put_u8(w, 0); /* no flight modes beyond the first 32 */
 	msp_put_u8(w, NF_ARMING_REASON_PID_MISSING + 1);
@@ -99,36 +99,36 @@ static void put_arming(struct msp_writer *w, const struct source *s)
 	msp_put_u16(w, 0); /* core temperature: not measured */
 }
 
-static void status(struct msp_writer *w, const struct source *s)
+static void reply_status(struct msp_writer *w, const struct source *s)
 {
-	put_status(w, s);
+	reply_put_status(w, s);
 	msp_put_u16(w, 1000000u / s->status->gyro_rate_hz); /* gyro period, us */
-	put_arming(w, s);
+	reply_put_arming(w, s);
 }
 
-static void status_ex(struct msp_writer *w, const struct source *s)
+static void reply_status_ex(struct msp_writer *w, const struct source *s)
 {
-	put_status(w, s);
+	reply_put_status(w, s);
 	msp_put_u8(w, 1); /* profiles */
 	msp_put_u8(w, 0); /* rate profile */
-	put_arming(w, s);
+	reply_put_arming(w, s);
 }
 
 /* Body axes: the accelerometer in 1/512 g, the gyro in whole deg/s; there is no magnetometer. */
-static void raw_imu(struct msp_writer *w, const struct source *s)
+static void reply_raw_imu(struct msp_writer *w, const struct source *s)
 {
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		msp_put_rounded(w, s->status->accel_g[i] * COUNTS_PER_G);
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		msp_put_rounded(w, s->status->trace.gyro[i] * NF_DEG_PER_RAD);
 	msp_put_zeros(w, 6);
 }
 
-static void motor(struct msp_writer *w, const struct source *s)
+static void reply_motor(struct msp_writer *w, const struct source *s)
 {
 	const struct control_trace *trace = &s->status->trace;
 
-	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; i++) {
+	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; ++i) {
 		const unsigned value = trace->dshot[i];
 		const unsigned running = 1000u + (value - NF_DSHOT_MIN) * 1000u / NF_DSHOT_SPAN;
 		msp_put_u16(w, i >= trace->motor_count ? 0 : value == NF_DSHOT_STOP ? 1000 : running);
@@ -136,7 +136,7 @@ static void motor(struct msp_writer *w, const struct source *s)
 }
 
 /* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
-static void rc(struct msp_writer *w, const struct source *s)
+static void reply_rc(struct msp_writer *w, const struct source *s)
 {
 	const uint16_t *channels_us = s->status->channels_us;
 
@@ -144,18 +144,18 @@ static void rc(struct msp_writer *w, const struct source *s)
 	msp_put_u16(w, channels_us[NF_CHANNEL_PITCH]);
 	msp_put_u16(w, channels_us[NF_CHANNEL_YAW]);
 	msp_put_u16(w, channels_us[NF_CHANNEL_THROTTLE]);
-	for (int i = NF_CHANNEL_ARM; i < NF_CHANNEL_COUNT; i++)
+	for (int i = NF_CHANNEL_ARM; i < NF_CHANNEL_COUNT; ++i)
 		msp_put_u16(w, channels_us[i]);
 }
 
 /* For those who have one byte for it. */
-static unsigned tenths_of_volts(float volts)
+static unsigned reply_tenths_of_volts(float volts)
 {
 	return (unsigned)(limit(volts * 10.0f, 0.0f, UINT8_MAX - 1) + 0.5f);
 }
 
 /* Tenths of a degree; the heading, whole degrees, turns right from where the aircraft woke up. */
-static void attitude(struct msp_writer *w, const struct source *s)
+static void reply_attitude(struct msp_writer *w, const struct source *s)
 {
 	const float *angles = s->status->attitude_deg;
 	const float right = -angles[2];
@@ -165,20 +165,21 @@ static void attitude(struct msp_writer *w, const struct source *s)
 	msp_put_rounded(w, right < 0.0f ? right + 360.0f : right);
 }
 
-static void analog(struct msp_writer *w, const struct source *s)
+static void reply_analog(struct msp_writer *w, const struct source *s)
 {
 	const struct firmware_status *status = s->status;
 
-	msp_put_u8(w, tenths_of_volts(status->volts));
+	msp_put_u8(w, reply_tenths_of_volts(status->volts));
 	msp_put_rounded(w, status->drawn_mah);
 	msp_put_u16(w, status->receiver_quality * RSSI_FULL / 100u);
 	msp_put_rounded(w, status->amps * 100.0f);
 	msp_put_rounded(w, status->volts * 100.0f);
 }
 
-static void battery_state(struct msp_writer *w, const struct source *s)
+static void reply_battery_state(struct msp_writer *w, const struct source *s)
 {
-	static const uint8_t states[] = { /* the ecosystem's: 0 good, 1 warning, 2 critical, 3 none there */
+	static const uint8_t states[] = {
+		/* the ecosystem's: 0 good, 1 warning, 2 critical, 3 none there */
 		[BATTERY_UNKNOWN] = 3,
 		[BATTERY_GOOD] = 0,
 		[BATTERY_WARN] = 1,
@@ -188,26 +189,26 @@ static void battery_state(struct msp_writer *w, const struct source *s)
 
 	msp_put_u8(w, status->cells);
 	msp_put_u16(w, 0); /* capacity: nobody told */
-	msp_put_u8(w, tenths_of_volts(status->volts));
+	msp_put_u8(w, reply_tenths_of_volts(status->volts));
 	msp_put_rounded(w, status->drawn_mah);
 	msp_put_rounded(w, status->amps * 100.0f);
 	msp_put_u8(w, states[status->battery_level <= BATTERY_LOW ? status->battery_level : BATTERY_UNKNOWN]);
 	msp_put_rounded(w, status->volts * 100.0f);
 }
 
-static void uid(struct msp_writer *w, const struct source *s)
+static void reply_uid(struct msp_writer *w, const struct source *s)
 {
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		msp_put_u32(w, s->identity->unique_id[i]);
 }
 
-static unsigned hex_digit(char digit)
+static unsigned reply_hex_digit(char digit)
 {
 	return (unsigned)(digit <= '9' ? digit - '0' : digit - 'a' + 10);
 }
 
 /* Name and hash of the policy that is flown; where none is good, of the compiled-in one. */
-static void policy_is(struct msp_writer *w, const struct source *s)
+static void reply_policy_is(struct msp_writer *w, const struct source *s)
 {
 	static const char sha256[] = POLICY_SHA256;
 	struct nf_policy_blob_header header;
@@ -220,10 +221,10 @@ static void policy_is(struct msp_writer *w, const struct source *s)
 	}
 	msp_put_counted_text(w, POLICY_NAME, MSP_TEXT_MAX);
 	for (int i = 0; i < SHA256_DIGITS; i += 2)
-		msp_put_u8(w, hex_digit(sha256[i]) << 4 | hex_digit(sha256[i + 1]));
+		msp_put_u8(w, reply_hex_digit(sha256[i]) << 4 | reply_hex_digit(sha256[i + 1]));
 }
 
-static void policy_info(struct msp_writer *w, const struct source *s)
+static void reply_policy_info(struct msp_writer *w, const struct source *s)
 {
 	msp_put_u32(w, POLICY_ARCHITECTURE_HASH);
 	msp_put_u16(w, POLICY_OBSERVATION_COUNT);
@@ -232,15 +233,15 @@ static void policy_info(struct msp_writer *w, const struct source *s)
 	msp_put_u16(w, POLICY_CONTROL_RATE_HZ);
 	msp_put_u16(w, s->status->gyro_rate_hz);
 	msp_put_u8(w, s->status->policy_good);
-	policy_is(w, s);
+	reply_policy_is(w, s);
 	msp_put_float(w, s->slots ? s->slots->idle : POLICY_IDLE);
 	msp_put_u8(w, s->slots ? s->slots->flown : POLICY_COMPILED_IN);
 	msp_put_u32(w, s->slots ? s->slots->sequence : 0);
-	for (unsigned i = 0; i < POLICY_SOURCE_COUNT; i++) /* enum nf_err, each a signed byte */
+	for (unsigned i = 0; i < POLICY_SOURCE_COUNT; ++i) /* enum nf_err, each a signed byte */
 		msp_put_u8(w, s->slots ? (unsigned)s->slots->found[i] : 0);
 }
 
-static void safety(struct msp_writer *w, const struct source *s)
+static void reply_safety(struct msp_writer *w, const struct source *s)
 {
 	const struct firmware_status *status = s->status;
 
@@ -261,23 +262,23 @@ static const struct command {
 	enum nf_msp code;
 	void (*write)(struct msp_writer *w, const struct source *s);
 } commands[] = {
-	{ NF_MSP_API_VERSION, api_version },
-	{ NF_MSP_FC_VARIANT, fc_variant },
-	{ NF_MSP_FC_VERSION, fc_version },
-	{ NF_MSP_BOARD_INFO, board_info },
-	{ NF_MSP_BUILD_INFO, build_info },
-	{ NF_MSP_NAME, name },
-	{ NF_MSP_STATUS, status },
-	{ NF_MSP_RAW_IMU, raw_imu },
-	{ NF_MSP_MOTOR, motor },
-	{ NF_MSP_RC, rc },
-	{ NF_MSP_ATTITUDE, attitude },
-	{ NF_MSP_ANALOG, analog },
-	{ NF_MSP_BATTERY_STATE, battery_state },
-	{ NF_MSP_STATUS_EX, status_ex },
-	{ NF_MSP_UID, uid },
-	{ NF_MSP_POLICY_INFO, policy_info },
-	{ NF_MSP_SAFETY, safety },
+	{ NF_MSP_API_VERSION, reply_api_version },
+	{ NF_MSP_FC_VARIANT, reply_fc_variant },
+	{ NF_MSP_FC_VERSION, reply_fc_version },
+	{ NF_MSP_BOARD_INFO, reply_board_info },
+	{ NF_MSP_BUILD_INFO, reply_build_info },
+	{ NF_MSP_NAME, reply_name },
+	{ NF_MSP_STATUS, reply_status },
+	{ NF_MSP_RAW_IMU, reply_raw_imu },
+	{ NF_MSP_MOTOR, reply_motor },
+	{ NF_MSP_RC, reply_rc },
+	{ NF_MSP_ATTITUDE, reply_attitude },
+	{ NF_MSP_ANALOG, reply_analog },
+	{ NF_MSP_BATTERY_STATE, reply_battery_state },
+	{ NF_MSP_STATUS_EX, reply_status_ex },
+	{ NF_MSP_UID, reply_uid },
+	{ NF_MSP_POLICY_INFO, reply_policy_info },
+	{ NF_MSP_SAFETY, reply_safety },
 };
 
 bool msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *firmware,
@@ -285,7 +286,7 @@ bool msp_reply(uint16_t command, const struct msp_identity *identity, const stru
 {
 	const struct source source = { identity, firmware, slots };
 
-	for (size_t i = 0; i < sizeof commands / sizeof commands[0]; i++) {
+	for (size_t i = 0; i < sizeof commands / sizeof commands[0]; ++i) {
 		if (commands[i].code == command) {
 			commands[i].write(reply, &source);
 			return true;

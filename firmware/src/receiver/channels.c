@@ -2,13 +2,13 @@
 
 #define CHANNEL_BITS 11u
 #define CHANNEL_MASK ((1u << CHANNEL_BITS) - 1u)
-_Static_assert(NF_CHANNEL_COUNT * CHANNEL_BITS == CHANNELS_PACKED_BYTES * 8, "no bit is left over");
+_Static_assert(CHANNELS_PACKED_BYTES * 8 == NF_CHANNEL_COUNT * CHANNEL_BITS, "no bit is left over");
 
 void channels_unpack(const uint8_t packed[CHANNELS_PACKED_BYTES], uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	/* Unrolled, all places of bits are constants: half the instructions of the step that a frame falls into. */
 #pragma GCC unroll 16
-	for (unsigned i = 0; i < NF_CHANNEL_COUNT; i++) {
+	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i) {
 		const uint8_t *from = packed + i * CHANNEL_BITS / 8;
 		const unsigned shift = i * CHANNEL_BITS % 8;
 		uint32_t bits = from[0] | (uint32_t)from[1] << 8;

@@ -2,8 +2,8 @@
 
 #include <string.h>
 
-#include "receiver/channels.h"
 #include "common/crc8.h"
+#include "receiver/channels.h"
 
 /* Where things stand in a frame. */
 #define LENGTH 1
@@ -34,7 +34,7 @@ size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count)
 }
 
 /* How many of the bytes are done with: a whole frame's, 1 when no frame begins here, 0 when one may yet become. */
-static size_t judge(const uint8_t *bytes, size_t count)
+static size_t crsf_check(const uint8_t *bytes, size_t count)
 {
 	if (count > 0 && bytes[0] != NF_CRSF_SYNC)
 		return 1;
@@ -49,7 +49,7 @@ static size_t judge(const uint8_t *bytes, size_t count)
 }
 
 /* Reads a whole frame; returns whether it is of a kind that matters. */
-static bool decode(const uint8_t *bytes, struct crsf_frame *frame)
+static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 {
 	const size_t length = bytes[LENGTH];
 
@@ -73,8 +73,8 @@ bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
 	size_t from = 0, done;
 	bool taken = false;
 
-	while (!taken && (done = judge(crsf->bytes + from, crsf->count - from)) > 0) {
-		taken = done > 1 && decode(crsf->bytes + from, frame);
+	while (!taken && (done = crsf_check(crsf->bytes + from, crsf->count - from)) > 0) {
+		taken = done > 1 && crsf_decode(crsf->bytes + from, frame);
 		from += done;
 	}
 	crsf->count = (uint8_t)(crsf->count - from);

@@ -16,17 +16,17 @@ void link_quality_reset(struct link_quality *quality)
 	*quality = (struct link_quality){ .slot_length = length, .slot_left = length };
 }
 
-static void count(uint16_t *frames)
+static void link_quality_count(uint16_t *frames)
 {
 	if (*frames < SLOT_MAX)
-		(*frames)++;
+		++*frames;
 }
 
 void link_quality_frame(struct link_quality *quality, bool good)
 {
-	count(&quality->all[quality->slot]);
+	link_quality_count(&quality->all[quality->slot]);
 	if (good)
-		count(&quality->good[quality->slot]);
+		link_quality_count(&quality->good[quality->slot]);
 }
 
 void link_quality_tell(struct link_quality *quality, uint8_t percent)
@@ -36,7 +36,8 @@ void link_quality_tell(struct link_quality *quality, uint8_t percent)
 }
 
 /* A second's frames, the slot that ends included. The sum then goes on without the slot that begins anew. */
-static uint16_t second(uint16_t *sum, uint16_t slots[LINK_QUALITY_SLOTS], uint8_t ends, uint8_t begins)
+static uint16_t link_quality_second_frames(uint16_t *sum, uint16_t slots[LINK_QUALITY_SLOTS], uint8_t ends,
+					   uint8_t begins)
 {
 	const uint16_t whole = (uint16_t)(*sum + slots[ends]);
 
@@ -46,12 +47,12 @@ static uint16_t second(uint16_t *sum, uint16_t slots[LINK_QUALITY_SLOTS], uint8_
 }
 
 /* Only at the end of a slot: a second that ends within one would look like frames that stayed away. */
-static void judge(struct link_quality *quality)
+static void link_quality_update(struct link_quality *quality)
 {
 	const uint8_t ends = quality->slot;
 	const uint8_t begins = ends + 1 < LINK_QUALITY_SLOTS ? (uint8_t)(ends + 1) : 0;
-	const uint16_t good = second(&quality->good_sum, quality->good, ends, begins);
-	const uint16_t all = second(&quality->all_sum, quality->all, ends, begins);
+	const uint16_t good = link_quality_second_frames(&quality->good_sum, quality->good, ends, begins);
+	const uint16_t all = link_quality_second_frames(&quality->all_sum, quality->all, ends, begins);
 
 	quality->slot = begins;
 	if (all > quality->most)
@@ -63,11 +64,11 @@ static void judge(struct link_quality *quality)
 void link_quality_tick(struct link_quality *quality)
 {
 	if (quality->told_left > 0)
-		quality->told_left--;
+		--quality->told_left;
 	if (--quality->slot_left > 0)
 		return;
 	quality->slot_left = quality->slot_length;
-	judge(quality);
+	link_quality_update(quality);
 }
 
 unsigned link_quality_percent(const struct link_quality *quality)

@@ -32,7 +32,7 @@ struct numbers {
 	uint32_t deadband_us;
 };
 
-static void init_actual(struct rates_axis *axis, const struct numbers *numbers)
+static void rates_init_actual(struct rates_axis *axis, const struct numbers *numbers)
 {
 	const float rise = numbers->max - numbers->rate;
 
@@ -40,7 +40,7 @@ static void init_actual(struct rates_axis *axis, const struct numbers *numbers)
 	axis->rise = rise > 0.0f ? rise * NF_RAD_PER_DEG : 0.0f;
 }
 
-static void init_betaflight(struct rates_axis *axis, const struct numbers *numbers)
+static void rates_init_betaflight(struct rates_axis *axis, const struct numbers *numbers)
 {
 	const float steep = numbers->rate - RC_RATE_STEEP;
 	const float rate = steep > 0.0f ? numbers->rate + RC_RATE_STEEPER * steep : numbers->rate;
@@ -50,14 +50,14 @@ static void init_betaflight(struct rates_axis *axis, const struct numbers *numbe
 }
 
 /* The curves are odd: they are told the stick's way from the centre, 0..1, and answer a rate [rad/s], >= 0. */
-static float actual(const struct rates_axis *axis, float x)
+static float rates_actual(const struct rates_axis *axis, float x)
 {
 	const float x2 = x * x;
 
 	return x * axis->slope + axis->rise * (x * (x2 * x2 * x * axis->expo + x * (1.0f - axis->expo)));
 }
 
-static float betaflight(const struct rates_axis *axis, float x)
+static float rates_betaflight(const struct rates_axis *axis, float x)
 {
 	const float command = x * (x * x * x * axis->expo + (1.0f - axis->expo));
 
@@ -68,8 +68,8 @@ static const struct style {
 	void (*init)(struct rates_axis *axis, const struct numbers *numbers);
 	float (*curve)(const struct rates_axis *axis, float x);
 } styles[] = {
-	[NF_RATES_STYLE_ACTUAL] = { init_actual, actual },
-	[NF_RATES_STYLE_BETAFLIGHT] = { init_betaflight, betaflight },
+	[NF_RATES_STYLE_ACTUAL] = { rates_init_actual, rates_actual },
+	[NF_RATES_STYLE_BETAFLIGHT] = { rates_init_betaflight, rates_betaflight },
 };
 
 void rates_init(struct rates *rates, const struct nf_settings *settings)
@@ -82,7 +82,7 @@ void rates_init(struct rates *rates, const struct nf_settings *settings)
 	};
 
 	rates->style = s->rates_style;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		struct rates_axis *axis = &rates->axes[i];
 		axis->deadband = (float)numbers[i].deadband_us;
 		axis->per_us = 1.0f / (float)(HALF_STICK_US - numbers[i].deadband_us);
@@ -93,7 +93,7 @@ void rates_init(struct rates *rates, const struct nf_settings *settings)
 
 void rates_setpoint(const struct rates *rates, const uint16_t channels_us[NF_CHANNEL_COUNT], float setpoint[3])
 {
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const struct rates_axis *axis = &rates->axes[i];
 		const int offset_us = channels_us[sticks[i].channel] - NF_CHANNEL_MID_US;
 		const float way_us = (float)(offset_us < 0 ? -offset_us : offset_us) - axis->deadband;

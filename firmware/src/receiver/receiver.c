@@ -8,7 +8,7 @@
 static const uint8_t sticks[RECEIVER_STICKS] = { NF_CHANNEL_ROLL, NF_CHANNEL_PITCH, NF_CHANNEL_YAW };
 _Static_assert(NF_CHANNEL_BEEPER == RECEIVER_MAPPED - 1, "the mapped channels are the first ones");
 
-static void lose(struct receiver *receiver)
+static void receiver_lose(struct receiver *receiver)
 {
 	receiver->age = receiver->lost_after;
 	receiver->recovering = receiver->recovery;
@@ -36,11 +36,11 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 	};
 	receiver->since = receiver->hold_after;
 	link_quality_init(&receiver->quality, gyro_rate_hz);
-	lose(receiver);
+	receiver_lose(receiver);
 }
 
 /* Something whole has come, news or not: it tells how far frames are apart. */
-static void heard(struct receiver *receiver, bool good)
+static void receiver_frame_heard(struct receiver *receiver, bool good)
 {
 	if (receiver->since > 0 && receiver->since < receiver->hold_after)
 		receiver->interval = receiver->since;
@@ -48,41 +48,41 @@ static void heard(struct receiver *receiver, bool good)
 	link_quality_frame(&receiver->quality, good);
 }
 
-static void take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_COUNT])
+static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_COUNT])
 {
 	uint16_t flown_us[NF_CHANNEL_COUNT];
 
 	if (receiver->interpolates) {
 		receiver_channels(receiver, flown_us);
-		for (int i = 0; i < RECEIVER_STICKS; i++)
+		for (int i = 0; i < RECEIVER_STICKS; ++i)
 			receiver->from_us[i] = flown_us[sticks[i]];
 	}
 	memcpy(receiver->channels_us, wire_us, sizeof receiver->channels_us);
-	for (int i = 0; i < RECEIVER_MAPPED; i++)
+	for (int i = 0; i < RECEIVER_MAPPED; ++i)
 		receiver->channels_us[i] = wire_us[receiver->map[i]];
 	receiver->age = 0;
 	if (receiver->recovering == 1)
 		receiver->recovering = 0;
-	heard(receiver, true);
+	receiver_frame_heard(receiver, true);
 }
 
 /* Repeated channels (frame_lost) are no news and go on ageing; failsafe means lost at once. */
-static bool push_sbus(struct receiver *receiver, uint8_t byte)
+static bool receiver_push_sbus(struct receiver *receiver, uint8_t byte)
 {
 	struct sbus_frame frame;
 
 	if (!sbus_push(&receiver->line.sbus, byte, &frame))
 		return false;
 	if (frame.failsafe)
-		lose(receiver);
+		receiver_lose(receiver);
 	else if (frame.frame_lost)
-		heard(receiver, false);
+		receiver_frame_heard(receiver, false);
 	else
-		take(receiver, frame.channels_us);
+		receiver_take(receiver, frame.channels_us);
 	return true;
 }
 
-static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+static bool receiver_read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	const uint8_t *at = *bytes, *const end = at + *count;
 	bool frame = false;
@@ -90,7 +90,7 @@ static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *
 	while (at < end && !frame) {
 		at += sbus_fill(&receiver->line.sbus, at, (size_t)(end - at));
 		if (at < end)
-			frame = push_sbus(receiver, *at++);
+			frame = receiver_push_sbus(receiver, *at++);
 	}
 	*bytes = at;
 	*count = (size_t)(end - at);
@@ -98,13 +98,13 @@ static bool read_sbus(struct receiver *receiver, const uint8_t **bytes, size_t *
 }
 
 /* Takes what waits; returns whether sticks were among it, which is where it stops. */
-static bool take_crsf(struct receiver *receiver)
+static bool receiver_take_crsf(struct receiver *receiver)
 {
 	struct crsf_frame frame;
 
 	while (crsf_take(&receiver->line.crsf, &frame)) {
 		if (frame.kind == CRSF_CHANNELS) {
-			take(receiver, frame.channels_us);
+			receiver_take(receiver, frame.channels_us);
 			return true;
 		}
 		link_quality_tell(&receiver->quality, frame.quality);
@@ -113,14 +113,14 @@ static bool take_crsf(struct receiver *receiver)
 }
 
 /* One byte may complete several frames: those that wait come before the next byte. */
-static bool read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+static bool receiver_read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	const uint8_t *at = *bytes, *const end = at + *count;
-	bool frame = take_crsf(receiver);
+	bool frame = receiver_take_crsf(receiver);
 
 	while (at < end && !frame) {
 		at += crsf_put(&receiver->line.crsf, at, (size_t)(end - at));
-		frame = take_crsf(receiver);
+		frame = receiver_take_crsf(receiver);
 	}
 	*bytes = at;
 	*count = (size_t)(end - at);
@@ -128,7 +128,7 @@ static bool read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *
 }
 
 /* MSP has a line of its own: what is heard on this one is noise. */
-static bool read_nothing(struct receiver *receiver, const uint8_t **bytes, size_t *count)
+static bool receiver_read_nothing(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	(void)receiver;
 	*bytes += *count;
@@ -136,17 +136,17 @@ static bool read_nothing(struct receiver *receiver, const uint8_t **bytes, size_
 	return false;
 }
 
-static void reset_nothing(struct receiver *receiver)
+static void receiver_reset_nothing(struct receiver *receiver)
 {
 	(void)receiver;
 }
 
-static void reset_sbus(struct receiver *receiver)
+static void receiver_reset_sbus(struct receiver *receiver)
 {
 	sbus_reset(&receiver->line.sbus);
 }
 
-static void reset_crsf(struct receiver *receiver)
+static void receiver_reset_crsf(struct receiver *receiver)
 {
 	crsf_reset(&receiver->line.crsf);
 }
@@ -155,9 +155,9 @@ static const struct protocol {
 	void (*reset)(struct receiver *receiver);
 	bool (*read)(struct receiver *receiver, const uint8_t **bytes, size_t *count);
 } protocols[] = {
-	[NF_RECEIVER_PROTOCOL_SBUS] = { reset_sbus, read_sbus },
-	[NF_RECEIVER_PROTOCOL_CRSF] = { reset_crsf, read_crsf },
-	[NF_RECEIVER_PROTOCOL_MSP] = { reset_nothing, read_nothing },
+	[NF_RECEIVER_PROTOCOL_SBUS] = { receiver_reset_sbus, receiver_read_sbus },
+	[NF_RECEIVER_PROTOCOL_CRSF] = { receiver_reset_crsf, receiver_read_crsf },
+	[NF_RECEIVER_PROTOCOL_MSP] = { receiver_reset_nothing, receiver_read_nothing },
 };
 
 bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *count)
@@ -181,10 +181,10 @@ bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANN
 {
 	if (receiver->protocol != NF_RECEIVER_PROTOCOL_MSP)
 		return false;
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+	for (int i = 0; i < NF_CHANNEL_COUNT; ++i)
 		if (channels_us[i] < NF_CHANNEL_VALID_MIN_US || channels_us[i] > NF_CHANNEL_VALID_MAX_US)
 			return false;
-	take(receiver, channels_us);
+	receiver_take(receiver, channels_us);
 	return true;
 }
 
@@ -192,11 +192,11 @@ void receiver_tick(struct receiver *receiver)
 {
 	link_quality_tick(&receiver->quality);
 	if (receiver->silent < receiver->gap_after)
-		receiver->silent++;
+		++receiver->silent;
 	if (receiver->since < receiver->hold_after)
-		receiver->since++;
+		++receiver->since;
 	if (receiver->age < receiver->lost_after && ++receiver->age == receiver->lost_after)
-		lose(receiver);
+		receiver_lose(receiver);
 	else if (receiver->recovering > 0 && receiver->age >= receiver->hold_after)
 		receiver->recovering = receiver->recovery;
 	else if (receiver->recovering > 1)
@@ -211,7 +211,7 @@ enum receiver_link receiver_link(const struct receiver *receiver)
 }
 
 /* From where the stick was to where the last frame says it is, over the time until the next one. */
-static uint16_t ramp(const struct receiver *receiver, int from_us, int to_us)
+static uint16_t receiver_ramp(const struct receiver *receiver, int from_us, int to_us)
 {
 	if (receiver->age >= receiver->interval)
 		return (uint16_t)to_us;
@@ -224,13 +224,14 @@ void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_
 
 	memcpy(channels_us, receiver->channels_us, sizeof receiver->channels_us);
 	if (link == RECEIVER_LOST)
-		for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+		for (int i = 0; i < NF_CHANNEL_COUNT; ++i)
 			channels_us[i] = NF_CHANNEL_MIN_US;
 	if (link == RECEIVER_GOOD && !receiver->interpolates)
 		return;
-	for (int i = 0; i < RECEIVER_STICKS; i++) {
+	for (int i = 0; i < RECEIVER_STICKS; ++i) {
 		uint16_t *stick_us = &channels_us[sticks[i]];
-		*stick_us = link == RECEIVER_GOOD ? ramp(receiver, receiver->from_us[i], *stick_us) : NF_CHANNEL_MID_US;
+		*stick_us = link == RECEIVER_GOOD ? receiver_ramp(receiver, receiver->from_us[i], *stick_us) :
+						    NF_CHANNEL_MID_US;
 	}
 }
 

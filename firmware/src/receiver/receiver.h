@@ -7,9 +7,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
 #include "receiver/crsf.h"
 #include "receiver/link_quality.h"
-#include "nf_contract.h"
 #include "receiver/sbus.h"
 
 enum receiver_link {

@@ -14,7 +14,7 @@ void sbus_reset(struct sbus *sbus)
 	sbus->count = 0;
 }
 
-static void decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *frame)
+static void sbus_decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *frame)
 {
 	channels_unpack(bytes + 1, frame->channels_us);
 	frame->frame_lost = bytes[FLAGS] & NF_SBUS_FLAG_FRAME_LOST;
@@ -22,19 +22,19 @@ static void decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_frame *
 }
 
 /* The format has no checksum. The unused flags tell most frames that begin a byte early or late. */
-static bool framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
+static bool sbus_framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
 {
 	return bytes[FOOTER] == NF_SBUS_FOOTER && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
 }
 
 /* Drops the first byte, and with it all up to the next that can begin a frame. */
-static void resume_at_next_header(struct sbus *sbus)
+static void sbus_resume_at_next_header(struct sbus *sbus)
 {
 	uint8_t from = 1;
 
 	while (from < sbus->count && sbus->bytes[from] != NF_SBUS_HEADER)
-		from++;
-	for (uint8_t i = from; i < sbus->count; i++)
+		++from;
+	for (uint8_t i = from; i < sbus->count; ++i)
 		sbus->bytes[i - from] = sbus->bytes[i];
 	sbus->count = (uint8_t)(sbus->count - from);
 }
@@ -46,11 +46,11 @@ bool sbus_push(struct sbus *sbus, uint8_t byte, struct sbus_frame *frame)
 	sbus->bytes[sbus->count++] = byte;
 	if (sbus->count < NF_SBUS_FRAME_BYTES)
 		return false;
-	if (!framed(sbus->bytes)) {
-		resume_at_next_header(sbus);
+	if (!sbus_framed(sbus->bytes)) {
+		sbus_resume_at_next_header(sbus);
 		return false;
 	}
-	decode(sbus->bytes, frame);
+	sbus_decode(sbus->bytes, frame);
 	sbus_reset(sbus);
 	return true;
 }

@@ -20,28 +20,28 @@ void crash_reset(struct crash *crash)
 	crash->away = 0;
 }
 
-static float size(float value)
+static float crash_size(float value)
 {
 	return value < 0.0f ? -value : value;
 }
 
-static int furthest(const float setpoint[3], const float rate[3])
+static int crash_furthest(const float setpoint[3], const float rate[3])
 {
 	int axis = 0;
 
-	for (int i = 1; i < 3; i++)
-		if (size(setpoint[i] - rate[i]) > size(setpoint[axis] - rate[axis]))
+	for (int i = 1; i < 3; ++i)
+		if (crash_size(setpoint[i] - rate[i]) > crash_size(setpoint[axis] - rate[axis]))
 			axis = i;
 	return axis;
 }
 
-static bool lasts(uint32_t steps, uint32_t limit)
+static bool crash_lasts(uint32_t steps, uint32_t limit)
 {
 	return limit > 0 && steps >= limit;
 }
 
 /* Counts steps in which `axis`, far off by `error`, turns further away. Returns whether that is a runaway. */
-static bool runs_away(struct crash *crash, int axis, float error, float rate)
+static bool crash_runs_away(struct crash *crash, int axis, float error, float rate)
 {
 	if (rate * error >= 0.0f || (crash->away > 0 && axis != crash->axis)) {
 		crash->away = 0;
@@ -49,26 +49,26 @@ static bool runs_away(struct crash *crash, int axis, float error, float rate)
 	}
 	if (crash->away++ == 0) {
 		crash->axis = axis;
-		crash->first_rate = size(rate);
+		crash->first_rate = crash_size(rate);
 	}
-	return crash->flown < crash->window && lasts(crash->away, crash->runaway_after) &&
-	       size(rate) > crash->first_rate;
+	return crash->flown < crash->window && crash_lasts(crash->away, crash->runaway_after) &&
+	       crash_size(rate) > crash->first_rate;
 }
 
 enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread)
 {
-	const int axis = furthest(setpoint, rate);
+	const int axis = crash_furthest(setpoint, rate);
 	const float error = setpoint[axis] - rate[axis];
 
 	if (crash->flown < crash->window)
-		crash->flown++;
-	if (!(size(error) > ERROR_LIMIT)) {
+		++crash->flown;
+	if (!(crash_size(error) > ERROR_LIMIT)) {
 		crash->helpless = 0;
 		crash->away = 0;
 		return CRASH_NONE;
 	}
 	crash->helpless = spread >= NF_CRASH_SPREAD ? crash->helpless + 1u : 0u;
-	if (runs_away(crash, axis, error, rate[axis]))
+	if (crash_runs_away(crash, axis, error, rate[axis]))
 		return CRASH_RUNAWAY;
-	return lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
+	return crash_lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
 }

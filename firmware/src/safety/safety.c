@@ -58,9 +58,9 @@ void safety_init(struct safety *safety, const struct nf_settings *settings, unsi
 	};
 }
 
-static const struct transition *fitting(enum nf_flight_state state, uint32_t conditions)
+static const struct transition *safety_matching(enum nf_flight_state state, uint32_t conditions)
 {
-	for (size_t i = 0; i < sizeof transitions / sizeof transitions[0]; i++) {
+	for (size_t i = 0; i < sizeof transitions / sizeof transitions[0]; ++i) {
 		const struct transition *t = &transitions[i];
 		if ((t->from & 1u << state) && (conditions & t->all) == t->all && (conditions & t->none) == 0)
 			return t;
@@ -68,16 +68,16 @@ static const struct transition *fitting(enum nf_flight_state state, uint32_t con
 	return NULL;
 }
 
-static uint32_t own_conditions(const struct safety *safety)
+static uint32_t safety_own_conditions(const struct safety *safety)
 {
 	return (safety->ready ? READY : 0u) |
 	       (safety->state == NF_FLIGHT_FAILSAFE_DROP && safety->descent_left == 0 ? DROPPED : 0u);
 }
 
-bool safety_look(struct safety *safety, uint32_t conditions)
+bool safety_update(struct safety *safety, uint32_t conditions)
 {
 	const enum nf_flight_state before = safety->state;
-	const struct transition *t = fitting(before, conditions | own_conditions(safety));
+	const struct transition *t = safety_matching(before, conditions | safety_own_conditions(safety));
 
 	if (t) {
 		safety->state = t->to;
@@ -93,7 +93,7 @@ bool safety_look(struct safety *safety, uint32_t conditions)
 void safety_tick(struct safety *safety)
 {
 	if (safety->descent_left > 0)
-		safety->descent_left--;
+		--safety->descent_left;
 }
 
 bool safety_descending(const struct safety *safety)
@@ -110,8 +110,7 @@ uint32_t safety_reasons(const struct safety *safety, uint32_t conditions)
 {
 	if (safety_motors(safety))
 		return 0;
-	return (conditions & FORBIDS_ARMING) |
-	       (safety->ready ? 0u : SAFETY_REASON(SWITCH_NOT_CYCLED)) |
+	return (conditions & FORBIDS_ARMING) | (safety->ready ? 0u : SAFETY_REASON(SWITCH_NOT_CYCLED)) |
 	       (safety->state == NF_FLIGHT_CRASHED ? SAFETY_REASON(CRASHED) : 0u) |
 	       (safety->state == NF_FLIGHT_FAULT ? SAFETY_REASON(FAULT) : 0u);
 }

@@ -35,7 +35,7 @@ void safety_init(struct safety *safety, const struct nf_settings *settings, unsi
 
 /* Called for every receiver frame and every control step with all conditions that hold. Returns whether this look
  * armed. */
-bool safety_look(struct safety *safety, uint32_t conditions);
+bool safety_update(struct safety *safety, uint32_t conditions);
 
 /* A control step has passed. */
 void safety_tick(struct safety *safety);

@@ -1,8 +1,8 @@
 #include "sensing/attitude.h"
 
 #include "common/limit.h"
-#include "nf_contract.h"
 #include "common/nf_math.h"
+#include "nf_contract.h"
 
 /* Gains. The accelerometer pulls with a time constant of 1/gain: slowly in flight, where it also feels what the
  * rotors and the air do; quickly while settling, which the aircraft spends on the ground. */
@@ -25,7 +25,7 @@ void attitude_init(struct attitude *attitude, unsigned rate_hz)
 }
 
 /* The accelerometer's direction where it may be gravity's. */
-static bool believe(const float acceleration[3], float up[3])
+static bool attitude_trust(const float acceleration[3], float up[3])
 {
 	const float x = acceleration[0] * (1.0f / NF_GRAVITY);
 	const float y = acceleration[1] * (1.0f / NF_GRAVITY);
@@ -41,16 +41,16 @@ static bool believe(const float acceleration[3], float up[3])
 	return true;
 }
 
-static void normalise(float q[4])
+static void attitude_normalise(float q[4])
 {
 	const float shorten = 1.0f / __builtin_sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
 
-	for (int i = 0; i < 4; i++)
+	for (int i = 0; i < 4; ++i)
 		q[i] *= shorten;
 }
 
 /* The shortest turn that carries the measured `up` to the world's z. */
-static void begin(struct attitude *attitude, const float up[3])
+static void attitude_begin(struct attitude *attitude, const float up[3])
 {
 	float *q = attitude->q;
 
@@ -64,12 +64,12 @@ static void begin(struct attitude *attitude, const float up[3])
 		q[2] = 0.0f;
 	}
 	q[3] = 0.0f;
-	normalise(q);
+	attitude_normalise(q);
 	attitude->begun = true;
 }
 
 /* Adds to `rate` what carries the estimated up towards the measured one: their cross product. */
-static void pull(struct attitude *attitude, const float measured[3], float rate[3])
+static void attitude_pull(struct attitude *attitude, const float measured[3], float rate[3])
 {
 	float up[3];
 
@@ -82,18 +82,18 @@ static void pull(struct attitude *attitude, const float measured[3], float rate[
 	const bool settling = attitude->settling > 0;
 	const float gain = settling ? GAIN_SETTLING : GAIN;
 
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const float bias = attitude->bias[i] + GAIN_BIAS * attitude->period * error[i];
 		if (!settling) /* what gain is left over from the start is no bias */
 			attitude->bias[i] = limit(bias, -BIAS_MAX, BIAS_MAX);
 		rate[i] += gain * error[i];
 	}
 	if (settling)
-		attitude->settling--;
+		--attitude->settling;
 }
 
 /* q += 1/2 q (0, rate) dt */
-static void turn(struct attitude *attitude, const float rate[3])
+static void attitude_turn(struct attitude *attitude, const float rate[3])
 {
 	const float half = 0.5f * attitude->period;
 	const float x = half * rate[0], y = half * rate[1], z = half * rate[2];
@@ -104,21 +104,21 @@ static void turn(struct attitude *attitude, const float rate[3])
 	q[1] = b + (a * x + c * z - d * y);
 	q[2] = c + (a * y - b * z + d * x);
 	q[3] = d + (a * z + b * y - c * x);
-	normalise(q);
+	attitude_normalise(q);
 }
 
 void attitude_step(struct attitude *attitude, const float rate[3], const float acceleration[3])
 {
 	float turning[3], measured[3];
 
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		turning[i] = rate[i] + attitude->bias[i];
-	if (believe(acceleration, measured)) {
+	if (attitude_trust(acceleration, measured)) {
 		if (!attitude->begun)
-			begin(attitude, measured);
-		pull(attitude, measured, turning);
+			attitude_begin(attitude, measured);
+		attitude_pull(attitude, measured, turning);
 	}
-	turn(attitude, turning);
+	attitude_turn(attitude, turning);
 }
 
 bool attitude_known(const struct attitude *attitude)
@@ -151,6 +151,6 @@ void attitude_euler_deg(const struct attitude *attitude, float angles[3])
 	attitude_up(attitude, up);
 	angles[0] = NF_DEG_PER_RAD * nf_atan2(up[1], up[2]);
 	angles[1] = NF_DEG_PER_RAD * nf_asin(-up[0]);
-	angles[2] = NF_DEG_PER_RAD * nf_atan2(2.0f * (q[1] * q[2] + q[0] * q[3]),
-					      q[0] * q[0] + q[1] * q[1] - q[2] * q[2] - q[3] * q[3]);
+	angles[2] = NF_DEG_PER_RAD *
+		    nf_atan2(2.0f * (q[1] * q[2] + q[0] * q[3]), q[0] * q[0] + q[1] * q[1] - q[2] * q[2] - q[3] * q[3]);
 }

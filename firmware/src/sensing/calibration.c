@@ -15,19 +15,19 @@ void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz)
 void calibration_restart(struct calibration *calibration)
 {
 	calibration->collected = 0;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		calibration->sum[i] = 0;
 		calibration->sum_of_squares[i] = 0;
 	}
 }
 
 /* Did the sums come from an aircraft at rest? Exact in integers: at most 8000 squares of 2^30, times 8000. */
-static bool still(const struct calibration *calibration)
+static bool calibration_still(const struct calibration *calibration)
 {
 	const int64_t n = calibration->window;
 	const int64_t largest_sum = n * BIAS_MILLICOUNTS / 1000;
 
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const int64_t sum = calibration->sum[i];
 		const int64_t variance = (n * calibration->sum_of_squares[i] - sum * sum) / (n * n);
 		if (variance > MOTION_VARIANCE || sum > largest_sum || sum < -largest_sum)
@@ -38,16 +38,16 @@ static bool still(const struct calibration *calibration)
 
 bool calibration_step(struct calibration *calibration, const int16_t counts[3], float mean[3])
 {
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		calibration->sum[i] += counts[i];
 		calibration->sum_of_squares[i] += (int32_t)counts[i] * counts[i];
 	}
 	if (++calibration->collected < calibration->window)
 		return false;
-	const bool good = still(calibration);
+	const bool good = calibration_still(calibration);
 	if (good) {
 		/* What is still fits: 8000 times 328 counts, exact in float32 too. */
-		for (int i = 0; i < 3; i++)
+		for (int i = 0; i < 3; ++i)
 			mean[i] = (float)(int32_t)calibration->sum[i] / (float)calibration->window;
 	}
 	calibration_restart(calibration);

@@ -15,7 +15,7 @@
 #define FOLLOW 0.5f          /* how far a notch goes towards its peak at once */
 _Static_assert(NOTCH_BINS % READS == 0, "parts of equal size");
 
-static void listen(struct dynamic_notch *d)
+static void dynamic_notch_restart(struct dynamic_notch *d)
 {
 	d->position = 0;
 	d->placed = 0;
@@ -23,7 +23,7 @@ static void listen(struct dynamic_notch *d)
 	d->loudest = 0.0f;
 	d->hann = 1.0f;
 	d->hann_before = 0.5f * d->step;
-	for (int i = 0; i < NOTCH_BINS; i++)
+	for (int i = 0; i < NOTCH_BINS; ++i)
 		d->s1[i] = 0.0f; /* s2 are, since they were read */
 }
 
@@ -46,17 +46,17 @@ void dynamic_notch_init(struct dynamic_notch *d, const struct nf_settings *setti
 	d->spacing = 1.0f / (float)d->window;
 	d->first = 2.0f * nf_cos_turns(d->low_turns);
 	d->step = 2.0f * nf_cos_turns(d->spacing);
-	d->before = 2.0f * nf_cos_turns(d->low_turns > d->spacing ? d->low_turns - d->spacing :
-								   d->spacing - d->low_turns);
-	for (int axis = 0; axis < 3; axis++)
-		for (int i = 0; i < NOTCH_MAX; i++)
-			d->notch[axis][i] = section_at(0.0f, d->damping);
-	listen(d);
+	d->before = 2.0f *
+		    nf_cos_turns(d->low_turns > d->spacing ? d->low_turns - d->spacing : d->spacing - d->low_turns);
+	for (int axis = 0; axis < 3; ++axis)
+		for (int i = 0; i < NOTCH_MAX; ++i)
+			d->notch[axis][i] = svf_at(0.0f, d->damping);
+	dynamic_notch_restart(d);
 }
 
 /* One sample into every bin: s = x + 2 cos(w) s' - s''. The cosines follow from each other by Chebyshev's
  * recurrence, which costs less than the memory that would hold them. */
-static void feed(struct dynamic_notch *d, float in)
+static void dynamic_notch_feed(struct dynamic_notch *d, float in)
 {
 	const float weighted = in * (1.0f - d->hann);
 	const float hann = d->step * d->hann - d->hann_before;
@@ -64,7 +64,7 @@ static void feed(struct dynamic_notch *d, float in)
 
 	d->hann_before = d->hann;
 	d->hann = hann;
-	for (int i = 0; i < NOTCH_BINS; i++) {
+	for (int i = 0; i < NOTCH_BINS; ++i) {
 		const float s = weighted + coefficient * d->s1[i] - d->s2[i];
 		const float next = d->step * coefficient - before;
 		d->s2[i] = d->s1[i];
@@ -75,12 +75,12 @@ static void feed(struct dynamic_notch *d, float in)
 }
 
 /* The window is over: what the bins of one part have heard. */
-static void read(struct dynamic_notch *d, int part)
+static void dynamic_notch_read(struct dynamic_notch *d, int part)
 {
 	const int from = part * NOTCH_BINS / READS, to = from + NOTCH_BINS / READS;
 	float before = d->before, coefficient = d->first;
 
-	for (int i = 0; i < to; i++) {
+	for (int i = 0; i < to; ++i) {
 		const float next = d->step * coefficient - before;
 		if (i >= from) {
 			const float s1 = d->s1[i], s2 = d->s2[i];
@@ -95,14 +95,14 @@ static void read(struct dynamic_notch *d, int part)
 
 /* Looks for the largest bin that no neighbour surpasses. The outermost have but one: what lies beyond the band may
  * spill into them. */
-static void look(struct dynamic_notch *d)
+static void dynamic_notch_find_peak(struct dynamic_notch *d)
 {
 	const float *power = d->s1;
 	float height = 0.0f;
 
 	d->peak = 0;
 	d->total = power[0] + power[NOTCH_BINS - 1];
-	for (int i = 1; i < NOTCH_BINS - 1; i++) {
+	for (int i = 1; i < NOTCH_BINS - 1; ++i) {
 		d->total += power[i];
 		if (power[i] > height && power[i] >= power[i - 1] && power[i] >= power[i + 1]) {
 			d->peak = (uint8_t)i;
@@ -113,7 +113,7 @@ static void look(struct dynamic_notch *d)
 
 /* Where between the bins the tone lies that makes the peak [turns a sample]: under Hann's weight the larger
  * neighbour is (1 + f) / (2 - f) as high as the peak for a tone f bins away, 0 <= f <= 0.5. */
-static float refine(const struct dynamic_notch *d)
+static float dynamic_notch_refine(const struct dynamic_notch *d)
 {
 	const int peak = d->peak;
 	const float left = d->s1[peak - 1], right = d->s1[peak + 1];
@@ -124,12 +124,12 @@ static float refine(const struct dynamic_notch *d)
 }
 
 /* Silences the peak and what it spreads to; returns the mean power of all that is left. */
-static float take_out(struct dynamic_notch *d)
+static float dynamic_notch_take_out(struct dynamic_notch *d)
 {
 	const int from = d->peak > MAIN_LOBE ? d->peak - MAIN_LOBE : 0;
 	const int to = d->peak + MAIN_LOBE < NOTCH_BINS ? d->peak + MAIN_LOBE : NOTCH_BINS - 1;
 
-	for (int i = from; i <= to; i++) {
+	for (int i = from; i <= to; ++i) {
 		d->total -= d->s1[i];
 		d->s1[i] = 0.0f;
 	}
@@ -138,14 +138,14 @@ static float take_out(struct dynamic_notch *d)
 
 /* Moves the nearest notch that has no peak of this window yet; there is one, as no more peaks are looked for than
  * there are notches. */
-static void move(struct dynamic_notch *d, float turns)
+static void dynamic_notch_move(struct dynamic_notch *d, float turns)
 {
-	struct section *notches = d->notch[d->axis];
+	struct svf *notches = d->notch[d->axis];
 	const float gain = nf_sin_turns(0.5f * turns) / nf_cos_turns(0.5f * turns);
 	float shortest = FAR;
 	int nearest = 0;
 
-	for (int i = 0; i < d->count; i++) {
+	for (int i = 0; i < d->count; ++i) {
 		const float way = gain > notches[i].gain ? gain - notches[i].gain : notches[i].gain - gain;
 		if ((d->placed & 1u << i) == 0 && way < shortest) {
 			nearest = i;
@@ -154,42 +154,42 @@ static void move(struct dynamic_notch *d, float turns)
 	}
 	const float from = notches[nearest].gain;
 	const bool first = !(from > 0.0f);
-	notches[nearest] = section_at(first ? gain : from + FOLLOW * (gain - from), d->damping);
+	notches[nearest] = svf_at(first ? gain : from + FOLLOW * (gain - from), d->damping);
 	d->placed |= (uint8_t)(1u << nearest);
 }
 
 /* Gives the peak a notch, if it is one. */
-static void place(struct dynamic_notch *d)
+static void dynamic_notch_place(struct dynamic_notch *d)
 {
 	if (d->peak == 0)
 		return;
 	const float power = d->s1[d->peak];
-	const float turns = refine(d);
-	const float rest = take_out(d);
+	const float turns = dynamic_notch_refine(d);
+	const float rest = dynamic_notch_take_out(d);
 
 	d->loudest = power > d->loudest ? power : d->loudest;
 	if (power >= ABOVE_REST * rest && power >= SHADOW * d->loudest)
-		move(d, turns);
+		dynamic_notch_move(d, turns);
 }
 
-static void search(struct dynamic_notch *d, const float rate[3])
+static void dynamic_notch_search(struct dynamic_notch *d, const float rate[3])
 {
 	const int step = d->position - d->window; /* from 0 on: behind the window */
 	const int peaks = step - READS;
 
-	d->position++;
+	++d->position;
 	if (step < 0) {
-		feed(d, rate[d->axis]);
+		dynamic_notch_feed(d, rate[d->axis]);
 	} else if (peaks < 0) {
-		read(d, step);
+		dynamic_notch_read(d, step);
 	} else if (peaks < 2 * d->count) {
 		if (peaks % 2 == 0)
-			look(d);
+			dynamic_notch_find_peak(d);
 		else
-			place(d);
+			dynamic_notch_place(d);
 	} else {
 		d->axis = d->axis < 2 ? d->axis + 1 : 0;
-		listen(d);
+		dynamic_notch_restart(d);
 	}
 }
 
@@ -197,8 +197,8 @@ void dynamic_notch_step(struct dynamic_notch *d, float rate[3])
 {
 	if (d->count == 0)
 		return;
-	search(d, rate);
-	for (int axis = 0; axis < 3; axis++)
-		for (int i = 0; i < d->count; i++)
-			rate[axis] = section_notch(&d->notch[axis][i], d->damping, &d->memory[axis][i], rate[axis]);
+	dynamic_notch_search(d, rate);
+	for (int axis = 0; axis < 3; ++axis)
+		for (int i = 0; i < d->count; ++i)
+			rate[axis] = svf_notch(&d->notch[axis][i], d->damping, &d->memory[axis][i], rate[axis]);
 }

@@ -29,8 +29,8 @@ struct dynamic_notch {
 	float hann, hann_before; /* cos of the turn that the window is, at this sample and at the one before */
 	float loudest, total;    /* power of the largest peak of this window; of all bins that are left */
 	float s1[NOTCH_BINS], s2[NOTCH_BINS]; /* Goertzel's memory; once read, s1 are powers */
-	struct section notch[3][NOTCH_MAX];
-	struct section_memory memory[3][NOTCH_MAX];
+	struct svf notch[3][NOTCH_MAX];
+	struct svf_memory memory[3][NOTCH_MAX];
 };
 
 /* From the settings dynamic_notch_*. Centres stay between low and high; low is brought at least 100 Hz below high,

@@ -16,10 +16,8 @@ static const struct kind {
 	bool has_q;
 	float widen;
 } kinds[] = {
-	[NF_FILTER_PT1] = { "pt1", 1, 0, false, 1.0f },
-	[NF_FILTER_PT2] = { "pt2", 2, 0, false, 1.55377397f },
-	[NF_FILTER_PT3] = { "pt3", 3, 0, false, 1.96145918f },
-	[NF_FILTER_BIQUAD] = { "biquad", 0, 0, true, 1.0f },
+	[NF_FILTER_PT1] = { "pt1", 1, 0, false, 1.0f },        [NF_FILTER_PT2] = { "pt2", 2, 0, false, 1.55377397f },
+	[NF_FILTER_PT3] = { "pt3", 3, 0, false, 1.96145918f }, [NF_FILTER_BIQUAD] = { "biquad", 0, 0, true, 1.0f },
 	[NF_FILTER_NOTCH] = { "notch", 0, 1, true, 1.0f },
 };
 
@@ -29,7 +27,7 @@ struct stage_settings {
 	float q;
 };
 
-static struct stage_settings stage_settings(const struct nf_settings *s, size_t stage)
+static struct stage_settings filters_stage_settings(const struct nf_settings *s, size_t stage)
 {
 	const struct stage_settings stages[] = {
 		{ s->filter1_kind, s->filter1_hz, s->filter1_q },
@@ -42,12 +40,12 @@ static struct stage_settings stage_settings(const struct nf_settings *s, size_t 
 	return stages[stage];
 }
 
-static bool passes_all(const struct stage_settings *s, unsigned gyro_rate_hz)
+static bool filters_passes_all(const struct stage_settings *s, unsigned gyro_rate_hz)
 {
 	return s->kind == NF_FILTER_NONE || (kinds[s->kind].order == 0 && s->hz >= 0.5f * (float)gyro_rate_hz);
 }
 
-static struct filter_stage stage_of(const struct stage_settings *s, unsigned gyro_rate_hz)
+static struct filter_stage filters_stage_of(const struct stage_settings *s, unsigned gyro_rate_hz)
 {
 	const struct kind *kind = &kinds[s->kind];
 	const float turns = s->hz / (float)gyro_rate_hz; /* a sample */
@@ -58,60 +56,60 @@ static struct filter_stage stage_of(const struct stage_settings *s, unsigned gyr
 		return stage;
 	}
 	stage.damping = 1.0f / s->q;
-	stage.section = section_at(nf_sin_turns(0.5f * turns) / nf_cos_turns(0.5f * turns), stage.damping);
+	stage.svf = svf_at(nf_sin_turns(0.5f * turns) / nf_cos_turns(0.5f * turns), stage.damping);
 	return stage;
 }
 
 void filters_init(struct filters *filters, const struct nf_settings *settings, unsigned gyro_rate_hz)
 {
 	memset(filters, 0, sizeof *filters);
-	for (size_t i = 0; i < NF_FILTER_STAGES; i++) {
-		const struct stage_settings s = stage_settings(settings, i);
-		if (!passes_all(&s, gyro_rate_hz))
-			filters->stages[filters->count++] = stage_of(&s, gyro_rate_hz);
+	for (size_t i = 0; i < NF_FILTER_STAGES; ++i) {
+		const struct stage_settings s = filters_stage_settings(settings, i);
+		if (!filters_passes_all(&s, gyro_rate_hz))
+			filters->stages[filters->count++] = filters_stage_of(&s, gyro_rate_hz);
 	}
 	dynamic_notch_init(&filters->dynamic, settings, gyro_rate_hz);
 }
 
-static float low_passes(const struct filter_stage *stage, float memory[FILTER_ORDER_MAX], float in)
+static float filters_low_passes(const struct filter_stage *stage, float memory[FILTER_ORDER_MAX], float in)
 {
 	float out = in;
 
-	for (int i = 0; i < stage->order; i++) {
+	for (int i = 0; i < stage->order; ++i) {
 		memory[i] += stage->gain * (out - memory[i]);
 		out = memory[i];
 	}
 	return out;
 }
 
-static float second_order(const struct filter_stage *stage, struct section_memory *memory, float in)
+static float filters_second_order(const struct filter_stage *stage, struct svf_memory *memory, float in)
 {
-	return stage->notch ? section_notch(&stage->section, stage->damping, memory, in) :
-			      section_low_pass(&stage->section, memory, in);
+	return stage->notch ? svf_notch(&stage->svf, stage->damping, memory, in) :
+			      svf_low_pass(&stage->svf, memory, in);
 }
 
 void filters_step(struct filters *filters, float rate[3])
 {
-	for (uint32_t i = 0; i < filters->count; i++) {
+	for (uint32_t i = 0; i < filters->count; ++i) {
 		const struct filter_stage *stage = &filters->stages[i];
-		for (int axis = 0; axis < 3; axis++) {
+		for (int axis = 0; axis < 3; ++axis) {
 			union filter_memory *memory = &filters->memory[i][axis];
-			rate[axis] = stage->order > 0 ? low_passes(stage, memory->first, rate[axis]) :
-							second_order(stage, &memory->second, rate[axis]);
+			rate[axis] = stage->order > 0 ? filters_low_passes(stage, memory->first, rate[axis]) :
+							filters_second_order(stage, &memory->second, rate[axis]);
 		}
 	}
 	dynamic_notch_step(&filters->dynamic, rate);
 }
 
 /* A JSON text that nobody keeps: only its CRC. */
-static uint32_t text(uint32_t crc, const char *words)
+static uint32_t filters_text(uint32_t crc, const char *words)
 {
-	for (; *words != '\0'; words++)
+	for (; *words != '\0'; ++words)
 		crc = crc32_more(crc, words, 1);
 	return crc;
 }
 
-static uint32_t number(uint32_t crc, uint32_t value)
+static uint32_t filters_number(uint32_t crc, uint32_t value)
 {
 	char digits[10]; /* of 2^32 - 1 */
 	size_t from = sizeof digits;
@@ -120,38 +118,38 @@ static uint32_t number(uint32_t crc, uint32_t value)
 		digits[--from] = (char)('0' + value % 10u);
 		value /= 10u;
 	} while (value > 0);
-	crc = text(crc, ",");
+	crc = filters_text(crc, ",");
 	return crc32_more(crc, digits + from, sizeof digits - from);
 }
 
-static uint32_t thousandths(uint32_t crc, float value)
+static uint32_t filters_thousandths(uint32_t crc, float value)
 {
-	return number(crc, (uint32_t)(value * 1000.0f + 0.5f));
+	return filters_number(crc, (uint32_t)(value * 1000.0f + 0.5f));
 }
 
 uint32_t filters_hash(const struct nf_settings *settings)
 {
-	uint32_t crc = text(0, "[");
+	uint32_t crc = filters_text(0, "[");
 	const char *between = "[\"";
 
-	for (size_t i = 0; i < NF_FILTER_STAGES; i++) {
-		const struct stage_settings s = stage_settings(settings, i);
+	for (size_t i = 0; i < NF_FILTER_STAGES; ++i) {
+		const struct stage_settings s = filters_stage_settings(settings, i);
 		if (s.kind == NF_FILTER_NONE)
 			continue;
-		crc = text(text(text(crc, between), kinds[s.kind].name), "\"");
-		crc = thousandths(crc, s.hz);
+		crc = filters_text(filters_text(filters_text(crc, between), kinds[s.kind].name), "\"");
+		crc = filters_thousandths(crc, s.hz);
 		if (kinds[s.kind].has_q)
-			crc = thousandths(crc, s.q);
-		crc = text(crc, "]");
+			crc = filters_thousandths(crc, s.q);
+		crc = filters_text(crc, "]");
 		between = ",[\"";
 	}
 	if (settings->dynamic_notch_count > 0) {
-		crc = text(text(text(crc, between), "dynamic"), "\"");
-		crc = number(crc, settings->dynamic_notch_count);
-		crc = thousandths(crc, settings->dynamic_notch_low_hz);
-		crc = thousandths(crc, settings->dynamic_notch_high_hz);
-		crc = thousandths(crc, settings->dynamic_notch_q);
-		crc = text(crc, "]");
+		crc = filters_text(filters_text(filters_text(crc, between), "dynamic"), "\"");
+		crc = filters_number(crc, settings->dynamic_notch_count);
+		crc = filters_thousandths(crc, settings->dynamic_notch_low_hz);
+		crc = filters_thousandths(crc, settings->dynamic_notch_high_hz);
+		crc = filters_thousandths(crc, settings->dynamic_notch_q);
+		crc = filters_text(crc, "]");
 	}
-	return text(crc, "]");
+	return filters_text(crc, "]");
 }

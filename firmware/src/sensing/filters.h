@@ -5,8 +5,8 @@
 
 #include <stdint.h>
 
-#include "sensing/dynamic_notch.h"
 #include "nf_contract.h"
+#include "sensing/dynamic_notch.h"
 #include "sensing/svf.h"
 
 #define FILTER_ORDER_MAX 3
@@ -20,13 +20,13 @@ struct filter_stage {
 	float damping;           /* 1 / Q of those of second order */
 	union {
 		float gain;      /* a of a PTn */
-		struct section section;
+		struct svf svf;
 	};
 };
 
 union filter_memory {
 	float first[FILTER_ORDER_MAX];
-	struct section_memory second;
+	struct svf_memory second;
 };
 
 struct filters {

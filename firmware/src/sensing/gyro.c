@@ -30,11 +30,11 @@ static const struct thermometer {
 };
 _Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
 
-static void to_body(enum board_alignment alignment, const float chip[3], float body[3])
+static void gyro_to_body(enum board_alignment alignment, const float chip[3], float body[3])
 {
 	const struct rotation *r = &rotations[alignment];
 
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		body[i] = (float)r->sign[i] * chip[r->axis[i]];
 }
 
@@ -53,31 +53,31 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 	return NF_OK;
 }
 
-static void calibrate(struct gyro *gyro, const int16_t counts[3])
+static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
 {
 	float mean[3];
 
 	if (!calibration_step(&gyro->calibration, counts, mean))
 		return;
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		mean[i] *= RATE_PER_COUNT;
-	to_body(gyro->alignment, mean, gyro->bias);
+	gyro_to_body(gyro->alignment, mean, gyro->bias);
 	gyro->calibrated = true;
 }
 
 /* What is wrong with this sample. The longer ago the last good one, the further away the rate may be. */
-static enum nf_gyro_health judge(const struct gyro *gyro, const struct imu_sample *sample)
+static enum nf_gyro_health gyro_classify(const struct gyro *gyro, const struct imu_sample *sample)
 {
 	const int32_t reach = gyro->jump * (int32_t)(gyro->bad + 1);
 
 	if (!sample->valid)
 		return NF_GYRO_HEALTH_INVALID;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const int32_t counts = sample->gyro[i];
 		if (counts >= NF_GYRO_SATURATED_COUNTS || counts <= -NF_GYRO_SATURATED_COUNTS)
 			return NF_GYRO_HEALTH_SATURATED;
 	}
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		const int32_t jumped = sample->gyro[i] - gyro->last.gyro[i];
 		if (jumped > reach || jumped < -reach)
 			return NF_GYRO_HEALTH_INVALID;
@@ -87,13 +87,13 @@ static enum nf_gyro_health judge(const struct gyro *gyro, const struct imu_sampl
 
 /* Keeps a good sample. Returns whether it is the last one again in every word: noise alone makes that rare in a
  * chip that lives. */
-static bool repeats(struct imu_sample *last, const struct imu_sample *sample)
+static bool gyro_repeats(struct imu_sample *last, const struct imu_sample *sample)
 {
 	int changed = last->valid ? last->temperature ^ sample->temperature : 1;
 
 	last->temperature = sample->temperature;
 	last->valid = true;
-	for (int i = 0; i < 3; i++) {
+	for (int i = 0; i < 3; ++i) {
 		changed |= (last->gyro[i] ^ sample->gyro[i]) | (last->accel[i] ^ sample->accel[i]);
 		last->gyro[i] = sample->gyro[i];
 		last->accel[i] = sample->accel[i];
@@ -101,23 +101,23 @@ static bool repeats(struct imu_sample *last, const struct imu_sample *sample)
 	return changed == 0;
 }
 
-static void take(struct gyro *gyro, const struct imu_sample *sample)
+static void gyro_take(struct gyro *gyro, const struct imu_sample *sample)
 {
 	gyro->bad = 0;
-	if (!repeats(&gyro->last, sample))
+	if (!gyro_repeats(&gyro->last, sample))
 		gyro->same = 0;
 	else if (gyro->same < gyro->stuck_after)
-		gyro->same++;
+		++gyro->same;
 }
 
 enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3])
 {
-	const enum nf_gyro_health judged = judge(gyro, sample);
+	const enum nf_gyro_health judged = gyro_classify(gyro, sample);
 
 	if (judged == NF_GYRO_HEALTH_GOOD)
-		take(gyro, sample);
+		gyro_take(gyro, sample);
 	else if (gyro->bad < gyro->bad_after)
-		gyro->bad++;
+		++gyro->bad;
 
 	if (gyro->bad >= gyro->bad_after)
 		gyro->health = judged;
@@ -128,7 +128,7 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 
 	if (!gyro->calibrated) {
 		if (judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD)
-			calibrate(gyro, sample->gyro);
+			gyro_calibrate(gyro, sample->gyro);
 		else
 			calibration_restart(&gyro->calibration);
 	}
@@ -139,8 +139,8 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 		(float)counts[1] * RATE_PER_COUNT,
 		(float)counts[2] * RATE_PER_COUNT,
 	};
-	to_body(gyro->alignment, chip, rate);
-	for (int i = 0; i < 3; i++)
+	gyro_to_body(gyro->alignment, chip, rate);
+	for (int i = 0; i < 3; ++i)
 		rate[i] -= gyro->bias[i];
 	return gyro->health;
 }
@@ -154,7 +154,7 @@ void gyro_acceleration(const struct gyro *gyro, float acceleration[3])
 		(float)counts[2] * ACCELERATION_PER_COUNT,
 	};
 
-	to_body(gyro->alignment, chip, acceleration);
+	gyro_to_body(gyro->alignment, chip, acceleration);
 }
 
 float gyro_temperature_c(const struct gyro *gyro, enum gyro_chip chip)

@@ -5,10 +5,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "sensing/calibration.h"
 #include "common/imu.h"
-#include "nf_contract.h"
 #include "common/nf_err.h"
+#include "nf_contract.h"
+#include "sensing/calibration.h"
 
 struct gyro {
 	enum board_alignment alignment;

@@ -5,27 +5,27 @@ struct outputs {
 	float low;
 };
 
-static inline struct outputs step(const struct section *section, struct section_memory *memory, float in)
+static inline struct outputs svf_step(const struct svf *svf, struct svf_memory *memory, float in)
 {
-	const float band = section->scale * (memory->band + section->gain * (in - memory->low));
-	const float low = memory->low + section->gain * band;
+	const float band = svf->scale * (memory->band + svf->gain * (in - memory->low));
+	const float low = memory->low + svf->gain * band;
 
 	memory->band = 2.0f * band - memory->band;
 	memory->low = 2.0f * low - memory->low;
 	return (struct outputs){ band, low };
 }
 
-struct section section_at(float gain, float damping)
+struct svf svf_at(float gain, float damping)
 {
-	return (struct section){ gain, 1.0f / (1.0f + gain * (gain + damping)) };
+	return (struct svf){ gain, 1.0f / (1.0f + gain * (gain + damping)) };
 }
 
-float section_low_pass(const struct section *section, struct section_memory *memory, float in)
+float svf_low_pass(const struct svf *svf, struct svf_memory *memory, float in)
 {
-	return step(section, memory, in).low;
+	return svf_step(svf, memory, in).low;
 }
 
-float section_notch(const struct section *section, float damping, struct section_memory *memory, float in)
+float svf_notch(const struct svf *svf, float damping, struct svf_memory *memory, float in)
 {
-	return in - damping * step(section, memory, in).band;
+	return in - damping * svf_step(svf, memory, in).band;
 }

@@ -4,23 +4,23 @@
  * Chosen over the direct forms: in float32 a direct form loses a low cutoff (1 Hz at 8 kHz: a tenth of its gain at
  * DC), this one does not; and its memory keeps its meaning when the coefficients change, as those of a notch that
  * follows a tone do. Source: V. Zavalishin, The Art of VA Filter Design (2012), section 4. */
-#ifndef NF_SECTION_H
-#define NF_SECTION_H
+#ifndef NF_SVF_H
+#define NF_SVF_H
 
-struct section {
+struct svf {
 	float gain;  /* tan(pi f / rate); 0: lets everything pass through a notch */
 	float scale; /* 1 / (1 + gain (gain + damping)) */
 };
 
-struct section_memory {
+struct svf_memory {
 	float band, low; /* the two integrators */
 };
 
 /* damping: 1 / Q. */
-struct section section_at(float gain, float damping);
+struct svf svf_at(float gain, float damping);
 
 /* One sample through the section as a low-pass, and as a notch of the same damping. */
-float section_low_pass(const struct section *section, struct section_memory *memory, float in);
-float section_notch(const struct section *section, float damping, struct section_memory *memory, float in);
+float svf_low_pass(const struct svf *svf, struct svf_memory *memory, float in);
+float svf_notch(const struct svf *svf, float damping, struct svf_memory *memory, float in);
 
 #endif

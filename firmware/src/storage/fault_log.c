@@ -20,27 +20,27 @@ struct entry {
 _Static_assert(NF_FLASH_FAULT_RECORD_ADDRESS == NF_FLASH_SECTORS_3_ADDRESS, "the sector to erase");
 _Static_assert(sizeof(struct entry) % FLASH_WORD_BYTES == 0, "whole words");
 
-static uint32_t address_of(unsigned index)
+static uint32_t fault_log_address_of(unsigned index)
 {
 	return NF_FLASH_FAULT_RECORD_ADDRESS + index * (uint32_t)sizeof(struct entry);
 }
 
-static struct entry read(const struct flash *flash, unsigned index)
+static struct entry fault_log_read(const struct flash *flash, unsigned index)
 {
 	struct entry entry;
 
-	memcpy(&entry, flash_at(flash, address_of(index)), sizeof entry);
+	memcpy(&entry, flash_at(flash, fault_log_address_of(index)), sizeof entry);
 	return entry;
 }
 
-static bool valid(const struct entry *entry)
+static bool fault_log_valid(const struct entry *entry)
 {
 	return entry->magic == FAULT_LOG_MAGIC && crc32_more(0, entry, offsetof(struct entry, crc)) == entry->crc;
 }
 
-static bool blank(const struct flash *flash, unsigned index)
+static bool fault_log_blank(const struct flash *flash, unsigned index)
 {
-	const uint8_t *at = flash_at(flash, address_of(index));
+	const uint8_t *at = flash_at(flash, fault_log_address_of(index));
 	uint32_t word;
 
 	for (size_t i = 0; i < sizeof(struct entry); i += sizeof word) {
@@ -52,22 +52,22 @@ static bool blank(const struct flash *flash, unsigned index)
 }
 
 /* The first entry behind all that is written, ENTRY_COUNT: full. */
-static unsigned first_blank(const struct flash *flash)
+static unsigned fault_log_first_blank(const struct flash *flash)
 {
 	unsigned index = ENTRY_COUNT;
 
-	while (index > 0 && blank(flash, index - 1))
-		index--;
+	while (index > 0 && fault_log_blank(flash, index - 1))
+		--index;
 	return index;
 }
 
 /* Brings `log` up to date with what flash says. */
-static void scan(struct fault_log *log, unsigned count)
+static void fault_log_scan(struct fault_log *log, unsigned count)
 {
 	log->pending = false;
-	for (unsigned i = 0; i < count; i++) {
-		const struct entry entry = read(log->flash, i);
-		if (!valid(&entry))
+	for (unsigned i = 0; i < count; ++i) {
+		const struct entry entry = fault_log_read(log->flash, i);
+		if (!fault_log_valid(&entry))
 			continue;
 		log->boots = entry.boot;
 		if (entry.record.kind == FAULT_NONE || entry.acknowledged == 0)
@@ -75,17 +75,17 @@ static void scan(struct fault_log *log, unsigned count)
 		log->pending = true;
 		log->record = entry.record;
 		log->boot = entry.boot;
-		log->address = address_of(i);
+		log->address = fault_log_address_of(i);
 	}
 }
 
 void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record)
 {
-	unsigned index = first_blank(flash);
+	unsigned index = fault_log_first_blank(flash);
 	struct entry entry = { .magic = FAULT_LOG_MAGIC };
 
 	*log = (struct fault_log){ .flash = flash };
-	scan(log, index);
+	fault_log_scan(log, index);
 	entry.boot = ++log->boots;
 	if (record)
 		entry.record = *record;
@@ -96,14 +96,14 @@ void fault_log_boot(struct fault_log *log, const struct flash *flash, const stru
 		log->address = 0;
 	}
 	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
-	const bool kept = index < ENTRY_COUNT &&
-			  flash_program(flash, address_of(index), &entry, offsetof(struct entry, acknowledged));
+	const bool kept = index < ENTRY_COUNT && flash_program(flash, fault_log_address_of(index), &entry,
+							       offsetof(struct entry, acknowledged));
 	if (entry.record.kind == FAULT_NONE)
 		return;
 	log->pending = true;
 	log->record = entry.record;
 	log->boot = entry.boot;
-	log->address = kept ? address_of(index) : 0;
+	log->address = kept ? fault_log_address_of(index) : 0;
 }
 
 enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)
@@ -116,7 +116,7 @@ enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)
 	if (log->address && !flash_program(log->flash, log->address + offsetof(struct entry, acknowledged),
 					   &acknowledged, sizeof acknowledged))
 		return NF_REFUSAL_FLASH;
-	scan(log, ENTRY_COUNT);
+	fault_log_scan(log, ENTRY_COUNT);
 	log->boots = boots; /* also where flash did not take this boot's entry */
 	return NF_REFUSAL_NONE;
 }

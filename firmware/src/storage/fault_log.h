@@ -8,9 +8,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
 #include "storage/fault_record.h"
 #include "storage/flash.h"
-#include "nf_contract.h"
 
 struct fault_log {
 	const struct flash *flash;

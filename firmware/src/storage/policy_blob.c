@@ -12,28 +12,26 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "a blob's numbers are 
 
 /* Are all sizes and offsets those that follow from the counts, and does the blob end within `size`? In 64 bits,
  * where the largest counts that the header can say do not overflow. */
-static bool sized(const struct nf_policy_blob_header *header, size_t size)
+static bool policy_blob_sized(const struct nf_policy_blob_header *header, size_t size)
 {
 	const uint64_t row = (uint64_t)header->observation_count + header->action_count;
 	const uint64_t selftest = NF_POLICY_BLOB_HEADER_BYTES + (uint64_t)header->weight_count * sizeof(float);
 	const uint64_t total = selftest + header->selftest_count * row * sizeof(float) + NF_POLICY_BLOB_CRC_BYTES;
 
 	return header->header_bytes == NF_POLICY_BLOB_HEADER_BYTES &&
-	       header->weight_offset == NF_POLICY_BLOB_HEADER_BYTES &&
-	       header->selftest_offset == selftest &&
-	       header->total_bytes == total &&
-	       total <= size;
+	       header->weight_offset == NF_POLICY_BLOB_HEADER_BYTES && header->selftest_offset == selftest &&
+	       header->total_bytes == total && total <= size;
 }
 
 /* Is there a self-test, in whole runs of steps? Whoever replays it divides by them. */
-static bool tested(const struct nf_policy_blob_header *header)
+static bool policy_blob_tested(const struct nf_policy_blob_header *header)
 {
 	return header->selftest_count > 0 && header->selftest_steps > 0 &&
 	       header->selftest_count % header->selftest_steps == 0;
 }
 
 /* Do the last of its `total` bytes say the CRC of those before? `magic` stands for the first four. */
-static bool whole(uint32_t magic, const uint8_t *blob, size_t total)
+static bool policy_blob_whole(uint32_t magic, const uint8_t *blob, size_t total)
 {
 	const size_t checked = total - NF_POLICY_BLOB_CRC_BYTES;
 	uint32_t told;
@@ -43,18 +41,17 @@ static bool whole(uint32_t magic, const uint8_t *blob, size_t total)
 }
 
 /* The counts stand beside the hash because tables are copied by them: no collision may write past an array. */
-static bool same_architecture(const struct nf_policy_blob_header *header,
-			      const struct policy_blob_identity *running)
+static bool policy_blob_same_architecture(const struct nf_policy_blob_header *header,
+					  const struct policy_blob_identity *running)
 {
 	return header->architecture_hash == running->architecture_hash &&
 	       header->weight_count == running->weight_count &&
-	       header->observation_count == running->observation_count &&
-	       header->action_count == running->action_count;
+	       header->observation_count == running->observation_count && header->action_count == running->action_count;
 }
 
 /* Is it at least 0 and at most NF_IDLE_MAX? By its bits: positive numbers are in order, whatever is negative or
  * no number lies above them. */
-static bool idles(const struct nf_policy_blob_header *header)
+static bool policy_blob_idles(const struct nf_policy_blob_header *header)
 {
 	static const float most = NF_IDLE_MAX;
 	uint32_t bits, most_bits;
@@ -76,18 +73,18 @@ enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t s
 		return NF_ERR_BLOB_MAGIC;
 	if (header.layout != NF_POLICY_BLOB_LAYOUT)
 		return NF_ERR_BLOB_LAYOUT;
-	if (!sized(&header, size) || !tested(&header))
+	if (!policy_blob_sized(&header, size) || !policy_blob_tested(&header))
 		return NF_ERR_BLOB_SIZE;
-	if (!whole(magic, bytes, header.total_bytes))
+	if (!policy_blob_whole(magic, bytes, header.total_bytes))
 		return NF_ERR_BLOB_CRC;
 	/* Before the architecture, whose hash covers both: the answer should name what to mend. */
 	if (header.control_rate_hz != running->control_rate_hz)
 		return NF_ERR_BLOB_RATE;
 	if (header.filters_hash != running->filters_hash)
 		return NF_ERR_BLOB_FILTERS;
-	if (!same_architecture(&header, running))
+	if (!policy_blob_same_architecture(&header, running))
 		return NF_ERR_BLOB_ARCHITECTURE;
-	if (!idles(&header))
+	if (!policy_blob_idles(&header))
 		return NF_ERR_BLOB_IDLE;
 	return NF_OK;
 }

@@ -16,14 +16,14 @@ _Static_assert(NF_FLASH_POLICY_SLOTS_0_ADDRESS == NF_FLASH_SECTORS_4_ADDRESS, "t
 _Static_assert(NF_FLASH_POLICY_SLOTS_1_ADDRESS == NF_FLASH_SECTORS_7_ADDRESS, "the sector to erase");
 _Static_assert(NF_POLICY_BLOB_HEADER_BYTES % FLASH_WORD_BYTES == 0, "parts of a blob are whole words");
 
-static const uint8_t *blob_of(const struct policy_slots *slots, enum policy_source source)
+static const uint8_t *policy_slots_blob_of(const struct policy_slots *slots, enum policy_source source)
 {
 	if (source == POLICY_COMPILED_IN)
 		return slots->compiled_in;
 	return flash_at(slots->flash, places[source].address);
 }
 
-static struct nf_policy_blob_header header_of(const uint8_t *blob)
+static struct nf_policy_blob_header policy_slots_header_of(const uint8_t *blob)
 {
 	struct nf_policy_blob_header header;
 
@@ -31,7 +31,7 @@ static struct nf_policy_blob_header header_of(const uint8_t *blob)
 	return header;
 }
 
-static uint32_t sequence_of(const uint8_t *blob)
+static uint32_t policy_slots_sequence_of(const uint8_t *blob)
 {
 	uint32_t sequence;
 
@@ -40,24 +40,24 @@ static uint32_t sequence_of(const uint8_t *blob)
 }
 
 /* What is wrong with the blob that stands there now. */
-static enum nf_err judge(const struct policy_slots *slots, enum policy_source source)
+static enum nf_err policy_slots_check(const struct policy_slots *slots, enum policy_source source)
 {
 	const size_t size = source == POLICY_COMPILED_IN ? slots->compiled_in_bytes : places[source].size;
 
-	return policy_blob_check(blob_of(slots, source), size, &slots->running);
+	return policy_blob_check(policy_slots_blob_of(slots, source), size, &slots->running);
 }
 
 /* Replays the vectors that came with the policy: one wrong bit in weights, compiler or FPU shows. `header` has been
  * checked, so that rows are as wide as the image's. */
-static bool selftest(struct policy *policy, const float *weights, const struct nf_policy_blob_header *header,
-		     const uint8_t *blob)
+static bool policy_slots_selftest(struct policy *policy, const float *weights,
+				  const struct nf_policy_blob_header *header, const uint8_t *blob)
 {
 	float observation[POLICY_OBSERVATION_COUNT], expected[POLICY_ACTION_COUNT], action[POLICY_ACTION_COUNT];
 	const uint8_t *observations = blob + header->selftest_offset;
 	const uint8_t *actions = observations + header->selftest_count * sizeof observation;
 	bool same = true;
 
-	for (unsigned i = 0; i < header->selftest_count; i++) {
+	for (unsigned i = 0; i < header->selftest_count; ++i) {
 		if (i % header->selftest_steps == 0)
 			policy_init(policy, weights);
 		memcpy(observation, observations + i * sizeof observation, sizeof observation);
@@ -69,14 +69,14 @@ static bool selftest(struct policy *policy, const float *weights, const struct n
 }
 
 /* Makes `source`, which has been judged good, the flown one if it passes its self-test. */
-static bool adopt(struct policy_slots *slots, enum policy_source source, struct policy *policy,
-		  float weights[POLICY_WEIGHT_COUNT])
+static bool policy_slots_use(struct policy_slots *slots, enum policy_source source, struct policy *policy,
+			     float weights[POLICY_WEIGHT_COUNT])
 {
-	const uint8_t *blob = blob_of(slots, source);
-	const struct nf_policy_blob_header header = header_of(blob);
+	const uint8_t *blob = policy_slots_blob_of(slots, source);
+	const struct nf_policy_blob_header header = policy_slots_header_of(blob);
 
 	memcpy(weights, blob + header.weight_offset, POLICY_WEIGHT_COUNT * sizeof weights[0]);
-	if (!selftest(policy, weights, &header, blob))
+	if (!policy_slots_selftest(policy, weights, &header, blob))
 		return false;
 	policy_init(policy, weights); /* forgets the self-test */
 	slots->flown = source;
@@ -86,15 +86,15 @@ static bool adopt(struct policy_slots *slots, enum policy_source source, struct 
 }
 
 /* The source found good with the highest sequence, POLICY_SOURCE_COUNT if there is none. Of two alike the first. */
-static enum policy_source best(const struct policy_slots *slots)
+static enum policy_source policy_slots_best(const struct policy_slots *slots)
 {
 	enum policy_source chosen = POLICY_SOURCE_COUNT;
 	uint32_t highest = 0;
 
-	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; source++) {
+	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; ++source) {
 		if (slots->found[source] != NF_OK)
 			continue;
-		const uint32_t sequence = sequence_of(blob_of(slots, source));
+		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, source));
 		if (chosen == POLICY_SOURCE_COUNT || sequence > highest) {
 			chosen = source;
 			highest = sequence;
@@ -115,13 +115,13 @@ enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *
 		.flown = POLICY_SOURCE_COUNT,
 		.update.target = POLICY_SOURCE_COUNT,
 	};
-	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; source++)
-		slots->found[source] = judge(slots, source);
-	for (enum policy_source tries = 0; tries < POLICY_SOURCE_COUNT; tries++) {
-		const enum policy_source source = best(slots);
+	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; ++source)
+		slots->found[source] = policy_slots_check(slots, source);
+	for (enum policy_source tries = 0; tries < POLICY_SOURCE_COUNT; ++tries) {
+		const enum policy_source source = policy_slots_best(slots);
 		if (source == POLICY_SOURCE_COUNT)
 			break;
-		if (adopt(slots, source, policy, weights))
+		if (policy_slots_use(slots, source, policy, weights))
 			return NF_OK;
 		slots->found[source] = NF_ERR_POLICY;
 	}
@@ -132,36 +132,37 @@ bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob
 {
 	if (slots->flown == POLICY_SOURCE_COUNT)
 		return false;
-	*header = header_of(blob_of(slots, slots->flown));
+	*header = policy_slots_header_of(policy_slots_blob_of(slots, slots->flown));
 	return true;
 }
 
 /* --- Writing a slot ----------------------------------------------------------------------------------- */
 /* Sequence of the policy that the slot holds now, 0 if that cannot be flown. */
-static uint32_t rank(const struct policy_slots *slots, enum policy_source slot)
+static uint32_t policy_slots_rank(const struct policy_slots *slots, enum policy_source slot)
 {
-	if (slots->found[slot] == NF_ERR_POLICY || judge(slots, slot) != NF_OK)
+	if (slots->found[slot] == NF_ERR_POLICY || policy_slots_check(slots, slot) != NF_OK)
 		return 0;
-	return sequence_of(blob_of(slots, slot));
+	return policy_slots_sequence_of(policy_slots_blob_of(slots, slot));
 }
 
 /* The flown slot stays. Where the compiled-in policy flies, slots may have been written since boot: the best stays. */
-static enum policy_source to_be_written(const struct policy_slots *slots)
+static enum policy_source policy_slots_to_be_written(const struct policy_slots *slots)
 {
 	if (slots->flown == POLICY_SLOT_A || slots->flown == POLICY_SLOT_B)
 		return slots->flown == POLICY_SLOT_A ? POLICY_SLOT_B : POLICY_SLOT_A;
-	return rank(slots, POLICY_SLOT_A) > rank(slots, POLICY_SLOT_B) ? POLICY_SLOT_B : POLICY_SLOT_A;
+	return policy_slots_rank(slots, POLICY_SLOT_A) > policy_slots_rank(slots, POLICY_SLOT_B) ? POLICY_SLOT_B :
+												   POLICY_SLOT_A;
 }
 
 /* The highest sequence of any whole policy here, also of one that failed its self-test. */
-static uint32_t highest_sequence(const struct policy_slots *slots)
+static uint32_t policy_slots_highest_sequence(const struct policy_slots *slots)
 {
 	uint32_t highest = 0;
 
-	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; source++) {
-		if (judge(slots, source) != NF_OK)
+	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; ++source) {
+		if (policy_slots_check(slots, source) != NF_OK)
 			continue;
-		const uint32_t sequence = sequence_of(blob_of(slots, source));
+		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, source));
 		highest = sequence > highest ? sequence : highest;
 	}
 	return highest;
@@ -169,11 +170,11 @@ static uint32_t highest_sequence(const struct policy_slots *slots)
 
 uint32_t policy_slots_next_sequence(const struct policy_slots *slots)
 {
-	return highest_sequence(slots) + 1;
+	return policy_slots_highest_sequence(slots) + 1;
 }
 
 /* Gives the update up, and says why. */
-static enum nf_refusal give_up(struct policy_slots *slots, enum nf_refusal why)
+static enum nf_refusal policy_slots_give_up(struct policy_slots *slots, enum nf_refusal why)
 {
 	slots->update.target = POLICY_SOURCE_COUNT;
 	return why;
@@ -181,22 +182,23 @@ static enum nf_refusal give_up(struct policy_slots *slots, enum nf_refusal why)
 
 enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total)
 {
-	const enum policy_source target = to_be_written(slots);
+	const enum policy_source target = policy_slots_to_be_written(slots);
 
 	if (total % FLASH_WORD_BYTES || total < NF_POLICY_BLOB_HEADER_BYTES || total > places[target].size)
-		return give_up(slots, NF_REFUSAL_PAYLOAD);
+		return policy_slots_give_up(slots, NF_REFUSAL_PAYLOAD);
 	slots->update = (struct policy_update){ .target = target, .total = total };
-	return flash_erase(slots->flash, places[target].sector) ? NF_REFUSAL_NONE : give_up(slots, NF_REFUSAL_FLASH);
+	return flash_erase(slots->flash, places[target].sector) ? NF_REFUSAL_NONE :
+								  policy_slots_give_up(slots, NF_REFUSAL_FLASH);
 }
 
 /* Are these the bytes that were written last? */
-static bool repeated(const struct policy_slots *slots, uint32_t offset, const uint8_t *bytes, size_t count)
+static bool policy_slots_repeated(const struct policy_slots *slots, uint32_t offset, const uint8_t *bytes, size_t count)
 {
 	const struct policy_update *update = &slots->update;
 	const size_t kept = offset == 0 ? sizeof update->head : 0;
 
 	return offset + count == update->written && (kept == 0 || memcmp(bytes, &update->head, kept) == 0) &&
-	       memcmp(bytes + kept, blob_of(slots, update->target) + offset + kept, count - kept) == 0;
+	       memcmp(bytes + kept, policy_slots_blob_of(slots, update->target) + offset + kept, count - kept) == 0;
 }
 
 enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes)
@@ -208,7 +210,7 @@ enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, 
 		return NF_REFUSAL_ORDER;
 	if (bytes == 0 || bytes % FLASH_WORD_BYTES || bytes > update->total || offset > update->total - bytes)
 		return NF_REFUSAL_PAYLOAD;
-	if (repeated(slots, offset, from, bytes))
+	if (policy_slots_repeated(slots, offset, from, bytes))
 		return NF_REFUSAL_NONE;
 	if (offset != update->written)
 		return NF_REFUSAL_ORDER;
@@ -220,7 +222,7 @@ enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, 
 		bytes -= sizeof update->head;
 	}
 	if (!flash_program(slots->flash, places[update->target].address + offset, from, bytes))
-		return give_up(slots, NF_REFUSAL_FLASH);
+		return policy_slots_give_up(slots, NF_REFUSAL_FLASH);
 	return NF_REFUSAL_NONE;
 }
 
@@ -233,14 +235,14 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 		return NF_REFUSAL_NONE;
 	if (update.target == POLICY_SOURCE_COUNT || update.written != update.total)
 		return NF_REFUSAL_ORDER;
-	const uint8_t *blob = blob_of(slots, update.target);
+	const uint8_t *blob = policy_slots_blob_of(slots, update.target);
 	*why = policy_blob_check_behind(update.head, blob, update.total, &slots->running);
 	if (*why != NF_OK)
-		return give_up(slots, NF_REFUSAL_BLOB);
-	if (sequence_of(blob) <= highest_sequence(slots))
-		return give_up(slots, NF_REFUSAL_SEQUENCE);
+		return policy_slots_give_up(slots, NF_REFUSAL_BLOB);
+	if (policy_slots_sequence_of(blob) <= policy_slots_highest_sequence(slots))
+		return policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
-		return give_up(slots, NF_REFUSAL_FLASH);
+		return policy_slots_give_up(slots, NF_REFUSAL_FLASH);
 	slots->found[update.target] = NF_OK;
 	slots->update = (struct policy_update){ .target = POLICY_SOURCE_COUNT, .ended = true };
 	return NF_REFUSAL_NONE;

@@ -10,10 +10,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "storage/flash.h"
-#include "nf_contract.h"
 #include "common/nf_err.h"
+#include "nf_contract.h"
 #include "policy.h"
+#include "storage/flash.h"
 #include "storage/policy_blob.h"
 
 /* Where a policy can come from. */

@@ -9,8 +9,12 @@
 #define INDEX(name, kind, low, high, preset, unit) SETTING_AT_##name,
 enum { NF_SETTINGS(INDEX) };
 
-#define ROW(name_, kind_, low_, high_, preset_, unit_)                                                          \
-	[SETTING_AT_##name_] = { #name_, unit_, SETTING_##kind_, { .as_##kind_ = (low_) }, { .as_##kind_ = (high_) }, \
+#define ROW(name_, kind_, low_, high_, preset_, unit_)      \
+	[SETTING_AT_##name_] = { #name_,                    \
+				 unit_,                     \
+				 SETTING_##kind_,           \
+				 { .as_##kind_ = (low_) },  \
+				 { .as_##kind_ = (high_) }, \
 				 { .as_##kind_ = (preset_) } },
 static const struct setting table[] = { NF_SETTINGS(ROW) };
 
@@ -22,7 +26,7 @@ const struct setting *settings_info(unsigned index)
 	return index < NF_SETTING_COUNT ? &table[index] : NULL;
 }
 
-static bool same_name(const char *a, const char *b)
+static bool settings_same_name(const char *a, const char *b)
 {
 	while (*a && *a == *b)
 		a++, b++;
@@ -33,8 +37,8 @@ unsigned settings_find(const char *name)
 {
 	unsigned index = 0;
 
-	while (index < NF_SETTING_COUNT && !same_name(table[index].name, name))
-		index++;
+	while (index < NF_SETTING_COUNT && !settings_same_name(table[index].name, name))
+		++index;
 	return index;
 }
 
@@ -43,24 +47,24 @@ void settings_get(const struct nf_settings *settings, unsigned index, union sett
 	memcpy(value, (const uint8_t *)settings + index * sizeof *value, sizeof *value);
 }
 
-static void put(struct nf_settings *settings, unsigned index, const union setting_value *value)
+static void settings_put(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
 	memcpy((uint8_t *)settings + index * sizeof *value, value, sizeof *value);
 }
 
-static void put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
+static void settings_put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
 {
-	for (unsigned index = first; index <= last; index++)
-		put(settings, index, &table[index].preset);
+	for (unsigned index = first; index <= last; ++index)
+		settings_put(settings, index, &table[index].preset);
 }
 
 void settings_default(struct nf_settings *settings)
 {
-	put_defaults(settings, 0, NF_SETTING_COUNT - 1);
+	settings_put_defaults(settings, 0, NF_SETTING_COUNT - 1);
 }
 
 /* Any NaN says no. */
-static bool within(const struct setting *setting, const union setting_value *value)
+static bool settings_within(const struct setting *setting, const union setting_value *value)
 {
 	if (setting->kind == SETTING_float)
 		return value->as_float >= setting->low.as_float && value->as_float <= setting->high.as_float;
@@ -71,65 +75,66 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 {
 	if (index >= NF_SETTING_COUNT)
 		return NF_REFUSAL_INDEX;
-	if (!within(&table[index], value))
+	if (!settings_within(&table[index], value))
 		return NF_REFUSAL_RANGE;
-	put(settings, index, value);
+	settings_put(settings, index, value);
 	return NF_REFUSAL_NONE;
 }
 
 /* --- What settings may not be together -------------------------------------------------------------- */
-static bool msp_baud_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_msp_baud_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_MSP_BAUDS;
 
 	(void)first;
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
+	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
 		if (known[i] == settings->msp_baud)
 			return true;
 	return false;
 }
 
-static bool gyro_rate_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_gyro_rate_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_GYRO_RATES_HZ;
 
 	(void)first;
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
+	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
 		if (known[i] == settings->gyro_rate_hz)
 			return known[i] % POLICY_CONTROL_RATE_HZ == 0;
 	return false;
 }
 
 /* Does `hz` lie below half the gyro rate, above which a filter of samples has no meaning? */
-static bool below_nyquist(const struct nf_settings *settings, float hz)
+static bool settings_below_nyquist(const struct nf_settings *settings, float hz)
 {
 	return hz * 2.0f < (float)settings->gyro_rate_hz;
 }
 
 /* `first`: the kind of a stage, behind which its frequency stands. */
-static bool filter_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_filter_fits(const struct nf_settings *settings, unsigned first)
 {
 	union setting_value kind, hz;
 
 	settings_get(settings, first, &kind);
 	settings_get(settings, first + 1, &hz);
-	return kind.as_uint32_t == NF_FILTER_NONE || below_nyquist(settings, hz.as_float);
+	return kind.as_uint32_t == NF_FILTER_NONE || settings_below_nyquist(settings, hz.as_float);
 }
 
-static bool dynamic_notch_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_dynamic_notch_fits(const struct nf_settings *settings, unsigned first)
 {
 	(void)first;
 	return settings->dynamic_notch_low_hz < settings->dynamic_notch_high_hz &&
-	       (settings->dynamic_notch_count == 0 || below_nyquist(settings, settings->dynamic_notch_high_hz));
+	       (settings->dynamic_notch_count == 0 ||
+		settings_below_nyquist(settings, settings->dynamic_notch_high_hz));
 }
 
 /* One channel of the receiver has one meaning: sixteen bits, one for each channel met. */
-static bool map_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_map_fits(const struct nf_settings *settings, unsigned first)
 {
 	uint32_t met = 0;
 
 	_Static_assert(NF_CHANNEL_COUNT <= 32, "a bit each");
-	for (unsigned index = first; index <= SETTING_AT_map_beeper; index++) {
+	for (unsigned index = first; index <= SETTING_AT_map_beeper; ++index) {
 		union setting_value channel;
 		settings_get(settings, index, &channel);
 		const uint32_t bit = 1u << channel.as_uint32_t;
@@ -140,7 +145,7 @@ static bool map_fits(const struct nf_settings *settings, unsigned first)
 	return true;
 }
 
-static bool battery_fits(const struct nf_settings *settings, unsigned first)
+static bool settings_battery_fits(const struct nf_settings *settings, unsigned first)
 {
 	(void)first;
 	return settings->battery_low_v < settings->battery_warn_v;
@@ -151,22 +156,22 @@ static const struct rule {
 	bool (*fits)(const struct nf_settings *settings, unsigned first);
 	unsigned first, last; /* the settings that it is about */
 } rules[] = {
-	{ gyro_rate_fits, SETTING_AT_gyro_rate_hz, SETTING_AT_gyro_rate_hz },
-	{ filter_fits, SETTING_AT_filter1_kind, SETTING_AT_filter1_q },
-	{ filter_fits, SETTING_AT_filter2_kind, SETTING_AT_filter2_q },
-	{ filter_fits, SETTING_AT_filter3_kind, SETTING_AT_filter3_q },
-	{ filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
-	{ dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
-	{ map_fits, SETTING_AT_map_roll, SETTING_AT_map_beeper },
-	{ battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
-	{ msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
+	{ settings_gyro_rate_fits, SETTING_AT_gyro_rate_hz, SETTING_AT_gyro_rate_hz },
+	{ settings_filter_fits, SETTING_AT_filter1_kind, SETTING_AT_filter1_q },
+	{ settings_filter_fits, SETTING_AT_filter2_kind, SETTING_AT_filter2_q },
+	{ settings_filter_fits, SETTING_AT_filter3_kind, SETTING_AT_filter3_q },
+	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
+	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
+	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_beeper },
+	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
+	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 };
 _Static_assert(SETTING_AT_map_beeper - SETTING_AT_map_roll == NF_CHANNEL_BEEPER, "all of the map, side by side");
 _Static_assert(NF_FILTER_STAGES == 4, "a rule each");
 
 unsigned settings_conflict(const struct nf_settings *settings)
 {
-	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; i++)
+	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; ++i)
 		if (!rules[i].fits(settings, rules[i].first))
 			return rules[i].first;
 	return NF_SETTING_COUNT;
@@ -174,7 +179,7 @@ unsigned settings_conflict(const struct nf_settings *settings)
 
 void settings_mend(struct nf_settings *settings)
 {
-	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; i++)
+	for (size_t i = 0; i < sizeof rules / sizeof rules[0]; ++i)
 		if (!rules[i].fits(settings, rules[i].first))
-			put_defaults(settings, rules[i].first, rules[i].last);
+			settings_put_defaults(settings, rules[i].first, rules[i].last);
 }

@@ -35,17 +35,17 @@ _Static_assert(NF_FLASH_SETTINGS_1_ADDRESS == NF_FLASH_SECTORS_2_ADDRESS, "the s
 #define COUNT_MAX ((NF_FLASH_SETTINGS_0_SIZE - sizeof(struct head) - sizeof(uint32_t)) / sizeof(struct entry))
 _Static_assert(NF_SETTING_COUNT <= COUNT_MAX, "a sector holds them");
 
-static uint32_t key_of(const struct setting *setting)
+static uint32_t settings_store_key_of(const struct setting *setting)
 {
 	uint32_t crc = 0;
 
-	for (const char *c = setting->name; *c; c++)
+	for (const char *c = setting->name; *c; ++c)
 		crc = crc32_more(crc, c, 1);
 	return crc;
 }
 
 /* Reads the head at `set`. Returns whether a whole set stands there. */
-static bool read_head(const uint8_t *set, struct head *head)
+static bool settings_store_read_head(const uint8_t *set, struct head *head)
 {
 	uint32_t told;
 
@@ -58,14 +58,14 @@ static bool read_head(const uint8_t *set, struct head *head)
 }
 
 /* The newest set, NULL if there is none. Tells where it stands, and its head. */
-static const uint8_t *newest(const struct flash *flash, struct head *head, unsigned *place)
+static const uint8_t *settings_store_newest(const struct flash *flash, struct head *head, unsigned *place)
 {
 	const uint8_t *found = NULL;
 
-	for (unsigned i = 0; i < NF_FLASH_SETTINGS_COUNT; i++) {
+	for (unsigned i = 0; i < NF_FLASH_SETTINGS_COUNT; ++i) {
 		const uint8_t *set = flash_at(flash, places[i].address);
 		struct head other;
-		if (!read_head(set, &other) || (found && other.sequence < head->sequence))
+		if (!settings_store_read_head(set, &other) || (found && other.sequence < head->sequence))
 			continue;
 		*head = other;
 		*place = i;
@@ -75,12 +75,12 @@ static const uint8_t *newest(const struct flash *flash, struct head *head, unsig
 }
 
 /* Takes over what the set says of the setting `index`, if it says something that is allowed. */
-static void take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count)
+static void settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count)
 {
-	const uint32_t key = key_of(settings_info(index));
+	const uint32_t key = settings_store_key_of(settings_info(index));
 	struct entry entry;
 
-	for (uint32_t i = 0; i < count; i++) {
+	for (uint32_t i = 0; i < count; ++i) {
 		memcpy(&entry, entries + i * sizeof entry, sizeof entry);
 		if (entry.key == key) {
 			(void)settings_set(settings, index, &entry.value); /* refused: the default stays */
@@ -93,13 +93,13 @@ bool settings_load(struct nf_settings *settings, const struct flash *flash)
 {
 	struct head head;
 	unsigned place;
-	const uint8_t *set = newest(flash, &head, &place);
+	const uint8_t *set = settings_store_newest(flash, &head, &place);
 
 	settings_default(settings);
 	if (!set)
 		return false;
-	for (unsigned index = 0; index < NF_SETTING_COUNT; index++)
-		take(settings, index, set + sizeof head, head.count);
+	for (unsigned index = 0; index < NF_SETTING_COUNT; ++index)
+		settings_store_take(settings, index, set + sizeof head, head.count);
 	settings_mend(settings);
 	return true;
 }
@@ -111,7 +111,7 @@ struct pen {
 	uint32_t crc;
 };
 
-static bool write(struct pen *pen, const void *words, size_t bytes)
+static bool settings_store_write(struct pen *pen, const void *words, size_t bytes)
 {
 	const uint32_t address = pen->address;
 
@@ -121,17 +121,17 @@ static bool write(struct pen *pen, const void *words, size_t bytes)
 }
 
 /* The CRC comes last: before it stands whole, there is no set. */
-static bool write_set(struct pen *pen, const struct head *head, const struct nf_settings *settings)
+static bool settings_store_write_set(struct pen *pen, const struct head *head, const struct nf_settings *settings)
 {
-	bool good = write(pen, head, sizeof *head);
+	bool good = settings_store_write(pen, head, sizeof *head);
 
-	for (unsigned index = 0; good && index < NF_SETTING_COUNT; index++) {
-		struct entry entry = { .key = key_of(settings_info(index)) };
+	for (unsigned index = 0; good && index < NF_SETTING_COUNT; ++index) {
+		struct entry entry = { .key = settings_store_key_of(settings_info(index)) };
 		settings_get(settings, index, &entry.value);
-		good = write(pen, &entry, sizeof entry);
+		good = settings_store_write(pen, &entry, sizeof entry);
 	}
 	const uint32_t crc = pen->crc;
-	return good && write(pen, &crc, sizeof crc);
+	return good && settings_store_write(pen, &crc, sizeof crc);
 }
 
 enum nf_refusal settings_save(const struct nf_settings *settings, const struct flash *flash)
@@ -141,13 +141,13 @@ enum nf_refusal settings_save(const struct nf_settings *settings, const struct f
 
 	if (settings_conflict(settings) != NF_SETTING_COUNT)
 		return NF_REFUSAL_CONFLICT;
-	(void)newest(flash, &head, &last);
+	(void)settings_store_newest(flash, &head, &last);
 	head = (struct head){ SETTINGS_MAGIC, SETTINGS_LAYOUT, head.sequence + 1, NF_SETTING_COUNT };
 	const struct place *place = &places[(last + 1) % NF_FLASH_SETTINGS_COUNT];
 	struct pen pen = { .flash = flash, .address = place->address };
 
-	if (!flash_erase(flash, place->sector) || !write_set(&pen, &head, settings) ||
-	    !read_head(flash_at(flash, place->address), &head))
+	if (!flash_erase(flash, place->sector) || !settings_store_write_set(&pen, &head, settings) ||
+	    !settings_store_read_head(flash_at(flash, place->address), &head))
 		return NF_REFUSAL_FLASH;
 	return NF_REFUSAL_NONE;
 }

@@ -16,15 +16,16 @@
 #define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN)
 #define BOARD_APB2_CLOCKS (RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN)
 
-#define BOARD_LED0 ((struct pin){GPIOB, 9}) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
+#define BOARD_LED0 ((struct pin){ GPIOB, 9 }) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
 
-#define BOARD_GYRO_CS ((struct pin){GPIOC, 2})
-#define BOARD_GYRO_READY ((struct pin){GPIOC, 3}) /* EXTI line 3 */
-#define BOARD_GYRO_SCK ((struct pin){GPIOA, 5})   /* SPI1, AF5 */
-#define BOARD_GYRO_MISO ((struct pin){GPIOA, 6})
-#define BOARD_GYRO_MOSI ((struct pin){GPIOA, 7})
+#define BOARD_GYRO_CS ((struct pin){ GPIOC, 2 })
+#define BOARD_GYRO_READY ((struct pin){ GPIOC, 3 }) /* EXTI line 3 */
+#define BOARD_GYRO_SCK ((struct pin){ GPIOA, 5 })   /* SPI1, AF5 */
+#define BOARD_GYRO_MISO ((struct pin){ GPIOA, 6 })
+#define BOARD_GYRO_MOSI ((struct pin){ GPIOA, 7 })
 
 #define BOARD_MOTOR_COUNT 6
+// clang-format off
 #define BOARD_MOTOR_PINS /* pin and alternate function of each motor */               \
 	{{GPIOC, 6}, 3}, {{GPIOC, 7}, 3}, {{GPIOC, 8}, 3}, {{GPIOC, 9}, 3}, /* TIM8 */ \
 	{{GPIOB, 1}, 2},                                                    /* TIM3 */ \
@@ -36,24 +37,25 @@
 	MOTOR_BANK_OF_4(0, TIM8, CLOCK_TIM8_HZ, ((struct dma_stream){DMA2, 1, 7}), TIM_DIER_UDE, true),           \
 	MOTOR_BANK_OF_1(4, TIM3, 4, CLOCK_TIM3_HZ, ((struct dma_stream){DMA1, 2, 5}), TIM_DIER_UDE, false),       \
 	MOTOR_BANK_OF_1(5, TIM1, 1, CLOCK_TIM8_HZ, ((struct dma_stream){DMA2, 6, 0}), TIM_DIER_CC1DE, true)
+// clang-format on
 
-#define BOARD_BEEPER ((struct pin){GPIOC, 13}) /* high sounds, what the ecosystem calls inverted */
+#define BOARD_BEEPER ((struct pin){ GPIOC, 13 }) /* high sounds, what the ecosystem calls inverted */
 
-#define BOARD_VOLTS ((struct pin){GPIOC, 0}) /* ADC1 IN10 */
-#define BOARD_AMPS ((struct pin){GPIOC, 4})  /* ADC1 IN14 */
+#define BOARD_VOLTS ((struct pin){ GPIOC, 0 }) /* ADC1 IN10 */
+#define BOARD_AMPS ((struct pin){ GPIOC, 4 })  /* ADC1 IN14 */
 
 #define BOARD_MSP_UART USART1
 #define BOARD_MSP_UART_HZ CLOCK_APB2_HZ
 #define BOARD_MSP_AF 7u
-#define BOARD_MSP_TX ((struct pin){GPIOA, 9})
-#define BOARD_MSP_RX ((struct pin){GPIOA, 10})
-#define BOARD_MSP_DMA_RX ((struct dma_stream){DMA2, 5, 4})
-#define BOARD_MSP_DMA_TX ((struct dma_stream){DMA2, 7, 4})
+#define BOARD_MSP_TX ((struct pin){ GPIOA, 9 })
+#define BOARD_MSP_RX ((struct pin){ GPIOA, 10 })
+#define BOARD_MSP_DMA_RX ((struct dma_stream){ DMA2, 5, 4 })
+#define BOARD_MSP_DMA_TX ((struct dma_stream){ DMA2, 7, 4 })
 
 #define BOARD_RECEIVER_UART USART2
 #define BOARD_RECEIVER_UART_HZ CLOCK_APB1_HZ
 #define BOARD_RECEIVER_AF 7u
-#define BOARD_RECEIVER_RX ((struct pin){GPIOA, 3})
-#define BOARD_RECEIVER_DMA_RX ((struct dma_stream){DMA1, 5, 4})
+#define BOARD_RECEIVER_RX ((struct pin){ GPIOA, 3 })
+#define BOARD_RECEIVER_DMA_RX ((struct dma_stream){ DMA1, 5, 4 })
 
 #endif

@@ -54,7 +54,7 @@ class Test:
     def look(self, **view: Any) -> None:
         """A receiver frame that says so; the next step sees the view as it was."""
         before, self.view = self.view, View(**{**vars(self.view), **view})
-        self.lib.motor_test_look(self.self, self._view())
+        self.lib.motor_test_update(self.self, self._view())
         self.view = before
 
     def step(self) -> list[int]:

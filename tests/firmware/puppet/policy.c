@@ -18,16 +18,16 @@ const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];
 void policy_init(struct policy *p, const float *weights)
 {
 	p->weights = weights;
-	puppet_inits++;
+	++puppet_inits;
 }
 
 void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_COUNT],
 		 float action[POLICY_ACTION_COUNT])
 {
 	(void)p;
-	for (int i = 0; i < POLICY_OBSERVATION_COUNT; i++)
+	for (int i = 0; i < POLICY_OBSERVATION_COUNT; ++i)
 		puppet_observation[i] = observation[i];
-	for (int i = 0; i < POLICY_ACTION_COUNT; i++)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
 		action[i] = puppet_action[i];
-	puppet_steps++;
+	++puppet_steps;
 }

@@ -62,7 +62,7 @@ class Cell:
         self.state, self.ready, self.descending, self.holds = state, ready, descending, held
         self.turning = state in TURNING or (state is FlightState.FAILSAFE_DROP and descending)
         conditions = sum(BITS[name] for name in held)
-        self.told = bool(core.lib.safety_look(safety, conditions))
+        self.told = bool(core.lib.safety_update(safety, conditions))
         self.after, self.ready_after = FlightState(safety.state), bool(safety.ready)
         self.cause = StopCause(safety.stop_cause)
         self.motors = bool(core.lib.safety_motors(safety))
@@ -157,13 +157,13 @@ def test_reasons_are_shown_when_and_only_when_the_motors_stand(cells: list[Cell]
 @pytest.mark.parametrize("reason", FORBIDDING, ids=lambda reason: reason.name)
 def test_it_does_not_arm_and_says_why_when_one_reason_forbids_it(puppet: Any, reason: ArmingReason) -> None:
     safety = put(puppet, FlightState.DISARMED, True, False)
-    assert not puppet.lib.safety_look(safety, BITS["on"] | 1 << reason)
+    assert not puppet.lib.safety_update(safety, BITS["on"] | 1 << reason)
     assert not puppet.lib.safety_motors(safety)
     shown = puppet.lib.safety_reasons(safety, 1 << reason)
     assert shown == 1 << reason | 1 << ArmingReason.SWITCH_NOT_CYCLED, "the switch came too early: cycle it"
-    assert not puppet.lib.safety_look(safety, BITS["on"]), "and it does not arm when the reason goes away"
-    assert not puppet.lib.safety_look(safety, 0)
-    assert puppet.lib.safety_look(safety, BITS["on"])
+    assert not puppet.lib.safety_update(safety, BITS["on"]), "and it does not arm when the reason goes away"
+    assert not puppet.lib.safety_update(safety, 0)
+    assert puppet.lib.safety_update(safety, BITS["on"])
 
 
 @pytest.mark.parametrize("reason", FORBIDDING, ids=lambda reason: reason.name)
@@ -172,7 +172,7 @@ def test_it_flies_on_when_a_reason_to_forbid_arming_comes_up_in_flight(
 ) -> None:
     safety = new(puppet)
     safety.state = FlightState.ARMED
-    puppet.lib.safety_look(safety, BITS["on"] | 1 << reason)
+    puppet.lib.safety_update(safety, BITS["on"] | 1 << reason)
     assert puppet.lib.safety_motors(safety) == (reason is not ArmingReason.RECEIVER_LOST)
 
 
@@ -180,7 +180,7 @@ def test_it_starts_in_boot_and_never_arms_when_the_switch_is_on_from_the_beginni
     safety = new(puppet)
     assert (safety.state, safety.stop_cause) == (FlightState.BOOT, StopCause.NONE)
     for _ in range(100):
-        assert not puppet.lib.safety_look(safety, BITS["on"])
+        assert not puppet.lib.safety_update(safety, BITS["on"])
     assert safety.state == FlightState.DISARMED
 
 
@@ -188,7 +188,7 @@ def states(core: Any, safety: Any, conditions: int, steps: int) -> Iterator[tupl
     """Whether motors may turn and it descends, at each of so many control steps under `conditions`."""
     for _ in range(steps):
         core.lib.safety_tick(safety)
-        core.lib.safety_look(safety, conditions)
+        core.lib.safety_update(safety, conditions)
         yield bool(core.lib.safety_motors(safety)), bool(core.lib.safety_descending(safety))
 
 
@@ -222,8 +222,8 @@ def test_a_descent_goes_on_when_the_link_comes_back_with_the_switch_on(puppet: A
 
 def test_the_last_cause_stands_when_it_is_armed_again_and_flies(puppet: Any) -> None:
     safety = put(puppet, FlightState.ARMED, False, False)
-    puppet.lib.safety_look(safety, BITS["on"] | BITS["runaway"])
+    puppet.lib.safety_update(safety, BITS["on"] | BITS["runaway"])
     for conditions in (0, 0, BITS["on"]):
-        puppet.lib.safety_look(safety, conditions)
+        puppet.lib.safety_update(safety, conditions)
     assert safety.state == FlightState.ARMED
     assert safety.stop_cause == StopCause.RUNAWAY

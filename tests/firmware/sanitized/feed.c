@@ -17,12 +17,20 @@ int main(void)
 	static const struct pid_gains no_pid = { .motor_count = 0 };
 	struct nf_settings settings;
 	const struct firmware_config config = {
-		.gyro_rate_hz = 1000, .alignment = ALIGN_CW90, .settings = &settings, .weights = policy_weights,
-		.policy_good = true, .pid = &no_pid,
+		.gyro_rate_hz = 1000,
+		.alignment = ALIGN_CW90,
+		.settings = &settings,
+		.weights = policy_weights,
+		.policy_good = true,
+		.pid = &no_pid,
 	};
 	static const struct policy_blob_identity identity_of_blob = {
-		.architecture_hash = 1, .filters_hash = NF_POLICY_FILTERS_NONE, .control_rate_hz = 1000,
-		.weight_count = 1, .observation_count = 1, .action_count = 1,
+		.architecture_hash = 1,
+		.filters_hash = NF_POLICY_FILTERS_NONE,
+		.control_rate_hz = 1000,
+		.weight_count = 1,
+		.observation_count = 1,
+		.action_count = 1,
 	};
 	struct firmware *fw = malloc(sizeof *fw);
 	struct firmware_status status;
@@ -50,7 +58,7 @@ int main(void)
 		replies += msp_serve(&msp, &status, bytes, count, reply, (size_t)length * 4) > 0;
 		memcpy(slot + 1, bytes, count); /* misaligned, and its end is the heap block's */
 		blobs += policy_blob_check(slot + 1, count, &identity_of_blob) == NF_OK;
-		samples++;
+		++samples;
 		free(bytes);
 		free(reply);
 		free(slot);

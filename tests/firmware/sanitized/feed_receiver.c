@@ -42,11 +42,11 @@ static void look(const struct receiver *receiver, const struct rates *rates)
 	float setpoint[3];
 
 	receiver_channels(receiver, channels_us);
-	for (int i = 0; i < NF_CHANNEL_COUNT; i++)
+	for (int i = 0; i < NF_CHANNEL_COUNT; ++i)
 		if (channels_us[i] < NF_CHANNEL_VALID_MIN_US || channels_us[i] > NF_CHANNEL_VALID_MAX_US)
 			exit(3);
 	rates_setpoint(rates, channels_us, setpoint);
-	for (int i = 0; i < 3; i++)
+	for (int i = 0; i < 3; ++i)
 		if (!(setpoint[i] >= -SETPOINT_MAX && setpoint[i] <= SETPOINT_MAX))
 			exit(3);
 	if (receiver_quality(receiver) > 100)
@@ -79,14 +79,14 @@ static void feed(unsigned protocol)
 								       NF_RATES_STYLE_ACTUAL;
 	receiver_init(receiver, &settings, 1000);
 	rates_init(&rates, &settings);
-	for (size_t i = 0; i < piece_count; i++) {
+	for (size_t i = 0; i < piece_count; ++i) {
 		const uint8_t *bytes = pieces[i].bytes;
 		size_t count = pieces[i].count;
-		for (unsigned sample = 0; sample < pieces[i].samples; sample++)
+		for (unsigned sample = 0; sample < pieces[i].samples; ++sample)
 			receiver_tick(receiver);
 		frames += tell(receiver, &pieces[i]);
 		while (receiver_push(receiver, &bytes, &count)) {
-			frames++;
+			++frames;
 			good += receiver_link(receiver) == RECEIVER_GOOD;
 			look(receiver, &rates);
 		}
@@ -104,7 +104,7 @@ int main(void)
 	feed(NF_RECEIVER_PROTOCOL_SBUS);
 	feed(NF_RECEIVER_PROTOCOL_CRSF);
 	feed(NF_RECEIVER_PROTOCOL_MSP);
-	for (size_t i = 0; i < piece_count; i++)
+	for (size_t i = 0; i < piece_count; ++i)
 		free((void *)pieces[i].bytes);
 	free((void *)pieces);
 	return 0;

@@ -45,16 +45,19 @@ static enum nf_refusal motors(void *context, const uint16_t values_us[], size_t 
 static void boot(void)
 {
 	static const struct policy_blob_identity running = {
-		.architecture_hash = POLICY_ARCHITECTURE_HASH, .filters_hash = POLICY_FILTERS_HASH,
-		.control_rate_hz = POLICY_CONTROL_RATE_HZ, .weight_count = POLICY_WEIGHT_COUNT,
-		.observation_count = POLICY_OBSERVATION_COUNT, .action_count = POLICY_ACTION_COUNT,
+		.architecture_hash = POLICY_ARCHITECTURE_HASH,
+		.filters_hash = POLICY_FILTERS_HASH,
+		.control_rate_hz = POLICY_CONTROL_RATE_HZ,
+		.weight_count = POLICY_WEIGHT_COUNT,
+		.observation_count = POLICY_OBSERVATION_COUNT,
+		.action_count = POLICY_ACTION_COUNT,
 	};
 	static const struct fault_record record = { .kind = FAULT_ASSERT, .line = 1, .file = "x.c" };
 
 	flash_model_init(&model, model.bytes);
 	sets += settings_load(&settings, &flash);
-	policies += policy_slots_choose(&slots, &flash, &running, &policy_blob, sizeof policy_blob, &policy,
-					weights) == NF_OK;
+	policies += policy_slots_choose(&slots, &flash, &running, &policy_blob, sizeof policy_blob, &policy, weights) ==
+		    NF_OK;
 	fault_log_boot(&faults, &flash, faults.boots % 3 ? NULL : &record);
 }
 
@@ -88,8 +91,14 @@ int main(void)
 {
 	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
 	const struct msp_services services = {
-		.flash = &flash, .settings = &settings, .slots = &slots, .faults = &faults, .tasks = tasks,
-		.storing = storing, .channels = channels, .motors = motors,
+		.flash = &flash,
+		.settings = &settings,
+		.slots = &slots,
+		.faults = &faults,
+		.tasks = tasks,
+		.storing = storing,
+		.channels = channels,
+		.motors = motors,
 	};
 	struct msp msp;
 

@@ -1,8 +1,8 @@
 #include "hal/stm32f7/core/clock.h"
 
+#include "board.h"
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/registers.h"
-#include "board.h"
 #include "hal/stm32f7/core/time.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
@@ -23,25 +23,25 @@ enum { WAIT_STATES = 7 };                     /* 216 MHz at 2.7..3.6 V (RM0431 3
 #define LIMIT_OSCILLATOR (CLOCK_RESET_HZ / 10u)   /* 100 ms: a crystal starts within some ms */
 #define LIMIT_READY (CLOCK_RESET_HZ / 500u)       /* 2 ms: PLL lock 0.3 ms, over-drive 0.1 ms */
 
-static void replace(volatile uint32_t *reg, uint32_t mask, uint32_t bits)
+static void clock_replace(volatile uint32_t *reg, uint32_t mask, uint32_t bits)
 {
 	*reg = (*reg & ~mask) | bits;
 }
 
 /* A ROM bootloader may have left its own clocks running. */
-static bool fall_back_to_hsi(void)
+static bool clock_fall_back_to_hsi(void)
 {
 	RCC_CR |= RCC_CR_HSION;
 	if (!time_wait(&RCC_CR, RCC_CR_HSIRDY, RCC_CR_HSIRDY, LIMIT_READY))
 		return false;
-	replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_HSI));
+	clock_replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_HSI));
 	if (!time_wait(&RCC_CFGR, RCC_CFGR_SWS, FIELD(RCC_CFGR_SWS, SOURCE_HSI), LIMIT_READY))
 		return false;
 	RCC_CR &= ~RCC_CR_PLLON;
 	return time_wait(&RCC_CR, RCC_CR_PLLRDY, 0, LIMIT_READY);
 }
 
-static bool start_crystal(void)
+static bool clock_start_crystal(void)
 {
 	RCC_CR |= RCC_CR_HSEON;
 	if (!time_wait(&RCC_CR, RCC_CR_HSERDY, RCC_CR_HSERDY, LIMIT_OSCILLATOR))
@@ -51,15 +51,15 @@ static bool start_crystal(void)
 }
 
 /* RM0431 4.1.4: PLL first, then over-drive, then its switch; only then may the PLL become the clock. */
-static bool start_pll(void)
+static bool clock_start_pll(void)
 {
 	RCC_APB1ENR |= RCC_APB1ENR_PWREN;
 	(void)RCC_APB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
-	replace(&PWR_CR1, PWR_CR1_VOS, FIELD(PWR_CR1_VOS, REGULATOR_SCALE_1));
-	replace(&RCC_PLLCFGR, RCC_PLLCFGR_PLLM | RCC_PLLCFGR_PLLN | RCC_PLLCFGR_PLLP | RCC_PLLCFGR_PLLQ,
-		FIELD(RCC_PLLCFGR_PLLM, PLL_M) | FIELD(RCC_PLLCFGR_PLLN, PLL_N) |
-			FIELD(RCC_PLLCFGR_PLLP, PLL_P / 2u - 1u) | FIELD(RCC_PLLCFGR_PLLQ, PLL_Q) |
-			RCC_PLLCFGR_PLLSRC);
+	clock_replace(&PWR_CR1, PWR_CR1_VOS, FIELD(PWR_CR1_VOS, REGULATOR_SCALE_1));
+	clock_replace(&RCC_PLLCFGR, RCC_PLLCFGR_PLLM | RCC_PLLCFGR_PLLN | RCC_PLLCFGR_PLLP | RCC_PLLCFGR_PLLQ,
+		      FIELD(RCC_PLLCFGR_PLLM, PLL_M) | FIELD(RCC_PLLCFGR_PLLN, PLL_N) |
+			      FIELD(RCC_PLLCFGR_PLLP, PLL_P / 2u - 1u) | FIELD(RCC_PLLCFGR_PLLQ, PLL_Q) |
+			      RCC_PLLCFGR_PLLSRC);
 	RCC_CR |= RCC_CR_PLLON;
 	PWR_CR1 |= PWR_CR1_ODEN;
 	if (!time_wait(&PWR_CSR1, PWR_CSR1_ODRDY, PWR_CSR1_ODRDY, LIMIT_READY))
@@ -68,26 +68,27 @@ static bool start_pll(void)
 	return time_wait(&PWR_CSR1, PWR_CSR1_ODSWRDY, PWR_CSR1_ODSWRDY, LIMIT_READY);
 }
 
-static bool slow_flash(void)
+static bool clock_slow_flash(void)
 {
-	replace(&FLASH_ACR, FLASH_ACR_LATENCY,
-		FIELD(FLASH_ACR_LATENCY, WAIT_STATES) | FLASH_ACR_PRFTEN | FLASH_ACR_ARTEN);
+	clock_replace(&FLASH_ACR, FLASH_ACR_LATENCY,
+		      FIELD(FLASH_ACR_LATENCY, WAIT_STATES) | FLASH_ACR_PRFTEN | FLASH_ACR_ARTEN);
 	return time_wait(&FLASH_ACR, FLASH_ACR_LATENCY, FIELD(FLASH_ACR_LATENCY, WAIT_STATES), LIMIT_READY);
 }
 
-static bool switch_to_pll(void)
+static bool clock_switch_to_pll(void)
 {
-	replace(&RCC_CFGR, RCC_CFGR_HPRE | RCC_CFGR_PPRE1 | RCC_CFGR_PPRE2,
-		FIELD(RCC_CFGR_PPRE1, DIVIDE_BY_4) | FIELD(RCC_CFGR_PPRE2, DIVIDE_BY_2));
+	clock_replace(&RCC_CFGR, RCC_CFGR_HPRE | RCC_CFGR_PPRE1 | RCC_CFGR_PPRE2,
+		      FIELD(RCC_CFGR_PPRE1, DIVIDE_BY_4) | FIELD(RCC_CFGR_PPRE2, DIVIDE_BY_2));
 	if (!time_wait(&RCC_CR, RCC_CR_PLLRDY, RCC_CR_PLLRDY, LIMIT_READY))
 		return false;
-	replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_PLL));
+	clock_replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_PLL));
 	return time_wait(&RCC_CFGR, RCC_CFGR_SWS, FIELD(RCC_CFGR_SWS, SOURCE_PLL), LIMIT_READY);
 }
 
 bool clock_start(void)
 {
-	return fall_back_to_hsi() && start_crystal() && start_pll() && slow_flash() && switch_to_pll();
+	return clock_fall_back_to_hsi() && clock_start_crystal() && clock_start_pll() && clock_slow_flash() &&
+	       clock_switch_to_pll();
 }
 
 void clock_peripherals(void)

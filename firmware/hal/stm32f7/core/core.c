@@ -13,14 +13,14 @@ static const struct region {
 	uint32_t log2_size;
 	uint32_t attributes;
 } regions[] = {
-	{0x00000000u, 9, NO_ACCESS},  /* null pointers: the first 512 bytes of ITCM, which the linker leaves empty */
+	{ 0x00000000u, 9, NO_ACCESS }, /* null pointers: the first 512 bytes of ITCM, which the linker leaves empty */
 	/* No external memory on this board; a speculative read there may stall the bus for good. */
-	{0x60000000u, 29, NO_ACCESS},
-	{0x80000000u, 29, NO_ACCESS},
-	{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers */
+	{ 0x60000000u, 29, NO_ACCESS },
+	{ 0x80000000u, 29, NO_ACCESS },
+	{ 0x2003C000u, 14, UNCACHED }, /* SRAM2: DMA buffers */
 };
 
-static void protect_memory(void)
+static void core_protect_memory(void)
 {
 	MPU_CTRL = 0;
 	for (uint32_t i = 0; i < sizeof regions / sizeof regions[0]; ++i) {
@@ -33,7 +33,7 @@ static void protect_memory(void)
 	barrier_instructions();
 }
 
-static void enable_instruction_cache(void)
+static void core_enable_instruction_cache(void)
 {
 	barrier_instructions();
 	SCB_ICIALLU = 0;
@@ -44,7 +44,7 @@ static void enable_instruction_cache(void)
 
 /* Asks for every line of the data cache. DCISW and its like: way from bit 31 down, set from bit 5 up (32-byte lines;
  * Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
-static void for_each_line(volatile uint32_t *operation)
+static void core_for_each_line(volatile uint32_t *operation)
 {
 	SCB_CSSELR = 0; /* level 1, data */
 	barrier();
@@ -60,16 +60,16 @@ static void for_each_line(volatile uint32_t *operation)
 }
 
 /* The cache's contents are undefined after power-up: every line is invalidated before it may answer. */
-static void enable_data_cache(void)
+static void core_enable_data_cache(void)
 {
-	for_each_line(&SCB_DCISW);
+	core_for_each_line(&SCB_DCISW);
 	SCB_CCR |= SCB_CCR_DC;
 	barrier_instructions();
 }
 
 void core_clean_caches(void)
 {
-	for_each_line(&SCB_DCCISW);
+	core_for_each_line(&SCB_DCCISW);
 	SCB_ICIALLU = 0;
 	barrier_instructions();
 }
@@ -78,9 +78,9 @@ void core_start(void)
 {
 	SCB_SHCSR |= SCB_SHCSR_MEMFAULTENA | SCB_SHCSR_BUSFAULTENA | SCB_SHCSR_USGFAULTENA;
 	SCB_CCR |= SCB_CCR_UNALIGN_TRP | SCB_CCR_DIV_0_TRP;
-	protect_memory();
-	enable_instruction_cache();
-	enable_data_cache();
+	core_protect_memory();
+	core_enable_instruction_cache();
+	core_enable_data_cache();
 }
 
 void interrupt_enable(uint32_t irq, enum priority priority)

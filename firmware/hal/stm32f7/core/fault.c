@@ -37,7 +37,7 @@ static uint32_t reset_flags;       /* RCC_CSR as it was */
 static uint32_t steps_before_reset;
 
 /* Each word turned by its place: words that change places or are all alike show. */
-static uint32_t checksum(const struct note *n)
+static uint32_t fault_checksum(const struct note *n)
 {
 	const uint32_t *const words = (const uint32_t *)(const void *)n;
 	uint32_t sum = NOTE_MAGIC;
@@ -48,9 +48,9 @@ static uint32_t checksum(const struct note *n)
 }
 _Static_assert(sizeof(struct fault_record) % sizeof(uint32_t) == 0, "the checksum takes words");
 
-static bool noted(void)
+static bool fault_noted(void)
 {
-	return note.magic == NOTE_MAGIC && note.checksum == checksum(&note);
+	return note.magic == NOTE_MAGIC && note.checksum == fault_checksum(&note);
 }
 
 void fault_start(void)
@@ -67,7 +67,7 @@ void fault_note_steps(uint32_t steps)
 }
 
 /* The chip's own word: a reset that no code of ours asked for. Power-on sets all flags of the supply. */
-static uint32_t kind_of_reset(void)
+static uint32_t fault_kind_of_reset(void)
 {
 	if ((reset_flags & RCC_CSR_WDGRSTF) != 0u)
 		return FAULT_WATCHDOG;
@@ -78,14 +78,14 @@ static uint32_t kind_of_reset(void)
 
 bool fault_take(struct fault_record *record)
 {
-	if (noted()) {
+	if (fault_noted()) {
 		*record = note.record;
 		return true;
 	}
-	const uint32_t kind = kind_of_reset();
+	const uint32_t kind = fault_kind_of_reset();
 	if (kind == FAULT_NONE)
 		return false;
-	*record = (struct fault_record){.kind = kind, .uptime_steps = steps_before_reset};
+	*record = (struct fault_record){ .kind = kind, .uptime_steps = steps_before_reset };
 	if (kind == FAULT_BROWN_OUT) /* at which level the chip resets is the pilot's, by option bytes */
 		record->line = VALUE(FLASH_OPTCR_BOR_LEV, FLASH_OPTCR);
 	return true;
@@ -97,7 +97,7 @@ void fault_clear(void)
 	reset_flags = 0;
 }
 
-static _Noreturn void reset(void)
+static _Noreturn void fault_reset_chip(void)
 {
 	barrier();
 	SCB_AIRCR = FIELD(SCB_AIRCR_VECTKEY, RESET_KEY) | SCB_AIRCR_SYSRESETREQ;
@@ -110,36 +110,36 @@ _Noreturn void fault_reset(void)
 {
 	interrupts_disable();
 	motor_pins_force_low();
-	reset();
+	fault_reset_chip();
 }
 
 /* Keeps `record` and starts anew, or rests. */
-static _Noreturn void keep(struct fault_record *record)
+static _Noreturn void fault_keep(struct fault_record *record)
 {
-	const uint32_t before = noted() ? note.in_a_row : 0u;
+	const uint32_t before = fault_noted() ? note.in_a_row : 0u;
 
 	record->uptime_steps = last_steps;
 	note.magic = NOTE_MAGIC;
 	note.in_a_row = before + 1u;
 	note.record = *record;
-	note.checksum = checksum(&note);
+	note.checksum = fault_checksum(&note);
 	if (note.in_a_row >= FAULTS_IN_A_ROW_MAX)
 		stop(LED_FAULT);
-	reset();
+	fault_reset_chip();
 }
 
 _Noreturn void fault_assert_failed(const char *file, uint32_t line)
 {
 	interrupts_disable();
 	motor_pins_force_low();
-	struct fault_record record = {.kind = FAULT_ASSERT, .line = line};
+	struct fault_record record = { .kind = FAULT_ASSERT, .line = line };
 
 	for (size_t i = 0; i + 1u < sizeof record.file && file[i] != '\0'; ++i)
 		record.file[i] = file[i];
-	keep(&record);
+	fault_keep(&record);
 }
 
-static void copy_frame(struct fault_record *record, const uint32_t *frame)
+static void fault_copy_frame(struct fault_record *record, const uint32_t *frame)
 {
 	for (uint32_t i = 0; i < 4u; ++i)
 		record->r[i] = frame[i];
@@ -166,8 +166,8 @@ _Noreturn void fault_stop(const uint32_t *frame)
 	};
 
 	if (at >= (uint32_t)dtcm_start && at <= (uint32_t)stack_top - FRAME_BYTES && at % sizeof(uint32_t) == 0u)
-		copy_frame(&record, frame);
-	keep(&record);
+		fault_copy_frame(&record, frame);
+	fault_keep(&record);
 }
 
 /* The stack may be what overflowed: outside its bounds, or with too little left, it begins anew. Inside them it

@@ -9,9 +9,9 @@
 #include "storage/fault_record.h"
 
 /* Our own mistake, not the world's: ends here. Any context. */
-#define HAL_ASSERT(condition)                                                        \
-	do {                                                                         \
-		if (!(condition))                                                    \
+#define HAL_ASSERT(condition)                                                         \
+	do {                                                                          \
+		if (!(condition))                                                     \
 			fault_assert_failed(__FILE__ + FAULT_FILE_SKIPPED, __LINE__); \
 	} while (0)
 

@@ -1,7 +1,7 @@
 #include "hal/stm32f7/core/gpio.h"
 
 /* Replaces the `width` bits of pin `number` in a register that packs its pins from bit 0. */
-static void set_field(volatile uint32_t *reg, uint32_t number, uint32_t width, uint32_t value)
+static void gpio_set_field(volatile uint32_t *reg, uint32_t number, uint32_t width, uint32_t value)
 {
 	const uint32_t mask = BITS(number * width, width);
 
@@ -10,20 +10,20 @@ static void set_field(volatile uint32_t *reg, uint32_t number, uint32_t width, u
 
 void gpio_mode(struct pin pin, enum gpio_mode mode)
 {
-	set_field(&GPIO_MODER(pin.port), pin.number, 2, mode);
+	gpio_set_field(&GPIO_MODER(pin.port), pin.number, 2, mode);
 }
 
 void gpio_input(struct pin pin, enum gpio_pull pull)
 {
-	set_field(&GPIO_PUPDR(pin.port), pin.number, 2, pull);
+	gpio_set_field(&GPIO_PUPDR(pin.port), pin.number, 2, pull);
 	gpio_mode(pin, GPIO_INPUT);
 }
 
 void gpio_output(struct pin pin, bool high)
 {
 	gpio_write(pin, high);
-	set_field(&GPIO_OTYPER(pin.port), pin.number, 1, 0);
-	set_field(&GPIO_PUPDR(pin.port), pin.number, 2, GPIO_FLOATING);
+	gpio_set_field(&GPIO_OTYPER(pin.port), pin.number, 1, 0);
+	gpio_set_field(&GPIO_PUPDR(pin.port), pin.number, 2, GPIO_FLOATING);
 	gpio_mode(pin, GPIO_OUTPUT);
 }
 
@@ -31,9 +31,9 @@ void gpio_alternate(struct pin pin, uint32_t function, enum gpio_pull pull, enum
 {
 	volatile uint32_t *const select = pin.number < 8u ? &GPIO_AFRL(pin.port) : &GPIO_AFRH(pin.port);
 
-	set_field(select, pin.number % 8u, 4, function);
-	set_field(&GPIO_OTYPER(pin.port), pin.number, 1, 0);
-	set_field(&GPIO_OSPEEDR(pin.port), pin.number, 2, speed);
-	set_field(&GPIO_PUPDR(pin.port), pin.number, 2, pull);
+	gpio_set_field(select, pin.number % 8u, 4, function);
+	gpio_set_field(&GPIO_OTYPER(pin.port), pin.number, 1, 0);
+	gpio_set_field(&GPIO_OSPEEDR(pin.port), pin.number, 2, speed);
+	gpio_set_field(&GPIO_PUPDR(pin.port), pin.number, 2, pull);
 	gpio_mode(pin, GPIO_ALTERNATE);
 }

@@ -1,13 +1,13 @@
 #include "hal/stm32f7/core/motor_pins.h"
 
+#include "board.h"
 #include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/registers.h"
-#include "board.h"
 
 static const struct motor_pin {
 	struct pin pin;
 	uint32_t function;
-} motor_pins[] = {BOARD_MOTOR_PINS};
+} motor_pins[] = { BOARD_MOTOR_PINS };
 _Static_assert(sizeof motor_pins / sizeof motor_pins[0] == BOARD_MOTOR_COUNT, "one pin a motor");
 
 void motor_pins_start(void)

@@ -3,19 +3,19 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
-#include "hal/stm32f7/core/gpio.h"
-#include "board.h"
 #include "hal/stm32f7/core/watchdog.h"
 
 #define FLASH_MS 150u /* lit, then as long dark */
 #define PAUSE_MS 900u
 
 /* Is the LED lit at this time of its pattern? */
-static bool led_lit(enum led_code code, uint32_t ms)
+static bool stop_led_lit(enum led_code code, uint32_t ms)
 {
 	const uint32_t flashes = (uint32_t)code * 2u * FLASH_MS;
 	const uint32_t now = ms % (flashes + PAUSE_MS);
@@ -24,7 +24,7 @@ static bool led_lit(enum led_code code, uint32_t ms)
 }
 
 /* About a millisecond, by counting: the cycle counter may be what failed. */
-static void burn_millisecond(void)
+static void stop_burn_millisecond(void)
 {
 	const uint32_t hz = clock_is_full_speed() ? CLOCK_CORE_HZ : CLOCK_RESET_HZ;
 
@@ -40,8 +40,8 @@ _Noreturn void stop(enum led_code code)
 	(void)RCC_AHB1ENR;
 	gpio_output(BOARD_LED0, true);
 	for (uint32_t ms = 0;; ++ms) {
-		gpio_write(BOARD_LED0, !led_lit(code, ms));
+		gpio_write(BOARD_LED0, !stop_led_lit(code, ms));
 		watchdog_feed();
-		burn_millisecond();
+		stop_burn_millisecond();
 	}
 }

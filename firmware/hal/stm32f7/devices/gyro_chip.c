@@ -1,16 +1,16 @@
 #include "hal/stm32f7/devices/gyro_chip.h"
 
-#include "hal/stm32f7/core/core.h"
-#include "hal/stm32f7/peripherals/dma.h"
-#include "hal/stm32f7/core/fault.h"
-#include "hal/stm32f7/core/handlers.h"
-#include "nf_contract.h"
-#include "hal/stm32f7/core/registers.h"
-#include "hal/stm32f7/peripherals/spi.h"
-#include "hal/stm32f7/core/gpio.h"
 #include "board.h"
+#include "hal/stm32f7/core/core.h"
+#include "hal/stm32f7/core/fault.h"
+#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "hal/stm32f7/peripherals/dma.h"
+#include "hal/stm32f7/peripherals/spi.h"
+#include "nf_contract.h"
 
 #define AF_SPI1 5u
 #define EXTI_PORT_C 2u /* SYSCFG_EXTICR1 */
@@ -45,8 +45,8 @@ static const struct chip {
 	enum board_alignment alignment;
 	enum gyro_chip kind;
 } chips[] = {
-	{0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT, GYRO_MPU6500},    /* 20 MHz at most */
-	{0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT, GYRO_ICM20689},  /* 8 MHz at most */
+	{ 0x70, 0x07, SPI_13M5, BOARD_MPU6500_ALIGNMENT, GYRO_MPU6500 },    /* 20 MHz at most */
+	{ 0x98, 0x03, SPI_6M75, BOARD_ICM20689_ALIGNMENT, GYRO_ICM20689 },  /* 8 MHz at most */
 };
 
 /* Written in this order, each read back; the same numbers for both chips. */
@@ -54,16 +54,16 @@ static const struct chip_setting {
 	uint8_t address;
 	uint8_t value;
 } chip_settings[] = {
-	{PWR_MGMT_1, 0x01},    /* awake, clock from the gyro's PLL */
-	{USER_CTRL, 0x10},     /* SPI only */
-	{PWR_MGMT_2, 0x00},    /* all axes on */
-	{SMPLRT_DIV, 0x00},
-	{CONFIG, 0x00},        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz */
-	{GYRO_CONFIG, 0x18},   /* +-2000 deg/s, FCHOICE_B 0 */
-	{ACCEL_CONFIG, 0x18},  /* +-16 g */
-	{ACCEL_CONFIG2, 0x02}, /* 1 kHz, bandwidth about 95 Hz: attitude asks for gravity, not for vibration */
-	{INT_PIN_CFG, 0x00},   /* active high, push-pull, 50 us pulse */
-	{INT_ENABLE, 0x01},    /* data ready */
+	{ PWR_MGMT_1, 0x01 },    /* awake, clock from the gyro's PLL */
+	{ USER_CTRL, 0x10 },     /* SPI only */
+	{ PWR_MGMT_2, 0x00 },    /* all axes on */
+	{ SMPLRT_DIV, 0x00 },    /* every sample */
+	{ CONFIG, 0x00 },        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz */
+	{ GYRO_CONFIG, 0x18 },   /* +-2000 deg/s, FCHOICE_B 0 */
+	{ ACCEL_CONFIG, 0x18 },  /* +-16 g */
+	{ ACCEL_CONFIG2, 0x02 }, /* 1 kHz, bandwidth about 95 Hz: attitude asks for gravity, not for vibration */
+	{ INT_PIN_CFG, 0x00 },   /* active high, push-pull, 50 us pulse */
+	{ INT_ENABLE, 0x01 },    /* data ready */
 };
 
 #define AXES 3u
@@ -86,7 +86,7 @@ static struct {
 	volatile bool reading;   /* a transfer was started and not yet taken */
 } gyro;
 
-static bool transfer(uint8_t *bytes, size_t count)
+static bool gyro_transfer(uint8_t *bytes, size_t count)
 {
 	gpio_write(BOARD_GYRO_CS, false);
 	const bool moved = spi_exchange(bytes, count);
@@ -94,28 +94,28 @@ static bool transfer(uint8_t *bytes, size_t count)
 	return moved;
 }
 
-static bool read_register(uint8_t address, uint8_t *value)
+static bool gyro_read_register(uint8_t address, uint8_t *value)
 {
-	uint8_t bytes[2] = {(uint8_t)(address | READ), 0};
-	const bool moved = transfer(bytes, sizeof bytes);
+	uint8_t bytes[2] = { (uint8_t)(address | READ), 0 };
+	const bool moved = gyro_transfer(bytes, sizeof bytes);
 
 	*value = bytes[1];
 	return moved;
 }
 
-static bool write_register(uint8_t address, uint8_t value)
+static bool gyro_write_register(uint8_t address, uint8_t value)
 {
-	uint8_t bytes[2] = {address, value};
+	uint8_t bytes[2] = { address, value };
 
-	return transfer(bytes, sizeof bytes);
+	return gyro_transfer(bytes, sizeof bytes);
 }
 
 /* The chip that answers; NULL: none, or one that this driver does not know. */
-static const struct chip *identify(void)
+static const struct chip *gyro_identify(void)
 {
 	uint8_t identity;
 
-	if (!read_register(WHO_AM_I, &identity))
+	if (!gyro_read_register(WHO_AM_I, &identity))
 		return NULL;
 	for (size_t i = 0; i < sizeof chips / sizeof chips[0]; ++i)
 		if (chips[i].identity == identity)
@@ -123,13 +123,13 @@ static const struct chip *identify(void)
 	return NULL;
 }
 
-static bool configure(void)
+static bool gyro_configure(void)
 {
 	for (size_t i = 0; i < sizeof chip_settings / sizeof chip_settings[0]; ++i) {
 		uint8_t kept;
 
-		if (!write_register(chip_settings[i].address, chip_settings[i].value) ||
-		    !read_register(chip_settings[i].address, &kept) || kept != chip_settings[i].value)
+		if (!gyro_write_register(chip_settings[i].address, chip_settings[i].value) ||
+		    !gyro_read_register(chip_settings[i].address, &kept) || kept != chip_settings[i].value)
 			return false;
 	}
 	return true;
@@ -147,14 +147,14 @@ bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
 
 	time_delay_ms(START_MS); /* the chip's supply may have come with the processor's */
 	watchdog_feed();         /* its half second may be a third, and resets follow */
-	if (!write_register(PWR_MGMT_1, DEVICE_RESET))
+	if (!gyro_write_register(PWR_MGMT_1, DEVICE_RESET))
 		return false;
 	time_delay_ms(RESET_MS);
-	const struct chip *const chip = identify();
-	if (chip == NULL || !write_register(SIGNAL_PATH_RESET, chip->reset_paths))
+	const struct chip *const chip = gyro_identify();
+	if (chip == NULL || !gyro_write_register(SIGNAL_PATH_RESET, chip->reset_paths))
 		return false;
 	time_delay_ms(RESET_MS);
-	if (!configure())
+	if (!gyro_configure())
 		return false;
 	gyro.chip = chip;
 	*alignment = chip->alignment;
@@ -198,19 +198,19 @@ void gyro_tick(void)
 	gyro.handlers->gyro_silent(gyro.handlers->context);
 }
 
-static void end_transfer(void)
+static void gyro_end_transfer(void)
 {
 	(void)spi_finish(); /* a stream that is still stuck makes the next spi_start refuse, and samples stop */
 	gpio_write(BOARD_GYRO_CS, true);
 	gyro.reading = false;
 }
 
-static void start_transfer(void)
+static void gyro_start_transfer(void)
 {
 	gyro.reading = true;
 	gpio_write(BOARD_GYRO_CS, false);
 	if (!spi_start(gyro_request, gyro_response, TRANSFER_BYTES))
-		end_transfer();
+		gyro_end_transfer();
 }
 
 /* Samples only ever come from the chip. If edges or transfers stop, the tick says so; if it stops too, so do
@@ -225,11 +225,11 @@ void gyro_edge_handler(void)
 	if (gyro.reading && dma_complete(DMA_GYRO_RX))
 		return; /* read but not yet taken: the control path is late, and this sample is lost */
 	if (gyro.reading)
-		end_transfer(); /* a read takes 9 or 18 us: this one is stuck */
-	start_transfer();
+		gyro_end_transfer(); /* a read takes 9 or 18 us: this one is stuck */
+	gyro_start_transfer();
 }
 
-static int16_t big_endian(const volatile uint8_t *bytes)
+static int16_t gyro_big_endian(const volatile uint8_t *bytes)
 {
 	return (int16_t)(uint16_t)(bytes[0] << 8 | bytes[1]);
 }
@@ -241,12 +241,12 @@ void gyro_sample_handler(void)
 	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
 	interrupts_disable();
 	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
-	end_transfer();
+	gyro_end_transfer();
 	for (uint32_t axis = 0; axis < AXES; ++axis) {
-		sample.accel[axis] = big_endian(gyro_response + ACCEL_OFFSET + 2u * axis);
-		sample.gyro[axis] = big_endian(gyro_response + GYRO_OFFSET + 2u * axis);
+		sample.accel[axis] = gyro_big_endian(gyro_response + ACCEL_OFFSET + 2u * axis);
+		sample.gyro[axis] = gyro_big_endian(gyro_response + GYRO_OFFSET + 2u * axis);
 	}
-	sample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);
+	sample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);
 	interrupts_enable();
 	gyro.silent_ms = 0;
 	++gyro.samples;

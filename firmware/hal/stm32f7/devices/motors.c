@@ -1,13 +1,13 @@
 #include "hal/stm32f7/devices/motors.h"
 
+#include "board.h"
 #include "hal/stm32f7/core/clock.h"
-#include "hal/stm32f7/peripherals/dma.h"
-#include "motors/dshot.h"
 #include "hal/stm32f7/core/fault.h"
-#include "nf_contract.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
-#include "board.h"
+#include "hal/stm32f7/peripherals/dma.h"
+#include "motors/dshot.h"
+#include "nf_contract.h"
 
 #define FRAME_BITS 16u
 /* What DMA writes takes effect one bit later (preload), so the first trailing slot ends the last bit with a
@@ -37,6 +37,7 @@ struct bank {
 };
 
 /* Compare channels in use. */
+// clang-format off
 #define CHANNEL_1 .ccmr1 = FIELD(TIM_CCMR1_OC1M, PWM_MODE_1) | TIM_CCMR1_OC1PE, .ccer = TIM_CCER_CC1E
 #define CHANNEL_4 .ccmr2 = FIELD(TIM_CCMR2_OC4M, PWM_MODE_1) | TIM_CCMR2_OC4PE, .ccer = TIM_CCER_CC4E
 #define CHANNELS_1_TO_4                                                                \
@@ -60,7 +61,8 @@ struct bank {
 		.target = &TIM_CCR(tim, channel), .request = dma_request,                \
 		.slots = motor_slots + SLOTS * motor, CHANNEL_##channel, .advanced = switched \
 	}
-static const struct bank banks[] = {BOARD_MOTOR_BANKS};
+// clang-format on
+static const struct bank banks[] = { BOARD_MOTOR_BANKS };
 #define BANK_COUNT (sizeof banks / sizeof banks[0])
 
 static const uint32_t bits_a_second[] = {
@@ -77,7 +79,7 @@ struct pulse {
 static uint32_t banks_in_use;
 static struct pulse pulses[BANK_COUNT];
 
-static void start_bank(const struct bank *bank, uint32_t bit_ticks)
+static void motors_start_bank(const struct bank *bank, uint32_t bit_ticks)
 {
 	TIM_PSC(bank->timer) = 0;
 	TIM_ARR(bank->timer) = bit_ticks - 1u;
@@ -109,7 +111,7 @@ void motors_run(uint32_t protocol, size_t count)
 
 		pulses[used].zero = ticks * 3u / 8u;
 		pulses[used].more = ticks * 3u / 4u - pulses[used].zero;
-		start_bank(&banks[used], ticks);
+		motors_start_bank(&banks[used], ticks);
 	}
 	motor_pins_connect(count);
 	barrier();
@@ -117,7 +119,7 @@ void motors_run(uint32_t protocol, size_t count)
 }
 
 /* Does DMA still read a frame? */
-static bool busy(void)
+static bool motors_busy(void)
 {
 	for (uint32_t i = 0; i < banks_in_use; ++i)
 		if (dma_busy(banks[i].stream))
@@ -127,7 +129,7 @@ static bool busy(void)
 
 /* No request may straddle an update, or motors of one bank would get a bit later than the others: requests are
  * off while the stream starts, and the counter begins a bit (the lines are low, so nothing shows). */
-static void send(const struct bank *bank)
+static void motors_send(const struct bank *bank)
 {
 	TIM_DIER(bank->timer) &= ~bank->request;
 	TIM_CNT(bank->timer) = 0;
@@ -136,8 +138,8 @@ static void send(const struct bank *bank)
 }
 
 /* A motor's pulses, every `width` words. Unrolled it is three instructions a bit, for every motor and frame. */
-static inline __attribute__((always_inline)) void fill(uint32_t *slots, uint32_t width, uint32_t frame,
-						       const struct pulse *pulse)
+static inline __attribute__((always_inline)) void motors_fill(uint32_t *slots, uint32_t width, uint32_t frame,
+							      const struct pulse *pulse)
 {
 	const uint32_t zero = pulse->zero, more = pulse->more;
 
@@ -149,7 +151,7 @@ static inline __attribute__((always_inline)) void fill(uint32_t *slots, uint32_t
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	(void)context;
-	if (busy())
+	if (motors_busy())
 		return;
 	for (uint32_t i = 0; i < banks_in_use; ++i) {
 		const struct bank *const bank = &banks[i];
@@ -159,10 +161,10 @@ void motors_write(void *context, const uint16_t dshot[], size_t count, bool tele
 			const uint32_t frame = dshot_frame(index < count ? dshot[index] : NF_DSHOT_STOP, telemetry);
 
 			if (bank->width == BURST_WIDTH)
-				fill(bank->slots + motor, BURST_WIDTH, frame, &pulses[i]);
+				motors_fill(bank->slots + motor, BURST_WIDTH, frame, &pulses[i]);
 			else
-				fill(bank->slots, 1, frame, &pulses[i]);
+				motors_fill(bank->slots, 1, frame, &pulses[i]);
 		}
-		send(bank);
+		motors_send(bank);
 	}
 }

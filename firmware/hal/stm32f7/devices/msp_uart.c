@@ -1,8 +1,8 @@
 #include "hal/stm32f7/devices/msp_uart.h"
 
+#include "board.h"
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/gpio.h"
-#include "board.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/peripherals/uart.h"
 
@@ -13,7 +13,7 @@ static DMA_BUFFER_SLOW uint8_t msp_ring_bytes[UART_RING_BYTES];
 static DMA_BUFFER_SLOW uint8_t msp_reply_bytes[REPLY_BYTES];
 
 /* The background's alone. */
-static struct uart_ring ring = {.stream = BOARD_MSP_DMA_RX, .bytes = msp_ring_bytes};
+static struct uart_ring ring = { .stream = BOARD_MSP_DMA_RX, .bytes = msp_ring_bytes };
 static uint32_t last_byte_ms;
 
 void msp_uart_start(uint32_t baud)

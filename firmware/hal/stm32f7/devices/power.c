@@ -1,8 +1,8 @@
 #include "hal/stm32f7/devices/power.h"
 
-#include "hal/stm32f7/peripherals/dma.h"
-#include "hal/stm32f7/core/gpio.h"
 #include "board.h"
+#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/peripherals/dma.h"
 
 enum { CHANNEL_VOLTS = 10, CHANNEL_AMPS = 14 }; /* of ADC1, behind the pins (data sheet, pin definitions) */
 enum { DIVIDE_BY_4 = 1 };                       /* ADC_CCR ADCPRE: 27 MHz, 36 at most */
@@ -18,7 +18,7 @@ enum { CHANNELS = 2 };
 
 static DMA_BUFFER_SLOW volatile uint16_t power_conversions[ROUNDS][CHANNELS];
 
-static void convert(void)
+static void power_convert(void)
 {
 	ADC1_SR &= ~ADC1_SR_OVR;
 	dma_start(DMA_POWER, power_conversions, ROUNDS * CHANNELS);
@@ -39,7 +39,7 @@ void power_start(void)
 	ADC1_CR2 = ADC1_CR2_ADON; /* 3 us before the first conversion; the next call comes later than that */
 }
 
-static uint16_t mean_mv(uint32_t channel)
+static uint16_t power_mean_mv(uint32_t channel)
 {
 	uint32_t sum = 0;
 
@@ -47,18 +47,18 @@ static uint16_t mean_mv(uint32_t channel)
 		sum += power_conversions[i][channel];
 	return (uint16_t)(sum * REFERENCE_MV / (FULL_SCALE * ROUNDS));
 }
-_Static_assert(FULL_SCALE * ROUNDS <= UINT32_MAX / REFERENCE_MV, "mean_mv's product fits");
+_Static_assert(UINT32_MAX / REFERENCE_MV >= FULL_SCALE * ROUNDS, "mean_mv's product fits");
 
 void power_read(struct power_sample *power)
 {
 	power->valid = dma_complete(DMA_POWER);
-	power->volts_mv = mean_mv(0);
-	power->amps_mv = mean_mv(1);
+	power->volts_mv = power_mean_mv(0);
+	power->amps_mv = power_mean_mv(1);
 	dma_clear(DMA_POWER);
 	/* Not begun yet, or stopped by an overrun or an error of the bus. */
 	if (!dma_busy(DMA_POWER) || (ADC1_SR & ADC1_SR_OVR) != 0u) {
 		(void)dma_stop(DMA_POWER);
 		ADC1_CR2 = ADC1_CR2_ADON;
-		convert();
+		power_convert();
 	}
 }

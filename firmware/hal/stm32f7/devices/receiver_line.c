@@ -1,10 +1,10 @@
 #include "hal/stm32f7/devices/receiver_line.h"
 
-#include "hal/stm32f7/core/clock.h"
-#include "nf_contract.h"
-#include "hal/stm32f7/core/gpio.h"
 #include "board.h"
+#include "hal/stm32f7/core/clock.h"
+#include "hal/stm32f7/core/gpio.h"
 #include "hal/stm32f7/peripherals/uart.h"
+#include "nf_contract.h"
 
 #define STOP_BITS_2 2u /* USART_CR2 STOP; 0 is one */
 
@@ -32,7 +32,7 @@ static const struct format {
 };
 
 /* Touched by the sample handler alone, once started. */
-static struct uart_ring ring = {.stream = BOARD_RECEIVER_DMA_RX, .bytes = receiver_ring_bytes};
+static struct uart_ring ring = { .stream = BOARD_RECEIVER_DMA_RX, .bytes = receiver_ring_bytes };
 static bool started;
 static bool drops_broken;
 static bool frame_broken; /* drop bytes until the line rests: a frame is sent without a pause in it */
@@ -45,14 +45,14 @@ void receiver_line_start(uint32_t protocol)
 
 	gpio_alternate(BOARD_RECEIVER_RX, BOARD_RECEIVER_AF, format->rest, GPIO_SLOW);
 	uart_ring_start(&ring, BOARD_RECEIVER_UART);
-	uart_configure(BOARD_RECEIVER_UART, BOARD_RECEIVER_UART_HZ, format->baud, format->cr1 | USART_CR1_RE, format->cr2,
-		       USART_CR3_DMAR);
+	uart_configure(BOARD_RECEIVER_UART, BOARD_RECEIVER_UART_HZ, format->baud, format->cr1 | USART_CR1_RE,
+		       format->cr2, USART_CR3_DMAR);
 	drops_broken = format->drops_broken;
 	started = true;
 }
 
 /* Is what has just been read part of a frame with a broken byte? */
-static bool broken(uint32_t status)
+static bool receiver_line_broken(uint32_t status)
 {
 	if ((status & (USART_ISR_PE | USART_ISR_FE)) != 0u) {
 		USART_ICR(BOARD_RECEIVER_UART) = USART_ICR_PECF | USART_ICR_FECF | USART_ICR_IDLECF;
@@ -74,5 +74,5 @@ size_t receiver_line_read(void *context, uint8_t *bytes, size_t capacity)
 	const uint32_t status = USART_ISR(BOARD_RECEIVER_UART);
 	const size_t count = uart_ring_read(&ring, bytes, capacity);
 
-	return drops_broken && broken(status) ? 0 : count;
+	return drops_broken && receiver_line_broken(status) ? 0 : count;
 }

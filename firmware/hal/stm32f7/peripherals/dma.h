@@ -24,9 +24,9 @@ struct dma_stream {
 };
 
 /* Streams of peripherals that every board uses (RM0431 8.3.3); board.h has the others. */
-#define DMA_POWER ((struct dma_stream){DMA2, 0, 0})   /* ADC1 */
-#define DMA_GYRO_RX ((struct dma_stream){DMA2, 2, 3}) /* SPI1_RX */
-#define DMA_GYRO_TX ((struct dma_stream){DMA2, 3, 3}) /* SPI1_TX */
+#define DMA_POWER ((struct dma_stream){ DMA2, 0, 0 })   /* ADC1 */
+#define DMA_GYRO_RX ((struct dma_stream){ DMA2, 2, 3 }) /* SPI1_RX */
+#define DMA_GYRO_TX ((struct dma_stream){ DMA2, 3, 3 }) /* SPI1_TX */
 
 /* Values of DMA_SCR fields. */
 enum dma_direction { DMA_FROM_PERIPHERAL = 0, DMA_TO_PERIPHERAL = 1 };

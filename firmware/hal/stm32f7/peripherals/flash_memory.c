@@ -2,10 +2,10 @@
 
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/core.h"
-#include "nf_contract.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "nf_contract.h"
 #include "storage/flash.h"
 
 /* FLASH_KEYR (RM0431 3.3.5). */
@@ -13,8 +13,7 @@
 #define KEY_2 0xCDEF89ABu
 
 enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
-#define ERRORS                                                                                          \
-	(FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
+#define ERRORS (FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
 
 /* Waits are counted in looks at the register, each after a pause of as many turns, a cycle and more each: the cycle
  * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most,
@@ -31,7 +30,7 @@ _Static_assert(NF_FLASH_BANK_A_ADDRESS == NF_FLASH_SECTORS_5_ADDRESS, "CODE_SECT
 _Static_assert(NF_FLASH_BANK_B_ADDRESS == NF_FLASH_SECTORS_6_ADDRESS, "CODE_SECTORS");
 
 /* Does all of it lie in one sector without code? */
-static bool storable(uint32_t address, size_t bytes)
+static bool flash_memory_storable(uint32_t address, size_t bytes)
 {
 	for (size_t i = 0; i < NF_FLASH_SECTORS_COUNT; ++i)
 		if (address >= flash_sectors[i].address && bytes <= flash_sectors[i].size &&
@@ -40,7 +39,7 @@ static bool storable(uint32_t address, size_t bytes)
 	return false;
 }
 
-static void unlock(void)
+static void flash_memory_unlock(void)
 {
 	if ((FLASH_CR & FLASH_CR_LOCK) == 0u)
 		return;
@@ -48,32 +47,32 @@ static void unlock(void)
 	FLASH_KEYR = KEY_2;
 }
 
-static void pause(void)
+static void flash_memory_pause(void)
 {
 	for (uint32_t turns = PAUSE_TURNS; turns != 0u; --turns)
 		__asm volatile("");
 }
 
 /* Waits for the operation under way, the watchdog content. */
-static bool rested(uint32_t looks)
+static bool flash_memory_wait(uint32_t looks)
 {
 	for (uint32_t look = 0; (FLASH_SR & FLASH_SR_BSY) != 0u; ++look) {
 		if (look == looks)
 			return false;
 		if (look % LOOKS_A_FEED == 0u)
 			watchdog_feed();
-		pause();
+		flash_memory_pause();
 	}
 	return true;
 }
 
-static bool succeeded(uint32_t looks)
+static bool flash_memory_succeeded(uint32_t looks)
 {
-	return rested(looks) && (FLASH_SR & ERRORS) == 0u;
+	return flash_memory_wait(looks) && (FLASH_SR & ERRORS) == 0u;
 }
 
 /* What the caches hold of flash is the past. Other lines that were written go to memory first. */
-static void forget_cached(void)
+static void flash_memory_invalidate_caches(void)
 {
 	FLASH_ACR &= ~FLASH_ACR_ARTEN;
 	FLASH_ACR |= FLASH_ACR_ARTRST;
@@ -82,49 +81,49 @@ static void forget_cached(void)
 	core_clean_caches();
 }
 
-/* From here on nothing reads flash and nothing interrupts, neither code nor vectors nor tables, until `end`. */
-static bool begin(void)
+/* From here on nothing reads flash and nothing interrupts, neither code nor vectors nor tables, until `flash_memory_end`. */
+static bool flash_memory_begin(void)
 {
 	interrupts_disable();
-	unlock();
-	const bool ready = rested(WORD_LOOKS);
+	flash_memory_unlock();
+	const bool ready = flash_memory_wait(WORD_LOOKS);
 	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
 	return ready;
 }
 
-static void end(void)
+static void flash_memory_end(void)
 {
 	FLASH_CR = FLASH_CR_LOCK;
 	interrupts_enable();
-	forget_cached(); /* takes longer than the gyro waits, and no handler reads what was written */
+	flash_memory_invalidate_caches(); /* takes longer than the gyro waits, and no handler reads what was written */
 }
 
 /* `size`: of the sector [bytes]. */
-static bool erase(unsigned sector, uint32_t size)
+static bool flash_memory_erase_sector(unsigned sector, uint32_t size)
 {
-	bool good = begin();
+	bool good = flash_memory_begin();
 
 	if (good) {
 		FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_SER | FIELD(FLASH_CR_SNB, sector);
 		FLASH_CR |= FLASH_CR_STRT;
 		barrier();
-		good = succeeded(size / 1024u * ERASE_LOOKS_A_KILOBYTE);
+		good = flash_memory_succeeded(size / 1024u * ERASE_LOOKS_A_KILOBYTE);
 	}
-	end();
+	flash_memory_end();
 	return good;
 }
 
-static bool program(uint32_t address, const uint32_t *words, size_t count)
+static bool flash_memory_program_words(uint32_t address, const uint32_t *words, size_t count)
 {
-	bool good = begin();
+	bool good = flash_memory_begin();
 
 	FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_PG;
 	for (size_t i = 0; good && i < count; ++i) {
 		REGISTER(address + sizeof(uint32_t) * i) = words[i];
 		barrier(); /* one word at a time reaches flash */
-		good = succeeded(WORD_LOOKS);
+		good = flash_memory_succeeded(WORD_LOOKS);
 	}
-	end();
+	flash_memory_end();
 	return good;
 }
 
@@ -134,7 +133,7 @@ bool flash_memory_erase(unsigned sector)
 		return false;
 	const uint32_t address = flash_sectors[sector].address, size = flash_sectors[sector].size;
 
-	if (!erase(sector, size))
+	if (!flash_memory_erase_sector(sector, size))
 		return false;
 	for (uint32_t offset = 0; offset < size; offset += sizeof(uint32_t))
 		if (REGISTER(address + offset) != FLASH_ERASED)
@@ -148,9 +147,9 @@ bool flash_memory_program(uint32_t address, const void *words, size_t bytes)
 	const size_t count = bytes / sizeof(uint32_t);
 
 	if (address % sizeof(uint32_t) != 0u || bytes % sizeof(uint32_t) != 0u ||
-	    (uint32_t)words % sizeof(uint32_t) != 0u || !storable(address, bytes))
+	    (uint32_t)words % sizeof(uint32_t) != 0u || !flash_memory_storable(address, bytes))
 		return false;
-	if (!program(address, from, count))
+	if (!flash_memory_program_words(address, from, count))
 		return false;
 	for (size_t i = 0; i < count; ++i)
 		if (REGISTER(address + sizeof(uint32_t) * i) != from[i])

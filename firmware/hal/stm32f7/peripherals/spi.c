@@ -1,9 +1,9 @@
 #include "hal/stm32f7/peripherals/spi.h"
 
 #include "hal/stm32f7/core/clock.h"
-#include "hal/stm32f7/peripherals/dma.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
+#include "hal/stm32f7/peripherals/dma.h"
 
 enum { BITS_8 = 7 }; /* SPI_CR2 DS */
 
@@ -21,7 +21,7 @@ void spi_configure(enum spi_speed speed)
 }
 
 /* Disabling asks for an empty transmit FIFO and a resting line (RM0431 SPI, procedure for disabling). */
-static bool rest(void)
+static bool spi_disable(void)
 {
 	const bool sent = time_wait(&SPI_SR(SPI1), SPI_SR_FTLVL, 0, BYTE_LIMIT) &&
 			  time_wait(&SPI_SR(SPI1), SPI_SR_BSY, 0, BYTE_LIMIT);
@@ -46,7 +46,7 @@ bool spi_exchange(uint8_t *bytes, size_t count)
 		if (moved)
 			bytes[i] = DATA_BYTE;
 	}
-	return rest() && moved;
+	return spi_disable() && moved;
 }
 
 void spi_dma_setup(void)
@@ -72,7 +72,7 @@ bool spi_finish(void)
 {
 	const bool tx_free = dma_stop(DMA_GYRO_TX);
 	const bool rx_free = dma_stop(DMA_GYRO_RX);
-	const bool rested = rest();
+	const bool rested = spi_disable();
 
 	SPI_CR2(SPI1) &= ~(SPI_CR2_RXDMAEN | SPI_CR2_TXDMAEN);
 	dma_clear(DMA_GYRO_TX);

@@ -18,7 +18,7 @@ void uart_ring_start(const struct uart_ring *ring, uint32_t uart)
 	dma_start(ring->stream, ring->bytes, UART_RING_BYTES);
 }
 
-static inline void copy(uint8_t *to, const volatile uint8_t *from, size_t count)
+static inline void uart_copy(uint8_t *to, const volatile uint8_t *from, size_t count)
 {
 	for (const uint8_t *const end = to + count; to != end;)
 		*to++ = *from++;
@@ -33,8 +33,8 @@ size_t uart_ring_read(struct uart_ring *ring, uint8_t *bytes, size_t capacity)
 	const size_t first = count < before_end ? count : before_end;
 
 	barrier();
-	copy(bytes, ring->bytes + ring->tail, first);
-	copy(bytes + first, ring->bytes, count - first);
+	uart_copy(bytes, ring->bytes + ring->tail, first);
+	uart_copy(bytes + first, ring->bytes, count - first);
 	ring->tail = (ring->tail + (uint32_t)count) % UART_RING_BYTES;
 	return count;
 }

@@ -4,9 +4,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "hal/stm32f7/core/registers.h"
-#include "hal/stm32f7/core/gpio.h"
 #include "board.h"
+#include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/registers.h"
 
 /* Linker script. */
 extern uint32_t stack_top[];
@@ -24,7 +24,7 @@ struct bank_head {
 };
 
 /* Erased or half-written flash does not look like the head of a vector table. */
-static bool is_image(const struct bank_head *head)
+static bool boot_is_image(const struct bank_head *head)
 {
 	return head->stack > (uint32_t)dtcm_start && head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u &&
 	       head->reset > (uint32_t)bank_a_start && head->reset < (uint32_t)bank_a_end && head->reset % 2u == 1u;
@@ -48,13 +48,14 @@ void boot_reset(void)
 {
 	const struct bank_head *const head = (const struct bank_head *)bank_a_start;
 
-	if (!is_image(head))
+	if (!boot_is_image(head))
 		boot_fault();
 	SCB_VTOR = (uint32_t)bank_a_start;
 	__asm volatile("dsb\n\t"
 		       "isb\n\t"
 		       "msr msp, %0\n\t"
-		       "bx %1" ::"r"(head->stack), "r"(head->reset));
+		       "bx %1" ::"r"(head->stack),
+		       "r"(head->reset));
 	__builtin_unreachable();
 }
 

@@ -10,7 +10,7 @@ int memcmp(const void *left, const void *right, size_t count);
 /* A word that may lie over anything. */
 typedef uint32_t __attribute__((may_alias)) word;
 
-static int both_aligned(const void *a, const void *b)
+static int memory_both_aligned(const void *a, const void *b)
 {
 	return (((uintptr_t)a | (uintptr_t)b) & 3u) == 0u;
 }
@@ -20,7 +20,7 @@ void *memcpy(void *restrict to, const void *restrict from, size_t count)
 	uint8_t *out = to;
 	const uint8_t *in = from;
 
-	if (both_aligned(out, in)) {
+	if (memory_both_aligned(out, in)) {
 		for (; count >= sizeof(word); count -= sizeof(word), out += sizeof(word), in += sizeof(word))
 			*(word *)(void *)out = *(const word *)(const void *)in;
 	}
@@ -49,7 +49,7 @@ void *memset(void *to, int value, size_t count)
 	uint8_t *out = to;
 	const word filled = (uint8_t)value * 0x01010101u;
 
-	for (; count != 0u && !both_aligned(out, out); --count)
+	for (; count != 0u && !memory_both_aligned(out, out); --count)
 		*out++ = (uint8_t)value;
 	for (; count >= 4u * sizeof(word); count -= 4u * sizeof(word), out += 4u * sizeof(word)) {
 		word *const four = (void *)out;

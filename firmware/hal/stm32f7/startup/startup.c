@@ -15,13 +15,13 @@ extern const uint32_t vectors[];
 
 int main(int argc, char **argv);
 
-static void copy(uint32_t *to, const uint32_t *end, const uint32_t *from)
+static void startup_copy(uint32_t *to, const uint32_t *end, const uint32_t *from)
 {
 	while (to != end)
 		*to++ = *from++;
 }
 
-static void clear(uint32_t *from, const uint32_t *end)
+static void startup_clear(uint32_t *from, const uint32_t *end)
 {
 	while (from != end)
 		*from++ = 0;
@@ -35,12 +35,12 @@ void reset_handler(void)
 	SCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */
 	barrier_instructions();
 
-	copy(fast_vectors, fast_vectors_end, vectors);
-	copy(itcm_start, itcm_end, itcm_load);
-	copy(data_start, data_end, data_load);
-	clear(bss_start, bss_end);
-	clear(sram_bss_start, sram_bss_end);
-	clear(uncached_bss_start, uncached_bss_end);
+	startup_copy(fast_vectors, fast_vectors_end, vectors);
+	startup_copy(itcm_start, itcm_end, itcm_load);
+	startup_copy(data_start, data_end, data_load);
+	startup_clear(bss_start, bss_end);
+	startup_clear(sram_bss_start, sram_bss_end);
+	startup_clear(uncached_bss_start, uncached_bss_end);
 	barrier_instructions();
 	SCB_VTOR = (uint32_t)fast_vectors;
 	barrier_instructions();

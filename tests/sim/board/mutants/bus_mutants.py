@@ -90,10 +90,10 @@ BUS_MUTANTS = (
     Mutant(
         name="wrong DMA channel of the gyro",
         file=DMA,
-        old="{DMA2, 3, 3}) /* SPI1_TX */",
-        new="{DMA2, 3, 2}) /* SPI1_TX */",
+        old="{ DMA2, 3, 3 }) /* SPI1_TX */",
+        new="{ DMA2, 3, 2 }) /* SPI1_TX */",
         message=r"DMA2 stream 3: channel 2 is driven by .*, but its peripheral address is SPI1_DR; expected",
-        place="spi_start|dma_start|start_transfer",
+        place="spi_start|dma_start|gyro_start_transfer",
         seconds=0.4,
     ),
     Mutant(
@@ -134,7 +134,7 @@ BUS_MUTANTS = (
     Mutant(
         name="memory of DMA buffers left cached",
         file="hal/stm32f7/core/core.c",
-        old="\t{0x2003C000u, 14, UNCACHED},  /* SRAM2: DMA buffers */\n",
+        old="\t{ 0x2003C000u, 14, UNCACHED }, /* SRAM2: DMA buffers */\n",
         new="",
         message=r"DMA2 stream \d: 0x2003\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,

@@ -115,8 +115,8 @@ CORE_MUTANTS = (
     Mutant(
         name="memory of DMA buffers closed to the core",
         file="hal/stm32f7/core/core.c",
-        old="{0x2003C000u, 14, UNCACHED}",
-        new="{0x2003C000u, 14, NO_ACCESS}",
+        old="{ 0x2003C000u, 14, UNCACHED }",
+        new="{ 0x2003C000u, 14, NO_ACCESS }",
         message=r"MPU region 3 \(MPU_RASR 0x1000001B\) closes 0x2003C000 to 0x2003FFFF",
         place="core_start",
         prove=True,
@@ -152,7 +152,7 @@ CORE_MUTANTS = (
     Mutant(
         name="unaligned double word",
         file=GYRO,
-        old="\tsample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        old="\tsample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
         new="\tuint32_t pair[2];\n\n"
         '\t__asm volatile("ldrd %0, %1, [%2]" : "=r"(pair[0]), "=r"(pair[1]) : "r"(gyro_response + 7));\n'
         "\tsample.temperature = (int16_t)pair[0];\n",
@@ -164,7 +164,7 @@ CORE_MUTANTS = (
     Mutant(
         name="unaligned floats",
         file=GYRO,
-        old="\tsample.temperature = big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
+        old="\tsample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);\n",
         new="\tfloat first;\n\n"
         '\t__asm volatile("vldmia %1, {%0}" : "=t"(first) : "r"(gyro_response + 7));\n'
         "\tsample.temperature = first > 0.0f;\n",
@@ -205,8 +205,8 @@ CORE_MUTANTS = (
     Mutant(
         name="flash programmed without erasing it",
         file="src/storage/fault_log.c",
-        old="flash_program(flash, address_of(index), &entry,",
-        new="flash_program(flash, address_of(0), &entry,",
+        old="flash_program(flash, fault_log_address_of(index), &entry,",
+        new="flash_program(flash, fault_log_address_of(0), &entry,",
         message=r"flash at 0x0800C\w{3} is 0x\w{8} and is to become 0x\w{8}: programming a 1 over a 0",
         seconds=0.4,
         boots=2,
@@ -224,11 +224,10 @@ CORE_MUTANTS = (
     Mutant(
         name="flash written while motors turn",
         file="src/background.c",
-        old="static void run_storage(void *context)\n{\n\tstruct background *background = context;\n",
-        new="static void run_storage(void *context)\n{\n\tstruct background *background = context;\n"
-        "\tstatic const uint32_t mark = 0;\n\n"
-        "\t(void)flash_program(&background->config.flash, NF_FLASH_FAULT_RECORD_ADDRESS + 0x3F00u, &mark,\n"
-        "\t\t\t    sizeof mark);\n",
+        old="static void background_run_storage(void *context)\n{\n",
+        new="static void background_run_storage(void *context)\n{\n\tstatic const uint32_t mark = 0;\n"
+        "\tconst struct hal *hal = ((struct background *)context)->config.hal;\n\n"
+        "\t(void)flash_program(&hal->flash, NF_FLASH_FAULT_RECORD_ADDRESS + 0x3F00u, &mark, sizeof mark);\n",
         message=r"flash at 0x0800FF00 is programmed while motor 1 turns \(DShot value \d+\)",
         place="flash_memory_program",
         seconds=1.8,
@@ -250,7 +249,7 @@ CORE_MUTANTS = (
         old="\tFLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */\n",
         new="\tFLASH_SR = ERRORS | FLASH_SR_EOP;\n\tFLASH_OPTCR |= BIT(1); /* OPTSTRT */\n",
         message=r"FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before",
-        place="begin",
+        place="flash_memory_begin",
         seconds=0.4,
         prove=True,
     ),
