@@ -39,7 +39,7 @@ struct hal {
 	 * Host: only where a power packet says so, as the simulator's clock does not run meanwhile. */
 	bool (*deadline_missed)(void *context, uint32_t cycles);
 
-	/* A free-running counter, wrapping at 2^32. Only measures; no decision of the core depends on it. */
+	/* A free-running counter, wrapping at 2^32. Only for measurement; no decision of the core depends on it. */
 	uint32_t (*cycles)(void *context);
 
 	/* From `background`: the battery's last measurement. */
@@ -48,12 +48,13 @@ struct hal {
 	void (*led)(void *context, bool on);
 	/* Feeds the watchdog; without it the board resets within a second. */
 	void (*watchdog_feed)(void *context);
-	/* From `msp`: asks to start anew, motors stopped, when what MSP has replied so far is sent: hal_run then never
-	 * returns (board; 1.5 s from now at the latest) or returns with success (host). Nothing may arm from here on. */
+	/* From `msp`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run then never
+	 * returns (board; 1.5 s from now at the latest) or returns with success (host). Nothing may arm from here
+	 * on. */
 	void (*reset)(void *context);
 
-	/* Erasing and programming wait, feed the watchdog, and stop samples meanwhile. Only disarmed: the caller's
-	 * duty. */
+	/* Erasing and programming wait, feed the watchdog, and stop samples meanwhile. The caller ensures that the
+	 * motors are stopped. */
 	struct flash flash;
 };
 
@@ -62,11 +63,11 @@ struct hal_info {
 	const struct hal *hal; /* lives as long as the program */
 	enum board_alignment alignment; /* of the gyro chip found, where the settings say "board" */
 	enum gyro_chip gyro_chip; /* which one that is */
-	unsigned gyro_rate_hz; /* 0: as set; another: asked for on this start, whatever the settings say */
-	const struct setting_change *changes; /* of this start to the stored settings; they live as long */
+	unsigned gyro_rate_hz; /* 0: as set; else the rate of this start, which overrides the settings */
+	const struct setting_change *changes; /* to the stored settings, of this start; they live as long */
 	size_t change_count;
 	struct msp_identity identity; /* its strings live as long as the program */
-	uint32_t cycles_hz; /* what hal_cycles counts in a second */
+	uint32_t cycles_hz; /* what struct hal's `cycles` counts in a second */
 };
 
 struct hal_handlers {
@@ -94,11 +95,11 @@ int hal_init(int argc, char **argv, struct hal_info *info);
  * Board: never returns. Host: returns the program's exit code. */
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings);
 
-/* The core cannot fly with hal_info and the settings: say so where this chip can (host: one line on stderr;
- * board: LED), motors stopped. Board: never returns. Host: returns the program's exit code. */
+/* The core cannot fly with hal_info and the settings: reports it (host: one line on stderr; board: LED), motors
+ * stopped. Board: never returns. Host: returns the program's exit code. */
 int hal_refuse(enum nf_err why);
 
-/* What a fault before this boot left behind, if one did. hal_fault_clear forgets it. */
+/* The record of a fault before this boot, if there was one. hal_fault_clear deletes it. */
 bool hal_fault_take(struct fault_record *record);
 void hal_fault_clear(void);
 

@@ -41,7 +41,7 @@ static bool background_choose_policy(struct background *background)
 		.action_count = POLICY_ACTION_COUNT,
 	};
 
-	/* The policy's memory is the firmware's, which starts after this. */
+	/* The policy's state is the firmware's, which is initialised after this. */
 	return policy_slots_choose(&background->slots, &config->hal->flash, &running, &policy_blob, sizeof policy_blob,
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
@@ -73,7 +73,7 @@ static enum nf_err background_start_firmware(struct background *background)
 }
 
 /* --- What MSP changes --------------------------------------------------------------------------------- */
-/* Flash is written only while nothing can arm: first that is forbidden, then it is seen that nothing has. */
+/* Flash is written only while nothing can arm: arming is forbidden first, then the motors are checked to be stopped. */
 static enum nf_refusal background_storing(void *context, bool busy)
 {
 	struct background *background = context;
@@ -247,7 +247,7 @@ void background_step(struct background *background)
 	scheduler_step(&background->scheduler, firmware_samples(background->config.firmware), background);
 }
 
-/* Share of the gyro's period that its longest sample took. */
+/* The longest time of a sample as a share of the gyro period. */
 static uint16_t background_load_percent(const struct background *background)
 {
 	const struct task_stats *stats = background->config.stats;

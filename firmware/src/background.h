@@ -1,5 +1,5 @@
-/* Background: the boot, and everything after it that can wait. It runs below the gyro's interrupt; what both know
- * passes through the functions of firmware.h that say so. */
+/* Background: the boot, then the tasks that can wait. It runs below the gyro interrupt; the two exchange data only
+ * through the functions of firmware.h that say so. */
 #ifndef NF_BACKGROUND_H
 #define NF_BACKGROUND_H
 
@@ -41,7 +41,7 @@ struct background_config {
 struct background {
 	struct background_config config;
 	struct nf_settings settings; /* as flown: of this boot */
-	struct nf_settings edited; /* as stored, or as changed since and perhaps not saved */
+	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
 	struct policy_slots slots;
 	struct fault_log faults;
 	struct scheduler scheduler;
@@ -58,10 +58,10 @@ struct background {
  * firmware_init: do not run. */
 enum nf_err background_start(struct background *background, const struct background_config *config);
 
-/* A little of what is due; called again and again. */
+/* Runs at most one task that is due; called again and again. */
 void background_step(struct background *background);
 
-/* The firmware's status, completed by what the background knows. */
+/* The firmware's status with the background's part filled in. */
 void background_status(const struct background *background, struct firmware_status *status);
 
 /* Bytes from the MSP peer; writes the replies, returns how many bytes. */

@@ -23,7 +23,7 @@ static enum nf_err firmware_check_rates(unsigned gyro_rate_hz)
 	return NF_ERR_GYRO_RATE;
 }
 
-/* Does the tilt allow arming? Of no matter, and not looked at, while the motors turn. */
+/* Does the tilt allow arming? Not evaluated while the motors turn. */
 static bool firmware_level(const struct firmware *fw)
 {
 	float up[3];
@@ -34,7 +34,7 @@ static bool firmware_level(const struct firmware *fw)
 	return attitude_known(&fw->attitude) && up[2] >= fw->level_cosine;
 }
 
-/* All that safety looks at, but for what a control step finds out. */
+/* All conditions of safety except those that a control step finds. */
 static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	static const uint32_t health[] = {
@@ -56,13 +56,13 @@ static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t ch
 	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
 }
 
-/* Brings safety up to date with everything known now and `found` beside it. */
+/* Updates safety with all conditions that hold now, and `found`. */
 static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
 	receiver_channels(&fw->receiver, channels_us);
-	/* A lost receiver's switches say nothing: the controller stays the one that the pilot chose. */
+	/* A lost receiver's switches are ignored: the pilot's last choice of controller stays. */
 	if (receiver_link(&fw->receiver) != RECEIVER_LOST)
 		fw->pid_wanted = channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
 	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
@@ -71,7 +71,7 @@ static void firmware_update_safety(struct firmware *fw, uint32_t found)
 	}
 }
 
-/* Fills in what MSP tells beside the trace. */
+/* Fills in the status that MSP reports beside the trace. */
 static void firmware_report(struct firmware *fw)
 {
 	struct firmware_status *status = &fw->status;
@@ -140,7 +140,7 @@ bool firmware_control_due(const struct firmware *fw)
 	return fw->until_control == 0;
 }
 
-/* Does the last good frame ask for armed motors, whatever the link is worth? */
+/* Is the arm switch on in the last good frame, whatever the link's state? */
 static bool firmware_switch_on(const struct firmware *fw)
 {
 	return fw->receiver.channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US;
@@ -155,7 +155,7 @@ static struct motor_test_view firmware_test_view(const struct firmware *fw)
 	};
 }
 
-/* A frame has come. Everybody sees each, so that no "off" is lost behind an "on" of the same step. */
+/* Evaluates a frame. Each one is evaluated, so that no "off" is lost behind an "on" of the same step. */
 static void firmware_take_frame(struct firmware *fw)
 {
 	const bool good = fw->receiver.age == 0;
@@ -165,8 +165,8 @@ static void firmware_take_frame(struct firmware *fw)
 	firmware_update_safety(fw, good && !firmware_switch_on(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
-/* The last frame is looked at by the control step that follows, once for all that is new: the step that a frame falls
- * into should be no longer than the others. */
+/* The last frame is evaluated by the control step that follows, together with its other conditions: a step with a frame
+ * should take no longer than the others. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
 	while (receiver_push(&fw->receiver, &bytes, &count)) {
@@ -176,7 +176,7 @@ void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 	}
 }
 
-/* Takes up what the background has posted. */
+/* Takes the channels that the background has posted. */
 static void firmware_receive_posted(struct firmware *fw)
 {
 	if (!fw->posted)
@@ -203,7 +203,7 @@ static void firmware_command(struct firmware *fw)
 	trace->throttle = fw->failsafe_throttle;
 }
 
-/* Gyro and setpoint to motor outputs. Returns what safety is to know of it: 0, or why `output` must not be flown. */
+/* Gyro and setpoint to motor outputs. Returns 0, or the conditions for safety for which `output` must not be flown. */
 static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
 {
 	static const uint32_t verdicts[] = {
@@ -283,7 +283,7 @@ static bool firmware_motors_stopped(const struct firmware *fw)
 	return !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test);
 }
 
-/* One gyro sample has passed for everything that waits. */
+/* Counts one gyro sample in all timers. */
 static void firmware_tick(struct firmware *fw)
 {
 	++fw->samples;

@@ -1,7 +1,7 @@
 /* The firmware core: gyro counts and receiver bytes in, DShot values out. No register, no clock, no heap.
  *
- * Time is the gyro sample index. Functions without another word are called from one context, the gyro interrupt;
- * the last five and those of motor test and DShot commands that say so from the background below it. */
+ * Time is the gyro sample index. Functions are called from the gyro interrupt, unless they say "from the background",
+ * which runs below it. */
 #ifndef NF_FIRMWARE_H
 #define NF_FIRMWARE_H
 
@@ -60,10 +60,10 @@ struct firmware {
 	volatile uint32_t forbidden;    /* arming reasons that the background knows */
 	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
 	volatile bool posted;           /* they wait to be taken up */
-	bool heard;                     /* a receiver frame waits to be looked at */
+	bool heard;                     /* a receiver frame waits to be evaluated */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
-	volatile uint32_t samples;      /* gyro samples since boot, those that silence swallowed included */
+	volatile uint32_t samples;      /* gyro samples since boot, including the time of silences */
 };
 
 /* Starts disarmed, the battery not known. NF_ERR_GYRO_RATE, NF_ERR_ALIGNMENT, NF_ERR_IDLE, NF_ERR_OBSERVATION: do
@@ -90,15 +90,15 @@ void firmware_deadline(struct firmware *fw, bool missed);
 /* The last control step. */
 const struct control_trace *firmware_trace(const struct firmware *fw);
 
-/* From the background: does `reason` forbid arming? BATTERY_UNKNOWN, FAULT and STORING are asked of it. What it says
- * holds from the next look of safety on; armed motors go on. */
+/* From the background: does `reason` forbid arming? BATTERY_UNKNOWN, FAULT and STORING are asked of it. It takes effect
+ * at safety's next update; armed motors stay armed. */
 void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds);
 
-/* From the background: do the motors stand still, and nothing is about to turn them but arming? */
+/* From the background: are the motors stopped, with no test and no command under way? */
 bool firmware_stopped(const struct firmware *fw);
 
-/* From the background: channels [us] that came by MSP, for the next control step. Those of before must have been
- * taken up: NF_REFUSAL_ORDER. NF_REFUSAL_ABSENT: the receiver is another. */
+/* From the background: channels [us] that came by MSP, for the next control step. NF_REFUSAL_ORDER: the last ones have
+ * not been taken yet. NF_REFUSAL_ABSENT: the receiver is not MSP. */
 enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* From the background: gyro samples since boot, those that silence swallowed included. Wraps. */

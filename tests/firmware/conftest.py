@@ -1,7 +1,7 @@
 """The firmware's C, called from Python: structs and signatures come from the real headers.
 
-`puppet` is the core around a policy that the tests pull by strings (puppet/policy.c), `Bench` flies it
-sample by sample, `sbus` is an encoder of their own.
+`scripted` is the core around a policy whose output a test sets (scripted_policy/policy.c), `Bench` flies
+it sample by sample, `sbus` is an encoder of their own.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from toolchain.rendering.pid_table import render_pid_table
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
-PUPPET = Path(__file__).parent / "puppet"
+SCRIPTED_POLICY = Path(__file__).parent / "scripted_policy"
 HEADERS = (
     "background.h",
     "firmware.h",
@@ -102,8 +102,8 @@ def load(library: Path, generated: Path, scratch: Path) -> Core:
     return Core(ffi, ffi.dlopen(str(library)))
 
 
-def puppet_blob(motors: int = 4) -> PolicyBlob:
-    """The puppet as its compiled-in blob says it: strings loose in the self-test."""
+def scripted_blob(motors: int = 4) -> PolicyBlob:
+    """The blob of the scripted policy, whose self-test expects 0."""
     blocks = "rate,rate_error,rate_error_delta,rate_error_integral,previous_action,throttle"
     return PolicyBlob(
         sequence=0,
@@ -111,7 +111,7 @@ def puppet_blob(motors: int = 4) -> PolicyBlob:
         filters_hash=contract.POLICY_FILTERS_NONE,
         control_rate_hz=1000,
         terms=blob_terms(contract.observation_blocks(blocks), 1000),
-        aircraft="puppet",
+        aircraft="scripted",
         aircraft_sha256="5a" * 32,
         policy_sha256="00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210",
         idle=0.0,
@@ -122,14 +122,14 @@ def puppet_blob(motors: int = 4) -> PolicyBlob:
     )
 
 
-def make_puppet(scratch: Path, motors: int) -> Path:
-    """Builds the host target around the puppet policy; returns the build directory."""
+def make_scripted(scratch: Path, motors: int) -> Path:
+    """Builds the host target around the scripted policy; returns the build directory."""
     generated, build = scratch / "generated", scratch / "build"
     generated.mkdir(parents=True)
     (generated / "nf_contract.h").write_text(render_contract())
-    blob = pack(puppet_blob(motors))
+    blob = pack(scripted_blob(motors))
     for name in ("policy.c", "policy.h"):
-        text = (PUPPET / name).read_text().replace("@MOTORS@", str(motors))
+        text = (SCRIPTED_POLICY / name).read_text().replace("@MOTORS@", str(motors))
         text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
         (generated / name).write_text(text)
     (generated / "pid_table.c").write_text(render_pid_table(None, motors, 1000))
@@ -140,22 +140,22 @@ def make_puppet(scratch: Path, motors: int) -> Path:
 
 
 @pytest.fixture(scope="session")
-def puppet_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build directory of the host target around the puppet policy with four motors."""
-    return make_puppet(tmp_path_factory.mktemp("puppet"), motors=4)
+def scripted_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build directory of the host target around the scripted policy with four motors."""
+    return make_scripted(tmp_path_factory.mktemp("scripted"), motors=4)
 
 
 @pytest.fixture(scope="session")
 def hexacopter_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same with six motors."""
-    return make_puppet(tmp_path_factory.mktemp("hexacopter"), motors=6)
+    return make_scripted(tmp_path_factory.mktemp("hexacopter"), motors=6)
 
 
 @pytest.fixture(scope="session")
-def puppet(puppet_build: Path) -> Core:
-    """The core around the puppet policy with four motors."""
-    scratch = puppet_build.parent
-    return load(puppet_build / "libneuroflight.so", scratch / "generated", scratch)
+def scripted(scripted_build: Path) -> Core:
+    """The core around the scripted policy with four motors."""
+    scratch = scripted_build.parent
+    return load(scripted_build / "libneuroflight.so", scratch / "generated", scratch)
 
 
 @pytest.fixture(scope="session")
@@ -323,10 +323,10 @@ def frame() -> Callable[..., bytes]:
 
 
 @pytest.fixture
-def bench(puppet: Core) -> Callable[..., Bench]:
-    """Makes benches; the puppet's strings hang loose (action 0) until the test pulls them."""
-    puppet.lib.puppet_action = [0.0] * 4
-    return lambda *args, **kwargs: Bench(puppet, *args, **kwargs)
+def bench(scripted: Core) -> Callable[..., Bench]:
+    """Makes benches; the scripted policy answers 0 until the test sets something else."""
+    scripted.lib.scripted_action = [0.0] * 4
+    return lambda *args, **kwargs: Bench(scripted, *args, **kwargs)
 
 
 # --- Flash ---------------------------------------------------------------------------------------
@@ -376,15 +376,15 @@ class Chip:
 
 
 @pytest.fixture
-def chip(puppet: Core) -> Callable[..., Chip]:
-    """Makes erased flashes, for the puppet's core unless told otherwise."""
-    return lambda core=puppet: Chip(core)
+def chip(scripted: Core) -> Callable[..., Chip]:
+    """Makes erased flashes, for the core around the scripted policy unless told otherwise."""
+    return lambda core=scripted: Chip(core)
 
 
 @pytest.fixture(scope="session")
-def puppets_blob() -> PolicyBlob:
-    """The blob that is compiled into the puppet."""
-    return puppet_blob()
+def scripted_policy_blob() -> PolicyBlob:
+    """The blob that is compiled into the scripted policy."""
+    return scripted_blob()
 
 
 # --- The host program ---------------------------------------------------------------------------
@@ -483,11 +483,11 @@ class Program:
 
 
 @pytest.fixture
-def start(puppet_build: Path) -> Iterator[Callable[..., Program]]:
-    """Starts programs (around the puppet policy unless told otherwise) that end with the test."""
+def start(scripted_build: Path) -> Iterator[Callable[..., Program]]:
+    """Starts programs (around the scripted policy unless told otherwise) that end with the test."""
     with contextlib.ExitStack() as running:
 
-        def make(*options: str, build: Path = puppet_build) -> Program:
+        def make(*options: str, build: Path = scripted_build) -> Program:
             program = Program(build, *options)
             running.callback(program.close)
             return program

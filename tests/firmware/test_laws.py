@@ -25,23 +25,23 @@ def symbols(path: Path, *options: str) -> list[tuple[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def objects(puppet_build: Path) -> dict[str, list[tuple[str, str]]]:
+def objects(scripted_build: Path) -> dict[str, list[tuple[str, str]]]:
     """Symbols of each core module."""
-    return {module: symbols(puppet_build / "obj" / "src" / f"{module}.o") for module in MODULES}
+    return {module: symbols(scripted_build / "obj" / "src" / f"{module}.o") for module in MODULES}
 
 
 def test_the_core_calls_only_itself_and_the_policy_when_linked(
-    puppet_build: Path, objects: dict[str, list[tuple[str, str]]]
+    scripted_build: Path, objects: dict[str, list[tuple[str, str]]]
 ) -> None:
-    everything = [*objects.values(), symbols(puppet_build / "obj" / "policy.o")]
+    everything = [*objects.values(), symbols(scripted_build / "obj" / "policy.o")]
     defined = {name for module in everything for kind, name in module if kind.isupper() and kind != "U"}
     linkage = {"_GLOBAL_OFFSET_TABLE_"}
     wanted = {name for module in objects.values() for kind, name in module if kind == "U"}
     assert wanted - defined - linkage <= MEMORY
 
 
-def test_the_library_calls_no_heap_and_no_maths_when_loaded(puppet_build: Path) -> None:
-    called = {name for kind, name in symbols(puppet_build / "libneuroflight.so", "-D") if kind == "U"}
+def test_the_library_calls_no_heap_and_no_maths_when_loaded(scripted_build: Path) -> None:
+    called = {name for kind, name in symbols(scripted_build / "libneuroflight.so", "-D") if kind == "U"}
     assert called <= MEMORY | TEXT | {"__memcpy_chk"}, called
 
 
@@ -52,8 +52,8 @@ def mutable(path: Path) -> set[str]:
     return set(re.findall(writable, table, re.MULTILINE))
 
 
-def test_only_main_has_variables_of_its_own_when_compiled(puppet_build: Path) -> None:
-    folder = puppet_build / "obj" / "src"
+def test_only_main_has_variables_of_its_own_when_compiled(scripted_build: Path) -> None:
+    folder = scripted_build / "obj" / "src"
     found = {str(path.relative_to(folder).with_suffix("")): mutable(path) for path in folder.rglob("*.o")}
     assert found.pop("main") == {
         "firmware",

@@ -1,5 +1,5 @@
-/* The board that the host program and the library pretend to be: a MATEKF722's gyro alignment, nobody's identity,
- * sensors and motors in memory. */
+/* The simulated board of the host program and the library: sensors and motors in memory, gyro alignment as on a
+ * MATEKF722. */
 #ifndef NF_HOST_BOARD_H
 #define NF_HOST_BOARD_H
 
@@ -17,7 +17,7 @@ extern const struct msp_identity host_identity;
 struct host_board {
 	struct receiver_line line;
 	struct power_sample power;
-	double control_us;             /* that each control step takes, says the simulator; 0: it does not */
+	double control_us;             /* duration of each control step, from the simulator; 0: not given */
 	uint16_t dshot[NF_MOTOR_COUNT_MAX]; /* as last written */
 	size_t motor_count;
 	struct flash_model flash;

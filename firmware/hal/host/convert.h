@@ -1,4 +1,4 @@
-/* What the simulator says, turned into what the sensors of a board would say. Pure. */
+/* Converts the simulator's values to those of a board's sensors. Pure functions. */
 #ifndef NF_HOST_CONVERT_H
 #define NF_HOST_CONVERT_H
 
@@ -9,24 +9,23 @@
 #include "housekeeping/power_sample.h"
 #include "nf_contract.h"
 
-/* Body rates [rad/s], axes forward, right, down, to the counts of a chip so aligned, +-2000 deg/s over int16,
- * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN: a chip cannot
- * say that. */
+/* Body rates [rad/s], axes forward, right, down, to the counts of a chip with this alignment, +-2000 deg/s over int16,
+ * rounded half to even and saturated. Returns false, `counts` left alone, if a rate is NaN, which has no count. */
 bool convert_rates(const double rates_frd[3], enum board_alignment alignment, int16_t counts[3]);
 
 /* Specific force [m/s^2], axes forward, right, down, to the counts of that chip's accelerometer, +-16 g over int16,
  * rounded and saturated alike. A force that is NaN counts as none. */
 void convert_force(const double force_frd[3], enum board_alignment alignment, int16_t counts[3]);
 
-/* What the pins of divider and current sensor show at their usual scales, the defaults of the settings, for a pack
- * that gives so many volts and amperes. Not valid if one is NaN or negative. */
+/* Voltages at the pins of divider and current sensor for a pack's volts and amperes, at the default scales of the
+ * settings. Not valid if one is NaN or negative. */
 struct power_sample convert_power(double volts, double amps);
 
 /* One SBUS frame. Channels [us] outside 880..2159 are sent as the nearer end; each whole microsecond in
  * between comes out of the frame as it went in. */
 void convert_channels(const uint16_t channels_us[NF_CHANNEL_COUNT], uint8_t frame[NF_SBUS_FRAME_BYTES]);
 
-/* What an ESC makes of a DShot value: 0 for 0, else (value - 48) / 1999. */
+/* The motor fraction of a DShot value, as an ESC decodes it: 0 for 0, else (value - 48) / 1999. */
 float convert_dshot(uint16_t value);
 
 #endif

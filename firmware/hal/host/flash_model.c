@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-#define SPREAD 0x9E3779B1u /* an odd number of many bits: neighbouring seeds begin far apart */
+#define SPREAD 0x9E3779B1u /* an odd number with many bits set, so that neighbouring seeds give different sequences */
 
 void flash_model_init(struct flash_model *model, uint8_t *bytes)
 {
@@ -51,7 +51,7 @@ static uint32_t flash_model_torn(struct flash_model *model, uint32_t before, uin
 	return before;
 }
 
-/* Counts an operation. Returns whether there is power for the whole of it; *now says that it is interrupted. */
+/* Counts an operation. Returns whether it completes; *now: power is cut during it. */
 static bool flash_model_powered(struct flash_model *model, bool *now)
 {
 	*now = !model->dark && model->operations == model->cut_at;

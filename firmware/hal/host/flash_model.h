@@ -1,5 +1,5 @@
-/* A model of the board's flash: erasing sets a sector's bits, programming clears bits, a word at a time, and power
- * may go at any operation. No file and no system call; flash_file.h keeps one across runs. */
+/* A model of the board's flash: erasing sets a sector's bits, programming clears bits, a word at a time, and power may
+ * be cut at any operation. No file and no system call; flash_file.h keeps one across runs. */
 #ifndef HOST_FLASH_MODEL_H
 #define HOST_FLASH_MODEL_H
 
@@ -12,7 +12,7 @@
 
 #define FLASH_MODEL_NEVER UINT32_MAX /* the cut that does not come */
 
-/* What a cut leaves of each word that the interrupted operation was about. */
+/* State of each word of the interrupted operation after a cut. */
 enum flash_cut {
 	FLASH_CUT_BEFORE,  /* as it was: the operation had not begun */
 	FLASH_CUT_AFTER,   /* as asked for: only what would have come next is missing */

@@ -30,7 +30,7 @@ static struct host {
 	sigset_t while_waiting;      /* signals let through only there */
 } host;
 
-/* The longest silence that is counted: longer ones change nothing any more. */
+/* The longest silence that is counted: a longer one has the same effect. */
 #define SILENCE_MAX_S 10.0
 
 static volatile sig_atomic_t ended;
@@ -41,7 +41,7 @@ static void host_end(int signal_number)
 	ended = 1;
 }
 
-/* SIGTERM and SIGINT end the program between two packets: they are let in only where it waits. */
+/* SIGTERM and SIGINT end the program between two packets: they are unblocked only while it waits. */
 static void host_hold_signals(void)
 {
 	const struct sigaction action = { .sa_handler = host_end };
@@ -114,7 +114,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	return HAL_RUN;
 }
 
-/* A simulator that lets the time of its packets jump has a gyro that was silent meanwhile. */
+/* A jump in the time of the simulator's packets counts as silence of the gyro. */
 static void host_pass_silence(const struct hal_handlers *handlers, double time_s)
 {
 	double silence = time_s - host.time_s;
@@ -128,7 +128,7 @@ static void host_pass_silence(const struct hal_handlers *handlers, double time_s
 		handlers->gyro_silent(handlers->context);
 }
 
-/* Everything that came with a state packet, but for the sample itself. */
+/* Takes the receiver and power packets that arrived before a state packet. */
 static void host_take_receiver_and_power(void)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];

@@ -107,8 +107,8 @@ unsigned link_port(int bound)
 	return ntohs(address.sin_port);
 }
 
-/* Takes one waiting packet. Returns its size, 0 if none waits. An empty packet counts as one byte: neither
- * is a size that anybody expects. */
+/* Takes one waiting packet. Returns its size, 0 if none waits. An empty packet counts as one byte: no packet has either
+ * size. */
 static size_t link_take(int bound, uint8_t packet[PACKET_MAX])
 {
 	const ssize_t size = recv(bound, packet, PACKET_MAX, MSG_DONTWAIT);
@@ -167,7 +167,7 @@ bool link_take_power(struct link *link, struct link_power *power)
 	return false;
 }
 
-/* A simulator that has gone is no error of the firmware's: it simply hears nothing. */
+/* A simulator that has ended is no error: the packet is lost. */
 static void link_send(const struct link *link, unsigned port, const void *packet, size_t size)
 {
 	const struct sockaddr_in address = link_loopback(port);

@@ -25,7 +25,8 @@ bool msp_tcp_open(struct msp_tcp *tcp, unsigned port)
 	*tcp = (struct msp_tcp){ .client = -1 };
 	tcp->listener = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
 	if (tcp->listener >= 0) {
-		/* Connections of an earlier run may still be winding down; a living listener still refuses. */
+		/* Connections of an earlier run may still be closing; a port with an active listener is still
+		 * refused. */
 		setsockopt(tcp->listener, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
 		if (bind(tcp->listener, (const struct sockaddr *)&address, sizeof address) == 0 &&
 		    listen(tcp->listener, 4) == 0)
@@ -52,8 +53,8 @@ void msp_tcp_close(struct msp_tcp *tcp)
 		close(tcp->listener);
 }
 
-/* Takes what the client has said, and answers. Returns whether it has been heard out: nothing is left of it,
- * or it has hung up. */
+/* Reads from the client and replies. Returns whether nothing more can be read: no bytes are left, or the client has
+ * disconnected. */
 static bool msp_tcp_answer(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
 	uint8_t request[REQUEST_BYTES], reply[REPLY_BYTES];
@@ -66,7 +67,7 @@ static bool msp_tcp_answer(struct msp_tcp *tcp, const struct hal_handlers *handl
 		return true;
 	}
 	const size_t size = handlers->msp(handlers->context, request, (size_t)received, reply, sizeof reply);
-	/* A client that does not read its replies would get half a frame: better none. */
+	/* A client that does not read its replies would get half a frame: it is disconnected. */
 	if (size > 0 && send(tcp->client, reply, size, MSG_DONTWAIT | MSG_NOSIGNAL) != (ssize_t)size)
 		msp_tcp_hang_up(tcp);
 	return false;
@@ -90,7 +91,7 @@ static void msp_tcp_accept(struct msp_tcp *tcp, const struct hal_handlers *handl
 
 void msp_tcp_serve(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
-	/* A client that has hung up makes room for the next caller, but its last words stand before that. */
+	/* The bytes of a client that has disconnected are read before the next client is accepted. */
 	if (tcp->client < 0 || msp_tcp_answer(tcp, handlers))
 		msp_tcp_accept(tcp, handlers);
 }

@@ -126,11 +126,11 @@ int options_parse(struct options *options, int argc, char **argv)
 		known[i] = (struct option){ .name = numbers[i].name, .has_arg = required_argument };
 	}
 
-	/* An abbreviation that getopt accepts today may mean something else tomorrow; scripts write names out. */
+	/* An abbreviation that getopt accepts may become ambiguous later: names must be complete. */
 	while (code == HAL_RUN && optind < argc) {
 		const char *word = argv[optind];
 		if (getopt_long(argc, argv, "", known, &index) != 0) {
-			/* getopt has printed its line, unless the word is no option at all. */
+			/* getopt has printed its message, unless the argument is no option. */
 			if (optind < argc && argv[optind] == word)
 				fprintf(stderr, "neuroflight: '%s' is no option, see --help\n", word);
 			return 1;

@@ -1,4 +1,4 @@
-/* The receiver's wire: frames put on at one end, bytes taken off at the other. */
+/* The receiver's line: a queue of bytes, filled by frames. */
 #ifndef NF_HOST_RECEIVER_LINE_H
 #define NF_HOST_RECEIVER_LINE_H
 
@@ -14,7 +14,7 @@ struct receiver_line {
 	size_t count;
 };
 
-/* Puts one frame of channels [us] on the line. On a full line the oldest frame makes room. */
+/* Puts one frame of channels [us] on the line. A full line drops the oldest frame. */
 void receiver_line_put(struct receiver_line *line, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* Takes up to `capacity` bytes off, oldest first; returns how many. */

@@ -158,7 +158,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			msp_uart_serve(handlers);
 		else if (!msp_uart_sending() || time_ms() - restart.since_ms > RESET_WAIT_MS)
 			fault_reset();
-		/* Most interrupts only begin the read of a sample; there is work when one was taken, or by the clock. */
+		/* Most interrupts only begin to read a sample: there is work after a sample or a millisecond. */
 		while (gyro_samples() == samples && time_ms() == milliseconds)
 			wait_for_interrupt();
 	}

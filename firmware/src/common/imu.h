@@ -23,9 +23,9 @@ enum gyro_chip {
 /* Counts in chip axes. */
 struct imu_sample {
 	int16_t gyro[3];     /* +-2000 deg/s over int16 */
-	int16_t accel[3];    /* +-16 g over int16; all zero: the chip does not tell */
-	int16_t temperature; /* the chip's own scale; 0: it does not tell */
-	bool valid;          /* the transfer succeeded and every number is one */
+	int16_t accel[3];    /* +-16 g over int16; all zero: not measured */
+	int16_t temperature; /* the chip's own scale; 0: not measured */
+	bool valid;          /* the transfer succeeded and no number is NaN */
 };
 
 #endif

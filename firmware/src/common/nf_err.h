@@ -1,4 +1,4 @@
-/* What can go wrong when the world hands the firmware something it cannot fly with. */
+/* Errors of input that the firmware cannot fly with. */
 #ifndef NF_ERR_H
 #define NF_ERR_H
 
@@ -8,7 +8,7 @@ enum nf_err {
 	NF_ERR_ALIGNMENT = -2,   /* no such gyro alignment */
 	NF_ERR_IDLE = -3,        /* idle outside [0, 1) */
 	NF_ERR_OBSERVATION = -4, /* the policy asks for a term that this core does not compute */
-	NF_ERR_POLICY = -5,      /* the self-test vectors do not come out bit for bit */
+	NF_ERR_POLICY = -5,      /* the self-test's results differ in a bit */
 
 	/* A policy blob, in the order of the checks. */
 	NF_ERR_BLOB_SHORT = -6,         /* fewer bytes than a header and a CRC */

@@ -1,5 +1,5 @@
-/* Functions of float32 without libm: the same bits on every target. Not for the control step's inner loops:
- * coefficients are computed once, angles when somebody asks. No argument may be NaN unless said otherwise. */
+/* Functions of float32 without libm: the same bits on every target. Not for the inner loops of the control step: for
+ * coefficients at start-up and for angles that are reported. No argument may be NaN unless said otherwise. */
 #ifndef NF_MATH_H
 #define NF_MATH_H
 

@@ -1,4 +1,4 @@
-/* What the firmware tells about itself: the trace of a control step and the snapshot behind MSP. */
+/* The firmware's state for others: the trace of a control step and the status that MSP reports. */
 #ifndef NF_STATUS_H
 #define NF_STATUS_H
 
@@ -18,13 +18,13 @@ struct control_trace {
 	uint16_t dshot[NF_MOTOR_COUNT_MAX];    /* 11-bit values, motor order; 0 stops */
 };
 
-/* A consistent picture of the firmware after its last control step. */
+/* A consistent snapshot of the firmware after its last control step. */
 struct firmware_status {
 	struct control_trace trace;
 	uint32_t arming_reasons;               /* bit field of enum nf_arming_reason, 0 when armed */
 	uint16_t channels_us[NF_CHANNEL_COUNT];/* as flown: failsafe values while the receiver is lost */
 	uint16_t gyro_rate_hz;
-	uint16_t load_percent;                 /* longest gyro sample so far against the gyro period; main.c's */
+	uint16_t load_percent;                 /* longest gyro sample so far, of its period; from background.c */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */
 	bool pid_built_in;                     /* there is a PID to fall back on */
@@ -39,10 +39,10 @@ struct firmware_status {
 	float accel_g[3];                      /* body axes */
 	float temperature_deg_c;               /* of the gyro */
 	float idle;                            /* motor fraction at zero thrust, of the controller that flies */
-	/* The background's, filled in by main.c. */
+	/* Filled in by background.c. */
 	float volts, amps;                     /* of the battery, filtered */
 	float drawn_mah;
-	float sag_v;                           /* how far the load pulls the battery down */
+	float sag_v;                           /* voltage drop by the load */
 	uint8_t cells;                         /* 0: not known */
 	uint8_t battery_level;                 /* enum battery_level */
 };

@@ -42,7 +42,7 @@ static void control_clear(struct control *control, enum controller controller)
 		control->action[i] = 0.0f;
 }
 
-/* `controller` begins to fly, and knows nothing of what was. */
+/* `controller` begins to fly, its state cleared. */
 static void control_begin(struct control *control, enum controller controller)
 {
 	control->flying = controller;
@@ -83,7 +83,7 @@ static void control_fall_back(struct control *control, enum nf_fallback_cause ca
 	control->fallback = control->latched ? cause : control->fallback;
 }
 
-/* Who is to fly: the one the pilot wants, unless only the other can. */
+/* The controller to fly: the one that the pilot wants, unless only the other is usable. */
 static enum controller control_choose(const struct control *control, bool pid_wanted)
 {
 	const enum controller wanted = pid_wanted || control->latched ? CONTROLLER_PID : CONTROLLER_POLICY;
@@ -92,7 +92,7 @@ static enum controller control_choose(const struct control *control, bool pid_wa
 	return control->good[wanted] || !control->good[other] ? wanted : other;
 }
 
-/* Is this what a controller may answer? Any NaN says no. */
+/* Are all outputs within 0..1? False for NaN. */
 static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 {
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
@@ -101,7 +101,7 @@ static bool control_within_range(const float action[POLICY_ACTION_COUNT])
 	return true;
 }
 
-/* Asks the controller that flies. Returns whether its answer may be flown. */
+/* Steps the controller that flies. Returns whether its output may be flown. */
 static bool control_answer(struct control *control, const struct control_input *input)
 {
 	const struct observation_input seen = {
@@ -121,7 +121,7 @@ static bool control_answer(struct control *control, const struct control_input *
 	return control_within_range(control->action);
 }
 
-/* The outputs pass from where they were to the new controller's: what lay between them at the change fades. */
+/* Blends from the old controller to the new one: the difference at the change fades to 0. */
 static void control_hand_over(struct control *control, bool changed, float output[POLICY_ACTION_COUNT])
 {
 	if (changed) {

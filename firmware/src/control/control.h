@@ -1,4 +1,4 @@
-/* Control: the policy or the PID flies; who of them does, and how one hands over to the other. */
+/* Control: chooses between policy and PID and blends the outputs when it changes. */
 #ifndef NF_CONTROL_H
 #define NF_CONTROL_H
 
@@ -26,7 +26,7 @@ struct control_config {
 	const struct pid_gains *pid;   /* its motor_count is 0 where there is none */
 };
 
-/* What a control step knows before anybody answers. */
+/* Input of a control step. */
 struct control_input {
 	const float *setpoint;         /* [3] rad/s, body */
 	const float *rate;             /* [3] rad/s, body */
@@ -47,7 +47,7 @@ struct control {
 	enum nf_fallback_cause fallback;     /* why the PID flies instead of the policy, or flew last */
 	bool latched;                        /* it flies until the next reset */
 	uint8_t misses;                      /* missed deadlines in a row, at most NF_DEADLINE_MISSES_MAX */
-	float action[POLICY_ACTION_COUNT];   /* the last answer, 0..1, before the throttle */
+	float action[POLICY_ACTION_COUNT];   /* the controller's last output, 0..1, before the throttle */
 	float output[POLICY_ACTION_COUNT];   /* what came of it */
 	float offset[POLICY_ACTION_COUNT];   /* of the outputs at the last change of controller */
 	uint32_t handover_left;              /* control steps of the hand-over under way */
@@ -60,23 +60,22 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 /* A flight begins: nothing from before reaches its first step, and the policy gets a new chance. */
 void control_reset(struct control *control);
 
-/* Nobody flies: what the controllers remember goes. In good time, so that the step that arms is no longer than the
- * others. */
+/* Disarmed: clears the controllers' state, so that the step that arms takes no longer than the others. */
 void control_rest(struct control *control);
 
 /* Which reasons forbid arming with the switch so: POLICY_BAD, PID_MISSING or none. */
 uint32_t control_reasons(const struct control *control, bool pid_wanted);
 
-/* One control step: writes the motors' fractions, 0..1. An answer of the policy that is no number or out of range is
- * never flown: the PID answers in the same step and flies on until the next reset. Returns false, `output` unset,
- * if there is no PID to do so; that policy is bad from then on. */
+/* One control step: writes the motors' fractions, 0..1. An output of the policy that is NaN or out of range is never
+ * flown: the PID computes the same step and flies until the next reset. Returns false, `output` unset, if there is no
+ * PID to do so; that policy is bad from then on. */
 bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT]);
 
 /* Did the last control step end after its deadline? NF_DEADLINE_MISSES_MAX times in a row: the PID flies until the
  * next reset, where there is one. */
 void control_deadline(struct control *control, bool missed);
 
-/* How much more the last answer gives to one motor than to another, 0..1. */
+/* Largest minus smallest motor of the controller's last output, 0..1. */
 float control_spread(const struct control *control);
 
 #endif

@@ -32,7 +32,7 @@ void mixer_step(const struct mixer *mixer, const float action[POLICY_ACTION_COUN
 
 	const float thrust = throttle * (1.0f - largest);
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
-		/* Rounding may carry the sum a hair past 1. */
+		/* Rounding may make the sum slightly larger than 1. */
 		const float mixed = limit(thrust + action[i], 0.0f, 1.0f);
 		output[i] = mixer->idle + mixer->span * mixed;
 	}

@@ -22,8 +22,8 @@ enum nf_err mixer_init(struct mixer *mixer, const struct nf_settings *settings, 
  * NF_ERR_IDLE for an idle outside [0, 1), NaN included, and the last one stays. */
 enum nf_err mixer_set_idle(struct mixer *mixer, float idle);
 
-/* The thrust rides on top as far as the largest action leaves room, so that no motor saturates and the
- * differences that turn the aircraft survive. action, throttle: 0..1. Writes fractions idle..limit. */
+/* The thrust is added as far as the largest action leaves room, so that no motor saturates and the differences between
+ * the motors, which turn the aircraft, are kept. action, throttle: 0..1. Writes fractions idle..limit. */
 void mixer_step(const struct mixer *mixer, const float action[POLICY_ACTION_COUNT], float throttle,
 		float output[POLICY_ACTION_COUNT]);
 

@@ -128,7 +128,7 @@ static void observation_pass(float *state, float gain, bool first, float *out, c
 	}
 }
 
-/* Puts the values from `out` to `end` where the oldest in the line wait, and takes those out. */
+/* Exchanges the values from `out` to `end` with the oldest in the delay line. */
 static void observation_exchange(float *oldest, float *out, const float *end)
 {
 	for (; out < end; ++out, oldest++) {

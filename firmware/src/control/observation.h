@@ -1,5 +1,5 @@
-/* Observation: the policy's input, put together from terms: named blocks (toolchain/contract/), each perhaps
- * low-passed, then perhaps some steps old. */
+/* Observation: the policy's input, made of terms: named blocks (toolchain/contract/), each optionally low-passed,
+ * then optionally delayed by some steps. */
 #ifndef NF_OBSERVATION_H
 #define NF_OBSERVATION_H
 
@@ -9,7 +9,7 @@
 #include "common/nf_err.h"
 #include "nf_contract.h"
 
-/* What a control step knows before the policy runs. */
+/* Input of a control step. */
 struct observation_input {
 	const float *rate;            /* [3] rad/s, body */
 	const float *setpoint;        /* [3] rad/s, body */
@@ -44,7 +44,7 @@ struct observation {
 enum nf_err observation_init(struct observation *o, const struct observation_terms *terms, size_t motor_count,
 			     size_t width, unsigned control_rate_hz);
 
-/* Forgets the past: the next step is the first. */
+/* Clears the state: the next step is the first. */
 void observation_reset(struct observation *o);
 
 /* One control step: writes `width` values. */

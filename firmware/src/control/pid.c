@@ -18,7 +18,7 @@ void pid_reset(struct pid *pid)
 	}
 }
 
-/* What an axis asks of the motors whose share in it is 1. */
+/* Demand of an axis to a motor whose share in it is 1. */
 static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate)
 {
 	const struct pid_gains *g = pid->gains;
@@ -31,7 +31,7 @@ static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate)
 	return g->p[i] * error + g->i[i] * pid->integral[i] - g->d[i] * pid->slope[i];
 }
 
-/* Moves demands into 0..1: narrowed where they span more than 1, lifted until none is below 0, cut at 1. */
+/* Moves demands into 0..1: scaled where they span more than 1, raised until none is below 0, clipped at 1. */
 static void pid_desaturate(float demand[POLICY_ACTION_COUNT])
 {
 	float lowest = demand[0], highest = demand[0];

@@ -1,7 +1,8 @@
 /* PID: the classical controller that stands beside the policy, with the aircraft's gains built in.
  *
  * y = mixer (P e + I sum(e) dt - D d rate/dt), lifted and narrowed into 0..1 so that differences survive. The
- * integral is clamped, the derivative is that of the rate through a first-order low-pass. sim/control/pid.py is the same law. */
+ * integral is clamped, the derivative is that of the rate through a first-order low-pass. The same law as
+ * sim/control/pid.py. */
 #ifndef NF_PID_H
 #define NF_PID_H
 

@@ -1,11 +1,11 @@
-/* Alert: what beeper and LED tell, as rhythms. */
+/* Alert: rhythms of beeper and LED for the most urgent condition. */
 #ifndef NF_ALERT_H
 #define NF_ALERT_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-/* What may hold, the most urgent first. Of those that hold, the first with a rhythm for an output plays on it. */
+/* Conditions, the most urgent first. On each output the first that holds and has a rhythm for it plays. */
 enum alert_condition {
 	ALERT_FAULT,         /* something is broken: the LED flashes as often as its number says */
 	ALERT_CRASHED,

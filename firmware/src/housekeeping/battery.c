@@ -7,8 +7,8 @@
 #define MILLI 1000.0f
 
 /* Gains of first-order low-passes; period / (period + time constant). */
-#define FILTER (PERIOD / (PERIOD + 0.1f)) /* 0.1 s: over what the motors draw by turns, quicker than a pilot */
-#define REST (PERIOD / (PERIOD + 30.0f)) /* 30 s: slower than a manoeuvre, quicker than the flight empties the pack */
+#define FILTER (PERIOD / (PERIOD + 0.1f)) /* 0.1 s: slower than the motors' current ripple, faster than a pilot */
+#define REST (PERIOD / (PERIOD + 30.0f)) /* 30 s: slower than a manoeuvre, faster than the pack's discharge */
 
 #define CELL_FULL_V 4.35f /* and a hair: a charged LiHV cell */
 #define CELL_EMPTY_V 2.5f /* below this there is no pack */
@@ -49,14 +49,14 @@ static unsigned battery_count_cells(float volts)
 	return cells;
 }
 
-/* Is there a pack, and do we know its cells? */
+/* Is a pack connected, and its number of cells known? */
 static bool battery_known(struct battery *battery)
 {
 	const unsigned cells = battery->cells > 0 ? battery->cells : battery_count_cells(battery->volts);
 
 	if (battery->volts < CELL_EMPTY_V * (float)cells) {
 		battery->watched = 0;
-		battery->measured = false; /* a pack that is plugged in shows at once */
+		battery->measured = false; /* a pack that is plugged in is seen at once */
 		if (battery->gone < GONE_STEPS)
 			++battery->gone;
 		else
@@ -74,7 +74,7 @@ static bool battery_known(struct battery *battery)
 	return true;
 }
 
-/* The level of a cell's voltage; the present one gives way upwards only with some to spare. */
+/* The level of a cell's voltage; a better level needs a margin (hysteresis). */
 static enum battery_level battery_update_level(const struct battery *battery)
 {
 	const struct nf_settings *settings = battery->settings;

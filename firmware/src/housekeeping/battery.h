@@ -1,4 +1,4 @@
-/* Battery: what the pack's voltage and current mean for the pilot. Called from the background. */
+/* Battery: cells, level, drawn charge and sag from the pack's voltage and current. Called from the background. */
 #ifndef NF_BATTERY_H
 #define NF_BATTERY_H
 
@@ -22,7 +22,7 @@ struct battery {
 	unsigned cells;      /* of the pack; 0: not known yet */
 	float volts;         /* of the pack, filtered; 0 until measured */
 	float amps;          /* filtered */
-	float rest_volts;    /* where the pack would be without load, about */
+	float rest_volts;    /* estimate of the voltage without load */
 	uint64_t charge;     /* mA for 10 ms, drawn since boot */
 	uint32_t watched;    /* steps with a pack whose cells are not known yet */
 	uint32_t gone;       /* steps without a pack */
@@ -42,7 +42,7 @@ void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, 
 /* UNKNOWN also below 2.5 V a cell. A level is left for a better one 0.1 V a cell above its limit. */
 enum battery_level battery_level(const struct battery *battery);
 
-/* How far the voltage lies below that at rest [V], of the pack, >= 0. */
+/* Voltage of the pack at rest minus the present one [V], >= 0. */
 float battery_sag(const struct battery *battery);
 
 /* Charge drawn since boot [mAh]. */

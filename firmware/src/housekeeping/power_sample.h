@@ -1,4 +1,4 @@
-/* What the board measures of the battery; what it means is set by the pilot. */
+/* The board's measurement of the battery; the pilot's settings scale it. */
 #ifndef NF_POWER_SAMPLE_H
 #define NF_POWER_SAMPLE_H
 

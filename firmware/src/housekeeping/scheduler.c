@@ -44,7 +44,7 @@ bool scheduler_step(struct scheduler *scheduler, uint32_t now, void *context)
 		const uint32_t period = scheduler->gyro_rate_hz / task->rate_hz;
 		const uint32_t late = now - scheduler->due[i];
 
-		/* The index wraps: what is more than half of it away is still to come. */
+		/* The index wraps: a difference above half its range means not due yet. */
 		if (late > UINT32_MAX / 2)
 			continue;
 		const bool missed = late >= period;

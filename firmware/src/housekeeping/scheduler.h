@@ -1,6 +1,6 @@
-/* Scheduler: what can wait, one piece at a time below the gyro interrupt, and the measure of every task.
+/* Scheduler: background tasks, one at a time, and the run-time statistics of every task.
  *
- * Time is the gyro sample index; cycles are handed in and only measured. */
+ * Time is the gyro sample index; cycles are only measured. */
 #ifndef NF_SCHEDULER_H
 #define NF_SCHEDULER_H
 

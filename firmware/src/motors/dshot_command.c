@@ -1,9 +1,9 @@
 #include "motors/dshot_command.h"
 
-/* Controllers listen to commands only after they have heard stops for some time. */
+/* Motor controllers accept commands only after stop frames for some time. */
 #define STOPS_BEFORE_MS 10u
 #define STOPS_AFTER_MS 1u
-/* What changes a setting is obeyed when it is heard 6 times in a row (9 times by the first controllers). */
+/* A command that changes a setting must be sent 6 times in a row (9 times for the first controllers). */
 #define REPEATS 10u
 
 /* Beacons are sent once; the next command waits until they have sounded. Times: BLHeli_32's specification. */
@@ -65,7 +65,7 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
 	return NF_REFUSAL_NONE;
 }
 
-/* One store asked, the interrupt takes it whole. */
+/* The request is one store, so the interrupt never sees half of it. */
 static void dshot_command_take(struct dshot_command *self)
 {
 	const uint32_t asked = self->asked;

@@ -1,6 +1,6 @@
 /* DShot commands: values 1..47 tell a motor's controller something. Only with the motors stopped, and only those of
- * enum nf_dshot_command. A command is a sequence on the wire: stops, the command as often as the controllers want to
- * hear it, stops for as long as they are busy with it. */
+ * enum nf_dshot_command. A command is a sequence on the wire: stops, the command as often as the controllers require,
+ * stops while they execute it. */
 #ifndef NF_DSHOT_COMMAND_H
 #define NF_DSHOT_COMMAND_H
 
@@ -11,11 +11,11 @@
 #include "nf_contract.h"
 
 struct dshot_command {
-	volatile uint32_t asked;  /* motors and command, 0: nothing; written by whoever asks, taken by the step */
+	volatile uint32_t asked;  /* motors and command, 0: none; written by dshot_command_ask, taken by the step */
 	volatile uint32_t left;   /* gyro samples of the sequence, 0: none is under way */
 	uint32_t from, until;     /* the command is sent while `left` is in [until, from) */
 	uint8_t command;          /* enum nf_dshot_command */
-	uint8_t motors;           /* bit field of those that are told */
+	uint8_t motors;           /* bit field of those that get it */
 	uint8_t motor_count;
 	uint32_t gyro_rate_hz;
 };

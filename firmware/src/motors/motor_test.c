@@ -17,7 +17,7 @@ static bool motor_test_wished(const struct motor_test *test)
 	return test->wish & 1u;
 }
 
-/* A test that the interrupt has not seen yet counts as open: values may follow in the same breath. */
+/* A test that the interrupt has not seen yet counts as open: values may follow at once. */
 static bool motor_test_open(const struct motor_test *test)
 {
 	return motor_test_wished(test) && (test->wish != test->wish_seen || test->left > 0);
@@ -93,7 +93,7 @@ static void motor_test_carry_out(struct motor_test *test, const struct motor_tes
 	test->link = view->link;
 }
 
-/* Counts the time that is left, anew when values were given. */
+/* Counts down the time that is left; new values restart it. */
 static void motor_test_count_down(struct motor_test *test)
 {
 	if (test->refreshed != test->refreshed_seen) {

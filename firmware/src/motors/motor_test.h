@@ -1,6 +1,6 @@
-/* Motor test: turns motors slowly on the bench, without a pilot. It lies on two sides. The background asks: it opens
- * the test and gives values. The interrupt decides: it looks at what forbids a test as often as safety looks, and
- * every end is its own. Each side writes only its own part. */
+/* Motor test: turns motors slowly on the bench, without a pilot. The background opens the test and gives values. The
+ * interrupt checks what forbids a test whenever safety is updated, and alone ends it. Each side writes only its own
+ * part. */
 #ifndef NF_MOTOR_TEST_H
 #define NF_MOTOR_TEST_H
 
@@ -13,7 +13,7 @@
 
 struct motor_test {
 	/* The background's. */
-	volatile uint32_t wish;                  /* counts wishes; odd: that it be open, even: closed */
+	volatile uint32_t wish;                  /* counts requests; odd: to open, even: to close */
 	volatile uint32_t refreshed;             /* counts values given */
 	volatile uint16_t given[NF_MOTOR_COUNT_MAX]; /* DShot values */
 	/* The interrupt's. */
@@ -26,7 +26,7 @@ struct motor_test {
 	uint32_t motor_count;
 };
 
-/* What decides about a test, besides what was asked. */
+/* What a test depends on besides the request. */
 struct motor_test_view {
 	bool stopped;                            /* the flight state is NF_FLIGHT_DISARMED */
 	bool switch_on;                          /* the arm switch, as a frame says it, whatever the link is worth */
@@ -49,15 +49,16 @@ enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[]
  * another than when it opened. */
 void motor_test_update(struct motor_test *test, const struct motor_test_view *view);
 
-/* In the interrupt, at each control step: looks, too. Returns whether the test is open; then it has written each
+/* In the interrupt, at each control step: updates, too. Returns whether the test is open; then it has written each
  * motor's DShot value. */
 bool motor_test_step(struct motor_test *test, const struct motor_test_view *view, uint16_t dshot[]);
 
 /* In the interrupt: ends a test, for instance because the gyro is silent. */
 void motor_test_end(struct motor_test *test);
 
-/* Does it forbid arming (NF_ARMING_REASON_MOTOR_TEST)? From the wish that opens it until the motors have stood for
- * NF_MOTOR_TEST_TIMEOUT_MS: also at the look that ended it, so that the switch which did so does not arm. */
+/* Does it forbid arming (NF_ARMING_REASON_MOTOR_TEST)? From the request that opens it until the motors have been
+ * stopped for NF_MOTOR_TEST_TIMEOUT_MS: also at the update that ended it, so that the switch that ended it does not
+ * arm. */
 bool motor_test_forbids(const struct motor_test *test);
 
 #endif

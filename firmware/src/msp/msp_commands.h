@@ -1,4 +1,4 @@
-/* MSP commands that take a payload, change something, or tell what only the background knows. */
+/* MSP commands that take a payload, change something, or report what only the background has. */
 #ifndef NF_MSP_COMMANDS_H
 #define NF_MSP_COMMANDS_H
 
@@ -14,8 +14,8 @@
 #include "storage/flash.h"
 #include "storage/policy_slots.h"
 
-/* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; what lies
- * beyond, the functions reach. One that is NULL refuses its command as absent. */
+/* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; the
+ * functions reach everything else. NULL: the command is refused as absent. */
 struct msp_services {
 	const struct flash *flash;
 	struct nf_settings *settings;   /* as changed and perhaps not saved; not those that are flown */

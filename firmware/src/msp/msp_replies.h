@@ -1,4 +1,4 @@
-/* What each MSP command that only reads is answered with. Layouts are the ecosystem's at API 1.46, little-endian. */
+/* Replies to the MSP commands that only read. Layouts are the ecosystem's at API 1.46, little-endian. */
 #ifndef NF_MSP_REPLIES_H
 #define NF_MSP_REPLIES_H
 

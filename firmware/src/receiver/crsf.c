@@ -33,7 +33,8 @@ size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count)
 	return taken;
 }
 
-/* How many of the bytes are done with: a whole frame's, 1 when no frame begins here, 0 when one may yet become. */
+/* How many bytes to remove: those of a whole frame, 1 when no frame begins here, 0 when a frame may still be
+ * incomplete. */
 static size_t crsf_check(const uint8_t *bytes, size_t count)
 {
 	if (count > 0 && bytes[0] != NF_CRSF_SYNC)
@@ -67,7 +68,7 @@ static bool crsf_decode(const uint8_t *bytes, struct crsf_frame *frame)
 	return false;
 }
 
-/* Ends: each round is done with at least one byte. What stays is shorter than the longest frame. */
+/* Terminates: each round removes at least one byte. The rest is shorter than the longest frame. */
 bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
 {
 	size_t from = 0, done;
@@ -80,7 +81,7 @@ bool crsf_take(struct crsf *crsf, struct crsf_frame *frame)
 	crsf->count = (uint8_t)(crsf->count - from);
 	if (from > 0)
 		memmove(crsf->bytes, crsf->bytes + from, crsf->count);
-	/* What a frame left behind is not judged yet, what no frame came of is the beginning of one. */
+	/* After a frame the rest is still to be checked; without one the rest is the beginning of a frame. */
 	if (taken)
 		crsf->needed = crsf->count;
 	else

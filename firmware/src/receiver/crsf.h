@@ -1,7 +1,7 @@
 /* CRSF: bytes in, frames out. Survives any bytes.
  *
- * A frame is sync, length, type, payload, CRC-8/DVB-S2 over type and payload; the length counts from the type to
- * the CRC. Of its many types two matter here, the others are read over. */
+ * A frame is sync, length, type, payload, CRC-8/DVB-S2 over type and payload; the length counts from the type to the
+ * CRC. Two types are used here, the others are skipped. */
 #ifndef NF_CRSF_H
 #define NF_CRSF_H
 
@@ -14,7 +14,7 @@
 struct crsf {
 	uint8_t bytes[NF_CRSF_FRAME_BYTES_MAX];
 	uint8_t count;
-	uint8_t needed; /* of `count`, before there is anything to look at; at most a whole frame */
+	uint8_t needed; /* value of `count` at which the bytes are checked next; at most a whole frame */
 };
 
 enum crsf_kind {
@@ -35,8 +35,8 @@ void crsf_reset(struct crsf *crsf);
  * false; before that no more is taken. */
 size_t crsf_put(struct crsf *crsf, const uint8_t *bytes, size_t count);
 
-/* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several:
- * when what looked like a frame turns out to be none, the search goes on behind its first byte. */
+/* Takes out the next whole frame of a kind above; returns whether there was one. One byte may complete several frames:
+ * when a supposed frame is none, the search continues after its first byte. */
 bool crsf_take(struct crsf *crsf, struct crsf_frame *frame);
 
 #endif

@@ -35,7 +35,7 @@ void link_quality_tell(struct link_quality *quality, uint8_t percent)
 	quality->told_left = quality->slot_length * LINK_QUALITY_SLOTS;
 }
 
-/* A second's frames, the slot that ends included. The sum then goes on without the slot that begins anew. */
+/* Frames of the last second, including the slot that ends. The slot that is reused is then taken off the sum. */
 static uint16_t link_quality_second_frames(uint16_t *sum, uint16_t slots[LINK_QUALITY_SLOTS], uint8_t ends,
 					   uint8_t begins)
 {
@@ -46,7 +46,7 @@ static uint16_t link_quality_second_frames(uint16_t *sum, uint16_t slots[LINK_QU
 	return whole;
 }
 
-/* Only at the end of a slot: a second that ends within one would look like frames that stayed away. */
+/* Only at the end of a slot: counting in the middle of one would show missing frames. */
 static void link_quality_update(struct link_quality *quality)
 {
 	const uint8_t ends = quality->slot;

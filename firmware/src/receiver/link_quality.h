@@ -1,4 +1,4 @@
-/* Link quality: the share of frames that came, over the last second. */
+/* Link quality: the share of frames that arrived in the last second. */
 #ifndef NF_LINK_QUALITY_H
 #define NF_LINK_QUALITY_H
 
@@ -27,10 +27,10 @@ void link_quality_init(struct link_quality *quality, unsigned gyro_rate_hz);
 /* The link is lost: starts anew, as the next one may have another frame rate. */
 void link_quality_reset(struct link_quality *quality);
 
-/* A frame has come; `good`: with news, not marked as lost. */
+/* A frame arrived; `good`: with new channels, not marked as lost. */
 void link_quality_frame(struct link_quality *quality, bool good);
 
-/* The receiver told its own figure, 0..100 %: it counts for a second. */
+/* The receiver reported its own link quality, 0..100 %: it is used for a second. */
 void link_quality_tell(struct link_quality *quality, uint8_t percent);
 
 /* One gyro sample has passed. */

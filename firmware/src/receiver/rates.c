@@ -9,7 +9,7 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MID_US == HALF_STICK_US, "of the u
 _Static_assert(NF_CHANNEL_MID_US - NF_CHANNEL_MIN_US == HALF_STICK_US, "of the lower half");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US says otherwise");
 
-#define RATE_MAX (1998.0f * NF_RAD_PER_DEG) /* rad/s: what the ecosystem's rates end at */
+#define RATE_MAX (1998.0f * NF_RAD_PER_DEG) /* rad/s: the largest rate of Betaflight's rate curves */
 
 /* Of style betaflight. */
 #define RC_RATE_DEG_S 200.0f  /* at full stick, for an RC rate of 1 */
@@ -19,7 +19,7 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US s
 
 static const struct stick {
 	uint8_t channel;
-	float sign; /* of the body's rate for the channel's upper half */
+	float sign; /* sign of the body rate for the upper half of the channel */
 } sticks[3] = {
 	{ NF_CHANNEL_ROLL, 1.0f },
 	{ NF_CHANNEL_PITCH, 1.0f },
@@ -49,7 +49,7 @@ static void rates_init_betaflight(struct rates_axis *axis, const struct numbers 
 	axis->rise = numbers->max;
 }
 
-/* The curves are odd: they are told the stick's way from the centre, 0..1, and answer a rate [rad/s], >= 0. */
+/* The curves are odd functions: they map the stick's distance from the centre, 0..1, to a rate [rad/s], >= 0. */
 static float rates_actual(const struct rates_axis *axis, float x)
 {
 	const float x2 = x * x;

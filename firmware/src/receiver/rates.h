@@ -1,4 +1,4 @@
-/* Rates: receiver channels to what the pilot asks for. */
+/* Rates: receiver channels to setpoint rates and throttle. */
 #ifndef NF_RATES_H
 #define NF_RATES_H
 
@@ -11,8 +11,8 @@ struct rates_axis {
 	float deadband;    /* us to either side of the centre that count as the centre */
 	float per_us;      /* from the edge of the deadband to the end of the stick is 1 */
 	float expo;        /* 0..1 */
-	float slope;       /* rad/s at full stick if the curve went on as it begins */
-	float rise;        /* actual: what the end lies above that [rad/s]; betaflight: super rate */
+	float slope;       /* rad/s at full stick of the curve's tangent at the centre */
+	float rise;        /* actual: the rate at full stick above that [rad/s]; betaflight: super rate */
 };
 
 struct rates {

@@ -39,7 +39,7 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 	receiver_lose(receiver);
 }
 
-/* Something whole has come, news or not: it tells how far frames are apart. */
+/* A complete frame arrived, even if it repeats the last one: it tells the time between frames. */
 static void receiver_frame_heard(struct receiver *receiver, bool good)
 {
 	if (receiver->since > 0 && receiver->since < receiver->hold_after)
@@ -66,7 +66,7 @@ static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_C
 	receiver_frame_heard(receiver, true);
 }
 
-/* Repeated channels (frame_lost) are no news and go on ageing; failsafe means lost at once. */
+/* Repeated channels (frame_lost) keep their age; failsafe loses the link at once. */
 static bool receiver_push_sbus(struct receiver *receiver, uint8_t byte)
 {
 	struct sbus_frame frame;
@@ -97,7 +97,7 @@ static bool receiver_read_sbus(struct receiver *receiver, const uint8_t **bytes,
 	return frame;
 }
 
-/* Takes what waits; returns whether sticks were among it, which is where it stops. */
+/* Takes waiting frames up to the first with channels; returns whether there was one. */
 static bool receiver_take_crsf(struct receiver *receiver)
 {
 	struct crsf_frame frame;
@@ -112,7 +112,7 @@ static bool receiver_take_crsf(struct receiver *receiver)
 	return false;
 }
 
-/* One byte may complete several frames: those that wait come before the next byte. */
+/* One byte may complete several frames: waiting ones are taken before the next byte is read. */
 static bool receiver_read_crsf(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	const uint8_t *at = *bytes, *const end = at + *count;
@@ -127,7 +127,7 @@ static bool receiver_read_crsf(struct receiver *receiver, const uint8_t **bytes,
 	return frame;
 }
 
-/* MSP has a line of its own: what is heard on this one is noise. */
+/* MSP has its own serial line: bytes on this one are noise. */
 static bool receiver_read_nothing(struct receiver *receiver, const uint8_t **bytes, size_t *count)
 {
 	(void)receiver;
@@ -164,7 +164,7 @@ bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *cou
 {
 	const struct protocol *protocol = &protocols[receiver->protocol];
 
-	/* Frames are told apart by the silence between them: what began before one does not go on. */
+	/* Silence separates frames: after a gap an incomplete frame is dropped. */
 	if (*count > 0 && receiver->silent >= receiver->gap_after)
 		protocol->reset(receiver);
 	if (*count > 0)
@@ -210,7 +210,7 @@ enum receiver_link receiver_link(const struct receiver *receiver)
 	return receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;
 }
 
-/* From where the stick was to where the last frame says it is, over the time until the next one. */
+/* Linear from the previous stick value to the new one, over the expected time to the next frame. */
 static uint16_t receiver_ramp(const struct receiver *receiver, int from_us, int to_us)
 {
 	if (receiver->age >= receiver->interval)

@@ -35,8 +35,8 @@ struct receiver {
 	uint32_t interval;                      /* gyro samples between two frames, 0: not known */
 	uint32_t since;                         /* gyro samples since the last frame, at most hold_after */
 	uint32_t age;                           /* gyro samples since the last good frame, at most lost_after */
-	uint32_t recovering;                    /* gyro samples until a frame makes the link good again, 1: the next
-						 * one does, 0: it is not lost */
+	uint32_t recovering;                    /* gyro samples until a frame may make the link good again; 1: the
+						 * next one does; 0: the link is not lost */
 	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
 	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
 	struct link_quality quality;
@@ -45,9 +45,9 @@ struct receiver {
 /* Starts lost. `settings` within their limits; what is needed of them is copied. */
 void receiver_init(struct receiver *receiver, const struct nf_settings *settings, unsigned gyro_rate_hz);
 
-/* Reads bytes up to the end of the next frame, and moves *bytes and *count past what it read. Returns whether a
- * frame came; false: all bytes are read. Whoever decides about the motors looks at the channels after each frame,
- * so that no "off" is lost behind an "on":
+/* Reads bytes up to the end of the next frame, and moves *bytes and *count past what it read. Returns whether a frame
+ * came; false: all bytes are read. The caller evaluates the channels after each frame, so that no "off" is lost behind
+ * an "on":
  *
  *	while (receiver_push(&receiver, &bytes, &count))
  *		look();

@@ -21,13 +21,13 @@ static void sbus_decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_fr
 	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
 }
 
-/* The format has no checksum. The unused flags tell most frames that begin a byte early or late. */
+/* The format has no checksum. The unused flags reveal most frames that begin a byte early or late. */
 static bool sbus_framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
 {
 	return bytes[FOOTER] == NF_SBUS_FOOTER && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
 }
 
-/* Drops the first byte, and with it all up to the next that can begin a frame. */
+/* Drops the first byte and all others before the next that can begin a frame. */
 static void sbus_resume_at_next_header(struct sbus *sbus)
 {
 	uint8_t from = 1;

@@ -40,7 +40,7 @@ static bool crash_lasts(uint32_t steps, uint32_t limit)
 	return limit > 0 && steps >= limit;
 }
 
-/* Counts steps in which `axis`, far off by `error`, turns further away. Returns whether that is a runaway. */
+/* Counts steps in which the large error of `axis` grows. Returns whether that is a runaway. */
 static bool crash_runs_away(struct crash *crash, int axis, float error, float rate)
 {
 	if (rate * error >= 0.0f || (crash->away > 0 && axis != crash->axis)) {

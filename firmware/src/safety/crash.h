@@ -1,4 +1,4 @@
-/* Crash: does the aircraft do what no pilot asked for, and no controller can mend? */
+/* Crash detection: a rate error that the controller cannot correct. */
 #ifndef NF_CRASH_H
 #define NF_CRASH_H
 
@@ -9,16 +9,16 @@
 
 enum crash_verdict {
 	CRASH_NONE,
-	CRASH_HAPPENED, /* far off for NF_CRASH_MS, whatever the controller does */
-	CRASH_RUNAWAY,  /* turning away, ever faster, for NF_RUNAWAY_MS, just after arming */
+	CRASH_HAPPENED, /* large error for NF_CRASH_MS although the controller acts */
+	CRASH_RUNAWAY,  /* error that grows for NF_RUNAWAY_MS, just after arming */
 };
 
 /* All times in control steps; 0 as a limit: never. */
 struct crash {
 	uint32_t crash_after, runaway_after, window;
 	uint32_t flown;    /* since arming, at most window */
-	uint32_t helpless; /* running steps far off in spite of the controller */
-	uint32_t away;     /* running steps in which the axis turns away */
+	uint32_t helpless; /* consecutive steps with a large error although the controller acts */
+	uint32_t away;     /* consecutive steps in which the error grows */
 	int axis;          /* which one */
 	float first_rate;  /* rad/s, its rate at the first of them, without its sign */
 };
@@ -29,7 +29,7 @@ void crash_init(struct crash *crash, const struct nf_settings *settings, unsigne
 void crash_reset(struct crash *crash);
 
 /* One control step. setpoint, rate: rad/s, body axes; spread: between the largest and the smallest motor fraction of
- * the controller's answer. The axis that is furthest off counts; far off is NF_CRASH_ERROR_DEG_S. */
+ * the controller's answer. The axis with the largest error counts; an error is large above NF_CRASH_ERROR_DEG_S. */
 enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread);
 
 #endif

@@ -8,7 +8,7 @@
 #define LOST SAFETY_REASON(RECEIVER_LOST)
 
 /* Conditions that safety adds itself. */
-#define READY (1u << 30)   /* the look before saw the switch off */
+#define READY (1u << 30)   /* the switch was off at the last update */
 #define DROPPED (1u << 31) /* in FAILSAFE_DROP the motors have stopped */
 _Static_assert(REASONS < SAFETY_SWITCH_ON && SAFETY_NO_CONTROLLER < READY, "conditions overlap");
 
@@ -19,15 +19,15 @@ _Static_assert(REASONS < SAFETY_SWITCH_ON && SAFETY_NO_CONTROLLER < READY, "cond
 /* The first row that fits moves the state; none leaves it. A row fits in the states of `from` when all bits of
  * `all` and none of `none` hold.
  *
- * Arming takes a switch that moves: it was off at the look before, with the receiver heard, and nothing forbids it
- * at the very look that sees it on. A switch moved too early, or found on when the receiver returns, must be moved
- * off and on again. */
+ * Arming takes a switch that moves: at the last update it was off with the receiver heard, and at the update that
+ * sees it on nothing forbids arming. A switch moved too early, or found on when the receiver returns, must be moved off
+ * and on again. */
 static const struct transition {
 	uint32_t from, all, none;
 	enum nf_flight_state to;
 	enum nf_stop_cause cause;
 } transitions[] = {
-	/* No controller flies without a gyro. A motor that stands still needs none. */
+	/* No controller flies without a gyro; stopped motors need none. */
 	{ TURNING, SAFETY_GYRO_INVALID, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_INVALID },
 	{ TURNING, SAFETY_GYRO_STUCK, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_STUCK },
 	{ TURNING, SAFETY_GYRO_SATURATED, DROPPED, NF_FLIGHT_FAULT, NF_STOP_GYRO_SATURATED },
@@ -35,12 +35,12 @@ static const struct transition {
 	{ TURNING, SAFETY_NO_CONTROLLER, DROPPED, NF_FLIGHT_DISARMED, NF_STOP_NO_CONTROLLER },
 	{ TURNING, SAFETY_CRASH, DROPPED, NF_FLIGHT_CRASHED, NF_STOP_CRASH },
 	{ TURNING, SAFETY_RUNAWAY, DROPPED, NF_FLIGHT_CRASHED, NF_STOP_RUNAWAY },
-	/* What a lost receiver says of the switch is not the pilot's word. */
+	/* The switch of a lost receiver is not used. */
 	{ FLYING, LOST, 0, NF_FLIGHT_FAILSAFE_DROP, NF_STOP_RECEIVER },
 	{ FLYING, 0, SAFETY_SWITCH_ON, NF_FLIGHT_DISARMED, NF_STOP_SWITCH },
 	{ IN(ARMED), SAFETY_RECEIVER_HELD, 0, NF_FLIGHT_FAILSAFE_HOLD, NF_STOP_NONE },
 	{ IN(FAILSAFE_HOLD), 0, SAFETY_RECEIVER_HELD, NF_FLIGHT_ARMED, NF_STOP_NONE },
-	/* But a pilot who is heard again, however badly, may end a descent. */
+	/* But a pilot whose frames come again, on a poor link too, may end a descent. */
 	{ IN(FAILSAFE_DROP), SAFETY_OFF_HEARD, DROPPED, NF_FLIGHT_DISARMED, NF_STOP_SWITCH },
 	{ IN(FAILSAFE_DROP) | IN(CRASHED), 0, SAFETY_SWITCH_ON | LOST, NF_FLIGHT_DISARMED, NF_STOP_NONE },
 	{ IN(BOOT), 0, 0, NF_FLIGHT_CALIBRATING, NF_STOP_NONE },

@@ -7,11 +7,11 @@
 
 #include "nf_contract.h"
 
-/* What safety looks at: bits of enum nf_arming_reason that hold now, and these above them. SWITCH_NOT_CYCLED and
- * CRASHED are safety's own and not looked at. */
+/* Conditions: bits of enum nf_arming_reason that hold now, and these above them. SWITCH_NOT_CYCLED and CRASHED are
+ * computed by safety and ignored on input. */
 #define SAFETY_REASON(name) (1u << NF_ARMING_REASON_##name)
 #define SAFETY_SWITCH_ON (1u << 16)
-#define SAFETY_OFF_HEARD (1u << 17)      /* the frame just heard says off, whatever the link is worth */
+#define SAFETY_OFF_HEARD (1u << 17)      /* the last frame says off, whatever the link's state */
 #define SAFETY_RECEIVER_HELD (1u << 18)  /* silent, but not yet lost */
 #define SAFETY_GYRO_INVALID (1u << 19)   /* these four: with the reason GYRO_BAD */
 #define SAFETY_GYRO_STUCK (1u << 20)
@@ -24,7 +24,7 @@
 struct safety {
 	enum nf_flight_state state;
 	enum nf_stop_cause stop_cause; /* of the last stop */
-	bool ready;                    /* the last look saw the switch off and the receiver heard */
+	bool ready;                    /* at the last update the switch was off and the receiver heard */
 	bool descends;                 /* a lost receiver means a descent, not a drop */
 	uint32_t descent_steps;        /* control steps of a whole descent */
 	uint32_t descent_left;         /* of the one under way; 0: there is none */
@@ -33,7 +33,7 @@ struct safety {
 /* Starts in BOOT: a switch that is on at boot never arms. */
 void safety_init(struct safety *safety, const struct nf_settings *settings, unsigned control_rate_hz);
 
-/* Called for every receiver frame and every control step with all conditions that hold. Returns whether this look
+/* Called for every receiver frame and every control step with all conditions that hold. Returns whether this update
  * armed. */
 bool safety_update(struct safety *safety, uint32_t conditions);
 
@@ -43,7 +43,7 @@ void safety_tick(struct safety *safety);
 /* May the motors turn? */
 bool safety_motors(const struct safety *safety);
 
-/* Is it coming down by itself: rates centred, the failsafe's throttle? Then the motors may turn. */
+/* Is this a failsafe descent (rates centred, throttle of the setting)? Then the motors may turn. */
 bool safety_descending(const struct safety *safety);
 
 /* The reasons among `conditions` as shown to the pilot: with safety's own, and none at all while motors may turn. */

@@ -4,12 +4,12 @@
 #include "common/nf_math.h"
 #include "nf_contract.h"
 
-/* Gains. The accelerometer pulls with a time constant of 1/gain: slowly in flight, where it also feels what the
- * rotors and the air do; quickly while settling, which the aircraft spends on the ground. */
+/* Gains. The accelerometer corrects with a time constant of 1/gain: slowly in flight, where it also measures rotor
+ * thrust and drag; quickly while settling, when the aircraft stands on the ground. */
 #define GAIN 0.5f          /* rad/s for a sine of 1 */
 #define GAIN_SETTLING 10.0f
 #define GAIN_BIAS 0.05f    /* rad/s^2; with GAIN: damping 1.1 */
-#define BIAS_MAX 0.1f      /* rad/s: what calibration and warming up leave is less */
+#define BIAS_MAX 0.1f      /* rad/s: above the bias that remains after calibration and warming up */
 #define SETTLING_MS 1000u
 #define SHORTEST (0.85f * 0.85f) /* g^2 */
 #define LONGEST (1.15f * 1.15f)
@@ -24,7 +24,7 @@ void attitude_init(struct attitude *attitude, unsigned rate_hz)
 	};
 }
 
-/* The accelerometer's direction where it may be gravity's. */
+/* The direction of the acceleration, where its length may be gravity's. */
 static bool attitude_trust(const float acceleration[3], float up[3])
 {
 	const float x = acceleration[0] * (1.0f / NF_GRAVITY);
@@ -68,7 +68,7 @@ static void attitude_begin(struct attitude *attitude, const float up[3])
 	attitude->begun = true;
 }
 
-/* Adds to `rate` what carries the estimated up towards the measured one: their cross product. */
+/* Adds the correction that turns the estimated up towards the measured one: their cross product. */
 static void attitude_pull(struct attitude *attitude, const float measured[3], float rate[3])
 {
 	float up[3];
@@ -84,7 +84,7 @@ static void attitude_pull(struct attitude *attitude, const float measured[3], fl
 
 	for (int i = 0; i < 3; ++i) {
 		const float bias = attitude->bias[i] + GAIN_BIAS * attitude->period * error[i];
-		if (!settling) /* what gain is left over from the start is no bias */
+		if (!settling) /* the larger gain of the start must not enter the bias */
 			attitude->bias[i] = limit(bias, -BIAS_MAX, BIAS_MAX);
 		rate[i] += gain * error[i];
 	}

@@ -1,6 +1,6 @@
-/* Attitude from gyro and accelerometer: for telemetry and the tilt that arming allows; the control law does
- * without. Explicit complementary filter: Mahony, Hamel, Pflimlin, "Nonlinear Complementary Filters on the Special
- * Orthogonal Group", IEEE Transactions on Automatic Control 53 (2008), eq. 48. Nobody tells the heading: it starts
+/* Attitude from gyro and accelerometer: for telemetry and for the tilt limit of arming; the control law does not use
+ * it. Explicit complementary filter: Mahony, Hamel, Pflimlin, "Nonlinear Complementary Filters on the Special
+ * Orthogonal Group", IEEE Transactions on Automatic Control 53 (2008), eq. 48. The heading is not measured: it starts
  * at 0 and drifts. */
 #ifndef NF_ATTITUDE_H
 #define NF_ATTITUDE_H
@@ -12,18 +12,18 @@ struct attitude {
 	float q[4];          /* unit quaternion w, x, y, z, body to world */
 	float bias[3];       /* rad/s, body axes: what is added to the gyro */
 	float period;        /* s, of a step */
-	uint32_t settling;   /* steps with a believed accelerometer until the attitude is known */
+	uint32_t settling;   /* steps with a usable accelerometer until the attitude is known */
 	bool begun;          /* q came from an accelerometer */
 };
 
-/* Level until the accelerometer says otherwise, not known. rate_hz: of the steps. */
+/* Starts level and unknown. rate_hz: of the steps. */
 void attitude_init(struct attitude *attitude, unsigned rate_hz);
 
-/* One control step. rate: body axes [rad/s]; acceleration: specific force, body axes [m/s^2], believed where it is
- * 0.85 to 1.15 g long. The first one believed sets the attitude, those of the first second pull it quickly. */
+/* One control step. rate: body axes [rad/s]; acceleration: specific force, body axes [m/s^2], used where it is 0.85 to
+ * 1.15 g long. The first one used sets the attitude, those of the first second correct it quickly. */
 void attitude_step(struct attitude *attitude, const float rate[3], const float acceleration[3]);
 
-/* Has an accelerometer been believed for a second in all? */
+/* Has the accelerometer been usable for a second in total? */
 bool attitude_known(const struct attitude *attitude);
 
 /* Where up is, body axes, of length 1. */

@@ -21,7 +21,7 @@ void calibration_restart(struct calibration *calibration)
 	}
 }
 
-/* Did the sums come from an aircraft at rest? Exact in integers: at most 8000 squares of 2^30, times 8000. */
+/* Do the sums say that the aircraft was at rest? Exact in integers: at most 8000 squares of 2^30, times 8000. */
 static bool calibration_still(const struct calibration *calibration)
 {
 	const int64_t n = calibration->window;
@@ -46,7 +46,8 @@ bool calibration_step(struct calibration *calibration, const int16_t counts[3], 
 		return false;
 	const bool good = calibration_still(calibration);
 	if (good) {
-		/* What is still fits: 8000 times 328 counts, exact in float32 too. */
+		/* The samples stayed within the stillness limits: a sum of at most 8000 times 328 counts is exact in
+		 * float32 too. */
 		for (int i = 0; i < 3; ++i)
 			mean[i] = (float)(int32_t)calibration->sum[i] / (float)calibration->window;
 	}

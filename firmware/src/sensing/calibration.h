@@ -18,8 +18,8 @@ void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz);
 /* A window begins. */
 void calibration_restart(struct calibration *calibration);
 
-/* One sample [counts]. The window that it completes is thrown away if spread or mean say motion on any axis; else
- * returns true, once, with the means [counts]. Either way a new window begins. */
+/* One sample [counts]. The window that it completes is discarded if spread or mean exceed the stillness limits on any
+ * axis; else returns true, once, with the means [counts]. Either way a new window begins. */
 bool calibration_step(struct calibration *calibration, const int16_t counts[3], float mean[3]);
 
 #endif

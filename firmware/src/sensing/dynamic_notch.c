@@ -74,7 +74,7 @@ static void dynamic_notch_feed(struct dynamic_notch *d, float in)
 	}
 }
 
-/* The window is over: what the bins of one part have heard. */
+/* The window is over: computes the power of the bins of one part. */
 static void dynamic_notch_read(struct dynamic_notch *d, int part)
 {
 	const int from = part * NOTCH_BINS / READS, to = from + NOTCH_BINS / READS;
@@ -93,8 +93,7 @@ static void dynamic_notch_read(struct dynamic_notch *d, int part)
 	}
 }
 
-/* Looks for the largest bin that no neighbour surpasses. The outermost have but one: what lies beyond the band may
- * spill into them. */
+/* Finds the largest local maximum. The outermost bins are none: tones beyond the band may leak into them. */
 static void dynamic_notch_find_peak(struct dynamic_notch *d)
 {
 	const float *power = d->s1;
@@ -123,7 +122,7 @@ static float dynamic_notch_refine(const struct dynamic_notch *d)
 	return d->low_turns + d->spacing * ((float)peak + (right > left ? away : -away));
 }
 
-/* Silences the peak and what it spreads to; returns the mean power of all that is left. */
+/* Clears the peak and the bins it leaks into; returns the mean power of the rest. */
 static float dynamic_notch_take_out(struct dynamic_notch *d)
 {
 	const int from = d->peak > MAIN_LOBE ? d->peak - MAIN_LOBE : 0;
@@ -136,7 +135,7 @@ static float dynamic_notch_take_out(struct dynamic_notch *d)
 	return d->total * (1.0f / NOTCH_BINS);
 }
 
-/* Moves the nearest notch that has no peak of this window yet; there is one, as no more peaks are looked for than
+/* Moves the nearest notch that has no peak of this window yet; one exists, as at most as many peaks are searched as
  * there are notches. */
 static void dynamic_notch_move(struct dynamic_notch *d, float turns)
 {
@@ -158,7 +157,7 @@ static void dynamic_notch_move(struct dynamic_notch *d, float turns)
 	d->placed |= (uint8_t)(1u << nearest);
 }
 
-/* Gives the peak a notch, if it is one. */
+/* Assigns a notch to the peak if it stands out. */
 static void dynamic_notch_place(struct dynamic_notch *d)
 {
 	if (d->peak == 0)

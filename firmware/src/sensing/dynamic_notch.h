@@ -2,9 +2,9 @@
  *
  * Method: a bank of Goertzel filters (Goertzel 1958) measures NOTCH_BINS frequencies of one axis at a time over a
  * window of samples under Hann's weight; the largest peaks, refined between bins by the ratio of neighbours (Grandke
- * 1983), become the notches' centres. Then comes the next axis. Every sample does one step of this: it feeds all
- * bins, or reads a third of them, or looks for a peak, or places a notch. None costs more than feeding: the cost is
- * bounded, and never more than that of the samples before. */
+ * 1983), become the notches' centres. Then comes the next axis. Every sample does one step of this: it updates all
+ * bins, or reads a third of them, or finds a peak, or places a notch. None costs more than updating the bins, so the
+ * cost of a sample is bounded. */
 #ifndef NF_DYNAMIC_NOTCH_H
 #define NF_DYNAMIC_NOTCH_H
 
@@ -17,7 +17,7 @@
 #define NOTCH_BINS 24
 
 struct dynamic_notch {
-	uint8_t count;           /* notches an axis, 0: none of this happens */
+	uint8_t count;           /* notches per axis, 0: off */
 	uint8_t axis;            /* being listened to */
 	uint8_t placed;          /* bit field: this axis' notches that have a peak of this window */
 	uint8_t peak;            /* bin of the largest peak left; 0: none */

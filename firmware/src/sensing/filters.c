@@ -101,7 +101,7 @@ void filters_step(struct filters *filters, float rate[3])
 	dynamic_notch_step(&filters->dynamic, rate);
 }
 
-/* A JSON text that nobody keeps: only its CRC. */
+/* A JSON text of which only the CRC is computed. */
 static uint32_t filters_text(uint32_t crc, const char *words)
 {
 	for (; *words != '\0'; ++words)

@@ -1,5 +1,5 @@
-/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the notches that follow tones.
- * As set: none. A policy flies behind the filters that it was trained with, so their hash is part of it. */
+/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches. Default:
+ * none. A policy flies behind the filters that it was trained with, so their hash is part of it. */
 #ifndef NF_FILTERS_H
 #define NF_FILTERS_H
 
@@ -36,7 +36,7 @@ struct filters {
 	struct dynamic_notch dynamic;
 };
 
-/* At rest at 0 rad/s. A biquad or notch at or above half the gyro rate has nothing to take away and is left out. */
+/* At rest at 0 rad/s. A biquad or notch at or above half the gyro rate has no effect and is left out. */
 void filters_init(struct filters *filters, const struct nf_settings *settings, unsigned gyro_rate_hz);
 
 /* One gyro sample, in place [rad/s], body axes. Without a stage not a bit changes. */

@@ -46,7 +46,7 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 		.alignment = alignment,
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
-		/* A low-pass follows a step of the whole range steepest if it is of first order. */
+		/* Of all low-passes one of first order changes fastest after a step over the whole range. */
 		.jump = (int32_t)(FULL_SWING * nf_one_minus_exp(NF_TAU * NF_GYRO_BANDWIDTH_HZ / (float)gyro_rate_hz)),
 	};
 	calibration_init(&gyro->calibration, gyro_rate_hz);
@@ -65,7 +65,7 @@ static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
 	gyro->calibrated = true;
 }
 
-/* What is wrong with this sample. The longer ago the last good one, the further away the rate may be. */
+/* Classifies a sample. The longer ago the last good one, the larger the allowed change. */
 static enum nf_gyro_health gyro_classify(const struct gyro *gyro, const struct imu_sample *sample)
 {
 	const int32_t reach = gyro->jump * (int32_t)(gyro->bad + 1);
@@ -85,8 +85,7 @@ static enum nf_gyro_health gyro_classify(const struct gyro *gyro, const struct i
 	return NF_GYRO_HEALTH_GOOD;
 }
 
-/* Keeps a good sample. Returns whether it is the last one again in every word: noise alone makes that rare in a
- * chip that lives. */
+/* Keeps a good sample. Returns whether all its words equal the last one's: noise makes that rare in a working chip. */
 static bool gyro_repeats(struct imu_sample *last, const struct imu_sample *sample)
 {
 	int changed = last->valid ? last->temperature ^ sample->temperature : 1;

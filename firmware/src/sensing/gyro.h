@@ -1,4 +1,4 @@
-/* Gyro: chip counts to body rates, the still calibration that refuses motion, and whether to believe them. */
+/* Gyro: chip counts to body rates, calibration at rest, and the health of the samples. */
 #ifndef NF_GYRO_H
 #define NF_GYRO_H
 
@@ -19,9 +19,9 @@ struct gyro {
 	struct imu_sample last;   /* the last good one; before it, zero and not valid */
 	int32_t jump;             /* counts, that a good sample may lie away from the one before */
 	uint32_t bad;             /* samples since the last good one, at most bad_after */
-	uint32_t bad_after;       /* bad samples that are no glitch any more */
+	uint32_t bad_after;       /* number of bad samples in a row that is more than a glitch */
 	uint32_t same;            /* good samples that repeated the one before, at most stuck_after */
-	uint32_t stuck_after;     /* repetitions that no living chip makes; 0: any number */
+	uint32_t stuck_after;     /* number of repetitions that a working chip does not produce; 0: no limit */
 };
 
 /* Starts uncalibrated and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
@@ -36,11 +36,11 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
  * is not this module's: there is no sample to say it.
  *
  * Until calibrated each good sample also enters the calibration. A window of NF_CALIBRATION_MS whose spread or mean
- * says motion on any axis is thrown away and a new one begins, and so is one with a bad or stuck sample in it. */
+ * exceeds the stillness limits on any axis is discarded and a new one begins; so is one with a bad or stuck sample. */
 enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3]);
 
-/* Specific force of the last good sample [m/s^2], body axes: 9.81 upwards at rest. All zero: the chip does not
- * tell. */
+/* Specific force of the last good sample [m/s^2], body axes: 9.81 upwards at rest. All zero: the chip does not measure
+ * it. */
 void gyro_acceleration(const struct gyro *gyro, float acceleration[3]);
 
 /* Temperature of the chip at the last good sample [deg C]. */

@@ -13,7 +13,7 @@ struct entry {
 	uint32_t boot;              /* number of the boot that wrote it */
 	struct fault_record record; /* what it found, FAULT_NONE: nothing */
 	uint32_t crc;               /* of all before it */
-	uint32_t acknowledged;      /* FLASH_ERASED until somebody has, then 0; else that was cut: not yet */
+	uint32_t acknowledged;      /* FLASH_ERASED until acknowledged, then 0; else it was cut: not yet */
 };
 
 #define ENTRY_COUNT (NF_FLASH_FAULT_RECORD_SIZE / sizeof(struct entry))

@@ -1,6 +1,6 @@
 /* The log of boots and faults: one entry a boot in a sector of flash, appended; erased at boot when it is full.
  *
- * A loss of power leaves each entry whole or none. Only when it strikes while the full log is erased, once in some
+ * A loss of power leaves each entry whole or none. Only when power fails while the full log is erased, once in some
  * hundred boots, is the log lost: boots are then counted anew, and a fault that nobody acknowledged is forgotten. */
 #ifndef NF_FAULT_LOG_H
 #define NF_FAULT_LOG_H
@@ -15,7 +15,7 @@
 struct fault_log {
 	const struct flash *flash;
 	uint32_t boots;             /* this one included */
-	bool pending;               /* there is a fault that nobody acknowledged: `record`, the newest one */
+	bool pending;               /* a fault is not acknowledged: `record`, the newest one */
 	struct fault_record record;
 	uint32_t boot;              /* the boot that found it */
 	uint32_t address;           /* of its entry, 0: flash did not take it */
@@ -25,7 +25,7 @@ struct fault_log {
  * arm. Flash that does not take it loses the entry, but a fault is pending all the same. */
 void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record);
 
-/* Somebody has read the fault that boot number `boot` found: it is no longer pending, one before it may be. Only while
+/* Acknowledges the fault that boot number `boot` found: it is no longer pending, an earlier one may be. Only while
  * nothing can arm. NF_REFUSAL_INDEX: that is not the pending one. NF_REFUSAL_FLASH: pending it stays. */
 enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot);
 

@@ -1,4 +1,4 @@
-/* What is known of a fault: kept across the reset that follows it, told over MSP. */
+/* A fault: kept across the reset that follows it, reported over MSP. */
 #ifndef NF_FAULT_RECORD_H
 #define NF_FAULT_RECORD_H
 

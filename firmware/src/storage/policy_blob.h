@@ -1,4 +1,4 @@
-/* Policy blob: may the bytes of a policy slot be flown by this image? docs/policy-blob.md has the layout. */
+/* Policy blob: checks whether this image can fly the bytes of a policy slot. docs/policy-blob.md has the layout. */
 #ifndef NF_POLICY_BLOB_H
 #define NF_POLICY_BLOB_H
 
@@ -17,9 +17,9 @@ struct policy_blob_identity {
 	uint32_t action_count;      /* floats */
 };
 
-/* Judges the blob that begins at `bytes`, of any alignment and any value; `size` [bytes] is all that may be
- * read there, and may be more than the blob. Returns NF_OK, or the first of these that is wrong:
- * NF_ERR_BLOB_SHORT, _MAGIC, _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
+/* Checks the blob that begins at `bytes`, of any alignment and any value; `size` [bytes] is all that may be read there,
+ * and may be more than the blob. Returns NF_OK, or the first of these that is wrong: NF_ERR_BLOB_SHORT, _MAGIC,
+ * _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
  *
  * NF_OK: the blob is whole and ends within `size`; its weights are weight_count floats behind the header, its
  * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it.

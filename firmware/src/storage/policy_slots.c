@@ -47,7 +47,7 @@ static enum nf_err policy_slots_check(const struct policy_slots *slots, enum pol
 	return policy_blob_check(policy_slots_blob_of(slots, source), size, &slots->running);
 }
 
-/* Replays the vectors that came with the policy: one wrong bit in weights, compiler or FPU shows. `header` has been
+/* Replays the policy's self-test vectors: they detect one wrong bit in weights, compiler or FPU. `header` has been
  * checked, so that rows are as wide as the image's. */
 static bool policy_slots_selftest(struct policy *policy, const float *weights,
 				  const struct nf_policy_blob_header *header, const uint8_t *blob)
@@ -68,7 +68,7 @@ static bool policy_slots_selftest(struct policy *policy, const float *weights,
 	return same;
 }
 
-/* Makes `source`, which has been judged good, the flown one if it passes its self-test. */
+/* Makes `source`, whose checks passed, the flown one if it passes its self-test. */
 static bool policy_slots_use(struct policy_slots *slots, enum policy_source source, struct policy *policy,
 			     float weights[POLICY_WEIGHT_COUNT])
 {
@@ -154,7 +154,7 @@ static enum policy_source policy_slots_to_be_written(const struct policy_slots *
 												   POLICY_SLOT_A;
 }
 
-/* The highest sequence of any whole policy here, also of one that failed its self-test. */
+/* The highest sequence of any complete policy here, also of one that failed its self-test. */
 static uint32_t policy_slots_highest_sequence(const struct policy_slots *slots)
 {
 	uint32_t highest = 0;

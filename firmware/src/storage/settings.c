@@ -128,7 +128,7 @@ static bool settings_dynamic_notch_fits(const struct nf_settings *settings, unsi
 		settings_below_nyquist(settings, settings->dynamic_notch_high_hz));
 }
 
-/* One channel of the receiver has one meaning: sixteen bits, one for each channel met. */
+/* Each channel of the receiver may be mapped once: one bit for each channel seen. */
 static bool settings_map_fits(const struct nf_settings *settings, unsigned first)
 {
 	uint32_t met = 0;
@@ -151,7 +151,7 @@ static bool settings_battery_fits(const struct nf_settings *settings, unsigned f
 	return settings->battery_low_v < settings->battery_warn_v;
 }
 
-/* The gyro rate comes first: others are held against it. */
+/* The gyro rate comes first: other settings are checked against it. */
 static const struct rule {
 	bool (*fits)(const struct nf_settings *settings, unsigned first);
 	unsigned first, last; /* the settings that it is about */

@@ -1,4 +1,4 @@
-/* Settings: the pilot's numbers (contract: SETTINGS), their limits and defaults, and what they may not be together. */
+/* Settings (contract: SETTINGS): limits, defaults, and checks of combinations. */
 #ifndef NF_SETTINGS_H
 #define NF_SETTINGS_H
 
@@ -40,8 +40,8 @@ unsigned settings_find(const char *name);
 /* Value of the setting `index` < NF_SETTING_COUNT, of the kind that settings_info tells. */
 void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value);
 
-/* Changes one setting. NF_REFUSAL_INDEX: there is none of that index. NF_REFUSAL_RANGE: beyond its limits or no
- * number. A value that is refused changes nothing. What settings may not be together is settings_conflict's. */
+/* Changes one setting. NF_REFUSAL_INDEX: there is none of that index. NF_REFUSAL_RANGE: beyond its limits or no number.
+ * A value that is refused changes nothing. Combinations are checked by settings_conflict. */
 enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value);
 
 /* Index of the first setting that does not go with others or with this image's policy: a gyro rate that is none or

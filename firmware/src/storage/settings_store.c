@@ -74,7 +74,7 @@ static const uint8_t *settings_store_newest(const struct flash *flash, struct he
 	return found;
 }
 
-/* Takes over what the set says of the setting `index`, if it says something that is allowed. */
+/* Takes the stored value of the setting `index`, if there is one and it is allowed. */
 static void settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count)
 {
 	const uint32_t key = settings_store_key_of(settings_info(index));
@@ -120,7 +120,7 @@ static bool settings_store_write(struct pen *pen, const void *words, size_t byte
 	return flash_program(pen->flash, address, words, bytes);
 }
 
-/* The CRC comes last: before it stands whole, there is no set. */
+/* The CRC is written last: before that there is no valid set. */
 static bool settings_store_write_set(struct pen *pen, const struct head *head, const struct nf_settings *settings)
 {
 	bool good = settings_store_write(pen, head, sizeof *head);

@@ -12,8 +12,8 @@
  * default; so do those that contradict each other. Returns false, all at their defaults, if there is no valid set. */
 bool settings_load(struct nf_settings *settings, const struct flash *flash);
 
-/* Writes `settings` as the newest set, over the older one. Waits for the flash. NF_REFUSAL_CONFLICT: not before
- * settings_conflict is content. NF_REFUSAL_FLASH: flash did not take it, the set from before is still the newest. */
+/* Writes `settings` as the newest set, over the older one. Waits for the flash. NF_REFUSAL_CONFLICT: settings_conflict
+ * finds a conflict. NF_REFUSAL_FLASH: flash did not take it, the set from before is still the newest. */
 enum nf_refusal settings_save(const struct nf_settings *settings, const struct flash *flash);
 
 #endif

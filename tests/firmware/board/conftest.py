@@ -1,4 +1,4 @@
-"""The MATEKF722 image around a policy of the shipped size, built once, and a sketch of its board."""
+"""The MATEKF722 image around a policy of the shipped size, built once, and a model of its board (Sketch)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The image's UARTs: what circular DMA leaves in a ring, and what a broken byte costs."""
+"""The image's UARTs: reading the ring that circular DMA fills, and dropping broken frames."""
 
 from __future__ import annotations
 

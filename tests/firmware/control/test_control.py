@@ -1,4 +1,4 @@
-"""control.c: which controller flies, and how one hands over to the other."""
+"""control.c: which controller flies, and how the outputs blend at a change."""
 
 from __future__ import annotations
 
@@ -67,20 +67,20 @@ class Flight:
 
 
 @pytest.fixture
-def pull(puppet: Any) -> Any:
+def pull(scripted: Any) -> Any:
     """Pulls the policy's strings."""
 
     def to(*action: float) -> None:
-        puppet.lib.puppet_action = list(action)
+        scripted.lib.scripted_action = list(action)
 
     to(0.0, 0.0, 0.0, 0.0)
     return to
 
 
 def test_the_policy_flies_with_its_idle_and_the_pid_with_its_own_when_the_pilot_chooses(
-    puppet: Any, pull: Any
+    scripted: Any, pull: Any
 ) -> None:
-    flight = Flight(puppet, pid=gains(puppet), idle=0.1)
+    flight = Flight(scripted, pid=gains(scripted), idle=0.1)
     assert flight.step() == pytest.approx([0.1] * 4)
     assert not flight.pid_flies
     for _ in range(HANDOVER_MS):
@@ -93,11 +93,11 @@ def test_the_policy_flies_with_its_idle_and_the_pid_with_its_own_when_the_pilot_
     assert flight.self.fallback == FallbackCause.NONE
 
 
-def test_arming_is_forbidden_when_the_chosen_controller_is_not_there(puppet: Any, pull: Any) -> None:
+def test_arming_is_forbidden_when_the_chosen_controller_is_not_there(scripted: Any, pull: Any) -> None:
     bad, missing = 1 << ArmingReason.POLICY_BAD, 1 << ArmingReason.PID_MISSING
     for policy_good in (False, True):
-        for pid in (None, gains(puppet), gains(puppet, motors=6)):
-            flight = Flight(puppet, pid=pid, policy_good=policy_good)
+        for pid in (None, gains(scripted), gains(scripted, motors=6)):
+            flight = Flight(scripted, pid=pid, policy_good=policy_good)
             assert flight.reasons(pid=False) == (0 if policy_good else bad)
             there = pid is not None and pid.motor_count == 4
             assert flight.reasons(pid=True) == (0 if there else missing)
@@ -106,9 +106,9 @@ def test_arming_is_forbidden_when_the_chosen_controller_is_not_there(puppet: Any
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("motor", range(4))
 def test_the_pid_answers_in_the_same_step_and_to_the_end_when_the_policy_answers_nonsense(
-    puppet: Any, pull: Any, bad: float, motor: int
+    scripted: Any, pull: Any, bad: float, motor: int
 ) -> None:
-    flight = Flight(puppet, pid=gains(puppet))
+    flight = Flight(scripted, pid=gains(scripted))
     flight.step()
     pull(*(bad if index == motor else 0.3 for index in range(4)))
     values = flight.step(setpoint=(10.0, 0.0, 0.0))
@@ -122,7 +122,7 @@ def test_the_pid_answers_in_the_same_step_and_to_the_end_when_the_policy_answers
         flight.step(pid=pid)
         assert flight.pid_flies
     assert flight.self.fallback == FallbackCause.POLICY_OUTPUT
-    puppet.lib.control_reset(flight.self)
+    scripted.lib.control_reset(flight.self)
     flight.step()
     assert not flight.pid_flies, "the next flight gives it a new chance"
     assert flight.self.fallback == FallbackCause.NONE
@@ -130,66 +130,66 @@ def test_the_pid_answers_in_the_same_step_and_to_the_end_when_the_policy_answers
 
 @pytest.mark.parametrize("bad", BAD)
 def test_nothing_is_flown_and_the_policy_stays_bad_when_there_is_no_pid(
-    puppet: Any, pull: Any, bad: float
+    scripted: Any, pull: Any, bad: float
 ) -> None:
-    flight = Flight(puppet)
+    flight = Flight(scripted)
     flight.step()
     pull(0.3, bad, 0.3, 0.3)
     assert flight.step() is None
     assert flight.reasons(pid=False) == 1 << ArmingReason.POLICY_BAD
-    puppet.lib.control_reset(flight.self)
+    scripted.lib.control_reset(flight.self)
     assert flight.reasons(pid=False) == 1 << ArmingReason.POLICY_BAD
 
 
 @pytest.mark.parametrize("misses", [DEADLINE_MISSES_MAX - 1, DEADLINE_MISSES_MAX])
 def test_the_pid_flies_when_so_many_deadlines_in_a_row_are_missed(
-    puppet: Any, pull: Any, misses: int
+    scripted: Any, pull: Any, misses: int
 ) -> None:
-    flight = Flight(puppet, pid=gains(puppet))
+    flight = Flight(scripted, pid=gains(scripted))
     for missed in ([True] * (DEADLINE_MISSES_MAX - 1) + [False]) * 5 + [True] * misses:
         flight.step()
         assert not flight.pid_flies
-        puppet.lib.control_deadline(flight.self, missed)
+        scripted.lib.control_deadline(flight.self, missed)
     flight.step()
     assert flight.pid_flies == (misses == DEADLINE_MISSES_MAX)
     assert flight.self.fallback == (FallbackCause.DEADLINE if flight.pid_flies else FallbackCause.NONE)
     for _ in range(100):
         flight.step()
-        puppet.lib.control_deadline(flight.self, False)
+        scripted.lib.control_deadline(flight.self, False)
     assert flight.pid_flies == (misses == DEADLINE_MISSES_MAX), "until the next reset"
 
 
-def test_the_policy_flies_on_when_deadlines_are_missed_and_there_is_no_pid(puppet: Any, pull: Any) -> None:
-    flight = Flight(puppet)
+def test_the_policy_flies_on_when_deadlines_are_missed_and_there_is_no_pid(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted)
     for _ in range(20):
         assert flight.step() is not None
-        puppet.lib.control_deadline(flight.self, True)
+        scripted.lib.control_deadline(flight.self, True)
     assert flight.self.fallback == FallbackCause.NONE
 
 
 def test_the_pilots_choice_stays_the_cause_when_deadlines_are_missed_under_the_pid(
-    puppet: Any, pull: Any
+    scripted: Any, pull: Any
 ) -> None:
-    flight = Flight(puppet, pid=gains(puppet))
+    flight = Flight(scripted, pid=gains(scripted))
     for _ in range(20):
         flight.step(pid=True)
-        puppet.lib.control_deadline(flight.self, True)
+        scripted.lib.control_deadline(flight.self, True)
     assert flight.self.fallback == FallbackCause.SWITCH
     flight.step()
     assert not flight.pid_flies
 
 
-def test_the_one_that_can_flies_when_the_other_is_wanted(puppet: Any, pull: Any) -> None:
-    with_pid = Flight(puppet, pid=gains(puppet), policy_good=False)
+def test_the_one_that_can_flies_when_the_other_is_wanted(scripted: Any, pull: Any) -> None:
+    with_pid = Flight(scripted, pid=gains(scripted), policy_good=False)
     with_pid.step()
     assert with_pid.pid_flies
-    without = Flight(puppet)
+    without = Flight(scripted)
     without.step(pid=True)
     assert not without.pid_flies
 
 
-def test_outputs_pass_over_without_a_jump_when_the_controller_changes(puppet: Any, pull: Any) -> None:
-    flight = Flight(puppet, pid=gains(puppet, idle=0.0), idle=0.0)
+def test_outputs_pass_over_without_a_jump_when_the_controller_changes(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted, idle=0.0), idle=0.0)
     pull(0.9, 0.1, 0.5, 0.0)
     rows = [flight.step(throttle=0.3)]
     rows += [flight.step(pid=True, throttle=0.3) for _ in range(HANDOVER_MS + 20)]
@@ -201,17 +201,17 @@ def test_outputs_pass_over_without_a_jump_when_the_controller_changes(puppet: An
     assert rows[-1] == rows[0]
 
 
-def test_not_one_bit_changes_when_the_controller_does_not(puppet: Any, pull: Any) -> None:
+def test_not_one_bit_changes_when_the_controller_does_not(scripted: Any, pull: Any) -> None:
     rng = np.random.default_rng(1)
-    flight, twin = Flight(puppet, pid=gains(puppet)), Flight(puppet)
+    flight, twin = Flight(scripted, pid=gains(scripted)), Flight(scripted)
     for _ in range(300):
         pull(*rng.random(4).tolist())
         throttle = float(rng.random())
         assert flight.step(throttle=throttle) == twin.step(throttle=throttle)
 
 
-def test_a_hand_over_keeps_to_the_motor_limit_when_one_is_set(puppet: Any, pull: Any) -> None:
-    flight = Flight(puppet, pid=gains(puppet, idle=0.3, p=1.0), idle=0.1, motor_limit=0.6)
+def test_a_hand_over_keeps_to_the_motor_limit_when_one_is_set(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted, idle=0.3, p=1.0), idle=0.1, motor_limit=0.6)
     pull(1.0, 1.0, 0.0, 0.0)
     flight.step()
     for _ in range(HANDOVER_MS):
@@ -220,31 +220,31 @@ def test_a_hand_over_keeps_to_the_motor_limit_when_one_is_set(puppet: Any, pull:
         assert min(values) >= 0.0 and max(values) <= np.float32(0.6)
 
 
-def test_the_policy_knows_nothing_of_before_when_it_takes_over_again(puppet: Any, pull: Any) -> None:
-    flight = Flight(puppet, pid=gains(puppet))
+def test_the_policy_knows_nothing_of_before_when_it_takes_over_again(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted))
     pull(0.1, 0.2, 0.3, 0.4)
     for _ in range(5):
         flight.step(setpoint=(1.0, 2.0, 3.0))
     for _ in range(5):
         flight.step(pid=True, setpoint=(1.0, 2.0, 3.0))
-    inits = puppet.lib.puppet_inits
+    inits = scripted.lib.scripted_inits
     flight.step(setpoint=(5.0, 6.0, 7.0))
-    seen = np.array(list(puppet.lib.puppet_observation))
-    assert puppet.lib.puppet_inits == inits + 1
+    seen = np.array(list(scripted.lib.scripted_observation))
+    assert scripted.lib.scripted_inits == inits + 1
     assert seen[6:9].tolist() == [0, 0, 0]
     np.testing.assert_allclose(seen[9:12], np.array([5, 6, 7]) / 1000, rtol=1e-6)
     assert seen[12:16].tolist() == [0, 0, 0, 0]
 
 
-def test_the_spread_is_that_of_the_answer_when_asked(puppet: Any, pull: Any) -> None:
-    flight = Flight(puppet)
+def test_the_spread_is_that_of_the_answer_when_asked(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted)
     for action in ((0.1, 0.7, 0.3, 0.4), (0.7, 0.3, 0.1, 0.4), (0.4, 0.3, 0.7, 0.1)):
         pull(*action)
         flight.step(throttle=1.0)
-        assert puppet.lib.control_spread(flight.self) == pytest.approx(0.6)
+        assert scripted.lib.control_spread(flight.self) == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("idle", [-0.1, 1.0, math.nan])
-def test_init_refuses_when_an_idle_is_none(puppet: Any, pull: Any, idle: float) -> None:
-    assert Flight(puppet, idle=idle).error == puppet.lib.NF_ERR_IDLE
-    assert Flight(puppet, pid=gains(puppet, idle=idle)).error == puppet.lib.NF_ERR_IDLE
+def test_init_refuses_when_an_idle_is_none(scripted: Any, pull: Any, idle: float) -> None:
+    assert Flight(scripted, idle=idle).error == scripted.lib.NF_ERR_IDLE
+    assert Flight(scripted, pid=gains(scripted, idle=idle)).error == scripted.lib.NF_ERR_IDLE

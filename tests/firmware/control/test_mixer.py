@@ -1,4 +1,4 @@
-"""mixer.c: thrust on top, attitude first."""
+"""mixer.c: thrust is added only as far as the attitude demand leaves room."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ def actions(count: int) -> np.ndarray:  # type: ignore[type-arg]
     return np.concatenate([random, corners])
 
 
-def test_differences_between_motors_survive_when_any_thrust_is_added(puppet: Any) -> None:
+def test_differences_between_motors_survive_when_any_thrust_is_added(scripted: Any) -> None:
     rng = np.random.default_rng(4)
     for action in actions(300):
-        output = mix(puppet, action, float(np.float32(rng.random())))
+        output = mix(scripted, action, float(np.float32(rng.random())))
         np.testing.assert_allclose(output - output[0], action - action[0], atol=4 * EPSILON)
 
 
-def test_no_motor_saturates_when_thrust_is_full(puppet: Any) -> None:
+def test_no_motor_saturates_when_thrust_is_full(scripted: Any) -> None:
     for action in actions(300):
-        output = mix(puppet, action, 1.0)
+        output = mix(scripted, action, 1.0)
         assert output.max() == pytest.approx(1.0, abs=2 * EPSILON)
         assert (output >= 0).all() and (output <= 1).all()
 
 
-def test_outputs_are_the_actions_when_thrust_is_zero(puppet: Any) -> None:
+def test_outputs_are_the_actions_when_thrust_is_zero(scripted: Any) -> None:
     for action in actions(100):
-        assert mix(puppet, action, 0.0).tolist() == action.tolist()
+        assert mix(scripted, action, 0.0).tolist() == action.tolist()
 
 
 @pytest.mark.parametrize("motor", range(6))
@@ -61,66 +61,68 @@ def test_every_motor_counts_when_there_are_six(hexacopter: Any, motor: int) -> N
     np.testing.assert_allclose(mix(hexacopter, action, 0.5), expected, atol=EPSILON)
 
 
-def test_thrust_fills_the_room_in_proportion_when_it_is_partial(puppet: Any) -> None:
-    np.testing.assert_allclose(mix(puppet, [0.1, 0.4, 0.2, 0.0], 0.5), [0.4, 0.7, 0.5, 0.3], atol=EPSILON)
+def test_thrust_fills_the_room_in_proportion_when_it_is_partial(scripted: Any) -> None:
+    np.testing.assert_allclose(mix(scripted, [0.1, 0.4, 0.2, 0.0], 0.5), [0.4, 0.7, 0.5, 0.3], atol=EPSILON)
 
 
 @pytest.mark.parametrize("idle", [0.0, 0.05, 0.5])
-def test_outputs_lie_between_idle_and_one_when_idle_is_set(puppet: Any, idle: float) -> None:
+def test_outputs_lie_between_idle_and_one_when_idle_is_set(scripted: Any, idle: float) -> None:
     for action in actions(100):
-        output = mix(puppet, action, 0.3, idle)
+        output = mix(scripted, action, 0.3, idle)
         assert output.min() >= np.float32(idle)
         assert output.max() <= 1
-        np.testing.assert_allclose(output, idle + (1 - idle) * mix(puppet, action, 0.3), atol=2 * EPSILON)
+        np.testing.assert_allclose(output, idle + (1 - idle) * mix(scripted, action, 0.3), atol=2 * EPSILON)
 
 
 # --- What the pilot sets ----------------------------------------------------------------------
 @pytest.mark.parametrize("idle", [0.0, 0.23, 0.5])
-def test_no_bit_changes_when_the_limit_is_one(puppet: Any, idle: float) -> None:
+def test_no_bit_changes_when_the_limit_is_one(scripted: Any, idle: float) -> None:
     """Against the mix as it stands in the design, in float32."""
     one, low = np.float32(1), np.float32(idle)
     for action in actions(200):
         mixed = np.clip(np.float32(0.3) * (one - action.max()) + action, 0, one)
         expected = low + (one - low) * mixed
-        assert mix(puppet, action, 0.3, idle).astype(np.float32).tobytes() == expected.tobytes()
+        assert mix(scripted, action, 0.3, idle).astype(np.float32).tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("limit", [0.3, 0.75, 1.0])
-def test_outputs_end_at_the_limit_when_the_motors_are_limited(puppet: Any, limit: float) -> None:
+def test_outputs_end_at_the_limit_when_the_motors_are_limited(scripted: Any, limit: float) -> None:
     for action in actions(100):
-        output = mix(puppet, action, 1.0, 0.23, motor_limit=limit)
+        output = mix(scripted, action, 1.0, 0.23, motor_limit=limit)
         assert output.max() == pytest.approx(limit, abs=2 * EPSILON)
         assert output.min() >= np.float32(0.23) - EPSILON
-        np.testing.assert_allclose(output, 0.23 + (limit - 0.23) * mix(puppet, action, 1.0), atol=4 * EPSILON)
+        np.testing.assert_allclose(
+            output, 0.23 + (limit - 0.23) * mix(scripted, action, 1.0), atol=4 * EPSILON
+        )
 
 
-def test_all_motors_turn_at_the_limit_when_it_is_below_the_idle(puppet: Any) -> None:
+def test_all_motors_turn_at_the_limit_when_it_is_below_the_idle(scripted: Any) -> None:
     for action in actions(20):
-        assert set(mix(puppet, action, 0.6, 0.23, motor_limit=0.1).tolist()) == {float(np.float32(0.1))}
+        assert set(mix(scripted, action, 0.6, 0.23, motor_limit=0.1).tolist()) == {float(np.float32(0.1))}
 
 
-def test_the_idle_is_the_new_controllers_when_it_takes_over(puppet: Any) -> None:
-    mixer, out = make(puppet, 0.1, motor_limit=0.8), puppet.new("float[4]")
-    assert puppet.lib.mixer_set_idle(mixer, 0.3) == 0
-    puppet.lib.mixer_step(mixer, [0.0, 1.0, 0.5, 0.25], 0.0, out)
+def test_the_idle_is_the_new_controllers_when_it_takes_over(scripted: Any) -> None:
+    mixer, out = make(scripted, 0.1, motor_limit=0.8), scripted.new("float[4]")
+    assert scripted.lib.mixer_set_idle(mixer, 0.3) == 0
+    scripted.lib.mixer_step(mixer, [0.0, 1.0, 0.5, 0.25], 0.0, out)
     np.testing.assert_allclose(list(out), [0.3, 0.8, 0.55, 0.425], atol=2 * EPSILON)
 
 
 @pytest.mark.parametrize(("us", "stops"), [(880, True), (1050, True), (1051, False), (2000, False)])
 def test_motors_stand_still_when_the_pilot_wants_so_and_the_throttle_is_low(
-    puppet: Any, us: int, stops: bool
+    scripted: Any, us: int, stops: bool
 ) -> None:
-    throttle = puppet.lib.rates_throttle([us] * 16)
-    assert puppet.lib.mixer_stops(make(puppet, motor_stop=1), throttle) is stops
-    assert not puppet.lib.mixer_stops(make(puppet), throttle)
+    throttle = scripted.lib.rates_throttle([us] * 16)
+    assert scripted.lib.mixer_stops(make(scripted, motor_stop=1), throttle) is stops
+    assert not scripted.lib.mixer_stops(make(scripted), throttle)
 
 
 @pytest.mark.parametrize("idle", [-0.01, 1.0, 2.0, float("nan"), float("inf")])
-def test_an_idle_is_refused_and_the_last_one_kept_when_it_is_out_of_range(puppet: Any, idle: float) -> None:
-    values = puppet.new("struct nf_settings *")
-    puppet.lib.settings_default(values)
-    assert puppet.lib.mixer_init(puppet.new("struct mixer *"), values, idle) == puppet.lib.NF_ERR_IDLE
-    mixer, out = make(puppet, 0.2), puppet.new("float[4]")
-    assert puppet.lib.mixer_set_idle(mixer, idle) == puppet.lib.NF_ERR_IDLE
-    puppet.lib.mixer_step(mixer, [0.0] * 4, 0.0, out)
+def test_an_idle_is_refused_and_the_last_one_kept_when_it_is_out_of_range(scripted: Any, idle: float) -> None:
+    values = scripted.new("struct nf_settings *")
+    scripted.lib.settings_default(values)
+    assert scripted.lib.mixer_init(scripted.new("struct mixer *"), values, idle) == scripted.lib.NF_ERR_IDLE
+    mixer, out = make(scripted, 0.2), scripted.new("float[4]")
+    assert scripted.lib.mixer_set_idle(mixer, idle) == scripted.lib.NF_ERR_IDLE
+    scripted.lib.mixer_step(mixer, [0.0] * 4, 0.0, out)
     assert list(out) == pytest.approx([0.2] * 4)

@@ -96,26 +96,26 @@ def defined(rate: Array, setpoint: Array, action: Array, throttle: Array) -> dic
 
 # --- Blocks -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("motors", [4, 6])
-def test_blocks_are_as_defined_when_all_are_asked_for(puppet: Any, motors: int) -> None:
+def test_blocks_are_as_defined_when_all_are_asked_for(scripted: Any, motors: int) -> None:
     columns = flight(200, motors, scale=2.0)
     expected = np.concatenate(list(defined(*columns).values()), axis=1)
-    observation = Observation.of(puppet, EVERY_BLOCK, motors)
+    observation = Observation.of(scripted, EVERY_BLOCK, motors)
     for index, row in enumerate(zip(*columns, strict=True)):
         np.testing.assert_allclose(observation.step(*row), expected[index], atol=2e-5)
 
 
 @pytest.mark.parametrize("names", ["rate_error,rate_error_delta", "throttle,rate", "previous_action"])
-def test_blocks_come_in_the_policys_order_when_it_asks_for_some(puppet: Any, names: str) -> None:
+def test_blocks_come_in_the_policys_order_when_it_asks_for_some(scripted: Any, names: str) -> None:
     columns = flight(50, 4, scale=2.0)
     expected = np.concatenate([defined(*columns)[name] for name in names.split(",")], axis=1)
-    observation = Observation.of(puppet, names)
+    observation = Observation.of(scripted, names)
     for index, row in enumerate(zip(*columns, strict=True)):
         np.testing.assert_allclose(observation.step(*row), expected[index], atol=2e-5)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: Any, sign: int) -> None:
-    observation = Observation.of(puppet, "rate_error_integral")
+def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(scripted: Any, sign: int) -> None:
+    observation = Observation.of(scripted, "rate_error_integral")
     still, error = np.zeros(3), np.array([10.0, 100.0, 1000.0])
     for _ in range(100):
         out = observation.step(still, sign * error, np.zeros(4), 0.0)
@@ -125,18 +125,18 @@ def test_integral_stops_at_its_limit_and_leaves_it_when_the_error_turns(puppet: 
 
 
 # --- Terms ------------------------------------------------------------------------------------
-def test_a_low_pass_is_as_defined_when_it_starts_and_goes_on(puppet: Any) -> None:
+def test_a_low_pass_is_as_defined_when_it_starts_and_goes_on(scripted: Any) -> None:
     rates = flight(300, 4, scale=2.0)[0]
-    observation = Observation.of(puppet, "rate~15Hz")
+    observation = Observation.of(scripted, "rate~15Hz")
     gain, expected = 1 - np.exp(-2 * np.pi * 15 * PERIOD_S), rates[0]
     for rate in rates:
         expected = expected + gain * (rate - expected)
         np.testing.assert_allclose(observation.step(rate, np.zeros(3), np.zeros(4), 0.0), expected, atol=1e-5)
 
 
-def test_old_values_are_those_of_their_step_and_zero_when_there_was_none(puppet: Any) -> None:
+def test_old_values_are_those_of_their_step_and_zero_when_there_was_none(scripted: Any) -> None:
     columns = flight(100, 4, scale=2.0)
-    observation = Observation.of(puppet, "rate@1,previous_action@16,throttle@3,rate@2")
+    observation = Observation.of(scripted, "rate@1,previous_action@16,throttle@3,rate@2")
     rate, _, action, throttle = columns
     for index, row in enumerate(zip(*columns, strict=True)):
 
@@ -165,11 +165,11 @@ def random_terms(rng: np.random.Generator, motors: int, rate_hz: int) -> str:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_c_gives_the_twins_bits_when_terms_are_random(puppet: Any, seed: int) -> None:
+def test_c_gives_the_twins_bits_when_terms_are_random(scripted: Any, seed: int) -> None:
     rng = np.random.default_rng(seed)
     motors, rate_hz = int(rng.choice([4, 6, 8])), int(rng.choice([1000, 2000, 4000]))
     text = random_terms(rng, motors, rate_hz)
-    compiled = Observation.of(puppet, text, motors, rate_hz)
+    compiled = Observation.of(scripted, text, motors, rate_hz)
     observer = Observer(observation_blocks(text), 1, motors, rate_hz)
     rows = list(zip(*flight(400 + seed, motors, scale=10 ** rng.uniform(-2, 1.5)), strict=True))
     seen = set()
@@ -187,12 +187,12 @@ def test_c_gives_the_twins_bits_when_terms_are_random(puppet: Any, seed: int) ->
 
 # --- The past ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("text", [EVERY_BLOCK, "rate_error_delta~30Hz@2,throttle~5Hz,previous_action@7"])
-def test_the_past_is_forgotten_when_it_is_reset(puppet: Any, text: str) -> None:
-    used, fresh = (Observation.of(puppet, text) for _ in range(2))
+def test_the_past_is_forgotten_when_it_is_reset(scripted: Any, text: str) -> None:
+    used, fresh = (Observation.of(scripted, text) for _ in range(2))
     rows = list(zip(*flight(40, 4, scale=5.0), strict=True))
     for row in rows[20:]:
         used.step(*row)
-    puppet.lib.observation_reset(used.self)
+    scripted.lib.observation_reset(used.self)
     for row in rows[:20]:
         assert used.step(*row).tolist() == fresh.step(*row).tolist()
 
@@ -203,11 +203,11 @@ def test_the_past_is_forgotten_when_it_is_reset(puppet: Any, text: str) -> None:
     [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
-    puppet: Any,
+    scripted: Any,
     codes: list[int],
     width: int,
 ) -> None:
-    Observation(puppet, codes, width, expect=puppet.lib.NF_ERR_OBSERVATION)
+    Observation(scripted, codes, width, expect=scripted.lib.NF_ERR_OBSERVATION)
 
 
 @pytest.mark.parametrize(
@@ -222,15 +222,15 @@ def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
         (OBSERVATION_TERMS_MAX, 8, 0.5),  # 9 floats each: 288
     ],
 )
-def test_init_refuses_when_a_term_is_out_of_bounds(puppet: Any, count: int, age: int, gain: float) -> None:
+def test_init_refuses_when_a_term_is_out_of_bounds(scripted: Any, count: int, age: int, gain: float) -> None:
     """Of `count` throttles, each so old and so low-passed."""
-    error = puppet.lib.NF_ERR_OBSERVATION
-    Observation(puppet, [6] * count, count, [age] * count, [gain] * count, expect=error)
+    error = scripted.lib.NF_ERR_OBSERVATION
+    Observation(scripted, [6] * count, count, [age] * count, [gain] * count, expect=error)
 
 
-def test_init_takes_terms_when_they_fill_the_memory(puppet: Any) -> None:
+def test_init_takes_terms_when_they_fill_the_memory(scripted: Any) -> None:
     count = OBSERVATION_TERMS_MAX
-    observation = Observation(puppet, [6] * count, count, [7] * count, [0.5] * count)
+    observation = Observation(scripted, [6] * count, count, [7] * count, [0.5] * count)
     assert count * 8 == OBSERVATION_MEMORY_MAX
     for _ in range(7):
         assert observation.step(np.zeros(3), np.zeros(3), np.zeros(4), 0.75).tolist() == [0.0] * count

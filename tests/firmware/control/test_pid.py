@@ -77,19 +77,19 @@ def built(core: Any, settings: PidSettings, mix: np.ndarray) -> Any:
     return gains
 
 
-def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(puppet: Any) -> None:
+def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(scripted: Any) -> None:
     gains = ((2.0, 300.0, 0.03), (0.0, 20.0, 0.0), (1.0, 0.0, 0.05))
     settings = PidSettings(gains=gains, derivative_cutoff_hz=None, idle=0.0)
     mix = mixer(load_aircraft("nf1"))
-    pid = puppet.new("struct pid *")
-    kept = built(puppet, settings, mix)
-    puppet.lib.pid_init(pid, kept)
+    pid = scripted.new("struct pid *")
+    kept = built(scripted, settings, mix)
+    scripted.lib.pid_init(pid, kept)
     peer = Pid(mix, settings, 1, RATE_HZ)
     setpoint, rate = flight(np.random.default_rng(5))
     expected = np.concatenate(
         [peer.step(s[None], r[None], np.zeros(1, np.float32)) for s, r in zip(setpoint, rate, strict=True)]
     )
-    got = stepped(puppet, pid, setpoint, rate)
+    got = stepped(scripted, pid, setpoint, rate)
     assert abs(pid.integral[0]) == pytest.approx(kept.integral_max[0])
     assert np.abs(got - expected).max() <= TOLERANCE
 

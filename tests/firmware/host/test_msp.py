@@ -160,18 +160,20 @@ def test_boots_are_counted_when_the_program_starts_over(start: Start, tmp_path: 
 
 
 def test_a_policy_is_flown_from_the_next_start_on_when_it_was_sent(
-    start: Start, tmp_path: Path, puppets_blob: PolicyBlob
+    start: Start, tmp_path: Path, scripted_policy_blob: PolicyBlob
 ) -> None:
     option = f"--settings={tmp_path / 'flash.bin'}"
     p = start(option)
     with ask(p) as client:
-        data = pack(PolicyBlob(**(vars(puppets_blob) | {"sequence": 1, "aircraft": "sent", "idle": 0.125})))
+        data = pack(
+            PolicyBlob(**(vars(scripted_policy_blob) | {"sequence": 1, "aircraft": "sent", "idle": 0.125}))
+        )
         assert requests.slot_begun(client.request(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))) == 1
         for offset in range(0, len(data), 200):
             client.request(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, data[offset : offset + 200]))
         client.request(Msp.POLICY_SLOT_END)
         now = messages.policy_info(client.request(Msp.POLICY_INFO))
-        assert (now.name, now.source) == ("puppet", messages.PolicySource.COMPILED_IN)
+        assert (now.name, now.source) == ("scripted", messages.PolicySource.COMPILED_IN)
     p.end()
     with ask(start(option)) as client:
         then = messages.policy_info(client.request(Msp.POLICY_INFO))
@@ -240,17 +242,17 @@ def test_the_file_is_flash_when_it_is_new(start: Start, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [1, contract.FLASH_BYTES - 1, contract.FLASH_BYTES + 1])
 def test_a_file_of_another_size_is_left_alone_when_given(
-    puppet_build: Path, tmp_path: Path, size: int
+    scripted_build: Path, tmp_path: Path, size: int
 ) -> None:
     flash = tmp_path / "photo.jpg"
     flash.write_bytes(b"x" * size)
-    words = refusal_of(puppet_build, f"--settings={flash}")
+    words = refusal_of(scripted_build, f"--settings={flash}")
     assert f"flash file {flash}: it has another size" in words
     assert words.count("\n") == 1
     assert flash.read_bytes() == b"x" * size
 
 
-def test_the_program_says_why_when_the_file_cannot_be_opened(puppet_build: Path, tmp_path: Path) -> None:
-    words = refusal_of(puppet_build, f"--settings={tmp_path}/nowhere/flash.bin")
+def test_the_program_says_why_when_the_file_cannot_be_opened(scripted_build: Path, tmp_path: Path) -> None:
+    words = refusal_of(scripted_build, f"--settings={tmp_path}/nowhere/flash.bin")
     assert "No such file or directory" in words
     assert words.count("\n") == 1

@@ -147,8 +147,8 @@ def run(build: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_help_names_every_option_when_asked(puppet_build: Path) -> None:
-    done = run(puppet_build, "--help")
+def test_help_names_every_option_when_asked(scripted_build: Path) -> None:
+    done = run(scripted_build, "--help")
     assert (done.returncode, done.stderr) == (0, "")
     for name in ("state", "receiver", "motor", "servo", "power", "trace", "msp"):
         assert f"--{name}-port" in done.stdout
@@ -169,9 +169,9 @@ def test_help_names_every_option_when_asked(puppet_build: Path) -> None:
     ],
 )
 def test_a_wrong_option_is_one_line_and_exit_1_when_given(
-    puppet_build: Path, options: list[str], expected: str
+    scripted_build: Path, options: list[str], expected: str
 ) -> None:
-    done = run(puppet_build, *options)
+    done = run(scripted_build, *options)
     if not expected:
         assert done.returncode == 0
         return
@@ -182,11 +182,11 @@ def test_a_wrong_option_is_one_line_and_exit_1_when_given(
 
 @pytest.mark.parametrize("name", ["state", "receiver", "power", "msp"])
 def test_a_busy_port_is_one_line_and_exit_1_when_another_program_holds_it(
-    start: Start, puppet_build: Path, name: str
+    start: Start, scripted_build: Path, name: str
 ) -> None:
     port = start().ports[name]
     free = [f"--{other}-port=0" for other in ("state", "receiver", "power", "msp") if other != name]
-    done = run(puppet_build, f"--{name}-port={port}", *free)
+    done = run(scripted_build, f"--{name}-port={port}", *free)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert str(port) in done.stderr and f"--{name}-port" in done.stderr and "in use" in done.stderr
@@ -198,8 +198,8 @@ def test_it_ends_with_0_when_it_is_told_to(start: Start, number: signal.Signals)
     assert p.end(number) == ""
 
 
-def test_it_ends_when_its_parent_dies(puppet_build: Path) -> None:
-    command = [str(puppet_build / "neuroflight"), "--with-parent"]
+def test_it_ends_when_its_parent_dies(scripted_build: Path) -> None:
+    command = [str(scripted_build / "neuroflight"), "--with-parent"]
     command += [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]
     parent_code = (
         "import subprocess, sys; p = subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE); "

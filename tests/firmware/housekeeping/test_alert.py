@@ -36,8 +36,8 @@ class Alert:
 
 
 @pytest.fixture
-def alert(puppet: Any) -> Alert:
-    return Alert(puppet)
+def alert(scripted: Any) -> Alert:
+    return Alert(scripted)
 
 
 def test_nothing_is_heard_and_seen_when_nothing_holds(alert: Alert) -> None:
@@ -50,8 +50,8 @@ def test_the_order_is_that_of_urgency_when_named(alert: Alert) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_rhythm_plays_at_once_and_goes_on_when_its_condition_holds(puppet: Any, name: str) -> None:
-    beeper, led = Alert(puppet).play(name)
+def test_a_rhythm_plays_at_once_and_goes_on_when_its_condition_holds(scripted: Any, name: str) -> None:
+    beeper, led = Alert(scripted).play(name)
     if name in BEEPS:
         assert beeper[0] == "#"
         assert ("#" in beeper[100:]) is (name not in ONCE)
@@ -61,9 +61,9 @@ def test_a_rhythm_plays_at_once_and_goes_on_when_its_condition_holds(puppet: Any
         assert led[0] == led[100:].strip(".")[:1] == "#"
 
 
-def test_rhythms_can_be_told_apart_when_heard_or_seen(puppet: Any) -> None:
-    heard = [Alert(puppet).play(name)[0] for name in NAMES if name in BEEPS]
-    seen = [Alert(puppet).play(name)[1] for name in NAMES if name not in ("BATTERY_WARN", "FAULT")]
+def test_rhythms_can_be_told_apart_when_heard_or_seen(scripted: Any) -> None:
+    heard = [Alert(scripted).play(name)[0] for name in NAMES if name in BEEPS]
+    seen = [Alert(scripted).play(name)[1] for name in NAMES if name not in ("BATTERY_WARN", "FAULT")]
     assert len(set(heard)) == len(heard)
     assert len(set(seen)) == len(seen)
 
@@ -80,11 +80,11 @@ def test_a_fault_flashes_its_number_when_it_holds(alert: Alert, flashes: int) ->
 
 
 @pytest.mark.parametrize("urgent", range(len(NAMES)))
-def test_the_most_urgent_plays_when_several_hold(puppet: Any, urgent: int) -> None:
+def test_the_most_urgent_plays_when_several_hold(scripted: Any, urgent: int) -> None:
     for other in range(urgent + 1, len(NAMES)):
-        both = Alert(puppet).play(NAMES[urgent], NAMES[other])
-        alone = Alert(puppet).play(NAMES[urgent])
-        less = Alert(puppet).play(NAMES[other])
+        both = Alert(scripted).play(NAMES[urgent], NAMES[other])
+        alone = Alert(scripted).play(NAMES[urgent])
+        less = Alert(scripted).play(NAMES[other])
         assert both[0] == (alone if NAMES[urgent] in BEEPS else less)[0]
         assert both[1] == (less if NAMES[urgent] == "BATTERY_WARN" else alone)[1]
 
@@ -105,11 +105,11 @@ def test_a_rhythm_goes_on_when_a_less_urgent_condition_comes_or_goes(alert: Aler
     assert (first[0] + second[0], first[1] + second[1]) == alone
 
 
-def test_the_rhythm_is_the_same_when_steps_come_at_another_rate(puppet: Any) -> None:
-    slow, fast = Alert(puppet).play("CRASHED"), Alert(puppet).play("CRASHED", slots=1000, every_ms=10)
+def test_the_rhythm_is_the_same_when_steps_come_at_another_rate(scripted: Any) -> None:
+    slow, fast = Alert(scripted).play("CRASHED"), Alert(scripted).play("CRASHED", slots=1000, every_ms=10)
     assert slow == (fast[0][::5], fast[1][::5])
     assert max(len(list(run)) for _, run in groupby(fast[0])) >= 5
 
 
-def test_a_rhythm_goes_on_when_the_milliseconds_wrap(puppet: Any) -> None:
-    assert Alert(puppet).play("FIND_ME", start=2**32 - 1000) == Alert(puppet).play("FIND_ME")
+def test_a_rhythm_goes_on_when_the_milliseconds_wrap(scripted: Any) -> None:
+    assert Alert(scripted).play("FIND_ME", start=2**32 - 1000) == Alert(scripted).play("FIND_ME")

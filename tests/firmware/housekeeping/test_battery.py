@@ -53,8 +53,8 @@ Make = Callable[..., Battery]
 
 
 @pytest.fixture
-def make(puppet: Any) -> Make:
-    return lambda **settings: Battery(puppet, **settings)
+def make(scripted: Any) -> Make:
+    return lambda **settings: Battery(scripted, **settings)
 
 
 @pytest.mark.parametrize("cells", range(1, 7))

@@ -44,8 +44,8 @@ class Clockwork:
 
 
 @pytest.fixture
-def clockwork(puppet: Any) -> Iterator[Clockwork]:
-    yield Clockwork(puppet, [100, 50, 10], [Task.BATTERY, Task.ALERT, Task.STORAGE])
+def clockwork(scripted: Any) -> Iterator[Clockwork]:
+    yield Clockwork(scripted, [100, 50, 10], [Task.BATTERY, Task.ALERT, Task.STORAGE])
 
 
 def test_tasks_run_at_their_rates_when_there_is_time(clockwork: Clockwork) -> None:
@@ -93,10 +93,10 @@ def test_worst_best_and_mean_are_kept_when_runs_differ(clockwork: Clockwork) -> 
     assert lib.task_stats_mean(clockwork.core.ffi.addressof(clockwork.stats, int(Task.BATTERY))) == 25
 
 
-def test_the_mean_is_right_when_the_sum_has_outgrown_32_bits(puppet: Any) -> None:
-    stats = puppet.new("struct task_stats *")
-    puppet.lib.task_stats_init(stats, 1000)
+def test_the_mean_is_right_when_the_sum_has_outgrown_32_bits(scripted: Any) -> None:
+    stats = scripted.new("struct task_stats *")
+    scripted.lib.task_stats_init(stats, 1000)
     for _ in range(5):
-        puppet.lib.task_stats_add(stats, 4_000_000_000, True)
-    assert puppet.lib.task_stats_mean(stats) == 4_000_000_000
+        scripted.lib.task_stats_add(stats, 4_000_000_000, True)
+    assert scripted.lib.task_stats_mean(stats) == 4_000_000_000
     assert (stats.misses, stats.rate_hz) == (5, 1000)

@@ -1,4 +1,4 @@
-"""background.c: the boot, what MSP may change and when, and what the background tells, around the puppet."""
+"""background.c around a scripted policy: the boot, what MSP may change and when, and what it reports."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ class Board:
 
 
 @pytest.fixture
-def board(puppet_build: Path, puppet: Any) -> Make:
-    """Boots boards; the puppet's strings hang loose."""
-    puppet.lib.puppet_action = [0.0] * 4
-    return lambda **settings: Board(puppet_build / "libneuroflight.so", **settings)
+def board(scripted_build: Path, scripted: Any) -> Make:
+    """Boots boards; the scripted policy answers 0."""
+    scripted.lib.scripted_action = [0.0] * 4
+    return lambda **settings: Board(scripted_build / "libneuroflight.so", **settings)
 
 
 def test_it_boots_and_is_ready_when_all_is_well(board: Make) -> None:

@@ -1,4 +1,4 @@
-"""firmware.c: the joined core, flown sample by sample around a puppet policy."""
+"""firmware.c: the joined core, flown sample by sample around a scripted policy."""
 
 from __future__ import annotations
 
@@ -33,49 +33,49 @@ def test_control_steps_come_at_the_policys_rate_when_the_gyro_is_faster(bench: M
 
 
 @pytest.mark.parametrize("gyro_hz", [0, 1, 500, 1500, 3000, 16000])
-def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, puppet: Any, gyro_hz: int) -> None:
-    bench(gyro_hz, expect=puppet.lib.NF_ERR_GYRO_RATE)
+def test_init_refuses_when_the_gyro_rate_is_unknown(bench: Make, scripted: Any, gyro_hz: int) -> None:
+    bench(gyro_hz, expect=scripted.lib.NF_ERR_GYRO_RATE)
 
 
-def test_init_refuses_when_the_alignment_is_wrong(bench: Make, puppet: Any) -> None:
-    bench(1000, alignment=4, expect=puppet.lib.NF_ERR_ALIGNMENT)
+def test_init_refuses_when_the_alignment_is_wrong(bench: Make, scripted: Any) -> None:
+    bench(1000, alignment=4, expect=scripted.lib.NF_ERR_ALIGNMENT)
 
 
-def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, puppet: Any) -> None:
+def test_outputs_follow_mixer_and_dshot_when_armed(bench: Make, scripted: Any) -> None:
     b = bench(4000)
-    mixer = puppet.ffi.addressof(b.fw.control.mixers[puppet.lib.CONTROLLER_POLICY])
-    assert puppet.lib.mixer_set_idle(mixer, 0.05) == 0
+    mixer = scripted.ffi.addressof(b.fw.control.mixers[scripted.lib.CONTROLLER_POLICY])
+    assert scripted.lib.mixer_set_idle(mixer, 0.05) == 0
     b.arm()
-    puppet.lib.puppet_action = [0.0, 0.25, 0.5, 0.125]
+    scripted.lib.scripted_action = [0.0, 0.25, 0.5, 0.125]
     values = b.run(20, arm=2000, throttle=1400)
     u = 0.05 + 0.95 * (0.4 * (1 - 0.5) + np.array([0.0, 0.25, 0.5, 0.125]))
     np.testing.assert_allclose(values, 48 + 1999 * u, atol=0.51)
     assert list(b.trace.dshot)[:4] == values
 
 
-def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, puppet: Any) -> None:
+def test_outputs_are_held_when_the_sample_is_no_control_step(bench: Make, scripted: Any) -> None:
     b = bench(4000)
     b.arm()
     while not b.core.lib.firmware_control_due(b.fw):
         b.sample()
-    puppet.lib.puppet_action = [0.5] * 4
+    scripted.lib.scripted_action = [0.5] * 4
     held = b.sample()
-    puppet.lib.puppet_action = [0.9] * 4
+    scripted.lib.scripted_action = [0.9] * 4
     assert [b.sample() for _ in range(3)] == [held] * 3
     assert b.sample() != held
 
 
-def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: Make, puppet: Any) -> None:
+def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.arm()
-    puppet.lib.puppet_action = [0.1, 0.2, 0.3, 0.4]
+    scripted.lib.scripted_action = [0.1, 0.2, 0.3, 0.4]
     b.sample()  # remembered as the previous action below
     b.counts = (1000, -2000, 3000)
     b.stick(arm=2000, throttle=1250, c0=1600, c1=1450, c3=1510)
     b.sample()
     rate = np.radians(np.array(b.counts) * 2000 / 32768)
     error = np.radians([200, -100, -20]) - rate
-    seen = np.array(list(puppet.lib.puppet_observation))
+    seen = np.array(list(scripted.lib.scripted_observation))
     np.testing.assert_allclose(seen[0:3], rate, rtol=1e-6)
     np.testing.assert_allclose(seen[3:6], error, rtol=1e-6)
     np.testing.assert_allclose(seen[6:9], error, rtol=1e-6)  # the error was 0 before
@@ -86,32 +86,32 @@ def test_observation_holds_what_was_flown_when_all_blocks_are_asked_for(bench: M
     np.testing.assert_allclose(list(b.trace.setpoint), np.radians([200, -100, -20]), rtol=1e-6)
 
 
-def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, puppet: Any) -> None:
+def test_the_controller_remembers_nothing_when_it_is_armed_again(bench: Make, scripted: Any) -> None:
     b = bench(1000, level_limit_deg=0)  # it is tilted when it is armed again
     b.arm()
-    puppet.lib.puppet_action = [0.3] * 4
+    scripted.lib.scripted_action = [0.3] * 4
     b.counts = (5000, 5000, 5000)
     b.run(100, arm=2000, c0=1900)
-    assert any(list(puppet.lib.puppet_observation)[9:12])
-    inits = puppet.lib.puppet_inits
+    assert any(list(scripted.lib.scripted_observation)[9:12])
+    inits = scripted.lib.scripted_inits
     b.run(50)
-    assert puppet.lib.puppet_inits == inits + 1  # at once, so that arming takes no longer than flying
+    assert scripted.lib.scripted_inits == inits + 1  # at once, so that arming takes no longer than flying
     b.stick(arm=2000, c0=1700)
     b.sample()
     assert b.armed
-    assert puppet.lib.puppet_inits == inits + 1
-    seen = np.array(list(puppet.lib.puppet_observation))
+    assert scripted.lib.scripted_inits == inits + 1
+    seen = np.array(list(scripted.lib.scripted_observation))
     assert seen[6:9].tolist() == [0, 0, 0]
     np.testing.assert_allclose(seen[9:12], seen[3:6] / 1000, rtol=1e-6)
     assert seen[12:16].tolist() == [0, 0, 0, 0]
 
 
-def test_the_policy_does_not_run_when_disarmed(bench: Make, puppet: Any) -> None:
+def test_the_policy_does_not_run_when_disarmed(bench: Make, scripted: Any) -> None:
     b = bench(1000)
-    steps = puppet.lib.puppet_steps
-    puppet.lib.puppet_action = [0.5] * 4
+    steps = scripted.lib.scripted_steps
+    scripted.lib.scripted_action = [0.5] * 4
     assert b.run(1500, throttle=1000) == [0, 0, 0, 0]
-    assert puppet.lib.puppet_steps == steps
+    assert scripted.lib.scripted_steps == steps
 
 
 def test_status_is_that_of_the_last_control_step_when_asked(bench: Make) -> None:
@@ -169,42 +169,42 @@ def test_any_receiver_bytes_are_survived_when_they_are_random(bench: Make) -> No
 
 
 def test_a_dshot_command_reaches_the_motors_and_nothing_arms_when_one_is_asked_for(
-    bench: Make, puppet: Any
+    bench: Make, scripted: Any
 ) -> None:
     b = bench(1000)
     b.run(1100)
-    command = puppet.ffi.addressof(b.fw, "dshot_command")
-    assert puppet.lib.dshot_command_ask(command, DshotCommand.DIRECTION_2, 1, True) == 0
+    command = scripted.ffi.addressof(b.fw, "dshot_command")
+    assert scripted.lib.dshot_command_ask(command, DshotCommand.DIRECTION_2, 1, True) == 0
     rows = [b.sample() for _ in range(100)]
     assert [0, 8, 0, 0] in rows
     assert {tuple(row) for row in rows} <= {(0, 0, 0, 0), (0, 8, 0, 0)}
-    assert puppet.lib.dshot_command_ask(command, DshotCommand.BEACON_1, 0, True) == 0
+    assert scripted.lib.dshot_command_ask(command, DshotCommand.BEACON_1, 0, True) == 0
     b.run(20, arm=2000)
     assert not b.armed
     assert b.reasons & 1 << ArmingReason.MOTOR_TEST
 
 
-def test_motors_stop_and_everything_waits_on_when_the_gyro_is_silent(bench: Make, puppet: Any) -> None:
+def test_motors_stop_and_everything_waits_on_when_the_gyro_is_silent(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.arm()
-    puppet.lib.puppet_action = [0.5] * 4
+    scripted.lib.scripted_action = [0.5] * 4
     assert min(b.run(20, arm=2000)) > 48
-    values = puppet.new("uint16_t[4]", [9] * 4)
-    before = puppet.lib.firmware_samples(b.fw)
-    puppet.lib.firmware_gyro_silent(b.fw, values)
+    values = scripted.new("uint16_t[4]", [9] * 4)
+    before = scripted.lib.firmware_samples(b.fw)
+    scripted.lib.firmware_gyro_silent(b.fw, values)
     assert list(values) == [0] * 4
-    assert puppet.lib.firmware_samples(b.fw) == before + GYRO_BAD_MS
+    assert scripted.lib.firmware_samples(b.fw) == before + GYRO_BAD_MS
     assert (b.status.state, b.status.gyro_health) == (FlightState.FAULT, GyroHealth.SILENT)
     assert b.run(100, arm=2000) == [0] * 4
     assert b.status.gyro_health == GyroHealth.GOOD
 
 
-def test_a_silent_gyro_lets_the_receiver_age_when_nothing_flies(bench: Make, puppet: Any) -> None:
+def test_a_silent_gyro_lets_the_receiver_age_when_nothing_flies(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.run(1100)
-    values = puppet.new("uint16_t[4]")
+    values = scripted.new("uint16_t[4]")
     for _ in range(50):
-        puppet.lib.firmware_gyro_silent(b.fw, values)
+        scripted.lib.firmware_gyro_silent(b.fw, values)
     assert b.reasons & 1 << ArmingReason.RECEIVER_LOST
     assert b.reasons & 1 << ArmingReason.GYRO_BAD
     assert b.status.state == FlightState.DISARMED
@@ -233,14 +233,14 @@ def test_motors_stand_with_the_throttle_low_when_motor_stop_is_set(bench: Make) 
     assert min(b.run(20, arm=2000, throttle=1300)) > 48
 
 
-def test_reasons_of_the_background_forbid_arming_when_they_hold(bench: Make, puppet: Any) -> None:
+def test_reasons_of_the_background_forbid_arming_when_they_hold(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.run(1100)
     for reason in (ArmingReason.BATTERY_UNKNOWN, ArmingReason.FAULT, ArmingReason.STORING):
-        puppet.lib.firmware_forbid(b.fw, reason, True)
+        scripted.lib.firmware_forbid(b.fw, reason, True)
         b.run(20, arm=2000)
         assert not b.armed
         assert b.reasons & 1 << reason
-        puppet.lib.firmware_forbid(b.fw, reason, False)
+        scripted.lib.firmware_forbid(b.fw, reason, False)
         b.run(20)
         assert b.reasons == 0

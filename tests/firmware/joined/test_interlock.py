@@ -100,10 +100,10 @@ def test_it_stays_disarmed_when_the_gyro_never_came_to_rest(bench: Make) -> None
 
 
 # --- Disarming --------------------------------------------------------------------------------
-def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, puppet: Any) -> None:
+def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.arm()
-    puppet.lib.puppet_action = [0.5] * 4
+    scripted.lib.scripted_action = [0.5] * 4
     assert min(b.run(100, arm=2000, throttle=1500)) > 48
     b.stick(arm=1000, throttle=1500)
     assert b.sample() == STOPPED
@@ -142,12 +142,12 @@ def test_it_arms_again_when_the_switch_is_cycled_after_disarming(bench: Make) ->
 @pytest.mark.parametrize("gyro_hz", [1000, 4000])
 def test_sticks_are_centred_and_then_motors_stop_when_the_receiver_falls_silent(
     bench: Make,
-    puppet: Any,
+    scripted: Any,
     gyro_hz: int,
 ) -> None:
     b = bench(gyro_hz)
     b.arm()
-    puppet.lib.puppet_action = [0.1] * 4
+    scripted.lib.scripted_action = [0.1] * 4
     b.stick(arm=2000, throttle=1500, c0=1900, c1=1200, c3=1700)
     b.sample()
     for step in range(1, RECEIVER_LOST_MS + 50):
@@ -215,7 +215,7 @@ def test_short_gaps_do_no_harm_when_frames_return_before_the_hold_time(bench: Ma
 @pytest.mark.parametrize("motor", range(4))
 def test_motors_stop_for_good_when_the_policy_answers_nonsense(
     bench: Make,
-    puppet: Any,
+    scripted: Any,
     bad: float,
     motor: int,
 ) -> None:
@@ -223,10 +223,10 @@ def test_motors_stop_for_good_when_the_policy_answers_nonsense(
     b.arm()
     action = [0.5] * 4
     action[motor] = bad
-    puppet.lib.puppet_action = action
+    scripted.lib.scripted_action = action
     b.stick(arm=2000)
     assert b.sample() == STOPPED
-    puppet.lib.puppet_action = [0.5] * 4
+    scripted.lib.scripted_action = [0.5] * 4
     assert b.run(100, arm=2000) == STOPPED
     b.run(50)
     assert b.run(50, arm=2000) == STOPPED
@@ -234,10 +234,10 @@ def test_motors_stop_for_good_when_the_policy_answers_nonsense(
     assert not b.status.policy_good
 
 
-def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, puppet: Any) -> None:
+def test_the_ends_are_allowed_when_the_policy_answers_zero_and_one(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.arm()
-    puppet.lib.puppet_action = [0.0, 1.0, -0.0, 1.0]
+    scripted.lib.scripted_action = [0.0, 1.0, -0.0, 1.0]
     assert b.run(20, arm=2000) == [48, 2047, 48, 2047]
 
 
@@ -252,13 +252,13 @@ def test_it_never_arms_when_the_policy_is_bad(bench: Make) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_random(
     bench: Make,
-    puppet: Any,
+    scripted: Any,
     seed: int,
 ) -> None:
     """An observer who only sees the frames knows when arming is possible at all."""
     rng = np.random.default_rng(seed)
     b = bench(1000)
-    puppet.lib.puppet_action = [0.5] * 4
+    scripted.lib.scripted_action = [0.5] * 4
     b.run(1001)
     off_seen, was_armed, armed_steps, silent = True, False, 0, 0
     throttle, switch = 1000, 1000

@@ -1,4 +1,4 @@
-"""The joined core as a pilot meets it: a frame's last byte, protocols, channel map, rates, motor limits."""
+"""The joined core and the pilot: latency of a frame, protocols, channel map, rates, motor limits."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def pilot(request: pytest.FixtureRequest, bench: Make, frame: Frame, crsf: Frame
 # --- The last byte ----------------------------------------------------------------------------
 @pytest.mark.parametrize("gyro_hz", [1000, 8000])
 def test_motors_stop_in_the_step_of_the_last_byte_when_an_off_comes_in_pieces(
-    pilot: Any, puppet: Any, gyro_hz: int
+    pilot: Any, scripted: Any, gyro_hz: int
 ) -> None:
     rng = np.random.default_rng(gyro_hz)
     p = pilot(gyro_hz)
     p.arm()
-    puppet.lib.puppet_action = [0.3] * 4
+    scripted.lib.scripted_action = [0.3] * 4
     for _ in range(20):
         p.fly(int(rng.integers(7, 40)), arm=2000, throttle=1500)
         off = p.frame(arm=1000, throttle=1500)
@@ -98,12 +98,12 @@ def test_an_off_stops_the_motors_when_noise_stands_before_and_behind_it(pilot: A
 
 
 # --- Silence and noise ------------------------------------------------------------------------
-def test_noise_is_silence_when_it_is_all_that_comes(pilot: Any, puppet: Any) -> None:
+def test_noise_is_silence_when_it_is_all_that_comes(pilot: Any, scripted: Any) -> None:
     """Random bytes that make no frame: held, then lost, as if nothing had come."""
     rng = np.random.default_rng(4)
     p = pilot()
     p.arm()
-    puppet.lib.puppet_action = [0.3] * 4
+    scripted.lib.scripted_action = [0.3] * 4
     p.fly(50, arm=2000, throttle=1500, c0=1900)
     p.step(p.frame(arm=2000, throttle=1500, c0=1900))
     for step in range(1, RECEIVER_LOST_MS + 50):
@@ -158,20 +158,22 @@ def test_the_setpoint_ramps_when_interpolation_is_on(pilot: Any) -> None:
 
 
 @pytest.mark.parametrize("limit", [0.4, 0.75])
-def test_no_motor_turns_faster_than_its_limit_when_one_is_set(pilot: Any, puppet: Any, limit: float) -> None:
+def test_no_motor_turns_faster_than_its_limit_when_one_is_set(
+    pilot: Any, scripted: Any, limit: float
+) -> None:
     p = pilot(motor_limit=limit)
     p.arm()
-    puppet.lib.puppet_action = [0.0, 0.5, 1.0, 0.25]
+    scripted.lib.scripted_action = [0.0, 0.5, 1.0, 0.25]
     values = p.fly(20, arm=2000, throttle=2000)
     assert values == [48, *(pytest.approx(48 + 1999 * limit * part, abs=1) for part in (0.5, 1.0, 0.25))]
 
 
 def test_armed_motors_stand_still_when_motor_stop_is_set_and_the_throttle_low(
-    pilot: Any, puppet: Any
+    pilot: Any, scripted: Any
 ) -> None:
     p = pilot(motor_stop=1)
     p.arm()
-    puppet.lib.puppet_action = [0.2] * 4
+    scripted.lib.scripted_action = [0.2] * 4
     assert p.fly(20, arm=2000, throttle=1050) == STOPPED
     assert p.bench.armed
     assert min(p.fly(20, arm=2000, throttle=1051)) > 48

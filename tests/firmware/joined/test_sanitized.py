@@ -1,4 +1,4 @@
-"""The core under the address and undefined-behaviour sanitizers, fed with bytes that nobody checked."""
+"""The core under the address and undefined-behaviour sanitizers, fed with arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ MSP_REQUESTS = (b"$M<\x00\x01\x01", b"$M<\x00\x04\x04", b"$M<\x00\x96\x96", b"$X
 
 
 @pytest.fixture(scope="module")
-def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The feeding program around the core and the puppet policy."""
+def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The feeding program around the core and the scripted policy."""
     program = tmp_path_factory.mktemp("sanitized") / "feed"
-    generated = puppet_build.parent / "generated"
+    generated = scripted_build.parent / "generated"
     sources = [path for path in sorted(SOURCE.rglob("*.c")) if path.name != "main.c"]
     command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno"]
     command += ["-fno-sanitize-recover=all"]

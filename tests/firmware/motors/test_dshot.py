@@ -22,30 +22,30 @@ import pytest
     ],
 )
 def test_frame_is_the_known_one_when_the_value_is(
-    puppet: Any,
+    scripted: Any,
     value: int,
     telemetry: bool,
     frame: int,
 ) -> None:
-    assert puppet.lib.dshot_frame(value, telemetry) == frame
+    assert scripted.lib.dshot_frame(value, telemetry) == frame
 
 
-def test_every_frame_checks_when_its_nibbles_are_xored(puppet: Any) -> None:
+def test_every_frame_checks_when_its_nibbles_are_xored(scripted: Any) -> None:
     for value in range(2048):
         for telemetry in (False, True):
-            frame = puppet.lib.dshot_frame(value, telemetry)
+            frame = scripted.lib.dshot_frame(value, telemetry)
             assert reduce(xor, ((frame >> shift) & 0xF for shift in (0, 4, 8, 12))) == 0
             assert frame >> 5 == value
             assert bool(frame >> 4 & 1) is telemetry
 
 
-def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> None:
+def test_value_is_the_nearest_step_when_the_fraction_is_random(scripted: Any) -> None:
     rng = np.random.default_rng(5)
     for fraction in rng.random(5000).astype(np.float32).tolist():
         exact = 48 + 1999 * fraction
-        value = puppet.lib.dshot_value(fraction)
+        value = scripted.lib.dshot_value(fraction)
         assert abs(value - exact) <= 0.5 + 1e-4
-    assert [puppet.lib.dshot_value(step / 1999) for step in range(2000)] == list(range(48, 2048))
+    assert [scripted.lib.dshot_value(step / 1999) for step in range(2000)] == list(range(48, 2048))
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_value_is_the_nearest_step_when_the_fraction_is_random(puppet: Any) -> N
     ],
 )
 def test_value_stays_a_throttle_or_stops_when_the_fraction_is_none(
-    puppet: Any,
+    scripted: Any,
     fraction: float,
     value: int,
 ) -> None:
-    assert puppet.lib.dshot_value(fraction) == value
+    assert scripted.lib.dshot_value(fraction) == value

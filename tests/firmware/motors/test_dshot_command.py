@@ -44,15 +44,17 @@ class Commander:
 
 
 @pytest.fixture
-def commander(puppet: Any) -> Commander:
-    return Commander(puppet)
+def commander(scripted: Any) -> Commander:
+    return Commander(scripted)
 
 
 @pytest.mark.parametrize("gyro_hz", [1000, 8000])
 @pytest.mark.parametrize("command", BEACONS)
-def test_a_beacon_is_told_once_and_let_sound_when_asked_for(puppet: Any, gyro_hz: int, command: int) -> None:
+def test_a_beacon_is_told_once_and_let_sound_when_asked_for(
+    scripted: Any, gyro_hz: int, command: int
+) -> None:
     ms = gyro_hz // 1000
-    commander = Commander(puppet, gyro_hz)
+    commander = Commander(scripted, gyro_hz)
     assert commander.ask(command) == Refusal.NONE
     before, told, after = commander.run()
     assert before == ((STOPPED, False), 10 * ms)
@@ -79,8 +81,8 @@ def test_one_motor_is_told_and_the_others_stand_when_it_is_named(commander: Comm
     assert told == [([21 if index == motor else 0 for index in range(4)], 10)]
 
 
-def test_all_motors_are_told_when_there_are_eight(puppet: Any) -> None:
-    commander = Commander(puppet, motors=8)
+def test_all_motors_are_told_when_there_are_eight(scripted: Any) -> None:
+    commander = Commander(scripted, motors=8)
     assert commander.ask(1) == Refusal.NONE
     assert (([1] * 8, True), 1) in commander.run()
     assert commander.ask(1, 7) == Refusal.NONE
@@ -141,7 +143,7 @@ def test_a_sequence_ends_when_a_stop_is_asked_for(commander: Commander, stopped:
     assert not commander.busy()
 
 
-def test_the_frames_are_the_protocols_when_a_command_is_sent(puppet: Any) -> None:
+def test_the_frames_are_the_protocols_when_a_command_is_sent(scripted: Any) -> None:
     """Save, 12 with the telemetry bit: 0b00000001100_1 and its checksum, as the protocol is published."""
-    assert puppet.lib.dshot_frame(DshotCommand.SAVE, True) == 0b0000000110011000
-    assert puppet.lib.dshot_frame(DshotCommand.BEACON_1, True) == 0x0033
+    assert scripted.lib.dshot_frame(DshotCommand.SAVE, True) == 0b0000000110011000
+    assert scripted.lib.dshot_frame(DshotCommand.BEACON_1, True) == 0x0033

@@ -1,4 +1,4 @@
-"""motor_test.c: motors turn on the bench, and nothing defeats the interlock."""
+"""motor_test.c: motors turn on the bench, and the interlock always stops them."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ class Test:
 
 
 @pytest.fixture
-def bench(puppet: Any) -> Test:
-    return Test(puppet)
+def bench(scripted: Any) -> Test:
+    return Test(scripted)
 
 
 # --- As it should go --------------------------------------------------------------------------
@@ -109,16 +109,16 @@ def test_a_test_goes_on_as_long_as_values_come_when_nothing_forbids_it(bench: Te
         assert bench.give(0.25, 0.25, 0.25, 0.25) == Refusal.NONE
 
 
-def test_all_eight_motors_turn_when_there_are_eight(puppet: Any) -> None:
-    bench = Test(puppet, motors=8)
+def test_all_eight_motors_turn_when_there_are_eight(scripted: Any) -> None:
+    bench = Test(scripted, motors=8)
     bench.ask()
     assert bench.give(*[0.125] * 8) == Refusal.NONE
     assert bench.step() == [48 + 250] * 8
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 4000])
-def test_motors_stop_when_no_values_come_for_as_long_as_is_set(puppet: Any, rate_hz: int) -> None:
-    bench = Test(puppet, rate_hz=rate_hz)
+def test_motors_stop_when_no_values_come_for_as_long_as_is_set(scripted: Any, rate_hz: int) -> None:
+    bench = Test(scripted, rate_hz=rate_hz)
     bench.turning()
     timeout = MOTOR_TEST_TIMEOUT_MS * rate_hz // 1000
     assert bench.run(timeout - 1) == [QUARTER] * 4

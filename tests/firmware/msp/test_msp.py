@@ -81,8 +81,8 @@ class Server:
 
 
 @pytest.fixture
-def server(puppet: Any) -> Callable[..., Server]:
-    return lambda **status: Server(puppet, **status)
+def server(scripted: Any) -> Callable[..., Server]:
+    return lambda **status: Server(scripted, **status)
 
 
 # What is served without services; the others are in test_msp_commands.py.
@@ -201,7 +201,7 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
     assert s.ask(Msp.FC_VARIANT) == b"NRFL"
     assert s.ask(Msp.FC_VERSION) == bytes([0, 1, 0])
     assert s.ask(Msp.UID) == struct.pack("<3I", *UNIQUE_ID)
-    assert s.ask(Msp.NAME) == b"puppet"
+    assert s.ask(Msp.NAME) == b"scripted"
     board = messages.board_info(s.ask(Msp.BOARD_INFO))
     assert (board.identifier, board.target, board.name) == ("BRD1", "TARGETNAME", "TARGETNAME")
     assert board.manufacturer == "MAKR"
@@ -210,7 +210,7 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
 
 def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[..., Server]) -> None:
     assert messages.policy_info(server(policy_good=True).ask(Msp.POLICY_INFO)) == PolicyInfo(
-        name="puppet",
+        name="scripted",
         sha256="00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210",
         architecture_hash=0x01234567,
         observation_count=17,
@@ -345,13 +345,13 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
     )
 
 
-def test_reasons_are_told_when_no_gyro_sample_ever_came(puppet: Any) -> None:
-    memory = puppet.new("uint64_t[]", puppet.lib.reference_size() // 8 + 1)
-    puppet.lib.puppet_action = [0.0] * 4
-    assert puppet.lib.reference_init(memory, 4000, puppet.ffi.NULL, 0) == 0
-    out = puppet.new("uint8_t[256]")
+def test_reasons_are_told_when_no_gyro_sample_ever_came(scripted: Any) -> None:
+    memory = scripted.new("uint64_t[]", scripted.lib.reference_size() // 8 + 1)
+    scripted.lib.scripted_action = [0.0] * 4
+    assert scripted.lib.reference_init(memory, 4000, scripted.ffi.NULL, 0) == 0
+    out = scripted.new("uint8_t[256]")
     ask = v1(Msp.STATUS_EX)
-    count = puppet.lib.reference_msp(memory, ask, len(ask), out, len(out))
+    count = scripted.lib.reference_msp(memory, ask, len(ask), out, len(out))
     extended = messages.status_ex(bytes(out)[5 : count - 1])
     assert set(messages.arming_reasons(extended.arming_flags)) == {
         "BOOT_GRACE",

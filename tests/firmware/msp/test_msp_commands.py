@@ -74,7 +74,7 @@ class Server:
     def boot(self) -> None:
         """What main does with flash before it serves."""
         ffi, lib = self.core.ffi, self.core.lib
-        lib.puppet_action = [0.0] * 4
+        lib.scripted_action = [0.0] * 4
         running = {
             "architecture_hash": 0x01234567,
             "filters_hash": 0x0D4CBB29,
@@ -430,16 +430,16 @@ def send(s: Server, data: bytes) -> None:
 
 
 def test_a_policy_is_flown_from_the_next_boot_on_when_sent(
-    server: Callable[..., Server], puppets_blob: PolicyBlob
+    server: Callable[..., Server], scripted_policy_blob: PolicyBlob
 ) -> None:
     s = server()
-    data = new_policy(puppets_blob, 5)
+    data = new_policy(scripted_policy_blob, 5)
     send(s, data)
     assert s.reply(Msp.POLICY_SLOT_END) == b""
     assert s.chip.region(FLASH_POLICY_SLOTS[0])[: len(data)] == data
     now = messages.policy_info(s.reply(Msp.POLICY_INFO))
-    assert (now.source, now.sequence, now.name, now.idle) == (2, 0, "puppet", 0.0)
-    assert now.sha256 == puppets_blob.policy_sha256
+    assert (now.source, now.sequence, now.name, now.idle) == (2, 0, "scripted", 0.0)
+    assert now.sha256 == scripted_policy_blob.policy_sha256
     s.boot()
     then = messages.policy_info(s.reply(Msp.POLICY_INFO))
     assert (then.source, then.sequence, then.name, then.idle) == (0, 5, "other", 0.25)
@@ -448,10 +448,10 @@ def test_a_policy_is_flown_from_the_next_boot_on_when_sent(
 
 
 def test_a_policy_is_refused_with_its_error_when_it_is_damaged(
-    server: Callable[..., Server], puppets_blob: PolicyBlob
+    server: Callable[..., Server], scripted_policy_blob: PolicyBlob
 ) -> None:
     s = server()
-    data = new_policy(puppets_blob, 5)
+    data = new_policy(scripted_policy_blob, 5)
     send(s, data[:450] + b"\x55" + data[451:])
     assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.BLOB, -10)
     assert s.refusal(Msp.POLICY_SLOT_END) == (Refusal.ORDER, 0)
@@ -465,15 +465,15 @@ def test_a_slot_is_refused_when_no_blob_has_that_size(server: Callable[..., Serv
 
 def test_no_policy_is_told_as_flown_when_none_is_good(server: Callable[..., Server]) -> None:
     s = server()
-    s.core.lib.puppet_action = [0.5] * 4
+    s.core.lib.scripted_action = [0.5] * 4
     s.slots.flown = 3
     info = messages.policy_info(s.reply(Msp.POLICY_INFO))
-    assert (info.source, info.name) == (messages.PolicySource.NONE, "puppet")
+    assert (info.source, info.name) == (messages.PolicySource.NONE, "scripted")
 
 
 # --- Power goes ---------------------------------------------------------------------------------
 def test_what_is_stored_is_old_or_new_when_power_goes_in_session_after_session(
-    server: Callable[..., Server], puppets_blob: PolicyBlob
+    server: Callable[..., Server], scripted_policy_blob: PolicyBlob
 ) -> None:
     """Settings, policies and faults side by side in one flash, changed over MSP, each cut somewhere."""
     s = server()
@@ -488,7 +488,7 @@ def test_what_is_stored_is_old_or_new_when_power_goes_in_session_after_session(
             done = s.ask(Msp.EEPROM_WRITE)
         else:
             wanted = (deadband, sequence + 1)
-            data = new_policy(puppets_blob, wanted[1])
+            data = new_policy(scripted_policy_blob, wanted[1])
             s.ask(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(len(data)))
             for offset in range(0, len(data), requests.SLOT_BYTES_MAX):
                 piece = data[offset : offset + requests.SLOT_BYTES_MAX]

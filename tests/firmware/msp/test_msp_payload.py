@@ -26,22 +26,22 @@ class Writer:
         return content[: self.writer.at - self._bytes]
 
 
-def test_numbers_are_little_endian_when_put(puppet: Any) -> None:
-    w = Writer(puppet, 40)
-    puppet.lib.msp_put_u8(w.writer, 0x1FF)
-    puppet.lib.msp_put_u16(w.writer, 0x12345)
-    puppet.lib.msp_put_u32(w.writer, 0x89ABCDEF)
-    puppet.lib.msp_put_float(w.writer, 0.1)
-    puppet.lib.msp_put_bytes(w.writer, b"abc", 3)
-    puppet.lib.msp_put_zeros(w.writer, 2)
+def test_numbers_are_little_endian_when_put(scripted: Any) -> None:
+    w = Writer(scripted, 40)
+    scripted.lib.msp_put_u8(w.writer, 0x1FF)
+    scripted.lib.msp_put_u16(w.writer, 0x12345)
+    scripted.lib.msp_put_u32(w.writer, 0x89ABCDEF)
+    scripted.lib.msp_put_float(w.writer, 0.1)
+    scripted.lib.msp_put_bytes(w.writer, b"abc", 3)
+    scripted.lib.msp_put_zeros(w.writer, 2)
     assert w.written == struct.pack("<BHIf", 0xFF, 0x2345, 0x89ABCDEF, 0.1) + b"abc\0\0"
 
 
 @pytest.mark.parametrize("size", range(12))
-def test_nothing_is_put_past_the_end_when_a_payload_is_full(puppet: Any, size: int) -> None:
-    w = Writer(puppet, size)
-    puppet.lib.msp_put_u32(w.writer, 0x04030201)
-    puppet.lib.msp_put_bytes(w.writer, bytes(range(5, 20)), 15)
+def test_nothing_is_put_past_the_end_when_a_payload_is_full(scripted: Any, size: int) -> None:
+    w = Writer(scripted, size)
+    scripted.lib.msp_put_u32(w.writer, 0x04030201)
+    scripted.lib.msp_put_bytes(w.writer, bytes(range(5, 20)), 15)
     assert w.written == bytes(range(1, 20))[:size]
 
 
@@ -53,9 +53,9 @@ def test_nothing_is_put_past_the_end_when_a_payload_is_full(puppet: Any, size: i
         *((-32768.0, -32768), (-1e9, -32768), (-math.inf, -32768), (math.nan, 0)),
     ],
 )
-def test_a_fraction_is_rounded_and_held_when_put_in_16_bits(puppet: Any, value: float, put: int) -> None:
-    w = Writer(puppet, 2)
-    puppet.lib.msp_put_rounded(w.writer, value)
+def test_a_fraction_is_rounded_and_held_when_put_in_16_bits(scripted: Any, value: float, put: int) -> None:
+    w = Writer(scripted, 2)
+    scripted.lib.msp_put_rounded(w.writer, value)
     assert w.written == struct.pack("<h", put)
 
 
@@ -67,20 +67,20 @@ def test_a_fraction_is_rounded_and_held_when_put_in_16_bits(puppet: Any, value: 
     ],
 )
 def test_a_text_is_counted_and_cut_when_it_is_too_long(
-    puppet: Any, text: bytes, most: int, put: bytes
+    scripted: Any, text: bytes, most: int, put: bytes
 ) -> None:
-    w = Writer(puppet, 60)
-    puppet.lib.msp_put_counted_text(w.writer, text, most)
+    w = Writer(scripted, 60)
+    scripted.lib.msp_put_counted_text(w.writer, text, most)
     assert w.written == bytes([len(put)]) + put
-    w = Writer(puppet, 60)
-    puppet.lib.msp_put_text(w.writer, text, most)
+    w = Writer(scripted, 60)
+    scripted.lib.msp_put_text(w.writer, text, most)
     assert w.written == text[:most]
 
 
-def test_numbers_come_back_and_then_zeros_when_taken(puppet: Any) -> None:
-    data = puppet.new("uint8_t[]", struct.pack("<BHIB", 0xFE, 0xABCD, 0x89ABCDEF, 0x77))
-    reader = puppet.new("struct msp_reader *", (data, 8))
-    lib = puppet.lib
+def test_numbers_come_back_and_then_zeros_when_taken(scripted: Any) -> None:
+    data = scripted.new("uint8_t[]", struct.pack("<BHIB", 0xFE, 0xABCD, 0x89ABCDEF, 0x77))
+    reader = scripted.new("struct msp_reader *", (data, 8))
+    lib = scripted.lib
     assert (lib.msp_take_u8(reader), lib.msp_take_u16(reader)) == (0xFE, 0xABCD)
     assert lib.msp_take_u32(reader) == 0x89ABCDEF
     assert lib.msp_take_u16(reader) == 0x77, "half of it is there"

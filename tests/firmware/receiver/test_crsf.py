@@ -1,4 +1,4 @@
-"""crsf.c and crc8.c: whole frames out of any bytes."""
+"""crsf.c and crc8.c: complete frames from any bytes."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def sticks(values: list[int] = VALUES) -> Event:
 
 
 @pytest.fixture(params=[1, 7, 1000], ids="{}-bytes-at-once".format)
-def push(puppet: Any, request: pytest.FixtureRequest) -> Callable[[bytes], list[Event]]:
+def push(scripted: Any, request: pytest.FixtureRequest) -> Callable[[bytes], list[Event]]:
     """Feeds one parser in pieces of a size; returns what came out."""
-    parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
+    parser, out, lib = scripted.new("struct crsf *"), scripted.new("struct crsf_frame *"), scripted.lib
     lib.crsf_reset(parser)
 
     def feed(data: bytes) -> list[Event]:
@@ -85,15 +85,15 @@ Push = Callable[[bytes], list[Event]]
 
 
 # --- CRC --------------------------------------------------------------------------------------
-def test_crc_is_the_polynomials_when_bytes_are_random(puppet: Any) -> None:
+def test_crc_is_the_polynomials_when_bytes_are_random(scripted: Any) -> None:
     rng = np.random.default_rng(1)
-    assert puppet.lib.crc8(0, b"123456789", 9) == 0xBC  # the catalogue's check value of DVB-S2
+    assert scripted.lib.crc8(0, b"123456789", 9) == 0xBC  # the catalogue's check value of DVB-S2
     for length in range(70):
         data = rng.integers(0, 256, length, np.uint8).tobytes()
-        assert puppet.lib.crc8(0, data, length) == crc(data)
-        half = puppet.lib.crc8(0, data, length // 2)
-        assert puppet.lib.crc8(half, data[length // 2 :], length - length // 2) == crc(data)
-        assert puppet.lib.crc8(0, data + bytes([crc(data)]), length + 1) == 0
+        assert scripted.lib.crc8(0, data, length) == crc(data)
+        half = scripted.lib.crc8(0, data, length // 2)
+        assert scripted.lib.crc8(half, data[length // 2 :], length - length // 2) == crc(data)
+        assert scripted.lib.crc8(0, data + bytes([crc(data)]), length + 1) == 0
 
 
 # --- Good frames ------------------------------------------------------------------------------
@@ -222,8 +222,8 @@ def test_what_comes_out_is_what_a_search_finds_when_frames_are_mixed_with_noise(
     assert len(events) > 40
 
 
-def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any) -> None:
-    parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
+def test_a_half_frame_is_forgotten_when_the_parser_is_reset(scripted: Any) -> None:
+    parser, out, lib = scripted.new("struct crsf *"), scripted.new("struct crsf_frame *"), scripted.lib
     lib.crsf_reset(parser)
     for data, frames in ((channels()[:12], 0), (channels(), 1)):
         seen = 0
@@ -235,8 +235,8 @@ def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any) -> None
     assert list(out.channels_us) == microseconds(VALUES)
 
 
-def test_no_more_bytes_are_taken_when_a_frame_waits(puppet: Any) -> None:
-    parser, out, lib = puppet.new("struct crsf *"), puppet.new("struct crsf_frame *"), puppet.lib
+def test_no_more_bytes_are_taken_when_a_frame_waits(scripted: Any) -> None:
+    parser, out, lib = scripted.new("struct crsf *"), scripted.new("struct crsf_frame *"), scripted.lib
     lib.crsf_reset(parser)
     inner = channels([992] * 16) + channels([1792] * 16)
     data = bytes([SYNC, 62, 0x7A]) + inner + bytes(61 - len(inner))

@@ -63,9 +63,9 @@ FORMULAS = {ACTUAL: actual, BETAFLIGHT: betaflight}
 
 
 # --- As set by default ------------------------------------------------------------------------
-def test_setpoint_has_the_bits_of_one_product_when_nothing_is_set(puppet: Any) -> None:
+def test_setpoint_has_the_bits_of_one_product_when_nothing_is_set(scripted: Any) -> None:
     """offset 0.002 clamped, times full stick: what every flight before the styles was flown with."""
-    rates = Rates(puppet)
+    rates = Rates(scripted)
     full_stick = np.float32(17.453292519943297)
     for us in [*range(800, 2300), 0, 65535]:
         x = np.clip(np.float32(us - 1500) * np.float32(0.002), np.float32(-1), np.float32(1))
@@ -74,8 +74,8 @@ def test_setpoint_has_the_bits_of_one_product_when_nothing_is_set(puppet: Any) -
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_one_axis_turns_when_one_stick_moves(puppet: Any, axis: int) -> None:
-    rates = Rates(puppet)
+def test_one_axis_turns_when_one_stick_moves(scripted: Any, axis: int) -> None:
+    rates = Rates(scripted)
     for us in range(1000, 2001):
         channels = [1500] * 16
         channels[CHANNELS[axis]] = us
@@ -105,7 +105,7 @@ def check(core: Any, style: int, numbers: list[tuple[float, float, float]], dead
 @pytest.mark.parametrize(("style", "most_rate", "most_max"), [(ACTUAL, 1000, 1998), (BETAFLIGHT, 3, 1)])
 @pytest.mark.parametrize("seed", range(40))
 def test_rates_follow_their_formula_when_numbers_are_random(
-    puppet: Any, style: int, most_rate: float, most_max: float, seed: int
+    scripted: Any, style: int, most_rate: float, most_max: float, seed: int
 ) -> None:
     """Each number at its end in one draw of five."""
     rng = np.random.default_rng(seed)
@@ -116,30 +116,30 @@ def test_rates_follow_their_formula_when_numbers_are_random(
 
     numbers = [(draw(0.01, most_rate), draw(0, most_max), draw(0, 1)) for _ in range(3)]
     level, yaw = rng.integers(0, 101, 2).tolist()
-    check(puppet, style, numbers, [level, level, yaw])
+    check(scripted, style, numbers, [level, level, yaw])
 
 
-def test_known_rates_come_out_when_set_as_pilots_do(puppet: Any) -> None:
+def test_known_rates_come_out_when_set_as_pilots_do(scripted: Any) -> None:
     """Betaflight's old default 1.0, 0.70, 0.00 ends at 666.7 deg/s; actual 70, 670 at 70 and 670."""
-    old = Rates(puppet, rates_style=BETAFLIGHT, roll_rate=1.0, roll_max=0.7, roll_expo=0.0)
+    old = Rates(scripted, rates_style=BETAFLIGHT, roll_rate=1.0, roll_max=0.7, roll_expo=0.0)
     assert math.degrees(old.at(2000)[0]) == pytest.approx(666.667, abs=0.01)
-    new = Rates(puppet, roll_rate=70.0, roll_max=670.0, roll_expo=0.0)
+    new = Rates(scripted, roll_rate=70.0, roll_max=670.0, roll_expo=0.0)
     assert math.degrees(new.at(2000)[0]) == pytest.approx(670, abs=0.01)
     assert math.degrees(new.at(1505)[0]) == pytest.approx(0.70 + 600 * 0.01**2, abs=1e-4)
 
 
 @pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])
-def test_the_rate_ends_at_1998_when_more_is_set(puppet: Any, style: int) -> None:
+def test_the_rate_ends_at_1998_when_more_is_set(scripted: Any, style: int) -> None:
     most = 1998 if style == ACTUAL else 1.0
-    rates = Rates(puppet, rates_style=style, roll_rate=1000.0, roll_max=most)
+    rates = Rates(scripted, rates_style=style, roll_rate=1000.0, roll_max=most)
     for us, sign in ((2000, 1), (1000, -1)):
         assert rates.at(us)[0] == pytest.approx(sign * math.radians(1998), rel=1e-6)
 
 
 @pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])
-def test_the_curve_is_odd_and_never_falls_when_the_stick_goes_out(puppet: Any, style: int) -> None:
+def test_the_curve_is_odd_and_never_falls_when_the_stick_goes_out(scripted: Any, style: int) -> None:
     rates = Rates(
-        puppet,
+        scripted,
         rates_style=style,
         roll_rate=1.5,
         roll_max=0.8 if style else 800.0,
@@ -153,16 +153,16 @@ def test_the_curve_is_odd_and_never_falls_when_the_stick_goes_out(puppet: Any, s
 
 
 @pytest.mark.parametrize("us", [0, 880, 999, 2001, 2159, 65535])
-def test_setpoint_is_at_its_end_when_the_stick_is_beyond_it(puppet: Any, us: int) -> None:
-    rates = Rates(puppet)
+def test_setpoint_is_at_its_end_when_the_stick_is_beyond_it(scripted: Any, us: int) -> None:
+    rates = Rates(scripted)
     end = 1000 if us < 1500 else 2000
     assert rates.setpoint([us] * 16) == rates.setpoint([end] * 16)
     assert abs(rates.setpoint([us] * 16)[0]) == pytest.approx(math.radians(1000), rel=1e-7)
 
 
-def test_throttle_is_linear_and_clamped_when_the_stick_moves(puppet: Any) -> None:
+def test_throttle_is_linear_and_clamped_when_the_stick_moves(scripted: Any) -> None:
     for us in [0, 880, *range(1000, 2001), 2159, 65535]:
         channels = [1500] * 16
         channels[CHANNEL_THROTTLE] = us
         expected = min(max((us - 1000) / 1000, 0), 1)
-        assert puppet.lib.rates_throttle(channels) == pytest.approx(expected, rel=2.5e-7, abs=0)
+        assert scripted.lib.rates_throttle(channels) == pytest.approx(expected, rel=2.5e-7, abs=0)

@@ -1,4 +1,4 @@
-"""receiver.c: frames of any protocol to channels, and what is flown while they stay away."""
+"""receiver.c: frames of any protocol to channels, and the failsafe values while frames are missing."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ class Receiver:
 
 
 @pytest.fixture
-def make(puppet: Any, sbus: Frame) -> Callable[..., Receiver]:
-    return lambda *args, **kwargs: Receiver(puppet, sbus, *args, **kwargs)
+def make(scripted: Any, sbus: Frame) -> Callable[..., Receiver]:
+    return lambda *args, **kwargs: Receiver(scripted, sbus, *args, **kwargs)
 
 
 Make = Callable[..., Receiver]
@@ -89,8 +89,8 @@ Make = Callable[..., Receiver]
 
 # --- The link ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
-def test_link_is_held_and_then_lost_when_silence_lasts(make: Make, puppet: Any, rate_hz: int) -> None:
-    lib, receiver = puppet.lib, make(rate_hz)
+def test_link_is_held_and_then_lost_when_silence_lasts(make: Make, scripted: Any, rate_hz: int) -> None:
+    lib, receiver = scripted.lib, make(rate_hz)
     hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, RECEIVER_LOST_MS))
     receiver.recover()
     receiver.tick(hold - 1)
@@ -105,19 +105,19 @@ def test_link_is_held_and_then_lost_when_silence_lasts(make: Make, puppet: Any, 
     assert receiver.link() == lib.RECEIVER_LOST
 
 
-def test_link_is_good_again_at_once_when_it_was_only_held(make: Make, puppet: Any) -> None:
+def test_link_is_good_again_at_once_when_it_was_only_held(make: Make, scripted: Any) -> None:
     receiver = make()
     receiver.recover()
     receiver.tick(RECEIVER_LOST_MS - 1)
-    assert receiver.link() == puppet.lib.RECEIVER_HOLD
+    assert receiver.link() == scripted.lib.RECEIVER_HOLD
     receiver.frame()
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_GOOD, FLOWN)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 8000])
 @pytest.mark.parametrize("before", ["boot", "silence", "failsafe"])
 def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
-    make: Make, puppet: Any, rate_hz: int, before: str
+    make: Make, scripted: Any, rate_hz: int, before: str
 ) -> None:
     receiver = make(rate_hz)
     if before != "boot":
@@ -129,15 +129,15 @@ def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
     receiver.run(RECEIVER_RECOVERY_MS - 1)
     receiver.tick(rate_hz // 1000 - 1)
     receiver.frame()
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
     receiver.tick(1)
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
     receiver.frame()
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_GOOD, FLOWN)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
 
 
 @pytest.mark.parametrize("setback", ["gap", "failsafe"])
-def test_recovery_begins_anew_when_it_is_set_back(make: Make, puppet: Any, setback: str) -> None:
+def test_recovery_begins_anew_when_it_is_set_back(make: Make, scripted: Any, setback: str) -> None:
     receiver = make()
     receiver.run(RECEIVER_RECOVERY_MS - 10)
     if setback == "failsafe":
@@ -145,42 +145,42 @@ def test_recovery_begins_anew_when_it_is_set_back(make: Make, puppet: Any, setba
     else:
         receiver.tick(RECEIVER_HOLD_MS)
     receiver.run(RECEIVER_RECOVERY_MS)
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
     receiver.frame()
-    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+    assert receiver.link() == scripted.lib.RECEIVER_GOOD
 
 
-def test_link_never_recovers_when_frames_are_rare_or_repeated(make: Make, puppet: Any) -> None:
+def test_link_never_recovers_when_frames_are_rare_or_repeated(make: Make, scripted: Any) -> None:
     rare, repeated = make(), make()
     rare.run(3000, every_ms=RECEIVER_HOLD_MS + 1)
-    assert rare.link() == puppet.lib.RECEIVER_LOST
+    assert rare.link() == scripted.lib.RECEIVER_LOST
     repeated.frame()
     repeated.run(3000, frame_lost=True)
-    assert repeated.link() == puppet.lib.RECEIVER_LOST
+    assert repeated.link() == scripted.lib.RECEIVER_LOST
 
 
-def test_link_is_lost_when_nothing_was_ever_heard(make: Make, puppet: Any) -> None:
+def test_link_is_lost_when_nothing_was_ever_heard(make: Make, scripted: Any) -> None:
     receiver = make()
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
     receiver.tick(5000)
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
 
 
-def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(make: Make, puppet: Any) -> None:
+def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(make: Make, scripted: Any) -> None:
     receiver = make()
     receiver.recover()
     receiver.frame(failsafe=True)
-    assert (receiver.link(), receiver.channels()) == (puppet.lib.RECEIVER_LOST, LOST)
+    assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
 
 
-def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Make, puppet: Any) -> None:
+def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Make, scripted: Any) -> None:
     receiver = make()
     receiver.recover()
     for _ in range(RECEIVER_HOLD_MS):
         receiver.frame([2000] * CHANNEL_COUNT, frame_lost=True)
         assert receiver.channels() == FLOWN
         receiver.tick(1)
-    assert receiver.link() == puppet.lib.RECEIVER_HOLD
+    assert receiver.link() == scripted.lib.RECEIVER_HOLD
     assert receiver.channels()[CHANNEL_THROTTLE] == FLOWN[CHANNEL_THROTTLE]
     assert receiver.channels()[CHANNEL_ARM] == FLOWN[CHANNEL_ARM]
 
@@ -210,16 +210,16 @@ def crsf_sticks(sbus: Frame, crsf: Frame, us: int) -> bytes:
 
 
 def test_link_recovers_and_flies_when_crsf_is_the_protocol(
-    make: Make, puppet: Any, sbus: Frame, crsf: Frame
+    make: Make, scripted: Any, sbus: Frame, crsf: Frame
 ) -> None:
     receiver = make(receiver_protocol=CRSF)
     for us in (1000, 1200, 1400, 1600):
         for _ in range(RECEIVER_RECOVERY_MS // 4):
             assert len(receiver.push(crsf_sticks(sbus, crsf, us))) == 1
             receiver.tick(1)
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
     assert receiver.push(crsf_sticks(sbus, crsf, 1800)) == [[1800] * CHANNEL_COUNT]
-    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+    assert receiver.link() == scripted.lib.RECEIVER_GOOD
 
 
 def test_every_frame_is_seen_when_one_byte_completes_several(make: Make, sbus: Frame, crsf: Frame) -> None:
@@ -244,12 +244,12 @@ def test_half_a_crsf_frame_is_forgotten_when_the_line_falls_silent(
         receiver.tick(20)
 
 
-def test_link_statistics_are_no_sticks_when_they_come_alone(make: Make, puppet: Any, crsf: Frame) -> None:
+def test_link_statistics_are_no_sticks_when_they_come_alone(make: Make, scripted: Any, crsf: Frame) -> None:
     receiver = make(receiver_protocol=CRSF)
     for _ in range(3 * RECEIVER_RECOVERY_MS):
         assert receiver.push(crsf(0x14, bytes([1, 2, 90, *[0] * 7]))) == []
         receiver.tick(1)
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
 def test_half_a_frame_is_forgotten_when_single_bytes_come_after_the_silence(make: Make, sbus: Frame) -> None:
@@ -259,12 +259,14 @@ def test_half_a_frame_is_forgotten_when_single_bytes_come_after_the_silence(make
     assert [len(receiver.push(bytes([byte]))) for byte in data] == [0] * 24 + [1]
 
 
-def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(make: Make, puppet: Any, sbus: Frame) -> None:
+def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(
+    make: Make, scripted: Any, sbus: Frame
+) -> None:
     receiver = make(receiver_protocol=MSP)
     assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
     receiver.tick(50)
     assert receiver.push(sbus([992] * CHANNEL_COUNT) * 3) == []
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
 # --- The map ----------------------------------------------------------------------------------
@@ -279,37 +281,37 @@ def test_channels_are_mapped_when_the_pilot_says_so(make: Make) -> None:
 
 
 # --- MSP --------------------------------------------------------------------------------------
-def test_channels_come_over_msp_when_that_is_the_protocol(make: Make, puppet: Any) -> None:
+def test_channels_come_over_msp_when_that_is_the_protocol(make: Make, scripted: Any) -> None:
     receiver = make(receiver_protocol=MSP, map_arm=7)
     for _ in range(RECEIVER_RECOVERY_MS + 1):
-        assert puppet.lib.receiver_msp(receiver.self, FLOWN)
+        assert scripted.lib.receiver_msp(receiver.self, FLOWN)
         receiver.tick(1)
-    assert receiver.link() == puppet.lib.RECEIVER_GOOD
+    assert receiver.link() == scripted.lib.RECEIVER_GOOD
     assert receiver.channels() == [*FLOWN[:4], FLOWN[7], *FLOWN[5:]]
 
 
 @pytest.mark.parametrize("us", [0, 749, 2251, 65535])
 @pytest.mark.parametrize("channel", [0, 15])
 def test_channels_over_msp_are_refused_when_one_is_none(
-    make: Make, puppet: Any, us: int, channel: int
+    make: Make, scripted: Any, us: int, channel: int
 ) -> None:
     receiver = make(receiver_protocol=MSP)
     wrong = list(FLOWN)
     wrong[channel] = us
     for _ in range(2 * RECEIVER_RECOVERY_MS):
-        assert not puppet.lib.receiver_msp(receiver.self, wrong)
+        assert not scripted.lib.receiver_msp(receiver.self, wrong)
         receiver.tick(1)
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
 @pytest.mark.parametrize("protocol", [SBUS, CRSF])
 def test_channels_over_msp_are_refused_when_another_receiver_is_set(
-    make: Make, puppet: Any, protocol: int
+    make: Make, scripted: Any, protocol: int
 ) -> None:
     receiver = make(receiver_protocol=protocol)
-    assert not puppet.lib.receiver_msp(receiver.self, FLOWN)
+    assert not scripted.lib.receiver_msp(receiver.self, FLOWN)
     receiver.tick(RECEIVER_RECOVERY_MS)
-    assert receiver.link() == puppet.lib.RECEIVER_LOST
+    assert receiver.link() == scripted.lib.RECEIVER_LOST
 
 
 # --- Interpolation ----------------------------------------------------------------------------
@@ -446,11 +448,11 @@ def test_quality_is_the_receivers_own_for_a_second_when_it_tells_one(
     assert receiver.quality() == 100
 
 
-def test_quality_counts_no_further_when_frames_pour_in(make: Make, puppet: Any) -> None:
+def test_quality_counts_no_further_when_frames_pour_in(make: Make, scripted: Any) -> None:
     receiver = make(receiver_protocol=MSP)
     for _ in range(3):
         for _ in range(70_000):
-            puppet.lib.receiver_msp(receiver.self, FLOWN)
+            scripted.lib.receiver_msp(receiver.self, FLOWN)
         receiver.tick(100)
     assert receiver.quality() == 100
 

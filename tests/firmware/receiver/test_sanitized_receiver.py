@@ -24,11 +24,15 @@ Bytes = NDArray[np.uint8]
 
 
 @pytest.fixture(scope="module")
-def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The feeding program."""
     program = tmp_path_factory.mktemp("sanitized") / "feed_receiver"
     command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
-    command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{SOURCE}", f"-I{puppet_build.parent / 'generated'}"]
+    command += [
+        f"-fsanitize={','.join(SANITIZERS)}",
+        f"-I{SOURCE}",
+        f"-I{scripted_build.parent / 'generated'}",
+    ]
     sources = [str(SOURCE / f"{module}.c") for module in MODULES]
     subprocess.run([*command, "-o", str(program), *sources, str(FEED)], check=True)
     return program

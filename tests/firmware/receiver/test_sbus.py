@@ -1,4 +1,4 @@
-"""sbus.c: whole frames out of any bytes."""
+"""sbus.c: complete frames from any bytes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ VALUES = [172 + 103 * index for index in range(16)]  # no 0x0F and no 0x00 among
 
 
 @pytest.fixture
-def push(puppet: Any) -> Callable[[bytes], list[Any]]:
+def push(scripted: Any) -> Callable[[bytes], list[Any]]:
     """Feeds one parser; returns the frames that came out."""
-    parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
-    puppet.lib.sbus_reset(parser)
+    parser, frame = scripted.new("struct sbus *"), scripted.new("struct sbus_frame *")
+    scripted.lib.sbus_reset(parser)
 
     def feed(data: bytes) -> list[tuple[list[int], bool, bool]]:
         frames = []
         for byte in data:
-            if puppet.lib.sbus_push(parser, byte, frame):
+            if scripted.lib.sbus_push(parser, byte, frame):
                 frames.append((list(frame.channels_us), frame.frame_lost, frame.failsafe))
             assert parser.count < 25
         return frames
@@ -71,7 +71,7 @@ def test_a_false_header_is_survived_when_it_stands_inside_the_noise(push: Any, s
         assert push(b"\x0f" * noise + good)[-1:] == [(microseconds(VALUES), False, False)], noise
 
 
-def test_any_bytes_are_survived_when_they_are_random(push: Any, puppet: Any) -> None:
+def test_any_bytes_are_survived_when_they_are_random(push: Any, scripted: Any) -> None:
     rng = np.random.default_rng(7)
     frames = []
     for _ in range(300):
@@ -83,30 +83,30 @@ def test_any_bytes_are_survived_when_they_are_random(push: Any, puppet: Any) -> 
     assert all(880 <= us <= 2159 for channels, _, _ in frames for us in channels)
 
 
-def test_a_half_frame_is_forgotten_when_the_parser_is_reset(puppet: Any, sbus: Encode) -> None:
-    parser, frame = puppet.new("struct sbus *"), puppet.new("struct sbus_frame *")
+def test_a_half_frame_is_forgotten_when_the_parser_is_reset(scripted: Any, sbus: Encode) -> None:
+    parser, frame = scripted.new("struct sbus *"), scripted.new("struct sbus_frame *")
     good = sbus(VALUES)
     for byte in good[:12]:
-        assert not puppet.lib.sbus_push(parser, byte, frame)
-    puppet.lib.sbus_reset(parser)
-    assert [puppet.lib.sbus_push(parser, byte, frame) for byte in good] == [False] * 24 + [True]
+        assert not scripted.lib.sbus_push(parser, byte, frame)
+    scripted.lib.sbus_reset(parser)
+    assert [scripted.lib.sbus_push(parser, byte, frame) for byte in good] == [False] * 24 + [True]
 
 
-def test_frames_are_the_same_when_bytes_within_them_are_taken_in_runs(puppet: Any, sbus: Encode) -> None:
+def test_frames_are_the_same_when_bytes_within_them_are_taken_in_runs(scripted: Any, sbus: Encode) -> None:
     rng = np.random.default_rng(11)
     data = b"".join(
         sbus(VALUES) if rng.random() < 0.5 else rng.choice([0x00, 0x0F, 0x55], 40).astype(np.uint8).tobytes()
         for _ in range(200)
     )
-    single, runs, frame = (puppet.new(f"struct {name} *") for name in ("sbus", "sbus", "sbus_frame"))
-    expected = [at for at, byte in enumerate(data) if puppet.lib.sbus_push(single, byte, frame)]
+    single, runs, frame = (scripted.new(f"struct {name} *") for name in ("sbus", "sbus", "sbus_frame"))
+    expected = [at for at, byte in enumerate(data) if scripted.lib.sbus_push(single, byte, frame)]
     found, at = [], 0
     while at < len(data):
         end = min(len(data), at + int(rng.integers(1, 40)))
         while at < end:
-            at += puppet.lib.sbus_fill(runs, data[at:end], end - at)
+            at += scripted.lib.sbus_fill(runs, data[at:end], end - at)
             if at < end:
-                if puppet.lib.sbus_push(runs, data[at], frame):
+                if scripted.lib.sbus_push(runs, data[at], frame):
                     found.append(at)
                 at += 1
     assert found == expected

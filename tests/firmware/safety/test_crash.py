@@ -1,4 +1,4 @@
-"""crash.c: what is taken for a crash or a runaway, and what of our own flying is not."""
+"""crash.c: what counts as a crash or a runaway, and normal flight that does not."""
 
 from __future__ import annotations
 
@@ -54,37 +54,37 @@ class Watch:
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_crash_is_seen_after_its_time_when_the_error_stays(puppet: Any, axis: int, sign: int) -> None:
-    watch = Watch(puppet)
+def test_a_crash_is_seen_after_its_time_when_the_error_stays(scripted: Any, axis: int, sign: int) -> None:
+    watch = Watch(scripted)
     assert watch.held(CRASH_MS, sign * OFF, axis=axis) == [NONE] * (CRASH_MS - 1) + [HAPPENED]
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 4000])
-def test_the_time_is_the_same_when_the_control_rate_is_another(puppet: Any, rate_hz: int) -> None:
+def test_the_time_is_the_same_when_the_control_rate_is_another(scripted: Any, rate_hz: int) -> None:
     steps = CRASH_MS * rate_hz // 1000
-    assert Watch(puppet, rate_hz).held(steps).index(HAPPENED) == steps - 1
+    assert Watch(scripted, rate_hz).held(steps).index(HAPPENED) == steps - 1
     growing = np.linspace(OFF, 2 * OFF, steps).tolist()
-    assert Watch(puppet, rate_hz).spun(growing).index(RUNAWAY) == RUNAWAY_MS * rate_hz // 1000 - 1
+    assert Watch(scripted, rate_hz).spun(growing).index(RUNAWAY) == RUNAWAY_MS * rate_hz // 1000 - 1
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_runaway_is_seen_when_it_turns_away_ever_faster_just_after_arming(
-    puppet: Any, axis: int, sign: int
+    scripted: Any, axis: int, sign: int
 ) -> None:
     growing = (sign * np.linspace(OFF, 2 * OFF, RUNAWAY_MS)).tolist()
-    assert Watch(puppet).spun(growing, axis) == [NONE] * (RUNAWAY_MS - 1) + [RUNAWAY]
-    assert set(Watch(puppet).spun(growing[::-1], axis)) == {NONE}, "it gets better"
-    late = Watch(puppet)
+    assert Watch(scripted).spun(growing, axis) == [NONE] * (RUNAWAY_MS - 1) + [RUNAWAY]
+    assert set(Watch(scripted).spun(growing[::-1], axis)) == {NONE}, "it gets better"
+    late = Watch(scripted)
     late.fly(RUNAWAY_WINDOW_MS)
     assert set(late.spun(growing, axis)) == {NONE}
 
 
-def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should(puppet: Any) -> None:
+def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should(scripted: Any) -> None:
     growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS - 1).tolist()
-    watch = Watch(puppet)
+    watch = Watch(scripted)
     assert set(watch.spun(growing, 0) + watch.spun(growing, 1)) == {NONE}
-    watch = Watch(puppet)
+    watch = Watch(scripted)
     asked = [watch.step(4 * OFF, rate, 0.0) for rate in np.linspace(OFF, 2 * OFF, 3 * RUNAWAY_MS).tolist()]
     assert set(asked) == {NONE}
 
@@ -94,20 +94,20 @@ def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should
     [(math.radians(CRASH_ERROR_DEG_S - 1), FULL), (OFF, CRASH_SPREAD - 0.01), (0.0, FULL)],
 )
 def test_no_crash_is_seen_when_the_error_is_small_or_the_controller_does_little(
-    puppet: Any, error: float, spread: float
+    scripted: Any, error: float, spread: float
 ) -> None:
-    assert set(Watch(puppet).held(5000, error, spread)) == {NONE}
+    assert set(Watch(scripted).held(5000, error, spread)) == {NONE}
 
 
-def test_the_time_begins_anew_when_one_step_is_good(puppet: Any) -> None:
-    watch = Watch(puppet)
+def test_the_time_begins_anew_when_one_step_is_good(scripted: Any) -> None:
+    watch = Watch(scripted)
     assert set(watch.held(CRASH_MS - 1) + watch.held(1, 0.0) + watch.held(CRASH_MS - 1)) == {NONE}
 
 
-def test_nothing_is_seen_when_it_is_switched_off(puppet: Any) -> None:
+def test_nothing_is_seen_when_it_is_switched_off(scripted: Any) -> None:
     growing = np.linspace(OFF, 9 * OFF, 900).tolist()
-    assert set(Watch(puppet, crash=0).held(2000)) == {NONE}
-    assert set(Watch(puppet, runaway=0).spun(growing)) == {NONE}
+    assert set(Watch(scripted, crash=0).held(2000)) == {NONE}
+    assert set(Watch(scripted, runaway=0).spun(growing)) == {NONE}
 
 
 @pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])

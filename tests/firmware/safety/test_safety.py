@@ -108,11 +108,11 @@ class Cell:
 
 
 @pytest.fixture(scope="module")
-def cells(puppet: Any) -> list[Cell]:
+def cells(scripted: Any) -> list[Cell]:
     """All of them: each state, ready or not, descending or not, each combination of conditions."""
     names = list(BITS)
     return [
-        Cell(puppet, state, ready, descending, {name for name, on in zip(names, bits, strict=True) if on})
+        Cell(scripted, state, ready, descending, {name for name, on in zip(names, bits, strict=True) if on})
         for state in FlightState
         for ready in (False, True)
         for descending in ((False, True) if state is FlightState.FAILSAFE_DROP else (False,))
@@ -155,32 +155,32 @@ def test_reasons_are_shown_when_and_only_when_the_motors_stand(cells: list[Cell]
 
 
 @pytest.mark.parametrize("reason", FORBIDDING, ids=lambda reason: reason.name)
-def test_it_does_not_arm_and_says_why_when_one_reason_forbids_it(puppet: Any, reason: ArmingReason) -> None:
-    safety = put(puppet, FlightState.DISARMED, True, False)
-    assert not puppet.lib.safety_update(safety, BITS["on"] | 1 << reason)
-    assert not puppet.lib.safety_motors(safety)
-    shown = puppet.lib.safety_reasons(safety, 1 << reason)
+def test_it_does_not_arm_and_says_why_when_one_reason_forbids_it(scripted: Any, reason: ArmingReason) -> None:
+    safety = put(scripted, FlightState.DISARMED, True, False)
+    assert not scripted.lib.safety_update(safety, BITS["on"] | 1 << reason)
+    assert not scripted.lib.safety_motors(safety)
+    shown = scripted.lib.safety_reasons(safety, 1 << reason)
     assert shown == 1 << reason | 1 << ArmingReason.SWITCH_NOT_CYCLED, "the switch came too early: cycle it"
-    assert not puppet.lib.safety_update(safety, BITS["on"]), "and it does not arm when the reason goes away"
-    assert not puppet.lib.safety_update(safety, 0)
-    assert puppet.lib.safety_update(safety, BITS["on"])
+    assert not scripted.lib.safety_update(safety, BITS["on"]), "and it does not arm when the reason goes away"
+    assert not scripted.lib.safety_update(safety, 0)
+    assert scripted.lib.safety_update(safety, BITS["on"])
 
 
 @pytest.mark.parametrize("reason", FORBIDDING, ids=lambda reason: reason.name)
 def test_it_flies_on_when_a_reason_to_forbid_arming_comes_up_in_flight(
-    puppet: Any, reason: ArmingReason
+    scripted: Any, reason: ArmingReason
 ) -> None:
-    safety = new(puppet)
+    safety = new(scripted)
     safety.state = FlightState.ARMED
-    puppet.lib.safety_update(safety, BITS["on"] | 1 << reason)
-    assert puppet.lib.safety_motors(safety) == (reason is not ArmingReason.RECEIVER_LOST)
+    scripted.lib.safety_update(safety, BITS["on"] | 1 << reason)
+    assert scripted.lib.safety_motors(safety) == (reason is not ArmingReason.RECEIVER_LOST)
 
 
-def test_it_starts_in_boot_and_never_arms_when_the_switch_is_on_from_the_beginning(puppet: Any) -> None:
-    safety = new(puppet)
+def test_it_starts_in_boot_and_never_arms_when_the_switch_is_on_from_the_beginning(scripted: Any) -> None:
+    safety = new(scripted)
     assert (safety.state, safety.stop_cause) == (FlightState.BOOT, StopCause.NONE)
     for _ in range(100):
-        assert not puppet.lib.safety_update(safety, BITS["on"])
+        assert not scripted.lib.safety_update(safety, BITS["on"])
     assert safety.state == FlightState.DISARMED
 
 
@@ -194,36 +194,36 @@ def states(core: Any, safety: Any, conditions: int, steps: int) -> Iterator[tupl
 
 @pytest.mark.parametrize("rate_hz", [1000, 4000])
 def test_it_descends_for_the_set_time_and_then_stops_when_the_receiver_is_lost(
-    puppet: Any, rate_hz: int
+    scripted: Any, rate_hz: int
 ) -> None:
-    safety = new(puppet, descend_ms=50, rate_hz=rate_hz)
+    safety = new(scripted, descend_ms=50, rate_hz=rate_hz)
     safety.state = FlightState.ARMED
     steps = 50 * rate_hz // 1000
-    seen = list(states(puppet, safety, BITS["lost"], steps + 20))
+    seen = list(states(scripted, safety, BITS["lost"], steps + 20))
     assert seen == [(True, True)] * steps + [(False, False)] * 20
     assert safety.state == FlightState.FAILSAFE_DROP
     assert safety.stop_cause == StopCause.RECEIVER
 
 
-def test_it_drops_at_once_when_no_descent_is_set(puppet: Any) -> None:
-    safety = new(puppet)
+def test_it_drops_at_once_when_no_descent_is_set(scripted: Any) -> None:
+    safety = new(scripted)
     safety.state = FlightState.ARMED
-    assert set(states(puppet, safety, BITS["lost"], 20)) == {(False, False)}
+    assert set(states(scripted, safety, BITS["lost"], 20)) == {(False, False)}
 
 
-def test_a_descent_goes_on_when_the_link_comes_back_with_the_switch_on(puppet: Any) -> None:
-    safety = new(puppet, descend_ms=50)
+def test_a_descent_goes_on_when_the_link_comes_back_with_the_switch_on(scripted: Any) -> None:
+    safety = new(scripted, descend_ms=50)
     safety.state = FlightState.ARMED
-    assert list(states(puppet, safety, BITS["lost"], 10)) == [(True, True)] * 10
-    assert list(states(puppet, safety, BITS["on"], 60)) == [(True, True)] * 40 + [(False, False)] * 20
-    assert list(states(puppet, safety, 0, 1)) == [(False, False)]
+    assert list(states(scripted, safety, BITS["lost"], 10)) == [(True, True)] * 10
+    assert list(states(scripted, safety, BITS["on"], 60)) == [(True, True)] * 40 + [(False, False)] * 20
+    assert list(states(scripted, safety, 0, 1)) == [(False, False)]
     assert safety.state == FlightState.DISARMED
 
 
-def test_the_last_cause_stands_when_it_is_armed_again_and_flies(puppet: Any) -> None:
-    safety = put(puppet, FlightState.ARMED, False, False)
-    puppet.lib.safety_update(safety, BITS["on"] | BITS["runaway"])
+def test_the_last_cause_stands_when_it_is_armed_again_and_flies(scripted: Any) -> None:
+    safety = put(scripted, FlightState.ARMED, False, False)
+    scripted.lib.safety_update(safety, BITS["on"] | BITS["runaway"])
     for conditions in (0, 0, BITS["on"]):
-        puppet.lib.safety_update(safety, conditions)
+        scripted.lib.safety_update(safety, conditions)
     assert safety.state == FlightState.ARMED
     assert safety.stop_cause == StopCause.RUNAWAY

@@ -58,8 +58,8 @@ class Attitude:
 
 
 @pytest.fixture
-def make(puppet: Any) -> Callable[..., Attitude]:
-    return lambda *args: Attitude(puppet, *args)
+def make(scripted: Any) -> Callable[..., Attitude]:
+    return lambda *args: Attitude(scripted, *args)
 
 
 def apart_deg(a: Array, b: Array) -> float:

@@ -51,8 +51,8 @@ Make = Callable[..., Filters]
 
 
 @pytest.fixture
-def make(puppet: Any) -> Make:
-    return lambda rate_hz=4000, **settings: Filters(puppet, rate_hz, **settings)
+def make(scripted: Any) -> Make:
+    return lambda rate_hz=4000, **settings: Filters(scripted, rate_hz, **settings)
 
 
 def stage(number: int, kind: FilterKind, hz: float, q: float = 0.70710678) -> dict[str, float]:
@@ -317,8 +317,8 @@ def test_all_is_silent_when_the_gyro_says_nothing(make: Make) -> None:
     assert not make(1000, dynamic_notch_count=3).run(np.zeros((1000, 3))).any()
 
 
-def test_the_state_is_small_when_everything_is_on(puppet: Any) -> None:
-    assert puppet.ffi.sizeof("struct filters") <= STATE_BYTES_MAX
+def test_the_state_is_small_when_everything_is_on(scripted: Any) -> None:
+    assert scripted.ffi.sizeof("struct filters") <= STATE_BYTES_MAX
 
 
 # --- The hash that ties a policy to its filters -----------------------------------------------------

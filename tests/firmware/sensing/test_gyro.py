@@ -1,4 +1,4 @@
-"""gyro.c: counts to body rates, the still calibration, and which samples are believed."""
+"""gyro.c: counts to body rates, calibration at rest, and the health of samples."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Gyro = Callable[..., Any]
 
 
 @pytest.fixture
-def make_gyro(puppet: Any) -> Gyro:
+def make_gyro(scripted: Any) -> Gyro:
     def make(rate_hz: int = 1000, alignment: int = 0, stuck_ms: int = 0) -> Any:
-        gyro = puppet.new("struct gyro *")
-        assert puppet.lib.gyro_init(gyro, rate_hz, alignment, stuck_ms) == 0
+        gyro = scripted.new("struct gyro *")
+        assert scripted.lib.gyro_init(gyro, rate_hz, alignment, stuck_ms) == 0
         return gyro
 
     return make
 
 
 @pytest.fixture
-def step(puppet: Any) -> Callable[..., list[float]]:
-    out = puppet.new("float[3]")
+def step(scripted: Any) -> Callable[..., list[float]]:
+    out = scripted.new("float[3]")
 
     def one(gyro: Any, counts: Any) -> list[float]:
-        sample = puppet.new("struct imu_sample *", ([int(c) for c in counts], (0, 0, 0), 0, True))
-        puppet.lib.gyro_step(gyro, sample, out)
+        sample = scripted.new("struct imu_sample *", ([int(c) for c in counts], (0, 0, 0), 0, True))
+        scripted.lib.gyro_step(gyro, sample, out)
         return list(out)
 
     return one
@@ -117,9 +117,9 @@ def test_sums_do_not_overflow_when_counts_are_extreme(
     assert not gyro.calibrated
 
 
-def test_init_refuses_when_the_alignment_is_unknown(puppet: Any) -> None:
-    gyro = puppet.new("struct gyro *")
-    assert puppet.lib.gyro_init(gyro, 1000, 4, 0) == puppet.lib.NF_ERR_ALIGNMENT
+def test_init_refuses_when_the_alignment_is_unknown(scripted: Any) -> None:
+    gyro = scripted.new("struct gyro *")
+    assert scripted.lib.gyro_init(gyro, 1000, 4, 0) == scripted.lib.NF_ERR_ALIGNMENT
 
 
 # --- What is believed -----------------------------------------------------------------------------
@@ -164,8 +164,8 @@ class Chip:
 
 
 @pytest.fixture
-def chip(puppet: Any) -> Callable[..., Chip]:
-    return lambda *args, **kwargs: Chip(puppet, *args, **kwargs)
+def chip(scripted: Any) -> Callable[..., Chip]:
+    return lambda *args, **kwargs: Chip(scripted, *args, **kwargs)
 
 
 BAD: dict[str, tuple[dict[str, Any], GyroHealth]] = {
@@ -342,26 +342,30 @@ def test_the_bias_stays_when_a_calibrated_gyro_fails(chip: Callable[..., Chip]) 
 # --- What else the chip tells ----------------------------------------------------------------------
 @pytest.mark.parametrize("alignment", range(4))
 def test_acceleration_is_in_body_axes_when_the_chip_is_turned(
-    puppet: Any, chip: Callable[..., Chip], alignment: int
+    scripted: Any, chip: Callable[..., Chip], alignment: int
 ) -> None:
     c = chip(alignment=alignment)
     c.feed(accel=(100, -2000, 2048))
-    out = puppet.new("float[3]")
-    puppet.lib.gyro_acceleration(c.struct, out)
+    out = scripted.new("float[3]")
+    scripted.lib.gyro_acceleration(c.struct, out)
     angle = -math.radians(CLOCKWISE_DEG[alignment])
     x, y, z = np.array([100, -2000, 2048]) / 2048 * 9.80665
     expected = [math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y, z]
     assert list(out) == pytest.approx(expected, rel=1e-6)
     c.feed(accel=(7, 7, 7), valid=False)
-    puppet.lib.gyro_acceleration(c.struct, out)
+    scripted.lib.gyro_acceleration(c.struct, out)
     assert list(out) == pytest.approx(expected, rel=1e-6)
 
 
 def test_temperature_is_the_data_sheets_when_the_chip_is_known(
-    puppet: Any, chip: Callable[..., Chip]
+    scripted: Any, chip: Callable[..., Chip]
 ) -> None:
     c = chip()
     c.feed(temperature=3339)
-    assert puppet.lib.gyro_temperature_c(c.struct, puppet.lib.GYRO_MPU6500) == pytest.approx(31.0, abs=0.01)
+    assert scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_MPU6500) == pytest.approx(
+        31.0, abs=0.01
+    )
     c.feed(temperature=-3268)
-    assert puppet.lib.gyro_temperature_c(c.struct, puppet.lib.GYRO_ICM20689) == pytest.approx(15.0, abs=0.01)
+    assert scripted.lib.gyro_temperature_c(c.struct, scripted.lib.GYRO_ICM20689) == pytest.approx(
+        15.0, abs=0.01
+    )

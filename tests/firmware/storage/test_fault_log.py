@@ -1,4 +1,4 @@
-"""fault_log.c: boots counted and faults kept until somebody has read them, whenever power goes."""
+"""fault_log.c: boots counted and faults kept until acknowledged, whenever power is cut."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def log(chip: MakeChip) -> Callable[[], Log]:
     return lambda: Log(chip())
 
 
-def test_the_record_is_as_python_reads_it_when_laid_out(puppet: Any) -> None:
-    ffi, lib = puppet.ffi, puppet.lib
+def test_the_record_is_as_python_reads_it_when_laid_out(scripted: Any) -> None:
+    ffi, lib = scripted.ffi, scripted.lib
     assert {name: getattr(lib, f"FAULT_{name}") for name in FaultKind.__members__} == FaultKind.__members__
     offsets = {name: ffi.offsetof("struct fault_record", name) for name in ("r", "r12", "sp", "line", "file")}
     assert offsets == {"r": 4, "r12": 20, "sp": 52, "line": 56, "file": 60}

@@ -1,4 +1,4 @@
-"""hal/host/flash_model.c: sectors, bits that are only cleared, and power that goes at any operation."""
+"""hal/host/flash_model.c: sectors, bits that are only cleared, and power cuts at any operation."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ GOOD = pack(BLOB)
 
 
 @pytest.fixture
-def check(puppet: Any) -> Check:
+def check(scripted: Any) -> Check:
     """policy_blob_check in an image built around BLOB; `offset` moves the blob off its alignment."""
     identity = {
         "architecture_hash": BLOB.architecture_hash,
@@ -51,10 +51,10 @@ def check(puppet: Any) -> Check:
     }
 
     def call(data: bytes, size: int | None = None, offset: int = 0, **running: int) -> int:
-        memory = puppet.new("unsigned char[]", bytes(offset) + data)
-        known = puppet.new("struct policy_blob_identity *", {**identity, **running})
+        memory = scripted.new("unsigned char[]", bytes(offset) + data)
+        known = scripted.new("struct policy_blob_identity *", {**identity, **running})
         length = len(data) if size is None else size
-        return int(puppet.lib.policy_blob_check(memory + offset, length, known))
+        return int(scripted.lib.policy_blob_check(memory + offset, length, known))
 
     return call
 

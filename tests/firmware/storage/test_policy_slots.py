@@ -1,4 +1,4 @@
-"""policy_slots.c: which policy a boot flies, and slots that are written while power may go at any moment."""
+"""policy_slots.c: which policy a boot flies, and slot updates with power cuts at any operation."""
 
 from __future__ import annotations
 
@@ -99,11 +99,11 @@ class Slots:
 
 @pytest.fixture
 def slots(chip: MakeChip) -> Callable[..., Slots]:
-    """Makes empty slots; the puppet's strings hang loose, as in its self-test."""
+    """Makes empty slots; the scripted policy answers 0, as in its self-test."""
 
     def make(compiled_in: bytes | None = None) -> Slots:
         made = Slots(chip(), compiled_in)
-        made.core.lib.puppet_action = [0.0] * 4
+        made.core.lib.scripted_action = [0.0] * 4
         return made
 
     return make
@@ -188,11 +188,11 @@ def test_the_selftest_begins_anew_when_its_steps_are_over(slots: Callable[..., S
             selftest_steps=steps,
         )
         s.put(SLOT_A, blob)
-        before = s.core.lib.puppet_inits, s.core.lib.puppet_steps
+        before = s.core.lib.scripted_inits, s.core.lib.scripted_steps
         assert s.boot().flown == SLOT_A
-        inits, ran = s.core.lib.puppet_inits - before[0], s.core.lib.puppet_steps - before[1]
+        inits, ran = s.core.lib.scripted_inits - before[0], s.core.lib.scripted_steps - before[1]
         assert (inits, ran) == (rows // steps + 1, rows)
-        assert list(s.core.lib.puppet_observation) == [rows - 1.0] * 17
+        assert list(s.core.lib.scripted_observation) == [rows - 1.0] * 17
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_a_slot_that_failed_its_selftest_is_the_one_to_be_written_when_updated(
     s = slots()
     s.put(SLOT_A, like(s.image, 8, 3, 4))
     s.put(SLOT_B, like(s.image, 3, 5, 6))
-    s.core.lib.puppet_action = [0.25] * 4
+    s.core.lib.scripted_action = [0.25] * 4
     assert s.boot().found == (POLICY, POLICY, POLICY)
     good = like(s.image, 9, 7, 8, selftest_action=np.full((3, 4), 0.25, np.float32))
     assert s.update(pack(good)) == Refusal.NONE

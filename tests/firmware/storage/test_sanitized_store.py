@@ -1,4 +1,4 @@
-"""What reads and writes flash under the sanitizers: wild requests, wild flash, power that goes."""
+"""What reads and writes flash under the sanitizers: random requests, random flash contents, power cuts."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ PIECES = 3000
 
 
 @pytest.fixture(scope="module")
-def feed(puppet_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The feeding program around what stores and the puppet policy."""
+def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The feeding program around what stores and the scripted policy."""
     program = tmp_path_factory.mktemp("sanitized") / "store"
-    generated = puppet_build.parent / "generated"
+    generated = scripted_build.parent / "generated"
     sources = [SOURCE / f"{name}.c" for name in CORE]
     sources += [FIRMWARE / "hal" / "host" / "flash_model.c", generated / "policy.c", FEED]
     command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
@@ -106,9 +106,9 @@ def pieces(seed: int, blob: PolicyBlob) -> tuple[bytes, int]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_no_sanitizer_speaks_when_requests_and_flash_are_wild(
-    feed: Path, puppets_blob: PolicyBlob, seed: int
+    feed: Path, scripted_policy_blob: PolicyBlob, seed: int
 ) -> None:
-    data, boots = pieces(seed, puppets_blob)
+    data, boots = pieces(seed, scripted_policy_blob)
     done = subprocess.run([str(feed)], input=data, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
     replies, sets, policies = map(int, done.stdout.split())

@@ -1,4 +1,4 @@
-"""settings.c: limits, names and what settings may not be together."""
+"""settings.c: limits, names and forbidden combinations."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SMALLEST = 1e-45  # the float32 above 0
 
 
 @pytest.fixture
-def settings(puppet: Any) -> Any:
-    made = puppet.new("struct nf_settings *")
-    puppet.lib.settings_default(made)
+def settings(scripted: Any) -> Any:
+    made = scripted.new("struct nf_settings *")
+    scripted.lib.settings_default(made)
     return made
 
 
@@ -32,10 +32,10 @@ Put = Callable[[Any, str, float], int]
 
 
 @pytest.fixture
-def put(puppet: Any) -> Put:
+def put(scripted: Any) -> Put:
     def call(settings: Any, name: str, value: float) -> int:
-        raw = value_of(puppet, SETTINGS[INDEX[name]], value)
-        return int(puppet.lib.settings_set(settings, INDEX[name], raw))
+        raw = value_of(scripted, SETTINGS[INDEX[name]], value)
+        return int(scripted.lib.settings_set(settings, INDEX[name], raw))
 
     return call
 
@@ -44,31 +44,31 @@ def float32(value: float) -> float:
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
-def test_each_setting_is_the_contracts_when_asked_for(puppet: Any, settings: Any) -> None:
+def test_each_setting_is_the_contracts_when_asked_for(scripted: Any, settings: Any) -> None:
     for index, setting in enumerate(SETTINGS):
-        info = puppet.lib.settings_info(index)
+        info = scripted.lib.settings_info(index)
         member = "as_float" if setting.kind == "float" else "as_uint32_t"
-        assert puppet.ffi.string(info.name).decode() == setting.name
-        assert puppet.ffi.string(info.unit).decode() == setting.unit
+        assert scripted.ffi.string(info.name).decode() == setting.name
+        assert scripted.ffi.string(info.unit).decode() == setting.unit
         limits = [getattr(part, member) for part in (info.low, info.high, info.preset)]
         wanted = [setting.low, setting.high, setting.default]
         assert limits == [float32(number) if setting.kind == "float" else number for number in wanted]
         assert getattr(settings, setting.name) == limits[2]
-        value = puppet.new("union setting_value *")
-        puppet.lib.settings_get(settings, index, value)
+        value = scripted.new("union setting_value *")
+        scripted.lib.settings_get(settings, index, value)
         assert getattr(value, member) == limits[2]
-        assert puppet.lib.settings_find(setting.name.encode()) == index
+        assert scripted.lib.settings_find(setting.name.encode()) == index
 
 
-def test_nothing_is_known_when_the_index_or_the_name_is_none(puppet: Any) -> None:
-    assert puppet.lib.settings_info(COUNT) == puppet.lib.settings_info(2**32 - 1) == puppet.ffi.NULL
+def test_nothing_is_known_when_the_index_or_the_name_is_none(scripted: Any) -> None:
+    assert scripted.lib.settings_info(COUNT) == scripted.lib.settings_info(2**32 - 1) == scripted.ffi.NULL
     for name in (b"", b"gyro", b"gyro_rate_hz2", b"GYRO_RATE_HZ"):
-        assert puppet.lib.settings_find(name) == COUNT
+        assert scripted.lib.settings_find(name) == COUNT
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
 def test_limits_may_be_taken_and_not_passed_when_set(
-    puppet: Any, settings: Any, put: Put, setting: Setting
+    scripted: Any, settings: Any, put: Put, setting: Setting
 ) -> None:
     for value in (setting.low, setting.high):
         assert put(settings, setting.name, value) == Refusal.NONE
@@ -79,13 +79,13 @@ def test_limits_may_be_taken_and_not_passed_when_set(
     else:
         past = [setting.high + 1, 2**32 - 1]
         past += [setting.low - 1] if setting.low > 0 else []
-    before = bytes(puppet.ffi.buffer(settings))
+    before = bytes(scripted.ffi.buffer(settings))
     for value in past:
         assert put(settings, setting.name, value) == Refusal.RANGE, value
-        assert bytes(puppet.ffi.buffer(settings)) == before
+        assert bytes(scripted.ffi.buffer(settings)) == before
 
 
-def test_one_setting_alone_changes_when_set(puppet: Any, settings: Any, put: Put) -> None:
+def test_one_setting_alone_changes_when_set(scripted: Any, settings: Any, put: Put) -> None:
     before = {setting.name: getattr(settings, setting.name) for setting in SETTINGS}
     assert put(settings, "battery_scale", 12.5) == Refusal.NONE
     after = {setting.name: getattr(settings, setting.name) for setting in SETTINGS}
@@ -93,11 +93,11 @@ def test_one_setting_alone_changes_when_set(puppet: Any, settings: Any, put: Put
 
 
 @pytest.mark.parametrize("index", [COUNT, 2**32 - 1])
-def test_no_setting_changes_when_the_index_is_none(puppet: Any, settings: Any, index: int) -> None:
-    before = bytes(puppet.ffi.buffer(settings))
-    raw = puppet.new("union setting_value *", {"as_uint32_t": 0})
-    assert puppet.lib.settings_set(settings, index, raw) == Refusal.INDEX
-    assert bytes(puppet.ffi.buffer(settings)) == before
+def test_no_setting_changes_when_the_index_is_none(scripted: Any, settings: Any, index: int) -> None:
+    before = bytes(scripted.ffi.buffer(settings))
+    raw = scripted.new("union setting_value *", {"as_uint32_t": 0})
+    assert scripted.lib.settings_set(settings, index, raw) == Refusal.INDEX
+    assert bytes(scripted.ffi.buffer(settings)) == before
 
 
 # What does not go together, and which settings mending sets to their defaults.
@@ -142,14 +142,14 @@ CONFLICTS = {
 
 @pytest.mark.parametrize(("changes", "first", "mended"), CONFLICTS.values(), ids=CONFLICTS.keys())
 def test_a_conflict_is_found_and_mended_when_settings_do_not_go_together(
-    puppet: Any, settings: Any, put: Put, changes: dict[str, float], first: str, mended: set[str]
+    scripted: Any, settings: Any, put: Put, changes: dict[str, float], first: str, mended: set[str]
 ) -> None:
     assert put(settings, "yaw_expo", 0.5) == Refusal.NONE
     for name, value in changes.items():
         assert put(settings, name, value) == Refusal.NONE
-    assert puppet.lib.settings_conflict(settings) == INDEX[first]
-    puppet.lib.settings_mend(settings)
-    assert puppet.lib.settings_conflict(settings) == COUNT
+    assert scripted.lib.settings_conflict(settings) == INDEX[first]
+    scripted.lib.settings_mend(settings)
+    assert scripted.lib.settings_conflict(settings) == COUNT
     assert settings.yaw_expo == 0.5
     for name, value in changes.items():
         kept = SETTINGS[INDEX[name]].default if name in mended else value
@@ -157,11 +157,11 @@ def test_a_conflict_is_found_and_mended_when_settings_do_not_go_together(
 
 
 def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
-    puppet: Any, settings: Any, put: Put
+    scripted: Any, settings: Any, put: Put
 ) -> None:
     for name, value in {"gyro_rate_hz": 1001, "filter1_kind": 1, "filter1_hz": 1500.0}.items():
         assert put(settings, name, value) == Refusal.NONE
-    puppet.lib.settings_mend(settings)
+    scripted.lib.settings_mend(settings)
     assert (settings.gyro_rate_hz, settings.filter1_kind, settings.filter1_hz) == (4000, 1, 1500.0)
 
 
@@ -178,11 +178,11 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
     ],
 )
 def test_no_conflict_is_found_when_settings_go_together(
-    puppet: Any, settings: Any, put: Put, changes: dict[str, float]
+    scripted: Any, settings: Any, put: Put, changes: dict[str, float]
 ) -> None:
     for name, value in changes.items():
         assert put(settings, name, value) == Refusal.NONE
-    assert puppet.lib.settings_conflict(settings) == COUNT
-    before = bytes(puppet.ffi.buffer(settings))
-    puppet.lib.settings_mend(settings)
-    assert bytes(puppet.ffi.buffer(settings)) == before
+    assert scripted.lib.settings_conflict(settings) == COUNT
+    before = bytes(scripted.ffi.buffer(settings))
+    scripted.lib.settings_mend(settings)
+    assert bytes(scripted.ffi.buffer(settings)) == before

@@ -1,4 +1,4 @@
-"""settings_store.c: sets of settings in two sectors, whole whenever power goes."""
+"""settings_store.c: sets of settings in two sectors, complete whenever power is cut."""
 
 from __future__ import annotations
 

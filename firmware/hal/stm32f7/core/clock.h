@@ -11,8 +11,8 @@
 #define CLOCK_TIM8_HZ 216000000u /* TIM1's too: twice APB2, because APB2 is divided (RM0431 5.2) */
 #define CLOCK_TIM3_HZ 108000000u /* twice APB1, likewise */
 
-/* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the
- * NMI). Needs time_cycles_start. False: some step never got ready, and the core runs from HSI. */
+/* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the NMI). Needs
+ * time_cycles_start. False: a step did not become ready, and the core runs from HSI. */
 bool clock_start(void);
 
 /* Clocks of the peripherals in use. */

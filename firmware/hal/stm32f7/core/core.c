@@ -42,8 +42,8 @@ static void core_enable_instruction_cache(void)
 	barrier_instructions();
 }
 
-/* Asks for every line of the data cache. DCISW and its like: way from bit 31 down, set from bit 5 up (32-byte lines;
- * Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
+/* Writes `operation` for every line of the data cache. DCISW and its like: way from bit 31 down, set from bit 5 up
+ * (32-byte lines; Cortex-M7 TRM 4.4, ARMv7-M B3.2.26). */
 static void core_for_each_line(volatile uint32_t *operation)
 {
 	SCB_CSSELR = 0; /* level 1, data */

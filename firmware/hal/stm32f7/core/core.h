@@ -55,8 +55,7 @@ static inline void wait_for_interrupt(void)
  * the empty external memory closed, SRAM2 not cached; both caches on. Interrupts off or not yet enabled. */
 void core_start(void);
 
-/* What was written goes to memory; nothing of it is believed any more, instructions neither. Runs from ITCM, any
- * context. */
+/* Writes back and invalidates the data cache, invalidates the instruction cache. Runs from ITCM, any context. */
 void core_clean_caches(void);
 
 /* Sets the priority, then enables interrupt `irq` (IRQ_...). */

@@ -9,11 +9,11 @@
 #include "hal/stm32f7/core/stop.h"
 
 #define NOTE_MAGIC 0x544C4146u /* "FALT" */
-/* A board that faults before anybody can ask it would start anew for ever: after so many in a row that nobody
- * took, it rests and shows them. */
+/* A board that faults at each start would reset for ever: after so many faults in a row without fault_clear it stops
+ * and shows them by the LED. */
 #define FAULTS_IN_A_ROW_MAX 3u
 
-enum { EXCEPTION_NMI = 2 };            /* SCB_ICSR VECTACTIVE: the clock's, as nothing else raises it */
+enum { EXCEPTION_NMI = 2 };            /* SCB_ICSR VECTACTIVE: only the clock failure raises it */
 enum { RESET_KEY = 0x05FA };           /* SCB_AIRCR VECTKEY */
 #define FRAME_BYTES 32u                /* what every exception stacks last: r0..r3, r12, lr, pc, psr */
 
@@ -22,7 +22,7 @@ extern uint32_t dtcm_start[], stack_top[];
 
 _Noreturn void fault_stop(const uint32_t *frame);
 
-/* Outlives every reset but not the loss of power; what it holds then fails the checksum. */
+/* Kept across every reset; after a loss of power its checksum fails. */
 static struct note {
 	uint32_t magic;
 	uint32_t in_a_row;
@@ -36,7 +36,7 @@ static uint32_t last_steps __attribute__((section(".noinit"))); /* of the contro
 static uint32_t reset_flags;       /* RCC_CSR as it was */
 static uint32_t steps_before_reset;
 
-/* Each word turned by its place: words that change places or are all alike show. */
+/* Rotates before each word, so that exchanged or equal words change the sum. */
 static uint32_t fault_checksum(const struct note *n)
 {
 	const uint32_t *const words = (const uint32_t *)(const void *)n;
@@ -66,7 +66,7 @@ void fault_note_steps(uint32_t steps)
 	last_steps = steps;
 }
 
-/* The chip's own word: a reset that no code of ours asked for. Power-on sets all flags of the supply. */
+/* The cause of a reset that no software requested. Power-on sets all supply flags. */
 static uint32_t fault_kind_of_reset(void)
 {
 	if ((reset_flags & RCC_CSR_WDGRSTF) != 0u)
@@ -86,7 +86,7 @@ bool fault_take(struct fault_record *record)
 	if (kind == FAULT_NONE)
 		return false;
 	*record = (struct fault_record){ .kind = kind, .uptime_steps = steps_before_reset };
-	if (kind == FAULT_BROWN_OUT) /* at which level the chip resets is the pilot's, by option bytes */
+	if (kind == FAULT_BROWN_OUT) /* the reset level, which the option bytes select */
 		record->line = VALUE(FLASH_OPTCR_BOR_LEV, FLASH_OPTCR);
 	return true;
 }

@@ -8,7 +8,7 @@
 
 #include "storage/fault_record.h"
 
-/* Our own mistake, not the world's: ends here. Any context. */
+/* For programming errors, not for bad input: ends the program. Any context. */
 #define HAL_ASSERT(condition)                                                         \
 	do {                                                                          \
 		if (!(condition))                                                     \
@@ -21,7 +21,7 @@
 /* `file`: at most FAULT_FILE_BYTES with its 0. */
 _Noreturn void fault_assert_failed(const char *file, uint32_t line);
 
-/* Reads why the chip was reset and forgets it for the next time. First of all. */
+/* Reads the cause of the reset and clears it. Called first. */
 void fault_start(void);
 
 /* As hal_fault_take and hal_fault_clear. */

@@ -1,4 +1,4 @@
-/* Registers of the STM32F722 and its Cortex-M7 that this firmware touches, and no others.
+/* Registers of the STM32F722 and its Cortex-M7 for this firmware, and the fields that it uses.
  *
  * Written by hand from the manuals; tests/firmware/board/test_registers.py holds every address and field
  * against sim/board/registers/registers.json, which a script extracts from the vendor's
@@ -76,7 +76,7 @@
 #define RCC_CFGR_HPRE BITS(4, 4)
 #define RCC_CFGR_PPRE1 BITS(10, 3)
 #define RCC_CFGR_PPRE2 BITS(13, 3)
-#define RCC_CIR REGISTER(0x4002380Cu)
+#define RCC_CIR REGISTER(0x4002380Cu) /* not used yet: the flag of a failed crystal */
 #define RCC_CIR_CSSF BIT(7)
 #define RCC_AHB1ENR REGISTER(0x40023830u)
 #define RCC_AHB1ENR_GPIOAEN BIT(0)

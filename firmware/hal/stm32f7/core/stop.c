@@ -23,7 +23,7 @@ static bool stop_led_lit(enum led_code code, uint32_t ms)
 	return now < flashes && now / FLASH_MS % 2u == 0u;
 }
 
-/* About a millisecond, by counting: the cycle counter may be what failed. */
+/* About a millisecond, by counting instructions: the cycle counter may have failed. */
 static void stop_burn_millisecond(void)
 {
 	const uint32_t hz = clock_is_full_speed() ? CLOCK_CORE_HZ : CLOCK_RESET_HZ;

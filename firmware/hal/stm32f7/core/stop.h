@@ -1,4 +1,4 @@
-/* The last resort: motors stopped, and the LED says why. */
+/* Final stop: motors low, the LED flashes the cause. */
 #ifndef STM32F7_STOP_H
 #define STM32F7_STOP_H
 
@@ -9,7 +9,7 @@ enum led_code {
 	LED_FAULT = 5,    /* faults in a row, each before anybody took its record */
 };
 
-/* Forces the motor lines low and shows `code` until the power goes, the watchdog content. Any context, any clock. */
+/* Forces the motor lines low and shows `code` until power-off, feeding the watchdog. Any context, any clock. */
 _Noreturn void stop(enum led_code code);
 
 #endif

@@ -7,7 +7,7 @@ static volatile uint32_t milliseconds_passed; /* written by time_tick alone */
 bool time_cycles_start(void)
 {
 	DCB_DEMCR |= DCB_DEMCR_TRCENA;
-	DWT_LAR = 0xC5ACCE55u; /* the Cortex-M7 keeps the counter locked until told so (DDI 0403E C1.8, CoreSight) */
+	DWT_LAR = 0xC5ACCE55u; /* unlocks the Cortex-M7's counter (DDI 0403E C1.8, CoreSight) */
 	DWT_CYCCNT = 0;
 	DWT_CTRL |= DWT_CTRL_CYCCNTENA;
 	barrier_instructions();

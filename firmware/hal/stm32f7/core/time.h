@@ -1,5 +1,5 @@
-/* Time that is measured, never obeyed: the control path counts gyro samples instead.
- * Cycles bound waits; milliseconds serve the background. */
+/* Measured time: cycles bound waits, milliseconds serve the background. The control path counts gyro samples
+ * instead. */
 #ifndef STM32F7_TIME_H
 #define STM32F7_TIME_H
 
@@ -17,7 +17,7 @@ static inline uint32_t time_cycles(void)
 	return DWT_CYCCNT;
 }
 
-/* Waits until (*reg & mask) == value, at most `cycles`. Returns whether it came true. */
+/* Waits until (*reg & mask) == value, at most `cycles`. Returns whether it became true. */
 static inline bool time_wait(const volatile uint32_t *reg, uint32_t mask, uint32_t value, uint32_t cycles)
 {
 	const uint32_t start = time_cycles();

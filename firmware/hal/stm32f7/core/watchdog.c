@@ -24,7 +24,7 @@ void watchdog_start(void)
 	IWDG_KR = UNLOCK;
 	IWDG_PR = FIELD(IWDG_PR_PR, DIVIDE_BY_32);
 	IWDG_RLR = FIELD(IWDG_RLR_RL, RELOAD);
-	/* Should the update not end, the watchdog runs with what it has: 0.5 s too, by its reset values. */
+	/* If the update does not end, the reset values apply: 0.5 s too. */
 	(void)time_wait(&IWDG_SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, UPDATE_LIMIT);
 	watchdog_feed();
 }

@@ -1,4 +1,4 @@
-/* The independent watchdog: resets the board when nobody feeds it for half a second. It has a clock of its own. */
+/* The independent watchdog: resets the board when it is not fed for half a second. It has its own clock. */
 #ifndef STM32F7_WATCHDOG_H
 #define STM32F7_WATCHDOG_H
 

@@ -61,7 +61,7 @@ static const struct chip_setting {
 	{ CONFIG, 0x00 },        /* DLPF_CFG 0: 8 kHz, bandwidth 250 Hz */
 	{ GYRO_CONFIG, 0x18 },   /* +-2000 deg/s, FCHOICE_B 0 */
 	{ ACCEL_CONFIG, 0x18 },  /* +-16 g */
-	{ ACCEL_CONFIG2, 0x02 }, /* 1 kHz, bandwidth about 95 Hz: attitude asks for gravity, not for vibration */
+	{ ACCEL_CONFIG2, 0x02 }, /* 1 kHz, bandwidth about 95 Hz: attitude needs gravity, not vibration */
 	{ INT_PIN_CFG, 0x00 },   /* active high, push-pull, 50 us pulse */
 	{ INT_ENABLE, 0x01 },    /* data ready */
 };
@@ -213,8 +213,8 @@ static void gyro_start_transfer(void)
 		gyro_end_transfer();
 }
 
-/* Samples only ever come from the chip. If edges or transfers stop, the tick says so; if it stops too, so do
- * motor frames, and the ESCs stop their motors by themselves. */
+/* Samples come only from the chip. If edges or transfers stop, the tick reports silence; if the tick stops too, motor
+ * frames end, and the ESCs stop their motors. */
 void gyro_edge_handler(void)
 {
 	EXTI_PR = EXTI_PR_PR3;

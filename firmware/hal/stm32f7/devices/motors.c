@@ -127,8 +127,8 @@ static bool motors_busy(void)
 	return false;
 }
 
-/* No request may straddle an update, or motors of one bank would get a bit later than the others: requests are
- * off while the stream starts, and the counter begins a bit (the lines are low, so nothing shows). */
+/* Requests are off while the stream starts, and the counter restarts a bit, so that no update falls in between: else
+ * one bank's motors would get a bit later than the others. The lines are low meanwhile. */
 static void motors_send(const struct bank *bank)
 {
 	TIM_DIER(bank->timer) &= ~bank->request;

@@ -10,7 +10,7 @@
  * BOARD_MOTOR_COUNT; the lines of the others stay low. Once, after motor_pins_start. */
 void motors_run(uint32_t protocol, size_t count);
 
-/* As motors_write of struct hal: sends one frame to every motor in use (26.7 us with DShot600), with or without the telemetry bit; missing
+/* As motors_write of struct hal: sends one frame to every motor in use (26.7 us with DShot600); missing
  * values send a stop. Dropped while the last frame is still on the wire, and before motors_run. From the sample
  * handler or the tick only. */
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry);

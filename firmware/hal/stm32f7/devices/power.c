@@ -12,8 +12,8 @@ enum { CHANNELS = 2 };
 /* A conversion takes 492 cycles, 18.2 us. */
 #define ROUNDS 32u
 #define FULL_SCALE 4095u
-/* The board's regulator is the reference. Its few per cent are the pilot's to correct (battery_scale), together
- * with the divider's, which the chip's own reference voltage would not know. */
+/* The board's regulator is the reference. Its error of a few per cent and the divider's are corrected by the setting
+ * battery_scale; the chip's own reference voltage would not correct the divider's. */
 #define REFERENCE_MV 3300u
 
 static DMA_BUFFER_SLOW volatile uint16_t power_conversions[ROUNDS][CHANNELS];

@@ -1,4 +1,4 @@
-/* Battery voltage and current at their pins: ADC1 converts both all the time, DMA keeps the last of them. */
+/* Battery voltage and current at their pins: ADC1 converts both continuously, DMA stores the last conversions. */
 #ifndef STM32F7_POWER_H
 #define STM32F7_POWER_H
 

@@ -10,7 +10,7 @@
 
 static DMA_BUFFER uint8_t receiver_ring_bytes[UART_RING_BYTES];
 
-/* By NF_RECEIVER_PROTOCOL_...; what is not here does not come by this line. */
+/* By NF_RECEIVER_PROTOCOL_...; other protocols do not use this line. */
 static const struct format {
 	uint32_t baud;
 	uint32_t cr1; /* 9 bits a word, where the ninth is the parity (even: PS 0) */

@@ -15,14 +15,14 @@
 enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define ERRORS (FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
 
-/* Waits are counted in looks at the register, each after a pause of as many turns, a cycle and more each: the cycle
- * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most,
- * 16 us a word as a rule. */
+/* Waits are counted in reads of the register, each after a pause of so many loop turns of at least a cycle: the cycle
+ * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most, 16
+ * us a word as a rule. */
 #define PAUSE_TURNS 128u
-#define LOOKS_A_SECOND (CLOCK_CORE_HZ / PAUSE_TURNS)
-#define ERASE_LOOKS_A_KILOBYTE (LOOKS_A_SECOND / 25u)
-#define WORD_LOOKS (LOOKS_A_SECOND / 250u)
-#define LOOKS_A_FEED 256u /* of the watchdog: not much more than a millisecond */
+#define READS_A_SECOND (CLOCK_CORE_HZ / PAUSE_TURNS)
+#define ERASE_READS_A_KILOBYTE (READS_A_SECOND / 25u)
+#define WORD_READS (READS_A_SECOND / 250u)
+#define READS_A_FEED 256u /* of the watchdog: not much more than a millisecond */
 
 #define CODE_SECTORS (BIT(0) | BIT(5) | BIT(6))
 _Static_assert(NF_FLASH_BOOT_ADDRESS == NF_FLASH_SECTORS_0_ADDRESS, "CODE_SECTORS");
@@ -53,13 +53,13 @@ static void flash_memory_pause(void)
 		__asm volatile("");
 }
 
-/* Waits for the operation under way, the watchdog content. */
+/* Waits for the operation under way, feeding the watchdog. */
 static bool flash_memory_wait(uint32_t looks)
 {
 	for (uint32_t look = 0; (FLASH_SR & FLASH_SR_BSY) != 0u; ++look) {
 		if (look == looks)
 			return false;
-		if (look % LOOKS_A_FEED == 0u)
+		if (look % READS_A_FEED == 0u)
 			watchdog_feed();
 		flash_memory_pause();
 	}
@@ -71,7 +71,7 @@ static bool flash_memory_succeeded(uint32_t looks)
 	return flash_memory_wait(looks) && (FLASH_SR & ERRORS) == 0u;
 }
 
-/* What the caches hold of flash is the past. Other lines that were written go to memory first. */
+/* The caches hold the old contents of flash. Other modified lines are written to memory first. */
 static void flash_memory_invalidate_caches(void)
 {
 	FLASH_ACR &= ~FLASH_ACR_ARTEN;
@@ -81,12 +81,13 @@ static void flash_memory_invalidate_caches(void)
 	core_clean_caches();
 }
 
-/* From here on nothing reads flash and nothing interrupts, neither code nor vectors nor tables, until `flash_memory_end`. */
+/* From here until `flash_memory_end` nothing may read flash, neither code nor vectors nor tables, and nothing
+ * interrupts. */
 static bool flash_memory_begin(void)
 {
 	interrupts_disable();
 	flash_memory_unlock();
-	const bool ready = flash_memory_wait(WORD_LOOKS);
+	const bool ready = flash_memory_wait(WORD_READS);
 	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
 	return ready;
 }
@@ -107,7 +108,7 @@ static bool flash_memory_erase_sector(unsigned sector, uint32_t size)
 		FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_SER | FIELD(FLASH_CR_SNB, sector);
 		FLASH_CR |= FLASH_CR_STRT;
 		barrier();
-		good = flash_memory_succeeded(size / 1024u * ERASE_LOOKS_A_KILOBYTE);
+		good = flash_memory_succeeded(size / 1024u * ERASE_READS_A_KILOBYTE);
 	}
 	flash_memory_end();
 	return good;
@@ -121,7 +122,7 @@ static bool flash_memory_program_words(uint32_t address, const uint32_t *words, 
 	for (size_t i = 0; good && i < count; ++i) {
 		REGISTER(address + sizeof(uint32_t) * i) = words[i];
 		barrier(); /* one word at a time reaches flash */
-		good = flash_memory_succeeded(WORD_LOOKS);
+		good = flash_memory_succeeded(WORD_READS);
 	}
 	flash_memory_end();
 	return good;

@@ -7,8 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* As hal_flash_erase and hal_flash_program; false also for a sector that holds code, for an address that is not
- * all in other sectors, and for words that are not whole. */
+/* As `erase` and `program` of struct flash; false also for a sector with code, for a range that does not lie in one
+ * sector without code, and for incomplete words. */
 bool flash_memory_erase(unsigned sector);
 bool flash_memory_program(uint32_t address, const void *words, size_t bytes);
 

@@ -16,7 +16,7 @@ enum spi_speed {
 /* Off, at `speed`. Only while no transfer is under way. */
 void spi_configure(enum spi_speed speed);
 
-/* Exchanges `count` bytes in place, waiting for each. False: the bus did not move. */
+/* Exchanges `count` bytes in place, waiting for each. False: the bus did not respond in time. */
 bool spi_exchange(uint8_t *bytes, size_t count);
 
 /* Starts exchanging `count` bytes by DMA; DMA_GYRO_RX's complete interrupt says when. False: the streams

@@ -6,7 +6,7 @@ void uart_configure(uint32_t uart, uint32_t clock_hz, uint32_t baud, uint32_t cr
 {
 	USART_BRR(uart) = (clock_hz + baud / 2u) / baud; /* 16 samples a bit (RM0431 USART, baud rate) */
 	USART_CR2(uart) = cr2;
-	/* DMA takes every byte in time, and an overrun that stopped reception would need a watcher. */
+	/* DMA takes every byte in time; without overrun detection reception never stops. */
 	USART_CR3(uart) = cr3 | USART_CR3_OVRDIS;
 	USART_CR1(uart) = cr1;
 	USART_CR1(uart) = cr1 | USART_CR1_UE;

@@ -23,7 +23,7 @@ void uart_configure(uint32_t uart, uint32_t clock_hz, uint32_t baud, uint32_t cr
 /* Starts filling the ring from `uart`. */
 void uart_ring_start(const struct uart_ring *ring, uint32_t uart);
 
-/* Takes received bytes, oldest first, at most `capacity`. Older bytes are lost if nobody asked in time. */
+/* Takes received bytes, oldest first, at most `capacity`. Bytes that are not taken in time are overwritten. */
 size_t uart_ring_read(struct uart_ring *ring, uint8_t *bytes, size_t capacity);
 
 #endif

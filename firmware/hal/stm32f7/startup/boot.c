@@ -23,7 +23,7 @@ struct bank_head {
 	uint32_t reset;
 };
 
-/* Erased or half-written flash does not look like the head of a vector table. */
+/* Erased or half-written flash has no valid head of a vector table. */
 static bool boot_is_image(const struct bank_head *head)
 {
 	return head->stack > (uint32_t)dtcm_start && head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u &&

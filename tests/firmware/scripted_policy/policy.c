@@ -1,10 +1,10 @@
-/* A policy that the tests pull by strings: it answers what they put into puppet_action and keeps what it saw. */
+/* A policy for tests: it answers what a test puts into scripted_action and keeps the last observation. */
 #include "policy.h"
 
-float puppet_action[POLICY_ACTION_COUNT];
-float puppet_observation[POLICY_OBSERVATION_COUNT];
-unsigned puppet_inits;
-unsigned puppet_steps;
+float scripted_action[POLICY_ACTION_COUNT];
+float scripted_observation[POLICY_OBSERVATION_COUNT];
+unsigned scripted_inits;
+unsigned scripted_steps;
 
 /* Every block that the firmware has a source for, in the contract's order, as it is. */
 const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT] = { 1, 2, 3, 4, 5, 6 };
@@ -18,7 +18,7 @@ const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_COUNT];
 void policy_init(struct policy *p, const float *weights)
 {
 	p->weights = weights;
-	++puppet_inits;
+	++scripted_inits;
 }
 
 void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_COUNT],
@@ -26,8 +26,8 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
 {
 	(void)p;
 	for (int i = 0; i < POLICY_OBSERVATION_COUNT; ++i)
-		puppet_observation[i] = observation[i];
+		scripted_observation[i] = observation[i];
 	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
-		action[i] = puppet_action[i];
-	++puppet_steps;
+		action[i] = scripted_action[i];
+	++scripted_steps;
 }

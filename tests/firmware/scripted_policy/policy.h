@@ -1,4 +1,4 @@
-/* What toolchain/rendering/templates/policy.h.j2 renders, for the puppet; @MOTORS@ is set by conftest.py. */
+/* What toolchain/rendering/templates/policy.h.j2 renders, for the scripted policy; @MOTORS@ is set by conftest.py. */
 #ifndef NEUROFLIGHT_POLICY_H
 #define NEUROFLIGHT_POLICY_H
 
@@ -12,7 +12,7 @@
 #define POLICY_SELFTEST_STEPS 1
 #define POLICY_OBSERVATION_TERM_COUNT 6
 #define POLICY_IDLE 0.0f
-#define POLICY_NAME "puppet"
+#define POLICY_NAME "scripted"
 #define POLICY_SHA256 "00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210"
 
 struct policy {
@@ -25,10 +25,10 @@ struct policy_blob {
 };
 extern const struct policy_blob policy_blob;
 
-extern float puppet_action[POLICY_ACTION_COUNT];
-extern float puppet_observation[POLICY_OBSERVATION_COUNT];
-extern unsigned puppet_inits;
-extern unsigned puppet_steps;
+extern float scripted_action[POLICY_ACTION_COUNT];
+extern float scripted_observation[POLICY_OBSERVATION_COUNT];
+extern unsigned scripted_inits;
+extern unsigned scripted_steps;
 
 extern const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT];
 extern const unsigned char policy_observation_ages[POLICY_OBSERVATION_TERM_COUNT];
