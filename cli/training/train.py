@@ -216,6 +216,7 @@ def _print(
     from rich.console import Console
 
     from cli.training.train_display import figures
+    from training.checkpoints.selection import within
 
     console = Console(highlight=False, soft_wrap=True)
     for item in planned:
@@ -228,14 +229,12 @@ def _print(
             console.print(f"{name}{end.steps:,} steps in {end.seconds:.0f} s{speed}")
     chosen = ends[best].chosen
     if chosen is not None:
-        selection = planned[0].config.selection
+        limits = planned[0].config.selection
         of = f"seed {best} " if len(planned) > 1 else ""
         note = (
             ""
-            if selection.within(chosen)
-            else (
-                f"; no checkpoint kept the limits of ū, {selection.output:g}, and |Δu|, {selection.change:g}"
-            )
+            if within(chosen, limits)
+            else (f"; no checkpoint kept the limits of ū, {limits.output:g}, and |Δu|, {limits.change:g}")
         )
         console.print(f"chosen: {of}at {chosen.steps:,} steps: {figures(chosen)}{note}")
     console.print(f"{args.out / 'policy.onnx'}, with checkpoint.pt, training.json and {PLOT} beside it")

@@ -23,7 +23,7 @@ from toolchain.contract import (
 from toolchain.errors import TrainingError
 from training.config.algorithms import Algorithm, OffPolicyConfig, PpoConfig
 from training.config.randomization import SAME, Randomization
-from training.config.selection import Selection
+from training.config.selection import SelectionLimits
 from training.tasks.reward import Reward, TrackingReward
 from training.tasks.task import PulseTask, Task
 
@@ -128,7 +128,7 @@ class TrainingConfig:
     world: WorldConfig = field(default_factory=WorldConfig)
     algorithm: Algorithm = field(default_factory=PpoConfig)
     checkpoint_steps: int = 1_000_000  # a checkpoint at the end of the leg that passes each multiple of it
-    selection: Selection = field(default_factory=Selection)  # which of them becomes policy.onnx
+    selection: SelectionLimits = field(default_factory=SelectionLimits)  # of what becomes policy.onnx
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""

@@ -20,7 +20,8 @@ from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHE
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes
 from training.checkpoints.metrics import Reading
-from training.config.selection import Selection
+from training.checkpoints.selection import better
+from training.config.selection import SelectionLimits
 
 Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.freeze` knows
 
@@ -48,15 +49,15 @@ class Watched:
         """One more policy waits for its reading."""
         return replace(self, pending=(*self.pending, (steps, policy)))
 
-    def heard(self, reading: Reading, selection: Selection) -> Watched:
+    def heard(self, reading: Reading, limits: SelectionLimits) -> Watched:
         """The reading of the policy that waited longest has come."""
         (steps, policy), *others = self.pending
         assert steps == reading.steps
-        better = self.chosen is None or selection.better(reading, self.chosen[0])
+        chosen_now = self.chosen is None or better(reading, self.chosen[0], limits)
         return Watched(
             readings=(*self.readings, reading),
             pending=tuple(others),
-            chosen=(reading, policy) if better else self.chosen,
+            chosen=(reading, policy) if chosen_now else self.chosen,
         )
 
 

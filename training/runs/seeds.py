@@ -12,7 +12,8 @@ from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes, write_text
 from training.checkpoints.metrics import Reading
-from training.config.selection import Selection
+from training.checkpoints.selection import better
+from training.config.selection import SelectionLimits
 from training.config.training_config import SEED_MAX, TrainingConfig
 from training.runs.checkpoint import load_run
 from training.runs.train import CHECKPOINT, POLICY, RECORD, RECORD_BYTES_MAX
@@ -70,18 +71,18 @@ def plan(
     return tuple(planned)
 
 
-def best_seed(chosen: Mapping[int, Reading], selection: Selection) -> int:
+def best_seed(chosen: Mapping[int, Reading], limits: SelectionLimits) -> int:
     """The seed whose chosen checkpoint is the best by the rule that chose it; of equals the first."""
     best = next(iter(chosen))
     for seed, reading in chosen.items():
-        if selection.better(reading, chosen[best]):
+        if better(reading, chosen[best], limits):
             best = seed
     return best
 
 
-def keep_best(out: Path, chosen: Mapping[int, Reading], selection: Selection, command: str | None) -> int:
+def keep_best(out: Path, chosen: Mapping[int, Reading], limits: SelectionLimits, command: str | None) -> int:
     """Copy checkpoint, policy and record of the best seed from its folder into `out`. Returns that seed."""
-    best = best_seed(chosen, selection)
+    best = best_seed(chosen, limits)
     for name in (CHECKPOINT, POLICY):
         write_bytes(out / name, (out / f"seed-{best}" / name).read_bytes())
     records = {seed: read_record(out / f"seed-{seed}") for seed in chosen}

@@ -19,6 +19,7 @@ from toolchain.policy.freeze import freeze
 from training.checkpoints.metrics import Reading
 from training.checkpoints.monitor import EPISODES, SEED, flown
 from training.checkpoints.monitor_process import Monitor
+from training.checkpoints.selection import rule
 from training.config.training_config import TrainingConfig
 from training.learners.protocol import Report
 from training.runs.checkpoint import Policy, Run, Watched, load_run, save_checkpoint, snapshot
@@ -209,7 +210,7 @@ class _Results:
 
     def _monitor(self, watched: Watched) -> dict[str, Any]:
         """What the monitor flies and what it saw."""
-        selection = self.config.selection
+        limits = self.config.selection
         return {
             "aircraft": self.document["aircraft"],
             "seed": self.config.seed,
@@ -217,8 +218,8 @@ class _Results:
             "task": flown(self.config).task.name,
             "episodes": EPISODES,
             "episodes_seed": SEED,
-            "limits": {"output": selection.output, "change": selection.change},
-            "rule": selection.rule,
+            "limits": {"output": limits.output, "change": limits.change},
+            "rule": rule(limits),
             "chosen_steps": watched.best and watched.best.steps,
             "readings": [reading.document() for reading in watched.readings],
         }
@@ -235,7 +236,7 @@ class _Results:
             "command": self.command,
             "python": platform.python_version(),
             "tools": {tool: version(tool) for tool in TOOLS},
-            "chosen": best and {"rule": self.config.selection.rule, **best.document()},
+            "chosen": best and {"rule": rule(self.config.selection), **best.document()},
             "monitor": [reading.document() for reading in watched.readings],
         }
 

@@ -11,12 +11,12 @@ from sim.plotting import png
 from toolchain.errors import TrainingError
 from training.checkpoints.metrics import Reading, Spread
 from training.checkpoints.monitor_plot import Monitored, draw, read_monitor
-from training.config.selection import Selection
+from training.config.selection import SelectionLimits
 from training.config.training_config import TrainingConfig
 from training.runs.checkpoint import Watched
 from training.runs.seeds import best_seed, plan
 
-LIMITS = Selection(output=0.1, change=0.01)
+LIMITS = SelectionLimits(output=0.1, change=0.01)
 
 
 def reading(steps: int, mae: float, output: float = 0.05, change: float = 0.005) -> Reading:
@@ -58,7 +58,7 @@ def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
 )
 def test_limits_are_refused_when_they_are_none(limits: dict[str, float]) -> None:
     with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
-        TrainingConfig(selection=Selection(**limits))
+        TrainingConfig(selection=SelectionLimits(**limits))
 
 
 def test_a_reading_is_itself_when_it_was_text_in_between() -> None:

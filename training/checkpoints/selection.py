@@ -1,0 +1,37 @@
+"""Which checkpoint of a run becomes policy.onnx: a ranking by the monitor's metrics.
+
+The least MAE wins among the checkpoints within both limits. Where none is within them, the least product of
+MAE and excess wins. The excess is how many times the mean output exceeds its limit, times how many times the
+mean change does; within the limits it is 1. Of equals the earlier is taken.
+"""
+
+from __future__ import annotations
+
+from training.checkpoints.metrics import Reading
+from training.config.selection import SelectionLimits
+
+
+def rule(limits: SelectionLimits) -> str:
+    """The rule in words, for records and plots."""
+    return (
+        f"least MAE among the checkpoints with mean output at most {limits.output:g} and mean change at "
+        f"most {limits.change:g}; if there is none, least MAE times the excesses of these two"
+    )
+
+
+def within(reading: Reading, limits: SelectionLimits) -> bool:
+    """Whether a checkpoint keeps both limits."""
+    return _excess(reading, limits) <= 1.0
+
+
+def better(one: Reading, earlier: Reading, limits: SelectionLimits) -> bool:
+    """Whether `one` is chosen before a checkpoint that is earlier than it."""
+    return _rank(one, limits) < _rank(earlier, limits)
+
+
+def _rank(reading: Reading, limits: SelectionLimits) -> tuple[bool, float]:
+    return not within(reading, limits), reading.mae.mean * _excess(reading, limits)
+
+
+def _excess(reading: Reading, limits: SelectionLimits) -> float:
+    return max(1.0, reading.output.mean / limits.output) * max(1.0, reading.change.mean / limits.change)
