@@ -91,6 +91,12 @@ class WorldConfig:
     throttle_share: float = 1.0  # of the episodes that have any
     randomization: Randomization = field(default_factory=Randomization)
 
+    def draw_throttle(self, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
+        """The pilot's thrust in each of `count` new episodes, (count,)."""
+        throttle = rng.uniform(0.0, self.throttle_max, count)
+        throttle[rng.random(count) >= self.throttle_share] = 0.0
+        return throttle.astype(np.float32)
+
     def refusals(self) -> Iterator[str]:
         """What is no world, one line each."""
         mounts = [mount.value for mount in Mount]

@@ -142,9 +142,7 @@ class AttitudeSimulation:
         self._observer.reset(index)
         self._step[index] = 0
         self._setpoints[index] = self._task.episodes(len(index), self._rng, self._rate_hz)
-        thrust = self._rng.uniform(0.0, self._world.throttle_max, len(index))
-        thrust[self._rng.random(len(index)) >= self._world.throttle_share] = 0.0
-        self._throttle[index] = thrust
+        self._throttle[index] = self._world.draw_throttle(len(index), self._rng)
         self._action[index] = 0.0
 
     def _drawn(self, count: int) -> Variation | None:

@@ -19,6 +19,7 @@ from sim.analysis.metrics import CHANGE_S
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from training.config.randomization import Randomization, Range
+from training.config.training_config import WorldConfig
 from training.evaluation.controllers import Contender
 from training.evaluation.evaluation import Flights, record
 from training.tasks.task import Task
@@ -240,7 +241,7 @@ def _fly(
     variation: Variation | None,
     progress: Progress,
 ) -> Judged:
-    throttle = np.random.default_rng(seed).uniform(0.0, plan.throttle_max, count).astype(np.float32)
+    world = WorldConfig(throttle_max=plan.throttle_max)
     flights = record(
         contender.build(count),
         plan.aircraft,
@@ -250,7 +251,7 @@ def _fly(
         control_rate_hz=contender.control_rate_hz,
         mount=plan.mount,
         noise=plan.noise,
-        throttle=throttle,
+        throttle=world.draw_throttle(count, np.random.default_rng(seed)),
         idle=contender.idle,
         variation=variation,
         progress=progress,

@@ -102,12 +102,10 @@ class PathwiseLearner:
         else:
             setpoint = task.episodes(count, rng, rate_hz)
             counted = Counted.alike(*setpoint.shape[:2])
-        throttle = rng.uniform(0.0, world.throttle_max, count)
-        throttle[rng.random(count) >= world.throttle_share] = 0.0
         return Batch(
             setpoint=np.ascontiguousarray(setpoint.swapaxes(0, 1)),
             counted=counted,
-            throttle=throttle.astype(np.float32),
+            throttle=world.draw_throttle(count, rng),
             variation=world.randomization.draw(count, rng, self._aircraft.propulsion.delay),
         )
 
