@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sim.analysis.confidence import Mean
     from training.evaluation.comparison import Entry
 
-CONTENDERS_MAX = 8  # colours that can be told apart, and columns that fit
+CONTROLLERS_MAX = 8  # colours that can be told apart, and columns that fit
 THROTTLES_MAX = 20
 TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
 ROWS = (  # heading, figure, factor, digits
@@ -81,30 +81,30 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.errors import TrainingError
     from training.evaluation.comparison import enter
     from training.evaluation.comparison_plot import draw
-    from training.evaluation.controllers import load_contender
+    from training.evaluation.controllers import load_controller
 
-    if len(args.controllers) > CONTENDERS_MAX or len(set(args.controllers)) < len(args.controllers):
+    if len(args.controllers) > CONTROLLERS_MAX or len(set(args.controllers)) < len(args.controllers):
         raise TrainingError(
             f"{len(args.controllers)} controllers, {len(set(args.controllers))} of them different, "
-            f"expected 1 to {CONTENDERS_MAX} different ones"
+            f"expected 1 to {CONTROLLERS_MAX} different ones"
         )
     if len(args.throttle) > THROTTLES_MAX:
         raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
     for throttle in args.throttle:
         check_throttle(throttle)
     flown = conditions(args)
-    contenders = [load_contender(name, flown.aircraft, args.idle) for name in args.controllers]
+    controllers = [load_controller(name, flown.aircraft, args.idle) for name in args.controllers]
     quiet = args.json or not sys.stderr.isatty()
     rounds: dict[float, list[Entry]] = {}
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
         for throttle in args.throttle:
-            for contender in contenders:
-                task = bar.add_task(f"{contender.label}, throttle {throttle:g}")
+            for controller in controllers:
+                task = bar.add_task(f"{controller.label}, throttle {throttle:g}")
 
                 def show(done: int, total: int, task: TaskID = task) -> None:
                     bar.update(task, completed=done, total=total)
 
-                rounds.setdefault(throttle, []).append(enter(contender, flown, throttle, show))
+                rounds.setdefault(throttle, []).append(enter(controller, flown, throttle, show))
     title = f"{flown.aircraft.name}: {flown.episodes} commands of {args.task}, seed {args.seed}"
     if args.plot:
         first = args.throttle[0]
@@ -136,7 +136,7 @@ def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
 
     return [
         {
-            **flight_document(entry.contender, entry.throttle, entry.evaluation),
+            **flight_document(entry.controller, entry.throttle, entry.evaluation),
             **document(entry, None if entry is entries[0] else entries[0]),
         }
         for entry in entries
@@ -153,8 +153,8 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
     for entry in entries:
-        idle = f"\nidle {entry.contender.idle:g}" if entry.contender.idle else ""
-        table.add_column(entry.contender.label + idle, justify="right", no_wrap=True)
+        idle = f"\nidle {entry.controller.idle:g}" if entry.controller.idle else ""
+        table.add_column(entry.controller.label + idle, justify="right", no_wrap=True)
     averages = [means(entry.scores) for entry in entries]
     for heading, name, digits in TRACKING_ROWS:
         for axis, word in enumerate(AXES):
@@ -175,10 +175,10 @@ def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
     if len(entries) == 1:
         return
     first = entries[0]
-    table = Table(title=f"less {first.contender.label}", title_justify="left", box=None, pad_edge=False)
+    table = Table(title=f"less {first.controller.label}", title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
     for entry in entries[1:]:
-        table.add_column(entry.contender.label, justify="right", no_wrap=True)
+        table.add_column(entry.controller.label, justify="right", no_wrap=True)
     found = [differences(first.scores, entry.scores) for entry in entries[1:]]
     rows = [(f"{heading} mean", name, 1, digits) for heading, name, digits in TRACKING_ROWS]
     for heading, name, factor, digits in (*rows, *ROWS):

@@ -1,4 +1,4 @@
-"""What commands that fly controllers on unseen commands share: arguments, refusals, documents."""
+"""What commands that fly controllers on unseen commands share: arguments, errors, documents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from training.evaluation.controllers import Conditions, Contender
+    from training.evaluation.controllers import Conditions, ControllerSpec
     from training.evaluation.evaluation import Evaluation
 
 TASKS = ("pulse", "episodic", "envelope")
@@ -18,7 +18,7 @@ IDLE_MAX = 0.5
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
-    """What all contenders fly alike, `episodes` commands unless told."""
+    """What all controllers fly alike, `episodes` commands unless told."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument("--task", choices=TASKS, default="pulse", help="what is commanded; default: pulse")
     parser.add_argument(
@@ -100,7 +100,7 @@ def command(name: str, args: argparse.Namespace, *words: str, throttle: object) 
 
 
 def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str, Any]:
-    """What all contenders flew alike, as JSON data."""
+    """What all controllers flew alike, as JSON data."""
     return {
         "aircraft": flown.aircraft.name,
         "aircraft_sha256": flown.aircraft.sha256,
@@ -113,7 +113,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
     }
 
 
-def flight_document(contender: Contender, throttle: float, result: Evaluation) -> dict[str, Any]:
+def flight_document(controller: ControllerSpec, throttle: float, result: Evaluation) -> dict[str, Any]:
     """Who flew and with what figures, as JSON data."""
     from cli.output import plain
 
@@ -123,11 +123,11 @@ def flight_document(contender: Contender, throttle: float, result: Evaluation) -
         "smoothness": result.smoothness_margin,
     }
     return {
-        "controller": contender.name,
-        **contender.facts,
+        "controller": controller.name,
+        **controller.facts,
         "throttle": throttle,
-        "idle": contender.idle,
-        "control_rate_hz": contender.control_rate_hz,
+        "idle": controller.idle,
+        "control_rate_hz": controller.control_rate_hz,
         **{name: values.tolist() for name, values in asdict(result.tracking).items()},
         "worst_mae": result.worst_mae,
         "output": result.effort.output,

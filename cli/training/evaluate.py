@@ -65,17 +65,17 @@ def run(args: argparse.Namespace) -> int:
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
-    from training.evaluation.controllers import load_contender
+    from training.evaluation.controllers import load_controller
     from training.evaluation.evaluation import figures
 
     check_throttle(args.throttle)
     flown = conditions(args)
-    contender = load_contender(args.controller, flown.aircraft, args.idle)
+    controller = load_controller(args.controller, flown.aircraft, args.idle)
     quiet = args.json or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
         task = bar.add_task(f"{args.episodes} commands")
         flights = flown.fly(
-            contender, args.throttle, lambda done, total: bar.update(task, completed=done, total=total)
+            controller, args.throttle, lambda done, total: bar.update(task, completed=done, total=total)
         )
     result = figures(flights)
     title = (
@@ -84,13 +84,13 @@ def run(args: argparse.Namespace) -> int:
     )
     held = flights.hold()
     if args.plot and held and result.response:
-        line = Line(contender.label, result.spectrum, result.smoothness)
+        line = Line(controller.label, result.spectrum, result.smoothness)
         save_png(args.plot, draw(held, result.response, line, title))
     if args.json:
         document = {
             "command": command("evaluate", args, args.controller, throttle=args.throttle or None),
             **conditions_document(args, flown),
-            **flight_document(contender, args.throttle, result),
+            **flight_document(controller, args.throttle, result),
         }
         print(json.dumps(document, indent=2))
     else:

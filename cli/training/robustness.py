@@ -65,22 +65,22 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from sim.plotting import save_png
-    from training.evaluation.controllers import load_contender
+    from training.evaluation.controllers import load_controller
     from training.evaluation.robustness import examine
     from training.evaluation.robustness_plot import draw
 
     plan = _plan(args)
-    contenders = [load_contender(name, plan.aircraft) for name in args.controllers]
+    controllers = [load_controller(name, plan.aircraft) for name in args.controllers]
     quiet = args.json or not sys.stderr.isatty()
     results = []
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        for contender in contenders:
-            task = bar.add_task(contender.label)
+        for controller in controllers:
+            task = bar.add_task(controller.label)
 
             def show(done: int, total: int, task: TaskID = task) -> None:
                 bar.update(task, completed=done, total=total)
 
-            results.append(examine(contender, plan, show))
+            results.append(examine(controller, plan, show))
     title = (
         f"Robustness on {plan.aircraft.name}: {plan.episodes} pulses a case, throttle 0 to "
         f"{plan.throttle_max:g}, seed {plan.seed}"
@@ -192,7 +192,7 @@ def _print(title: str, plan: Plan, results: Sequence[Robustness], console: Conso
     table.add_column("", no_wrap=True)
     table.add_column("bar", justify="right")
     for result in results:
-        table.add_column(result.contender.label, justify="right", no_wrap=True)
+        table.add_column(result.controller.label, justify="right", no_wrap=True)
         table.add_column("|Δu|", justify="right", no_wrap=True)
     first = [result.cases[0] for result in results]
     table.add_row(

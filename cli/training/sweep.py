@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from training.sweeps.config import Sweep, Varied
-    from training.sweeps.ray_workers import SweepWatcher
+    from training.sweeps.ray_workers import SweepCallback
     from training.sweeps.summary import Configuration, Run
     from training.sweeps.trial import Figure
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     check_ray()
     sweep = load_sweep(args.file)
     command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus)
-    with _watched(sweep, args.out) as watcher:
+    with _progress_bars(sweep, args.out) as callback:
         runs = run_sweep(
             sweep,
             args.out,
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             address=args.address,
             resume=args.resume,
             command=command,
-            watcher=watcher,
+            callback=callback,
         )
     if args.json:
         print((args.out / RECORD).read_text(), end="")
@@ -80,12 +80,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _watched(sweep: Sweep, out: Path) -> Iterator[SweepWatcher]:
+def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
     """A progress bar on stderr; the first Ctrl-C lets the runs keep what they have, the second does not."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from training.sweeps.ray_workers import SweepWatcher, request_stop
+    from training.sweeps.ray_workers import SweepCallback, request_stop
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[figures]}"))
@@ -95,7 +95,7 @@ def _watched(sweep: Sweep, out: Path) -> Iterator[SweepWatcher]:
         own: dict[int, TaskID] = {}
         steps: dict[int, int] = {}
 
-        class Bars(SweepWatcher):
+        class Bars(SweepCallback):
             """One bar for all and one for each run at work."""
 
             def progressed(self, number: int, done: int, reward: float, pid: int) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from training.config.training_config import TrainingConfig
     from training.runs.seeds import Planned
-    from training.runs.train import Listener, Progress
+    from training.runs.train import Callback, Progress
 
 DEFAULT_RECIPE = "default"
 PLOT, BOARD = "monitor.png", "tensorboard"
@@ -128,7 +128,7 @@ def _remove_events(planned: tuple[Planned, ...]) -> None:
 def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progress:
     from cli.training.train_display import Display
     from training.checkpoints.monitor_process import Monitor
-    from training.runs.train import Watchers, train
+    from training.runs.train import Callbacks, train
 
     config = item.config
     with ExitStack() as stack:
@@ -136,20 +136,20 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
         display = stack.enter_context(
             Display(f"{aircraft.name}, seed {config.seed}", config.steps, item.done or 0)
         )
-        watchers: list[Listener] = [display]
+        callbacks: list[Callback] = [display]
         if args.tensorboard:
             from training.runs.tensorboard import TensorBoard
 
             board = TensorBoard(item.out / BOARD, item.done)
             stack.callback(board.close)
-            watchers.append(board)
+            callbacks.append(board)
         before = _written(item)
         try:
             return train(
                 aircraft,
                 config,
                 item.out,
-                Watchers(watchers),
+                Callbacks(callbacks),
                 resume=item.done is not None,
                 monitor=monitor,
                 command=_command(args, config),
@@ -204,7 +204,7 @@ def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int
     from training.runs.train import MONITOR
 
     runs = [read_monitor(item.out / MONITOR) for item in planned if (item.out / MONITOR).exists()]
-    if any(run.readings for run in runs):
+    if any(run.history for run in runs):
         task = flown(planned[0].config).task.name
         title = f"{aircraft.name}: each checkpoint on {EPISODES} {task} episodes, mean and range"
         save_png(out / PLOT, draw(runs, f"seed {best}", title))

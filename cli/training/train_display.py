@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-if TYPE_CHECKING:
-    import torch
-
-    from training.checkpoints.metrics import Reading
-    from training.runs.train import Progress as State
+from training.checkpoints.metrics import CheckpointMetrics
+from training.runs.train import Callback
+from training.runs.train import Progress as State
 
 
-class Display:
-    """A context manager, told what happens in one run: a Listener."""
+class Display(Callback):
+    """Shows one run, as a context manager."""
 
     def __init__(self, name: str, steps: int, done: int = 0) -> None:
         """name: of the run; steps: that it is to have, `done` of them before."""
@@ -33,7 +30,7 @@ class Display:
         self._bar = Progress(*columns)
         self._task = self._bar.add_task(name, total=steps, completed=done, speed="")
         self._first: State | None = None  # since when the speed is taken
-        self._reward, self._reading = "", ""
+        self._reward, self._metrics = "", ""
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
 
     def __enter__(self) -> Display:
@@ -49,7 +46,7 @@ class Display:
             self._live.stop()
 
     def progressed(self, progress: State) -> None:
-        """See Listener."""
+        """See Callback."""
         self._first = self._first or progress
         steps, seconds = progress.steps - self._first.steps, progress.seconds - self._first.seconds
         speed = f" · {steps / seconds:,.0f}/s" if seconds > 0 else ""
@@ -57,25 +54,22 @@ class Display:
         self._bar.update(self._task, completed=progress.steps, speed=speed)
         self._show()
 
-    def checkpointed(self, progress: State, policy: dict[str, torch.Tensor]) -> None:
-        """See Listener."""
-
-    def monitored(self, reading: Reading) -> None:
-        """See Listener."""
-        self._reading = f"at {reading.steps:,} steps: {figures(reading)}"
+    def monitored(self, metrics: CheckpointMetrics) -> None:
+        """See Callback."""
+        self._metrics = f"at {metrics.steps:,} steps: {figures(metrics)}"
         if self._console.is_terminal:
             self._show()
         else:
-            self._console.print(f"{self._name}, {self._reading}", highlight=False, soft_wrap=True)
+            self._console.print(f"{self._name}, {self._metrics}", highlight=False, soft_wrap=True)
 
     def _show(self) -> None:
-        line = " · ".join(part for part in (self._reward, self._reading) if part)
+        line = " · ".join(part for part in (self._reward, self._metrics) if part)
         self._live.update(Group(self._bar, Text(line, style="dim")))
 
 
-def figures(reading: Reading) -> str:
+def figures(metrics: CheckpointMetrics) -> str:
     """The figures that matter, in one line."""
     return (
-        f"MAE {reading.mae.mean:.2f} deg/s, ū {reading.output.mean:.3f}, |Δu| {reading.change.mean:.4f}, "
-        f"reward {reading.reward.mean:.3f}"
+        f"MAE {metrics.mae.mean:.2f} deg/s, ū {metrics.output.mean:.3f}, |Δu| {metrics.change.mean:.4f}, "
+        f"reward {metrics.reward.mean:.3f}"
     )

@@ -226,7 +226,7 @@ def _document(
 ) -> dict[str, Any]:
     from toolchain.contract import AXES
 
-    found = zip(AXES, tuning.ultimates, strict=True)
+    found = zip(AXES, tuning.ultimate_gains, strict=True)
     return {
         "command": _command(args),
         "aircraft": aircraft.name,
@@ -258,7 +258,7 @@ def _print(
     gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
     for heading in ("", *AXES):
         gains.add_column(heading, justify="right" if heading else "left")
-    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimates))
+    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimate_gains))
     for name, trial in (*tuning.rules.items(), ("tuned", tuning.best)):
         sets = (", ".join(f"{value:.3g}" for value in axis) for axis in trial.settings.gains)
         gains.add_row(name, *sets)

@@ -59,7 +59,7 @@ def test_the_chosen_checkpoint_is_what_freeze_makes_of_the_file(tmp_path: Path, 
     ]
     assert main([*words, "--tensorboard", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert [reading["steps"] for reading in record["monitor"]] == [128, 256, 384, 512]
+    assert [metrics["steps"] for metrics in record["monitor"]] == [128, 256, 384, 512]
     assert record["chosen"]["steps"] in (128, 256, 384, 512)
     again = tmp_path / "again.onnx"
     assert main(["freeze", str(out / "checkpoint.pt"), "--out", str(again)]) == 0
@@ -96,7 +96,7 @@ def _tensorboard(folder: Path) -> set[str]:
         (["--resume"], "nothing to resume"),
     ],
 )
-def test_what_cannot_be_run_is_refused_in_one_line_and_nothing_is_written(
+def test_what_cannot_be_run_is_rejected_in_one_line_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"

@@ -93,7 +93,7 @@ def test_evaluate_adds_the_idle_it_is_given(capsys: Capture) -> None:
     assert errors[0] != errors[1]
 
 
-def test_evaluate_refuses_a_policy_for_another_number_of_motors(
+def test_evaluate_rejects_a_policy_for_another_number_of_motors(
     shipped_policy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     five = tmp_path / "five.toml"
@@ -127,7 +127,7 @@ def test_evaluate_refuses_a_policy_for_another_number_of_motors(
         (["evaluate", "pid", "--plot", "OUT"], "ends in .png"),
     ],
 )
-def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
+def test_bad_input_is_rejected_in_one_line_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     file = tmp_path / "file"

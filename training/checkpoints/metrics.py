@@ -26,7 +26,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Reading:
+class CheckpointMetrics:
     """Figures of one checkpoint, each over the same few episodes."""
 
     steps: int  # control steps trained
@@ -41,11 +41,11 @@ class Reading:
         return asdict(self)
 
     @staticmethod
-    def of(document: Mapping[str, Any]) -> Reading:
-        """The reading whose `document` this is. Raises KeyError, TypeError or ValueError if it is none."""
+    def of(document: Mapping[str, Any]) -> CheckpointMetrics:
+        """The metrics whose `document` this is. Raises KeyError, TypeError or ValueError if it is none."""
         spreads = {
             field.name: Spread(**{key: float(value) for key, value in document[field.name].items()})
-            for field in fields(Reading)
+            for field in fields(CheckpointMetrics)
             if field.name != "steps"
         }
-        return Reading(steps=int(document["steps"]), **spreads)
+        return CheckpointMetrics(steps=int(document["steps"]), **spreads)

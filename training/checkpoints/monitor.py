@@ -18,7 +18,7 @@ from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
 from toolchain.policy.freeze import to_onnx
 from toolchain.policy.model import parse_policy
-from training.checkpoints.metrics import Reading, Spread
+from training.checkpoints.metrics import CheckpointMetrics, Spread
 from training.config.algorithms import PpoConfig
 from training.config.randomization import Randomization
 from training.config.training_config import TrainingConfig
@@ -40,12 +40,12 @@ def flown(config: TrainingConfig) -> TrainingConfig:
     world = replace(config.world, noise=True, randomization=Randomization())
     if config.task.name in OWN_TASKS:
         return replace(config, world=world)
-    # Nothing is learnt here, and the run's own knobs may not fit the length of other episodes.
+    # Nothing is learnt here, and the run's own hyperparameters may not fit the length of other episodes.
     return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig())
 
 
-def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> Reading:
-    """The reading of a policy of the run `config` that was trained for `steps`.
+def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> CheckpointMetrics:
+    """The metrics of a policy of the run `config` that was trained for `steps`.
 
     Raises PolicyError on weights that make no policy, such as NaN.
     """
@@ -69,7 +69,7 @@ def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights)
     step_s = 1.0 / config.control_rate_hz
     errors = tracking(setpoint.swapaxes(0, 1), rate.swapaxes(0, 1), step_s)
     efforts = [effort(y, step_s) for y in output.swapaxes(0, 1)]
-    return Reading(
+    return CheckpointMetrics(
         steps=steps,
         mae=Spread.of(errors.mae.mean(axis=1)),
         mse=Spread.of(errors.mse.mean(axis=1)),

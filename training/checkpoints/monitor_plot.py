@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
 from toolchain.errors import TrainingError
-from training.checkpoints.metrics import Reading
+from training.checkpoints.metrics import CheckpointMetrics
 
 FILE_BYTES_MAX = 4 << 20
 STEPS = ((1_000_000, "million control steps"), (1_000, "thousand control steps"), (1, "control steps"))
@@ -23,10 +23,10 @@ STEPS = ((1_000_000, "million control steps"), (1_000, "thousand control steps")
 
 @dataclass(frozen=True)
 class Monitored:
-    """The readings of one run."""
+    """What the monitor recorded of one run."""
 
     name: str  # "seed 1"
-    readings: tuple[Reading, ...]
+    history: tuple[CheckpointMetrics, ...]
     chosen_steps: int | None  # of the checkpoint that became policy.onnx
     output: float  # limits of the selection
     change: float
@@ -40,7 +40,7 @@ def read_monitor(path: Path) -> Monitored:
         document = json.loads(path.read_text())
         return Monitored(
             name=f"seed {int(document['seed'])}",
-            readings=tuple(Reading.of(reading) for reading in document["readings"]),
+            history=tuple(CheckpointMetrics.of(metrics) for metrics in document["readings"]),
             chosen_steps=document["chosen_steps"],
             output=float(document["limits"]["output"]),
             change=float(document["limits"]["change"]),
@@ -54,15 +54,15 @@ def read_monitor(path: Path) -> Monitored:
 def draw(runs: Sequence[Monitored], best: str, title: str) -> Figure:
     """Mean over the monitor's episodes with a band from least to greatest, one line a run.
 
-    best: the name of the run whose chosen checkpoint is kept of all. Runs without a reading are left out;
+    best: the name of the run whose chosen checkpoint is kept of all. Runs without any metrics are left out;
     ValueError if there is no other.
     """
-    runs = [run for run in runs if run.readings]
+    runs = [run for run in runs if run.history]
     if not runs:
         raise ValueError("no readings to draw")
     figure = titled_figure((11, 7.5), title, (0.1, 0.1))
     (mae, output), (change, reward) = figure.subplots(2, 2, sharex=True)
-    last = max(run.readings[-1].steps for run in runs)
+    last = max(run.history[-1].steps for run in runs)
     unit, word = next((unit, word) for unit, word in STEPS if last >= unit)
     panels = (
         (mae, "mae", 1.0, "|e|, mean of the axes", "deg/s", None),
@@ -90,16 +90,16 @@ def _draw_run(
     panel: Axes, run: Monitored, figure_name: str, factor: float, unit: int, number: int, *, kept: bool
 ) -> None:
     colour = _colour(number)
-    steps = np.array([reading.steps for reading in run.readings]) / unit
-    spreads = [getattr(reading, figure_name) for reading in run.readings]
+    steps = np.array([metrics.steps for metrics in run.history]) / unit
+    spreads = [getattr(metrics, figure_name) for metrics in run.history]
     mean, least, greatest = (
         factor * np.array([getattr(spread, name) for spread in spreads])
         for name in ("mean", "least", "greatest")
     )
     panel.fill_between(steps, least, greatest, color=colour, alpha=0.15, lw=0)
     panel.plot(steps, mean, color=colour, lw=1.5, marker="o", ms=2.5, zorder=3)
-    for index, reading in enumerate(run.readings):
-        if reading.steps == run.chosen_steps:
+    for index, metrics in enumerate(run.history):
+        if metrics.steps == run.chosen_steps:
             face = INK if kept else "white"
             panel.scatter(steps[index], mean[index], s=46, facecolor=face, edgecolor=INK, lw=1.2, zorder=5)
 

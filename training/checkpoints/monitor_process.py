@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     import torch
 
     from sim.aircraft.model import Aircraft
-    from training.checkpoints.metrics import Reading
+    from training.checkpoints.metrics import CheckpointMetrics
     from training.checkpoints.monitor import Weights
     from training.config.training_config import TrainingConfig
 
 
 class Monitor:
-    """Takes policies, gives their readings in the same order. The readings are the same either way.
+    """Takes policies, gives their history in the same order. The history are the same either way.
 
     A context manager; leaving it ends the other process, if there is one.
     """
@@ -37,7 +37,7 @@ class Monitor:
         self._process: multiprocessing.process.BaseProcess | None = None
         self._link: Connection | None = None
         self._waiting = 0  # policies in the other process
-        self._ready: list[Reading] = []
+        self._ready: list[CheckpointMetrics] = []
 
     def __enter__(self) -> Monitor:
         return self
@@ -59,7 +59,7 @@ class Monitor:
         self._link.send((steps, weights))
         self._waiting += 1
 
-    def collect(self, *, wait: bool = False) -> list[Reading]:
+    def collect(self, *, wait: bool = False) -> list[CheckpointMetrics]:
         """Readings that are new since the last call; wait: all that were submitted."""
         while self._link is not None and self._waiting and (wait or self._link.poll()):
             try:
@@ -110,10 +110,10 @@ def _work(link: Connection) -> None:
         return
 
 
-def _tried(fly: Any, *args: Any) -> Reading | Exception:  # noqa: ANN401 - of training.checkpoints.monitor
+def _tried(fly: Any, *args: Any) -> CheckpointMetrics | Exception:  # noqa: ANN401 - of training.checkpoints.monitor
     try:
-        reading: Reading = fly(*args)
-        return reading
+        metrics: CheckpointMetrics = fly(*args)
+        return metrics
     except NeuroflightError as error:
         return error
     except Exception as error:  # whatever it is, the process that trains has to hear of it

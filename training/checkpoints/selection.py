@@ -7,7 +7,7 @@ mean change does; within the limits it is 1. Of equals the earlier is taken.
 
 from __future__ import annotations
 
-from training.checkpoints.metrics import Reading
+from training.checkpoints.metrics import CheckpointMetrics
 from training.config.selection import SelectionLimits
 
 
@@ -19,19 +19,19 @@ def rule(limits: SelectionLimits) -> str:
     )
 
 
-def within(reading: Reading, limits: SelectionLimits) -> bool:
+def within(metrics: CheckpointMetrics, limits: SelectionLimits) -> bool:
     """Whether a checkpoint keeps both limits."""
-    return _excess(reading, limits) <= 1.0
+    return _excess(metrics, limits) <= 1.0
 
 
-def better(one: Reading, earlier: Reading, limits: SelectionLimits) -> bool:
+def better(one: CheckpointMetrics, earlier: CheckpointMetrics, limits: SelectionLimits) -> bool:
     """Whether `one` is chosen before a checkpoint that is earlier than it."""
     return _rank(one, limits) < _rank(earlier, limits)
 
 
-def _rank(reading: Reading, limits: SelectionLimits) -> tuple[bool, float]:
-    return not within(reading, limits), reading.mae.mean * _excess(reading, limits)
+def _rank(metrics: CheckpointMetrics, limits: SelectionLimits) -> tuple[bool, float]:
+    return not within(metrics, limits), metrics.mae.mean * _excess(metrics, limits)
 
 
-def _excess(reading: Reading, limits: SelectionLimits) -> float:
-    return max(1.0, reading.output.mean / limits.output) * max(1.0, reading.change.mean / limits.change)
+def _excess(metrics: CheckpointMetrics, limits: SelectionLimits) -> float:
+    return max(1.0, metrics.output.mean / limits.output) * max(1.0, metrics.change.mean / limits.change)

@@ -1,4 +1,4 @@
-"""The algorithms' knobs, as plain frozen data; names as in Stable-Baselines3 where it has them."""
+"""The algorithms' hyperparameters, as plain frozen data; names as in Stable-Baselines3 where it has them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Algorithm(Protocol):
         """
         ...
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """What cannot be run, one line each; episode_steps: control steps of an episode."""
         ...
 
@@ -63,13 +63,13 @@ class PpoConfig:
         """See Algorithm."""
         return self.leg * self.aircraft * self.horizon
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from _refused_counts(self, ("horizon", "minibatch", "epochs", "hold", "leg"))
-        yield from _refused_numbers(self, positive=("learning_rate", "clip"))
-        yield from _refused_shares(self, ("discount", "gae_lambda"))
-        yield from _refused_numbers(self, not_negative=("smoothness_spatial", "smoothness_temporal"))
-        yield from _refused_rollout(self.aircraft, self.horizon, self.minibatch, episode_steps)
+        yield from _count_errors(self, ("horizon", "minibatch", "epochs", "hold", "leg"))
+        yield from _number_errors(self, positive=("learning_rate", "clip"))
+        yield from _share_errors(self, ("discount", "gae_lambda"))
+        yield from _number_errors(self, not_negative=("smoothness_spatial", "smoothness_temporal"))
+        yield from _rollout_errors(self.aircraft, self.horizon, self.minibatch, episode_steps)
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,13 @@ class TrpoConfig:
         """See Algorithm."""
         return self.leg * self.aircraft * self.horizon
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from _refused_counts(self, ("horizon", "minibatch", "cg_max_steps", "critic_updates", "leg"))
-        yield from _refused_numbers(self, positive=("learning_rate", "target_kl"))
-        yield from _refused_numbers(self, not_negative=("cg_damping",))
-        yield from _refused_shares(self, ("discount", "gae_lambda"))
-        yield from _refused_rollout(self.aircraft, self.horizon, self.minibatch, episode_steps)
+        yield from _count_errors(self, ("horizon", "minibatch", "cg_max_steps", "critic_updates", "leg"))
+        yield from _number_errors(self, positive=("learning_rate", "target_kl"))
+        yield from _number_errors(self, not_negative=("cg_damping",))
+        yield from _share_errors(self, ("discount", "gae_lambda"))
+        yield from _rollout_errors(self.aircraft, self.horizon, self.minibatch, episode_steps)
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,12 @@ class OffPolicyConfig:
         """See Algorithm."""
         return self.leg * self.aircraft
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from _refused_aircraft(self.aircraft)
-        yield from _refused_counts(self, ("gradient_steps", "minibatch", "leg"))
-        yield from _refused_numbers(self, positive=("learning_rate",), not_negative=("learning_starts",))
-        yield from _refused_shares(self, ("discount", "tau"))
+        yield from _aircraft_errors(self.aircraft)
+        yield from _count_errors(self, ("gradient_steps", "minibatch", "leg"))
+        yield from _number_errors(self, positive=("learning_rate",), not_negative=("learning_starts",))
+        yield from _share_errors(self, ("discount", "tau"))
         if not max(self.minibatch, self.aircraft) <= self.buffer:
             yield f"buffer {self.buffer}, expected at least the minibatch and the number of aircraft"
 
@@ -147,11 +147,11 @@ class DdpgConfig(OffPolicyConfig):
     noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
     hold: int = 8  # control steps that a draw of it stands
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from super().refusals(episode_steps)
-        yield from _refused_noise(self.noise)
-        yield from _refused_counts(self, ("hold",))
+        yield from super().errors(episode_steps)
+        yield from _noise_errors(self.noise)
+        yield from _count_errors(self, ("hold",))
 
 
 @dataclass(frozen=True)
@@ -165,12 +165,12 @@ class Td3Config(OffPolicyConfig):
     target_noise: float = 0.1  # of the target's output
     target_noise_clip: float = 0.2
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
-        yield from super().refusals(episode_steps)
-        yield from _refused_noise(self.noise)
-        yield from _refused_counts(self, ("policy_delay", "hold"))
-        yield from _refused_numbers(self, positive=("target_noise",), not_negative=("target_noise_clip",))
+        yield from super().errors(episode_steps)
+        yield from _noise_errors(self.noise)
+        yield from _count_errors(self, ("policy_delay", "hold"))
+        yield from _number_errors(self, positive=("target_noise",), not_negative=("target_noise_clip",))
 
 
 @dataclass(frozen=True)
@@ -182,13 +182,13 @@ class SacConfig(OffPolicyConfig):
     target_entropy: float = -2.0  # nats a motor; lower is calmer: the reward has motors stand still
 
 
-def _refused_aircraft(count: int) -> Iterator[str]:
+def _aircraft_errors(count: int) -> Iterator[str]:
     if not 1 <= count <= COUNT_MAX:
         yield f"{count} aircraft, expected 1 to {COUNT_MAX}"
 
 
-def _refused_rollout(aircraft: int, horizon: int, minibatch: int, episode_steps: int) -> Iterator[str]:
-    yield from _refused_aircraft(aircraft)
+def _rollout_errors(aircraft: int, horizon: int, minibatch: int, episode_steps: int) -> Iterator[str]:
+    yield from _aircraft_errors(aircraft)
     batch = aircraft * horizon
     if not 1 <= horizon <= episode_steps:
         yield f"horizon {horizon}, expected 1 to the {episode_steps} control steps of an episode"
@@ -199,13 +199,13 @@ def _refused_rollout(aircraft: int, horizon: int, minibatch: int, episode_steps:
         )
 
 
-def _refused_counts(config: object, names: tuple[str, ...]) -> Iterator[str]:
+def _count_errors(config: object, names: tuple[str, ...]) -> Iterator[str]:
     for name in names:
         if getattr(config, name) < 1:
             yield f"{name} {getattr(config, name)}, expected at least 1"
 
 
-def _refused_numbers(
+def _number_errors(
     config: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()
 ) -> Iterator[str]:
     for name in (*positive, *not_negative):
@@ -214,13 +214,13 @@ def _refused_numbers(
             yield f"{name} {value}, expected {'more than' if name in positive else 'at least'} 0"
 
 
-def _refused_shares(config: object, names: tuple[str, ...]) -> Iterator[str]:
+def _share_errors(config: object, names: tuple[str, ...]) -> Iterator[str]:
     for name in names:
         if not 0.0 <= getattr(config, name) <= 1.0:
             yield f"{name} {getattr(config, name)}, expected 0 to 1"
 
 
-def _refused_noise(noise: tuple[float, float]) -> Iterator[str]:
+def _noise_errors(noise: tuple[float, float]) -> Iterator[str]:
     if not all(0.0 <= deviation <= 1.0 for deviation in noise):
         yield f"noise {list(noise)}, expected 0 to 1 each: outputs lie in -1 to 1"
 

@@ -1,4 +1,4 @@
-"""The knobs of the pathwise gradient."""
+"""The hyperparameters of the pathwise gradient."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PathwiseConfig:
     gradient_max: float = 1.0  # a longer gradient is cut to this length
     leg_steps: int = 500_000  # see Algorithm; rounded up to whole updates
 
-    def refusals(self, episode_steps: int) -> Iterator[str]:
+    def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
         if not 1 <= self.aircraft <= COUNT_MAX:
             yield f"{self.aircraft} aircraft, expected 1 to {COUNT_MAX}"

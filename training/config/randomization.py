@@ -34,7 +34,7 @@ class Randomization:
         """Whether anything varies."""
         return self != Randomization()
 
-    def refusals(self) -> Iterator[str]:
+    def errors(self) -> Iterator[str]:
         """Ranges that are none, one line each."""
         for field in fields(self):
             value: Range | None = getattr(self, field.name)

@@ -13,7 +13,7 @@ class SelectionLimits:
     output: float = 0.12  # of the mean control output: what the dissertation's policy takes
     change: float = 0.012  # of the mean |change| of an output in 1 ms, as `tune-pid` keeps it
 
-    def refusals(self) -> Iterator[str]:
+    def errors(self) -> Iterator[str]:
         """Limits that are none, one line each."""
         for name, limit in (("output", self.output), ("change", self.change)):
             if not 0.0 < limit <= 1.0:

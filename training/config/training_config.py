@@ -62,7 +62,7 @@ class OutputMap:
     offset: float = 0.5
     squash: bool = False  # a is tanh of the network's last sum: bounded outputs, whose gradient never ends
 
-    def refusals(self) -> Iterator[str]:
+    def errors(self) -> Iterator[str]:
         """What is no way to drive a motor, one line each."""
         if not SCALE_MIN <= self.scale <= SCALE_MAX:
             yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
@@ -72,10 +72,10 @@ class OutputMap:
         if self.squash and not (low < 1.0 and high > 0.0):
             yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
 
-    def asked(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
+    def unclipped(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
         """What an output asks of the motors before it is clipped to 0..1, float32, any shape."""
-        asked: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
-        return asked
+        unclipped: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
+        return unclipped
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class WorldConfig:
         throttle[rng.random(count) >= self.throttle_share] = 0.0
         return throttle.astype(np.float32)
 
-    def refusals(self) -> Iterator[str]:
+    def errors(self) -> Iterator[str]:
         """What is no world, one line each."""
         mounts = [mount.value for mount in Mount]
         if self.mount not in mounts:
@@ -114,7 +114,7 @@ class WorldConfig:
             yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
         if self.randomization.noise != SAME and not self.noise:
             yield "randomization noise with noise = false, so nothing to vary; leave one of them out"
-        yield from self.randomization.refusals()
+        yield from self.randomization.errors()
 
 
 @dataclass(frozen=True)
@@ -138,11 +138,11 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run, before anything is."""
-        for refusal in self._refusals():
-            raise TrainingError(refusal)
+        for error in self._errors():
+            raise TrainingError(error)
         self.blocks()
 
-    def _refusals(self) -> Iterator[str]:
+    def _errors(self) -> Iterator[str]:
         """What cannot be run, one line each."""
         if not 1 <= self.steps <= STEPS_MAX:
             yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
@@ -161,7 +161,7 @@ class TrainingConfig:
             yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"
         if not 0.0 <= self.idle <= IDLE_MAX:
             yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
-        yield from self.output.refusals()
+        yield from self.output.errors()
         if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
         episode_steps = round(self.task.duration_s * self.control_rate_hz)
@@ -170,15 +170,15 @@ class TrainingConfig:
                 f"an episode of task {self.task.name} is {self.task.duration_s:g} s, {episode_steps} control "
                 f"steps; expected 2 to {EPISODE_STEPS_MAX}"
             )
-        yield from self.world.refusals()
-        yield from self.algorithm.refusals(episode_steps)
+        yield from self.world.errors()
+        yield from self.algorithm.errors(episode_steps)
         table = self.algorithm.aircraft * episode_steps
         if table > TABLE_STEPS_MAX:
             yield (
                 f"{self.algorithm.aircraft} aircraft with episodes of {episode_steps} control steps make "
                 f"{table} setpoints, expected at most {TABLE_STEPS_MAX}; shorten the task or fly fewer"
             )
-        yield from self.selection.refusals()
+        yield from self.selection.errors()
 
     def check(self, aircraft: Aircraft) -> None:
         """Refuse what this aircraft cannot be trained with. Raises TrainingError."""

@@ -92,13 +92,13 @@ class AttitudeSimulation:
             self._step = self._rng.integers(0, self.steps, self.count)
         return self._observe(slice(None))
 
-    def step(self, asked: NDArray[np.float32]) -> StepResult:
+    def step(self, unclipped: NDArray[np.float32]) -> StepResult:
         """Advance one control period with what the network asks of the motors, (N, M), clipped to 0..1.
 
         The observation of an aircraft whose episode ended is still that episode's last; call
         `restart` to begin its next one.
         """
-        action = np.clip(asked, np.float32(0.0), np.float32(1.0))
+        action = np.clip(unclipped, np.float32(0.0), np.float32(1.0))
         setpoint_before = self.setpoint
         error_before = setpoint_before - self._twin.rate
         self._twin.step(motor_commands(action, self._throttle, self._idle))
@@ -111,7 +111,7 @@ class AttitudeSimulation:
                 setpoint_before=setpoint_before,
                 error=setpoint - self._twin.rate,
                 error_before=error_before,
-                asked=asked,
+                unclipped=unclipped,
                 action=action,
                 action_before=before,
             )

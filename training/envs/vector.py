@@ -61,7 +61,7 @@ class AttitudeVecEnv(VecEnv):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the network's outputs (N, M) for the next `step_wait`."""
-        self._action = self._output.asked(np.tanh(actions) if self._squash else actions)
+        self._action = self._output.unclipped(np.tanh(actions) if self._squash else actions)
 
     def step_wait(
         self,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim.analysis.confidence import Mean, paired, share_of
 from sim.analysis.response import Hold, large, progress
-from training.evaluation.controllers import Conditions, Contender
+from training.evaluation.controllers import Conditions, ControllerSpec
 from training.evaluation.evaluation import Evaluation, Flights, Scores, scores, summary
 
 Array = NDArray[np.float64]
@@ -39,9 +39,9 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A contender and how it flew."""
+    """A controller and how it flew."""
 
-    contender: Contender
+    controller: ControllerSpec
     throttle: float
     scores: Scores
     evaluation: Evaluation
@@ -49,43 +49,43 @@ class Entry:
 
 
 def enter(
-    contender: Contender,
+    controller: ControllerSpec,
     conditions: Conditions,
     throttle: float,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Entry:
-    """Fly a contender; on_step: called with steps done and to do."""
-    flights = conditions.fly(contender, throttle, on_step)
-    judged = scores(flights)
-    return Entry(contender, throttle, judged, summary(judged), curves(flights))
+    """Fly a controller; on_step: called with steps done and to do."""
+    flights = conditions.fly(controller, throttle, on_step)
+    each = scores(flights)
+    return Entry(controller, throttle, each, summary(each), curves(flights))
 
 
-def values(judged: Scores) -> dict[str, Array]:
+def values(each: Scores) -> dict[str, Array]:
     """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where it has none."""
-    found = {name: getattr(judged.tracking, name) for name in SUMS}
-    found |= {"output": judged.output, "change": judged.change, "smoothness": judged.smoothness}
-    answer = judged.response
-    if answer is None:
+    found = {name: getattr(each.tracking, name) for name in SUMS}
+    found |= {"output": each.output, "change": each.change, "smoothness": each.smoothness}
+    response = each.response
+    if response is None:
         return found
     return found | {
-        "success": answer.success.astype(np.float64),
-        "success_bare": answer.success_bare.astype(np.float64),
-        "rise_ms": np.where(answer.rose, answer.rise_ms, np.nan),
-        "peak": np.where(answer.large, answer.peak, np.nan),
-        "all_in_band_500": answer.all_in_band_500,
-        "all_in_band_750": answer.all_in_band_750,
-        "all_in_band_500_bare": answer.all_in_band_500_bare,
-        "all_in_band_750_bare": answer.all_in_band_750_bare,
-        "steady": answer.steady.astype(np.float64),
-        "steady_bare": answer.steady_bare.astype(np.float64),
+        "success": response.success.astype(np.float64),
+        "success_bare": response.success_bare.astype(np.float64),
+        "rise_ms": np.where(response.rose, response.rise_ms, np.nan),
+        "peak": np.where(response.large, response.peak, np.nan),
+        "all_in_band_500": response.all_in_band_500,
+        "all_in_band_750": response.all_in_band_750,
+        "all_in_band_500_bare": response.all_in_band_500_bare,
+        "all_in_band_750_bare": response.all_in_band_750_bare,
+        "steady": response.steady.astype(np.float64),
+        "steady_bare": response.steady_bare.astype(np.float64),
     }
 
 
-def means(judged: Scores) -> dict[str, Mean]:
+def means(scores: Scores) -> dict[str, Mean]:
     """Each figure over episodes, averaged over axes, with its 95 % confidence."""
     return {
         name: share_of(each == 1.0) if name in SHARES else _mean(each)
-        for name, each in values(judged).items()
+        for name, each in values(scores).items()
     }
 
 

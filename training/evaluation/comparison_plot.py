@@ -28,7 +28,7 @@ def draw(entries: Sequence[Entry], title: str) -> Figure:
         _draw_steps([first, *others], entries)
     _draw_errors(figure.add_subplot(grid[-1, :2]), entries)
     lines = [
-        Line(entry.contender.label, entry.evaluation.spectrum, entry.evaluation.smoothness)
+        Line(entry.controller.label, entry.evaluation.spectrum, entry.evaluation.smoothness)
         for entry in entries
     ]
     draw_spectra(figure.add_subplot(grid[-1, 2]), lines)
@@ -44,7 +44,7 @@ def _draw_steps(panels: Sequence[Axes], entries: Sequence[Entry]) -> None:
             t, front = 1e3 * entry.curves.step_t, len(entries) - number
             colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
             panel.fill_between(t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
-            panel.plot(t, median, color=colour, lw=1.7, label=entry.contender.label, zorder=2 + front)
+            panel.plot(t, median, color=colour, lw=1.7, label=entry.controller.label, zorder=2 + front)
         dress(panel, name)
         panel.set_xlabel("time since the command, ms", color=INK)
     panels[0].set_ylabel("rate, % of the command", color=INK)
@@ -60,7 +60,7 @@ def _draw_errors(panel: Axes, entries: Sequence[Entry]) -> None:
         front, colour = len(entries) - number, MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
         panel.fill_between(entry.curves.t, low, high, color=colour, alpha=0.14, lw=0, zorder=2)
         panel.plot(
-            entry.curves.t, median, color=colour, lw=1.3, label=entry.contender.label, zorder=2 + front
+            entry.curves.t, median, color=colour, lw=1.3, label=entry.controller.label, zorder=2 + front
         )
     panel.set_yscale("log")
     plain_numbers(panel.yaxis)

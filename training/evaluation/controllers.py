@@ -21,7 +21,7 @@ PID_RATE_HZ = 1000
 
 
 @dataclass(frozen=True)
-class Contender:
+class ControllerSpec:
     """A controller that can be built for any number of aircraft."""
 
     name: str  # as the user wrote it
@@ -40,8 +40,8 @@ class Contender:
         return f"policy {which}"
 
 
-def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> Contender:
-    """The contender called `name`: `pid`, `pid:NAME` of the aircraft file, or the path of a policy.onnx.
+def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
+    """The controller called `name`: `pid`, `pid:NAME` of the aircraft file, or the path of a policy.onnx.
 
     idle: forced upon it; its own where None. Raises AircraftError or PolicyError on what there is not, or on
     a policy for another number of motors.
@@ -50,7 +50,7 @@ def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> 
     if kind == PID:
         settings = pid_settings(aircraft, which or None)
         chosen = which or next(iter(dict(aircraft.pids)))
-        return Contender(
+        return ControllerSpec(
             name=name,
             build=lambda count: aircraft_pid(aircraft, count, PID_RATE_HZ, chosen),
             control_rate_hz=PID_RATE_HZ,
@@ -64,7 +64,7 @@ def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> 
             f"{name} drives {policy.action_count} motors, aircraft {aircraft.name} has "
             f"{aircraft.motor_count}; evaluate it on an aircraft it was trained for"
         )
-    return Contender(
+    return ControllerSpec(
         name=name,
         build=lambda count: PolicyController(policy, count, exact=False),
         control_rate_hz=policy.control_rate_hz,
@@ -75,7 +75,7 @@ def load_contender(name: str, aircraft: Aircraft, idle: float | None = None) -> 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What every contender flies alike."""
+    """What every controller flies alike."""
 
     aircraft: Aircraft
     task: Task
@@ -85,19 +85,19 @@ class Conditions:
     noise: bool = True
 
     def fly(
-        self, contender: Contender, throttle: float, progress: Callable[[int, int], None] | None = None
+        self, controller: ControllerSpec, throttle: float, progress: Callable[[int, int], None] | None = None
     ) -> Flights:
         """All episodes at once, with the pilot's thrust at `throttle`, 0..1; see `record`."""
         return record(
-            contender.build(self.episodes),
+            controller.build(self.episodes),
             self.aircraft,
             self.task,
             episodes=self.episodes,
             seed=self.seed,
-            control_rate_hz=contender.control_rate_hz,
+            control_rate_hz=controller.control_rate_hz,
             mount=self.mount,
             noise=self.noise,
             throttle=throttle,
-            idle=contender.idle,
+            idle=controller.idle,
             progress=progress,
         )

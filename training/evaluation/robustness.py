@@ -20,7 +20,7 @@ from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from training.config.randomization import Randomization, Range
 from training.config.training_config import WorldConfig
-from training.evaluation.controllers import Contender
+from training.evaluation.controllers import ControllerSpec
 from training.evaluation.evaluation import Flights, record
 from training.tasks.task import Task
 
@@ -112,7 +112,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class EpisodeFigures:
     """Figures of each episode, (E,)."""
 
     mae: Array  # [deg/s], mean of the axes
@@ -160,27 +160,27 @@ class JointResult:
 class Robustness:
     """All of it for one controller."""
 
-    contender: Contender
+    controller: ControllerSpec
     cases: tuple[CaseResult, ...]  # the nominal one first
     joint: JointResult | None  # None where nothing was drawn
 
 
-def examine(contender: Contender, plan: Plan, progress: Progress | None = None) -> Robustness:
+def examine(controller: ControllerSpec, plan: Plan, progress: Progress | None = None) -> Robustness:
     """Fly every case and every draw; progress: called with steps done and to do, of all flights together."""
     cases = plan.cases()
     flights = len(cases) + (2 if plan.draws else 0)
     flown = 0
 
-    def fly(seed: int, count: int, variation: Variation | None) -> Judged:
+    def fly(seed: int, count: int, variation: Variation | None) -> EpisodeFigures:
         nonlocal flown
 
         def show(done: int, total: int) -> None:
             if progress is not None:
                 progress(flown * total + done, flights * total)
 
-        judged = _fly(contender, plan, seed, count, variation, show)
+        figures = _fly(controller, plan, seed, count, variation, show)
         flown += 1
-        return judged
+        return figures
 
     delay = plan.aircraft.propulsion.delay
     commands, drawn = (int(part.generate_state(1)[0]) for part in np.random.SeedSequence(plan.seed).spawn(2))
@@ -195,7 +195,7 @@ def examine(contender: Contender, plan: Plan, progress: Progress | None = None) 
         draws = plan.extremes().draw(plan.draws, np.random.default_rng(drawn), delay)
         each = draws.at(np.repeat(np.arange(plan.draws), COMMANDS_PER_DRAW))
         joint = _joint(fly(drawn, count, each), fly(drawn, count, None), plan.draws)
-    return Robustness(contender, tuple(results), joint)
+    return Robustness(controller, tuple(results), joint)
 
 
 def ratio_of(part: Array, whole: Array) -> Mean:
@@ -218,7 +218,7 @@ def quantile_of(values: Array, q: float) -> Mean:
     return Mean(value, low, high, np.array(count))
 
 
-def judge(flights: Flights) -> Judged:
+def episode_figures(flights: Flights) -> EpisodeFigures:
     """Figures of each episode of what was flown."""
     stride = max(1, round(CHANGE_S / flights.step_s))
     mae, output, change, diverged = [], [], [], []
@@ -230,36 +230,36 @@ def judge(flights: Flights) -> Judged:
         change.append(np.abs(np.diff(y[::stride], axis=0)).mean(dtype=np.float64))
         spun = not np.abs(rate).max() <= DIVERGED_RATE  # NaN included
         diverged.append(spun or error > max(still, DIVERGED_FLOOR))
-    return Judged(np.array(mae), np.array(output), np.array(change), np.array(diverged))
+    return EpisodeFigures(np.array(mae), np.array(output), np.array(change), np.array(diverged))
 
 
 def _fly(
-    contender: Contender,
+    controller: ControllerSpec,
     plan: Plan,
     seed: int,
     count: int,
     variation: Variation | None,
     progress: Progress,
-) -> Judged:
+) -> EpisodeFigures:
     world = WorldConfig(throttle_max=plan.throttle_max)
     flights = record(
-        contender.build(count),
+        controller.build(count),
         plan.aircraft,
         plan.task,
         episodes=count,
         seed=seed,
-        control_rate_hz=contender.control_rate_hz,
+        control_rate_hz=controller.control_rate_hz,
         mount=plan.mount,
         noise=plan.noise,
         throttle=world.draw_throttle(count, np.random.default_rng(seed)),
-        idle=contender.idle,
+        idle=controller.idle,
         variation=variation,
         progress=progress,
     )
-    return judge(flights)
+    return episode_figures(flights)
 
 
-def _case(case: Case, varied: Judged, nominal: Judged) -> CaseResult:
+def _case(case: Case, varied: EpisodeFigures, nominal: EpisodeFigures) -> CaseResult:
     return CaseResult(
         case=case,
         mae=mean_of(varied.mae, np.ones(len(varied.mae), np.bool_)),
@@ -270,8 +270,8 @@ def _case(case: Case, varied: Judged, nominal: Judged) -> CaseResult:
     )
 
 
-def _joint(varied: Judged, nominal: Judged, draws: int) -> JointResult:
-    mae, usual = (judged.mae.reshape(draws, -1).mean(axis=1) for judged in (varied, nominal))
+def _joint(varied: EpisodeFigures, nominal: EpisodeFigures, draws: int) -> JointResult:
+    mae, usual = (figures.mae.reshape(draws, -1).mean(axis=1) for figures in (varied, nominal))
     ratios = mae / usual
     diverged: NDArray[np.bool_] = np.any(varied.diverged.reshape(draws, -1), axis=1)
     return JointResult(
@@ -286,13 +286,13 @@ def _joint(varied: Judged, nominal: Judged, draws: int) -> JointResult:
 
 def document(result: Robustness) -> dict[str, object]:
     """Who flew and how it went, as JSON data."""
-    contender, joint = result.contender, result.joint
+    controller, joint = result.controller, result.joint
     return {
-        "controller": contender.name,
-        "label": contender.label,
-        **contender.facts,
-        "idle": contender.idle,
-        "control_rate_hz": contender.control_rate_hz,
+        "controller": controller.name,
+        "label": controller.label,
+        **controller.facts,
+        "idle": controller.idle,
+        "control_rate_hz": controller.control_rate_hz,
         "cases": {
             each.case.name: {
                 "parameter": each.case.parameter,

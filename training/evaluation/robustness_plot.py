@@ -73,7 +73,7 @@ def _draw_ratios(panel: Axes, results: Sequence[Robustness]) -> None:
             np.clip([float(getattr(each.ratio, part)) for each in result.cases], RATIO_MIN, RATIO_MAX)
             for part in ("low", "value", "high")
         )
-        label = f"{result.contender.label}, nominal {float(result.cases[0].mae.value):.2f} deg/s"
+        label = f"{result.controller.label}, nominal {float(result.cases[0].mae.value):.2f} deg/s"
         panel.hlines(y, low, high, color=colour, lw=1.4, alpha=0.6)
         panel.plot(value, y, ls="none", marker="o", ms=6, color=colour, label=label, zorder=3, clip_on=False)
         lost = [n for n, each in enumerate(result.cases) if each.diverged]
@@ -123,7 +123,7 @@ def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
         colour = MOTOR_COLOURS[number % len(MOTOR_COLOURS)]
         lost = f", {joint.diverged} diverged" if joint.diverged else ""
         label = (
-            f"{result.contender.label}: median {float(joint.median.value):.2f}, "
+            f"{result.controller.label}: median {float(joint.median.value):.2f}, "
             f"95 % within {float(joint.high.value):.2f}{lost}"
         )
         panel.step(ratios, share, where="post", color=colour, lw=1.8, label=label)

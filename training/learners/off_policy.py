@@ -27,17 +27,17 @@ class OffPolicyLearner(Sb3Learner):
 
     _model: OffPolicyAlgorithm
 
-    def __init__(self, aircraft: Aircraft, config: TrainingConfig, knobs: OffPolicyConfig) -> None:
-        super().__init__(aircraft, config, knobs.discount)
+    def __init__(self, aircraft: Aircraft, config: TrainingConfig, off_policy: OffPolicyConfig) -> None:
+        super().__init__(aircraft, config, off_policy.discount)
         common: dict[str, Any] = {
-            "learning_rate": self._annealed(knobs.learning_rate),
-            "buffer_size": knobs.buffer,
-            "learning_starts": knobs.learning_starts,
-            "batch_size": knobs.minibatch,
-            "tau": knobs.tau,
-            "gamma": knobs.discount,
+            "learning_rate": self._annealed(off_policy.learning_rate),
+            "buffer_size": off_policy.buffer,
+            "learning_starts": off_policy.learning_starts,
+            "batch_size": off_policy.minibatch,
+            "tau": off_policy.tau,
+            "gamma": off_policy.discount,
             "train_freq": (1, "step"),
-            "gradient_steps": knobs.gradient_steps,
+            "gradient_steps": off_policy.gradient_steps,
             "policy_kwargs": {
                 "net_arch": list(config.hidden),
                 "activation_fn": MODULES[config.activation],
@@ -46,28 +46,28 @@ class OffPolicyLearner(Sb3Learner):
             "seed": config.seed,
             "device": "cpu",
         }
-        match knobs:
+        match off_policy:
             case DdpgConfig():
-                self._model = DDPG("MlpPolicy", self._env, action_noise=self._noise(knobs), **common)
+                self._model = DDPG("MlpPolicy", self._env, action_noise=self._noise(off_policy), **common)
             case Td3Config():
                 self._model = TD3(
                     "MlpPolicy",
                     self._env,
-                    action_noise=self._noise(knobs),
-                    policy_delay=knobs.policy_delay,
-                    target_policy_noise=knobs.target_noise,
-                    target_noise_clip=knobs.target_noise_clip,
+                    action_noise=self._noise(off_policy),
+                    policy_delay=off_policy.policy_delay,
+                    target_policy_noise=off_policy.target_noise,
+                    target_noise_clip=off_policy.target_noise_clip,
                     **common,
                 )
             case SacConfig():
-                target = knobs.target_entropy * aircraft.motor_count
+                target = off_policy.target_entropy * aircraft.motor_count
                 self._model = SAC("MlpPolicy", self._env, target_entropy=target, **common)
 
-    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
         """See Learner."""
         if isinstance(noise := self._model.action_noise, _FadingNoise):
             noise.restart()
-        super().learn(leg, report)
+        super().learn(segment, report)
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
@@ -126,10 +126,10 @@ class OffPolicyLearner(Sb3Learner):
             optimizers.append(model.ent_coef_optimizer)
         return optimizers
 
-    def _noise(self, knobs: DdpgConfig | Td3Config) -> _FadingNoise:
+    def _noise(self, off_policy: DdpgConfig | Td3Config) -> _FadingNoise:
         shape = self._env.action_space.shape
         assert shape is not None
-        return _FadingNoise(self, knobs.noise, knobs.hold, (self._env.num_envs, *shape))
+        return _FadingNoise(self, off_policy.noise, off_policy.hold, (self._env.num_envs, *shape))
 
 
 class _FadingNoise(VectorizedActionNoise):
@@ -140,10 +140,10 @@ class _FadingNoise(VectorizedActionNoise):
     ) -> None:
         self._learner, self._deviation, self._hold = learner, deviation, hold
         self._drawn = np.zeros(shape, np.float32)
-        self._step = 0  # since the leg began
+        self._step = 0  # since the segment began
 
     def restart(self) -> None:
-        """A new leg: the next call draws anew."""
+        """A new segment: the next call draws anew."""
         self._step = 0
 
     def reset(self, indices: Iterable[int] | None = None) -> None:

@@ -45,10 +45,6 @@ class PpoLearner(Sb3Learner):
             ),
         )
 
-    def policy(self) -> dict[str, torch.Tensor]:
-        """See Learner."""
-        return self._actor_of("mlp_extractor.policy_net") | self._actor_of("action_net")
-
     def _optimizers(self) -> list[torch.optim.Optimizer]:
         return [self._model.actor_optimizer, self._model.critic_optimizer]
 

@@ -26,8 +26,8 @@ class Learner(Protocol):
         """Control steps so far, all aircraft together, those before a resumption included."""
         ...
 
-    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
-        """One leg, the `leg`-th from 0: new episodes, and chance that only seed and leg decide."""
+    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
+        """Train for a segment, counted from 0: new episodes, and draws that only seed and segment decide."""
         ...
 
     def policy(self) -> dict[str, torch.Tensor]:
@@ -35,7 +35,7 @@ class Learner(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """All that the next leg builds on: plain containers, numbers, text and tensors."""
+        """All that the next segment builds on: plain containers, numbers, text and tensors."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:

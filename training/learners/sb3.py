@@ -40,15 +40,15 @@ class Sb3Learner:
         """See Learner."""
         return int(self._model.num_timesteps)
 
-    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
         """See Learner."""
-        seed = np.random.SeedSequence([self._config.seed, leg])
-        self._env.restart(np.random.default_rng(seed))
-        chance = int(seed.generate_state(1)[0])
-        set_random_seed(chance)
-        self._env.action_space.seed(chance)
+        sequence = np.random.SeedSequence([self._config.seed, segment])
+        self._env.restart(np.random.default_rng(sequence))
+        seed = int(sequence.generate_state(1)[0])
+        set_random_seed(seed)
+        self._env.action_space.seed(seed)
         model = self._model
-        model._last_obs = None  # a new leg begins with new episodes
+        model._last_obs = None  # a new segment begins with new episodes
         steps = min(self._config.algorithm.leg_steps, self._config.steps - self.steps)
 
         def reported(update: Report) -> None:
@@ -59,7 +59,9 @@ class Sb3Learner:
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        raise NotImplementedError
+        state = self._model.policy.state_dict()
+        wanted = ("mlp_extractor.policy_net", "action_net")
+        return {name: tensor for part in wanted for name, tensor in state.items() if name.startswith(part)}
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
@@ -84,17 +86,12 @@ class Sb3Learner:
         self._env.close()
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
-        """Whose state the next leg builds on."""
+        """Those whose state the next segment builds on."""
         raise NotImplementedError
 
     def _annealed(self, rate: float) -> Callable[[float], float]:
-        """A learning rate that falls linearly to a tenth over the run, however it is cut into legs."""
+        """A learning rate that falls linearly to a tenth over the run, however it is cut into segments."""
         return lambda _: rate * (1.0 - 0.9 * self.part)
-
-    def _actor_of(self, prefix: str) -> dict[str, torch.Tensor]:
-        """The policy's entries whose name begins with `prefix`."""
-        state = self._model.policy.state_dict()
-        return {name: tensor for name, tensor in state.items() if name.startswith(prefix)}
 
 
 class _Reporter(BaseCallback):

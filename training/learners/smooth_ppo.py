@@ -105,9 +105,9 @@ class SmoothPpo(PPO):
         buffer.reset()
         callback.on_rollout_start()
         draws = torch.randn(-(-n_rollout_steps // self._hold), *buffer.actions.shape[1:])
-        chance = draws.repeat_interleave(self._hold, dim=0)[:n_rollout_steps]
-        buffer.log_probs[:] = -(0.5 * chance.square() + math.log(std) + LOG_SQRT_2_PI).sum(dim=2).numpy()
-        drawn = (chance * std).numpy()
+        noise = draws.repeat_interleave(self._hold, dim=0)[:n_rollout_steps]
+        buffer.log_probs[:] = -(0.5 * noise.square() + math.log(std) + LOG_SQRT_2_PI).sum(dim=2).numpy()
+        drawn = (noise * std).numpy()
         ends: list[tuple[int, int, NDArray[np.float32]]] = []  # step, aircraft, its last observation
         for step in range(n_rollout_steps):
             with torch.no_grad():

@@ -39,9 +39,5 @@ class TrpoLearner(Sb3Learner):
             device="cpu",
         )
 
-    def policy(self) -> dict[str, torch.Tensor]:
-        """See Learner."""
-        return self._actor_of("mlp_extractor.policy_net") | self._actor_of("action_net")
-
     def _optimizers(self) -> list[torch.optim.Optimizer]:
         return [self._model.policy.optimizer]

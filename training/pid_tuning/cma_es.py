@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Evolution:
+class CmaEs:
     """A normal distribution of candidates that moves towards those of least cost.
 
     Source: N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772; its default constants,

@@ -28,8 +28,8 @@ from sim.control.pid import Pid, mixer
 from sim.physics.rotor import target_speed, thrust_and_torque
 from toolchain.contract import GRAVITY
 from training.evaluation.evaluation import Flights, record
-from training.pid_tuning.cma_es import Evolution
-from training.pid_tuning.ultimate_gain import RULES, Steps, Ultimate, ultimate
+from training.pid_tuning.cma_es import CmaEs
+from training.pid_tuning.ultimate_gain import RULES, Steps, UltimateGain, ultimate_gains
 from training.tasks.task import EpisodicTask, PulseTask, Setpoints, Task
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ class Trial:
 class Tuning:
     """How a search went."""
 
-    ultimates: tuple[Ultimate, Ultimate, Ultimate]  # roll, pitch, yaw
+    ultimate_gains: tuple[UltimateGain, UltimateGain, UltimateGain]  # roll, pitch, yaw
     rules: dict[str, Trial]  # the rules of Ziegler and Nichols and their successors, by name
     start: Trial  # where the search began: the best of the rules and of parts of them
     trials: tuple[Trial, ...]  # of the search, in the order flown
@@ -114,27 +114,27 @@ def tune(
         return _fly(unbiased, candidates, pulses, limits, seed, control_rate_hz)
 
     idle = min(IDLE_START, limits.idle)
-    ultimates = ultimate(aircraft, idle, control_rate_hz)
-    starts = fly([_rule_settings(ultimates, rule, *part, idle) for part in STARTS for rule in RULES])
+    found = ultimate_gains(aircraft, idle, control_rate_hz)
+    starts = fly([_rule_settings(found, rule, *part, idle) for part in STARTS for rule in RULES])
     rules = dict(zip(RULES, starts, strict=False))
     start = best = min(starts, key=lambda trial: trial.cost)
     trials: list[Trial] = []
     cutoff_max_hz = CUTOFF_NYQUIST_MAX * control_rate_hz / 2
-    most = np.array([item.scaled(MOST) for item in ultimates])
+    most = np.array([item.scaled(MOST) for item in found])
     spread = np.full(11, SPREAD_GAIN)
     spread[3:6] = SPREAD_INTEGRAL
-    evolution = Evolution(_encoded(start.settings), spread, POPULATION, search)
+    cma_es = CmaEs(_encoded(start.settings), spread, POPULATION, search)
     try:
         for _ in range(max(1, round(budget / POPULATION))):
-            points = evolution.ask()
+            points = cma_es.ask()
             generation = fly([_decoded(point, most, limits.idle, cutoff_max_hz) for point in points])
-            evolution.tell(points, np.array([trial.cost for trial in generation]))
+            cma_es.tell(points, np.array([trial.cost for trial in generation]))
             trials += generation
             best = min([best, *generation], key=lambda trial: trial.cost)
             progress(len(trials), best)
     except KeyboardInterrupt:
-        return Tuning(ultimates, rules, start, tuple(trials), best, interrupted=True)
-    return Tuning(ultimates, rules, start, tuple(trials), best, interrupted=False)
+        return Tuning(found, rules, start, tuple(trials), best, interrupted=True)
+    return Tuning(found, rules, start, tuple(trials), best, interrupted=False)
 
 
 def idle_limit(aircraft: Aircraft) -> float:
@@ -248,10 +248,10 @@ def _missed(held: Flights) -> float:
 
 
 def _rule_settings(
-    ultimates: Sequence[Ultimate], rule: str, part: float, integral: float, idle: float
+    found: Sequence[UltimateGain], rule: str, part: float, integral: float, idle: float
 ) -> PidSettings:
     """A part of the gains by `rule`, and of K_I another part of that."""
-    gains = [item.gains(rule) for item in ultimates]
+    gains = [item.gains(rule) for item in found]
     roll, pitch, yaw = ((part * p, part * integral * i, part * d) for p, i, d in gains)
     return _rounded((roll, pitch, yaw), CUTOFF_START_HZ, idle)
 

@@ -35,7 +35,7 @@ def draw(tuning: Tuning, aircraft: Aircraft, limits: Limits, control_rate_hz: in
             panel.plot(t, rate[axis], color=colour, lw=1.5, label=label)
     for axis, panel in enumerate(panels):
         panel.axhline(STEP_DEG_S, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=1, label="setpoint")
-        found = tuning.ultimates[axis]
+        found = tuning.ultimate_gains[axis]
         dress(panel, f"{AXES[axis]}:  $K_u$ {found.gain:.3g},  $T_u$ {1e3 * found.period:.0f} ms")
         panel.set_xlim(0, 1e3 * SHOWN_S)
         panel.set_ylim(-0.08 * top, 1.05 * top)

@@ -35,7 +35,7 @@ RULES = {  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u)
 
 
 @dataclass(frozen=True)
-class Ultimate:
+class UltimateGain:
     """The least proportional gain at which an axis oscillates by itself."""
 
     gain: float  # K_u, as K_P of PidSettings
@@ -64,13 +64,15 @@ class Steps:
         return held(self.command, self.duration_s, rate_hz)
 
 
-def ultimate(aircraft: Aircraft, idle: float, control_rate_hz: int) -> tuple[Ultimate, Ultimate, Ultimate]:
+def ultimate_gains(
+    aircraft: Aircraft, idle: float, control_rate_hz: int
+) -> tuple[UltimateGain, UltimateGain, UltimateGain]:
     """K_u and T_u of roll, pitch and yaw, each alone, without noise. Raises TrainingError without one."""
     roll, pitch, yaw = (_of_axis(aircraft, axis, idle, control_rate_hz) for axis in range(3))
     return roll, pitch, yaw
 
 
-def _of_axis(aircraft: Aircraft, axis: int, idle: float, control_rate_hz: int) -> Ultimate:
+def _of_axis(aircraft: Aircraft, axis: int, idle: float, control_rate_hz: int) -> UltimateGain:
     low, high = GAIN_MIN, GAIN_MAX
     for _ in range(ROUNDS):
         gains = np.geomspace(low, high, GAINS)
@@ -89,7 +91,7 @@ def _of_axis(aircraft: Aircraft, axis: int, idle: float, control_rate_hz: int) -
         low, high = gains[max(first - 1, 0)], gains[first]
     crossings = _crossings(rate[first, -window:])
     period = float(crossings[-1] - crossings[0]) / (len(crossings) - 1) / control_rate_hz
-    return Ultimate(float(gains[first]), period)
+    return UltimateGain(float(gains[first]), period)
 
 
 def _oscillations(

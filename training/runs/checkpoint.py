@@ -19,7 +19,7 @@ import torch
 from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes
-from training.checkpoints.metrics import Reading
+from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
 
@@ -27,53 +27,53 @@ Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
-    """What the monitor has been asked and has answered in a run."""
+class MonitorState:
+    """What the monitor has flown in a run, and what it still has to fly."""
 
-    readings: tuple[Reading, ...] = ()  # by steps
-    pending: tuple[tuple[int, Policy], ...] = ()  # by steps: policies without a reading yet
-    chosen: tuple[Reading, Policy] | None = None  # the best so far
+    history: tuple[CheckpointMetrics, ...] = ()  # by steps
+    pending: tuple[tuple[int, Policy], ...] = ()  # by steps: policies that it has not flown yet
+    chosen: tuple[CheckpointMetrics, Policy] | None = None  # the best so far
 
     @property
     def steps(self) -> int:
-        """Of the last policy that the monitor was asked about; 0 before the first."""
-        asked = (*(reading.steps for reading in self.readings), *(steps for steps, _ in self.pending))
-        return max(asked, default=0)
+        """Steps of the last policy that was submitted to the monitor; 0 before the first."""
+        submitted = (*(metrics.steps for metrics in self.history), *(steps for steps, _ in self.pending))
+        return max(submitted, default=0)
 
     @property
-    def best(self) -> Reading | None:
-        """The reading of the chosen policy."""
+    def best(self) -> CheckpointMetrics | None:
+        """The metrics of the chosen policy."""
         return self.chosen[0] if self.chosen else None
 
-    def asked(self, steps: int, policy: Policy) -> Watched:
-        """One more policy waits for its reading."""
+    def submitted(self, steps: int, policy: Policy) -> MonitorState:
+        """With one more policy that waits for its metrics."""
         return replace(self, pending=(*self.pending, (steps, policy)))
 
-    def heard(self, reading: Reading, limits: SelectionLimits) -> Watched:
-        """The reading of the policy that waited longest has come."""
+    def collected(self, metrics: CheckpointMetrics, limits: SelectionLimits) -> MonitorState:
+        """With the metrics of the policy that has waited longest."""
         (steps, policy), *others = self.pending
-        assert steps == reading.steps
-        chosen_now = self.chosen is None or better(reading, self.chosen[0], limits)
-        return Watched(
-            readings=(*self.readings, reading),
+        assert steps == metrics.steps
+        chosen_now = self.chosen is None or better(metrics, self.chosen[0], limits)
+        return MonitorState(
+            history=(*self.history, metrics),
             pending=tuple(others),
-            chosen=(reading, policy) if chosen_now else self.chosen,
+            chosen=(metrics, policy) if chosen_now else self.chosen,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run at the end of a leg."""
+    """A run at the end of a segment."""
 
-    leg: int  # legs done
+    segment: int  # segments done
     steps: int  # control steps done
     policy: Policy  # the latest
     learner: dict[str, Any]  # Learner.state
 
 
-def save_checkpoint(path: Path, document: dict[str, Any], run: Run, watched: Watched) -> None:
+def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_state: MonitorState) -> None:
     """Write a checkpoint in one step. document: `TrainingConfig.document`."""
-    reading, policy = watched.chosen or (None, run.policy)
+    metrics, policy = monitor_state.chosen or (None, run.policy)
     content = {
         "format": CHECKPOINT_FORMAT,
         "version": CHECKPOINT_VERSION,
@@ -83,11 +83,11 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, watched: Wat
         "latest": run.policy,
         "progress": {
             "steps": run.steps,
-            "leg": run.leg,
-            "chosen_steps": run.steps if reading is None else reading.steps,
+            "leg": run.segment,
+            "chosen_steps": run.steps if metrics is None else metrics.steps,
         },
-        "readings": json.dumps([r.document() for r in watched.readings]),
-        "pending": [[steps, waiting] for steps, waiting in watched.pending],
+        "readings": json.dumps([r.document() for r in monitor_state.history]),
+        "pending": [[steps, waiting] for steps, waiting in monitor_state.pending],
     }
     # Through memory: torch writes a file's own name into it.
     buffer = io.BytesIO()
@@ -100,7 +100,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, watched: Wat
     write_bytes(path, buffer.getvalue())
 
 
-def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, Watched]:
+def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
     """The run to go on with. Raises TrainingError if there is none, or it is of another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
@@ -112,10 +112,10 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, Watched]:
         config = json.loads(content["config"])
         progress = content["progress"]
         run = Run(int(progress["leg"]), int(progress["steps"]), dict(content["latest"]), content["learner"])
-        readings = tuple(Reading.of(item) for item in json.loads(content["readings"]))
-        chosen = [r for r in readings if r.steps == progress["chosen_steps"]]
-        watched = Watched(
-            readings,
+        history = tuple(CheckpointMetrics.of(item) for item in json.loads(content["readings"]))
+        chosen = [r for r in history if r.steps == progress["chosen_steps"]]
+        monitor_state = MonitorState(
+            history,
             tuple((int(steps), dict(policy)) for steps, policy in content["pending"]),
             (chosen[0], dict(content["state_dict"])) if chosen else None,
         )
@@ -131,7 +131,7 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, Watched]:
             f"{path} was trained with {key} {config.get(key)}, got {same.get(key)}; resume with the same "
             f"configuration, or train anew into another folder"
         )
-    return run, watched
+    return run, monitor_state
 
 
 def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, text and tensors

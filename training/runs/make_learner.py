@@ -1,4 +1,4 @@
-"""Which learner an algorithm's knobs stand for."""
+"""Makes the learner of a configured algorithm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from training.config.training_config import TrainingConfig
 from training.learners.protocol import Learner
 
 
-def learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
+def make_learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
     """A fresh learner; `close()` when done."""
     match config.algorithm:
         case PpoConfig() as ppo:
@@ -21,10 +21,10 @@ def learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
             from training.learners.trpo import TrpoLearner
 
             return TrpoLearner(aircraft, config, trpo)
-        case OffPolicyConfig() as knobs:
+        case OffPolicyConfig() as off_policy:
             from training.learners.off_policy import OffPolicyLearner
 
-            return OffPolicyLearner(aircraft, config, knobs)
+            return OffPolicyLearner(aircraft, config, off_policy)
         case PathwiseConfig() as pathwise:
             from training.learners.pathwise.learner import PathwiseLearner
 

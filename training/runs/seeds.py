@@ -11,7 +11,7 @@ from typing import Any
 from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
 from toolchain.files import write_bytes, write_text
-from training.checkpoints.metrics import Reading
+from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
 from training.config.training_config import SEED_MAX, TrainingConfig
@@ -71,16 +71,18 @@ def plan(
     return tuple(planned)
 
 
-def best_seed(chosen: Mapping[int, Reading], limits: SelectionLimits) -> int:
+def best_seed(chosen: Mapping[int, CheckpointMetrics], limits: SelectionLimits) -> int:
     """The seed whose chosen checkpoint is the best by the rule that chose it; of equals the first."""
     best = next(iter(chosen))
-    for seed, reading in chosen.items():
-        if better(reading, chosen[best], limits):
+    for seed, metrics in chosen.items():
+        if better(metrics, chosen[best], limits):
             best = seed
     return best
 
 
-def keep_best(out: Path, chosen: Mapping[int, Reading], limits: SelectionLimits, command: str | None) -> int:
+def keep_best(
+    out: Path, chosen: Mapping[int, CheckpointMetrics], limits: SelectionLimits, command: str | None
+) -> int:
     """Copy checkpoint, policy and record of the best seed from its folder into `out`. Returns that seed."""
     best = best_seed(chosen, limits)
     for name in (CHECKPOINT, POLICY):

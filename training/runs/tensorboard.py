@@ -7,11 +7,11 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from training.checkpoints.metrics import Reading, Spread
-from training.runs.train import Progress, Watcher
+from training.checkpoints.metrics import CheckpointMetrics, Spread
+from training.runs.train import Callback, Progress
 
 
-class TensorBoard(Watcher):
+class TensorBoard(Callback):
     """Writes event files; their steps are control steps."""
 
     def __init__(self, folder: Path, resumed: int | None = None) -> None:
@@ -21,19 +21,19 @@ class TensorBoard(Watcher):
         self._writer: SummaryWriter | None = None  # made with the first figure
 
     def progressed(self, progress: Progress) -> None:
-        """See Listener."""
+        """See Callback."""
         self._add("train/reward", progress.reward, progress.steps)
         for name, value in progress.figures.items():
             self._add(name, value, progress.steps)
         self._add("time/seconds", progress.seconds, progress.steps)
 
-    def monitored(self, reading: Reading) -> None:
-        """See Listener."""
-        for field in fields(reading):
-            spread = getattr(reading, field.name)
+    def monitored(self, metrics: CheckpointMetrics) -> None:
+        """See Callback."""
+        for field in fields(metrics):
+            spread = getattr(metrics, field.name)
             if isinstance(spread, Spread):
                 for end in fields(spread):
-                    self._add(f"monitor_{end.name}/{field.name}", getattr(spread, end.name), reading.steps)
+                    self._add(f"monitor_{end.name}/{field.name}", getattr(spread, end.name), metrics.steps)
 
     def close(self) -> None:
         """Finish the event file."""

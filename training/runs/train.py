@@ -9,21 +9,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
 from sim.aircraft.model import Aircraft
 from toolchain.files import write_text
 from toolchain.policy.freeze import freeze
-from training.checkpoints.metrics import Reading
+from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.monitor import EPISODES, SEED, flown
 from training.checkpoints.monitor_process import Monitor
 from training.checkpoints.selection import rule
 from training.config.training_config import TrainingConfig
 from training.learners.protocol import Report
-from training.runs.checkpoint import Policy, Run, Watched, load_run, save_checkpoint, snapshot
-from training.runs.make_learner import learner
+from training.runs.checkpoint import MonitorState, Policy, Run, load_run, save_checkpoint, snapshot
+from training.runs.make_learner import make_learner
 
 CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.json", "monitor.json"
 RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR)
@@ -40,65 +40,49 @@ class Progress:
     seconds: float  # of this run and those that it resumed
     reward: float  # mean of a control step since the last report
     figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names
-    chosen: Reading | None = None  # of the policy that would be kept now
+    chosen: CheckpointMetrics | None = None  # of the policy that would be kept now
 
 
-class Listener(Protocol):
-    """Told what happens in a run."""
+class Callback:
+    """Called while a run goes on; a subclass overrides what it needs."""
 
     def progressed(self, progress: Progress) -> None:
         """After every update."""
-        ...
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """After a checkpoint was kept; `policy`: the latest weights, by the names that freeze knows."""
-        ...
+        """After a checkpoint was written; `policy`: the latest weights, by the names that freeze knows."""
 
-    def monitored(self, reading: Reading) -> None:
+    def monitored(self, metrics: CheckpointMetrics) -> None:
         """After the monitor has flown the policy of a checkpoint."""
-        ...
 
 
-class Watcher:
-    """A listener that does not listen, to begin one's own with."""
+class Callbacks(Callback):
+    """Calls several callbacks in turn."""
 
-    def progressed(self, progress: Progress) -> None:
-        """See Listener."""
-
-    def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Listener."""
-
-    def monitored(self, reading: Reading) -> None:
-        """See Listener."""
-
-
-class Watchers:
-    """Tells several."""
-
-    def __init__(self, watchers: Sequence[Listener]) -> None:
-        self._watchers = watchers
+    def __init__(self, callbacks: Sequence[Callback]) -> None:
+        self._callbacks = callbacks
 
     def progressed(self, progress: Progress) -> None:
-        """See Listener."""
-        for watcher in self._watchers:
-            watcher.progressed(progress)
+        """See Callback."""
+        for callback in self._callbacks:
+            callback.progressed(progress)
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Listener."""
-        for watcher in self._watchers:
-            watcher.checkpointed(progress, policy)
+        """See Callback."""
+        for callback in self._callbacks:
+            callback.checkpointed(progress, policy)
 
-    def monitored(self, reading: Reading) -> None:
-        """See Listener."""
-        for watcher in self._watchers:
-            watcher.monitored(reading)
+    def monitored(self, metrics: CheckpointMetrics) -> None:
+        """See Callback."""
+        for callback in self._callbacks:
+            callback.monitored(metrics)
 
 
 def train(
     aircraft: Aircraft,
     config: TrainingConfig,
     out: Path,
-    watcher: Listener | None = None,
+    callback: Callback | None = None,
     *,
     resume: bool = False,
     monitor: Monitor | None = None,
@@ -117,60 +101,62 @@ def train(
     """
     # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
     torch.set_num_threads(1)
-    watcher = watcher or Watcher()
+    callback = callback or Callback()
     document = config.document(aircraft)
-    run, watched = load_run(out / CHECKPOINT, document) if resume else (None, Watched())
+    run, monitor_state = load_run(out / CHECKPOINT, document) if resume else (None, MonitorState())
     results = _Results(out, config, document, command, monitor is not None)
-    model = learner(aircraft, config)
+    model = make_learner(aircraft, config)
     _tidy(out)
-    began, before, leg, marked = time.monotonic(), 0.0, 0, 0
+    began, before, segment, marked = time.monotonic(), 0.0, 0, 0
     if run is not None:
         model.restore(run.learner)
-        leg, before = run.leg, _seconds(out)
-        marked = watched.steps if monitor else run.steps
-    state = Progress(model.steps, config.steps, before, 0.0, chosen=watched.best)
+        segment, before = run.segment, _seconds(out)
+        marked = monitor_state.steps if monitor else run.steps
+    state = Progress(model.steps, config.steps, before, 0.0, chosen=monitor_state.best)
 
     def listen(*, wait: bool = False) -> None:
-        nonlocal watched
-        for reading in monitor.collect(wait=wait) if monitor else ():
-            watched = watched.heard(reading, config.selection)
-            results.write_monitor(watched)
-            watcher.monitored(reading)
+        nonlocal monitor_state
+        for metrics in monitor.collect(wait=wait) if monitor else ():
+            monitor_state = monitor_state.collected(metrics, config.selection)
+            results.write_monitor(monitor_state)
+            callback.monitored(metrics)
 
     def report(update: Report) -> None:
         nonlocal state
         listen()
         passed = before + time.monotonic() - began
-        state = Progress(update.steps, config.steps, passed, update.reward, update.figures, watched.best)
-        watcher.progressed(state)
+        state = Progress(
+            update.steps, config.steps, passed, update.reward, update.figures, monitor_state.best
+        )
+        callback.progressed(state)
 
     try:
         if monitor is not None:
-            for steps, policy in watched.pending:
+            for steps, policy in monitor_state.pending:
                 monitor.submit(steps, policy)
         while True:
             if run is not None and _due(run.steps, marked, config):
                 marked = run.steps
                 if monitor is not None:
-                    watched = watched.asked(run.steps, run.policy)
+                    monitor_state = monitor_state.submitted(run.steps, run.policy)
                     monitor.submit(run.steps, run.policy)
-                results.write(run, watched, state.seconds)
-                watcher.checkpointed(state, run.policy)
+                results.write(run, monitor_state, state.seconds)
+                callback.checkpointed(state, run.policy)
             if model.steps >= config.steps:
                 break
-            model.learn(leg, report)
-            leg += 1
-            run = Run(leg, model.steps, snapshot(model.policy()), snapshot(model.state()))
+            model.learn(segment, report)
+            segment += 1
+            run = Run(segment, model.steps, snapshot(model.policy()), snapshot(model.state()))
         assert run is not None
         listen(wait=True)
-        results.write(run, watched, state.seconds)
+        results.write(run, monitor_state, state.seconds)
     except KeyboardInterrupt:
         if run is not None:
-            results.write(run, watched, state.seconds)
+            results.write(run, monitor_state, state.seconds)
         raise
     finally:
         model.close()
-    return replace(state, steps=run.steps, chosen=watched.best)
+    return replace(state, steps=run.steps, chosen=monitor_state.best)
 
 
 def _tidy(out: Path) -> None:
@@ -196,19 +182,19 @@ class _Results:
     command: str | None
     monitored: bool
 
-    def write(self, run: Run, watched: Watched, seconds: float) -> None:
+    def write(self, run: Run, monitor_state: MonitorState, seconds: float) -> None:
         """All of them; the checkpoint first, of which `--resume` can make the others."""
-        save_checkpoint(self.out / CHECKPOINT, self.document, run, watched)
+        save_checkpoint(self.out / CHECKPOINT, self.document, run, monitor_state)
         freeze(self.out / CHECKPOINT, self.out / POLICY)
-        self.write_monitor(watched)
-        write_text(self.out / RECORD, _text(self._record(run, watched, seconds)))
+        self.write_monitor(monitor_state)
+        write_text(self.out / RECORD, _text(self._record(run, monitor_state, seconds)))
 
-    def write_monitor(self, watched: Watched) -> None:
+    def write_monitor(self, monitor_state: MonitorState) -> None:
         """monitor.json, where there is a monitor."""
         if self.monitored:
-            write_text(self.out / MONITOR, _text(self._monitor(watched)))
+            write_text(self.out / MONITOR, _text(self._monitor(monitor_state)))
 
-    def _monitor(self, watched: Watched) -> dict[str, Any]:
+    def _monitor(self, monitor_state: MonitorState) -> dict[str, Any]:
         """What the monitor flies and what it saw."""
         limits = self.config.selection
         return {
@@ -220,24 +206,24 @@ class _Results:
             "episodes_seed": SEED,
             "limits": {"output": limits.output, "change": limits.change},
             "rule": rule(limits),
-            "chosen_steps": watched.best and watched.best.steps,
-            "readings": [reading.document() for reading in watched.readings],
+            "chosen_steps": monitor_state.best and monitor_state.best.steps,
+            "readings": [metrics.document() for metrics in monitor_state.history],
         }
 
-    def _record(self, run: Run, watched: Watched, seconds: float) -> dict[str, Any]:
+    def _record(self, run: Run, monitor_state: MonitorState, seconds: float) -> dict[str, Any]:
         """What was asked for, what was done, with which tools."""
-        best, seconds = watched.best, round(seconds, 1)
+        best, seconds = monitor_state.best, round(seconds, 1)
         return {
             "config": self.document,
             "steps": run.steps,
-            "complete": run.steps >= self.config.steps and not watched.pending,
+            "complete": run.steps >= self.config.steps and not monitor_state.pending,
             "seconds": seconds,
             "steps_per_second": round(run.steps / seconds) if seconds else None,
             "command": self.command,
             "python": platform.python_version(),
             "tools": {tool: version(tool) for tool in TOOLS},
             "chosen": best and {"rule": rule(self.config.selection), **best.document()},
-            "monitor": [reading.document() for reading in watched.readings],
+            "monitor": [metrics.document() for metrics in monitor_state.history],
         }
 
 

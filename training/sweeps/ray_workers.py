@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sim.aircraft.model import Aircraft
 from toolchain.errors import NeuroflightError, TrainingError
 from training.runs.checkpoint import Policy
-from training.runs.train import Progress, Watcher
+from training.runs.train import Callback, Progress
 from training.sweeps.config import Trial, Validation
 from training.sweeps.trial import run_trial
 
@@ -49,7 +49,7 @@ QUIET = {
 }
 
 
-class SweepWatcher:
+class SweepCallback:
     """Told what happens in a sweep; this one does not listen."""
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
@@ -152,7 +152,7 @@ class Job:
     folder: Path
 
 
-def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, watcher: SweepWatcher) -> None:
+def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback) -> None:
     """Do all runs in the present Ray session, at most `cpus` at a time, one core each."""
     from ray import tune
 
@@ -167,7 +167,7 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, watcher: SweepWatcher) -
             storage_path=str((out / RAY).resolve()),
             verbose=0,
             failure_config=tune.FailureConfig(max_failures=FAILURES_MAX),
-            callbacks=[_callback(jobs, watcher)],
+            callbacks=[_callback(jobs, callback)],
         ),
     )
     try:
@@ -187,7 +187,7 @@ def clear_stop(out: Path) -> None:
     (out / STOP).unlink(missing_ok=True)
 
 
-class _Reporter(Watcher):
+class _Reporter(Callback):
     """Sends progress to the driver, every checkpoint at once, and ends the run when it is asked to."""
 
     def __init__(self, stop: Path) -> None:
@@ -195,14 +195,14 @@ class _Reporter(Watcher):
         self._next = time.monotonic()
 
     def progressed(self, progress: Progress) -> None:
-        """See Watcher. Raises KeyboardInterrupt if the sweep is to stop."""
+        """See Callback. Raises KeyboardInterrupt if the sweep is to stop."""
         if self._stop.exists():
             raise KeyboardInterrupt
         if time.monotonic() >= self._next:
             self._report(progress)
 
     def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Watcher."""
+        """See Callback."""
         self._report(progress)
 
     def _report(self, progress: Progress) -> None:
@@ -213,7 +213,7 @@ class _Reporter(Watcher):
 
 
 def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
-    """What a worker does for one run; a refusal is reported, anything else is a failure to try again."""
+    """What a worker does for one run; a error is reported, anything else is a failure to try again."""
     from ray import tune
 
     job, stop = jobs[config["job"]], out / STOP
@@ -229,7 +229,7 @@ def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
     tune.report(end)
 
 
-def _callback(jobs: Sequence[Job], watcher: SweepWatcher) -> ray.tune.Callback:
+def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback:
     from ray import tune
 
     class Driver(tune.Callback):
@@ -246,22 +246,22 @@ def _callback(jobs: Sequence[Job], watcher: SweepWatcher) -> ray.tune.Callback:
         ) -> None:
             number = self._number(trial)
             if "steps" in result:
-                watcher.progressed(number, result["steps"], result["reward"], result["pid"])
+                callback.progressed(number, result["steps"], result["reward"], result["pid"])
             elif result["finished"]:
-                watcher.finished(number)
+                callback.finished(number)
             elif result["reason"]:
-                watcher.failed(number, result["reason"])
+                callback.failed(number, result["reason"])
 
         def on_trial_recover(
             self, iteration: int, trials: list[RayTrial], trial: RayTrial, **_: object
         ) -> None:
-            watcher.restarted(self._number(trial))
+            callback.restarted(self._number(trial))
 
         def on_trial_error(
             self, iteration: int, trials: list[RayTrial], trial: RayTrial, **_: object
         ) -> None:
             reason = f"ended {FAILURES_MAX + 1} times before it was done: {_last_line(trial)}"
-            watcher.failed(self._number(trial), reason)
+            callback.failed(self._number(trial), reason)
 
         def _number(self, trial: RayTrial) -> int:
             index: int = trial.config["job"]

@@ -11,7 +11,7 @@ from toolchain.errors import TrainingError
 from toolchain.files import write_text
 from training.sweeps.config import Sweep
 from training.sweeps.plot import draw
-from training.sweeps.ray_workers import STOP, Job, SweepWatcher, check_ray, clear_stop, ray_session, run_jobs
+from training.sweeps.ray_workers import STOP, Job, SweepCallback, check_ray, clear_stop, ray_session, run_jobs
 from training.sweeps.summary import Run, configurations, document
 from training.sweeps.trial import read_outcome
 
@@ -28,7 +28,7 @@ def run_sweep(
     address: str | None = None,
     resume: bool = False,
     command: str = "",
-    watcher: SweepWatcher | None = None,
+    callback: SweepCallback | None = None,
 ) -> tuple[Run, ...]:
     """Do the runs that are not done yet; `out`/sweep.json is written after each, sweep.png at the end.
 
@@ -37,7 +37,7 @@ def run_sweep(
     KeyboardInterrupt if it was stopped, see `sweep_ray.request_stop`.
     """
     check_ray()
-    keeper = Keeper(sweep, out, command, watcher or SweepWatcher())
+    keeper = Keeper(sweep, out, command, callback or SweepCallback())
     if not resume and (out / TRIALS).exists():
         raise TrainingError(f"{out} already holds a sweep; add --resume to go on with it, or choose another")
     if resume:
@@ -66,12 +66,12 @@ def run_sweep(
     return tuple(keeper.runs)
 
 
-class Keeper(SweepWatcher):
+class Keeper(SweepCallback):
     """Keeps the record of a sweep, and passes on what it hears."""
 
-    def __init__(self, sweep: Sweep, out: Path, command: str, watcher: SweepWatcher) -> None:
+    def __init__(self, sweep: Sweep, out: Path, command: str, callback: SweepCallback) -> None:
         self.runs = [Run(trial) for trial in sweep.trials]
-        self._sweep, self._out, self._command, self._watcher = sweep, out, command, watcher
+        self._sweep, self._out, self._command, self._callback = sweep, out, command, callback
 
     def folder(self, run: Run) -> Path:
         """Where a run's results are."""
@@ -94,24 +94,24 @@ class Keeper(SweepWatcher):
             save_png(self._out / PLOT, draw(found, title, self._sweep.validation))
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
-        """See SweepWatcher."""
-        self._watcher.progressed(number, steps, reward, pid)
+        """See SweepCallback."""
+        self._callback.progressed(number, steps, reward, pid)
 
     def finished(self, number: int) -> None:
-        """See SweepWatcher."""
+        """See SweepCallback."""
         self._read(number - 1)
         self.write()
-        self._watcher.finished(number)
+        self._callback.finished(number)
 
     def restarted(self, number: int) -> None:
-        """See SweepWatcher."""
-        self._watcher.restarted(number)
+        """See SweepCallback."""
+        self._callback.restarted(number)
 
     def failed(self, number: int, reason: str) -> None:
-        """See SweepWatcher."""
+        """See SweepCallback."""
         self.runs[number - 1] = replace(self.runs[number - 1], reason=reason)
         self.write()
-        self._watcher.failed(number, reason)
+        self._callback.failed(number, reason)
 
     def _read(self, index: int) -> None:
         run, sweep = self.runs[index], self._sweep

@@ -27,7 +27,7 @@ from toolchain.files import write_text
 from toolchain.policy.model import read_policy
 from training.checkpoints.monitor_process import Monitor
 from training.evaluation.evaluation import Scores, record, scores
-from training.runs.train import CHECKPOINT, POLICY, RECORD, Watcher, train
+from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
 from training.sweeps.config import Trial, Validation
 from training.tasks.registry import TASKS
 
@@ -61,13 +61,13 @@ class Outcome:
 
 
 def run_trial(
-    trial: Trial, aircraft: Aircraft, validation: Validation, folder: Path, watcher: Watcher
+    trial: Trial, aircraft: Aircraft, validation: Validation, folder: Path, callback: Callback
 ) -> Outcome:
     """Do the run in `folder`, or what is left of it, and write its result.json."""
     document = trial.config.document(aircraft)
     if not _trained(folder, document):
         kept = (folder / CHECKPOINT).exists()
-        train(aircraft, trial.config, folder, watcher, resume=kept, monitor=Monitor(aircraft, trial.config))
+        train(aircraft, trial.config, folder, callback, resume=kept, monitor=Monitor(aircraft, trial.config))
     policy = folder / POLICY
     trained = json.loads((folder / RECORD).read_text())
     flown = _flown(policy, trial, aircraft, validation)

@@ -28,7 +28,7 @@ class Transition:
     setpoint_before: Array  # (N, 3) [rad/s], at the sample that the action answers
     error: Array  # (N, 3) [rad/s], setpoint - true rate at the sample after the step
     error_before: Array  # (N, 3) [rad/s], at the sample before it
-    asked: Outputs  # (N, M), what the network asked of the motors, unbounded
+    unclipped: Outputs  # (N, M), what the network asked of the motors, unbounded
     action: Outputs  # (N, M), the controller's outputs of this step: that, clipped to 0..1
     action_before: Outputs  # (N, M), of the step before; zeros on an episode's first
 
@@ -185,7 +185,7 @@ class ProgressReward:
             np.square(np.rad2deg(error)).sum(axis=1) for error in (step.error_before, step.error)
         )
         low = 1.0 - np.maximum(step.action.mean(axis=1), self.idle)
-        beyond = np.maximum(0.0, step.asked.astype(np.float64) - 1.0).sum(axis=1)
+        beyond = np.maximum(0.0, step.unclipped.astype(np.float64) - 1.0).sum(axis=1)
         full = (step.action == 1.0).all(axis=1)
         idle = ((step.action == 0.0).sum(axis=1) > 2) & step.setpoint_before.any(axis=1)
         reward = (

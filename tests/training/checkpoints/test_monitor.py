@@ -42,31 +42,31 @@ def arrays(policy: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
 
 
 def test_the_readings_are_the_same_when_a_process_apart_takes_them() -> None:
-    readings = []
+    history = []
     for apart in (False, True):
         with Monitor(NF1, CONFIG, apart=apart) as monitor:
             for steps, seed in ((100, 1), (200, 2)):
                 monitor.submit(steps, weights(seed))
-            readings.append(monitor.collect(wait=True))
+            history.append(monitor.collect(wait=True))
             assert monitor.collect(wait=True) == []
-    assert [reading.steps for reading in readings[0]] == [100, 200]
-    assert readings[0] == readings[1]
-    assert readings[0][0].mae != readings[0][1].mae
+    assert [metrics.steps for metrics in history[0]] == [100, 200]
+    assert history[0] == history[1]
+    assert history[0][0].mae != history[0][1].mae
 
 
 def test_a_policy_that_always_asks_for_the_same_changes_nothing() -> None:
-    reading = fly(NF1, CONFIG, 1, arrays(weights(0)))
-    assert reading.output.mean == pytest.approx(0.2, abs=1e-6)
-    assert reading.change.greatest == 0.0
+    metrics = fly(NF1, CONFIG, 1, arrays(weights(0)))
+    assert metrics.output.mean == pytest.approx(0.2, abs=1e-6)
+    assert metrics.change.greatest == 0.0
     # Nothing turns the aircraft: it errs by the commands, on average half of 300 deg/s an axis.
-    assert 80.0 < reading.mae.mean < 220.0
-    assert reading.mae.least < reading.mae.mean < reading.mae.greatest
+    assert 80.0 < metrics.mae.mean < 220.0
+    assert metrics.mae.least < metrics.mae.mean < metrics.mae.greatest
     # TrackingReward: the axes' errors over 100 deg/s, and 0.6 of the output; over one step more or less.
-    assert reading.reward.mean == pytest.approx(-3 * reading.mae.mean / 100 - 0.6 * 0.2, rel=0.02)
+    assert metrics.reward.mean == pytest.approx(-3 * metrics.mae.mean / 100 - 0.6 * 0.2, rel=0.02)
 
 
 @pytest.mark.parametrize("apart", [False, True])
-def test_weights_that_make_no_policy_are_refused_in_one_line(apart: bool) -> None:
+def test_weights_that_make_no_policy_are_rejected_in_one_line(apart: bool) -> None:
     policy = weights(1)
     policy["action_net.bias"] = policy["action_net.bias"] * float("nan")
     with (

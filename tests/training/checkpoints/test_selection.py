@@ -9,67 +9,67 @@ import pytest
 from sim.aircraft.model import load_aircraft
 from sim.plotting import png
 from toolchain.errors import TrainingError
-from training.checkpoints.metrics import Reading, Spread
+from training.checkpoints.metrics import CheckpointMetrics, Spread
 from training.checkpoints.monitor_plot import Monitored, draw, read_monitor
 from training.config.selection import SelectionLimits
 from training.config.training_config import TrainingConfig
-from training.runs.checkpoint import Watched
+from training.runs.checkpoint import MonitorState
 from training.runs.seeds import best_seed, plan
 
 LIMITS = SelectionLimits(output=0.1, change=0.01)
 
 
-def reading(steps: int, mae: float, output: float = 0.05, change: float = 0.005) -> Reading:
-    """A reading with these means."""
+def metrics(steps: int, mae: float, output: float = 0.05, change: float = 0.005) -> CheckpointMetrics:
+    """Metrics with these means."""
     means = (mae, 10 * mae, output, change, -mae)
-    return Reading(steps, *(Spread(mean, mean - 1.0, mean + 1.0) for mean in means))
+    return CheckpointMetrics(steps, *(Spread(mean, mean - 1.0, mean + 1.0) for mean in means))
 
 
 @pytest.mark.parametrize(
-    ("readings", "chosen"),
+    ("history", "chosen"),
     [
-        ([reading(1, 3.0), reading(2, 2.0), reading(3, 2.5)], 2),  # least MAE
-        ([reading(1, 3.0), reading(2, 1.0, output=0.11)], 1),  # a limit counts more than any MAE
-        ([reading(1, 3.0), reading(2, 1.0, change=0.011)], 1),
-        ([reading(1, 1.0, output=0.11), reading(2, 9.0)], 2),
-        ([reading(1, 3.0, output=0.1, change=0.01), reading(2, 3.5)], 1),  # at a limit is within it
-        ([reading(1, 4.0, output=0.2), reading(2, 3.0, output=0.3)], 1),  # none within: 8 against 9
-        ([reading(1, 4.0, output=0.2), reading(2, 3.0, output=0.2, change=0.02)], 1),  # 8 against 12
-        ([reading(1, 2.0), reading(2, 2.0)], 1),  # of equals the earlier
+        ([metrics(1, 3.0), metrics(2, 2.0), metrics(3, 2.5)], 2),  # least MAE
+        ([metrics(1, 3.0), metrics(2, 1.0, output=0.11)], 1),  # a limit counts more than any MAE
+        ([metrics(1, 3.0), metrics(2, 1.0, change=0.011)], 1),
+        ([metrics(1, 1.0, output=0.11), metrics(2, 9.0)], 2),
+        ([metrics(1, 3.0, output=0.1, change=0.01), metrics(2, 3.5)], 1),  # at a limit is within it
+        ([metrics(1, 4.0, output=0.2), metrics(2, 3.0, output=0.3)], 1),  # none within: 8 against 9
+        ([metrics(1, 4.0, output=0.2), metrics(2, 3.0, output=0.2, change=0.02)], 1),  # 8 against 12
+        ([metrics(1, 2.0), metrics(2, 2.0)], 1),  # of equals the earlier
     ],
 )
-def test_the_rule_chooses_among_checkpoints(readings: list[Reading], chosen: int) -> None:
-    watched = Watched()
-    for item in readings:
-        watched = watched.asked(item.steps, {}).heard(item, LIMITS)
-    assert watched.best is not None
-    assert watched.best.steps == chosen
-    assert watched.readings == tuple(readings)
-    assert watched.pending == ()
+def test_the_rule_chooses_among_checkpoints(history: list[CheckpointMetrics], chosen: int) -> None:
+    state = MonitorState()
+    for item in history:
+        state = state.submitted(item.steps, {}).collected(item, LIMITS)
+    assert state.best is not None
+    assert state.best.steps == chosen
+    assert state.history == tuple(history)
+    assert state.pending == ()
 
 
 def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
-    assert best_seed({4: reading(9, 2.0), 5: reading(7, 1.0), 6: reading(8, 1.0)}, LIMITS) == 5
-    assert best_seed({4: reading(9, 2.0), 5: reading(7, 1.0, output=0.2)}, LIMITS) == 4
+    assert best_seed({4: metrics(9, 2.0), 5: metrics(7, 1.0), 6: metrics(8, 1.0)}, LIMITS) == 5
+    assert best_seed({4: metrics(9, 2.0), 5: metrics(7, 1.0, output=0.2)}, LIMITS) == 4
 
 
 @pytest.mark.parametrize(
     "limits", [{"output": 0.0}, {"change": -0.01}, {"output": 1.5}, {"change": float("nan")}]
 )
-def test_limits_are_refused_when_they_are_none(limits: dict[str, float]) -> None:
+def test_limits_are_rejected_when_they_are_none(limits: dict[str, float]) -> None:
     with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
         TrainingConfig(selection=SelectionLimits(**limits))
 
 
 def test_a_reading_is_itself_when_it_was_text_in_between() -> None:
-    before = reading(5, 1.0 / 3.0)
-    assert Reading.of(json.loads(json.dumps(before.document()))) == before
+    before = metrics(5, 1.0 / 3.0)
+    assert CheckpointMetrics.of(json.loads(json.dumps(before.document()))) == before
 
 
 @pytest.mark.parametrize(
     "text", ["", "[]", '{"seed": 1}', '{"seed": 1, "readings": [{"steps": 3}]}', "{" * 5000]
 )
-def test_a_damaged_monitor_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
+def test_a_damaged_monitor_is_rejected_in_one_line(text: str, tmp_path: Path) -> None:
     path = tmp_path / "monitor.json"
     path.write_text(text)
     with pytest.raises(TrainingError, match=r"monitor\.json is no record of a monitor") as caught:
@@ -79,8 +79,8 @@ def test_a_damaged_monitor_is_refused_in_one_line(text: str, tmp_path: Path) -> 
 
 def test_the_plot_has_a_panel_a_figure_and_marks_what_was_chosen() -> None:
     runs = [
-        Monitored("seed 1", (reading(1000, 3.0), reading(2000, 2.0)), 2000, 0.1, 0.01),
-        Monitored("seed 2", (reading(1000, 4.0),), 1000, 0.1, 0.01),
+        Monitored("seed 1", (metrics(1000, 3.0), metrics(2000, 2.0)), 2000, 0.1, 0.01),
+        Monitored("seed 2", (metrics(1000, 4.0),), 1000, 0.1, 0.01),
         Monitored("seed 3", (), None, 0.1, 0.01),
     ]
     figure = draw(runs, "seed 1", "three seeds")
@@ -119,7 +119,7 @@ def test_several_seeds_are_planned_into_folders_of_their_own(tmp_path: Path) -> 
         (1, 1, True, "nothing to resume"),
     ],
 )
-def test_a_plan_is_refused_when_it_cannot_be_run(
+def test_a_plan_is_rejected_when_it_cannot_be_run(
     seeds: int, seed: int, resume: bool, message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(TrainingError, match=message):

@@ -180,12 +180,12 @@ def test_fields_of_a_kind_are_forgotten_when_an_override_names_another(tmp_path:
         (["hidden=" + "[" * 5000], "the value is not TOML: "),
     ],
 )  # fmt: skip
-def test_what_is_no_configuration_is_refused_in_one_line(overrides: list[str], message: str) -> None:
-    with pytest.raises(TrainingError) as refusal:
+def test_what_is_no_configuration_is_rejected_in_one_line(overrides: list[str], message: str) -> None:
+    with pytest.raises(TrainingError) as error:
         load_config("ppo", overrides)
-    assert message in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-    assert len(str(refusal.value)) < 400
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400
 
 
 @pytest.mark.parametrize(
@@ -211,17 +211,17 @@ def test_what_is_no_configuration_is_refused_in_one_line(overrides: list[str], m
         ("a.json", b'{"config": {"ppo": {}}}', "a.json: ppo: unknown key; known here: "),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_configuration_is_refused_in_one_line(
+def test_a_file_that_is_no_configuration_is_rejected_in_one_line(
     name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(TrainingError) as refusal:
+    with pytest.raises(TrainingError) as error:
         load_config(tmp_path / name)
-    assert message in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("source", ["no-such-recipe", "", "a\0b"])
-def test_a_source_that_is_not_there_is_refused_with_the_recipes(source: str) -> None:
+def test_a_source_that_is_not_there_is_rejected_with_the_recipes(source: str) -> None:
     with pytest.raises(TrainingError, match=r"no such file; give the path .* one of the recipes: .*ppo"):
         load_config(source)

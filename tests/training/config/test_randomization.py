@@ -62,14 +62,14 @@ def test_what_is_not_randomized_stays_as_the_file_says() -> None:
         ({"charge": (0.5, 1.5)}, r"randomization charge .* within 0 to 1"),
     ],
 )
-def test_impossible_ranges_are_refused_before_anything_runs(
+def test_impossible_ranges_are_rejected_before_anything_runs(
     changes: dict[str, tuple[float, float]], message: str
 ) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(world=WorldConfig(randomization=Randomization(**changes)))
 
 
-def test_a_battery_is_refused_where_the_aircraft_has_none() -> None:
+def test_a_battery_is_rejected_where_the_aircraft_has_none() -> None:
     config = TrainingConfig(task=SHORT, world=WorldConfig(randomization=Randomization(charge=(0.5, 1.0))))
     with pytest.raises(AircraftError, match=r"no \[battery\] table"):
         AttitudeSimulation(replace(NF1, battery=None), 2, config=config, rng=np.random.default_rng(0))

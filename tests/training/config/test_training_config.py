@@ -62,10 +62,10 @@ def world(**options: Any) -> dict[str, WorldConfig]:
         ),
     ],
 )  # fmt: skip
-def test_what_cannot_be_run_is_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(TrainingError, match=message) as refusal:
+def test_what_cannot_be_run_is_rejected(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(TrainingError, match=message) as error:
         TrainingConfig(**options)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_what_cannot_be_run_is_refused(options: dict[str, Any], message: str) ->
         ),
     ],
 )
-def test_what_an_aircraft_cannot_be_trained_with_is_refused(
+def test_what_an_aircraft_cannot_be_trained_with_is_rejected(
     options: dict[str, Any], change: Callable[[], Any], message: str
 ) -> None:
     config = TrainingConfig(**options)

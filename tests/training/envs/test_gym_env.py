@@ -137,7 +137,7 @@ def test_a_recipe_names_the_whole_environment(make: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_refuses_an_action_that_is_not_finite(value: float, make: Any) -> None:
+def test_rejects_an_action_that_is_not_finite(value: float, make: Any) -> None:
     env = make().unwrapped
     env.reset(seed=1)
     with pytest.raises(ValueError, match="is not finite"):
@@ -158,7 +158,7 @@ def test_refuses_an_action_that_is_not_finite(value: float, make: Any) -> None:
         ({"config": "nothing"}, TrainingError, "config nothing: no such file"),
     ],
 )  # fmt: skip
-def test_refuses_options_it_does_not_know(
+def test_rejects_options_it_does_not_know(
     options: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):

@@ -84,7 +84,7 @@ def test_a_transition_is_what_happened(flown: tuple[AttitudeSimulation, list[Tra
         assert np.array_equal(before.setpoint, after.setpoint_before)
         assert np.array_equal(before.error, after.error_before)
         assert np.array_equal(before.action, after.action_before)
-    assert seen[-1].asked[0].tolist() == [2.0, -1.0, 0.5, 0.25]
+    assert seen[-1].unclipped[0].tolist() == [2.0, -1.0, 0.5, 0.25]
     assert seen[-1].action[0].tolist() == [1.0, 0.0, 0.5, 0.25]
     assert np.array_equal(seen[-1].error, twins.setpoint - twins.rate)
     assert np.abs(twins.rate).max() > 0.5  # it does fly

@@ -102,17 +102,17 @@ class Excess:
 
     def __call__(self, step: Transition) -> NDArray[np.float32]:
         """Of each aircraft, over motors."""
-        excess: NDArray[np.float32] = np.abs(step.asked - step.action).sum(axis=1)
+        excess: NDArray[np.float32] = np.abs(step.unclipped - step.action).sum(axis=1)
         return excess
 
 
 def test_a_reward_sees_what_the_policy_asks_for_when_it_is_beyond_the_motors(build: Build) -> None:
     env = build(reward=Excess())
     env.reset()
-    asked = np.tile(np.array([3.0, -3.0, 0.0, 1.0], np.float32), (8, 1))  # fractions 2, -1, 0.5 and 1
+    unclipped = np.tile(np.array([3.0, -3.0, 0.0, 1.0], np.float32), (8, 1))  # fractions 2, -1, 0.5 and 1
     assert isinstance(env.action_space, spaces.Box)
-    asked = np.clip(asked, env.action_space.low, env.action_space.high)  # as Stable-Baselines3 does
-    assert advance(env, asked)[1] == pytest.approx(np.full(8, 2.0))
+    unclipped = np.clip(unclipped, env.action_space.low, env.action_space.high)  # as Stable-Baselines3 does
+    assert advance(env, unclipped)[1] == pytest.approx(np.full(8, 2.0))
 
 
 def test_outputs_keep_within_the_map_when_squashed(build: Build) -> None:

@@ -17,7 +17,7 @@ from sim.analysis.spectrum import Spectrum
 from toolchain.errors import AircraftError, PolicyError
 from training.evaluation.comparison import curves, differences, document, enter, means, significant
 from training.evaluation.comparison_plot import draw
-from training.evaluation.controllers import Conditions, Contender, load_contender
+from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
 from training.evaluation.evaluation import Flights, Scores, scores
 from training.tasks.task import EnvelopeTask, PulseTask
 
@@ -42,8 +42,8 @@ class Constant:
         return self.action
 
 
-def constant(level: float) -> Contender:
-    return Contender("constant", lambda count: Constant(count, level), 1000, 0.0, {})
+def constant(level: float) -> ControllerSpec:
+    return ControllerSpec("constant", lambda count: Constant(count, level), 1000, 0.0, {})
 
 
 def off_by(error_deg_s: NDArray[np.float64]) -> Flights:
@@ -54,7 +54,7 @@ def off_by(error_deg_s: NDArray[np.float64]) -> Flights:
     return Flights(setpoint, rate, np.zeros((len(error_deg_s), 2000, 4), np.float32), STEP_S)
 
 
-def judged(mae: NDArray[np.float64], change: NDArray[np.float64]) -> Scores:
+def figures(mae: NDArray[np.float64], change: NDArray[np.float64]) -> Scores:
     """Scores (E,) with those figures; the same on all axes."""
     each = np.repeat(mae[:, None], 3, axis=1)
     return Scores(Tracking(*(each for _ in range(6))), change, change, change, NO_SPECTRUM, None)
@@ -86,13 +86,13 @@ def test_difference_is_found_significant_one_time_in_twenty_when_there_is_none()
     marks = []
     for _ in range(4000):
         command = rng.gamma(2.0, 10.0, 30)
-        one, two = (judged(command + rng.normal(0.0, 1.0, 30), np.zeros(30)) for _ in range(2))
+        one, two = (figures(command + rng.normal(0.0, 1.0, 30), np.zeros(30)) for _ in range(2))
         marks.append(significant(differences(one, two)["mae"]))
     assert np.mean(marks) == pytest.approx(0.05, abs=0.01)
 
 
 def test_means_are_those_of_the_axes_when_they_differ() -> None:
-    tracked = judged(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.6]))
+    tracked = figures(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.6]))
     tracked = replace(tracked, tracking=replace(tracked.tracking, mae=np.array([[0.0, 1.0, 2.0]] * 3)))
     found = means(tracked)
     assert (float(found["mae"].value), float(found["mae"].high)) == (1.0, 1.0)
@@ -114,7 +114,7 @@ def test_document_has_a_difference_only_when_there_is_another_to_differ_from() -
 
 def test_entries_meet_the_same_commands_and_noise_when_compared() -> None:
     flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=1.0, rest_s=0.0), episodes=3, seed=2)
-    one, two = (flown.fly(load_contender("pid:tuned", NF1), 0.0) for _ in range(2))
+    one, two = (flown.fly(load_controller("pid:tuned", NF1), 0.0) for _ in range(2))
     assert np.array_equal(one.rate, two.rate)
     found = differences(scores(one), scores(two))
     assert not any(significant(mean) for mean in found.values())
@@ -130,7 +130,7 @@ def test_curves_are_percentiles_over_the_commands() -> None:
 
 def test_plot_has_a_line_for_each_in_every_panel() -> None:
     flown = Conditions(NF1, EnvelopeTask(), episodes=3, seed=2)
-    entries = [enter(load_contender(name, NF1), flown, 0.0) for name in ("pid:tuned", "pid:published")]
+    entries = [enter(load_controller(name, NF1), flown, 0.0) for name in ("pid:tuned", "pid:published")]
     panels = draw(entries, "title").axes
     assert [panel.get_title(loc="left").split(",")[0] for panel in panels] == [
         *("roll", "pitch", "yaw"),
@@ -152,23 +152,23 @@ def test_plot_has_no_responses_when_no_command_is_held() -> None:
 
 
 def test_contender_is_known_by_a_short_name(shipped_policy: Path) -> None:
-    assert load_contender("pid", NF1).label == "PID tuned"
-    policy = load_contender(str(shipped_policy), NF1)
+    assert load_controller("pid", NF1).label == "PID tuned"
+    policy = load_controller(str(shipped_policy), NF1)
     assert policy.label == "policy nf1"
     assert len(policy.facts["policy_sha256"]) == 64
 
 
 def test_idle_is_the_contenders_own_unless_forced(shipped_policy: Path) -> None:
-    assert load_contender("pid:tuned", NF1).idle == dict(NF1.pids)["tuned"].idle > 0.0
-    assert load_contender("pid:tuned", NF1, idle=0.1).idle == 0.1
-    assert load_contender(str(shipped_policy), NF1, idle=0.25).idle == 0.25
+    assert load_controller("pid:tuned", NF1).idle == dict(NF1.pids)["tuned"].idle > 0.0
+    assert load_controller("pid:tuned", NF1, idle=0.1).idle == 0.1
+    assert load_controller(str(shipped_policy), NF1, idle=0.25).idle == 0.25
 
 
-def test_contender_is_refused_when_there_is_none(tmp_path: Path) -> None:
+def test_contender_is_rejected_when_there_is_none(tmp_path: Path) -> None:
     with pytest.raises(AircraftError, match="no PID 'best'"):
-        load_contender("pid:best", NF1)
+        load_controller("pid:best", NF1)
     with pytest.raises(PolicyError, match=r"none\.onnx"):
-        load_contender(str(tmp_path / "none.onnx"), NF1)
+        load_controller(str(tmp_path / "none.onnx"), NF1)
 
 
 def test_compare_prints_figures_differences_and_json(
@@ -229,7 +229,7 @@ def test_compare_tells_of_one_what_evaluate_tells(capsys: Capture) -> None:
         (["pid", "--plot", "a.pdf"], "a.pdf: expected a name that ends in .png"),
     ],
 )
-def test_compare_refuses_in_one_line_before_it_flies(
+def test_compare_rejects_in_one_line_before_it_flies(
     words: list[str], message: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("training.evaluation.controllers.record", None)

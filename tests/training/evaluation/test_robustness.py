@@ -1,4 +1,4 @@
-"""The table of robustness: its cases, its figures, its refusals."""
+"""The table of robustness: its cases, its figures, its errors."""
 
 import json
 from dataclasses import replace
@@ -9,9 +9,9 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
-from training.evaluation.controllers import Contender, load_contender
+from training.evaluation.controllers import ControllerSpec, load_controller
 from training.evaluation.evaluation import Flights
-from training.evaluation.robustness import Plan, examine, judge, quantile_of, ratio_of
+from training.evaluation.robustness import Plan, episode_figures, examine, quantile_of, ratio_of
 from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -21,8 +21,8 @@ PLAN = Plan(aircraft=NF1, task=SHORT, episodes=6, draws=0, seed=5, throttle_max=
 Capture = pytest.CaptureFixture[str]
 
 
-def pid(name: str = "pid") -> Contender:
-    return load_contender(name, NF1)
+def pid(name: str = "pid") -> ControllerSpec:
+    return load_controller(name, NF1)
 
 
 def flights(rate: np.ndarray, output: np.ndarray | None = None) -> Flights:
@@ -93,22 +93,22 @@ def test_progress_reaches_its_end() -> None:
 def test_divergence_is_what_it_says(rate_deg_s: float, lost: bool) -> None:
     rate = np.zeros((100, 3))
     rate[:, 0] = np.deg2rad(rate_deg_s)
-    assert judge(flights(rate)).diverged.tolist() == [lost]
+    assert episode_figures(flights(rate)).diverged.tolist() == [lost]
 
 
 def test_one_sample_beyond_the_gyro_is_divergence() -> None:
     rate = np.zeros((1000, 3))
     rate[500, 2] = np.deg2rad(-2001.0)
-    assert judge(flights(rate)).diverged.tolist() == [True]
+    assert episode_figures(flights(rate)).diverged.tolist() == [True]
 
 
 def test_figures_of_an_episode_are_those_of_its_samples() -> None:
     output = np.zeros((5, 4))
     output[1::2] = 0.4
-    judged = judge(flights(np.zeros((5, 3)), output))
-    assert judged.mae == pytest.approx([10.0 / 3])
-    assert judged.output == pytest.approx([0.16])
-    assert judged.change == pytest.approx([0.4])
+    figures = episode_figures(flights(np.zeros((5, 3)), output))
+    assert figures.mae == pytest.approx([10.0 / 3])
+    assert figures.output == pytest.approx([0.16])
+    assert figures.change == pytest.approx([0.4])
 
 
 def test_a_ratio_knows_how_sure_it_is() -> None:
@@ -177,7 +177,7 @@ def test_prints_a_table_and_the_same_as_json(
         (["pid", "--plot", "figure.txt"], "ends in .png"),
     ],
 )
-def test_refuses_what_makes_no_flight(words: list[str], message: str, capsys: Capture) -> None:
+def test_rejects_what_makes_no_flight(words: list[str], message: str, capsys: Capture) -> None:
     assert main(["robustness", *words]) == 1
     printed = capsys.readouterr()
     assert printed.out == ""

@@ -27,7 +27,7 @@ from training.config.algorithms import (
 )
 from training.config.training_config import OutputMap, TrainingConfig
 from training.learners.sb3 import Sb3Learner
-from training.runs.make_learner import learner
+from training.runs.make_learner import make_learner
 from training.tasks.reward import Transition
 from training.tasks.task import PulseTask
 
@@ -68,7 +68,7 @@ class Constant:
 @contextmanager
 def learning(config: TrainingConfig) -> Iterator[Sb3Learner]:
     torch.set_num_threads(1)
-    found = learner(NF1, config)
+    found = make_learner(NF1, config)
     assert isinstance(found, Sb3Learner)
     try:
         yield found
@@ -203,13 +203,13 @@ def test_memory_holds_an_episodes_last_observation_when_its_time_is_over(name: s
         (SacConfig(gradient_steps=0), "gradient_steps 0, expected at least 1"),
     ],
 )
-def test_refuses_before_training_starts_what_cannot_be_run(algorithm: Algorithm, message: str) -> None:
+def test_rejects_before_training_starts_what_cannot_be_run(algorithm: Algorithm, message: str) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(algorithm=algorithm, output=SQUASHED)
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
-def test_refuses_outputs_without_a_bound_when_the_actor_ends_in_tanh(name: str) -> None:
+def test_rejects_outputs_without_a_bound_when_the_actor_ends_in_tanh(name: str) -> None:
     assert isinstance(OFF_POLICY[name], OffPolicyConfig)
     with pytest.raises(TrainingError, match=f"output.squash false, expected true: {name}'s policies"):
         TrainingConfig(algorithm=OFF_POLICY[name])

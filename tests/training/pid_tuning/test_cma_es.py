@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from training.pid_tuning.cma_es import Evolution
+from training.pid_tuning.cma_es import CmaEs
 
 Array = NDArray[np.float64]
 MINIMUM = np.array([3.0, -2.0, 0.5, 8.0, 0.0, -5.0])
@@ -19,11 +19,11 @@ def valley(points: Array) -> Array:
 
 
 def search(seed: int, generations: int) -> Array:
-    evolution = Evolution(np.zeros(6), np.full(6, 0.5), 16, np.random.default_rng(seed))
+    cma_es = CmaEs(np.zeros(6), np.full(6, 0.5), 16, np.random.default_rng(seed))
     points = np.zeros((16, 6))
     for _ in range(generations):
-        points = evolution.ask()
-        evolution.tell(points, valley(points))
+        points = cma_es.ask()
+        cma_es.tell(points, valley(points))
     return points
 
 
@@ -35,7 +35,7 @@ def test_minimum_is_found_when_the_valley_is_narrow_and_turned(seed: int) -> Non
 
 def test_first_candidates_are_spread_as_asked() -> None:
     spread = np.array([0.1, 3.0])
-    points = Evolution(np.array([1.0, 2.0]), spread, 4000, np.random.default_rng(1)).ask()
+    points = CmaEs(np.array([1.0, 2.0]), spread, 4000, np.random.default_rng(1)).ask()
     assert points.mean(axis=0) == pytest.approx(np.array([1.0, 2.0]), abs=0.15)
     assert points.std(axis=0) == pytest.approx(spread, rel=0.05)
 

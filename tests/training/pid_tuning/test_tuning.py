@@ -161,7 +161,7 @@ def test_command_writes_what_the_same_search_found_when_asked(
         (["--aircraft", "none"], "aircraft 'none': no such file"),
     ],
 )
-def test_command_refuses_in_one_line_when_an_argument_cannot_be(
+def test_command_rejects_in_one_line_when_an_argument_cannot_be(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tune-pid", *arguments]) == 1

@@ -9,20 +9,20 @@ from sim.aircraft.model import PidSettings, load_aircraft
 from sim.control.pid import Pid, mixer
 from toolchain.errors import TrainingError
 from training.evaluation.evaluation import record
-from training.pid_tuning.ultimate_gain import Steps, Ultimate, ultimate
+from training.pid_tuning.ultimate_gain import Steps, UltimateGain, ultimate_gains
 
 NF1 = load_aircraft("nf1")
 IDLE = 0.1
 
 
 @pytest.fixture(scope="module")
-def found() -> tuple[Ultimate, Ultimate, Ultimate]:
-    return ultimate(NF1, IDLE, 1000)
+def found() -> tuple[UltimateGain, UltimateGain, UltimateGain]:
+    return ultimate_gains(NF1, IDLE, 1000)
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_oscillation_dies_below_the_ultimate_gain_and_lasts_above(
-    found: tuple[Ultimate, Ultimate, Ultimate], axis: int
+    found: tuple[UltimateGain, UltimateGain, UltimateGain], axis: int
 ) -> None:
     nothing = (0.0, 0.0, 0.0)
     settings = []
@@ -49,7 +49,7 @@ def test_oscillation_dies_below_the_ultimate_gain_and_lasts_above(
     assert late[1] > 1.0
 
 
-def test_period_is_that_of_lag_and_delay(found: tuple[Ultimate, Ultimate, Ultimate]) -> None:
+def test_period_is_that_of_lag_and_delay(found: tuple[UltimateGain, UltimateGain, UltimateGain]) -> None:
     # Rate from thrust is an integrator behind the rotors' lag (42 ms) and about 3 ms of delay: the phase
     # reaches half a turn where w^2 = 1 / (42 ms x 3 ms), 70 ms a cycle. Yaw's reaction skips the lag.
     assert found[0].period == pytest.approx(0.065, abs=0.01)
@@ -58,10 +58,10 @@ def test_period_is_that_of_lag_and_delay(found: tuple[Ultimate, Ultimate, Ultima
 
 
 def test_rules_are_ziegler_and_nichols() -> None:
-    assert Ultimate(10.0, 0.1).gains("Ziegler-Nichols") == pytest.approx((6.0, 120.0, 0.075))
+    assert UltimateGain(10.0, 0.1).gains("Ziegler-Nichols") == pytest.approx((6.0, 120.0, 0.075))
 
 
-def test_an_aircraft_is_refused_when_no_gain_makes_it_oscillate() -> None:
+def test_an_aircraft_is_rejected_when_no_gain_makes_it_oscillate() -> None:
     heavy = dataclasses.replace(NF1.mass_properties, inertia=1e5 * NF1.mass_properties.inertia)
     with pytest.raises(TrainingError, match="roll does not oscillate by itself at any proportional gain"):
-        ultimate(dataclasses.replace(NF1, mass_properties=heavy), IDLE, 1000)
+        ultimate_gains(dataclasses.replace(NF1, mass_properties=heavy), IDLE, 1000)

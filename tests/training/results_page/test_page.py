@@ -413,7 +413,9 @@ def without(key: str) -> Callable[[Document], Document]:
         (lambda d: drifted() | {"runs": [{"formulation": "reduced"}]}, "runs[0]: step_ms"),
     ],
 )
-def test_page_is_refused_when_a_file_is_damaged(damage: Callable[[Document], Document], message: str) -> None:
+def test_page_is_rejected_when_a_file_is_damaged(
+    damage: Callable[[Document], Document], message: str
+) -> None:
     with pytest.raises(ResultsError) as caught:
         page(damage(evaluated("pid", pid="tuned")))
     assert message in str(caught.value)
@@ -430,7 +432,7 @@ def test_page_is_refused_when_a_file_is_damaged(damage: Callable[[Document], Doc
         (b" " * 5_000_000, "at most 4194304"),
     ],
 )
-def test_file_is_refused_when_it_is_no_result(content: bytes, message: str, tmp_path: Path) -> None:
+def test_file_is_rejected_when_it_is_no_result(content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(ResultsError, match=message):
         read_results(tmp_path)
@@ -451,7 +453,7 @@ def test_command_writes_checks_and_notices_when_a_figure_changes(tmp_path: Path,
     assert main([*words, "--check"]) == 1
 
 
-def test_command_refuses_in_one_line_when_there_is_nothing_to_show(tmp_path: Path, capsys: Capture) -> None:
+def test_command_rejects_in_one_line_when_there_is_nothing_to_show(tmp_path: Path, capsys: Capture) -> None:
     assert main(["results", "--folder", str(tmp_path), "--out", str(tmp_path / "a.md")]) == 1
     error = capsys.readouterr().err
     assert "0 .json files" in error
@@ -518,7 +520,7 @@ def test_again_repeats_the_commands_of_the_folder(tmp_path: Path, capsys: Captur
         (["a.json neuroflight evaluate pid"], ["b.json"], "b.json: not there, expected one of: a.json"),
     ],
 )
-def test_again_refuses_in_one_line_when_the_commands_make_no_sense(
+def test_again_rejects_in_one_line_when_the_commands_make_no_sense(
     lines: list[str], names: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     command_file(tmp_path, *lines)

@@ -125,7 +125,7 @@ def test_a_run_that_is_complete_says_so_when_resumed(tmp_path: Path, capsys: Cap
         (["--aircraft", "hexa"], "was trained with aircraft"),
     ],
 )
-def test_resuming_is_refused_when_the_configuration_is_another(
+def test_resuming_is_rejected_when_the_configuration_is_another(
     options: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     words = train("ppo", tmp_path, "--set", "steps=128")

@@ -16,14 +16,14 @@ from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
 from training.evaluation.evaluation import evaluate
-from training.runs.train import Progress, Watcher, train
+from training.runs.train import Callback, Progress, train
 
 NF1 = load_aircraft("nf1")
 SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=64, epochs=2, leg=1)
 CONFIG = TrainingConfig(steps=512, hidden=(8, 8), algorithm=SMALL)
 
 
-class Log(Watcher):
+class Log(Callback):
     """Writes down what it is told."""
 
     def __init__(self, seen: list[Progress]) -> None:
@@ -66,7 +66,7 @@ def test_the_same_seed_gives_the_same_file_to_the_byte(file: str, tmp_path: Path
 
 
 def test_an_interruption_keeps_what_is_done(tmp_path: Path) -> None:
-    class Stop(Watcher):
+    class Stop(Callback):
         def progressed(self, progress: Progress) -> None:
             if progress.steps >= 384:
                 raise KeyboardInterrupt
@@ -107,7 +107,7 @@ def test_learns_to_follow_within_forty_rollouts(tmp_path: Path) -> None:
         ({"world": WorldConfig(throttle_max=1.5)}, "throttle_max 1.5, expected 0 to 1"),
     ],
 )
-def test_refuses_before_training_starts_what_cannot_be_run(options: dict[str, Any], message: str) -> None:
+def test_rejects_before_training_starts_what_cannot_be_run(options: dict[str, Any], message: str) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(**options)
 

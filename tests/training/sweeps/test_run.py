@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from training.runs.train import Watcher
+from training.runs.train import Callback
 from training.sweeps.config import Sweep, load_sweep
-from training.sweeps.ray_workers import SweepWatcher, ray_session, request_stop
+from training.sweeps.ray_workers import SweepCallback, ray_session, request_stop
 from training.sweeps.run import run_sweep
 from training.sweeps.trial import run_trial
 
@@ -48,7 +48,7 @@ episodes = 2
 
 
 @dataclass
-class Story(SweepWatcher):
+class Story(SweepCallback):
     """Kills the first run's worker once it has a checkpoint, and stops the sweep when that run is done."""
 
     out: Path
@@ -81,7 +81,7 @@ class Told:
     first: dict[str, int]  # dates of the files of run 1 before it was resumed
 
 
-class Heard(SweepWatcher):
+class Heard(SweepCallback):
     """Writes down which runs are at work."""
 
     def __init__(self) -> None:
@@ -132,11 +132,11 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
     with ray_session(None, 1):
         story = Story(out)
         with pytest.raises(KeyboardInterrupt):
-            run_sweep(sweep, out, cpus=1, watcher=story)
+            run_sweep(sweep, out, cpus=1, callback=story)
         stopped = json.loads((out / "sweep.json").read_text())
         first = dates(out / "trials" / sweep.trials[0].folder)
         heard = Heard()
-        run_sweep(sweep, out, cpus=1, resume=True, watcher=heard)
+        run_sweep(sweep, out, cpus=1, resume=True, callback=heard)
         yield Told(sweep, out, story, stopped, heard.numbers, first)
 
 
@@ -151,7 +151,7 @@ def test_run_goes_on_from_its_checkpoint_when_its_worker_is_killed(told: Told) -
 
 def test_result_is_that_of_an_undisturbed_run_when_a_worker_was_killed(told: Told, tmp_path: Path) -> None:
     trial = told.sweep.trials[0]
-    outcome = run_trial(trial, told.sweep.aircraft, told.sweep.validation, tmp_path, Watcher())
+    outcome = run_trial(trial, told.sweep.aircraft, told.sweep.validation, tmp_path, Callback())
     folder = told.out / "trials" / trial.folder
     for name in ("checkpoint.pt", "policy.onnx"):
         assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()

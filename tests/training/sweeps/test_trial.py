@@ -8,7 +8,7 @@ import pytest
 
 from cli.main import main
 from toolchain.errors import BuildError, TrainingError
-from training.runs.train import Progress, Watcher
+from training.runs.train import Callback, Progress
 from training.sweeps import trial as sweep_trial
 from training.sweeps.config import Sweep, load_sweep
 from training.sweeps.run import run_sweep
@@ -35,7 +35,7 @@ throttle = 0.3
 """
 
 
-class Untrained(Watcher):
+class Untrained(Callback):
     """Fails if anything is trained."""
 
     def progressed(self, progress: Progress) -> None:
@@ -50,7 +50,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Sweep, Path, Outcome
     sweep = load_sweep(folder / "study.toml")
     trial = sweep.trials[0]
     place = folder / "out" / "trials" / trial.folder
-    return sweep, folder, run_trial(trial, sweep.aircraft, sweep.validation, place, Watcher())
+    return sweep, folder, run_trial(trial, sweep.aircraft, sweep.validation, place, Callback())
 
 
 def test_result_is_read_back_when_a_run_is_done(done: tuple[Sweep, Path, Outcome]) -> None:
@@ -124,7 +124,7 @@ def test_finished_sweep_is_told_without_workers_when_it_is_resumed(
     assert "already holds a sweep; add --resume" in capsys.readouterr().err
 
 
-def test_another_sweep_is_refused_when_it_is_resumed(
+def test_another_sweep_is_rejected_when_it_is_resumed(
     done: tuple[Sweep, Path, Outcome], tmp_path: Path
 ) -> None:
     _, folder, _ = done
@@ -145,7 +145,7 @@ def test_another_sweep_is_refused_when_it_is_resumed(
         ),
     ],
 )
-def test_options_are_refused_in_one_line_when_they_make_no_sweep(
+def test_options_are_rejected_in_one_line_when_they_make_no_sweep(
     options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "study.toml"

@@ -102,6 +102,6 @@ def test_episodes_repeat_when_the_seed_does() -> None:
         ("start_s", 0.8),
     ],
 )
-def test_a_field_is_refused_by_name_when_it_is_impossible(field: str, value: float) -> None:
+def test_a_field_is_rejected_by_name_when_it_is_impossible(field: str, value: float) -> None:
     with pytest.raises(TrainingError, match=f"random-steps: {field}"):
         RandomStepsTask(**{field: value})

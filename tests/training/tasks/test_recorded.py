@@ -66,7 +66,7 @@ def test_episodes_are_the_flights_own_steps_when_it_is_a_trace(tmp_path: Path) -
         assert np.array_equal(episode, flown[first : first + 500])
 
 
-def test_a_configuration_keeps_the_recordings_hash_and_refuses_another_file(
+def test_a_configuration_keeps_the_recordings_hash_and_rejects_another_file(
     ramp: Path, tmp_path: Path
 ) -> None:
     config = load_config(None, ["task.name=recorded", f"task.file={ramp}", "task.length_s=1"])
@@ -106,17 +106,17 @@ def test_a_recording_must_be_named() -> None:
         ("a.txt", b"", "expected a trace (.npz) or a table (.csv)"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_recording_is_refused_in_one_line(
+def test_a_file_that_is_no_recording_is_rejected_in_one_line(
     name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(TrainingError) as refusal:
+    with pytest.raises(TrainingError) as error:
         RecordedTask(str(tmp_path / name), length_s=1.0)
-    assert message in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_recording_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
+def test_a_recording_that_is_too_large_is_rejected_unread(tmp_path: Path) -> None:
     path = tmp_path / "large.csv"
     with path.open("wb") as file:
         file.truncate((64 << 20) + 1)
@@ -125,12 +125,12 @@ def test_a_recording_that_is_too_large_is_refused_unread(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("file", ["", "nowhere.csv", "a\0b.csv"])
-def test_a_recording_that_is_not_there_is_refused(file: str) -> None:
+def test_a_recording_that_is_not_there_is_rejected(file: str) -> None:
     with pytest.raises(TrainingError, match="no such file"):
         RecordedTask(file)
 
 
 @pytest.mark.parametrize("length", [-1.0, math.nan, 601.0])
-def test_a_piece_of_impossible_length_is_refused(length: float, ramp: Path) -> None:
+def test_a_piece_of_impossible_length_is_rejected(length: float, ramp: Path) -> None:
     with pytest.raises(TrainingError, match=r"task recorded: length_s .*, expected 0 to 600"):
         RecordedTask(str(ramp), length_s=length)

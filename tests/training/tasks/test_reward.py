@@ -32,14 +32,14 @@ def worth(
     setpoint_before: Any = None,
 ) -> float:
     """Reward of one step; rates in deg/s, actions as the network asks for them."""
-    asked = np.array([action], np.float32)
+    unclipped = np.array([action], np.float32)
     step = Transition(
         setpoint=np.deg2rad([setpoint]),
         setpoint_before=np.deg2rad([setpoint if setpoint_before is None else setpoint_before]),
         error=np.deg2rad([error]),
         error_before=np.deg2rad([error_before]),
-        asked=asked,
-        action=np.clip(asked, 0, 1),
+        unclipped=unclipped,
+        action=np.clip(unclipped, 0, 1),
         action_before=np.array([before], np.float32),
     )
     value = reward(step)
@@ -156,12 +156,12 @@ def test_each_of_many_aircraft_gets_its_own_reward(name: str) -> None:
     rng = np.random.default_rng(1)
     shapes = {"setpoint": 3, "setpoint_before": 3, "error": 3, "error_before": 3}
     rates = {key: rng.uniform(-2, 2, (20, width)) for key, width in shapes.items()}
-    asked, before = rng.uniform(-0.2, 1.2, (2, 20, 6)).astype(np.float32)
-    whole = Transition(**rates, asked=asked, action=np.clip(asked, 0, 1), action_before=before)
+    unclipped, before = rng.uniform(-0.2, 1.2, (2, 20, 6)).astype(np.float32)
+    whole = Transition(**rates, unclipped=unclipped, action=np.clip(unclipped, 0, 1), action_before=before)
     rewards = REWARDS[name]()(whole)
     assert rewards.shape == (20,)
     for k in range(20):
-        part = {key: getattr(whole, key)[[k]] for key in (*shapes, "asked", "action", "action_before")}
+        part = {key: getattr(whole, key)[[k]] for key in (*shapes, "unclipped", "action", "action_before")}
         assert REWARDS[name]()(Transition(**part))[0] == rewards[k]
 
 
@@ -177,6 +177,6 @@ def test_each_of_many_aircraft_gets_its_own_reward(name: str) -> None:
         (lambda: ProgressReward(band_share=-0.1), "reward dissertation-5: band_share -0.1, expected 0 to 1"),
     ],
 )
-def test_a_reward_with_impossible_constants_is_refused(build: Callable[[], Reward], message: str) -> None:
+def test_a_reward_with_impossible_constants_is_rejected(build: Callable[[], Reward], message: str) -> None:
     with pytest.raises(TrainingError, match=message):
         build()

@@ -143,6 +143,6 @@ def test_an_episode_is_filled_to_its_end_when_holds_are_as_short_as_they_may_be(
         ),
     ],
 )
-def test_a_task_that_cannot_be_flown_is_refused(build: Callable[[], object], message: str) -> None:
+def test_a_task_that_cannot_be_flown_is_rejected(build: Callable[[], object], message: str) -> None:
     with pytest.raises(TrainingError, match=message):
         build()

@@ -71,6 +71,6 @@ def fly(twin: Twin, observer: Observer, network: Network, scale: Array, batch: B
         flight.observation[k] = observation = raw * scale
         passed = network.forward(observation)
         flight.passed.append(passed)
-        flight.action[k] = action = np.clip(passed.asked, np.float32(0.0), np.float32(1.0))
+        flight.action[k] = action = np.clip(passed.unclipped, np.float32(0.0), np.float32(1.0))
         twin.step(motor_commands(action, batch.throttle, idle))
     return flight

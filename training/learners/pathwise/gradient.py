@@ -16,7 +16,7 @@ from sim.aircraft.model import Gyro
 from sim.physics.derivative import StepModel
 from toolchain.contract import RATE_ERROR_INTEGRAL_LIMIT_RAD, ObservationTerm
 from training.learners.pathwise.flight import Batch, Flight
-from training.learners.pathwise.loss import Blame
+from training.learners.pathwise.loss import FlightGradient
 from training.learners.pathwise.network import Network, Passed
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ Floats = NDArray[np.float32]
 def gradient(
     flight: Flight,
     batch: Batch,
-    blame: Blame,
+    by_flight: FlightGradient,
     network: Network,
     scale: Floats,
     terms: tuple[ObservationTerm, ...],
@@ -62,7 +62,7 @@ def gradient(
         speed, rate = pulled.speed, pulled.rate
         asked_by_command[rows[k], everyone] += pulled.command
         mixed = (1.0 - idle) * asked_by_command[k + first]
-        action = blame.action[k] + by_action_before + mixed
+        action = by_flight.action[k] + by_action_before + mixed
         action[everyone, top[k]] -= batch.throttle * mixed.sum(axis=1)
         passed = flight.passed[k]
         action[_outwards(passed, action)] = 0.0
@@ -72,7 +72,7 @@ def gradient(
             k, (of_scaled * scale).astype(np.float64)
         )
         speed = speed + own_speed
-        rate = rate + chip.pull(k, gyro_reading) + blame.rate[k]
+        rate = rate + chip.pull(k, gyro_reading) + by_flight.rate[k]
     by_sums.reverse()
     return network.gradient(
         flight.observation.reshape(steps * count, -1),
@@ -83,8 +83,8 @@ def gradient(
 
 def _outwards(passed: Passed, action: Array) -> NDArray[np.bool_]:
     """Where an output lies beyond 0..1 and descent would take it further."""
-    outwards: NDArray[np.bool_] = ((passed.asked < 0.0) & (action > 0.0)) | (
-        (passed.asked > 1.0) & (action < 0.0)
+    outwards: NDArray[np.bool_] = ((passed.unclipped < 0.0) & (action > 0.0)) | (
+        (passed.unclipped > 1.0) & (action < 0.0)
     )
     return outwards
 

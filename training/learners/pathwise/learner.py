@@ -33,7 +33,7 @@ from training.config.training_config import TrainingConfig
 from training.learners.pathwise.descent import State, adapted, descended, with_parameters
 from training.learners.pathwise.flight import Batch, fly
 from training.learners.pathwise.gradient import gradient
-from training.learners.pathwise.loss import Figures, Weights, blame
+from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
 from training.learners.pathwise.network import Network
 from training.learners.protocol import Report
 from training.tasks.random_steps import Counted, RandomStepsTask
@@ -48,8 +48,8 @@ class PathwiseLearner:
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, pathwise: PathwiseConfig) -> None:
         """Raises TrainingError, one line, on a configuration that has no such gradient."""
-        for refusal in _refusals(config):
-            raise TrainingError(refusal)
+        for error in _errors(config):
+            raise TrainingError(error)
         self._terms = config.blocks()
         self._aircraft, self._config, self._pathwise = aircraft, config, pathwise
         self._scale = np.array(config.observation_scale(aircraft.motor_count), np.float32)
@@ -71,10 +71,10 @@ class PathwiseLearner:
         """See Learner."""
         return self._state.updates * self._batch_steps
 
-    def learn(self, leg: int, report: Callable[[Report], None]) -> None:
+    def learn(self, segment: int, report: Callable[[Report], None]) -> None:
         """See Learner."""
         config, count = self._config, self._pathwise.aircraft
-        rng = np.random.default_rng(np.random.SeedSequence([config.seed, leg]))
+        rng = np.random.default_rng(np.random.SeedSequence([config.seed, segment]))
         own = self._aircraft.propulsion.delay
         twin = Twin(
             self._aircraft,
@@ -117,10 +117,18 @@ class PathwiseLearner:
         twin.reset()
         observer = Observer(self._terms, twin.count, aircraft.motor_count, config.control_rate_hz)
         flight = fly(twin, observer, state.network, self._scale, batch, config.idle)
-        figures, blamed = blame(flight, batch, state.weights)
+        figures, by_flight = figures_and_gradient(flight, batch, state.weights)
         model = StepModel.of(aircraft, config.control_rate_hz, batch.variation)
         found = gradient(
-            flight, batch, blamed, state.network, self._scale, self._terms, model, aircraft.gyro, config.idle
+            flight,
+            batch,
+            by_flight,
+            state.network,
+            self._scale,
+            self._terms,
+            model,
+            aircraft.gyro,
+            config.idle,
         )
         adapting = state.updates >= self._pathwise.adaption_start * self._updates
         state = descended(state, found, self._rate(), self._pathwise)
@@ -193,10 +201,10 @@ class PathwiseLearner:
         )
 
     def close(self) -> None:
-        """See Learner; each leg closes its own twin."""
+        """See Learner; each segment closes its own twin."""
 
 
-def _refusals(config: TrainingConfig) -> list[str]:
+def _errors(config: TrainingConfig) -> list[str]:
     """Why `config` has no pathwise gradient, one line each."""
     world = config.world
     demands = {
@@ -207,4 +215,4 @@ def _refusals(config: TrainingConfig) -> list[str]:
         "observation gravity: the pathwise gradient does not follow the attitude; leave it out, or choose "
         "another algorithm": all(term.name != "gravity" for term in config.blocks()),
     }
-    return [refusal for refusal, met in demands.items() if not met]
+    return [error for error, met in demands.items() if not met]

@@ -38,15 +38,15 @@ class Figures:
 
 
 @dataclass(frozen=True, eq=False)
-class Blame:
-    """Derivatives of a loss by what was flown."""
+class FlightGradient:
+    """Derivatives of a loss by the rates and actions of a flight."""
 
     rate: Array  # (T, B, 3) [s/rad deg/s]
     action: Array  # (T, B, M) [deg/s]
 
 
-def blame(flight: Flight, batch: Batch, weights: Weights) -> tuple[Figures, Blame]:
-    """Figures of what was flown against the true rate, and the loss's derivatives."""
+def figures_and_gradient(flight: Flight, batch: Batch, weights: Weights) -> tuple[Figures, FlightGradient]:
+    """Figures of a flight against the true rate, and the derivatives of its loss."""
     motors = flight.action.shape[2]
     error = np.rad2deg(batch.setpoint - flight.rate)
     action = flight.action.astype(np.float64)
@@ -70,4 +70,4 @@ def blame(flight: Flight, batch: Batch, weights: Weights) -> tuple[Figures, Blam
     by_change = weights.change * a_motor[1:] * np.sign(change)
     by_action[1:] += by_change
     by_action[:-1] -= by_change
-    return figures, Blame(by_rate, by_action)
+    return figures, FlightGradient(by_rate, by_action)

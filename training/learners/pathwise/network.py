@@ -30,7 +30,7 @@ class Passed:
 
     hidden: list[Array]  # (N, width) each, behind the activation
     output: Array  # (N, M), squashed where the map says so
-    asked: Array  # (N, M), of the motors, before it is clipped
+    unclipped: Array  # (N, M), of the motors, before it is clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,14 @@ class Network:
         output = value @ last.weight.T + last.bias
         if self.map.squash:
             output = np.tanh(output)
-        return Passed(hidden, output, self.map.asked(output))
+        return Passed(hidden, output, self.map.unclipped(output))
 
-    def backward(self, passed: Passed, asked: Array) -> tuple[Array, list[Array]]:
-        """From derivatives by `asked` (N, M) to those by the observation, and by each layer's sums.
+    def backward(self, passed: Passed, unclipped: Array) -> tuple[Array, list[Array]]:
+        """From derivatives by `unclipped` (N, M) to those by the observation, and by each layer's sums.
 
         The latter are what `gradient` needs: (N, outputs) of each layer, in order.
         """
-        sums = np.multiply(asked, self.map.scale, dtype=np.float32)
+        sums = np.multiply(unclipped, self.map.scale, dtype=np.float32)
         if self.map.squash:
             sums *= np.float32(1.0) - np.square(passed.output)
         all_sums: list[Array] = [sums]

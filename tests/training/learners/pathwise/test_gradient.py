@@ -17,7 +17,7 @@ from training.learners.pathwise import flight as flying
 from training.learners.pathwise.descent import with_parameters
 from training.learners.pathwise.flight import Batch, Flight, fly
 from training.learners.pathwise.gradient import gradient
-from training.learners.pathwise.loss import Figures, Weights, blame
+from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
 from training.learners.pathwise.network import Network
 from training.tasks.random_steps import Counted
 
@@ -66,11 +66,11 @@ class Case:
             flight = fly(twin, observer, network, self.scale, self.batch, IDLE)
         finally:
             twin.close()
-        return flight, blame(flight, self.batch, WEIGHTS)[0]
+        return flight, figures_and_gradient(flight, self.batch, WEIGHTS)[0]
 
     def gradient(self) -> list[Floats]:
         flight, _ = self.flown(self.network)
-        _, blamed = blame(flight, self.batch, WEIGHTS)
+        _, blamed = figures_and_gradient(flight, self.batch, WEIGHTS)
         model = StepModel.of(self.aircraft, RATE_HZ, self.batch.variation)
         return gradient(
             flight, self.batch, blamed, self.network, self.scale, self.terms, model, self.aircraft.gyro, IDLE

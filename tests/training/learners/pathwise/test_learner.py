@@ -21,7 +21,7 @@ from training.learners.pathwise.descent import State, adapted, descended
 from training.learners.pathwise.loss import Figures, Weights
 from training.learners.pathwise.network import Network
 from training.learners.protocol import Report
-from training.runs.make_learner import learner
+from training.runs.make_learner import make_learner
 from training.tasks.random_steps import RandomStepsTask
 
 UPDATE = 4 * 150  # control steps of an update of `config`
@@ -53,11 +53,11 @@ def equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
 
 def test_a_run_goes_on_as_if_it_had_never_stopped_when_it_is_restored_at_a_leg() -> None:
     aircraft = load_aircraft("nf1")
-    whole = learner(aircraft, config())
+    whole = make_learner(aircraft, config())
     whole.learn(0, unheard)
     state, policy = whole.state(), whole.policy()
     whole.learn(1, unheard)
-    resumed = learner(aircraft, config())
+    resumed = make_learner(aircraft, config())
     resumed.restore(state)
     assert resumed.steps == 2 * UPDATE
     assert equal(resumed.policy(), policy)
@@ -70,7 +70,7 @@ def test_a_run_goes_on_as_if_it_had_never_stopped_when_it_is_restored_at_a_leg()
 def test_another_policy_is_learnt_when_the_seed_is_another() -> None:
     policies = []
     for seed in (1, 1, 2):
-        model = learner(load_aircraft("nf1"), config(seed=seed))
+        model = make_learner(load_aircraft("nf1"), config(seed=seed))
         model.learn(0, unheard)
         policies.append(model.policy())
     assert equal(policies[0], policies[1])
@@ -79,7 +79,7 @@ def test_another_policy_is_learnt_when_the_seed_is_another() -> None:
 
 def test_reports_tell_steps_and_figures_when_updates_are_made() -> None:
     reports: list[Report] = []
-    learner(load_aircraft("nf1"), config()).learn(0, reports.append)
+    make_learner(load_aircraft("nf1"), config()).learn(0, reports.append)
     assert [report.steps for report in reports] == [UPDATE, 2 * UPDATE]
     assert reports[0].figures["train/mae_deg_s"] > 0.0
     assert reports[0].reward < 0.0
@@ -95,13 +95,13 @@ def test_the_loss_falls_when_a_policy_learns() -> None:
         algorithm=PathwiseConfig(aircraft=8, leg_steps=updates * 8 * 300, warm_up=5, learning_rate=0.02),
     )
     errors: list[float] = []
-    learner(load_aircraft("nf1"), run).learn(0, lambda r: errors.append(r.figures["train/mae_deg_s"]))
+    make_learner(load_aircraft("nf1"), run).learn(0, lambda r: errors.append(r.figures["train/mae_deg_s"]))
     assert np.mean(errors[-4:]) < 0.5 * np.mean(errors[:4])
 
 
 def test_the_frozen_policy_does_what_the_network_did_when_it_flew() -> None:
     aircraft, run = load_aircraft("nf1"), config()
-    model = learner(aircraft, run)
+    model = make_learner(aircraft, run)
     model.learn(0, unheard)
     policy = parse_policy(to_onnx(run.document(aircraft), model.policy()))
     controller, observer = PolicyController(policy, 1), Observer(run.blocks(), 1, 4, 1000)
@@ -111,7 +111,7 @@ def test_the_frozen_policy_does_what_the_network_did_when_it_flew() -> None:
     for _ in range(20):
         setpoint, gyro = rng.normal(0.0, 1.0, (2, 1, 3)).astype(np.float32)
         seen = observer.observe(slice(None), setpoint, gyro, action, throttle)
-        action = np.clip(network.forward(seen * scale).asked, np.float32(0.0), np.float32(1.0))
+        action = np.clip(network.forward(seen * scale).unclipped, np.float32(0.0), np.float32(1.0))
         assert controller.step(setpoint, gyro, throttle) == pytest.approx(action, abs=2e-5)
 
 
@@ -123,11 +123,11 @@ def test_the_frozen_policy_does_what_the_network_did_when_it_flew() -> None:
         (WorldConfig(), "rate_error,gravity", "does not follow the attitude"),
     ],
 )
-def test_a_run_is_refused_when_it_has_no_pathwise_gradient(
+def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
     world: WorldConfig, observation: str, message: str
 ) -> None:
     with pytest.raises(TrainingError, match=message):
-        learner(load_aircraft("nf1"), config(world=world, observation=observation))
+        make_learner(load_aircraft("nf1"), config(world=world, observation=observation))
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_run_is_refused_when_it_has_no_pathwise_gradient(
         ("leg_steps", 0),
     ],
 )
-def test_a_knob_is_refused_by_name_when_it_cannot_be(field: str, value: Any) -> None:
+def test_a_hyperparameter_is_rejected_by_name_when_it_cannot_be(field: str, value: Any) -> None:
     with pytest.raises(TrainingError, match=field):
         config(algorithm=PathwiseConfig(**{field: value}), task=RandomStepsTask())
 
@@ -155,9 +155,9 @@ def state(weights: Weights, figures: Figures | None = None) -> State:
 
 
 def test_weights_rise_above_their_limits_and_fall_below_when_they_adapt() -> None:
-    knobs = PathwiseConfig(output_limit=0.1, change_limit=0.01, adaption=0.01)
+    hyperparameters = PathwiseConfig(output_limit=0.1, change_limit=0.01, adaption=0.01)
     figures = Figures(mae=1.0, mse=1.0, output=0.2, change=0.001)
-    weights = adapted(state(Weights(0.1, 5.0, 6.0)), figures, knobs, adapting=True).weights
+    weights = adapted(state(Weights(0.1, 5.0, 6.0)), figures, hyperparameters, adapting=True).weights
     assert weights.output == pytest.approx(5.0 * 1.01, rel=1e-3)
     assert weights.change == pytest.approx(6.0 / 1.01, rel=1e-3)
     assert weights.square == 0.1

@@ -38,10 +38,10 @@ WEIGHTS = "[reward]\nname = 'tracking'\nchange = -1\n"
         (["--set", f"observation={','.join(['gravity'] * 22)}"], "aircraft nf1: the observation has "),
     ],
 )  # fmt: skip
-def test_a_bad_configuration_is_refused_before_training_starts(
+def test_a_bad_configuration_is_rejected_before_training_starts(
     words: list[str], message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.runs.train.learner", lambda *_, **__: pytest.fail("it trains"))
+    monkeypatch.setattr("training.runs.train.make_learner", lambda *_, **__: pytest.fail("it trains"))
     out = tmp_path / "out"
     config = [] if "--config" in words or "--algorithm" in words else ["--config", "ppo"]
     assert main(["train", "--out", str(out), *config, *words]) == 1
@@ -53,7 +53,7 @@ def test_a_bad_configuration_is_refused_before_training_starts(
     assert not out.exists()
 
 
-def test_a_bad_file_is_refused_with_its_name_and_key(tmp_path: Path, capsys: Capture) -> None:
+def test_a_bad_file_is_rejected_with_its_name_and_key(tmp_path: Path, capsys: Capture) -> None:
     file, out = tmp_path / "mine.toml", tmp_path / "out"
     file.write_text(WEIGHTS)
     assert main(["train", "--out", str(out), "--config", str(file)]) == 1
