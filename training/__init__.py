@@ -1,4 +1,4 @@
-"""Synthesis of policies. Importing this makes `neuroflight/Attitude-v0` known to Gymnasium."""
+"""Training of policies. Importing this registers `neuroflight/Attitude-v0` with Gymnasium."""
 
 import gymnasium
 

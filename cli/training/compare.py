@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sim.analysis.confidence import Mean
     from training.evaluation.comparison import Entry
 
-CONTROLLERS_MAX = 8  # colours that can be told apart, and columns that fit
+CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 THROTTLES_MAX = 20
 TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
 ROWS = (  # heading, figure, factor, digits
@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _told(throttles: Sequence[float]) -> Sequence[float] | None:
-    """What of the throttles a command has to say."""
+    """The throttles of the stored command; None for the default."""
     return None if list(throttles) == [0.0] else throttles
 
 
@@ -144,7 +144,7 @@ def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
 
 
 def _print(console: Console, title: str, entries: Sequence[Entry]) -> None:
-    """The figures, then the differences to the first."""
+    """Print the figures, then the differences to the first controller."""
     from rich.table import Table
 
     from toolchain.contract import AXES

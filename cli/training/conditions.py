@@ -1,4 +1,4 @@
-"""What commands that fly controllers on unseen commands share: arguments, errors, documents."""
+"""Shared by the commands that fly controllers in the twin: arguments, their checks, documents."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ IDLE_MAX = 0.5
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
-    """What all controllers fly alike, `episodes` commands unless told."""
+    """The conditions that are the same for all controllers; `episodes` is the default number."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument("--task", choices=TASKS, default="pulse", help="what is commanded; default: pulse")
     parser.add_argument(
@@ -42,7 +42,7 @@ def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> N
 
 
 def conditions(args: argparse.Namespace) -> Conditions:
-    """The conditions asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
+    """The conditions of the arguments. Raises TrainingError on values outside their range, NaN included."""
     from cli.output import check_output
     from sim.aircraft.model import load_aircraft
     from sim.physics.world import COUNT_MAX, Mount
@@ -73,7 +73,7 @@ def conditions(args: argparse.Namespace) -> Conditions:
 
 
 def check_throttle(throttle: float) -> None:
-    """Refuse what no pilot can ask for."""
+    """Raise TrainingError unless 0 to 1."""
     from toolchain.errors import TrainingError
 
     if not 0.0 <= throttle <= 1.0:
@@ -100,7 +100,7 @@ def command(name: str, args: argparse.Namespace, *words: str, throttle: object) 
 
 
 def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str, Any]:
-    """What all controllers flew alike, as JSON data."""
+    """The conditions that are the same for all controllers, as JSON data."""
     return {
         "aircraft": flown.aircraft.name,
         "aircraft_sha256": flown.aircraft.sha256,
@@ -114,7 +114,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
 
 
 def flight_document(controller: ControllerSpec, throttle: float, result: Evaluation) -> dict[str, Any]:
-    """Who flew and with what figures, as JSON data."""
+    """A controller and its figures, as JSON data."""
     from cli.output import plain
 
     margins = {

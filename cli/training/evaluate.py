@@ -156,7 +156,7 @@ def _add_response(table: Table, result: Evaluation) -> None:
 
 
 def _number(value: float, digits: int) -> str:
-    """At most seven characters where the digits of large sums would fill the screen."""
+    """A number; large sums with an exponent, in at most seven characters."""
     if value < 1e5:
         return f"{value:,.{digits}f}"
     mantissa, exponent = f"{value:.2e}".split("e")

@@ -1,4 +1,4 @@
-"""neuroflight results: the page of results from stored figures."""
+"""neuroflight results: write the page of results from stored figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=DOCS / "results",
         metavar="DIR",
-        help="what commands printed with --json; default: docs/results",
+        help="output of commands with --json; default: docs/results",
     )
     parser.add_argument(
         "--out", type=Path, default=DOCS / "results.md", metavar="FILE.md", help="default: docs/results.md"
@@ -32,12 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--again",
         nargs="*",
         metavar="NAME.json",
-        help="first make these files anew, all unless named, by the commands in DIR/commands.txt",
+        help="first repeat the commands in DIR/commands.txt for these files; all unless named",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page, or compare it with what would be written."""
+    """Write the page, or check that it is up to date."""
     from cli.output import check_output
     from toolchain.errors import NeuroflightError
     from toolchain.files import write_text_if_changed
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make_again(folder: Path, names: Sequence[str]) -> None:
-    """Repeat commands from the project's folder; each file is replaced once its command has ended well."""
+    """Repeat commands in the project's folder; a file is replaced when its command has succeeded."""
     from rich.console import Console
 
     from toolchain.errors import NeuroflightError

@@ -1,4 +1,4 @@
-"""neuroflight robustness: what controllers make of an aircraft that is not as its file says."""
+"""neuroflight robustness: errors of controllers on aircraft whose parameters differ from their file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from training.evaluation.robustness import Plan, Robustness
 
-CONTROLLERS_MAX = 8  # colours that can be told apart, and columns that fit
+CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 COLUMN = 34  # [characters], of a controller
 EPISODES = 200
 DRAWS = 200
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Put each controller through the plan and print how it went."""
+    """Fly the plan with each controller and print the results."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -90,13 +90,13 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(_document(args, plan, results), indent=2))
     else:
-        # A table that would be cropped is worth more than a narrow screen.
+        # A table wider than the screen is better than a cropped one.
         _print(title, plan, results, Console(width=max(Console().width, COLUMN * (len(results) + 1))))
     return 0
 
 
 def _plan(args: argparse.Namespace) -> Plan:
-    """What is asked for. Raises TrainingError on numbers that make no flight; NaN is in no range."""
+    """The plan of the arguments. Raises TrainingError on values outside their range, NaN included."""
     from cli.output import check_output
     from sim.aircraft.model import load_aircraft
     from sim.physics.world import COUNT_MAX, Mount

@@ -1,4 +1,4 @@
-"""`neuroflight sweep FILE.toml`: many training runs at once, and which of them nothing beats."""
+"""neuroflight sweep: many training runs from one file, and their Pareto front."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from training.sweeps.trial import Figure
 
 CPUS_MAX = 4096
-WIDTH = 160  # characters of a table that goes into a file
+WIDTH = 160  # characters of a table printed to a file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is varied; see docs/sweeps.md")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
+    parser.add_argument("--resume", action="store_true", help="continue the sweep in --out")
     parser.add_argument(
-        "--address", metavar="ADDRESS", help="of a Ray cluster, all of whose nodes see --out; default: none"
+        "--address", metavar="ADDRESS", help="of a Ray cluster whose nodes all have --out; default: none"
     )
     parser.add_argument(
         "--cpus", type=int, metavar="N", help="runs at a time, one core each; default: this machine's cores"
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the runs with a progress bar, print the table. Returns 0; 1 if a run was given up."""
+    """Do the runs with a progress bar, print the tables. Returns 0; 1 if a run failed."""
     from rich.console import Console
 
     from cli.output import command_line
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
-    """A progress bar on stderr; the first Ctrl-C lets the runs keep what they have, the second does not."""
+    """Progress bars on stderr; the first Ctrl-C lets runs save their state, the second ends them at once."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -96,7 +96,7 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
         steps: dict[int, int] = {}
 
         class Bars(SweepCallback):
-            """One bar for all and one for each run at work."""
+            """One bar for all runs and one for each active run."""
 
             def progressed(self, number: int, done: int, reward: float, pid: int) -> None:
                 trial = sweep.trials[number - 1]

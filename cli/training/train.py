@@ -1,4 +1,4 @@
-"""neuroflight train: synthesize a policy in the twin of an aircraft."""
+"""neuroflight train: train a policy in the twin of an aircraft."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 DEFAULT_RECIPE = "default"
 PLOT, BOARD = "monitor.png", "tensorboard"
 EPILOG = (
-    "Without --config the recipe named like the aircraft is taken, or else the one that fits any aircraft; "
-    "with --algorithm alone, the recipe named like it."
+    "Without --config, the recipe named like the aircraft is used, or else the default one; with --algorithm "
+    "alone, the recipe named like the algorithm."
 )
 
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="KEY=VALUE",
-        help="over the configuration, such as world.throttle_max=0.8",
+        help="change the configuration, such as world.throttle_max=0.8",
     )
     parser.add_argument("--algorithm", metavar="NAME", help="such as ppo")
     parser.add_argument("--steps", type=int, metavar="N", help="control steps, all aircraft together")
@@ -51,14 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     kept = parser.add_mutually_exclusive_group()
-    kept.add_argument("--resume", action="store_true", help="go on with the run that is in --out")
-    kept.add_argument("--force", action="store_true", help="replace results that are in --out already")
+    kept.add_argument("--resume", action="store_true", help="continue the run in --out")
+    kept.add_argument("--force", action="store_true", help="replace existing results in --out")
     parser.add_argument("--tensorboard", action="store_true", help=f"write event files into DIR/{BOARD}")
     parser.add_argument("--json", action="store_true", help="print the record of the run as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train while showing how it goes, then say what came of it."""
+    """Train with a progress display, then print the result."""
     from sim.aircraft.model import load_aircraft
 
     aircraft = load_aircraft(args.aircraft)
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _config(args: argparse.Namespace, aircraft: Aircraft) -> TrainingConfig:
-    """What the arguments ask for. Raises TrainingError on what is no configuration."""
+    """The configuration of the arguments. Raises TrainingError if it is invalid."""
     from training.config.config_file import load_config
 
     overrides = [*args.set]
@@ -109,7 +109,7 @@ def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
 
 
 def _check_folder(out: Path) -> None:
-    """Refuse a folder that could not be written after the work."""
+    """Reject a folder that could not be written after the training."""
     from cli.output import check_output
     from toolchain.errors import TrainingError
 
@@ -119,7 +119,7 @@ def _check_folder(out: Path) -> None:
 
 
 def _remove_events(planned: tuple[Planned, ...]) -> None:
-    """Event files of the run that is replaced: TensorBoard would draw them into one line with the new."""
+    """Remove event files of the replaced run: TensorBoard would draw both runs as one."""
     for item in planned:
         for path in (item.out / BOARD).glob("events.out.tfevents.*"):
             path.unlink()
@@ -155,11 +155,11 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
                 command=_command(args, config),
             )
         except KeyboardInterrupt:
-            _say_what_is_kept(item, before)
+            _print_saved_steps(item, before)
             raise
 
 
-def _say_what_is_kept(item: Planned, before: int | None) -> None:
+def _print_saved_steps(item: Planned, before: int | None) -> None:
     """before: `_written` when the run began."""
     from training.runs.seeds import read_record
 
@@ -181,7 +181,7 @@ def _written(item: Planned) -> int | None:
 
 
 def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -> str:
-    """What trains the same again, but for --out."""
+    """The command that repeats the run, without --out."""
     from cli.output import command_line
 
     return command_line(
@@ -197,7 +197,7 @@ def _command(args: argparse.Namespace, config: TrainingConfig, seeds: int = 1) -
 
 
 def _draw(out: Path, aircraft: Aircraft, planned: tuple[Planned, ...], best: int) -> None:
-    """monitor.png, as far as there is something to draw."""
+    """Write monitor.png, if there is anything to draw."""
     from sim.plotting import save_png
     from training.checkpoints.monitor import EPISODES, flown
     from training.checkpoints.monitor_plot import draw, read_monitor

@@ -1,4 +1,4 @@
-"""How a training run is shown while it goes on: on stderr, as a bar or, in a log, as a line a checkpoint."""
+"""The progress of a training run on stderr: a bar, or in a log a line for each checkpoint."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Display(Callback):
     """Shows one run, as a context manager."""
 
     def __init__(self, name: str, steps: int, done: int = 0) -> None:
-        """name: of the run; steps: that it is to have, `done` of them before."""
+        """name, steps: of the run; done: steps before it was resumed."""
         self._console = Console(stderr=True)
         self._name = name
         columns = (
@@ -29,7 +29,7 @@ class Display(Callback):
         )
         self._bar = Progress(*columns)
         self._task = self._bar.add_task(name, total=steps, completed=done, speed="")
-        self._first: State | None = None  # since when the speed is taken
+        self._first: State | None = None  # start of the speed measurement
         self._reward, self._metrics = "", ""
         self._live = Live(console=self._console, refresh_per_second=4, transient=True)
 
@@ -68,7 +68,7 @@ class Display(Callback):
 
 
 def figures(metrics: CheckpointMetrics) -> str:
-    """The figures that matter, in one line."""
+    """The main figures, in one line."""
     return (
         f"MAE {metrics.mae.mean:.2f} deg/s, ū {metrics.output.mean:.3f}, |Δu| {metrics.change.mean:.4f}, "
         f"reward {metrics.reward.mean:.3f}"

@@ -1,4 +1,4 @@
-"""`neuroflight tune-pid`: the gains of a PID for an aircraft, by Ziegler and Nichols, then by a search."""
+"""neuroflight tune-pid: PID gains for an aircraft, by Ziegler and Nichols' rules, then by CMA-ES."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ OUTPUT, CHANGE = 0.12, 0.012  # limits
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare whose PID, how long to look, what it may not exceed, what is kept."""
-    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="whose twin is flown")
+    """Arguments of the command."""
+    parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and search")
     parser.add_argument(
         "--commands", type=int, default=COMMANDS, metavar="N", help="pulses that each candidate flies"
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tune, fly unseen commands, write what was asked for, print. Returns 0; 1 if a limit is not kept."""
+    """Tune, fly unseen commands, write and print the results. Returns 0; 1 if a limit is exceeded."""
     _check(args)
 
     from rich.console import Console
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse what cannot be, before anything is flown. Raises NeuroflightError."""
+    """Check the arguments before anything is flown. Raises NeuroflightError."""
     from cli.output import check_output
     from sim.aircraft.pid_write import NAME
     from sim.physics.world import COUNT_MAX
@@ -192,7 +192,7 @@ def _comment(args: argparse.Namespace, evaluation: Evaluation) -> str:
 
 
 def _command(args: argparse.Namespace) -> str:
-    """The command that finds the same settings: what decides them, where it is not as usual."""
+    """The command that finds the same settings: options that decide them, if not the default."""
     from cli.output import command_line
 
     usual = {"commands": COMMANDS, "budget": BUDGET, "max_output": OUTPUT, "max_change": CHANGE}

@@ -1,4 +1,4 @@
-"""What the policy of a checkpoint did on the monitor's episodes."""
+"""Metrics of a checkpoint's policy on the monitor's episodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Spread:
-    """A figure over episodes."""
+    """Mean and range of a metric over episodes."""
 
     mean: float
     least: float
@@ -20,21 +20,21 @@ class Spread:
 
     @staticmethod
     def of(values: ArrayLike) -> Spread:
-        """Of one value an episode."""
+        """From one value per episode."""
         v = np.asarray(values, np.float64)
         return Spread(float(v.mean()), float(v.min()), float(v.max()))
 
 
 @dataclass(frozen=True)
 class CheckpointMetrics:
-    """Figures of one checkpoint, each over the same few episodes."""
+    """Metrics of one checkpoint, each over the same few episodes."""
 
     steps: int  # control steps trained
     mae: Spread  # [deg/s], against the true rate, mean of the axes
     mse: Spread  # [(deg/s)^2], likewise
     output: Spread  # mean control output, fraction 0..1
     change: Spread  # mean |y_t - y_(t-1)| over motors and 1 ms steps
-    reward: Spread  # the run's own, mean of a control step
+    reward: Spread  # of the run, mean per control step
 
     def document(self) -> dict[str, Any]:
         """As JSON data."""

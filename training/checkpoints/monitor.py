@@ -1,7 +1,7 @@
-"""The monitor: what the policy of a checkpoint does, flown the same way every time.
+"""The monitor: flies the policy of a checkpoint on five episodes that are always the same.
 
-Five episodes side by side, always the same ones: commands, noise and throttle come from a seed of their own.
-The policy flies as it would be frozen, deterministic, with the run's idle.
+Commands, noise and throttle come from a seed of their own. The policy flies as it would be frozen:
+deterministic, with the run's idle.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from training.envs.simulation import AttitudeSimulation
 from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 EPISODES = 5
-SEED = 1_000_003  # of the commands that choose a checkpoint; figures are taken on others
-OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # what `neuroflight evaluate` flies
+SEED = 1_000_003  # of the monitor's episodes; results are measured on others
+OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # those that `neuroflight evaluate` flies
 
 Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.policy.freeze` knows
 
 
 def flown(config: TrainingConfig) -> TrainingConfig:
-    """What the monitor flies of a run: its own task where policies are compared on it, else single pulses.
+    """The configuration that the monitor flies: the run's task if it is one of OWN_TASKS, else pulses.
 
     The world is the run's with the gyro's noise and without randomization.
     """
     world = replace(config.world, noise=True, randomization=Randomization())
     if config.task.name in OWN_TASKS:
         return replace(config, world=world)
-    # Nothing is learnt here, and the run's own hyperparameters may not fit the length of other episodes.
+    # Nothing is learned here, and the run's own hyperparameters may not fit the length of other episodes.
     return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig())
 
 

@@ -1,4 +1,4 @@
-"""What the monitor saw, as one picture: tracking error, outputs, their change, reward over the training."""
+"""Plot of the monitor's metrics over a training run: tracking error, outputs, their change, reward."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def read_monitor(path: Path) -> Monitored:
 def draw(runs: Sequence[Monitored], best: str, title: str) -> Figure:
     """Mean over the monitor's episodes with a band from least to greatest, one line a run.
 
-    best: the name of the run whose chosen checkpoint is kept of all. Runs without any metrics are left out;
+    best: the name of the run whose chosen checkpoint is policy.onnx. Runs without any metrics are left out;
     ValueError if there is no other.
     """
     runs = [run for run in runs if run.history]
@@ -120,7 +120,7 @@ def _colour(number: int) -> str:
 
 
 def _logarithmic(panel: Axes) -> None:
-    """A logarithmic axis with numbers like 2 and 5 on it."""
+    """A logarithmic axis with ticks at 1, 2 and 5 times powers of ten."""
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(LogLocator(base=10, subs=(1, 2, 5)))
     panel.yaxis.set_minor_locator(NullLocator())

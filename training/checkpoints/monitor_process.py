@@ -1,6 +1,6 @@
-"""The monitor at work: at once in this process, or beside the training in one of its own.
+"""Runs the monitor in this process, or in a process of its own beside the training.
 
-Nothing of the twin is imported at the top, so that the other process has settled itself before that happens.
+The twin is imported late, so that the other process has redirected its stderr before that happens.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 class Monitor:
-    """Takes policies, gives their history in the same order. The history are the same either way.
+    """Takes policies and gives their metrics in the same order. The metrics are the same either way.
 
     A context manager; leaving it ends the other process, if there is one.
     """
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, *, apart: bool = False) -> None:
-        """apart: in a process of its own, begun with the first policy; else `submit` takes its time."""
+        """apart: in a process of its own, started with the first policy; else `submit` flies the policy."""
         self._aircraft, self._config, self._apart = aircraft, config, apart
         self._process: multiprocessing.process.BaseProcess | None = None
         self._link: Connection | None = None
@@ -46,7 +46,7 @@ class Monitor:
         self.close()
 
     def submit(self, steps: int, policy: dict[str, torch.Tensor]) -> None:
-        """Have a policy flown. Raises PolicyError on weights that make none."""
+        """Have a policy flown. Raises PolicyError on weights that make no policy."""
         weights: Weights = {name: tensor.detach().cpu().numpy() for name, tensor in policy.items()}
         if not self._apart:
             from training.checkpoints.monitor import fly
@@ -60,7 +60,7 @@ class Monitor:
         self._waiting += 1
 
     def collect(self, *, wait: bool = False) -> list[CheckpointMetrics]:
-        """Readings that are new since the last call; wait: all that were submitted."""
+        """Metrics that are new since the last call; wait: those of all submitted policies."""
         while self._link is not None and self._waiting and (wait or self._link.poll()):
             try:
                 answer = self._link.recv()
@@ -76,7 +76,7 @@ class Monitor:
         return ready
 
     def close(self) -> None:
-        """End the other process, whatever it does."""
+        """Kill the other process."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
@@ -89,15 +89,15 @@ class Monitor:
         context = multiprocessing.get_context("spawn")  # a fork would share torch's threads and the twin
         self._link, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs,), daemon=True, name="monitor")
-        with _interrupts_ignored():  # the other process takes that over: interrupting is this one's business
+        with _interrupts_ignored():  # the other process inherits it: only this one handles Ctrl-C
             self._process.start()
         theirs.close()
         self._link.send((self._aircraft, self._config))
 
 
 def _work(link: Connection) -> None:
-    """Fly what comes down the link until its other end is gone."""
-    # The physics client greets on stderr, and errors go back by the link.
+    """Fly the policies that arrive until the other end of the link is closed."""
+    # The physics client prints a greeting on stderr; errors go back by the link.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         aircraft, config = link.recv()
@@ -116,13 +116,13 @@ def _tried(fly: Any, *args: Any) -> CheckpointMetrics | Exception:  # noqa: ANN4
         return metrics
     except NeuroflightError as error:
         return error
-    except Exception as error:  # whatever it is, the process that trains has to hear of it
+    except Exception as error:  # the training process reports it
         return RuntimeError(f"the monitor failed: {type(error).__name__}: {error}")
 
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)

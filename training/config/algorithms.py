@@ -1,4 +1,4 @@
-"""The algorithms' hyperparameters, as plain frozen data; names as in Stable-Baselines3 where it has them."""
+"""Hyperparameters of the algorithms, as frozen data; names as in Stable-Baselines3 where it has them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from training.config.pathwise_config import PathwiseConfig
 
 
 class Algorithm(Protocol):
-    """Knobs of one algorithm, with a name in `ALGORITHMS`."""
+    """Hyperparameters of one algorithm, with a name in `ALGORITHMS`."""
 
     name: ClassVar[str]
 
     @property
     def aircraft(self) -> int:
-        """Side by side in the twin."""
+        """How many fly side by side in the twin."""
         ...
 
     @property
     def leg_steps(self) -> int:
-        """Control steps, all aircraft together, of a leg: what is learnt between two possible checkpoints.
+        """Control steps, all aircraft together, of a segment: a checkpoint is possible at its end.
 
-        Every leg begins with new episodes and chance of its own, so that a run resumed at a leg's end goes
-        on as if it had never stopped.
+        Every segment begins with new episodes and its own random stream, so that a run that is resumed at
+        the end of a segment continues as if it had never stopped.
         """
         ...
 
     def errors(self, episode_steps: int) -> Iterator[str]:
-        """What cannot be run, one line each; episode_steps: control steps of an episode."""
+        """Errors of the values, one line each; episode_steps: control steps of an episode."""
         ...
 
 
@@ -39,21 +39,21 @@ class Algorithm(Protocol):
 class PpoConfig:
     """Schulman et al. 2017, with smoothness of the mean output in the policy's loss.
 
-    Outputs are drawn from a normal distribution, or with `OutputMap.squash` from tanh of one: bounded. What
-    tanh does to a probability is the same before and after an update, so it leaves the ratio.
+    Outputs are drawn from a normal distribution, or with `OutputMap.squash` from tanh of one: bounded. The
+    factor that tanh puts on a probability is the same before and after an update, so it cancels in the ratio.
     """
 
     name: ClassVar[str] = "ppo"
     aircraft: int = 256
-    horizon: int = 128  # control steps an aircraft between updates
+    horizon: int = 128  # control steps of each aircraft between updates
     minibatch: int = 4096
     epochs: int = 3
     learning_rate: float = 7e-4  # annealed linearly to a tenth
     discount: float = 0.99  # at 1 kHz: a horizon of 100 ms
-    gae_lambda: float = 0.98  # rotors answer over 40 ms: credit must reach back as far
+    gae_lambda: float = 0.98  # rotors respond within 40 ms: credit must reach back that far
     clip: float = 0.2
     log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
-    hold: int = 8  # control steps that a draw of it stands
+    hold: int = 8  # control steps for which a draw of the exploration is held
     smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
     smoothness_temporal: float = 0.0  # of its change from a control step to the next
     leg: int = 16  # rollouts
@@ -76,12 +76,12 @@ class PpoConfig:
 class TrpoConfig:
     """Schulman et al. 2015: the largest step along the natural gradient within a distance of the old policy.
 
-    Exploration is learnt. Bounded outputs as PPO's.
+    Its exploration is learned. Bounded outputs as in PPO.
     """
 
     name: ClassVar[str] = "trpo"
     aircraft: int = 256
-    horizon: int = 64  # control steps an aircraft between updates
+    horizon: int = 64  # control steps of each aircraft between updates
     target_kl: float = 0.01
     cg_max_steps: int = 15  # of conjugate gradients
     cg_damping: float = 0.1
@@ -109,20 +109,20 @@ class TrpoConfig:
 
 @dataclass(frozen=True)
 class OffPolicyConfig:
-    """What DDPG, TD3 and SAC have in common: they learn from a memory of steps, and their actor ends in tanh.
+    """Common to DDPG, TD3 and SAC: they learn from a replay buffer of steps, and their actor ends in tanh.
 
-    All aircraft take a control step, then come `gradient_steps` updates.
+    All aircraft take a control step, then `gradient_steps` updates follow.
     """
 
     aircraft: int = 64
     gradient_steps: int = 16
     minibatch: int = 256
-    buffer: int = 100_000  # control steps remembered, all aircraft together; kept in every checkpoint
-    learning_starts: int = 8192  # control steps with outputs drawn evenly, before the first update
+    buffer: int = 100_000  # control steps kept, all aircraft together; part of every checkpoint
+    learning_starts: int = 8192  # control steps with uniformly drawn outputs, before the first update
     learning_rate: float = 1e-3  # annealed linearly to a tenth
     discount: float = 0.99
     tau: float = 0.005  # share of the network in its target after each update
-    leg: int = 256  # control steps an aircraft
+    leg: int = 256  # control steps of each aircraft
 
     @property
     def leg_steps(self) -> int:
@@ -145,7 +145,7 @@ class DdpgConfig(OffPolicyConfig):
 
     name: ClassVar[str] = "ddpg"
     noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
-    hold: int = 8  # control steps that a draw of it stands
+    hold: int = 8  # control steps for which a draw of the exploration is held
 
     def errors(self, episode_steps: int) -> Iterator[str]:
         """See Algorithm."""
@@ -156,11 +156,11 @@ class DdpgConfig(OffPolicyConfig):
 
 @dataclass(frozen=True)
 class Td3Config(OffPolicyConfig):
-    """Fujimoto et al. 2018: two critics, of which the lower counts, and an actor that waits for them."""
+    """Fujimoto et al. 2018: the lower of two critics counts, and the actor is updated less often."""
 
     name: ClassVar[str] = "td3"
     noise: tuple[float, float] = (0.2, 0.05)  # exploration: of an output in -1..1, first to last step
-    hold: int = 8  # control steps that a draw of it stands
+    hold: int = 8  # control steps for which a draw of the exploration is held
     policy_delay: int = 2  # updates of the critics for one of the actor
     target_noise: float = 0.1  # of the target's output
     target_noise_clip: float = 0.2
@@ -175,11 +175,11 @@ class Td3Config(OffPolicyConfig):
 
 @dataclass(frozen=True)
 class SacConfig(OffPolicyConfig):
-    """Haarnoja et al. 2018: rewarded for entropy too, as much as keeps it at a target."""
+    """Haarnoja et al. 2018: entropy is rewarded, with the weight that keeps it at a target."""
 
     name: ClassVar[str] = "sac"
     learning_rate: float = 7e-4
-    target_entropy: float = -2.0  # nats a motor; lower is calmer: the reward has motors stand still
+    target_entropy: float = -2.0  # nats per motor; lower means less exploration, as low outputs are rewarded
 
 
 def _aircraft_errors(count: int) -> Iterator[str]:

@@ -26,7 +26,7 @@ FOLDER = Path(__file__).parents[1] / "recipes"
 FILE_BYTES_MAX = 1 << 20
 SUFFIXES = (".toml", ".json")
 KEY = re.compile(r"\w+(\.\w+)*", re.ASCII)
-RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters")  # of training.json, not of a config
+RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters")  # in training.json only
 
 
 def recipes() -> tuple[str, ...]:
@@ -35,11 +35,11 @@ def recipes() -> tuple[str, ...]:
 
 
 def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> TrainingConfig:
-    """The configuration of a recipe's name or a file's path, with overrides "key.path=value" laid over it.
+    """The configuration of a recipe's name or a file's path, with overrides "key.path=value" applied to it.
 
-    source: None is `TrainingConfig()`. A value is TOML; bare words need no quotes. Giving another name to a
-    task, reward or algorithm begins its table anew. Raises TrainingError, one line, on a file that is
-    missing, too large or malformed, and on any key, type or value that is no configuration.
+    source: None is `TrainingConfig()`. A value is TOML; bare words need no quotes. Another name for a task,
+    reward or algorithm replaces its whole table. Raises TrainingError, one line, on a file that is
+    missing, too large or malformed, and on any key, type or value that is invalid.
     """
     where, document = _read(source)
     record = {key: document.pop(key) for key in RECORD_KEYS if key in document and _is_json(source)}
@@ -50,7 +50,7 @@ def load_config(source: str | Path | None, overrides: Sequence[str] = ()) -> Tra
     reader = ConfigReader(where, origins)
     config = reader.table(TrainingConfig, given)
     if record:
-        # Against the file alone: an override may ask for other observations.
+        # Against the file alone: an override may change the observation.
         _check_record(reader, record, reader.table(TrainingConfig, document))
     return config
 
@@ -60,13 +60,13 @@ def _is_json(source: str | Path | None) -> bool:
 
 
 def _order(override: str) -> tuple[int, bool]:
-    """Sorts whole tables before their keys, and a name before its fellows; else the order is the user's."""
+    """Sort key: whole tables before their keys, a name before the other keys; else the user's order."""
     key = override.partition("=")[0].strip()
     return key.count("."), not key.endswith(f".{NAME}")
 
 
 def _read(source: str | Path | None) -> tuple[str, dict[str, Any]]:
-    """How messages call the source, and its keys."""
+    """The name of the source in messages, and its keys."""
     if source is None:
         return "configuration", {}
     if str(source) in recipes():
@@ -106,7 +106,7 @@ def _parsed(data: bytes, suffix: str, where: str) -> dict[str, Any]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object. Raises ValueError where a key stands twice, as TOML does."""
+    """A JSON object. Raises ValueError on a repeated key, as TOML does."""
     values = dict(pairs)
     if len(values) != len(pairs):
         [(key, _)] = Counter(key for key, _ in pairs).most_common(1)
@@ -119,7 +119,7 @@ def _line(error: Exception) -> str:
 
 
 def _override(document: dict[str, Any], text: str, origins: dict[str, str]) -> None:
-    """Lay one "key.path=value" over `document`, and note in `origins` where its keys come from."""
+    """Apply one "key.path=value" to `document`, and note in `origins` which override gave which key."""
     key, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not KEY.fullmatch(key):
         raise TrainingError(f"override {shown(text)}: expected KEY=VALUE, such as world.throttle_max=0.8")
@@ -161,9 +161,9 @@ def _value(text: str, override: str) -> object:
 
 
 def _check_record(reader: ConfigReader, record: dict[str, Any], config: TrainingConfig) -> None:
-    """Refuse the record of a run that this program would not repeat.
+    """Reject the record of a run that this program would not repeat.
 
-    The aircraft is the command's to choose; its name and hash in a record say only what was flown then.
+    The command chooses the aircraft; its name and hash in a record only say what was flown then.
     """
     if record.get("filters", []) != []:
         raise reader.error("filters", f"got {shown(record['filters'])}, expected []: there are none yet")

@@ -1,6 +1,6 @@
-"""Frozen dataclasses from plain data, such as TOML and JSON give, by the types of their fields.
+"""Builds frozen dataclasses from TOML or JSON data, by the types of their fields.
 
-Nothing here knows a particular task, reward or algorithm: a new one is read by what its fields say.
+Nothing here depends on a particular task, reward or algorithm: the fields of a new one suffice.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ REGISTRIES: dict[object, Mapping[str, type[Any]]] = {Task: TASKS, Reward: REWARD
 
 @dataclass(frozen=True)
 class ConfigReader:
-    """Reads the tables of one configuration and says where in it a mistake is."""
+    """Reads the tables of one configuration; its errors name the key."""
 
     where: str  # the file or recipe
-    overrides: Mapping[str, str]  # by key: the override that gave it
+    overrides: Mapping[str, str]  # key: the override that set it
 
     def table(self, kind: type[Kind], values: object, path: str = "") -> Kind:
-        """The dataclass `kind` with the fields of the table `values`; what is left out is its default."""
+        """The dataclass `kind` with the values of a table; what the table leaves out is the default."""
         if not isinstance(values, Mapping):
             raise self.error(path, f"got {shown(values)}, expected a table")
         hints, given = get_type_hints(kind), {}
@@ -54,7 +54,7 @@ class ConfigReader:
             raise self.error(path, str(error)) from error
 
     def error(self, path: str, message: str) -> TrainingError:
-        """The exception that says what is wrong with the key at `path`, for the caller to raise."""
+        """The exception about the key at `path`, for the caller to raise."""
         origin, parts = self.where, path.partition("[")[0].split(".")
         for depth in range(len(parts), 0, -1):
             override = self.overrides.get(".".join(parts[:depth]))
@@ -86,9 +86,9 @@ class ConfigReader:
     def named(
         self, registry: Mapping[str, type[Any]], value: object, path: str, default: object = None
     ) -> Any:  # noqa: ANN401 - what the registry holds
-        """What a table describes whose `name` says what it is, or that name alone.
+        """The registered dataclass that a table describes by its key `name`, or a name alone.
 
-        default: its kind is that of a table without a name.
+        default: gives the kind of a table without a name.
         """
         values = {NAME: value} if isinstance(value, str) else value
         if not isinstance(values, Mapping):
@@ -153,6 +153,6 @@ def _joined(path: str, key: object) -> str:
 
 
 def _nearest(key: object, known: tuple[str, ...]) -> str:
-    """What a slip of the pen was meant to be, or all there is."""
+    """The known keys that are similar to a wrong one, or all of them."""
     near = difflib.get_close_matches(str(key)[:TEXT_MAX], known)
     return f"nearest: {', '.join(near)}" if near else f"known here: {', '.join(known)}"

@@ -1,4 +1,4 @@
-"""The hyperparameters of the pathwise gradient."""
+"""Hyperparameters of the pathwise gradient."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ BATCH_STEPS_MAX = 600_000  # control steps of an update: half a gigabyte with tw
 class PathwiseConfig:
     """SVG(inf), Heess et al. 2015: see `training.learners.pathwise.learner`.
 
-    The loss is mean |e| + square e^2 [deg/s] + output mean(y) + change mean|dy|, over axes, motors and what
-    the task counts. Where a limit is given, its weight is adapted until the mean stays at the limit. The
-    run's reward plays no part: it has no derivatives.
+    The loss is mean |e| + square e^2 [deg/s] + output mean(y) + change mean|dy|, over axes, motors and
+    control steps, weighted by the task. Where a limit is given, the weight is adapted until the mean stays at
+    the limit. The run's reward is not used: it has no derivatives.
     """
 
     name: ClassVar[str] = "pathwise"
-    aircraft: int = 64  # fly an episode each for an update
+    aircraft: int = 64  # each flies one episode for an update
     learning_rate: float = 1e-2
-    warm_up: int = 20  # updates in which the learning rate rises; then half a cosine down to 2 %
+    warm_up: int = 20  # updates in which the learning rate rises; then it falls to 2 % along half a cosine
     square: float = 0.03  # [s/deg]
-    output: float = 8.0  # [deg/s], weight of the mean output, at first if it has a limit
+    output: float = 8.0  # [deg/s], weight of the mean output; the initial one if there is a limit
     output_limit: float | None = 0.085
     change: float = 15.0  # [deg/s], weight of the mean change in a control step, likewise
     change_limit: float | None = 0.0095
-    adaption: float = 0.01  # most that an update changes such a weight by, relative
-    adaption_start: float = 0.1  # part of the run before it; an early policy keeps no limit
-    start_output: float = 0.1  # motor fraction that an untrained policy asks for
-    gradient_max: float = 1.0  # a longer gradient is cut to this length
+    adaption: float = 0.01  # greatest relative change of such a weight in an update
+    adaption_start: float = 0.1  # part of the run before adaption starts; an early policy keeps no limit
+    start_output: float = 0.1  # output of an untrained policy, motor fraction
+    gradient_max: float = 1.0  # a longer gradient is scaled to this length
     leg_steps: int = 500_000  # see Algorithm; rounded up to whole updates
 
     def errors(self, episode_steps: int) -> Iterator[str]:

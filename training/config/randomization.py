@@ -1,4 +1,4 @@
-"""Domain randomization: between which bounds the aircraft of an episode are drawn."""
+"""Domain randomization: the ranges that the aircraft of an episode are drawn from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SAME: Range = (1.0, 1.0)
 
 @dataclass(frozen=True)
 class Randomization:
-    """Least and greatest value of each parameter, drawn for every episode; factors evenly in their log."""
+    """Least and greatest value of each parameter, drawn for every episode; factors log-uniformly."""
 
     mass: Range = SAME
     inertia: Range = SAME
@@ -31,11 +31,11 @@ class Randomization:
 
     @property
     def active(self) -> bool:
-        """Whether anything varies."""
+        """Whether any parameter varies."""
         return self != Randomization()
 
     def errors(self) -> Iterator[str]:
-        """Ranges that are none, one line each."""
+        """Errors of the ranges, one line each."""
         for field in fields(self):
             value: Range | None = getattr(self, field.name)
             low_end, high_end = {"delay_s": (0.0, 0.1), "charge": (0.0, 1.0)}.get(field.name, (0.01, 100.0))
@@ -46,7 +46,7 @@ class Randomization:
                 )
 
     def draw(self, count: int, rng: np.random.Generator, delay_s: float) -> Variation:
-        """`count` aircraft; delay_s: the aircraft's own."""
+        """Draw `count` aircraft; delay_s: the aircraft's own."""
 
         def factor(bounds: Range) -> NDArray[np.float64]:
             return np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]), count))

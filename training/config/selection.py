@@ -14,7 +14,7 @@ class SelectionLimits:
     change: float = 0.012  # of the mean |change| of an output in 1 ms, as `tune-pid` keeps it
 
     def errors(self) -> Iterator[str]:
-        """Limits that are none, one line each."""
+        """Errors of the limits, one line each."""
         for name, limit in (("output", self.output), ("change", self.change)):
             if not 0.0 < limit <= 1.0:
                 yield f"selection {name} {limit}, expected more than 0 to 1"

@@ -1,4 +1,4 @@
-"""Everything that decides what a training run produces, as plain frozen data that is kept with the result."""
+"""The configuration of a training run: all that decides its result, as frozen data kept with the result."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from training.config.selection import SelectionLimits
 from training.tasks.reward import Reward, TrackingReward
 from training.tasks.task import PulseTask, Task
 
-# Raw observation values are brought to about unit size by these factors, folded into the first layer at
-# freeze. Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of
+# Factors that bring raw observation values to about unit size; freezing folds them into the first layer.
+# Errors of interest are up to some hundred deg/s (3 rad/s); the gyro's noise makes a delta of
 # about 2 deg/s (0.03 rad/s) a step. Rotors steer by differences of some hundred rad/s.
 OBSERVATION_SCALES = {
     "rate": 0.3,
@@ -42,13 +42,13 @@ OBSERVATION_SCALES = {
 }
 ACTIVATIONS = ("relu", "tanh")
 SEED_MAX = 2**32 - 1
-STEPS_MAX = 10**12  # months of computing
-LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board holds far less
+STEPS_MAX = 10**12  # months of computing time
+LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board has memory for far less
 EPISODE_STEPS_MAX = 1_000_000
 TABLE_STEPS_MAX = 64_000_000  # setpoints of all aircraft's episodes, kept in memory: 768 MB
 IDLE_MAX = 0.5
 SCALE_MIN, SCALE_MAX = 1e-3, 1e3  # of an output
-WIND_MAX = 30.0  # [m/s], a storm; nobody flies a small multirotor in more
+WIND_MAX = 30.0  # [m/s], a storm
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class OutputMap:
 
     scale: float = 0.5
     offset: float = 0.5
-    squash: bool = False  # a is tanh of the network's last sum: bounded outputs, whose gradient never ends
+    squash: bool = False  # a is tanh of the last sum: bounded outputs with a gradient everywhere
 
     def errors(self) -> Iterator[str]:
-        """What is no way to drive a motor, one line each."""
+        """Errors of the values, one line each."""
         if not SCALE_MIN <= self.scale <= SCALE_MAX:
             yield f"output.scale {self.scale}, expected {SCALE_MIN:g} to {SCALE_MAX:g}"
         if not abs(self.offset) <= SCALE_MAX:
@@ -73,22 +73,22 @@ class OutputMap:
             yield f"output reaches from {low:g} to {high:g}, expected some of it within 0 to 1"
 
     def unclipped(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What an output asks of the motors before it is clipped to 0..1, float32, any shape."""
+        """Motor fractions of network outputs before they are clipped to 0..1, float32, any shape."""
         unclipped: NDArray[np.float32] = np.float32(self.scale) * output + np.float32(self.offset)
         return unclipped
 
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """Where the episodes take place."""
+    """The world that the episodes are flown in."""
 
-    mount: str = "centre"  # sim.physics.world.Mount: turning about the centre of mass, on the rig, or free
+    mount: str = "centre"  # sim.physics.world.Mount: rotating about the centre of mass, on the rig, or free
     gravity: bool | None = None  # None: in free flight only
     noise: bool = True  # of gyro and accelerometer
     wind_m_s: Vector = (0.0, 0.0, 0.0)  # world axes
     gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
     throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
-    throttle_share: float = 1.0  # of the episodes that have any
+    throttle_share: float = 1.0  # share of the episodes that have any
     randomization: Randomization = field(default_factory=Randomization)
 
     def draw_throttle(self, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
@@ -98,7 +98,7 @@ class WorldConfig:
         return throttle.astype(np.float32)
 
     def errors(self) -> Iterator[str]:
-        """What is no world, one line each."""
+        """Errors of the values, one line each."""
         mounts = [mount.value for mount in Mount]
         if self.mount not in mounts:
             yield f"mount {self.mount!r}, expected one of: {', '.join(mounts)}"
@@ -119,7 +119,7 @@ class WorldConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """One run of synthesis."""
+    """One training run."""
 
     steps: int = 8_000_000  # control steps, all aircraft together
     seed: int = 1
@@ -128,22 +128,22 @@ class TrainingConfig:
     hidden: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     output: OutputMap = field(default_factory=OutputMap)
-    idle: float = 0.0  # motor fraction that armed motors turn at without thrust; part of the policy
+    idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy
     task: Task = field(default_factory=PulseTask)
     reward: Reward = field(default_factory=TrackingReward)
     world: WorldConfig = field(default_factory=WorldConfig)
     algorithm: Algorithm = field(default_factory=PpoConfig)
-    checkpoint_steps: int = 1_000_000  # a checkpoint at the end of the leg that passes each multiple of it
+    checkpoint_steps: int = 1_000_000  # checkpoint at the end of the segment that passes each multiple
     selection: SelectionLimits = field(default_factory=SelectionLimits)  # of what becomes policy.onnx
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be run, before anything is."""
+        """Reject a configuration that cannot be run."""
         for error in self._errors():
             raise TrainingError(error)
         self.blocks()
 
     def _errors(self) -> Iterator[str]:
-        """What cannot be run, one line each."""
+        """Errors of the values, one line each."""
         if not 1 <= self.steps <= STEPS_MAX:
             yield f"{self.steps} steps asked for, expected at least 1 and at most {STEPS_MAX:g}"
         if self.checkpoint_steps < 1:
@@ -181,7 +181,7 @@ class TrainingConfig:
         yield from self.selection.errors()
 
     def check(self, aircraft: Aircraft) -> None:
-        """Refuse what this aircraft cannot be trained with. Raises TrainingError."""
+        """Raise TrainingError if this aircraft cannot be trained with the configuration."""
         where = f"aircraft {aircraft.name}"
         try:
             check_observation(self.blocks(), aircraft.motor_count)
@@ -201,7 +201,7 @@ class TrainingConfig:
             )
 
     def blocks(self) -> tuple[ObservationTerm, ...]:
-        """The observation's terms. Raises TrainingError naming one that is unknown or cannot be had."""
+        """The observation's terms. Raises TrainingError naming one that is unknown or impossible."""
         try:
             terms = observation_blocks(self.observation)
             check_cutoffs(terms, self.control_rate_hz)
@@ -210,11 +210,11 @@ class TrainingConfig:
             raise TrainingError(f"observation {self.observation!r}: {error}") from error
 
     def observation_scale(self, motors: int) -> list[float]:
-        """Factor onto each raw observation value."""
+        """Factor for each raw observation value."""
         return [OBSERVATION_SCALES[b.name] for b in self.blocks() for _ in range(b.count(motors))]
 
     def document(self, aircraft: Aircraft) -> dict[str, Any]:
-        """The run as JSON data, with what `toolchain.policy.freeze` needs to rebuild the network.
+        """The configuration as JSON data, with what `toolchain.policy.freeze` needs to rebuild the network.
 
         Raises TrainingError if the aircraft cannot be trained with this, see `check`.
         """
@@ -229,7 +229,7 @@ class TrainingConfig:
 
 
 def _plain(value: object) -> Any:  # noqa: ANN401
-    """JSON data of a field; what comes in several kinds says which it is. Derived fields are left out."""
+    """JSON data of a field: tasks, rewards and algorithms with their name, derived fields left out."""
     if not is_dataclass(value) or isinstance(value, type):
         return value
     kind = {"name": value.name} if hasattr(value, "name") else {}

@@ -1,4 +1,4 @@
-"""One aircraft as a Gymnasium environment, for any library that speaks Gymnasium.
+"""One aircraft as a Gymnasium environment, for any library with a Gymnasium interface.
 
 `import training`, then `gymnasium.make("neuroflight/Attitude-v0", aircraft="nf1", task="pulse")`; or let
 Gymnasium import it: `gymnasium.make("training:neuroflight/Attitude-v0")`. A stock learner on it:
@@ -18,7 +18,7 @@ Gymnasium import it: `gymnasium.make("training:neuroflight/Attitude-v0")`. A sto
     env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))  # as most learners expect
     PPO("MlpPolicy", env).learn(100_000)
 
-With `config`, a recipe, a file or a TrainingConfig, all of it comes from there, the world included.
+With `config` (a recipe, a file or a TrainingConfig) all of this comes from there, and the world too.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from training.tasks.reward import REWARDS, Reward
 from training.tasks.task import Task
 
 Named = str | Mapping[str, Any]  # a name, or a table with a name and fields
-OTHERS = PpoConfig(aircraft=1, horizon=1, minibatch=1)  # the learner is not the environment's matter
+OTHERS = PpoConfig(aircraft=1, horizon=1, minibatch=1)  # the environment does not depend on the learner
 
 
 class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Track rate commands with one aircraft.
 
     Observation: the terms of `observation`, raw units (rad/s, rad, fractions), float32 (n,).
-    Action: motor fractions 0..1 before the throttle mix, float32 (M,); what lies beyond is clipped.
+    Action: motor fractions 0..1 before the throttle mix, float32 (M,), clipped to this range.
     Ends only by its clock, as a truncation. `info` holds `setpoint` and `rate`, (3,) [rad/s].
     """
 
@@ -67,9 +67,9 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         control_rate_hz: int | None = None,
         config: str | Path | TrainingConfig | None = None,
     ) -> None:
-        """aircraft: shipped name or file; the others stand in place of what `config` says.
+        """aircraft: shipped name or file; the others replace the values of `config`.
 
-        Raises AircraftError or TrainingError, one line, on what cannot be flown.
+        Raises AircraftError or TrainingError, one line, on invalid arguments.
         """
         given = {
             "task": _named(TASKS, "task", task),
@@ -126,7 +126,7 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def _named(registry: Mapping[str, type[Any]], what: str, value: object) -> object:
-    """What a name or a table stands for; anything else is what it is."""
+    """The task or reward that a name or a table describes; another value is returned as it is."""
     if isinstance(value, str | Mapping):
         return ConfigReader("environment", {}).named(registry, value, what)
     return value

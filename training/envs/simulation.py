@@ -25,7 +25,7 @@ from training.tasks.reward import Transition
 
 @dataclass(frozen=True)
 class StepResult:
-    """What a control step brought, for each of N aircraft."""
+    """The result of a control step, for each of N aircraft."""
 
     observation: NDArray[np.float32]  # (N, n), of the new sample
     reward: NDArray[np.float32]  # (N,)
@@ -43,7 +43,7 @@ class AttitudeSimulation:
         config: TrainingConfig,
         rng: np.random.Generator,
     ) -> None:
-        """`config` says what is observed, asked for and rewarded, and where; `rng` is the only chance."""
+        """All random numbers come from `rng`."""
         self.count = count
         self.motors = aircraft.motor_count
         terms = config.blocks()
@@ -85,7 +85,7 @@ class AttitudeSimulation:
     def reset(self, *, stagger: bool = False) -> NDArray[np.float32]:
         """Begin an episode on every aircraft; returns the observations (N, n).
 
-        stagger: spread the aircraft over the episode's clock, so that a batch always sees all of it.
+        stagger: spread the aircraft over the episode's time, so that every batch contains all parts of it.
         """
         self._begin(self._everyone)
         if stagger:
@@ -93,10 +93,10 @@ class AttitudeSimulation:
         return self._observe(slice(None))
 
     def step(self, unclipped: NDArray[np.float32]) -> StepResult:
-        """Advance one control period with what the network asks of the motors, (N, M), clipped to 0..1.
+        """Advance one control period with motor fractions (N, M), which are clipped to 0..1.
 
-        The observation of an aircraft whose episode ended is still that episode's last; call
-        `restart` to begin its next one.
+        The observation of an aircraft whose episode ended is the last one of that episode; `restart` begins
+        its next episode.
         """
         action = np.clip(unclipped, np.float32(0.0), np.float32(1.0))
         setpoint_before = self.setpoint
@@ -126,7 +126,7 @@ class AttitudeSimulation:
     @property
     def setpoint(self) -> NDArray[np.float64]:
         """Commanded rate of the present sample [rad/s], (N, 3)."""
-        now = np.minimum(self._step, self.steps - 1)  # an episode's end asks for what its last step did
+        now = np.minimum(self._step, self.steps - 1)  # after its last step an episode keeps its last setpoint
         return self._setpoints[self._everyone, now].astype(np.float64)
 
     @property
@@ -146,7 +146,7 @@ class AttitudeSimulation:
         self._action[index] = 0.0
 
     def _drawn(self, count: int) -> Variation | None:
-        """Aircraft of new episodes; None: as the file says."""
+        """The aircraft of new episodes; None: as in the file."""
         if not self._randomization.active:
             return None
         return self._randomization.draw(count, self._rng, self._delay_s)
@@ -162,7 +162,7 @@ class AttitudeSimulation:
         )
 
     def _sensed(self, which: NDArray[np.intp] | slice) -> dict[str, NDArray[np.float32]]:
-        """What of the twin's own state is observed, float32."""
+        """Observed values from the twin's own state, float32."""
         twin, names = self._twin, self._observer.names
         sensed = {}
         if "rotor_speed" in names:

@@ -16,23 +16,23 @@ from training.config.algorithms import OffPolicyConfig
 from training.config.training_config import TrainingConfig
 from training.envs.simulation import AttitudeSimulation
 
-# SB3 clips what a policy without a bound asks for to the action space, and wants that finite. The clip that
-# counts is the simulation's, which tells the reward by how much; this one is beyond any network in use.
+# SB3 clips the outputs of a policy without bounds to the action space, which must be finite. This limit is
+# beyond the outputs of any network in use: the simulation clips, so that the reward can see by how much.
 OUTPUT_MAX = 1e3
 
 
 class AttitudeVecEnv(VecEnv):
     """N aircraft behind SB3's vector interface. Observations are scaled, actions are the network's.
 
-    Off-policy actors end in tanh, so theirs lie in -1..1; those of the others have no bound, and with
-    `OutputMap.squash` go through tanh here. An episode ends only by its clock: every end is reported as a
-    truncation with its last observation, so that its value is bootstrapped.
+    Off-policy actors end in tanh, so their actions lie in -1..1; those of the others have no bound, and with
+    `OutputMap.squash` go through tanh here. An episode ends only when its time is over: every end is reported
+    as a truncation with its last observation, so that the learner bootstraps its value.
     """
 
     def __init__(
         self, aircraft: Aircraft, config: TrainingConfig, count: int, *, reward_scale: float = 1.0
     ) -> None:
-        """`count` aircraft; the first episodes are of the configuration's seed. Rewards are scaled."""
+        """`count` aircraft; the first episodes use the configuration's seed; rewards are scaled."""
         self._reward_scale = np.float32(reward_scale)
         self._aircraft, self._config = aircraft, config
         self._simulation = simulation = self._build(count, np.random.default_rng(config.seed))
@@ -51,12 +51,12 @@ class AttitudeVecEnv(VecEnv):
         )
 
     def restart(self, rng: np.random.Generator) -> None:
-        """A new twin, whose only chance is `rng`; nothing of the past is left. Call `reset` next."""
+        """Replace the twin by a new one with the random stream `rng`; call `reset` next."""
         self._simulation.close()
         self._simulation = self._build(self.num_envs, rng)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin everywhere, spread over the episode's clock."""
+        """Begin an episode on every aircraft, spread over the episode's time."""
         return self._simulation.reset(stagger=True) * self._scale
 
     def step_async(self, actions: NDArray[np.float32]) -> None:

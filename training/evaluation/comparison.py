@@ -1,9 +1,8 @@
-"""Controllers held against each other: the same commands, the same noise, differences command by command.
+"""Comparison of controllers on the same commands and noise, with paired differences.
 
-What one command asks of two controllers is alike, and most of what their errors differ by from command to
-command is the command's doing. So their difference is taken within each episode, and its confidence from
-those differences (paired t): a tenth of a deg/s shows where the means alone would need ten times the
-episodes.
+Most of the spread of errors over commands comes from the commands, not from the controllers. So differences
+are taken within each episode, and their confidence from these differences (paired t): they show a tenth of a
+deg/s where the means alone would need ten times as many episodes.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from training.evaluation.controllers import Conditions, ControllerSpec
 from training.evaluation.evaluation import Evaluation, Flights, Scores, scores, summary
 
 Array = NDArray[np.float64]
-CHUNK = 128  # episodes whose errors are worked out at a time
-PERCENTILES = (5, 50, 95)  # over commands, of what is drawn
-STEP_S = 0.6  # what is drawn of a held command
+CHUNK = 128  # episodes whose errors are computed at a time
+PERCENTILES = (5, 50, 95)  # over commands, of the drawn curves
+STEP_S = 0.6  # drawn part of a held command
 SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
-SHARES = ("steady", "steady_bare")  # of episodes: hit or miss
+SHARES = ("steady", "steady_bare")  # shares of episodes, each 0 or 1
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """What is drawn of an entry: percentiles over its commands."""
+    """The drawn curves of an entry: percentiles over its commands."""
 
     t: Array  # (T,) [s]
     error: Array  # (3, T) [deg/s], of |error|, mean of the axes
@@ -39,7 +38,7 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A controller and how it flew."""
+    """A controller and its results."""
 
     controller: ControllerSpec
     throttle: float
@@ -61,7 +60,7 @@ def enter(
 
 
 def values(each: Scores) -> dict[str, Array]:
-    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where it has none."""
+    """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined."""
     found = {name: getattr(each.tracking, name) for name in SUMS}
     found |= {"output": each.output, "change": each.change, "smoothness": each.smoothness}
     response = each.response
@@ -90,13 +89,13 @@ def means(scores: Scores) -> dict[str, Mean]:
 
 
 def differences(first: Scores, other: Scores) -> dict[str, Mean]:
-    """Each figure of `other` less that of `first`, flown on the same commands, with its 95 % confidence."""
+    """Each figure of `other` minus that of `first` on the same commands, with its 95 % confidence."""
     before, after = values(first), values(other)
     return {name: paired(before[name], after[name]) for name in before}
 
 
 def significant(difference: Mean) -> bool:
-    """Whether 95 % confidence leaves zero out."""
+    """Whether the 95 % confidence interval excludes zero."""
     return bool(difference.low > 0.0 or difference.high < 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What a comparison looks like: step responses, error over time and spectra of all controllers at once."""
+"""Plot of a comparison: step responses, error over time and spectra of all controllers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled
 from toolchain.contract import AXES
 from training.evaluation.comparison import Entry
 
-ERROR_MIN_DEG_S = 0.1  # what is drawn of an error's scale
+ERROR_MIN_DEG_S = 0.1  # lower end of the error axis
 
 
 def draw(entries: Sequence[Entry], title: str) -> Figure:

@@ -1,4 +1,4 @@
-"""Who flies under which conditions: policy files and PIDs of the aircraft, as a user names them."""
+"""Controllers as a user names them (policy files, PIDs of the aircraft), and the conditions they fly in."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class ControllerSpec:
     """A controller that can be built for any number of aircraft."""
 
     name: str  # as the user wrote it
-    build: Callable[[int], Controller]  # for so many aircraft
+    build: Callable[[int], Controller]  # for a number of aircraft
     control_rate_hz: int
-    idle: float  # motor fraction that armed motors turn at without thrust
-    facts: dict[str, str]  # what a stored result should remember of it
+    idle: float  # motor fraction of armed motors at no thrust
+    facts: dict[str, str]  # what a stored result records of it
 
     @property
     def label(self) -> str:
@@ -43,8 +43,8 @@ class ControllerSpec:
 def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
     """The controller called `name`: `pid`, `pid:NAME` of the aircraft file, or the path of a policy.onnx.
 
-    idle: forced upon it; its own where None. Raises AircraftError or PolicyError on what there is not, or on
-    a policy for another number of motors.
+    idle: replaces its own unless None. Raises AircraftError or PolicyError if it does not exist, or drives
+    another number of motors.
     """
     kind, _, which = name.partition(":")
     if kind == PID:
@@ -75,7 +75,7 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
 
 @dataclass(frozen=True)
 class Conditions:
-    """What every controller flies alike."""
+    """The conditions that are the same for every controller."""
 
     aircraft: Aircraft
     task: Task

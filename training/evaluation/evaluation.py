@@ -1,4 +1,4 @@
-"""How well a controller flies unseen commands: many aircraft at once, no firmware in between."""
+"""Figures of a controller on unseen commands: many aircraft at once, without firmware."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from sim.physics.world import Mount
 from toolchain.contract import IDLE_DEFAULT
 from training.tasks.task import PulseTask, Task
 
-CHUNK = 256  # episodes whose errors are worked out at a time: their float64 copies are the large ones
+CHUNK = 256  # episodes whose errors are computed at a time, because their float64 copies are large
 
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """What was flown: E episodes of T control steps with M motors."""
+    """The record of E episodes of T control steps with M motors."""
 
     setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s]
     rate: NDArray[np.float32]  # (E, T, 3) [rad/s], true body rate
@@ -35,7 +35,7 @@ class Flights:
     step_s: float  # [s] between rows
 
     def hold(self) -> Hold | None:
-        """The held command of each episode; None if the task has none of a second."""
+        """The held command of each episode; None if the task holds none for a second."""
         return hold(self.setpoint, self.rate, self.step_s)
 
 
@@ -81,7 +81,7 @@ def evaluate(
     idle: float = IDLE_DEFAULT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
-    """Fly `episodes` commands of `task`, pulses unless given, and take the figures; see `record`."""
+    """Fly `episodes` commands of `task`, pulses by default, and compute the figures; see `record`."""
     return figures(
         record(
             controller,
@@ -152,7 +152,7 @@ def record(
 
 
 def figures(flights: Flights) -> Evaluation:
-    """All figures of what was flown."""
+    """All figures of recorded flights."""
     return summary(scores(flights))
 
 
@@ -177,7 +177,7 @@ def scores(flights: Flights) -> Scores:
 
 
 def summary(scores: Scores) -> Evaluation:
-    """Means over the episodes and how sure they are."""
+    """Means over the episodes with their confidence."""
     errors = [_mean(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
     output, change, rough = (_mean(each) for each in (scores.output, scores.change, scores.smoothness))
     return Evaluation(

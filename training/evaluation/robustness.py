@@ -1,7 +1,7 @@
-"""How a controller bears aircraft that are not as their file says: one parameter at a time, and all at once.
+"""Robustness of a controller: its errors on aircraft whose parameters differ from their file.
 
-Every case flies the same commands under the same throttles and noise as the nominal aircraft does, so that a
-ratio of errors is the aircraft's doing alone.
+One parameter at a time is at an extreme, or all are drawn at once. Every case flies the same commands,
+throttles and noise as the nominal aircraft, so that a ratio of errors depends on the aircraft alone.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from sim.analysis.confidence import NORMAL, Mean, mean_of, share_of
 from sim.analysis.metrics import CHANGE_S
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
+from toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from training.config.randomization import Randomization, Range
 from training.config.training_config import WorldConfig
 from training.evaluation.controllers import ControllerSpec
@@ -27,8 +28,8 @@ from training.tasks.task import Task
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-# Between what an aircraft of the file's build may lie. Mass, inertia, lag, delay and battery: the issue that
-# asked for this table; thrust and torque: a worn or another maker's propeller, assumed.
+# Ranges of an aircraft built to the file; none is measured. Mass, inertia, lag, delay and battery are the
+# requirements of this project; thrust and torque are assumed: a worn propeller, or one of another maker.
 EXTREMES = Randomization(
     mass=(0.8, 1.2),
     inertia=(0.7, 1.3),
@@ -42,11 +43,11 @@ EXTREMES = Randomization(
 CASE_RATIO_MAX = 2.0  # of the nominal error, each parameter at an extreme
 MEDIAN_RATIO_MAX = 1.5  # of draws of all parameters at once
 HIGH_RATIO_MAX = 2.5
-HIGH = 0.95  # the part of the draws that this bar is for
+HIGH = 0.95  # quantile of the draws that this bar is for
 COMMANDS_PER_DRAW = 5
-# An episode diverges if the aircraft ever turns faster than its gyro can tell, or tracks worse than one that
-# never moves would; errors below the floor are no divergence, however small the command.
-DIVERGED_RATE = math.radians(2000.0)  # [rad/s]
+# An episode diverges if the aircraft turns faster than its gyro can measure, or tracks worse than an aircraft
+# that never turns; errors below the floor are no divergence, however small the command.
+DIVERGED_RATE = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s]
 DIVERGED_FLOOR = 10.0  # [deg/s]
 DIVERGENCE = (
     "a rate beyond 2000 deg/s on any axis, or an episode's MAE above both 10 deg/s and that of an aircraft "
@@ -56,14 +57,14 @@ DIVERGENCE = (
 
 @dataclass(frozen=True)
 class Case:
-    """One parameter away from the file; `parameter` is None for the nominal aircraft."""
+    """An aircraft with one parameter changed; `parameter` is None for the nominal one."""
 
     parameter: str | None = None
     value: float = 1.0
 
     @property
     def name(self) -> str:
-        """For tables: what it is and how much."""
+        """Parameter and value, for tables."""
         if self.parameter is None:
             return "nominal"
         if self.parameter == "delay_s":
@@ -83,19 +84,19 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """What every controller goes through."""
+    """The flights of every controller."""
 
     aircraft: Aircraft
     task: Task
     episodes: int  # of each case
     draws: int  # of all parameters at once, COMMANDS_PER_DRAW episodes each
     seed: int
-    throttle_max: float  # the pilot's thrust is drawn evenly from 0 to this, for each episode
+    throttle_max: float  # the pilot's thrust is drawn uniformly from 0 to this, for each episode
     mount: Mount = Mount.CENTRE
     noise: bool = True
 
     def extremes(self) -> Randomization:
-        """What is varied: batteries only where there is one whose voltage says something."""
+        """The varied parameters: the battery only if the aircraft has one that affects its thrust."""
         known = self.aircraft.battery is not None and self.aircraft.propulsion.supply_voltage is not None
         return EXTREMES if known else replace(EXTREMES, charge=None)
 
@@ -123,7 +124,7 @@ class EpisodeFigures:
 
 @dataclass(frozen=True, eq=False)
 class CaseResult:
-    """How one case went."""
+    """The result of a case."""
 
     case: Case
     mae: Mean  # [deg/s]
@@ -134,19 +135,19 @@ class CaseResult:
 
     @property
     def met(self) -> bool:
-        """Whether the error stays within the bar; the nominal case has none."""
+        """Whether the ratio is within its bar; the nominal case has no bar."""
         return self.case.parameter is None or bool(self.ratio.value <= CASE_RATIO_MAX)
 
 
 @dataclass(frozen=True, eq=False)
 class JointResult:
-    """How the draws of all parameters went."""
+    """The result of the draws of all parameters."""
 
     ratios: Array  # (D,), of each draw's MAE to the nominal aircraft's on the same commands
     median: Mean
     high: Mean  # their HIGH quantile
     change: float
-    diverged: int  # draws with an episode that did
+    diverged: int  # draws with an episode that diverged
     diverged_share: Mean
 
     @property
@@ -158,11 +159,11 @@ class JointResult:
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """All of it for one controller."""
+    """All results of one controller."""
 
     controller: ControllerSpec
     cases: tuple[CaseResult, ...]  # the nominal one first
-    joint: JointResult | None  # None where nothing was drawn
+    joint: JointResult | None  # None without draws
 
 
 def examine(controller: ControllerSpec, plan: Plan, progress: Progress | None = None) -> Robustness:
@@ -206,10 +207,10 @@ def ratio_of(part: Array, whole: Array) -> Mean:
 
 
 def quantile_of(values: Array, q: float) -> Mean:
-    """The q-quantile of values (D,), 0 < q < 1, between the order statistics that hold it in 95 of 100 cases.
+    """The q-quantile of values (D,), 0 < q < 1, with order statistics as its 95 % confidence interval.
 
-    Free of distributions: how many values lie below is binomial, here by its normal approximation. Where
-    there are too few values for a bound, it is their least or greatest.
+    It holds for any distribution: the number of values below the quantile is binomial, here approximated by
+    a normal one. With too few values for a bound, the bound is the least or greatest value.
     """
     count = len(values)
     half = NORMAL * math.sqrt(count * q * (1.0 - q))
@@ -219,7 +220,7 @@ def quantile_of(values: Array, q: float) -> Mean:
 
 
 def episode_figures(flights: Flights) -> EpisodeFigures:
-    """Figures of each episode of what was flown."""
+    """Figures of each recorded episode."""
     stride = max(1, round(CHANGE_S / flights.step_s))
     mae, output, change, diverged = [], [], [], []
     for wanted, rate, y in zip(flights.setpoint, flights.rate, flights.output, strict=True):
@@ -285,7 +286,7 @@ def _joint(varied: EpisodeFigures, nominal: EpisodeFigures, draws: int) -> Joint
 
 
 def document(result: Robustness) -> dict[str, object]:
-    """Who flew and how it went, as JSON data."""
+    """A controller and its results, as JSON data."""
     controller, joint = result.controller, result.joint
     return {
         "controller": controller.name,

@@ -1,4 +1,4 @@
-"""What robustness looks like: every case's ratio as a dot, and how the draws of all parameters spread."""
+"""Plot of robustness: the ratio of each case as a dot, and the distribution of the draws."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from training.evaluation.robustness import (
     Robustness,
 )
 
-RATIO_MIN, RATIO_MAX = 0.5, 20.0  # what is drawn; what lies beyond stands at the edge
+RATIO_MIN, RATIO_MAX = 0.5, 20.0  # range of the axis; values outside are drawn at its ends
 TICKS = (0.5, 0.7, 1, 1.5, 2, 2.5, 3, 5, 10, 20)
-CHANGE_MIN = 1e-5  # what is drawn of |delta u|
+CHANGE_MIN = 1e-5  # lower end of the |delta u| axis
 WIDTH, MARGIN, HEAD, ROW, GAP, JOINT = 12.0, 1.6, 0.85, 0.3, 1.05, 2.6  # [in], of figure and panels
 LEGEND_COLUMNS = 4
-SPREAD = 0.5  # part of a row that the dots of all controllers take
+SPREAD = 0.5  # part of a row's height with the dots of all controllers
 
 
 def draw(results: Sequence[Robustness], title: str) -> Figure:
@@ -44,7 +44,7 @@ def draw(results: Sequence[Robustness], title: str) -> Figure:
 
     cases = figure.add_axes(place(MARGIN, 8.3, HEAD, ROW * rows))
     _draw_ratios(cases, results)
-    # Below everything: a dot may stand anywhere.
+    # Below the panels: dots may be anywhere in them.
     handles, labels = cases.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower left", ncols=LEGEND_COLUMNS, frameon=False, fontsize=9)
     _draw_changes(figure.add_axes(place(8.6, WIDTH - 0.2, HEAD, ROW * rows), sharey=cases), results)
@@ -112,7 +112,7 @@ def _draw_changes(panel: Axes, results: Sequence[Robustness]) -> None:
 
 
 def _draw_joint(panel: Axes, results: Sequence[Robustness]) -> None:
-    """Share of the draws whose ratio is at most so much."""
+    """The cumulative distribution of the ratios of the draws."""
     top = 2.6
     for number, result in enumerate(results):
         joint = result.joint

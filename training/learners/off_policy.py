@@ -1,4 +1,4 @@
-"""DDPG, TD3 and SAC as learners: Stable-Baselines3's, over the aircraft of one twin."""
+"""DDPG, TD3 and SAC as learners: Stable-Baselines3's implementations on the aircraft of one twin."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones"
 
 
 class OffPolicyLearner(Sb3Learner):
-    """See Learner. What has been remembered is part of the state."""
+    """See Learner. The replay buffer is part of the state."""
 
     _model: OffPolicyAlgorithm
 
@@ -114,7 +114,7 @@ class OffPolicyLearner(Sb3Learner):
         return memory
 
     def _temperature(self) -> torch.Tensor | None:
-        """Logarithm of what entropy is worth, SAC's."""
+        """Logarithm of the weight of the entropy; SAC only."""
         model = self._model
         return model.log_ent_coef if isinstance(model, SAC) else None
 
@@ -133,7 +133,7 @@ class OffPolicyLearner(Sb3Learner):
 
 
 class _FadingNoise(VectorizedActionNoise):
-    """Normal noise of all aircraft at once; its deviation goes from the first value to the last in a run."""
+    """Normal noise for all aircraft; its deviation goes from the first value to the last in a run."""
 
     def __init__(
         self, learner: Sb3Learner, deviation: tuple[float, float], hold: int, shape: tuple[int, ...]
@@ -147,10 +147,10 @@ class _FadingNoise(VectorizedActionNoise):
         self._step = 0
 
     def reset(self, indices: Iterable[int] | None = None) -> None:
-        """An episode ends in the middle of a draw like any other step."""
+        """Nothing: a draw is held across the end of an episode."""
 
     def __call__(self) -> NDArray[np.float32]:
-        """Of all aircraft (N, M), from numpy's global generator as all of Stable-Baselines3's chance."""
+        """Noise of all aircraft (N, M), from numpy's global generator, which Stable-Baselines3 uses too."""
         if self._step % self._hold == 0:
             first, last = self._deviation
             deviation = first + (last - first) * self._learner.part

@@ -1,4 +1,4 @@
-"""PPO as a learner: Stable-Baselines3's, over the aircraft of one twin."""
+"""PPO as a learner: `smooth_ppo` on the aircraft of one twin."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def observation_noise(aircraft: Aircraft, config: TrainingConfig) -> NDArray[np.
     gyro = np.array(aircraft.gyro.noise)
     noise = []
     for term in config.blocks():
-        # White noise through y += a (x - y), and the difference of two samples of it through the same.
+        # White noise after y += a (x - y), and the difference of two of its samples after the same filter.
         a = term.gain(config.control_rate_hz) or 1.0
         passed = {
             "rate": np.sqrt(a / (2.0 - a)),

@@ -1,4 +1,4 @@
-"""What synthesis needs of an algorithm at work."""
+"""The interface between a training run and a learning algorithm."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import torch
 
 @dataclass(frozen=True)
 class Report:
-    """How a learner does; given out after every update."""
+    """Progress of a learner, reported after every update."""
 
     steps: int  # control steps so far, all aircraft together
-    reward: float  # mean of a control step since the last report; of a loss, its negative
-    figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names: "train/loss"
+    reward: float  # mean per control step since the last report; of a loss, its negative
+    figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names, such as "train/loss"
 
 
 class Learner(Protocol):
-    """An algorithm and its aircraft."""
+    """An algorithm with its aircraft."""
 
     @property
     def steps(self) -> int:
-        """Control steps so far, all aircraft together, those before a resumption included."""
+        """Control steps so far, all aircraft together, including those before the run was resumed."""
         ...
 
     def learn(self, segment: int, report: Callable[[Report], None]) -> None:
@@ -39,7 +39,7 @@ class Learner(Protocol):
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Become the learner whose `state` this was."""
+        """Take over a `state`."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What every algorithm of Stable-Baselines3 needs to be a learner: the aircraft, the legs, the reports."""
+"""Common to all learners of Stable-Baselines3: the aircraft, segments, reports."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from training.learners.protocol import Report
 
 MODULES = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 REWARD_SCALE_MIN = 1e-4
-REPORT_STEPS = 4096  # control steps, all aircraft together, from a report to the next at least
+REPORT_STEPS = 4096  # control steps, all aircraft together, between reports at least
 
 
 class Sb3Learner:
-    """See Learner. A subclass builds `_model` and says what of it is to be kept."""
+    """See Learner. A subclass builds `_model` and names its optimizers."""
 
     _model: BaseAlgorithm
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, discount: float) -> None:
         self._config = config
-        self.part = 0.0  # of the run that is over
-        # A value is then a mean reward, whatever the horizon: something that a critic of small weights can
-        # say at once, where a sum over a hundred steps takes it a million to grow up to.
+        self.part = 0.0  # share of the run that is over
+        # Scaled so, a value is a mean reward for any horizon. A new critic with small weights can output that
+        # at once; for a sum over a hundred steps its weights would have to grow for a million steps.
         self._reward_scale = max(1.0 - discount, REWARD_SCALE_MIN)
         count = config.algorithm.aircraft
         self._env = AttitudeVecEnv(aircraft, config, count, reward_scale=self._reward_scale)
@@ -86,7 +86,7 @@ class Sb3Learner:
         self._env.close()
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
-        """Those whose state the next segment builds on."""
+        """The optimizers whose state is kept."""
         raise NotImplementedError
 
     def _annealed(self, rate: float) -> Callable[[float], float]:
@@ -95,7 +95,7 @@ class Sb3Learner:
 
 
 class _Reporter(BaseCallback):
-    """Reports after rollouts, with the mean reward of a control step since the last report."""
+    """Reports after rollouts, with the mean reward per control step since the last report."""
 
     def __init__(self, report: Callable[[Report], None], reward_scale: float) -> None:
         super().__init__()

@@ -1,16 +1,16 @@
-"""PPO with smoothness of the mean output in the policy's loss, actor and critic learning side by side.
+"""PPO with a smoothness term in the policy's loss; actor and critic are trained in two threads.
 
-After CAPS (Mysore et al. 2021). Spatial term: an observation and the same one under fresh gyro noise should
-give the same output. The noise is the gyro's own, so what is punished is exactly what makes motors hot:
-outputs that follow noise. Temporal term: so should an observation and the one that followed it. Punishing
-sampled actions instead teaches PPO to hide behind the clip.
+The term follows CAPS (Mysore et al. 2021). Its spatial part is the difference of the mean outputs for an
+observation and for the same one with new noise, drawn as the gyro's own: outputs that follow noise heat the
+motors. Its temporal part is the difference for an observation and the following one. A penalty on sampled
+actions does not work: PPO then moves its outputs to where they are clipped.
 
-The critic says values in units of their spread, about their mean (van Hasselt et al. 2016, PopArt): an
-aircraft that cannot yet fly earns a hundred times less than one that can, and both are to be told well.
+The critic outputs values normalized by their mean and spread (van Hasselt et al. 2016, PopArt): the returns
+of an aircraft that cannot fly yet are a hundred times as negative as those of one that can.
 
-Actor and critic share no weight. Each has its own optimizer and its own clipped gradient, so neither's
-update depends on when the other's happens, and each may have a thread of its own: torch gives up the
-interpreter's lock inside its kernels.
+Actor and critic share no weight, and each has its own optimizer and its own clipped gradient. So the result
+does not depend on the order of their updates, and two threads can run them: torch releases the interpreter's
+lock inside its kernels.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ class Smoothness:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """A rollout's steps, one after the other: those of the first aircraft, of the second, ..."""
+    """A rollout's steps: those of the first aircraft, then those of the second, ..."""
 
     observations: torch.Tensor  # (S, n), scaled
-    actions: torch.Tensor  # (S, M), network outputs as they were drawn
-    log_prob: torch.Tensor  # (S,), of them when they were drawn
+    actions: torch.Tensor  # (S, M), drawn network outputs
+    log_prob: torch.Tensor  # (S,), of the actions when they were drawn
     advantages: torch.Tensor  # (S,)
     returns: torch.Tensor  # (S,)
     followed: torch.Tensor  # (S,) 1 where the next row is the same episode's next step, else 0
 
 
 class SmoothPpo(PPO):
-    """Stable-Baselines3's PPO with another `train`, and a `collect_rollouts` that asks the critic once.
+    """Stable-Baselines3's PPO with another `train`, and a `collect_rollouts` that runs the critic once.
 
     The clip range is constant, and exploration follows a schedule, so there is no entropy term.
     """
@@ -72,11 +72,11 @@ class SmoothPpo(PPO):
         hold: int,
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
-        """log_std: of the exploration, asked for before each update.
+        """log_std: schedule of the exploration, called before each update.
 
-        Left to itself PPO keeps so much of it that the mean output drifts: nothing in the reward can tell.
-        hold: control steps that a draw stands. Rotors hardly answer to what is gone after a millisecond; a
-        draw that stands is felt, and each of its steps is credited with what the rest of it brought.
+        If PPO learns it, it stays so large that the mean output drifts: the reward hardly depends on it.
+        hold: control steps for which a draw is held. Rotors hardly respond to a change of one millisecond;
+        they respond to a held one, and each of its steps is credited with the rewards of the others.
         """
         super().__init__(*args, **kwargs)
         self._log_std, self._hold = log_std, hold
@@ -88,7 +88,7 @@ class SmoothPpo(PPO):
         self.actor = torch.nn.Sequential(*layers.policy_net, self.policy.action_net)
         self.critic = torch.nn.Sequential(*layers.value_net, self.policy.value_net)
         self._value_mean, self._value_spread = torch.zeros(()), torch.ones(())
-        self.policy.register_buffer("value_mean", self._value_mean)  # and so kept with the networks
+        self.policy.register_buffer("value_mean", self._value_mean)  # so it is saved with the networks
         self.policy.register_buffer("value_spread", self._value_spread)
         rate = self.lr_schedule(1.0)
         self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), rate, eps=ADAM_EPS)
@@ -128,7 +128,7 @@ class SmoothPpo(PPO):
                 return False
         buffer.pos, buffer.full = n_rollout_steps, True
         buffer.values[:] = self._values(buffer.observations)
-        if ends:  # an episode's end is one of its clock: what would have followed is the critic's guess
+        if ends:  # truncated episodes: the critic estimates the value of what would have followed
             steps, whose, last = zip(*ends, strict=True)
             buffer.rewards[list(steps), list(whose)] += self.gamma * self._values(np.stack(last))
         buffer.compute_returns_and_advantage(torch.from_numpy(self._values(observation)), ended)
@@ -183,7 +183,7 @@ class SmoothPpo(PPO):
         return float(change.detach())
 
     def _rescale_values(self, returns: torch.Tensor) -> None:
-        """New mean and spread, and a last layer with which the critic says what it said before."""
+        """Set new mean and spread, and change the last layer so that the critic's values stay the same."""
         last = self.critic[-1]
         assert isinstance(last, torch.nn.Linear)
         mean, spread = returns.mean(), returns.std() + VALUE_SPREAD_MIN
@@ -213,7 +213,7 @@ class SmoothPpo(PPO):
         return torch.min(advantages * ratio, advantages * clipped).mean()
 
     def _change(self, rollout: Rollout, batch: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
-        """Both terms, weighted; of a quarter of the batch, which is shuffled: a fair sample."""
+        """Both smoothness terms, weighted; of a quarter of the shuffled batch, as a sample."""
         some = batch[: (len(batch) + 3) // 4]
         mean, loss = mean[: len(some)], torch.zeros(())
         if self._smoothness.spatial:
@@ -235,7 +235,7 @@ class SmoothPpo(PPO):
         optimizer.step()
 
     def _values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What the critic makes of observations (..., n); (...)."""
+        """The critic's values (...) of observations (..., n)."""
         with torch.no_grad():
             values = self.critic(torch.from_numpy(observations))[..., 0]
             found: NDArray[np.float32] = (values * self._value_spread + self._value_mean).numpy()

@@ -1,4 +1,4 @@
-"""TRPO as a learner: sb3-contrib's, over the aircraft of one twin."""
+"""TRPO as a learner: sb3-contrib's implementation on the aircraft of one twin."""
 
 from __future__ import annotations
 

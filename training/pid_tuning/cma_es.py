@@ -1,4 +1,4 @@
-"""Local search without derivatives: covariance matrix adaptation (CMA-ES), population by population."""
+"""CMA-ES: local search without derivatives, population by population, with the usual ask and tell."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Array = NDArray[np.float64]
 
 
 class CmaEs:
-    """A normal distribution of candidates that moves towards those of least cost.
+    """A normal distribution of candidates that moves towards those with the least cost.
 
     Source: N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772; its default constants,
     positive weights only.
     """
 
     def __init__(self, start: Array, spread: Array, population: int, rng: np.random.Generator) -> None:
-        """start: (d,), where the search begins; spread: (d,), standard deviation it begins with."""
+        """start: (d,), first mean; spread: (d,), first standard deviation."""
         d, parents = len(start), population // 2
         weights = np.log(population / 2 + 0.5) - np.log(np.arange(1, parents + 1))
         self._weights = weights / weights.sum()
@@ -49,7 +49,7 @@ class CmaEs:
         return candidates
 
     def tell(self, candidates: Array, costs: Array) -> None:
-        """Move towards the best of `candidates` (population, d) as asked, whose costs are (population,)."""
+        """Adapt to the `costs` (population,) of the `candidates` (population, d) of the last `ask`."""
         self._generation += 1
         best = np.argsort(costs, kind="stable")[: len(self._weights)]
         steps = (candidates[best] - self._mean) / self._size

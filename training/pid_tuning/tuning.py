@@ -3,10 +3,10 @@
 Cost of a candidate: its MAE [deg/s], averaged over axes and training pulses, plus 20 deg/s for each time
 that the mean output or its mean change exceeds its limit (less a margin) by itself, plus 20 deg/s times the
 mean excess over the 10 % band, none counted above 1, at the end of a second of large commands from rest.
-Those keep an integral in it: pulses alone would leave none in roll and pitch, but turning fast about two
-axes pulls at the third. Candidates of a generation fly side by side in one world, every generation the same
-commands and noise, so that a difference in cost is one of the settings. The gyro's constant bias is left
-out: no controller can see it, and the firmware calibrates it away.
+The large commands are there for the integral: pulses alone need none in roll and pitch, but fast rotation
+about two axes disturbs the third. Candidates of a generation fly side by side in one world, and every
+generation flies the same commands and noise, so that costs differ by the settings alone. The gyro's constant
+bias is set to 0: no controller can observe it, and the firmware calibrates it away.
 """
 
 from __future__ import annotations
@@ -36,37 +36,37 @@ Array = NDArray[np.float64]
 
 POPULATION = 12  # candidates of a generation; the usual number for 11 settings
 PENALTY = 20.0  # [deg/s] for a limit exceeded by itself
-MARGIN = 0.97  # part of each limit that the search keeps to: unseen commands differ by a percent or two
+MARGIN = 0.97  # of each limit, kept by the search: unseen commands differ by a percent or two
 HELD_MARGIN = 0.8  # likewise of the band at the end of a held command
-HELD_END_S = 0.2  # the last part of a held command, all of which counts
-HELD_SMALL = 1 / 6  # what is asked of one axis, in parts of what is asked of the others
+HELD_END_S = 0.2  # last part of a held command, in which the error counts
+HELD_SMALL = 1 / 6  # command of one axis, in parts of that of the others
 IDLE_START = 0.1
-IDLE_WEIGHT_MAX = 0.75  # thrust of all idling rotors in parts of the weight; with more it would hardly sink
-IDLE_MIN, IDLE_MAX = 1e-3, 0.5  # of the search; the least is as good as none
+IDLE_WEIGHT_MAX = 0.75  # thrust of all idling rotors in parts of the weight; more would hardly let it sink
+IDLE_MIN, IDLE_MAX = 1e-3, 0.5  # of the search; the least has no visible effect
 CUTOFF_START_HZ = 30.0
 CUTOFF_MIN_HZ = 15.0  # with less, K_D acts on the rate rather than on its slope
 CUTOFF_NYQUIST_MAX = 0.9  # of half the control rate
-NOTHING = (0.0, 1e-2, 1e-4)  # K_P, K_I, K_D below which a gain does nothing to be seen and is written as 0
-DIGITS = 4  # significant, of the settings that are flown and written
-# Parts of a rule's gains, and of its K_I besides, that the search may begin with: K_u is an ideal gyro's, and
-# a rate follows a moment by itself, with little integral.
+NOTHING = (0.0, 1e-2, 1e-4)  # K_P, K_I, K_D below which a gain has no visible effect and is set to 0
+DIGITS = 4  # significant digits of the settings
+# Factors of a rule's gains, and a further one of its K_I, that the search may start with: K_u is measured
+# with an ideal gyro, and rate control needs little integral, because a moment integrates to a rate.
 STARTS = ((1.0, 1.0), (1.0, 0.01), (0.3, 0.01), (0.1, 0.01))
-MOST = (1.0, 1.2, 0.3)  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u), beyond which nothing is looked for
+MOST = (1.0, 1.2, 0.3)  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u), upper limits of the search
 SPREAD_GAIN, SPREAD_INTEGRAL = 0.3, 0.6  # standard deviation of the search's first logarithms
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a candidate may not exceed, before throttle mix and idle."""
+    """Limits of a candidate, before throttle mix and idle."""
 
     output: float  # mean output, fraction
     change: float  # mean |change| of an output in 1 ms, fraction
-    idle: float  # fraction an armed motor turns at without thrust
+    idle: float  # motor fraction of armed motors at no thrust
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Settings and what they did on the training commands."""
+    """Settings and their figures on the training commands."""
 
     settings: PidSettings
     mae: float  # [deg/s], mean of the axes
@@ -78,11 +78,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Tuning:
-    """How a search went."""
+    """The course and result of a search."""
 
     ultimate_gains: tuple[UltimateGain, UltimateGain, UltimateGain]  # roll, pitch, yaw
     rules: dict[str, Trial]  # the rules of Ziegler and Nichols and their successors, by name
-    start: Trial  # where the search began: the best of the rules and of parts of them
+    start: Trial  # first mean of the search: the best of the rules and of parts of them
     trials: tuple[Trial, ...]  # of the search, in the order flown
     best: Trial
     interrupted: bool
@@ -146,9 +146,9 @@ def idle_limit(aircraft: Aircraft) -> float:
 
 
 def training_commands(count: int, rng: np.random.Generator) -> Array:
-    """Commands of the pulse task that share out its normal distribution evenly [rad/s], (count, 3).
+    """Stratified commands of the pulse task [rad/s], (count, 3).
 
-    Each axis takes the middle of `count` equally likely ranges once, in an order of its own.
+    Each axis has the median of each of `count` equally likely ranges once, in an order of its own.
     """
     normal = NormalDist(0.0, PulseTask().sigma_deg_s)
     middles = np.array([normal.inv_cdf((i + 0.5) / count) for i in range(count)])
@@ -182,7 +182,7 @@ class Pulses:
 
 
 class _IdlingPid:
-    """PIDs with an idle each, as one controller: their outputs have it in them already."""
+    """PIDs with different idles, as one controller whose outputs include the idle."""
 
     def __init__(self, pid: Pid, idle: Array) -> None:
         self._pid = pid
@@ -240,7 +240,7 @@ def _trial(settings: PidSettings, pulsed: Flights, held: Flights, limits: Limits
 
 
 def _missed(held: Flights) -> float:
-    """Mean excess over the band at the end of held commands, each at most 1."""
+    """Mean excess over the band at the end of held commands; each excess counts at most 1."""
     end = round(HELD_END_S / held.step_s)
     error = np.rad2deg(np.abs(held.setpoint - held.rate)[:, -end:].max(axis=1))
     band = np.maximum(BAND * np.rad2deg(np.abs(held.setpoint[:, -1])), FLOOR_DEG_S)
@@ -250,7 +250,7 @@ def _missed(held: Flights) -> float:
 def _rule_settings(
     found: Sequence[UltimateGain], rule: str, part: float, integral: float, idle: float
 ) -> PidSettings:
-    """A part of the gains by `rule`, and of K_I another part of that."""
+    """The gains by `rule` times `part`, and K_I times `integral` too."""
     gains = [item.gains(rule) for item in found]
     roll, pitch, yaw = ((part * p, part * integral * i, part * d) for p, i, d in gains)
     return _rounded((roll, pitch, yaw), CUTOFF_START_HZ, idle)

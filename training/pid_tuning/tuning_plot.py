@@ -1,4 +1,4 @@
-"""What a PID search looks like: responses before and after, and how it got there."""
+"""Plot of a PID tuning: step responses at its start and of its result, and all candidates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from training.evaluation.evaluation import record
 from training.pid_tuning.tuning import Limits, Pulses, Trial, Tuning
 from training.tasks.task import PulseTask
 
-STEP_DEG_S = 100.0  # shown, on one axis at a time
+STEP_DEG_S = 100.0  # drawn step, on one axis at a time
 SHOWN_S = 0.5
 START_COLOUR, BEST_COLOUR = FLIGHT_COLOURS[1], FLIGHT_COLOURS[0]
 OUTSIDE = "#b3bac4"  # candidates that exceed a limit
@@ -68,7 +68,7 @@ def _responses(
 
 
 def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
-    """MAE of every candidate, and the least so far of those that keep the limits."""
+    """MAE of every candidate, and the least so far among those within the limits."""
     mae = np.array([trial.mae for trial in tuning.trials])
     kept = np.array([_keeps(trial, limits) for trial in tuning.trials], bool)
     number = np.arange(1, len(mae) + 1)
@@ -88,7 +88,7 @@ def _draw_search(panel: Axes, tuning: Tuning, limits: Limits) -> None:
 
 
 def _draw_limit(panel: Axes, tuning: Tuning, limits: Limits) -> None:
-    """What a smaller MAE costs in motion of the outputs."""
+    """MAE of the candidates against the change of their outputs."""
     kept = [trial for trial in tuning.trials if _keeps(trial, limits)]
     outside = [trial for trial in tuning.trials if not _keeps(trial, limits)]
     for trials, colour in ((outside, OUTSIDE), (kept, BEST_COLOUR)):

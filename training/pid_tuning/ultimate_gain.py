@@ -1,4 +1,4 @@
-"""Ziegler and Nichols' experiment in the twin: how much proportional gain an axis bears, and what it says."""
+"""Ultimate gains: Ziegler and Nichols' experiment in the twin, and gains by their rules."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from training.tasks.task import Setpoints, held
 Array = NDArray[np.float64]
 
 STEP_MAX_DEG_S = 100.0  # of the axis; the other two rest without control
-STEP_OUTPUT = 0.3  # motor fraction that a smaller step asks of a larger gain, so that no motor saturates
-SETTLE_S, WINDOW_S = 0.5, 0.5  # until the first of two windows that are compared, and their length
+STEP_OUTPUT = 0.3  # greatest first output; larger gains get smaller steps, so that no motor saturates
+SETTLE_S, WINDOW_S = 0.5, 0.5  # start of the first of two compared windows, and their length
 GAIN_MIN, GAIN_MAX = 0.02, 200.0  # searched for the ultimate gain
 GAINS = 33  # tried at a time
-ROUNDS = 2  # each between the last gain that let the oscillation die and the first that did not
-SUSTAINED = 0.95  # amplitude of a window against the one before it, from which an oscillation counts
-AMPLITUDE_MIN = 0.02  # standard deviation in parts of the step, below which nothing oscillates
-CYCLES_MIN = 2  # in a window; fewer is a drift
+ROUNDS = 2  # each between the greatest gain with a decaying oscillation and the least with a sustained one
+SUSTAINED = 0.95  # least ratio of the amplitudes in second and first window
+AMPLITUDE_MIN = 0.02  # least standard deviation of an oscillation, in parts of the step
+CYCLES_MIN = 2  # in a window; fewer are a drift
 RULES = {  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u)
     "Ziegler-Nichols": (0.6, 1.2, 0.075),
     "some overshoot": (0.33, 0.66, 0.11),
@@ -36,7 +36,7 @@ RULES = {  # K_P / K_u, K_I T_u / K_u, K_D / (K_u T_u)
 
 @dataclass(frozen=True)
 class UltimateGain:
-    """The least proportional gain at which an axis oscillates by itself."""
+    """The least proportional gain at which an axis keeps oscillating."""
 
     gain: float  # K_u, as K_P of PidSettings
     period: float  # T_u [s]
@@ -46,7 +46,7 @@ class UltimateGain:
         return self.scaled(RULES[rule])
 
     def scaled(self, parts: Vector) -> Vector:
-        """K_P, K_I, K_D that are `parts` of K_u, K_u / T_u and K_u T_u."""
+        """K_P, K_I, K_D: `parts` times K_u, K_u / T_u and K_u T_u."""
         p, i, d = parts
         return p * self.gain, i * self.gain / self.period, d * self.gain * self.period
 
@@ -120,6 +120,6 @@ def _oscillations(
 
 
 def _crossings(rate: Array) -> NDArray[np.intp]:
-    """Where `rate` (T,) crosses its mean upwards."""
+    """Indices at which `rate` (T,) crosses its mean upwards."""
     above = rate > rate.mean()
     return np.flatnonzero(~above[:-1] & above[1:])

@@ -1,4 +1,4 @@
-"""What Koch 2019 printed: the rows that stand beside ours on the page of results. Rates are in deg/s."""
+"""The figures that Koch 2019 printed, for the rows beside ours on the page of results; rates in deg/s."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 Axes = tuple[float, float, float]  # roll, pitch, yaw
-Known = tuple[float | None, float | None, float | None]  # None: there was nothing to average
+Known = tuple[float | None, float | None, float | None]  # None: nothing to average
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What a controller's figure has more than another's on the same commands."""
+    """A controller's figure minus another's on the same commands."""
 
     value: float
     margin: float  # half width of its 95 % confidence interval
-    significant: bool  # whether that leaves zero out
+    significant: bool  # whether the interval excludes zero
 
 
 @dataclass(frozen=True)
 class Row:
-    """One controller on one task, as the page of results has it; what is not known is missing or None."""
+    """One controller on one task; unknown figures are missing or None."""
 
     label: str
     episodes: int
@@ -31,14 +31,14 @@ class Row:
     smoothness: float | None = None  # Sm
     response: Mapping[str, Known] = field(default_factory=dict)
     in_band: Mapping[str, float] = field(default_factory=dict)  # % of time or commands, over all axes
-    against: str = ""  # label of the row that differences are to
+    against: str = ""  # label of the row that is subtracted
     difference: Mapping[str, Difference] = field(default_factory=dict)
-    printed: bool = False  # in the dissertation, with the digits it has there
+    printed: bool = False  # from the dissertation, with its digits
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How long something took on the dissertation's board, a MATEKF722 at 216 MHz."""
+    """Durations on the dissertation's board, a MATEKF722 at 216 MHz."""
 
     label: str
     work: str  # as `neuroflight timing` names it
@@ -117,7 +117,7 @@ PRINTED_EPISODIC = (
     ),
     _episodic("PID", (100, 100, 100), (79.0, 99.8, 67.7), (136.9, 112.7, 135.1), (416.1, 269.6, 245.1)),
 )
-# Koch 2019, chapter 5: the NF1, share of time in the band; which axes, it does not say.
+# Koch 2019, chapter 5: the NF1, share of time in the band, without saying of which axes.
 PRINTED_ENVELOPE = (
     Row("dissertation, policy", 1000, in_band={"in_band_500": 72, "in_band_750": 76}, printed=True),
     Row("dissertation, PID", 1000, in_band={"in_band_500": 16, "in_band_750": 29}, printed=True),

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 
 
 def axes(values: Sequence[float | None], digits: int) -> str:
-    """One number an axis; - where there is none."""
+    """One number for each axis, or - for None."""
     return " / ".join("-" if value is None else number(value, digits) for value in values)
 
 
 def number(value: float | None, digits: int) -> str:
-    """With that many decimals; nothing where there is none."""
+    """A number with that many decimals; empty for None."""
     return "" if value is None else f"{value:,.{digits}f}"
 
 

@@ -1,8 +1,8 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is what `compare`, `evaluate`, `robustness`, `fly`, `timing` or `stability` printed with
---json, or the training.json of a run. What kind it is follows from its keys, what table it belongs to from
-its task and aircraft; nothing depends on a file's name but the order of rows.
+A stored result is the output of `compare`, `evaluate`, `robustness`, `fly`, `timing` or `stability` with
+--json, or the training.json of a run. Its keys decide its kind, its task and aircraft decide its table; the
+file's name only decides the order of rows.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def _sources(results: Sequence[Stored]) -> str:
 
 
 def _command(stored: Stored) -> str:
-    """The stored command; that of a flight follows from what it says of itself."""
+    """The stored command; that of a flight is made from its conditions."""
     if "command" in stored.document or "flights" not in stored.document:
         return stored.text("command")
     words = ("on", "scenario", "aircraft")
@@ -190,7 +190,7 @@ def _command(stored: Stored) -> str:
 
 
 def _mean_mae(row: Row) -> float:
-    """Of the dissertation's rows by its sums, which have more digits: IAE = 1000 MAE."""
+    """Mean of the axes; for the dissertation from IAE = 1000 MAE, which has more digits."""
     return sum(row.tracking["iae"]) / 3000 if row.printed else sum(row.tracking["mae"]) / 3
 
 
@@ -207,36 +207,36 @@ def _figure(row: Row, name: str, digits: int) -> str:
 
 HEAD = """# Results
 
-Written by `neuroflight results` from the files in [results/](results/); `neuroflight results --check` says
-whether it still is what they give. All figures are of simulated flights: the twin turns about its centre of
-mass, errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is W. Koch, *Flight
+Written by `neuroflight results` from the files in [results/](results/); `neuroflight results --check` tests
+whether it is up to date. All figures are of simulated flights: the twin turns about its centre of mass,
+errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is W. Koch, *Flight
 Controller Synthesis via Deep Reinforcement Learning* (2019); its rows were measured in its own simulator,
-on other commands drawn alike."""
+on other commands of the same distribution."""
 ABOUT_PULSES = """Half a second of rest, a command from N(0, 100 deg/s) on all axes held for 2 s, 2 s of
 rest. ± is 95 % confidence of the mean over commands. IAE to ITSE are sums over 1 ms samples divided by the
 episode's seconds; ū is the mean output of the controller before throttle mix and idle, abs Δu its mean
-change in 1 ms, Sm how much of it is fast: the mean over the components of an episode's spectrum of amplitude
-times frequency in parts of half the sampling rate (Mysore et al. 2021). The dissertation prints MAE without
-decimals; its means here are those of its IAE. Rows of one comparison flew the same commands: differences are
-taken command by command, and ≈ marks those that 95 % confidence does not tell from none."""
+change in 1 ms, Sm the weight of its fast part: the mean over the components of an episode's spectrum of
+amplitude times frequency in parts of half the sampling rate (Mysore et al. 2021). The dissertation prints MAE
+without decimals; its means here are computed from its IAE. Rows of one comparison flew the same commands:
+differences are taken command by command, and ≈ marks those whose 95 % confidence interval includes zero."""
 ABOUT_EPISODIC = """From rest, a command uniform within ±300 deg/s on all axes, held for 1 s. Success is the
-share [%] of commands whose error comes to stay within 10 % of the initial one, or within 5 deg/s where that
-is wider; bare is without that floor. Failure is the mean error after 500 ms of those that do not, rise the
+share [%] of commands whose error enters and stays within 10 % of the initial one, or within 5 deg/s where
+that is wider; bare is without that floor. Failure is the mean error after 500 ms of the others, rise the
 time from 10 to 90 % of the command, peak the largest rate, each without commands below 5 deg/s (- where
 none is left); error is the sum of the error over 1 ms samples [rad/s], stability the slope of the rate
 after 500 ms [deg/s²]."""
 ABOUT_ENVELOPE = """From rest, a setpoint from N(0, 300 deg/s) on all axes, held for 1.5 s. Every sample is
 the share of setpoints [%] whose error stays within 10 % of them, or within 5 deg/s where that is wider, on
 all axes and at each sample from 0.5 to 1.5 s; bare is without that floor. The other shares are of time. The
-dissertation does not say whether its share is of each axis or of all at once; the stricter reading stands
-beside it."""
+dissertation does not say whether its share is of each axis or of all at once; both are shown, and its figures
+stand beside the stricter one."""
 ABOUT_DRIFT = """The airframe and each propeller as links of their own, joined by hinges; all {combinations}
 combinations of motors on and off from rest, free, up to {limit} deg/s. Drift is how far a propeller's
 distance from the airframe changes. The twin itself is one rigid body: nothing in it can drift, and it keeps
 its angular momentum to rounding where pybullet's own step gains or loses 0.2 % of a tumbling racer's each
-second. The dissertation's simulator had another solver: what compares is that reduced coordinates do not
-drift and maximal ones do, more at larger steps."""
-ABOUT_SOURCES = """Each command repeats its file, given the same aircraft file and policy."""
+second. The dissertation's simulator had another solver, so the magnitudes differ; in both, reduced
+coordinates do not drift and maximal ones do, more at larger steps."""
+ABOUT_SOURCES = """Each command reproduces its file from the same aircraft file and policy."""
 SECTIONS: dict[str, Callable[[str, Sequence[Row]], str]] = {
     "pulse": _pulse_section,
     "episodic": _episodic_section,

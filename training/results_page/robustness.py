@@ -1,4 +1,4 @@
-"""The section about aircraft that are not as their file says on the page of results."""
+"""The section about robustness on the page of results."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def _joint(controller: Stored, name: str, bar: float) -> str:
 
 
 def _marked(value: float, bar: float) -> str:
-    """Bold where it misses its bar."""
+    """The value, bold if it misses its bar."""
     return f"{value:.2f}" if value <= bar else f"**{value:.2f}**"
 
 
-ABOUT = """The pulses from above, each under a throttle from 0 to {throttle}: {episodes} on the aircraft
+ABOUT = """Pulses as above, each with a throttle drawn from 0 to {throttle}: {episodes} on the aircraft
 of the file, the same ones with one parameter at a time at its extreme, and {draws} aircraft with every
 parameter drawn between its extremes, {each} pulses each. Numbers are ratios of MAE to the nominal aircraft's
 on the same commands with 95 % confidence; bold ones miss their bar. Divergence: {divergence}."""

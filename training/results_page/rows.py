@@ -9,7 +9,7 @@ from training.results_page.dissertation import Difference, Known, Row
 from training.results_page.stored_results import Stored
 
 SUMS = ("iae", "ise", "itae", "itse")
-RESPONSES = (  # of a row: figure, factor to what is printed
+RESPONSES = (  # of a row: figure, factor of the printed value
     ("success", 100.0),
     ("success_bare", 100.0),
     ("failure", 1.0),
@@ -30,7 +30,7 @@ SHIPPED = "training/policies/"
 
 
 def compared_rows(stored: Stored) -> list[Row]:
-    """Of what `compare --json` printed: a row for each controller and throttle."""
+    """Rows of `compare --json`: one for each controller and throttle."""
     shared = {key: value for key, value in stored.document.items() if key != "comparison"}
     rows: list[Row] = []
     for entry in stored.entries("comparison"):
@@ -40,7 +40,7 @@ def compared_rows(stored: Stored) -> list[Row]:
 
 
 def evaluated_row(stored: Stored, against: str = "") -> Row:
-    """Of what `evaluate --json` printed, or one controller of a comparison, whose first is `against`."""
+    """The row of `evaluate --json`, or of one controller of a comparison, whose first is `against`."""
     conditions = []
     if not stored.get("noise"):
         conditions.append("no noise")
@@ -68,7 +68,7 @@ def evaluated_row(stored: Stored, against: str = "") -> Row:
 
 
 def flown_rows(stored: Stored) -> list[Row]:
-    """Of what `fly --json` printed: the firmware's row and the PID's."""
+    """Rows of `fly --json`: the firmware's and the PID's."""
     if stored.text("scenario") != "pulses":
         raise stored.error(
             "scenario", stored.text("scenario"), "pulses, the only flight the page has a table for"
@@ -98,7 +98,7 @@ def flown_rows(stored: Stored) -> list[Row]:
 
 
 def controller_label(stored: Stored) -> str:
-    """Who flew: a PID by its name, a policy by its place, and the idle where there is one."""
+    """Label of a controller: a PID's name or a policy's folder, and the idle unless 0."""
     name = stored.text("controller")
     label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
     idle = stored.number("idle") if stored.has("idle") else 0.0
@@ -106,7 +106,7 @@ def controller_label(stored: Stored) -> str:
 
 
 def digests(stored: Stored) -> Sequence[str]:
-    """What identifies the aircraft and the policies behind a file."""
+    """Hashes of the aircraft and the policies of a file."""
     if stored.has("config"):
         name, sha256 = (stored.text("config", "aircraft", key) for key in ("name", "sha256"))
         return [f"{name} `{sha256[:12]}`"]

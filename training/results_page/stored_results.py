@@ -1,4 +1,4 @@
-"""Stored results: what commands printed with --json, read with suspicion."""
+"""Stored results: the output of commands with --json, validated when read."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ COMMANDS = "commands.txt"  # in a folder of results: a line NAME.json neurofligh
 
 
 class ResultsError(NeuroflightError):
-    """A stored result that is damaged or none."""
+    """A stored result that is damaged, or is not a result."""
 
 
 @dataclass(frozen=True)
 class Stored:
-    """A file of figures."""
+    """A file of results, or an object in it."""
 
     name: str
     document: Mapping[str, Any]
 
     def error(self, key: str, got: object, expected: str) -> ResultsError:
-        """The exception that says what is wrong with `key`, for the caller to raise."""
+        """The exception about `key`, for the caller to raise."""
         return ResultsError(
             f"{self.name}: {key}: got {str(got)[:60]!r}, expected {expected}; "
             f"make the file anew by its command"
         )
 
     def get(self, *path: str) -> Any:  # noqa: ANN401 - any JSON value
-        """What stands at a path of keys. Raises ResultsError naming it when nothing does."""
+        """The value at a path of keys. Raises ResultsError naming the path if there is none."""
         value: Any = self.document
         for depth, key in enumerate(path, start=1):
             if not isinstance(value, dict) or key not in value:
@@ -46,7 +46,7 @@ class Stored:
         return value
 
     def has(self, *path: str) -> bool:
-        """Whether anything stands at a path of keys."""
+        """Whether there is a value at a path of keys."""
         value: Any = self.document
         for key in path:
             if not isinstance(value, dict) or key not in value:
@@ -55,7 +55,7 @@ class Stored:
         return True
 
     def entries(self, *path: str) -> list[Stored]:
-        """The objects of the list at a path, one at least."""
+        """The objects of the list at a path, at least one."""
         value = self.get(*path)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.error(".".join(path), value, "a list of objects")

@@ -1,4 +1,4 @@
-"""The section about what an image takes on the emulated board on the page of results."""
+"""The section about the timing of an image on the emulated board on the page of results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAMES = {"policy": "policy", "pid": "PID"}
 
 
 def timing_section(stored: Stored) -> str:
-    """A table for each kind of work, worst / best, beside what the dissertation measured."""
+    """A table for each kind of work, worst / best, beside the dissertation's measurements."""
     core_hz = stored.number("core_hz")
     tables: dict[str, list[tuple[str, ...]]] = {}
     for entry in stored.entries("board_timing"):
@@ -66,15 +66,14 @@ def _both(values: list[float], digits: int) -> str:
     return " / ".join(number(value, digits) for value in values)
 
 
-ABOUT = """The image `{image}`, every run of its control task in flight on the emulated board: {count}
-`pulses` under its policy, {count} under its PID. The control algorithm is the controller's own function;
-disarmed none is asked. The control task is the interrupt that has a gyro sample, where it is a control
-step: sample, filters, receiver, attitude, safety, controller, mixer, motors' frame, to its return. Between
-two come samples that are only filtered. Variability is (worst - best) / worst. Instructions are exact.
-{cycles} µs are at {mhz} MHz. What other interrupts execute in between is left out; they came
-{interruptions} times. Left out as well: 22 cycles of entering and leaving the interrupt, and the interrupt
-before it that starts the chip's read, of {edge} instructions at most. No board has confirmed the cycles
-yet. The dissertation's figures were measured on a MATEKF722 at 216 MHz, with another firmware and a smaller
-network."""
+ABOUT = """Every run of the control task of image `{image}` in flight on the emulated board: {count}
+`pulses` with its policy, {count} with its PID. The control algorithm is the controller's own function; it
+does not run while disarmed. The control task is the interrupt of a gyro sample that is a control step, up to
+its return: sample, filters, receiver, attitude, safety, controller, mixer, motors' frame. Samples between
+control steps are only filtered and not counted. Variability is (worst - best) / worst. Instructions are
+exact. {cycles} µs are at {mhz} MHz. Not included are other interrupts in between, which came {interruptions}
+times, 22 cycles of entering and leaving the interrupt, and the interrupt before it that starts the chip's
+read, of {edge} instructions at most. No board has confirmed the cycles yet. The dissertation's figures were
+measured on a MATEKF722 at 216 MHz, with another firmware and a smaller network."""
 ABOUT_CYCLES = """Cycles are predicted by {model}'s model of the Cortex-M7, with {device} more for each
 access to a peripheral's register and for each barrier ([timing.md](timing.md))."""

@@ -1,4 +1,4 @@
-"""The section about runs of synthesis on the page of results."""
+"""The section about training runs on the page of results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ GOOD_DEG_S = 5.0  # mean error of a policy that flies
 
 
 def training_section(runs: Sequence[Stored]) -> str:
-    """How long runs took; of monitored ones what they came to."""
+    """Durations of the runs, and the results of monitored ones."""
     body = []
     for run in runs:
         seconds, steps = run.number("seconds"), run.number("steps")
@@ -42,7 +42,7 @@ def training_section(runs: Sequence[Stored]) -> str:
     return f"## Training\n\n{ABOUT_TRAINING}\n\n{table(headings, body)}"
 
 
-ABOUT_TRAINING = """From the first step to the last file on the machine that made the policies, two cores of
-it at most. A monitor flies each checkpoint on five commands that no figure above is taken of: when their mean
-error first was below 5 deg/s, at the run's mean speed, which checkpoint its rule chose, and its error
-there."""
+ABOUT_TRAINING = """Seconds are from the first step to the last file, on at most two cores of the machine that
+made the policies. A monitor flies each checkpoint on five commands that are not part of any figure above. The
+last columns say when the mean error on them was first below 5 deg/s, at the run's mean speed, which
+checkpoint the selection rule chose, and its error on them."""

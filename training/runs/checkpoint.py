@@ -1,8 +1,8 @@
-"""Checkpoints: plain containers and tensors, enough to freeze the policy and to go on with the run.
+"""Checkpoint files: plain containers and tensors, enough to freeze the policy and to resume the run.
 
 The layout is shared with `toolchain.policy.freeze` (contract CHECKPOINT_*), which takes the policy in
-"state_dict": the chosen one, while "learner" is the run's latest state. Loading executes nothing. No time
-and no path is in it: an equal run gives equal bytes.
+"state_dict": the chosen one, while "learner" is the run's latest state. Loading executes no code. A file
+holds no time and no path: equal runs give equal bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class MonitorState:
     """What the monitor has flown in a run, and what it still has to fly."""
 
     history: tuple[CheckpointMetrics, ...] = ()  # by steps
-    pending: tuple[tuple[int, Policy], ...] = ()  # by steps: policies that it has not flown yet
+    pending: tuple[tuple[int, Policy], ...] = ()  # by steps: submitted policies without metrics
     chosen: tuple[CheckpointMetrics, Policy] | None = None  # the best so far
 
     @property
@@ -89,7 +89,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_stat
         "readings": json.dumps([r.document() for r in monitor_state.history]),
         "pending": [[steps, waiting] for steps, waiting in monitor_state.pending],
     }
-    # Through memory: torch writes a file's own name into it.
+    # Through memory: given a path, torch would store the file's name.
     buffer = io.BytesIO()
     torch.save(snapshot(content), buffer)
     if buffer.tell() > CHECKPOINT_FILE_BYTES_MAX:
@@ -101,7 +101,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_stat
 
 
 def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
-    """The run to go on with. Raises TrainingError if there is none, or it is of another configuration."""
+    """The run to resume. Raises TrainingError if there is none, or it has another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
     if (size := path.stat().st_size) > CHECKPOINT_FILE_BYTES_MAX:
@@ -119,7 +119,7 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
             tuple((int(steps), dict(policy)) for steps, policy in content["pending"]),
             (chosen[0], dict(content["state_dict"])) if chosen else None,
         )
-    except Exception as error:  # torch documents no set of errors for a file that is not its own
+    except Exception as error:  # torch does not document what it raises on other files
         raise TrainingError(f"{path} is no checkpoint that a run can go on from; train anew") from error
     if form != (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
         raise TrainingError(f"{path} is of version {form[1]}, expected {CHECKPOINT_VERSION}; train anew")
@@ -135,10 +135,10 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
 
 
 def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, text and tensors
-    """A copy that shares nothing with `value`, and whose pickle depends on nothing but the values.
+    """A copy that shares nothing with `value`, and whose pickle depends on the values alone.
 
-    Pickle notes which equal strings and which containers are one object; after a resumption others are.
-    Raises TypeError on what is not plain.
+    Pickle stores which equal strings and containers are one object, and that changes when a run is resumed.
+    Raises TypeError on objects of other types.
     """
     match value:
         case torch.Tensor():

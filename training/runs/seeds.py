@@ -23,24 +23,24 @@ SEEDS_MAX = 100
 
 @dataclass(frozen=True)
 class Planned:
-    """A run before it is begun."""
+    """A run that has not started yet."""
 
     config: TrainingConfig
     out: Path
-    done: int | None  # steps of the checkpoint that it goes on from; None: from the beginning
+    done: int | None  # steps of the checkpoint to resume from; None: a new run
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left to learn."""
+        """Whether all steps are done."""
         return self.done is not None and self.done >= self.config.steps
 
 
 def plan(
     aircraft: Aircraft, config: TrainingConfig, out: Path, seeds: int, *, resume: bool, force: bool
 ) -> tuple[Planned, ...]:
-    """The runs of the seeds from the configuration's on: into `out` itself, or a folder each if several.
+    """One run for each seed from the configuration's on, in `out` itself or, if several, in a folder each.
 
-    Raises TrainingError if one cannot be run there: results that are kept, none to resume, or of another
+    Raises TrainingError if a folder holds results already, has none to resume, or those of another
     configuration. Nothing is written.
     """
     if not 1 <= seeds <= SEEDS_MAX:

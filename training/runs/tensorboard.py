@@ -1,4 +1,4 @@
-"""A run's figures for TensorBoard."""
+"""Writes a run's figures for TensorBoard."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from training.runs.train import Callback, Progress
 
 
 class TensorBoard(Callback):
-    """Writes event files; their steps are control steps."""
+    """Writes event files; a step in them is a control step."""
 
     def __init__(self, folder: Path, resumed: int | None = None) -> None:
-        """resumed: steps of the checkpoint that the run goes on from; what was written beyond is void."""
+        """resumed: steps of the checkpoint that the run resumes from; later events are discarded."""
         self._folder = folder
         self._purge = None if resumed is None else resumed + 1
-        self._writer: SummaryWriter | None = None  # made with the first figure
+        self._writer: SummaryWriter | None = None  # created with the first figure
 
     def progressed(self, progress: Progress) -> None:
         """See Callback."""

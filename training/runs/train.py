@@ -1,4 +1,4 @@
-"""Synthesis: learning in the twin, from a configuration to checkpoint.pt, policy.onnx and training.json."""
+"""A training run: learns in the twin and writes checkpoint.pt, policy.onnx and training.json."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "gymnasium", "
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands; given to the caller after every update and at the end."""
+    """Progress of a run, passed to callbacks after every update and returned at the end."""
 
     steps: int
     steps_wanted: int
-    seconds: float  # of this run and those that it resumed
-    reward: float  # mean of a control step since the last report
+    seconds: float  # including those before the run was resumed
+    reward: float  # mean per control step since the last report
     figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names
-    chosen: CheckpointMetrics | None = None  # of the policy that would be kept now
+    chosen: CheckpointMetrics | None = None  # metrics of the policy that would be chosen now
 
 
 class Callback:
@@ -90,16 +90,16 @@ def train(
 ) -> Progress:
     """Train and write `out`/checkpoint.pt, policy.onnx and training.json.
 
-    A run is a row of legs. Each begins with new episodes and chance of its own, so that what is kept at a
-    leg's end is all that the next builds on: a resumed run gives the bytes of one that never stopped. An
-    interruption (KeyboardInterrupt) keeps the state of the last whole leg, then goes on its way; any other
-    end leaves the files of the last checkpoint.
+    A run is a sequence of segments. Each begins with new episodes and a random stream of its own, and needs
+    only what is saved at the end of the one before: a resumed run gives the bytes of one that never stopped.
+    An interruption (KeyboardInterrupt) saves the state of the last whole segment and is raised again; any
+    other exception leaves the files of the last checkpoint.
 
-    monitor: flies every checkpoint, and policy.onnx becomes the one that `config.selection` chooses, else
-    the latest; `out`/monitor.json holds what it saw. command: what repeats the run, for the record.
-    Raises TrainingError if there is nothing to resume, or the configuration is another.
+    monitor: flies every checkpoint, and policy.onnx is the one that `training.checkpoints.selection` chooses;
+    without it, the latest. `out`/monitor.json holds its metrics. command: repeats the run, for the record.
+    Raises TrainingError if there is nothing to resume, or the configuration differs.
     """
-    # Networks this small gain little from a second thread and lose twenty times as much to a busy neighbour.
+    # A second thread makes networks this small little faster, and twenty times slower on a busy machine.
     torch.set_num_threads(1)
     callback = callback or Callback()
     document = config.document(aircraft)
@@ -160,21 +160,21 @@ def train(
 
 
 def _tidy(out: Path) -> None:
-    """Remove what a run that was killed in the middle of writing left beside its results."""
+    """Remove the temporary files of a run that was killed while writing."""
     for name in RESULTS:
         for aside in out.glob(f".{name}.*"):
             aside.unlink()
 
 
 def _due(steps: int, marked: int, config: TrainingConfig) -> bool:
-    """Whether the end of a leg at `steps` is a checkpoint, the last one before it being at `marked`."""
+    """Whether the end of a segment at `steps` is a checkpoint; the last one before it was at `marked`."""
     passed = steps // config.checkpoint_steps > marked // config.checkpoint_steps
     return passed or marked < config.steps <= steps
 
 
 @dataclass(frozen=True)
 class _Results:
-    """The files of a run, each written in one step."""
+    """The files of a run, each replaced as a whole."""
 
     out: Path
     config: TrainingConfig
@@ -183,19 +183,19 @@ class _Results:
     monitored: bool
 
     def write(self, run: Run, monitor_state: MonitorState, seconds: float) -> None:
-        """All of them; the checkpoint first, of which `--resume` can make the others."""
+        """All files; the checkpoint first, because `--resume` can make the others from it."""
         save_checkpoint(self.out / CHECKPOINT, self.document, run, monitor_state)
         freeze(self.out / CHECKPOINT, self.out / POLICY)
         self.write_monitor(monitor_state)
         write_text(self.out / RECORD, _text(self._record(run, monitor_state, seconds)))
 
     def write_monitor(self, monitor_state: MonitorState) -> None:
-        """monitor.json, where there is a monitor."""
+        """monitor.json, if there is a monitor."""
         if self.monitored:
             write_text(self.out / MONITOR, _text(self._monitor(monitor_state)))
 
     def _monitor(self, monitor_state: MonitorState) -> dict[str, Any]:
-        """What the monitor flies and what it saw."""
+        """The content of monitor.json."""
         limits = self.config.selection
         return {
             "aircraft": self.document["aircraft"],
@@ -211,7 +211,7 @@ class _Results:
         }
 
     def _record(self, run: Run, monitor_state: MonitorState, seconds: float) -> dict[str, Any]:
-        """What was asked for, what was done, with which tools."""
+        """The content of training.json: configuration, results and versions of the tools."""
         best, seconds = monitor_state.best, round(seconds, 1)
         return {
             "config": self.document,
@@ -232,7 +232,7 @@ def _text(document: dict[str, Any]) -> str:
 
 
 def _seconds(out: Path) -> float:
-    """How long a run has taken so far, by its training.json; 0 where that cannot be told."""
+    """Seconds that a run has taken so far, by its training.json; 0 if that cannot be read."""
     try:
         path = out / RECORD
         return (

@@ -1,21 +1,21 @@
-"""A sweep: which training runs a file asks for, each with a configuration of its own. All are checked here.
+"""Reads a sweep file: its training runs, each with its own checked configuration.
 
 A sweep file is TOML:
 
     aircraft = "nf1"           # shipped name or file
-    config = "ppo"             # recipe or file that all runs begin with; left out: `TrainingConfig()`
-    samples = 8                # draws of the ranges below, if there are any
+    config = "ppo"             # recipe or file that all runs start from; default: `TrainingConfig()`
+    samples = 8                # draws from the ranges below, if there are any
     seed = 1                   # of these draws
 
     [set]                      # for all runs, over the recipe
     steps = 2_000_000
 
-    [vary]                     # a list is a grid axis, {low, high} a range that is drawn from
+    [vary]                     # a list is a grid axis, {low, high} a range to draw from
     seed = [1, 2, 3]
     hidden = [[32, 32], [64, 64]]
     reward.output = {low = 0.1, high = 1.0, log = true}
 
-    [validation]               # what every policy flies when it is trained
+    [validation]               # flown by every trained policy
     episodes = 100
 
 Each draw of all ranges is combined with each point of the grid. Paths are relative to the sweep file.
@@ -47,7 +47,7 @@ from training.tasks.task import Task
 
 FILE_BYTES_MAX = 100_000
 TRIALS_MAX = 1000
-SLUG_MAX = 60  # characters of a folder's name after the number
+SLUG_MAX = 60  # characters of a folder's name after its number
 NUMBER_MAX = 1e12  # of a range's ends
 SEED = "seed"  # the axis whose values are repetitions, not configurations
 CONFIG = "config"  # the axis of recipes and files
@@ -58,7 +58,7 @@ Varied = dict[str, Any]  # dotted key -> value
 
 @dataclass(frozen=True)
 class Validation:
-    """What every trained policy flies, about the centre of mass and with noise."""
+    """The flights of every trained policy, about the centre of mass and with noise."""
 
     task: str = "pulse"
     episodes: int = 100
@@ -72,18 +72,18 @@ class Trial:
 
     number: int  # from 1
     folder: str  # its name
-    varied: Varied  # its own values of what the sweep varies
+    varied: Varied  # its values of the varied keys
     config: TrainingConfig
 
     @property
     def configuration(self) -> Varied:
-        """What its repetitions with other seeds share."""
+        """The values that it shares with its repetitions with other seeds."""
         return {key: value for key, value in self.varied.items() if key != SEED}
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """All that a sweep file asks for, checked."""
+    """The content of a sweep file, checked."""
 
     name: str
     aircraft: Aircraft
@@ -97,24 +97,24 @@ class Range:
 
     low: float
     high: float
-    log: bool  # evenly in the logarithm
+    log: bool  # log-uniform
     whole: bool  # whole numbers
 
     def draw(self, rng: np.random.Generator) -> float | int:
-        """A number of the range, of four digits unless it is whole."""
+        """Draw a number; unless whole, it has four significant digits."""
         if self.log:
             value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
         else:
             value = rng.uniform(self.low, self.high)
         if self.whole:
             return min(max(round(value), math.ceil(self.low)), math.floor(self.high))
-        return float(f"{value:.4g}")  # what a table shows is what was trained with
+        return float(f"{value:.4g}")  # so that tables show the exact value
 
 
 def load_sweep(path: Path) -> Sweep:
     """The sweep of a file.
 
-    Raises TrainingError in one line: what in the file cannot be read, or the first run that cannot be done.
+    Raises TrainingError, one line, on an error of the file or of the first invalid run.
     """
     where = f"sweep {path.name}"
     document = _read(path, where)
@@ -158,7 +158,7 @@ def described(varied: Varied) -> str:
 
 
 def shown(value: object) -> str:
-    """A varied value as tables show it."""
+    """A varied value as text for tables."""
     if isinstance(value, dict):
         return described(value)
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -178,7 +178,7 @@ def _read(path: Path, where: str) -> dict[str, Any]:
 
 
 def _beside(path: Path, name: str, known: Sequence[str]) -> str:
-    """A known name as it is, any other as that of a file, seen from the sweep file's folder."""
+    """A known name as it is; any other as a path relative to the sweep file's folder."""
     return name if name in known else str(path.parent / name)
 
 
@@ -220,7 +220,7 @@ def _range(values: dict[str, Any], where: str, path: str) -> Range:
 
 def _validation(table: StrictTable) -> Validation:
     usual = Validation()
-    # A task that needs more than its name, a recording say, is nothing to compare all runs on.
+    # Only tasks without required fields: `recorded`, say, needs a file.
     tasks = {name: name for name, task in TASKS.items() if _complete(task)}
     validation = Validation(
         task=table.choice("task", tasks, usual.task),
@@ -237,7 +237,7 @@ def _complete(task: type[Task]) -> bool:
 
 
 def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Dotted keys and their values; a table that has a `low` is a range, thus a value."""
+    """Dotted keys and their values; a table with the key `low` is a range, and so a value."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, dict) and "low" not in value:
@@ -250,7 +250,7 @@ def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 def _combinations(
     axes: Mapping[str, list[Any] | Range], samples: int, rng: np.random.Generator
 ) -> Iterator[Varied]:
-    """Every point of the grid with each draw of all ranges; in the file's order, the last axis fastest."""
+    """Every point of the grid with each draw of all ranges, in the file's order, the last axis fastest."""
     for _ in range(samples):
         drawn = {key: [axis.draw(rng)] if isinstance(axis, Range) else axis for key, axis in axes.items()}
         for values in itertools.product(*drawn.values()):

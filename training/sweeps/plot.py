@@ -1,4 +1,4 @@
-"""The picture of a sweep: tracking error against unrest of the outputs, and what each network costs."""
+"""Plot of a sweep: tracking error against the change of outputs, and the cycles of each network."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from training.sweeps.config import Validation, described
 from training.sweeps.summary import Configuration, pareto
 
 COSTS = LinearSegmentedColormap.from_list("costs", ("#5fb0e0", "#0072b2", "#12355b"))
-UNPRICED = "#6b7480"  # of a network whose cycles are not known
+UNPRICED = "#6b7480"  # colour of a network with unknown cycles
 FRONT = "#d55e00"
-LISTED_MAX = 26  # configurations with a line of text; of more, the front's first
+LISTED_MAX = 26  # configurations with a line of text; the front's first if there are more
 LINE_MAX = 44  # characters of it
-WIDE = 6.0  # an axis that spans more than so many times is logarithmic
+WIDE = 6.0  # an axis is logarithmic if its greatest value is more than this times its least
 
 
 def draw(found: Sequence[Configuration], title: str, validation: Validation) -> Figure:
-    """A large dot a configuration, joined with small ones of its seeds; colour: cycles of its network."""
+    """A large dot for each configuration, joined with small ones for its seeds; colour: cycles."""
     figure = titled_figure((12, 6.8), title, (0.1, 0.1))
     panel, listing = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     cycles = [c.predicted_cycles for c in found if c.predicted_cycles is not None]
@@ -62,7 +62,7 @@ def _colour(found: Configuration, scale: ScalarMappable) -> str:
 
 
 def _draw_front(panel: Axes, found: Sequence[Configuration]) -> None:
-    """Stairs under which no configuration is, in error and change."""
+    """The Pareto front of error and change, as a step line."""
     points = np.array([(1e2 * c.change.mean, c.mae.mean) for c in found])
     front = points[pareto(points)]
     front = front[np.argsort(front[:, 0])]
@@ -105,7 +105,7 @@ def _legend(panel: Axes, found: Sequence[Configuration]) -> None:
 def _list(
     panel: Axes, found: Sequence[Configuration], names: dict[int, str], colours: dict[int, str]
 ) -> None:
-    """What the numbers stand for."""
+    """The list of configurations by number."""
     panel.set_axis_off()
     panel.set_xlim(0, 1)
     chosen = sorted(found, key=lambda c: not c.front)[:LISTED_MAX]

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     import ray.tune
     from ray.tune.experiment import Trial as RayTrial
 
-FAILURES_MAX = 3  # times that a run is begun again after its worker died
-STARTS_MAX = 3  # attempts to begin a session
-REACH_S = 5.0  # for a cluster to take a connection
+FAILURES_MAX = 3  # restarts of a run after its worker died
+STARTS_MAX = 3  # attempts to start a session
+REACH_S = 5.0  # to wait for a connection to a cluster
 REPORT_S = 1.0  # between two reports of a run
-OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; what is sent are configurations
-STOP = "stop"  # a file of this name in the sweep's folder: runs keep their last leg and end
+OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; only configurations are sent
+STOP = "stop"  # a file of this name in the sweep's folder makes runs save their last segment and end
 LOOPBACK = "127.0.0.1"
-RAY = ".ray"  # Ray's own folder in the sweep's, while it works
+RAY = ".ray"  # Ray's own folder inside the sweep's, while it runs
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-# Read by Ray while it is imported. Without the first, a session of one machine listens on every interface.
+# Ray reads these on import. Without the first, a session of one machine listens on every interface.
 LOCAL = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
     "RAY_prestart_worker_first_driver": "0",  # workers that no run will use
@@ -50,7 +50,7 @@ QUIET = {
 
 
 class SweepCallback:
-    """Told what happens in a sweep; this one does not listen."""
+    """Called while a sweep goes on; a subclass overrides what it needs."""
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
         """Run `number` has trained `steps` in the process `pid`; about once in REPORT_S."""
@@ -59,7 +59,7 @@ class SweepCallback:
         """Run `number` has its result."""
 
     def restarted(self, number: int) -> None:
-        """The worker of run `number` died; it goes on from its last checkpoint on another."""
+        """The worker of run `number` died; another worker resumes it from its last checkpoint."""
 
     def failed(self, number: int, reason: str) -> None:
         """Run `number` was given up."""
@@ -75,9 +75,9 @@ def check_ray() -> None:
 
 @contextmanager
 def ray_session(address: str | None, cpus: int) -> Iterator[None]:
-    """A Ray session of `cpus` cores of this machine, reachable from nowhere else, or that at `address`.
+    """A Ray session on `cpus` cores of this machine, not reachable from others, or that at `address`.
 
-    A session that is there already is used and left as it is.
+    An existing session is used and not shut down.
     """
     os.environ.update(QUIET if address else {**QUIET, **LOCAL})
     import ray
@@ -111,7 +111,7 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """Refuse in seconds what Ray would try to reach for minutes."""
+    """Raise TrainingError within seconds if nothing answers; Ray would try for minutes."""
     if address == "auto":
         return
     host, _, port = address.removeprefix("ray://").rpartition(":")
@@ -128,7 +128,7 @@ def _check_address(address: str) -> None:
 
 
 def _start(attempts: int, wrong: str, **options: Any) -> None:  # noqa: ANN401 - of ray.init
-    """Begin a session. Ray gives its own processes 30 s, which a busy machine may exceed."""
+    """Start a session, with retries: Ray gives its processes 30 s, too little on a busy machine."""
     import ray
 
     for left in reversed(range(attempts)):
@@ -144,7 +144,7 @@ def _start(attempts: int, wrong: str, **options: Any) -> None:  # noqa: ANN401 -
 
 @dataclass(frozen=True)
 class Job:
-    """A run and where its results go, as a worker is told."""
+    """The task of a worker: a run and the folder of its results."""
 
     trial: Trial
     aircraft: Aircraft
@@ -171,14 +171,14 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback)
         ),
     )
     try:
-        with redirect_stdout(io.StringIO()):  # Ray prints its own account of a worker's death there
+        with redirect_stdout(io.StringIO()):  # Ray reports a worker's death on stdout
             tuner.fit()
     finally:
         shutil.rmtree(out / RAY, ignore_errors=True)
 
 
 def request_stop(out: Path) -> None:
-    """Ask the runs of a sweep to keep what they have and end."""
+    """Make the runs of a sweep save their state and end."""
     (out / STOP).touch()
 
 
@@ -188,7 +188,7 @@ def clear_stop(out: Path) -> None:
 
 
 class _Reporter(Callback):
-    """Sends progress to the driver, every checkpoint at once, and ends the run when it is asked to."""
+    """Sends progress to the driver, checkpoints without delay, and ends the run on request."""
 
     def __init__(self, stop: Path) -> None:
         self._stop = stop
@@ -213,7 +213,7 @@ class _Reporter(Callback):
 
 
 def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
-    """What a worker does for one run; a error is reported, anything else is a failure to try again."""
+    """The work for one run. Errors of ours are reported; any other exception makes Ray try again."""
     from ray import tune
 
     job, stop = jobs[config["job"]], out / STOP
@@ -233,13 +233,13 @@ def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback
     from ray import tune
 
     class Driver(tune.Callback):
-        """Passes on what Tune tells."""
+        """Passes Tune's events on."""
 
         def __init__(self, numbers: list[int]) -> None:
             self._numbers = numbers
 
         def __reduce__(self) -> tuple[type[tune.Callback], tuple[()]]:
-            return tune.Callback, ()  # Tune writes down a copy, of which nothing is wanted
+            return tune.Callback, ()  # Tune stores a copy, which is not needed
 
         def on_trial_result(
             self, iteration: int, trials: list[RayTrial], trial: RayTrial, result: dict[str, Any], **_: object
@@ -271,7 +271,7 @@ def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback
 
 
 def _last_line(trial: RayTrial) -> str:
-    """What ended a run, as short as Ray says it."""
+    """The last line of Ray's error for a run."""
     error = trial.get_error()
     text = str(error).strip() if error else ""
     return text.splitlines()[-1] if text else "no reason is known"

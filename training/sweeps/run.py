@@ -1,4 +1,4 @@
-"""A sweep from its first run to its plot; what is done is never done again."""
+"""Runs a sweep, from its first run to its plot; finished runs are not repeated."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def run_sweep(
     command: str = "",
     callback: SweepCallback | None = None,
 ) -> tuple[Run, ...]:
-    """Do the runs that are not done yet; `out`/sweep.json is written after each, sweep.png at the end.
+    """Do the unfinished runs; `out`/sweep.json is written after each, sweep.png at the end.
 
     cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`; None: this machine alone.
     Raises TrainingError if `out` holds a sweep already and `resume` is not asked for, or holds another;
-    KeyboardInterrupt if it was stopped, see `sweep_ray.request_stop`.
+    KeyboardInterrupt if it was stopped, see `ray_workers.request_stop`.
     """
     check_ray()
     keeper = Keeper(sweep, out, command, callback or SweepCallback())
@@ -67,7 +67,7 @@ def run_sweep(
 
 
 class Keeper(SweepCallback):
-    """Keeps the record of a sweep, and passes on what it hears."""
+    """Keeps the record of a sweep, and passes calls on to another callback."""
 
     def __init__(self, sweep: Sweep, out: Path, command: str, callback: SweepCallback) -> None:
         self.runs = [Run(trial) for trial in sweep.trials]
@@ -78,7 +78,7 @@ class Keeper(SweepCallback):
         return self._out / TRIALS / run.trial.folder
 
     def read(self) -> None:
-        """Take in the results that are there. Raises TrainingError if one is not of this sweep."""
+        """Read the existing results. Raises TrainingError if one is of another sweep."""
         for index in range(len(self.runs)):
             self._read(index)
 
@@ -88,7 +88,7 @@ class Keeper(SweepCallback):
         write_text(self._out / RECORD, json.dumps(content, indent=2) + "\n")
 
     def draw(self) -> None:
-        """Write sweep.png, if anything is done."""
+        """Write sweep.png, if a run is finished."""
         if found := configurations(self.runs):
             title = f"Sweep {self._sweep.name} on {self._sweep.aircraft.name}"
             save_png(self._out / PLOT, draw(found, title, self._sweep.validation))

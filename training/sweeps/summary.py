@@ -1,4 +1,4 @@
-"""What a sweep found: its runs, their configurations over all seeds, and which of these nothing beats."""
+"""Results of a sweep: its runs, configurations averaged over seeds, and their Pareto front."""
 
 from __future__ import annotations
 
@@ -14,30 +14,29 @@ from training.sweeps.config import Sweep, Trial, Varied
 from training.sweeps.trial import Figure, Outcome
 
 FIGURES = ("mae", "mse", "output", "change")
-OBJECTIVES = ("mae", "change", "cycles")  # the less of each, the better
 
 
 @dataclass(frozen=True)
 class Run:
-    """A trial and what has become of it."""
+    """A trial and its result."""
 
     trial: Trial
     outcome: Outcome | None = None  # None: not done
-    reason: str | None = None  # why it was given up
+    reason: str | None = None  # why it failed
 
     @property
     def state(self) -> str:
-        """In a word: done, failed or open."""
+        """One of: done, failed, open."""
         return "done" if self.outcome else "failed" if self.reason else "open"
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """Finished runs that differ in nothing but the seed."""
+    """Finished runs that differ only in their seed."""
 
     varied: Varied  # without the seed
     runs: tuple[Run, ...]
-    mae: Figure  # over the seeds; of a single run, its own over the commands
+    mae: Figure  # over the seeds; of a single run, over the commands
     mse: Figure
     output: Figure
     change: Figure
@@ -48,7 +47,7 @@ class Configuration:
 
     @property
     def number(self) -> int:
-        """Of its first run."""
+        """The number of its first run."""
         return self.runs[0].trial.number
 
 
@@ -73,7 +72,7 @@ def configurations(runs: Sequence[Run]) -> tuple[Configuration, ...]:
 
 
 def pareto(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the points (P, objectives), less being better, no other dominates, (P,)."""
+    """Which of the points (P, objectives) no other point dominates, less being better, (P,)."""
     no_worse = (points[:, None] <= points[None, :]).all(axis=2)
     better = (points[:, None] < points[None, :]).any(axis=2)
     return np.logical_not(np.asarray((no_worse & better).any(axis=0)))

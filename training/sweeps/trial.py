@@ -1,7 +1,6 @@
-"""One run of a sweep: train, fly the validation's commands, count what the policy takes on the board.
+"""One run of a sweep: train, fly the validation's commands, count instructions and cycles on the board.
 
-This is what a worker does. Everything it makes lies in the run's folder; a run that was broken off goes on
-from its own checkpoint.
+A worker does this. All its files are in the run's folder; an interrupted run resumes from its checkpoint.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from training.tasks.registry import TASKS
 
 RESULT = "result.json"
 RESULT_BYTES_MAX = 1 << 20
-TIMED_OBSERVATIONS = 30  # generated code takes one route for all; extremes are every third of them
+TIMED_OBSERVATIONS = 30  # generated code has no branches that depend on them; every third one is extreme
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to; errors are against the true rate, means over axes and commands."""
+    """The result of a run; errors are against the true rate, means over axes and commands."""
 
     mae: Figure  # [deg/s]
     mse: Figure  # [(deg/s)²]
@@ -54,7 +53,7 @@ class Outcome:
     change: Figure  # |Δu| in 1 ms, fraction
     instructions: int | None  # of policy_step on the board, at most
     predicted_cycles: float | None  # likewise
-    no_cycles_reason: str | None  # why one of the two is not known
+    no_cycles_reason: str | None  # why one of the two is unknown
     training_seconds: float
     steps: int  # control steps trained
     policy_sha256: str
@@ -63,7 +62,7 @@ class Outcome:
 def run_trial(
     trial: Trial, aircraft: Aircraft, validation: Validation, folder: Path, callback: Callback
 ) -> Outcome:
-    """Do the run in `folder`, or what is left of it, and write its result.json."""
+    """Do the run in `folder`, or the rest of it, and write its result.json."""
     document = trial.config.document(aircraft)
     if not _trained(folder, document):
         kept = (folder / CHECKPOINT).exists()
@@ -95,9 +94,9 @@ def run_trial(
 
 
 def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Outcome | None:
-    """The outcome of a run that is done, None if it is not.
+    """The outcome of a finished run, None if it is not finished.
 
-    Raises TrainingError if the folder's result is of another run, or is none.
+    Raises TrainingError if the result is damaged or of another run.
     """
     path = folder / RESULT
     if not path.is_file():
@@ -125,7 +124,7 @@ def _outcome(values: Mapping[str, Any]) -> Outcome:
 
 
 def _trained(folder: Path, document: dict[str, Any]) -> bool:
-    """Whether the training of this configuration is over, by its record."""
+    """Whether the record says that this configuration is fully trained."""
     try:
         record = json.loads((folder / RECORD).read_text())
         return bool(record["complete"]) and record["config"] == json.loads(json.dumps(document))
@@ -134,7 +133,7 @@ def _trained(folder: Path, document: dict[str, Any]) -> bool:
 
 
 def _flown(path: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Scores:
-    """The policy on the validation's commands."""
+    """The scores of the policy on the validation's commands."""
     policy = read_policy(path)
     return scores(
         record(
@@ -156,7 +155,7 @@ def _figure(values: NDArray[np.float64]) -> Figure:
 
 
 def _counted(path: Path) -> tuple[int | None, float | None, str | None]:
-    """Instructions and predicted cycles of a step at most, and why one is not known."""
+    """Greatest instructions and predicted cycles of a step, and why one is unknown."""
     compiled = compile_policy(read_policy(path))
     observations = mixed_observations(TIMED_OBSERVATIONS, compiled.network.inputs)
     try:

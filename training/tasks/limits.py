@@ -1,4 +1,4 @@
-"""Ranges of numbers in configurations, refused in one line."""
+"""Range checks of configuration values."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ Limits = tuple[float, float]
 
 
 def check_limits(what: str, data: object, **limits: Limits) -> None:
-    """Raise TrainingError naming the first attribute of `data` outside of its limits; NaN is in none.
+    """Raise TrainingError naming the first attribute of `data` outside its limits; NaN is outside all limits.
 
-    what: how the message calls `data`, such as "task pulse". A tuple's items all have the same limits.
+    what: the name of `data` in the message, such as "task pulse". The limits hold for each item of a tuple.
     """
     for name, (low, high) in limits.items():
         value = getattr(data, name)

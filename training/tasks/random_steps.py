@@ -1,4 +1,4 @@
-"""The task that policies are best trained on: commands and rest in turn, at times nobody can know."""
+"""The random-steps task: commands and rest in turn, each held for a random time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Counts = NDArray[np.float64]  # (count, T)
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """What each control step counts, beside the others."""
+    """Weight of each control step in the means of a batch."""
 
     error: Counts  # in the mean absolute error
     square: Counts  # in the mean squared error
@@ -25,7 +25,7 @@ class Counted:
 
     @staticmethod
     def alike(count: int, steps: int) -> Counted:
-        """Every step of `count` episodes the same."""
+        """The same weight for every step of `count` episodes."""
         one = np.ones((count, steps))
         return Counted(one, one, one)
 
@@ -34,14 +34,13 @@ class Counted:
 class RandomStepsTask:
     """Rest, a random command on all axes, rest again, and so on; each holds for a random time.
 
-    Where a command comes at a known time, as in the pulse task, a policy that remembers learns to speed its
-    rotors up beforehand, which no pilot would see. Here the time to the next change is exponential: it never
-    tells anything about what is left of it.
+    In the pulse task a command comes at a known time, and a policy with memory learns to speed its rotors up
+    before it, which is useless in flight. Here the time to the next change is exponentially distributed, so
+    the time already passed does not predict it.
 
-    `batch` also says what each control step counts, so that a short episode that is full of changes asks for
-    the same as a long one: with the values below, as a pulse of 4.5 s with its two changes. Of wide episodes
-    only what is held counts, and no effort: how large commands are reached is the motors' affair, and what it
-    takes to hold them shall not be saved.
+    `batch` also weights the control steps: transients after changes weigh as little in a short episode with
+    many changes as in a pulse of 4.5 s with its two changes. In wide episodes only held commands count, and
+    effort does not: the motors' limits decide how a large command is reached, and holding it may take effort.
     """
 
     name: ClassVar[str] = "random-steps"
@@ -49,15 +48,15 @@ class RandomStepsTask:
     hold_least_s: float = 0.1
     hold_mean_s: float = 0.35
     sigma_deg_s: float = 100.0  # commands are N(0, sigma) an axis, held within full stick
-    wide_share: float = 0.0  # of the episodes whose commands are `wide_factor` times as large
+    wide_share: float = 0.0  # of the episodes, in which commands are `wide_factor` times as large
     wide_factor: float = 3.0
-    wide_weight: float = 0.5  # what a control step that holds such a command counts
-    start_s: float = 0.06  # until the rotors turn; not counted
+    wide_weight: float = 0.5  # weight of a control step that holds such a command
+    start_s: float = 0.06  # until the rotors turn; has no weight
     transient_s: float = 0.15  # after each change
-    transient_share: float = 0.0667  # of the whole that transients count together
+    transient_share: float = 0.0667  # of the whole weight that all transients have together
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Reject invalid values."""
         share, length = (0.0, 1.0), (HOLD_MIN_S, LENGTH_MAX_S)
         check_limits(
             f"task {self.name}",
@@ -84,9 +83,9 @@ class RandomStepsTask:
         return self._steps(count, rng, rate_hz, exact=False)[0]
 
     def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, Counted]:
-        """Setpoints as `episodes`, and what each control step counts.
+        """Setpoints as `episodes`, and the weight of each control step.
 
-        The commands have sigma exactly, which takes the luck of the draw out of a batch's errors.
+        The commands are scaled so that their deviation is sigma exactly: errors of batches vary less.
         """
         setpoints, wide = self._steps(count, rng, rate_hz, exact=True)
         steps = setpoints.shape[1]
@@ -112,14 +111,14 @@ class RandomStepsTask:
         holds = self.hold_least_s + rng.exponential(
             self.hold_mean_s - self.hold_least_s, (count, 1 + int(self.length_s / self.hold_least_s))
         )
-        # The first change may come at once: an episode begins somewhere within a hold.
+        # The first change may come at once: an episode begins at a random time within a hold.
         at = np.cumsum(holds, axis=1) - rng.uniform(0.0, self.hold_least_s, (count, 1))
         changes = np.zeros((count, steps + 1), np.intp)
         rows = np.repeat(np.arange(count), at.shape[1])
         np.add.at(changes, (rows, np.minimum(np.rint(at * rate_hz).astype(np.intp), steps).ravel()), 1)
         nth = np.cumsum(changes[:, :steps], axis=1)
         commands = rng.standard_normal((count, at.shape[1] + 1, 3))
-        used = np.arange(commands.shape[1]) % 2 == 1  # every other one is rest
+        used = np.arange(commands.shape[1]) % 2 == 1  # the others are rest
         commands[:, ~used] = 0.0
         if exact:
             flown = commands[(np.arange(commands.shape[1]) <= nth[:, -1:]) & used]

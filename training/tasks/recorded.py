@@ -1,4 +1,4 @@
-"""Commands of a real pilot as a task: pieces of a recorded flight."""
+"""The recorded task: pieces of a pilot's recorded commands."""
 
 from __future__ import annotations
 
@@ -39,18 +39,17 @@ class PilotRecording:
 
 @dataclass(frozen=True)
 class RecordedTask:
-    """Pieces of a pilot's commands, each from a random moment of the recording; the aircraft begins at rest.
+    """Pieces of a pilot's commands that start at random times of the recording; the aircraft begins at rest.
 
     file: a trace (.npz) of `neuroflight fly --trace`, or a CSV file with the columns t_s, roll_deg_s,
     pitch_deg_s, yaw_deg_s (body frame: roll right, nose down and yaw left are positive). A relative path
-    starts where the command is given. Raises TrainingError on a file that is none of these, or is shorter
-    than a piece.
+    starts at the working directory. Raises TrainingError on a file that is neither, or shorter than a piece.
     """
 
     name: ClassVar[str] = "recorded"
     file: str
     length_s: float = 4.0  # of a piece
-    sha256: str = ""  # of the file; empty: of whatever is there, which is then written down here
+    sha256: str = ""  # of the file; empty: not checked, and set to that of the file
     recording: PilotRecording = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

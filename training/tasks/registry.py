@@ -1,4 +1,4 @@
-"""Which tasks there are, by name."""
+"""All tasks by name."""
 
 from __future__ import annotations
 

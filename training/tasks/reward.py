@@ -1,4 +1,4 @@
-"""What a control step is worth. Pure functions over N aircraft, each with a name and its source."""
+"""Rewards of a control step: pure functions over N aircraft, each with a name and its source."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ RATE_DEG_S = (1e-3, 1e4)
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One control step of N aircraft, as a reward sees it."""
+    """One control step of N aircraft: the input of a reward."""
 
-    setpoint: Array  # (N, 3) [rad/s], asked for at the sample after the step
-    setpoint_before: Array  # (N, 3) [rad/s], at the sample that the action answers
+    setpoint: Array  # (N, 3) [rad/s], at the sample after the step
+    setpoint_before: Array  # (N, 3) [rad/s], at the sample that the action was computed from
     error: Array  # (N, 3) [rad/s], setpoint - true rate at the sample after the step
     error_before: Array  # (N, 3) [rad/s], at the sample before it
-    unclipped: Outputs  # (N, M), what the network asked of the motors, unbounded
-    action: Outputs  # (N, M), the controller's outputs of this step: that, clipped to 0..1
+    unclipped: Outputs  # (N, M), the network's outputs before they are clipped to 0..1
+    action: Outputs  # (N, M), the controller's outputs of this step, clipped
     action_before: Outputs  # (N, M), of the step before; zeros on an episode's first
 
 
 class Reward(Protocol):
-    """A reward; frozen data, with a name in `REWARDS`."""
+    """A reward: frozen data with a name in `REWARDS`."""
 
     name: ClassVar[str]
 
@@ -45,15 +45,15 @@ class Reward(Protocol):
 
 @dataclass(frozen=True)
 class TrackingReward:
-    """Follow the command, with motors slow and calm.
+    """Follow the command with low outputs that change little.
 
     r = -error Σ|e| / 100 deg/s - settle Σ min(|e| / 10 deg/s, 1) - output ȳ - change mean|Δy|, over axes
     and motors.
-    The absolute error (not its square) keeps pulling when the error is small, which is what the
-    figures of merit measure. Δy is of the sampled outputs, which exploration dominates: smoothness of
-    the mean output is asked for in the policy's loss instead (see `training.learners.smooth_ppo`), and
-    `change` is there for those who train without it. `settle` counts the axes that have not arrived: where
-    commands are large and the way there long, |e| alone hardly tells 2 deg/s at the end from 10.
+    The absolute error has the same slope when the error is small, unlike its square; the figures of merit
+    are mean absolute errors. Δy is of the sampled outputs, which exploration dominates: smoothness of the
+    mean output is a term of the policy's loss instead (see `training.learners.smooth_ppo`); `change` is for
+    training without that term. `settle` counts the axes that have not reached their command: with large
+    commands and slow aircraft, |e| alone hardly distinguishes a final error of 2 deg/s from one of 10.
     """
 
     name: ClassVar[str] = "tracking"
@@ -63,7 +63,7 @@ class TrackingReward:
     change: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse weights that are none."""
+        """Reject invalid weights."""
         check_limits(f"reward {self.name}", self, error=WEIGHT, settle=WEIGHT, output=WEIGHT, change=WEIGHT)
 
     def __call__(self, step: Transition) -> Rewards:
@@ -88,7 +88,7 @@ class NormalizedReward:
     rate_max_deg_s: float = 300.0
 
     def __post_init__(self) -> None:
-        """Refuse rates that are none."""
+        """Reject invalid rates."""
         check_limits(f"reward {self.name}", self, rate_max_deg_s=RATE_DEG_S)
 
     def __call__(self, step: Transition) -> Rewards:
@@ -99,14 +99,14 @@ class NormalizedReward:
 
 @dataclass(frozen=True)
 class CalmReward:
-    """Errors squared, low outputs and, once the command is reached, small changes of them.
+    """Squared errors, low outputs and, once the command is reached, small changes of the outputs.
 
     r = -Σe² + output (1 - ȳ) + change Σ_i max(0, change_max² - Δy_i²), the last term only while each |e|
     is inside the error band; e in deg/s, Δy in percent, ȳ a fraction.
 
-    Source: Koch 2019, chapter 4: r_e + r_y + r_Δ with alpha = 300, beta = 0.5 and Δy_max = 100². Not printed,
-    and taken from chapter 5's published environment: that e is in deg/s, and the band. `scale` multiplies
-    the whole; 1 is as printed.
+    Source: Koch 2019, chapter 4: r_e + r_y + r_Δ with alpha = 300, beta = 0.5 and Δy_max = 100². The unit
+    of e, deg/s, and the band are not printed; they are those of chapter 5's published environment.
+    `scale` multiplies the whole; 1 is as printed.
     """
 
     name: ClassVar[str] = "dissertation-4"
@@ -118,7 +118,7 @@ class CalmReward:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse constants that are none."""
+        """Reject invalid constants."""
         check_limits(
             f"reward {self.name}",
             self,
@@ -144,16 +144,16 @@ class CalmReward:
 
 @dataclass(frozen=True)
 class ProgressReward:
-    """Progress of the squared error, small changes, low outputs in the band, and never a motor at its end.
+    """Progress of the squared error, small changes, low outputs in the band, no motor beyond its range.
 
     r = (r_e - r_e before) - change max_i |Δu_i| + output (1 - max(ū, idle)) in the band
-        - penalty Σ max(0, a - 1) - penalty if all u = 1 - penalty if more than two motors stand while a
-        rate is asked for; r_e = -Σe², e in deg/s, a what the network asks for before the clip to 0..1.
+        - penalty Σ max(0, a - 1) - penalty if all u = 1 - penalty if more than two motors stand still
+        while a rate is commanded; r_e = -Σe², e in deg/s, a the outputs before they are clipped to 0..1.
 
-    Source: Koch 2019, chapter 5, the last algorithm. Not printed, and taken from the environment that its
-    author published: alpha = beta = 1000, the band, that outputs below an idle of 12 % earn no more than
-    it, and that e is in deg/s. There the first step of an episode has no progress; here it counts from the
-    start. `scale` multiplies the whole; 1 is as published.
+    Source: Koch 2019, chapter 5, the last algorithm. Taken from the author's published environment because
+    they are not printed: alpha = beta = 1000, the band, the idle of 12 % below which lower outputs earn no
+    more, and deg/s as the unit of e. There the first step of an episode has no progress; here it has.
+    `scale` multiplies the whole; 1 is as published.
     """
 
     name: ClassVar[str] = "dissertation-5"
@@ -166,7 +166,7 @@ class ProgressReward:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse constants that are none."""
+        """Reject invalid constants."""
         check_limits(
             f"reward {self.name}",
             self,
@@ -204,6 +204,6 @@ REWARDS: dict[str, type[Reward]] = {
 
 
 def in_band(step: Transition, share: float, floor_deg_s: float) -> NDArray[np.bool_]:
-    """Where the error of each axis is at most `share` of its command, or the floor if that is more, (N,)."""
+    """Whether each axis' error is at most `share` of its command or the floor, whichever is more, (N,)."""
     band = np.maximum(share * np.abs(step.setpoint), np.deg2rad(floor_deg_s))
     return np.asarray((np.abs(step.error) <= band).all(axis=1))

@@ -1,4 +1,4 @@
-"""What the pilot asks for during an episode: the setpoints of all its control steps. Pure."""
+"""Tasks: the setpoints that the pilot commands in the control steps of an episode. Pure functions."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Distribution = Literal["normal", "uniform"]
 
 FULL_STICK_DEG_S = float(RATE_FULL_STICK_DEG_S)
 LENGTH_MAX_S = 600.0  # [s] of each part of an episode
-HOLD_MIN_S = 0.01  # [s], of commands that change at random: below it nothing flies
+HOLD_MIN_S = 0.01  # [s], of commands that change at random; no aircraft follows shorter ones
 
 
 class Task(Protocol):
-    """A kind of episode; frozen data, with a name in `training.tasks.registry.TASKS`."""
+    """A kind of episode: frozen data with a name in `training.tasks.registry.TASKS`."""
 
     name: ClassVar[str]
 
@@ -38,15 +38,15 @@ class Task(Protocol):
 
 @dataclass(frozen=True)
 class RandomCommands:
-    """How the commands of a task are drawn, each axis by itself; what tasks below have in common."""
+    """How the tasks below draw their commands, each axis by itself."""
 
     name: ClassVar[str]
     distribution: Distribution = "normal"
     sigma_deg_s: float = 100.0  # of the normal
-    limit_deg_s: float = FULL_STICK_DEG_S  # the uniform fills +-limit, the normal is held within
+    limit_deg_s: float = FULL_STICK_DEG_S  # the uniform is within +-limit, the normal is clipped to it
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Reject invalid values."""
         full = (0.0, FULL_STICK_DEG_S)
         check_limits(f"task {self.name}", self, sigma_deg_s=full, limit_deg_s=full)
         known = get_args(Distribution)
@@ -72,7 +72,7 @@ class PulseTask(RandomCommands):
     rest_s: float = 2.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Reject invalid values."""
         super().__post_init__()
         length = (0.0, LENGTH_MAX_S)
         check_limits(f"task {self.name}", self, idle_s=length, command_s=length, rest_s=length)
@@ -104,7 +104,7 @@ class EpisodicTask(RandomCommands):
     hold_s: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Reject invalid values."""
         super().__post_init__()
         check_limits(f"task {self.name}", self, hold_s=(0.0, LENGTH_MAX_S))
 
@@ -133,20 +133,20 @@ class EnvelopeTask(EpisodicTask):
 class ContinuousTask(RandomCommands):
     """Random commands on all axes one after the other, each for a random time, with rest between.
 
-    Koch 2019, chapter 4. The text names no numbers; those here are of the environment that its author
-    published, but for two: an episode is 10 s instead of 60 (nothing in it depends on how long it already
-    lasts, and memory does), and it begins with rest, as a flight does.
+    Koch 2019, chapter 4. The text names no numbers; those here are of the author's published environment,
+    with two differences: an episode is 10 s instead of 60 (its statistics do not depend on its length, its
+    memory does), and it begins with rest, as a flight does.
     """
 
     name: ClassVar[str] = "continuous"
     distribution: Distribution = "uniform"
     limit_deg_s: float = 360.0
     length_s: float = 10.0
-    command_s: tuple[float, float] = (0.1, 1.0)  # least and greatest length of a command, drawn evenly
+    command_s: tuple[float, float] = (0.1, 1.0)  # least and greatest length of a command, drawn uniformly
     rest_s: tuple[float, float] = (0.1, 1.0)  # likewise of a rest
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown."""
+        """Reject invalid values."""
         super().__post_init__()
         hold = (HOLD_MIN_S, LENGTH_MAX_S)
         check_limits(f"task {self.name}", self, length_s=(0.0, LENGTH_MAX_S), command_s=hold, rest_s=hold)
@@ -167,22 +167,22 @@ class ContinuousTask(RandomCommands):
         steps = np.arange(round(self.length_s * rate_hz))
         setpoints = np.empty((count, len(steps), 3), np.float32)
         pairs = 1 + int(self.length_s / (self.rest_s[0] + self.command_s[0]))  # enough to the end
-        asked = np.zeros((2 * pairs + 1, 3))  # rest and command in turn
+        commands = np.zeros((2 * pairs + 1, 3))  # rest and command in turn
         for episode in range(count):
             rests, holds = rng.uniform(*self.rest_s, pairs), rng.uniform(*self.command_s, pairs)
             changes = np.rint(np.cumsum(np.column_stack([rests, holds]).ravel()) * rate_hz)
-            asked[1::2] = self.commands(pairs, rng)
-            setpoints[episode] = asked[np.searchsorted(changes, steps, side="right")]
+            commands[1::2] = self.commands(pairs, rng)
+            setpoints[episode] = commands[np.searchsorted(changes, steps, side="right")]
         return setpoints
 
 
 def held(commands: Array, seconds: float, rate_hz: int) -> Setpoints:
-    """Setpoints of episodes that hold `commands` (count, 3) [rad/s] from their first step."""
+    """Setpoints of episodes that hold `commands` (count, 3) [rad/s] from the first step on."""
     return np.repeat(commands[:, None].astype(np.float32), round(seconds * rate_hz), axis=1)
 
 
 def normal_commands(
     sigma_deg_s: float, count: int, rng: np.random.Generator, limit_deg_s: float = FULL_STICK_DEG_S
 ) -> Array:
-    """Commands N(0, sigma) [rad/s], (count, 3), held within the limit."""
+    """Commands N(0, sigma) [rad/s], (count, 3), clipped to the limit."""
     return np.deg2rad(np.clip(rng.normal(0.0, sigma_deg_s, (count, 3)), -limit_deg_s, limit_deg_s))

@@ -355,7 +355,7 @@ def test_tasks_stand_above_the_dissertations_when_an_image_was_timed() -> None:
     assert row(text, printed, 1) == ["", "", "", "423 / 263", "37.8"]
     assert text.index("| control algorithm,") < text.index("| PID, armed") < text.index("| disarmed")
     assert "predicted by LLVM 14.0.6's model of the Cortex-M7, with 12 more" in text.replace("\n", " ")
-    assert "they came 7 times" in text.replace("\n", " ")
+    assert "which came 7 times" in text.replace("\n", " ")
     image = [
         "`neuroflight timing neuroflight.bin`",
         "nf1 `abababababab`, image `efefefefefef`, policy `cdcdcdcdcdcd`",

@@ -1,1 +1,1 @@
-"""Synthesis by the exact gradient of what was flown, backwards through the twin's equations."""
+"""Training by the exact gradient of flights, backwards through the twin's equations."""

@@ -1,4 +1,4 @@
-"""One update after another: Adam along the gradient, and weights that hold means at their limits."""
+"""Updates: Adam along the gradient, and adapted loss weights that hold means at their limits."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from training.learners.pathwise.network import Layer, Network
 
 Floats = NDArray[np.float32]
 
-MOMENTUM, SPREAD = 0.9, 0.99  # Adam's decays; few updates are made, so the second is short
-MEMORY = 0.9  # of the running means that limits are held against
+MOMENTUM, SPREAD = 0.9, 0.99  # Adam's decays; the second is short because a run has few updates
+MEMORY = 0.9  # decay of the running means that are compared with the limits
 WEIGHT_MIN, WEIGHT_MAX = 0.02, 5000.0  # [deg/s] of an adapted weight
-SLOPE = 3.0  # of an adaption, over how far a mean is from its limit, relative
+SLOPE = 3.0  # of the adaption, by the relative distance of a mean from its limit
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that an update builds on."""
+    """The state of the learner between updates."""
 
     updates: int
     network: Network
     mean: list[Floats]  # Adam's, of the gradient, by the network's parameters
-    square: list[Floats]  # and of its square
+    square: list[Floats]  # likewise of its square
     weights: Weights
     figures: Figures | None  # running means; None before the first update
 
@@ -65,7 +65,7 @@ def descended(state: State, found: list[Floats], rate: float, pathwise: Pathwise
 
 
 def adapted(state: State, figures: Figures, pathwise: PathwiseConfig, adapting: bool) -> State:
-    """With `figures` in the running means and, if `adapting`, weights that draw these to their limits."""
+    """With `figures` in the running means and, if `adapting`, weights adapted to their limits."""
     running = figures if state.figures is None else _blended(state.figures, figures)
     weights = state.weights
     if adapting:

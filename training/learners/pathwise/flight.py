@@ -1,4 +1,4 @@
-"""Flying a batch of episodes in the twin, and keeping what the way back needs."""
+"""Forward pass: flies a batch of episodes in the twin and records what the backward pass needs."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Episodes of T control steps for B aircraft, before they are flown."""
+    """Episodes of T control steps for B aircraft: the input of a flight."""
 
     setpoint: Array  # (T, B, 3) [rad/s]
-    counted: Counted  # (B, T), what each control step counts
+    counted: Counted  # (B, T), weight of each control step
     throttle: Array  # (B,), the pilot's thrust
     variation: Variation  # of the B aircraft
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """What was flown: T control steps of B aircraft with M motors."""
+    """The record of a flight: T control steps of B aircraft with M motors."""
 
     observation: Array  # (T, B, n), scaled
     gyro: Array  # (T, B, 3) [rad/s], what the controller used
@@ -42,9 +42,9 @@ class Flight:
 
 
 def fly(twin: Twin, observer: Observer, network: Network, scale: Array, batch: Batch, idle: float) -> Flight:
-    """Fly `batch` from rest with the deterministic policy: noise, counts, delay, mix and DShot included.
+    """Fly `batch` from rest with the deterministic policy, with noise, counts, delay, mix and DShot steps.
 
-    twin, observer: of B aircraft, just reset; scale: onto each raw observation value, (n,).
+    twin, observer: of B aircraft, just reset; scale: factor of each raw observation value, (n,).
     """
     steps, count, _ = batch.setpoint.shape
     motors = twin.aircraft.motor_count

@@ -1,8 +1,8 @@
-"""The way back: from what a flight is blamed for to the network's weights, control step by control step.
+"""Backward pass: derivatives of the loss along a flight, from its last control step to the first.
 
-Exact, the twin's equations and everything the observation remembers included, but for three things that are
-passed straight through as if they did nothing: the gyro's noise and counts, the DShot value's rounding, and
-the clip of the outputs, which lets pass what leads back inside.
+They are exact, with the twin's equations and the memory of the observation. Three operations are taken as the
+identity: the gyro's noise and counts, the rounding of the DShot value, and the clip of the outputs, unless
+descent would move an output further outside.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ def gradient(
 ) -> list[Floats]:
     """Derivatives of the loss by the network's `parameters`, in their order.
 
-    scale: onto each raw observation value, (n,); model: of the batch's aircraft, one step a control step.
+    scale: factor of each raw observation value, (n,); model: of the batch's aircraft, at the control rate.
     """
     steps, count, motors = flight.action.shape
     everyone = np.arange(count)
     delay = np.maximum(1, np.rint(batch.variation.delay_s / model.dt).astype(np.intp))
     first = int(delay.max())
-    # Row k + first holds control step k; what acts in a flight's first steps was asked for before it.
+    # Row k + first holds control step k: with a delay, the commands of the first steps precede the flight.
     command = np.zeros((steps + first, count, motors))
     lift = batch.throttle[None, :, None] * (1.0 - flight.action.max(axis=2, keepdims=True))
     command[first:] = idle + (1.0 - idle) * (flight.action + lift)
@@ -82,7 +82,7 @@ def gradient(
 
 
 def _outwards(passed: Passed, action: Array) -> NDArray[np.bool_]:
-    """Where an output lies beyond 0..1 and descent would take it further."""
+    """Where an output lies outside 0..1 and descent would move it further outside."""
     outwards: NDArray[np.bool_] = ((passed.unclipped < 0.0) & (action > 0.0)) | (
         (passed.unclipped > 1.0) & (action < 0.0)
     )
@@ -98,7 +98,7 @@ class _LowPass:
         self._later: Array | float = 0.0  # by y, of the steps after this one
 
     def pull(self, k: int, output: Array) -> Array:
-        """Of step `k`, after those of all later steps."""
+        """Derivatives by x at step `k`, after those of all later steps."""
         if self._gain is None:
             return output
         by_output = output + self._later
@@ -107,7 +107,7 @@ class _LowPass:
 
 
 class _Observation:
-    """From derivatives by a step's observation to those by gyro reading, action before and rotor speed."""
+    """From derivatives by a step's observation to those by gyro reading, previous action and rotor speed."""
 
     def __init__(
         self, flight: Flight, batch: Batch, terms: tuple[ObservationTerm, ...], dt: float, motors: int
@@ -124,11 +124,11 @@ class _Observation:
         self._free = _unclamped(batch.setpoint - flight.gyro, dt)
         self._nothing = np.zeros((flight.gyro.shape[1], 3))
         self._by_integral = self._nothing
-        self._by_error_before = self._nothing  # through the difference of the step after
+        self._by_error_before = self._nothing  # through the rate_error_delta of the following step
         self._no_motors = np.zeros((flight.gyro.shape[1], motors))
 
     def pull(self, k: int, observation: Array) -> tuple[Array, Array, Array]:
-        """Derivatives by gyro reading (B, 3), by the action before and rotor speed (B, M), of step `k`."""
+        """Derivatives by gyro reading (B, 3), by previous action and rotor speed (B, M), of step `k`."""
         self._by_value[k] = observation
         blocks: dict[str, Array] = defaultdict(lambda: self._nothing)
         for term, columns, low_pass in self._terms:
@@ -148,7 +148,7 @@ class _Observation:
 
 
 def _unclamped(error: Floats, dt: float) -> NDArray[np.bool_]:
-    """Where the bounded integral of `error` (T, B, 3) follows it, as sim.control.observation integrates."""
+    """Where the integral of `error` (T, B, 3) is not clamped, as sim.control.observation integrates."""
     limit, step = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD), np.float32(dt)
     integral = np.zeros(error.shape[1:], np.float32)
     free = np.empty(error.shape, bool)

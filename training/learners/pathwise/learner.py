@@ -1,14 +1,13 @@
-"""Learning by the gradient of what was flown.
+"""The pathwise learner: updates the policy along the gradient of the loss of whole flights.
 
-A flight in the twin is a function of the policy's weights, and the twin's equations are known: so the loss of
-a batch of flights has a gradient, which is found by going back through them, step by step. It needs no
-critic and no exploration, and it is some hundred times less noisy than what a policy gradient estimates from
-as many steps.
+A flight in the twin is a function of the policy's weights, and the twin's equations are known. So the loss of
+a batch of flights has a gradient, which is computed backwards through them, step by step. This needs no
+critic and no exploration, and its noise is some hundred times less than that of a likelihood-ratio policy
+gradient from as many steps.
 
 Source: SVG(inf) of Heess et al. 2015, "Learning Continuous Control Policies by Stochastic Value Gradients",
-for a policy without noise: states are the environment's own, its model only gives the derivatives there.
-What of them is exact, and what goes straight through, stands in `training.learners.pathwise.gradient` and
-`sim.physics.derivative`.
+for a policy without noise: the states are those of the flight, the model only gives the derivatives there.
+`training.learners.pathwise.gradient` and `sim.physics.derivative` say which derivatives are exact.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class PathwiseLearner:
     """See Learner."""
 
     def __init__(self, aircraft: Aircraft, config: TrainingConfig, pathwise: PathwiseConfig) -> None:
-        """Raises TrainingError, one line, on a configuration that has no such gradient."""
+        """Raises TrainingError, one line, on a configuration without such a gradient."""
         for error in _errors(config):
             raise TrainingError(error)
         self._terms = config.blocks()
@@ -94,7 +93,7 @@ class PathwiseLearner:
             twin.close()
 
     def _batch(self, rng: np.random.Generator) -> Batch:
-        """Episodes of the task in the configuration's world."""
+        """Draw the episodes of an update."""
         config, world, count = self._config, self._config.world, self._pathwise.aircraft
         task, rate_hz = config.task, config.control_rate_hz
         if isinstance(task, RandomStepsTask):
@@ -110,7 +109,7 @@ class PathwiseLearner:
         )
 
     def _update(self, twin: Twin, batch: Batch) -> Figures:
-        """Fly `batch`, go back through it, and become better; returns the batch's figures."""
+        """Fly `batch` and update the policy; returns the batch's figures."""
         config, aircraft, state = self._config, self._aircraft, self._state
         if config.world.randomization.active:
             twin.vary(np.arange(twin.count), batch.variation)
@@ -205,7 +204,7 @@ class PathwiseLearner:
 
 
 def _errors(config: TrainingConfig) -> list[str]:
-    """Why `config` has no pathwise gradient, one line each."""
+    """Reasons why `config` has no pathwise gradient, one line each."""
     world = config.world
     demands = {
         f"mount {world.mount!r}: the pathwise gradient knows an aircraft that turns about its centre of "

@@ -1,4 +1,4 @@
-"""What a flight is blamed for, and the derivatives of that."""
+"""The loss of a flight and its derivatives by rates and actions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Weights:
-    """Of the loss's parts beside the mean absolute error [deg/s]."""
+    """Weights of the parts of the loss; that of the mean absolute error [deg/s] is 1."""
 
     square: float  # [s/deg], of the mean squared error
     output: float  # [deg/s], of the mean output
@@ -23,7 +23,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Figures:
-    """Means over axes or motors, and over what counts of a batch."""
+    """Weighted means over the control steps of a batch, and over axes or motors."""
 
     mae: float  # [deg/s]
     mse: float  # [deg^2/s^2]
@@ -31,7 +31,7 @@ class Figures:
     change: float
 
     def loss(self, weights: Weights) -> float:
-        """[deg/s]."""
+        """The loss [deg/s]."""
         return (
             self.mae + weights.square * self.mse + weights.output * self.output + weights.change * self.change
         )
@@ -53,7 +53,7 @@ def figures_and_gradient(flight: Flight, batch: Batch, weights: Weights) -> tupl
     change = np.diff(action, axis=0)
 
     def share(counts: Array, parts: int) -> Array:
-        """What each of `parts` axes or motors counts in a mean, (T, B, 1)."""
+        """The share of each of `parts` axes or motors in a mean, (T, B, 1)."""
         shares: Array = counts.T[:, :, None] / max(counts.sum() * parts, 1.0)
         return shares
 

@@ -1,4 +1,4 @@
-"""The policy's network, forwards and backwards, float32: a plain MLP and the map of its output to motors."""
+"""The policy network with forward and backward pass, float32: an MLP and the map of its outputs to motors."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from training.config.training_config import OutputMap
 
 Array = NDArray[np.float32]
-HIDDEN_GAIN = 1.4  # of the orthogonal matrices that a network starts with
-LAST_GAIN = 0.02  # so small that an untrained policy asks for the same whatever it observes
+HIDDEN_GAIN = 1.4  # of the initial orthogonal matrices
+LAST_GAIN = 0.02  # small: the outputs of an untrained policy hardly depend on the observation
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +26,16 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Passed:
-    """One pass through a network, of N observations."""
+    """The values of a forward pass of N observations."""
 
-    hidden: list[Array]  # (N, width) each, behind the activation
+    hidden: list[Array]  # (N, width) each, after the activation
     output: Array  # (N, M), squashed where the map says so
-    unclipped: Array  # (N, M), of the motors, before it is clipped
+    unclipped: Array  # (N, M), motor fractions before the clip to 0..1
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers, hidden ones behind `activation`, the last behind `map`."""
+    """An MLP: hidden layers with `activation`, the last one with `map`."""
 
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
@@ -49,9 +49,9 @@ class Network:
         start_output: float,
         rng: np.random.Generator,
     ) -> Network:
-        """Untrained.
+        """An untrained network.
 
-        widths: of observation, hidden layers, motors; start_output: motor fraction that it asks for.
+        widths: of observation, hidden layers, motors; start_output: motor fraction of its outputs.
         """
         layers: list[Layer] = []
         for inputs, outputs in pairwise(widths):
@@ -65,7 +65,7 @@ class Network:
         return Network(tuple(layers), activation, output)
 
     def forward(self, observation: Array) -> Passed:
-        """What scaled observations (N, n) make it ask for."""
+        """The outputs for scaled observations (N, n)."""
         value, hidden = observation, []
         for layer in self.layers[:-1]:
             value = value @ layer.weight.T + layer.bias
@@ -80,7 +80,7 @@ class Network:
     def backward(self, passed: Passed, unclipped: Array) -> tuple[Array, list[Array]]:
         """From derivatives by `unclipped` (N, M) to those by the observation, and by each layer's sums.
 
-        The latter are what `gradient` needs: (N, outputs) of each layer, in order.
+        `gradient` needs the latter: (N, outputs) of each layer, in order.
         """
         sums = np.multiply(unclipped, self.map.scale, dtype=np.float32)
         if self.map.squash:
@@ -106,7 +106,7 @@ class Network:
 
 
 def _orthogonal(rows: int, columns: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A matrix with orthonormal rows or columns, evenly distributed (Mezzadri 2007)."""
+    """A matrix with orthonormal rows or columns, uniformly distributed (Mezzadri 2007)."""
     wide = rows < columns
     q, r = np.linalg.qr(rng.standard_normal((columns, rows) if wide else (rows, columns)))
     q = q * np.sign(np.diag(r))

@@ -70,10 +70,11 @@ class Case:
 
     def gradient(self) -> list[Floats]:
         flight, _ = self.flown(self.network)
-        _, blamed = figures_and_gradient(flight, self.batch, WEIGHTS)
+        _, by_flight = figures_and_gradient(flight, self.batch, WEIGHTS)
         model = StepModel.of(self.aircraft, RATE_HZ, self.batch.variation)
+        gyro = self.aircraft.gyro
         return gradient(
-            flight, self.batch, blamed, self.network, self.scale, self.terms, model, self.aircraft.gyro, IDLE
+            flight, self.batch, by_flight, self.network, self.scale, self.terms, model, gyro, IDLE
         )
 
     def slope(self, direction: list[Floats], length: float) -> float:
