@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
     add_condition_arguments,
+    check_controllers,
     check_throttle,
     command,
     conditions,
     conditions_document,
     flight_document,
+    progress_bars,
 )
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import TaskID
 
     from sim.analysis.confidence import Mean
     from training.evaluation.comparison import Entry
 
-CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 THROTTLES_MAX = 20
 TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
 ROWS = (  # heading, figure, factor, digits
@@ -75,7 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fly each controller at each throttle and print the figures."""
     from rich.console import Console
-    from rich.progress import Progress
 
     from sim.plotting import save_png
     from toolchain.errors import TrainingError
@@ -83,27 +81,18 @@ def run(args: argparse.Namespace) -> int:
     from training.evaluation.comparison_plot import draw
     from training.evaluation.controllers import load_controller
 
-    if len(args.controllers) > CONTROLLERS_MAX or len(set(args.controllers)) < len(args.controllers):
-        raise TrainingError(
-            f"{len(args.controllers)} controllers, {len(set(args.controllers))} of them different, "
-            f"expected 1 to {CONTROLLERS_MAX} different ones"
-        )
+    check_controllers(args.controllers)
     if len(args.throttle) > THROTTLES_MAX:
         raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
     for throttle in args.throttle:
         check_throttle(throttle)
     flown = conditions(args)
     controllers = [load_controller(name, flown.aircraft, args.idle) for name in args.controllers]
-    quiet = args.json or not sys.stderr.isatty()
     rounds: dict[float, list[Entry]] = {}
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+    with progress_bars(args) as bar:
         for throttle in args.throttle:
             for controller in controllers:
-                task = bar.add_task(f"{controller.label}, throttle {throttle:g}")
-
-                def show(done: int, total: int, task: TaskID = task) -> None:
-                    bar.update(task, completed=done, total=total)
-
+                show = bar(f"{controller.label}, throttle {throttle:g}")
                 rounds.setdefault(throttle, []).append(enter(controller, flown, throttle, show))
     title = f"{flown.aircraft.name}: {flown.episodes} commands of {args.task}, seed {args.seed}"
     if args.plot:

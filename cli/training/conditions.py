@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +18,7 @@ TASKS = ("pulse", "episodic", "envelope")
 MOUNTS = ("centre", "rig", "free")
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
+CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
@@ -70,6 +74,34 @@ def conditions(args: argparse.Namespace) -> Conditions:
         mount=Mount(args.mount),
         noise=not args.no_noise,
     )
+
+
+def check_controllers(controllers: Sequence[str]) -> None:
+    """Raise TrainingError unless they are different and not too many."""
+    from toolchain.errors import TrainingError
+
+    different = len(set(controllers))
+    if len(controllers) > CONTROLLERS_MAX or different < len(controllers):
+        raise TrainingError(
+            f"{len(controllers)} controllers, {different} of them different, expected 1 to "
+            f"{CONTROLLERS_MAX} different ones"
+        )
+
+
+@contextmanager
+def progress_bars(args: argparse.Namespace) -> Iterator[Callable[[str], Callable[[int, int], None]]]:
+    """Bars on stderr, hidden with --json or in a log: a function that adds one and returns its update."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    quiet = args.json or not sys.stderr.isatty()
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bars:
+
+        def add(label: str) -> Callable[[int, int], None]:
+            task = bars.add_task(label)
+            return lambda done, total: bars.update(task, completed=done, total=total)
+
+        yield add
 
 
 def check_throttle(throttle: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -15,6 +14,7 @@ from cli.training.conditions import (
     conditions,
     conditions_document,
     flight_document,
+    progress_bars,
 )
 
 if TYPE_CHECKING:
@@ -59,9 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly all commands at once and print the figures."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
@@ -71,12 +68,8 @@ def run(args: argparse.Namespace) -> int:
     check_throttle(args.throttle)
     flown = conditions(args)
     controller = load_controller(args.controller, flown.aircraft, args.idle)
-    quiet = args.json or not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        task = bar.add_task(f"{args.episodes} commands")
-        flights = flown.fly(
-            controller, args.throttle, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with progress_bars(args) as bar:
+        flights = flown.fly(controller, args.throttle, bar(f"{args.episodes} commands"))
     result = figures(flights)
     title = (
         f"{args.controller} on {flown.aircraft.name}: {result.episodes} commands of {args.task}, "

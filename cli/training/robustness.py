@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.training.conditions import MOUNTS, check_controllers, progress_bars
+
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import TaskID
 
     from training.evaluation.robustness import Plan, Robustness
 
-CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 COLUMN = 34  # [characters], of a controller
 EPISODES = 200
 DRAWS = 200
 THROTTLE_MAX = 0.8
-MOUNTS = ("centre", "rig", "free")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fly the plan with each controller and print the results."""
     from rich.console import Console
-    from rich.progress import Progress
 
     from sim.plotting import save_png
     from training.evaluation.controllers import load_controller
@@ -71,16 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
     plan = _plan(args)
     controllers = [load_controller(name, plan.aircraft) for name in args.controllers]
-    quiet = args.json or not sys.stderr.isatty()
-    results = []
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        for controller in controllers:
-            task = bar.add_task(controller.label)
-
-            def show(done: int, total: int, task: TaskID = task) -> None:
-                bar.update(task, completed=done, total=total)
-
-            results.append(examine(controller, plan, show))
+    with progress_bars(args) as bar:
+        results = [examine(controller, plan, bar(controller.label)) for controller in controllers]
     title = (
         f"Robustness on {plan.aircraft.name}: {plan.episodes} pulses a case, throttle 0 to "
         f"{plan.throttle_max:g}, seed {plan.seed}"
@@ -104,12 +93,7 @@ def _plan(args: argparse.Namespace) -> Plan:
     from training.evaluation.robustness import COMMANDS_PER_DRAW, Plan
     from training.tasks.task import PulseTask
 
-    different = len(set(args.controllers))
-    if len(args.controllers) > CONTROLLERS_MAX or different < len(args.controllers):
-        raise TrainingError(
-            f"{len(args.controllers)} controllers, {different} of them different, expected 1 to "
-            f"{CONTROLLERS_MAX} different ones"
-        )
+    check_controllers(args.controllers)
     if not 2 <= args.episodes <= COUNT_MAX:
         raise TrainingError(f"--episodes {args.episodes}, expected 2 to {COUNT_MAX}")
     if not 0 <= args.draws <= COUNT_MAX // COMMANDS_PER_DRAW:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim.analysis.confidence import Mean, paired, share_of
 from sim.analysis.response import Hold, large, progress
 from training.evaluation.controllers import Conditions, ControllerSpec
-from training.evaluation.evaluation import Evaluation, Flights, Scores, scores, summary
+from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, scores, summary
 
 Array = NDArray[np.float64]
 CHUNK = 128  # episodes whose errors are computed at a time
@@ -101,10 +101,10 @@ def significant(difference: Mean) -> bool:
 
 def document(entry: Entry, first: Entry | None) -> dict[str, object]:
     """Means, and differences to `first` unless that is None, as JSON data."""
-    found: dict[str, object] = {"means": {name: _plain(mean) for name, mean in means(entry.scores).items()}}
+    found: dict[str, object] = {"means": {name: interval(mean) for name, mean in means(entry.scores).items()}}
     if first is not None:
         found["difference"] = {
-            name: {**_plain(mean), "significant": significant(mean)}
+            name: {**interval(mean), "significant": significant(mean)}
             for name, mean in differences(first.scores, entry.scores).items()
         }
     return found
@@ -139,7 +139,3 @@ def _steps(held: Hold) -> tuple[Array, Array]:
 
 def _mean(each: Array) -> Mean:
     return paired(np.zeros_like(each), each)
-
-
-def _plain(mean: Mean) -> dict[str, float]:
-    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}

@@ -7,9 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim.aircraft.model import Aircraft
 from sim.control.controller import Controller, PolicyController
 from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.errors import PolicyError
 from toolchain.policy.model import read_policy
@@ -85,9 +89,13 @@ class Conditions:
     noise: bool = True
 
     def fly(
-        self, controller: ControllerSpec, throttle: float, progress: Callable[[int, int], None] | None = None
+        self,
+        controller: ControllerSpec,
+        throttle: float | NDArray[np.float32],
+        progress: Callable[[int, int], None] | None = None,
+        variation: Variation | None = None,
     ) -> Flights:
-        """All episodes at once, with the pilot's thrust at `throttle`, 0..1; see `record`."""
+        """Fly all episodes at once; see `record`."""
         return record(
             controller.build(self.episodes),
             self.aircraft,
@@ -99,5 +107,6 @@ class Conditions:
             noise=self.noise,
             throttle=throttle,
             idle=controller.idle,
+            variation=variation,
             progress=progress,
         )

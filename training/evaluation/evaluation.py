@@ -178,8 +178,8 @@ def scores(flights: Flights) -> Scores:
 
 def summary(scores: Scores) -> Evaluation:
     """Means over the episodes with their confidence."""
-    errors = [_mean(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
-    output, change, rough = (_mean(each) for each in (scores.output, scores.change, scores.smoothness))
+    errors = [mean_over(getattr(scores.tracking, field.name)) for field in fields(Tracking)]
+    output, change, rough = (mean_over(each) for each in (scores.output, scores.change, scores.smoothness))
     return Evaluation(
         episodes=len(scores.output),
         tracking=Tracking(*(mean.value for mean in errors)),
@@ -194,8 +194,14 @@ def summary(scores: Scores) -> Evaluation:
     )
 
 
-def _mean(values: NDArray[np.float64]) -> Mean:
+def mean_over(values: NDArray[np.float64]) -> Mean:
+    """Mean over episodes (E, ...) with its confidence."""
     return mean_of(values, np.ones(values.shape, bool))
+
+
+def interval(mean: Mean) -> dict[str, float]:
+    """A mean and its confidence interval, as JSON data."""
+    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}
 
 
 def _by_episode(array: NDArray[np.float32]) -> NDArray[np.float32]:

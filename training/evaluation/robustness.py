@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import NORMAL, Mean, mean_of, share_of
+from sim.analysis.confidence import NORMAL, Mean, share_of
 from sim.analysis.metrics import CHANGE_S
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from training.config.randomization import Randomization, Range
 from training.config.training_config import WorldConfig
-from training.evaluation.controllers import ControllerSpec
-from training.evaluation.evaluation import Flights, record
+from training.evaluation.controllers import Conditions, ControllerSpec
+from training.evaluation.evaluation import Flights, interval, mean_over
 from training.tasks.task import Task
 
 Array = NDArray[np.float64]
@@ -203,7 +203,7 @@ def ratio_of(part: Array, whole: Array) -> Mean:
     """Ratio of the means of two figures of the same episodes, (E,), linearised for its 95 % confidence."""
     ratio = float(part.mean() / whole.mean())
     away = ratio + (part - ratio * whole) / whole.mean()
-    return mean_of(away, np.ones(len(away), np.bool_))
+    return mean_over(away)
 
 
 def quantile_of(values: Array, q: float) -> Mean:
@@ -242,28 +242,15 @@ def _fly(
     variation: Variation | None,
     progress: Progress,
 ) -> EpisodeFigures:
-    world = WorldConfig(throttle_max=plan.throttle_max)
-    flights = record(
-        controller.build(count),
-        plan.aircraft,
-        plan.task,
-        episodes=count,
-        seed=seed,
-        control_rate_hz=controller.control_rate_hz,
-        mount=plan.mount,
-        noise=plan.noise,
-        throttle=world.draw_throttle(count, np.random.default_rng(seed)),
-        idle=controller.idle,
-        variation=variation,
-        progress=progress,
-    )
-    return episode_figures(flights)
+    conditions = Conditions(plan.aircraft, plan.task, count, seed, plan.mount, plan.noise)
+    throttle = WorldConfig(throttle_max=plan.throttle_max).draw_throttle(count, np.random.default_rng(seed))
+    return episode_figures(conditions.fly(controller, throttle, progress, variation))
 
 
 def _case(case: Case, varied: EpisodeFigures, nominal: EpisodeFigures) -> CaseResult:
     return CaseResult(
         case=case,
-        mae=mean_of(varied.mae, np.ones(len(varied.mae), np.bool_)),
+        mae=mean_over(varied.mae),
         ratio=ratio_of(varied.mae, nominal.mae),
         output=float(varied.output.mean()),
         change=float(varied.change.mean()),
@@ -298,8 +285,8 @@ def document(result: Robustness) -> dict[str, object]:
             each.case.name: {
                 "parameter": each.case.parameter,
                 "value": each.case.value if each.case.parameter else None,
-                "mae": _plain(each.mae),
-                "ratio": _plain(each.ratio),
+                "mae": interval(each.mae),
+                "ratio": interval(each.ratio),
                 "output": each.output,
                 "change": each.change,
                 "diverged": each.diverged,
@@ -310,16 +297,12 @@ def document(result: Robustness) -> dict[str, object]:
         "joint": None
         if joint is None
         else {
-            "median": _plain(joint.median),
-            "high": _plain(joint.high),
+            "median": interval(joint.median),
+            "high": interval(joint.high),
             "change": joint.change,
             "diverged": joint.diverged,
-            "diverged_share": _plain(joint.diverged_share),
+            "diverged_share": interval(joint.diverged_share),
             "ratios": [round(float(ratio), 4) for ratio in joint.ratios],
             "met": joint.met,
         },
     }
-
-
-def _plain(mean: Mean) -> dict[str, float]:
-    return {name: float(getattr(mean, name)) for name in ("value", "low", "high")}

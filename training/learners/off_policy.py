@@ -16,7 +16,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from sim.aircraft.model import Aircraft
 from training.config.algorithms import DdpgConfig, OffPolicyConfig, SacConfig, Td3Config
 from training.config.training_config import TrainingConfig
-from training.learners.protocol import Report
+from training.learners.protocol import Report, named_layers
 from training.learners.sb3 import MODULES, Sb3Learner
 
 REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -72,17 +72,13 @@ class OffPolicyLearner(Sb3Learner):
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
         # SAC's actor has two last layers, the mean's and the deviation's; the first is called mu.
-        layers = [
-            layer
-            for name, layer in self._model.actor.named_modules()
-            if isinstance(layer, torch.nn.Linear) and name != "log_std"
-        ]
-        names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(layers) - 1)] + ["action_net"]
-        return {
-            f"{name}.{part}": tensor
-            for name, layer in zip(names, layers, strict=True)
-            for part, tensor in layer.state_dict().items()
-        }
+        return named_layers(
+            [
+                layer.state_dict()
+                for name, layer in self._model.actor.named_modules()
+                if isinstance(layer, torch.nn.Linear) and name != "log_std"
+            ]
+        )
 
     def state(self) -> dict[str, Any]:
         """See Learner."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import torch
+
+Tensors = Mapping[str, torch.Tensor]  # "weight" and "bias" of a layer
 
 
 @dataclass(frozen=True)
@@ -16,6 +18,16 @@ class Report:
     steps: int  # control steps so far, all aircraft together
     reward: float  # mean per control step since the last report; of a loss, its negative
     figures: dict[str, float] = field(default_factory=dict)  # by TensorBoard's names, such as "train/loss"
+
+
+def named_layers(layers: Sequence[Tensors]) -> dict[str, torch.Tensor]:
+    """Weights and biases of a network's layers by the names that `toolchain.policy.freeze` knows."""
+    names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(layers) - 1)] + ["action_net"]
+    return {
+        f"{name}.{part}": tensor
+        for name, layer in zip(names, layers, strict=True)
+        for part, tensor in layer.items()
+    }
 
 
 class Learner(Protocol):

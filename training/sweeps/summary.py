@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import mean_of
 from training.sweeps.config import Sweep, Trial, Varied
 from training.sweeps.trial import Figure, Outcome
 
@@ -115,13 +114,16 @@ def document(sweep: Sweep, runs: Sequence[Run], command: str) -> dict[str, Any]:
 def _configuration(runs: Sequence[Run]) -> Configuration:
     outcomes = [run.outcome for run in runs if run.outcome]
     first = outcomes[0]
+    mae, mse, output, change = (
+        _over_seeds([getattr(outcome, name) for outcome in outcomes]) for name in FIGURES
+    )
     return Configuration(
         varied=runs[0].trial.configuration,
         runs=tuple(runs),
-        mae=_over_seeds([outcome.mae for outcome in outcomes]),
-        mse=_over_seeds([outcome.mse for outcome in outcomes]),
-        output=_over_seeds([outcome.output for outcome in outcomes]),
-        change=_over_seeds([outcome.change for outcome in outcomes]),
+        mae=mae,
+        mse=mse,
+        output=output,
+        change=change,
         instructions=first.instructions,
         predicted_cycles=first.predicted_cycles,
         training_seconds=sum(outcome.training_seconds for outcome in outcomes) / len(outcomes),
@@ -131,5 +133,4 @@ def _configuration(runs: Sequence[Run]) -> Configuration:
 def _over_seeds(figures: Sequence[Figure]) -> Figure:
     if len(figures) == 1:
         return figures[0]
-    mean = mean_of(np.array([figure.mean for figure in figures]), np.ones(len(figures), np.bool_))
-    return Figure(float(mean.value), float(mean.high - mean.value))
+    return Figure.of([figure.mean for figure in figures])

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from sim.aircraft.model import Aircraft
-from sim.analysis.confidence import mean_of
 from sim.control.controller import PolicyController
 from toolchain.codegen.compiler import compile_policy
 from toolchain.cortex_m7.timing import mixed_observations, time_policy
@@ -25,7 +24,7 @@ from toolchain.errors import BuildError, TrainingError
 from toolchain.files import write_text
 from toolchain.policy.model import read_policy
 from training.checkpoints.monitor_process import Monitor
-from training.evaluation.evaluation import Scores, record, scores
+from training.evaluation.evaluation import Scores, mean_over, record, scores
 from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
 from training.sweeps.config import Trial, Validation
 from training.tasks.registry import TASKS
@@ -41,6 +40,12 @@ class Figure:
 
     mean: float
     margin: float
+
+    @staticmethod
+    def of(values: ArrayLike) -> Figure:
+        """The mean of (N,) values."""
+        mean = mean_over(np.asarray(values, np.float64))
+        return Figure(float(mean.value), float(mean.high - mean.value))
 
 
 @dataclass(frozen=True)
@@ -72,10 +77,10 @@ def run_trial(
     flown = _flown(policy, trial, aircraft, validation)
     instructions, cycles, reason = _counted(policy)
     outcome = Outcome(
-        mae=_figure(flown.tracking.mae.mean(axis=1)),
-        mse=_figure(flown.tracking.mse.mean(axis=1)),
-        output=_figure(flown.output),
-        change=_figure(flown.change),
+        mae=Figure.of(flown.tracking.mae.mean(axis=1)),
+        mse=Figure.of(flown.tracking.mse.mean(axis=1)),
+        output=Figure.of(flown.output),
+        change=Figure.of(flown.change),
         instructions=instructions,
         predicted_cycles=cycles,
         no_cycles_reason=reason,
@@ -147,11 +152,6 @@ def _flown(path: Path, trial: Trial, aircraft: Aircraft, validation: Validation)
             idle=trial.config.idle,
         )
     )
-
-
-def _figure(values: NDArray[np.float64]) -> Figure:
-    mean = mean_of(values, np.ones(len(values), np.bool_))
-    return Figure(float(mean.value), float(mean.high - mean.value))
 
 
 def _counted(path: Path) -> tuple[int | None, float | None, str | None]:

@@ -34,7 +34,7 @@ from training.learners.pathwise.flight import Batch, fly
 from training.learners.pathwise.gradient import gradient
 from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
 from training.learners.pathwise.network import Network
-from training.learners.protocol import Report
+from training.learners.protocol import Report, named_layers
 from training.tasks.random_steps import Counted, RandomStepsTask
 
 Floats = NDArray[np.float32]
@@ -159,13 +159,12 @@ class PathwiseLearner:
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        *hidden, last = self._state.network.layers
-        names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(hidden))] + ["action_net"]
-        tensors = {}
-        for name, layer in zip(names, (*hidden, last), strict=True):
-            tensors[f"{name}.weight"] = torch.from_numpy(layer.weight)
-            tensors[f"{name}.bias"] = torch.from_numpy(layer.bias)
-        return tensors
+        return named_layers(
+            [
+                {"weight": torch.from_numpy(layer.weight), "bias": torch.from_numpy(layer.bias)}
+                for layer in self._state.network.layers
+            ]
+        )
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
