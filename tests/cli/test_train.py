@@ -96,7 +96,7 @@ def _tensorboard(folder: Path) -> set[str]:
         (["--resume"], "nothing to resume"),
     ],
 )
-def test_what_cannot_be_run_is_rejected_in_one_line_and_nothing_is_written(
+def test_invalid_arguments_are_rejected_in_one_line_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "out"

@@ -11,7 +11,9 @@ from sim.aircraft.model import FOLDER
 Capture = pytest.CaptureFixture[str]
 
 
-def test_train_writes_its_results_and_does_not_replace_them_unasked(tmp_path: Path, capsys: Capture) -> None:
+def test_train_writes_its_results_and_does_not_replace_them_without_force(
+    tmp_path: Path, capsys: Capture
+) -> None:
     arguments = ["train", "--aircraft", "nf1", "--algorithm", "ppo", "--steps", "32768", "--seed", "3"]
     arguments += ["--out", str(tmp_path)]
     assert main(arguments) == 0
@@ -45,7 +47,7 @@ def test_evaluate_prints_figures_as_table_and_as_json(
 
 
 @pytest.mark.parametrize("task", ["pulse", "episodic", "envelope"])
-def test_evaluate_tells_what_it_flew_when_asked_for_json(task: str, tmp_path: Path, capsys: Capture) -> None:
+def test_evaluate_json_names_the_conditions(task: str, tmp_path: Path, capsys: Capture) -> None:
     plot = tmp_path / "plot.png"
     words = ["evaluate", "pid:published", "--task", task, "--episodes", "3", "--seed", "8", "--no-noise"]
     assert main([*words, "--delay", "0", "--json", "--plot", str(plot)]) == 0

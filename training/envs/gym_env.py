@@ -45,7 +45,7 @@ from training.tasks.reward import REWARDS, Reward
 from training.tasks.task import Task
 
 Named = str | Mapping[str, Any]  # a name, or a table with a name and fields
-OTHERS = PpoConfig(aircraft=1, horizon=1, minibatch=1)  # the environment does not depend on the learner
+ONE_AIRCRAFT = PpoConfig(aircraft=1, horizon=1, minibatch=1)  # the environment does not depend on the learner
 
 
 class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -79,7 +79,7 @@ class AttitudeEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         }
         base = config if isinstance(config, TrainingConfig) else load_config(config)
         changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        self._config = replace(base, algorithm=OTHERS, **changes)
+        self._config = replace(base, algorithm=ONE_AIRCRAFT, **changes)
         self._aircraft = load_aircraft(aircraft)
         self._config.check(self._aircraft)
         self._simulation: AttitudeSimulation | None = self._build(np.random.default_rng())

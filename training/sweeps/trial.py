@@ -111,8 +111,8 @@ def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Val
             raise ValueError(f"more than {RESULT_BYTES_MAX} bytes")
         document = json.loads(path.read_text())
         outcome = _outcome(document["outcome"])
-        asked = {"config": trial.config.document(aircraft), "validation": asdict(validation)}
-        same = all(document[key] == json.loads(json.dumps(value)) for key, value in asked.items())
+        wanted = {"config": trial.config.document(aircraft), "validation": asdict(validation)}
+        same = all(document[key] == json.loads(json.dumps(value)) for key, value in wanted.items())
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise TrainingError(f"{path} is damaged ({error!r}); remove its folder to train it again") from error
     if not same:

@@ -12,22 +12,22 @@ from toolchain.contract import RATE_FULL_STICK_DEG_S
 from training.tasks.limits import check_limits
 from training.tasks.task import HOLD_MIN_S, LENGTH_MAX_S, Setpoints
 
-Counts = NDArray[np.float64]  # (count, T)
+StepArray = NDArray[np.float64]  # (count, T)
 
 
 @dataclass(frozen=True, eq=False)
-class Counted:
+class StepWeights:
     """Weight of each control step in the means of a batch."""
 
-    error: Counts  # in the mean absolute error
-    square: Counts  # in the mean squared error
-    effort: Counts  # in the mean output and change
+    error: StepArray  # in the mean absolute error
+    square: StepArray  # in the mean squared error
+    effort: StepArray  # in the mean output and change
 
     @staticmethod
-    def alike(count: int, steps: int) -> Counted:
+    def equal(count: int, steps: int) -> StepWeights:
         """The same weight for every step of `count` episodes."""
         one = np.ones((count, steps))
-        return Counted(one, one, one)
+        return StepWeights(one, one, one)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class RandomStepsTask:
         """See Task."""
         return self._steps(count, rng, rate_hz, exact=False)[0]
 
-    def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, Counted]:
+    def batch(self, count: int, rng: np.random.Generator, rate_hz: int) -> tuple[Setpoints, StepWeights]:
         """Setpoints as `episodes`, and the weight of each control step.
 
         The commands are scaled so that their deviation is sigma exactly: errors of batches vary less.
@@ -101,7 +101,7 @@ class RandomStepsTask:
             counts[part] = share * count * steps / max(1, part.sum())
         usual = ~wide[:, None]
         error = np.where(usual | held, counts, 0.0) * np.where(usual, 1.0, self.wide_weight)
-        return setpoints, Counted(error, usual * counts, usual * counts)
+        return setpoints, StepWeights(error, usual * counts, usual * counts)
 
     def _steps(
         self, count: int, rng: np.random.Generator, rate_hz: int, *, exact: bool

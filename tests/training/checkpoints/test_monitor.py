@@ -1,4 +1,4 @@
-"""The monitor flies a checkpoint's policy the same way every time, beside the training or within it."""
+"""The monitor gives the same metrics in its own process and in this one."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ CONFIG = TrainingConfig(hidden=(8,), task=EpisodicTask(hold_s=0.05), algorithm=P
 
 
 def weights(seed: int, bias: float = -0.6) -> dict[str, torch.Tensor]:
-    """A policy of CONFIG's shape that asks for about 0.5 + 0.5 bias."""
+    """A policy of CONFIG's shape with outputs of about 0.5 + 0.5 bias."""
     rng = np.random.default_rng(seed)
 
     def tensor(*shape: int) -> torch.Tensor:
@@ -37,11 +37,11 @@ def weights(seed: int, bias: float = -0.6) -> dict[str, torch.Tensor]:
 
 
 def arrays(policy: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    """As numpy's."""
+    """The same as numpy arrays."""
     return {name: tensor.numpy() for name, tensor in policy.items()}
 
 
-def test_the_readings_are_the_same_when_a_process_apart_takes_them() -> None:
+def test_metrics_are_the_same_when_another_process_takes_them() -> None:
     history = []
     for apart in (False, True):
         with Monitor(NF1, CONFIG, apart=apart) as monitor:
@@ -54,7 +54,7 @@ def test_the_readings_are_the_same_when_a_process_apart_takes_them() -> None:
     assert history[0][0].mae != history[0][1].mae
 
 
-def test_a_policy_that_always_asks_for_the_same_changes_nothing() -> None:
+def test_a_policy_with_constant_outputs_has_no_change() -> None:
     metrics = fly(NF1, CONFIG, 1, arrays(weights(0)))
     assert metrics.output.mean == pytest.approx(0.2, abs=1e-6)
     assert metrics.change.greatest == 0.0
@@ -77,7 +77,7 @@ def test_weights_that_make_no_policy_are_rejected_in_one_line(apart: bool) -> No
         monitor.collect(wait=True)
 
 
-def test_randomization_is_left_out_and_noise_is_on_whatever_the_run_has() -> None:
+def test_randomization_is_off_and_noise_is_on_in_the_monitors_world() -> None:
     wild = WorldConfig(noise=False, randomization=Randomization(mass=(0.5, 2.0)))
     policy = arrays(weights(1))
     assert fly(NF1, replace(CONFIG, world=wild), 1, policy) == fly(NF1, CONFIG, 1, policy)

@@ -1,4 +1,4 @@
-"""Which checkpoint is chosen, of one run and of several, and what the plot of a monitor can be drawn from."""
+"""The choice of a checkpoint, in one run and among several, and the plot of the monitor."""
 
 import json
 from pathlib import Path
@@ -56,12 +56,12 @@ def test_the_rule_chooses_among_seeds_the_first_of_equals() -> None:
 @pytest.mark.parametrize(
     "limits", [{"output": 0.0}, {"change": -0.01}, {"output": 1.5}, {"change": float("nan")}]
 )
-def test_limits_are_rejected_when_they_are_none(limits: dict[str, float]) -> None:
+def test_invalid_limits_are_rejected(limits: dict[str, float]) -> None:
     with pytest.raises(TrainingError, match=f"selection {next(iter(limits))}"):
         TrainingConfig(selection=SelectionLimits(**limits))
 
 
-def test_a_reading_is_itself_when_it_was_text_in_between() -> None:
+def test_metrics_are_equal_after_json() -> None:
     before = metrics(5, 1.0 / 3.0)
     assert CheckpointMetrics.of(json.loads(json.dumps(before.document()))) == before
 
@@ -119,14 +119,14 @@ def test_several_seeds_are_planned_into_folders_of_their_own(tmp_path: Path) -> 
         (1, 1, True, "nothing to resume"),
     ],
 )
-def test_a_plan_is_rejected_when_it_cannot_be_run(
+def test_an_invalid_plan_is_rejected(
     seeds: int, seed: int, resume: bool, message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(TrainingError, match=message):
         plan(load_aircraft("nf1"), TrainingConfig(seed=seed), tmp_path, seeds, resume=resume, force=False)
 
 
-def test_one_seed_of_several_that_is_there_already_is_not_replaced_unasked(tmp_path: Path) -> None:
+def test_an_existing_seed_is_not_replaced_without_force(tmp_path: Path) -> None:
     (tmp_path / "seed-2").mkdir()
     (tmp_path / "seed-2" / "checkpoint.pt").write_bytes(b"kept")
     with pytest.raises(TrainingError, match="seed-2 already holds a checkpoint"):

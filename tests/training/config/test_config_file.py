@@ -1,4 +1,4 @@
-"""Configurations from recipes, files and overrides: what is read, and what is refused in one line."""
+"""Configurations from recipes, files and overrides, and the errors of invalid ones."""
 
 import json
 from dataclasses import replace
@@ -125,11 +125,11 @@ def test_every_recipe_is_read_and_its_document_repeats_it(name: str, tmp_path: P
         (["world.randomization.delay_s=none"], TrainingConfig()),
     ],
 )  # fmt: skip
-def test_an_override_lies_over_the_recipe(overrides: list[str], expected: TrainingConfig) -> None:
+def test_an_override_replaces_the_recipes_value(overrides: list[str], expected: TrainingConfig) -> None:
     assert load_config("ppo", overrides) == expected
 
 
-def test_fields_of_a_kind_are_forgotten_when_an_override_names_another(tmp_path: Path) -> None:
+def test_a_table_is_replaced_when_an_override_names_another_kind(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('[task]\nidle_s = 0.1\nsigma_deg_s = 50\n[reward]\nname = "tracking"\nerror = 2\n')
     assert load_config(file).task == PulseTask(idle_s=0.1, sigma_deg_s=50.0)  # the default's kind
@@ -180,7 +180,7 @@ def test_fields_of_a_kind_are_forgotten_when_an_override_names_another(tmp_path:
         (["hidden=" + "[" * 5000], "the value is not TOML: "),
     ],
 )  # fmt: skip
-def test_what_is_no_configuration_is_rejected_in_one_line(overrides: list[str], message: str) -> None:
+def test_an_invalid_key_or_value_is_rejected_in_one_line(overrides: list[str], message: str) -> None:
     with pytest.raises(TrainingError) as error:
         load_config("ppo", overrides)
     assert message in str(error.value)
@@ -211,7 +211,7 @@ def test_what_is_no_configuration_is_rejected_in_one_line(overrides: list[str], 
         ("a.json", b'{"config": {"ppo": {}}}', "a.json: ppo: unknown key; known here: "),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_configuration_is_rejected_in_one_line(
+def test_an_invalid_file_is_rejected_in_one_line(
     name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(content)
@@ -222,6 +222,6 @@ def test_a_file_that_is_no_configuration_is_rejected_in_one_line(
 
 
 @pytest.mark.parametrize("source", ["no-such-recipe", "", "a\0b"])
-def test_a_source_that_is_not_there_is_rejected_with_the_recipes(source: str) -> None:
+def test_a_missing_source_is_rejected_with_the_names_of_the_recipes(source: str) -> None:
     with pytest.raises(TrainingError, match=r"no such file; give the path .* one of the recipes: .*ppo"):
         load_config(source)

@@ -1,4 +1,4 @@
-"""Domain randomization: what is drawn, when, and what is refused."""
+"""Domain randomization: what is drawn and when, and the errors of invalid ranges."""
 
 from dataclasses import fields, replace
 
@@ -103,7 +103,7 @@ def test_the_same_seed_draws_the_same_aircraft() -> None:
     assert len({tuple(row) for row in rates[0].tolist()}) == 4
 
 
-def test_nothing_is_drawn_where_nothing_is_randomized() -> None:
+def test_nothing_is_drawn_when_nothing_is_randomized() -> None:
     simulated = simulation(Randomization())
     simulated.reset()
     known = simulated._twin.variation

@@ -1,4 +1,4 @@
-"""What is refused before anything is trained, alone and for an aircraft that lacks what it takes."""
+"""Errors of configurations, alone and for an aircraft that lacks a part."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -62,7 +62,7 @@ def world(**options: Any) -> dict[str, WorldConfig]:
         ),
     ],
 )  # fmt: skip
-def test_what_cannot_be_run_is_rejected(options: dict[str, Any], message: str) -> None:
+def test_an_invalid_configuration_is_rejected(options: dict[str, Any], message: str) -> None:
     with pytest.raises(TrainingError, match=message) as error:
         TrainingConfig(**options)
     assert "\n" not in str(error.value)
@@ -93,7 +93,7 @@ def test_what_cannot_be_run_is_rejected(options: dict[str, Any], message: str) -
         ),
     ],
 )
-def test_what_an_aircraft_cannot_be_trained_with_is_rejected(
+def test_a_configuration_is_rejected_when_the_aircraft_lacks_a_part(
     options: dict[str, Any], change: Callable[[], Any], message: str
 ) -> None:
     config = TrainingConfig(**options)

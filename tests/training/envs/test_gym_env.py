@@ -1,4 +1,4 @@
-"""Gymnasium's view of one aircraft."""
+"""The Gymnasium environment of one aircraft."""
 
 import math
 import warnings
@@ -59,7 +59,7 @@ def test_passes_the_checkers_without_a_warning(options: dict[str, Any], make: An
         check_env_of_sb3(RescaleAction(env, LOW, HIGH))
 
 
-def test_observations_stay_within_the_space_when_motors_do_their_worst(make: Any) -> None:
+def test_observations_stay_within_the_space_at_extreme_actions(make: Any) -> None:
     env = make(**OPTIONS[1])
     observation, _ = env.reset(seed=1)
     rng = np.random.default_rng(1)
@@ -96,7 +96,7 @@ def test_episodes_without_a_seed_go_on_from_the_last_one(make: Any) -> None:
     assert not np.array_equal(rows[1], rows[2])
 
 
-def test_ends_by_truncation_when_the_clock_runs_out(make: Any) -> None:
+def test_ends_by_truncation_when_its_time_is_over(make: Any) -> None:
     env = make()
     env.reset(seed=1)
     for step in range(1, 4501):
@@ -107,7 +107,7 @@ def test_ends_by_truncation_when_the_clock_runs_out(make: Any) -> None:
     assert info["setpoint"].shape == (3,)
 
 
-def test_the_reward_is_the_one_asked_for(make: Any) -> None:
+def test_the_reward_is_the_configured_one(make: Any) -> None:
     for reward in ("dissertation-3", NormalizedReward(), {"name": "dissertation-3", "rate_max_deg_s": 300}):
         env = make(task={"name": "episodic", "limit_deg_s": 90, "hold_s": 0.5}, reward=reward)
         env.reset(seed=1)
@@ -117,7 +117,7 @@ def test_the_reward_is_the_one_asked_for(make: Any) -> None:
         assert seen == pytest.approx(-error / (3 * math.radians(300)), rel=1e-5)
 
 
-def test_arguments_stand_in_place_of_what_the_configuration_says() -> None:
+def test_arguments_replace_values_of_the_configuration() -> None:
     still = WorldConfig(noise=False)
     base = TrainingConfig(task=EpisodicTask(), control_rate_hz=2000, observation="rate", world=still)
     env = AttitudeEnv(config=base, task=SHORT, observation="rate,throttle", control_rate_hz=1000)
@@ -158,9 +158,7 @@ def test_rejects_an_action_that_is_not_finite(value: float, make: Any) -> None:
         ({"config": "nothing"}, TrainingError, "config nothing: no such file"),
     ],
 )  # fmt: skip
-def test_rejects_options_it_does_not_know(
-    options: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_rejects_unknown_options(options: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         gymnasium.make(ID, **options)
 

@@ -1,4 +1,4 @@
-"""What gyro noise does to each observation, held against an observer that is fed with it."""
+"""The deviation of each observation under gyro noise, compared with that of an observer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks and rewards at work in the twin."""
+"""All tasks and rewards in the twin, and the values that a reward gets."""
 
 import copy
 import pickle
@@ -48,7 +48,7 @@ def test_every_task_flies_for_every_reward(task: str, reward: str, recording: st
 
 
 class Remembering:
-    """A reward that keeps what it saw."""
+    """A reward that keeps its transitions."""
 
     name: ClassVar[str] = "remembering"
 
@@ -62,7 +62,7 @@ class Remembering:
 
 @pytest.fixture
 def flown() -> Iterator[tuple[AttitudeSimulation, list[Transition]]]:
-    """Rest for 2 steps, a command from the third; asked for 2, -1, 0.5 and 0.25 of the motors."""
+    """Rest for 2 steps, a command from the third; outputs 2, -1, 0.5 and 0.25."""
     reward = Remembering()
     task = PulseTask(idle_s=0.002, command_s=1.0, rest_s=0.0)
     twins = simulation(TrainingConfig(task=task, reward=reward, world=WorldConfig(noise=False)))
@@ -73,7 +73,9 @@ def flown() -> Iterator[tuple[AttitudeSimulation, list[Transition]]]:
     twins.close()
 
 
-def test_a_transition_is_what_happened(flown: tuple[AttitudeSimulation, list[Transition]]) -> None:
+def test_a_transition_holds_the_values_before_and_after_the_step(
+    flown: tuple[AttitudeSimulation, list[Transition]],
+) -> None:
     twins, seen = flown
     assert not seen[0].setpoint_before.any()
     assert not seen[0].setpoint.any()

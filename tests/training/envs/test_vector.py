@@ -61,7 +61,7 @@ def test_every_end_is_a_truncation_with_its_last_observation(build: Build) -> No
     assert (ends >= 2).all()  # 70 ms episodes in 200 ms
 
 
-def test_aircraft_begin_spread_over_the_clock(build: Build) -> None:
+def test_aircraft_begin_spread_over_the_episodes_time(build: Build) -> None:
     env = build(task=SHORT)
     env.reset()
     first_ends = np.zeros(8, int)
@@ -96,17 +96,17 @@ def test_the_same_seed_repeats_a_rollout_exactly(build: Build) -> None:
 
 @dataclass(frozen=True)
 class Excess:
-    """What was asked for beyond the motors' range."""
+    """The excess of the outputs beyond 0..1."""
 
     name: ClassVar[str] = "excess"
 
     def __call__(self, step: Transition) -> NDArray[np.float32]:
-        """Of each aircraft, over motors."""
+        """Of each aircraft, summed over motors."""
         excess: NDArray[np.float32] = np.abs(step.unclipped - step.action).sum(axis=1)
         return excess
 
 
-def test_a_reward_sees_what_the_policy_asks_for_when_it_is_beyond_the_motors(build: Build) -> None:
+def test_a_reward_sees_the_outputs_before_they_are_clipped(build: Build) -> None:
     env = build(reward=Excess())
     env.reset()
     unclipped = np.tile(np.array([3.0, -3.0, 0.0, 1.0], np.float32), (8, 1))  # fractions 2, -1, 0.5 and 1

@@ -28,13 +28,13 @@ NO_SPECTRUM = Spectrum(np.empty(0), np.empty(0))
 
 
 class Constant:
-    """Asks every motor for the same."""
+    """The same output for every motor."""
 
     def __init__(self, count: int, level: float) -> None:
         self.action = np.full((count, 4), level, np.float32)
 
     def reset(self) -> None:
-        """It has no past."""
+        """It has no state."""
 
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
@@ -47,7 +47,7 @@ def constant(level: float) -> ControllerSpec:
 
 
 def off_by(error_deg_s: NDArray[np.float64]) -> Flights:
-    """Commands of 100 deg/s answered with errors (E,) that stand still, after a first sample at rest."""
+    """Commands of 100 deg/s with constant errors (E,) after a first sample at rest."""
     setpoint = np.full((len(error_deg_s), 2000, 3), np.deg2rad(100.0), np.float32)
     rate = setpoint - np.deg2rad(error_deg_s)[:, None, None].astype(np.float32)
     rate[:, 0] = 0.0
@@ -112,7 +112,7 @@ def test_document_has_a_difference_only_when_there_is_another_to_differ_from() -
     json.dumps(told, allow_nan=False)
 
 
-def test_entries_meet_the_same_commands_and_noise_when_compared() -> None:
+def test_entries_fly_the_same_commands_and_noise_when_compared() -> None:
     flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=1.0, rest_s=0.0), episodes=3, seed=2)
     one, two = (flown.fly(load_controller("pid:tuned", NF1), 0.0) for _ in range(2))
     assert np.array_equal(one.rate, two.rate)
@@ -151,20 +151,20 @@ def test_plot_has_no_responses_when_no_command_is_held() -> None:
     assert len(panels) == 2
 
 
-def test_contender_is_known_by_a_short_name(shipped_policy: Path) -> None:
+def test_controller_has_a_short_label(shipped_policy: Path) -> None:
     assert load_controller("pid", NF1).label == "PID tuned"
     policy = load_controller(str(shipped_policy), NF1)
     assert policy.label == "policy nf1"
     assert len(policy.facts["policy_sha256"]) == 64
 
 
-def test_idle_is_the_contenders_own_unless_forced(shipped_policy: Path) -> None:
+def test_idle_is_the_controllers_own_unless_given(shipped_policy: Path) -> None:
     assert load_controller("pid:tuned", NF1).idle == dict(NF1.pids)["tuned"].idle > 0.0
     assert load_controller("pid:tuned", NF1, idle=0.1).idle == 0.1
     assert load_controller(str(shipped_policy), NF1, idle=0.25).idle == 0.25
 
 
-def test_contender_is_rejected_when_there_is_none(tmp_path: Path) -> None:
+def test_controller_is_rejected_when_it_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(AircraftError, match="no PID 'best'"):
         load_controller("pid:best", NF1)
     with pytest.raises(PolicyError, match=r"none\.onnx"):
@@ -204,7 +204,7 @@ def test_compare_prints_figures_differences_and_json(
     assert "every sample, %" in table
 
 
-def test_compare_tells_of_one_what_evaluate_tells(capsys: Capture) -> None:
+def test_compare_gives_the_figures_of_evaluate(capsys: Capture) -> None:
     words = ["pid:published", "--task", "envelope", "--episodes", "3", "--seed", "8", "--json"]
     assert main(["evaluate", *words]) == 0
     alone = json.loads(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""Evaluation against flights whose figures are known beforehand."""
+"""Evaluation of flights whose figures are known."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ NF1 = load_aircraft("nf1")
 
 
 class Still:
-    """Asks every motor for the same small constant: the aircraft never turns."""
+    """The same small constant for every motor: the aircraft never turns."""
 
     def __init__(self, count: int) -> None:
         self.action = np.full((count, 4), 0.25, np.float32)
@@ -42,7 +42,7 @@ def test_errors_are_the_commands_when_nothing_turns() -> None:
     assert result.effort.change == 0.0
 
 
-def test_every_controller_meets_the_same_commands_when_the_seed_is_the_same() -> None:
+def test_every_controller_flies_the_same_commands_when_the_seed_is_the_same() -> None:
     task = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
     seen = []
     for seed in (1, 1, 2):
@@ -75,7 +75,7 @@ def test_progress_counts_every_step() -> None:
     assert calls == [(k, 30) for k in range(1, 31)]
 
 
-def test_success_is_all_or_nothing_when_the_controller_is() -> None:
+def test_success_is_complete_when_the_pid_flies_and_rare_when_nothing_turns() -> None:
     task = EpisodicTask()
     controller, idle = aircraft_pid(NF1, 12), pid_settings(NF1).idle
     pid = evaluate(controller, NF1, episodes=12, seed=3, control_rate_hz=1000, task=task, idle=idle)
@@ -88,7 +88,7 @@ def test_success_is_all_or_nothing_when_the_controller_is() -> None:
     assert still.response.rise_ms.count.tolist() == [0, 0, 0]
 
 
-def test_a_brief_task_has_no_response_to_judge() -> None:
+def test_a_task_without_held_commands_has_no_response() -> None:
     task = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
     assert evaluate(Still(2), NF1, episodes=2, seed=1, control_rate_hz=1000, task=task).response is None
 

@@ -90,7 +90,7 @@ def test_progress_reaches_its_end() -> None:
         (np.nan, True),
     ],
 )
-def test_divergence_is_what_it_says(rate_deg_s: float, lost: bool) -> None:
+def test_an_episode_diverges_as_defined(rate_deg_s: float, lost: bool) -> None:
     rate = np.zeros((100, 3))
     rate[:, 0] = np.deg2rad(rate_deg_s)
     assert episode_figures(flights(rate)).diverged.tolist() == [lost]
@@ -111,8 +111,8 @@ def test_figures_of_an_episode_are_those_of_its_samples() -> None:
     assert figures.change == pytest.approx([0.4])
 
 
-def test_a_ratio_knows_how_sure_it_is() -> None:
-    """Its interval holds the true ratio in 95 of 100 cases."""
+def test_a_ratios_interval_holds_the_true_ratio() -> None:
+    """The interval holds the true ratio in 95 of 100 cases."""
     rng = np.random.default_rng(0)
     held = 0
     for _ in range(400):
@@ -124,7 +124,7 @@ def test_a_ratio_knows_how_sure_it_is() -> None:
 
 
 @pytest.mark.parametrize(("q", "true"), [(0.5, np.log(2.0)), (0.95, np.log(20.0))])
-def test_a_quantile_knows_how_sure_it_is(q: float, true: float) -> None:
+def test_a_quantiles_interval_holds_the_true_quantile(q: float, true: float) -> None:
     rng = np.random.default_rng(1)
     intervals = [quantile_of(rng.exponential(1.0, 200), q) for _ in range(400)]
     held = np.mean([each.low <= true <= each.high for each in intervals])
@@ -177,7 +177,7 @@ def test_prints_a_table_and_the_same_as_json(
         (["pid", "--plot", "figure.txt"], "ends in .png"),
     ],
 )
-def test_rejects_what_makes_no_flight(words: list[str], message: str, capsys: Capture) -> None:
+def test_invalid_arguments_are_rejected(words: list[str], message: str, capsys: Capture) -> None:
     assert main(["robustness", *words]) == 1
     printed = capsys.readouterr()
     assert printed.out == ""

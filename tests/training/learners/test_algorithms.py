@@ -1,4 +1,4 @@
-"""The algorithms as learners: what they freeze to, how they go on, how they see an episode's end."""
+"""The algorithms as learners: frozen policies, resumed runs, bootstrapped episodes."""
 
 import io
 import itertools
@@ -56,7 +56,7 @@ SQUASHED = OutputMap(scale=0.3, offset=0.4, squash=True)
 
 @dataclass(frozen=True)
 class Constant:
-    """Every step is worth the same."""
+    """The same reward for every step."""
 
     name: ClassVar[str] = "constant"
 
@@ -108,7 +108,7 @@ def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_run_goes_on_as_if_it_had_never_stopped_when_resumed(name: str) -> None:
+def test_a_run_continues_as_if_it_had_never_stopped_when_resumed(name: str) -> None:
     config = config_of(ALL[name], output=SQUASHED)
 
     def bytes_of(trained: Sb3Learner) -> bytes:
@@ -137,8 +137,8 @@ def test_a_run_goes_on_as_if_it_had_never_stopped_when_resumed(name: str) -> Non
     ],
     ids=lambda algorithm: algorithm.name,
 )
-def test_an_episodes_end_is_bootstrapped_when_it_is_one_of_the_clock(algorithm: Algorithm) -> None:
-    """What goes on for ever is worth its mean reward, -0.1; if it ended with its 8 steps, about -0.06."""
+def test_the_value_is_bootstrapped_when_an_episodes_time_is_over(algorithm: Algorithm) -> None:
+    """The value of an endless episode is its mean reward, -0.1; if it ended after 8 steps, about -0.06."""
     config = TrainingConfig(
         steps=10**6, hidden=(16,), algorithm=algorithm, output=SQUASHED, task=SHORT, reward=Constant()
     )
@@ -157,7 +157,7 @@ def test_an_episodes_end_is_bootstrapped_when_it_is_one_of_the_clock(algorithm: 
 
 
 @pytest.mark.parametrize("name", ["ddpg", "td3"])
-def test_a_draw_of_noise_stands_for_some_steps_and_begins_anew_with_a_leg(name: str) -> None:
+def test_a_draw_of_noise_is_held_for_some_steps_and_begins_anew_with_a_segment(name: str) -> None:
     algorithm = replace(OFF_POLICY[name], hold=3)  # type: ignore[type-var]
     config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=algorithm, output=SQUASHED, task=SHORT)
     with learning(config) as trained:
@@ -171,7 +171,7 @@ def test_a_draw_of_noise_stands_for_some_steps_and_begins_anew_with_a_leg(name: 
 
 
 @pytest.mark.parametrize("name", OFF_POLICY)
-def test_memory_holds_an_episodes_last_observation_when_its_time_is_over(name: str) -> None:
+def test_replay_buffer_holds_an_episodes_last_observation_when_its_time_is_over(name: str) -> None:
     config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=OFF_POLICY[name], output=SQUASHED, task=SHORT)
     with learning(config) as trained:
         trained.learn(0, lambda report: None)
@@ -203,7 +203,9 @@ def test_memory_holds_an_episodes_last_observation_when_its_time_is_over(name: s
         (SacConfig(gradient_steps=0), "gradient_steps 0, expected at least 1"),
     ],
 )
-def test_rejects_before_training_starts_what_cannot_be_run(algorithm: Algorithm, message: str) -> None:
+def test_an_invalid_configuration_is_rejected_before_training_starts(
+    algorithm: Algorithm, message: str
+) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(algorithm=algorithm, output=SQUASHED)
 

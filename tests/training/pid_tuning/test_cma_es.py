@@ -1,4 +1,4 @@
-"""The local search on functions whose minimum is known."""
+"""CMA-ES on functions whose minimum is known."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ TURN = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))[0]
 
 
 def valley(points: Array) -> Array:
-    """A quadratic 1e4 times as steep one way as another, in axes that are not the coordinates'."""
+    """A quadratic 1e4 times as steep along one axis as along another; its axes are rotated."""
     across = (points - MINIMUM) @ TURN
     costs: Array = (across**2 * np.geomspace(1.0, 1e4, 6)).sum(axis=1)
     return costs
@@ -33,7 +33,7 @@ def test_minimum_is_found_when_the_valley_is_narrow_and_turned(seed: int) -> Non
     assert points == pytest.approx(np.tile(MINIMUM, (16, 1)), abs=1e-3)
 
 
-def test_first_candidates_are_spread_as_asked() -> None:
+def test_first_candidates_have_the_given_mean_and_spread() -> None:
     spread = np.array([0.1, 3.0])
     points = CmaEs(np.array([1.0, 2.0]), spread, 4000, np.random.default_rng(1)).ask()
     assert points.mean(axis=0) == pytest.approx(np.array([1.0, 2.0]), abs=0.15)

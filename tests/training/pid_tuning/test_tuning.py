@@ -1,4 +1,4 @@
-"""PID tuning in the twin: what the search is given, what it keeps to, and what it found for the aircraft."""
+"""PID tuning in the twin: commands, limits, and the settings found for the aircraft."""
 
 import dataclasses
 import json
@@ -64,7 +64,7 @@ def test_figures_of_a_candidate_are_those_of_its_evaluation(tuning: Tuning) -> N
     assert best.change == pytest.approx(result.effort.change, rel=0.1)
 
 
-def test_training_commands_share_out_the_distribution_evenly() -> None:
+def test_training_commands_are_stratified() -> None:
     commands = np.rad2deg(training_commands(20, np.random.default_rng(0)))
     parts = np.vectorize(NormalDist(0, 100).cdf)(np.sort(commands, axis=0))
     assert parts == pytest.approx(np.tile((np.arange(20)[:, None] + 0.5) / 20, 3))
@@ -117,7 +117,7 @@ def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
     assert result.effort.change <= 0.012
 
 
-def test_command_writes_what_the_same_search_found_when_asked(
+def test_command_writes_the_settings_of_the_same_search(
     tuning: Tuning, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target, plot = tmp_path / "new" / "nf1.toml", tmp_path / "plot.png"
@@ -161,7 +161,7 @@ def test_command_writes_what_the_same_search_found_when_asked(
         (["--aircraft", "none"], "aircraft 'none': no such file"),
     ],
 )
-def test_command_rejects_in_one_line_when_an_argument_cannot_be(
+def test_command_rejects_an_invalid_argument_in_one_line(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tune-pid", *arguments]) == 1

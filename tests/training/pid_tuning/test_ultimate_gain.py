@@ -1,4 +1,4 @@
-"""Ziegler and Nichols' experiment against flights at gains beside the one it found."""
+"""Ultimate gains against flights at gains beside the one found."""
 
 import dataclasses
 

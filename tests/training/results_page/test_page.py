@@ -22,7 +22,7 @@ SHARES = ("in_band_500", "in_band_750", "in_band_500_bare", "in_band_750_bare")
 
 
 def response(value: float) -> Document:
-    """Every figure alike; nothing failed in yaw."""
+    """The same value for every figure; no failure in yaw."""
     found: Document = {
         name: {"value": [value, value, value], "count": [9, 9, 9]}
         for name in (*FIGURES, "stability", *SHARES)
@@ -32,7 +32,7 @@ def response(value: float) -> Document:
 
 
 def evaluated(controller: str, task: str = "pulse", aircraft: str = "nf1", **more: Any) -> Document:
-    """What `evaluate --json` prints, as far as the page reads it."""
+    """The output of `evaluate --json`, as far as the page reads it."""
     return {
         "command": f"neuroflight evaluate {controller} --aircraft {aircraft} --task {task}",
         "controller": controller,
@@ -54,7 +54,7 @@ def evaluated(controller: str, task: str = "pulse", aircraft: str = "nf1", **mor
 
 
 def compared(*entries: Document) -> Document:
-    """What `compare --json` prints, as far as the page reads it; differences to the first."""
+    """The output of `compare --json`, as far as the page reads it; differences to the first."""
     own = {
         *("controller", "pid", "policy_sha256", "throttle", "idle", "response", "output", "change"),
         *("mae", "mse", "iae", "ise", "itae", "itse", "margin_95", "smoothness", "difference"),
@@ -72,7 +72,7 @@ def difference(value: float, low: float, high: float) -> Document:
 
 
 def trained(**more: Any) -> Document:
-    """What a monitored run leaves in training.json, as far as the page reads it."""
+    """The training.json of a monitored run, as far as the page reads it."""
     readings = [
         {"steps": steps, "mae": {"mean": mae, "least": 0.0, "greatest": 9.0}}
         for steps, mae in ((1_000_000, 8.0), (2_000_000, 4.0), (4_000_000, 4.9))
@@ -94,7 +94,7 @@ def trained(**more: Any) -> Document:
 
 
 def robust(*controllers: Document) -> Document:
-    """What `robustness --json` prints, as far as the page reads it."""
+    """The output of `robustness --json`, as far as the page reads it."""
     return {
         "command": "neuroflight robustness",
         "aircraft": "nf1",
@@ -113,7 +113,7 @@ def robust(*controllers: Document) -> Document:
 
 
 def bore(**more: Any) -> Document:
-    """One controller of it."""
+    """One controller of a robustness result."""
 
     def case(ratio: float, diverged: int = 0) -> Document:
         mean = {"value": 1.75, "low": 1.5, "high": 2.0}
@@ -133,7 +133,7 @@ def bore(**more: Any) -> Document:
 
 
 def flown(*names: str) -> Document:
-    """What `fly --json` prints, as far as the page reads it."""
+    """The output of `fly --json`, as far as the page reads it."""
     sums = {name: [1.25, 1.5, 1.75] for name in ("mae", "mse", "iae", "ise", "itae", "itse")}
     flight = {"tracking": sums, "effort": {"output": 0.2, "change": 0.005}, "response": None}
     return {
@@ -148,7 +148,7 @@ def flown(*names: str) -> Document:
 
 
 def drifted() -> Document:
-    """What `stability --json` prints."""
+    """The output of `stability --json`."""
     runs = [("reduced", 1.0, 2e-16), ("maximal", 1.0, 3.4e-4), ("maximal", 0.25, 1e-5)]
     return {
         "command": "neuroflight stability",
@@ -226,7 +226,7 @@ def test_rows_keep_the_order_of_files_when_there_are_several() -> None:
     assert row(text, "PID, same gyro rate and commands as the row above")[1] == "1.25 / 1.50 / 1.75"
 
 
-def test_flight_that_keeps_no_command_is_retold_when_listed() -> None:
+def test_command_of_a_flight_is_made_from_its_conditions_when_it_stores_none() -> None:
     assert "`neuroflight fly --on betaflight --scenario pulses --aircraft nf1 --count 10 --seed 7`" in page(
         flown("firmware")
     )
@@ -245,7 +245,7 @@ def test_episodic_rows_stand_beside_the_dissertations_when_flown_on_the_iris() -
     )
 
 
-def test_envelope_has_both_readings_when_flown() -> None:
+def test_envelope_has_shares_of_each_axis_and_of_all_at_once() -> None:
     text = page(evaluated("pid", "envelope", pid="tuned"))
     assert row(text, "PID `tuned`") == ["1000", "", "", "87.5", "87.5", "87.5", "87.5"]
     assert row(text, "PID `tuned`", 1)[0] == "87.5 / 87.5 / 87.5"
@@ -295,7 +295,7 @@ def test_robustness_has_a_column_each_and_marks_what_misses_its_bar() -> None:
     assert row(alone, "all at once, diverged") == ["0", "3"]
 
 
-def test_runs_tell_their_speed_and_when_they_flew() -> None:
+def test_runs_have_their_speed_and_the_time_to_a_small_error() -> None:
     text = page(evaluated("pid", pid="a"), trained(), trained(chosen=None, monitor=[]))
     assert row(text, "ppo, nf1, `rate_error`, seed 3") == ["4.0", "80", "50,000", "40", "2.0", "4.00"]
     assert row(text, "ppo, nf1, `rate_error`, seed 3", 1) == ["4.0", "80", "50,000", "", "", ""]
@@ -310,7 +310,7 @@ def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> No
 
 
 def timed(**more: Any) -> Document:
-    """What `timing IMAGE.bin --json` prints, as far as the page reads it."""
+    """The output of `timing IMAGE.bin --json`, as far as the page reads it."""
 
     def entry(work: str, controller: str | None, *, armed: bool = True) -> Document:
         return {
@@ -432,7 +432,7 @@ def test_page_is_rejected_when_a_file_is_damaged(
         (b" " * 5_000_000, "at most 4194304"),
     ],
 )
-def test_file_is_rejected_when_it_is_no_result(content: bytes, message: str, tmp_path: Path) -> None:
+def test_file_is_rejected_when_it_is_not_a_result(content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(ResultsError, match=message):
         read_results(tmp_path)
@@ -461,7 +461,7 @@ def test_command_rejects_in_one_line_when_there_is_nothing_to_show(tmp_path: Pat
     assert not (tmp_path / "a.md").exists()
 
 
-def test_page_takes_what_the_commands_print(tmp_path: Path, capsys: Capture) -> None:
+def test_page_is_made_from_the_output_of_the_commands(tmp_path: Path, capsys: Capture) -> None:
     commands = {
         "a": ["evaluate", "pid:published", "--episodes", "2", "--no-noise"],
         "b": ["evaluate", "pid:published", "--task", "episodic", "--episodes", "2"],
@@ -520,7 +520,7 @@ def test_again_repeats_the_commands_of_the_folder(tmp_path: Path, capsys: Captur
         (["a.json neuroflight evaluate pid"], ["b.json"], "b.json: not there, expected one of: a.json"),
     ],
 )
-def test_again_rejects_in_one_line_when_the_commands_make_no_sense(
+def test_again_rejects_invalid_commands_in_one_line(
     lines: list[str], names: list[str], message: str, tmp_path: Path, capsys: Capture
 ) -> None:
     command_file(tmp_path, *lines)

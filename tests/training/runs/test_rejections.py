@@ -1,4 +1,4 @@
-"""What `neuroflight train` refuses before it trains: one line, exit status 1, nothing written."""
+"""`neuroflight train` rejects invalid input before it trains: one line, exit status 1, nothing written."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A run that is interrupted or killed, in a process of its own, and goes on: the same bytes in the end."""
+"""A run in its own process is interrupted or killed and resumed: the same bytes in the end."""
 
 import json
 import os
@@ -19,7 +19,7 @@ Capture = pytest.CaptureFixture[str]
 
 SAME = ("checkpoint.pt", "policy.onnx", "monitor.json")
 SHORT = ["hidden=[8,8]", "task=episodic", "task.hold_s=0.05"]
-RUNS = {  # eight legs each, a checkpoint every second
+RUNS = {  # eight segments each, a checkpoint every second
     "ppo": [
         *("steps=1024", "checkpoint_steps=256", "algorithm=ppo", "algorithm.aircraft=8"),
         *("algorithm.horizon=16", "algorithm.minibatch=64", "algorithm.leg=1"),
@@ -29,7 +29,7 @@ RUNS = {  # eight legs each, a checkpoint every second
         *("algorithm.leg_steps=200", "algorithm.warm_up=5"),
     ],
 }
-STOPPED_AT = 0.7  # of the run: within the sixth leg
+STOPPED_AT = 0.7  # of the run: within the sixth segment
 # The command in a process that sends itself a signal when it has come that far.
 SCRIPT = """
 import os, signal, sys
@@ -50,14 +50,14 @@ if __name__ == "__main__":
 
 
 def train(algorithm: str, out: Path, *options: str) -> list[str]:
-    """Words of the command."""
+    """Arguments of the command."""
     settings = [word for key in (*SHORT, *RUNS[algorithm]) for word in ("--set", key)]
     return ["train", "--out", str(out), *settings, *options]
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """The folder of a run that nothing stopped, by algorithm."""
+    """The folder of a run without interruption, by algorithm."""
 
     @cache
     def folder(algorithm: str) -> Path:
@@ -97,7 +97,7 @@ def test_the_bytes_are_those_of_an_undisturbed_run_when_it_was_stopped_and_resum
     assert ("--resume goes on" in done.stderr) == interrupted
     record = json.loads((parted / "training.json").read_text())
     assert record["complete"] is False
-    # Five whole legs are over; a process that is killed keeps its last checkpoint alone.
+    # Five whole segments are done; a process that is killed keeps its last checkpoint alone.
     assert record["steps"] == record["config"]["steps"] // 8 * (5 if interrupted else 4)
     assert read_policy(parted / "policy.onnx").action_count == 4
     (parted / ".checkpoint.pt.torn.pt").write_bytes(b"half of")  # as if killed while it wrote

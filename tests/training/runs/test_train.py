@@ -1,4 +1,4 @@
-"""Training: what it writes, that it repeats, that it can be interrupted, and that it learns."""
+"""Training: its files, repetition, interruption, and that it learns."""
 
 import json
 from pathlib import Path
@@ -24,7 +24,7 @@ CONFIG = TrainingConfig(steps=512, hidden=(8, 8), algorithm=SMALL)
 
 
 class Log(Callback):
-    """Writes down what it is told."""
+    """Records all calls."""
 
     def __init__(self, seen: list[Progress]) -> None:
         self._seen = seen
@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_file_to_the_byte(file: str, tmp_path: Path
     assert first != other
 
 
-def test_an_interruption_keeps_what_is_done(tmp_path: Path) -> None:
+def test_an_interruption_saves_the_last_segment(tmp_path: Path) -> None:
     class Stop(Callback):
         def progressed(self, progress: Progress) -> None:
             if progress.steps >= 384:
@@ -107,7 +107,9 @@ def test_learns_to_follow_within_forty_rollouts(tmp_path: Path) -> None:
         ({"world": WorldConfig(throttle_max=1.5)}, "throttle_max 1.5, expected 0 to 1"),
     ],
 )
-def test_rejects_before_training_starts_what_cannot_be_run(options: dict[str, Any], message: str) -> None:
+def test_an_invalid_configuration_is_rejected_before_training_starts(
+    options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(TrainingError, match=message):
         TrainingConfig(**options)
 
@@ -119,7 +121,7 @@ def test_every_block_of_the_contract_has_a_scale() -> None:
 
 
 @pytest.mark.parametrize("term", ["smoothness_spatial", "smoothness_temporal"])
-def test_smoothness_in_the_loss_makes_outputs_deaf_to_gyro_noise(term: str, tmp_path: Path) -> None:
+def test_smoothness_in_the_loss_reduces_the_effect_of_gyro_noise(term: str, tmp_path: Path) -> None:
     changes = []
     calm: dict[str, Any] = {"smoothness_spatial": 0.0, "smoothness_temporal": 0.0}
     for name, smoothness in (("without", 0.0), ("with", 20.0)):

@@ -1,4 +1,4 @@
-"""docs/training.md tells of everything that a configuration can say."""
+"""docs/training.md names every key of a configuration."""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""A sweep file: the runs that it asks for, and what is refused before any of them begins."""
+"""Sweep files: their runs, and the errors of invalid ones."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def test_runs_are_all_points_of_the_grid_when_axes_are_lists(tmp_path: Path) -> 
     assert sweep.trials[4].configuration == {"hidden": [16]}
 
 
-def test_each_draw_meets_the_whole_grid_when_there_are_ranges(tmp_path: Path) -> None:
+def test_each_draw_is_combined_with_the_whole_grid_when_there_are_ranges(tmp_path: Path) -> None:
     text = (
         "samples = 4\nseed = 7\n[vary]\nseed = [1, 2]\n"
         "reward.output = {low = 0.1, high = 1.0, log = true}\n"
@@ -118,15 +118,13 @@ def test_folders_are_safe_names_when_values_are_not(tmp_path: Path) -> None:
         ("x = '" + "y" * 100_000 + "'", "expected at most 100000"),
     ],
 )
-def test_one_line_says_what_is_wrong_when_a_sweep_cannot_be_run(
-    text: str, message: str, tmp_path: Path
-) -> None:
+def test_an_invalid_sweep_is_rejected_in_one_line(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=message) as caught:
         load(tmp_path, text)
     assert "\n" not in str(caught.value)
 
 
-def test_one_line_says_what_is_wrong_when_there_is_no_file_or_aircraft(tmp_path: Path) -> None:
+def test_a_missing_file_or_aircraft_is_rejected_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"none.toml is no file; give the path of a sweep"):
         load_sweep(tmp_path / "none.toml")
     path = tmp_path / "study.toml"

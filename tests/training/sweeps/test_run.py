@@ -1,4 +1,4 @@
-"""A sweep on a real Ray session: a worker is killed, the sweep is stopped, and goes on."""
+"""A sweep on a real Ray session: a worker is killed, the sweep is stopped and resumed."""
 
 import json
 import os
@@ -71,7 +71,7 @@ class Story(SweepCallback):
 
 @dataclass
 class Told:
-    """What came of the story."""
+    """The result of the disturbed sweep."""
 
     sweep: Sweep
     out: Path
@@ -82,7 +82,7 @@ class Told:
 
 
 class Heard(SweepCallback):
-    """Writes down which runs are at work."""
+    """Records which runs are active."""
 
     def __init__(self) -> None:
         self.numbers: list[int] = []
@@ -96,7 +96,7 @@ def dates(folder: Path) -> dict[str, int]:
 
 
 def descendants(pid: int) -> set[int]:
-    """Processes that `pid` began, and those that these began."""
+    """All descendants of the process `pid`."""
     parents = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended meanwhile
@@ -125,7 +125,7 @@ def listening(pid: int) -> set[str]:
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
-    """One sweep of two runs in one Ray session, disturbed in every way."""
+    """One sweep of two runs in one Ray session, with a killed worker, a stop and a resumption."""
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "study.toml").write_text(FILE)
     sweep, out = load_sweep(folder / "study.toml"), folder / "out"
@@ -140,7 +140,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
         yield Told(sweep, out, story, stopped, heard.numbers, first)
 
 
-def test_run_goes_on_from_its_checkpoint_when_its_worker_is_killed(told: Told) -> None:
+def test_run_continues_from_its_checkpoint_when_its_worker_is_killed(told: Told) -> None:
     assert told.story.killed_at
     assert told.story.restarts == [1]
     processes = [pid for number, _, pid in told.story.heard if number == 1]

@@ -1,4 +1,4 @@
-"""Configurations over their seeds, the front among them, and the picture."""
+"""Configurations averaged over seeds, their Pareto front, and the plot."""
 
 from pathlib import Path
 

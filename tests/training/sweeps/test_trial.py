@@ -94,7 +94,7 @@ def test_counts_are_null_with_the_reason_when_there_is_no_compiler(
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"outcome": {"mae": 3}}', "\xff"])
-def test_one_line_says_so_when_a_result_is_damaged(
+def test_a_damaged_result_is_rejected_in_one_line(
     text: str, done: tuple[Sweep, Path, Outcome], tmp_path: Path
 ) -> None:
     (tmp_path / "result.json").write_bytes(text.encode("latin-1"))
@@ -104,7 +104,7 @@ def test_one_line_says_so_when_a_result_is_damaged(
     assert "\n" not in str(caught.value)
 
 
-def test_finished_sweep_is_told_without_workers_when_it_is_resumed(
+def test_finished_sweep_needs_no_worker_when_it_is_resumed(
     done: tuple[Sweep, Path, Outcome], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, folder, outcome = done
@@ -145,7 +145,7 @@ def test_another_sweep_is_rejected_when_it_is_resumed(
         ),
     ],
 )
-def test_options_are_rejected_in_one_line_when_they_make_no_sweep(
+def test_invalid_options_are_rejected_in_one_line(
     options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "study.toml"
@@ -158,7 +158,7 @@ def test_options_are_rejected_in_one_line_when_they_make_no_sweep(
     assert not (tmp_path / "out" / "trials").exists()
 
 
-def test_how_to_install_is_said_when_ray_is_missing(
+def test_the_error_says_how_to_install_ray_when_it_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)

@@ -1,4 +1,4 @@
-"""Random steps: what is commanded, and what each control step counts."""
+"""Random steps: commands, and the weights of control steps."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_holds_last_their_mean_and_never_less_than_their_least_when_they_are_dra
     assert holds.mean() == pytest.approx(300.0, rel=0.03)
 
 
-def test_time_to_the_next_change_tells_nothing_when_a_hold_has_lasted() -> None:
+def test_time_to_the_next_change_does_not_depend_on_the_time_already_held() -> None:
     setpoints = RandomStepsTask(length_s=20.0).episodes(200, np.random.default_rng(2), RATE_HZ)
     holds = np.concatenate([np.diff(changes(setpoint)) for setpoint in setpoints])
     rest = [holds[holds >= age].mean() - age for age in (100, 300, 500)]
@@ -49,10 +49,10 @@ def test_commands_of_a_batch_have_sigma_exactly_when_none_is_wide() -> None:
     assert np.rad2deg(np.sqrt(np.square(commands).mean(axis=0))) == pytest.approx([80.0] * 3, rel=1e-5)
 
 
-def test_counts_give_transients_their_share_when_a_batch_is_weighed() -> None:
+def test_transients_of_a_batch_have_their_share_of_the_weight() -> None:
     task = RandomStepsTask(start_s=0.06, transient_s=0.15, transient_share=0.2)
-    setpoints, counted = task.batch(64, np.random.default_rng(4), RATE_HZ)
-    counts = counted.error
+    setpoints, weights = task.batch(64, np.random.default_rng(4), RATE_HZ)
+    counts = weights.error
     transient = np.zeros(counts.shape, bool)
     for row, setpoint in zip(transient, setpoints, strict=True):
         for change in changes(setpoint):
@@ -62,18 +62,18 @@ def test_counts_give_transients_their_share_when_a_batch_is_weighed() -> None:
     assert counts[transient].sum() / counts.sum() == pytest.approx(0.2)
 
 
-def test_wide_episodes_count_where_they_hold_and_never_their_effort_when_there_are_any() -> None:
+def test_wide_episodes_have_weight_only_where_they_hold_and_none_for_effort() -> None:
     task = RandomStepsTask(wide_share=0.5, wide_factor=4.0, wide_weight=0.3)
-    setpoints, counted = task.batch(400, np.random.default_rng(5), RATE_HZ)
-    wide = ~counted.effort.any(axis=1)
+    setpoints, weights = task.batch(400, np.random.default_rng(5), RATE_HZ)
+    wide = ~weights.effort.any(axis=1)
     size = [np.sqrt(np.square(setpoints[which][:, -1]).mean()) for which in (wide, ~wide)]
     assert wide.mean() == pytest.approx(0.5, abs=0.08)
     assert size[0] / size[1] == pytest.approx(4.0, rel=0.15)
-    assert not counted.square[wide].any()
-    assert np.array_equal(counted.error[~wide], counted.effort[~wide])
-    for setpoint, counts in zip(setpoints[wide], counted.error[wide], strict=True):
+    assert not weights.square[wide].any()
+    assert np.array_equal(weights.error[~wide], weights.effort[~wide])
+    for setpoint, counts in zip(setpoints[wide], weights.error[wide], strict=True):
         assert not any(counts[change : change + 150].any() for change in changes(setpoint))
-    held = [counted.error[which, 60:100].max() for which in (wide, ~wide)]  # before any change
+    held = [weights.error[which, 60:100].max() for which in (wide, ~wide)]  # before any change
     assert held[0] / held[1] == pytest.approx(0.3)
 
 
@@ -83,7 +83,7 @@ def test_commands_stay_within_full_stick_when_they_are_wide() -> None:
     assert np.rad2deg(np.abs(setpoints).max()) == pytest.approx(1000.0)
 
 
-def test_episodes_repeat_when_the_seed_does() -> None:
+def test_episodes_repeat_when_the_seed_is_the_same() -> None:
     task = RandomStepsTask(wide_share=0.3)
     one, other, third = (task.episodes(5, np.random.default_rng(seed), RATE_HZ) for seed in (7, 7, 8))
     assert np.array_equal(one, other)
@@ -102,6 +102,6 @@ def test_episodes_repeat_when_the_seed_does() -> None:
         ("start_s", 0.8),
     ],
 )
-def test_a_field_is_rejected_by_name_when_it_is_impossible(field: str, value: float) -> None:
+def test_an_invalid_field_is_rejected_by_name(field: str, value: float) -> None:
     with pytest.raises(TrainingError, match=f"random-steps: {field}"):
         RandomStepsTask(**{field: value})

@@ -1,4 +1,4 @@
-"""Pieces of a pilot's recorded commands as episodes, and recordings that are none."""
+"""Pieces of a pilot's recorded commands as episodes, and the errors of invalid recordings."""
 
 import json
 import math
@@ -32,7 +32,7 @@ def trace(setpoint: np.ndarray, rate_hz: int = 1000) -> Trace:
 
 @pytest.fixture
 def ramp(tmp_path: Path) -> Path:
-    """A minute of commands at 50 Hz; pitch says which second it is."""
+    """A minute of commands at 50 Hz; the pitch command is the number of the second."""
     path = tmp_path / "ramp.csv"
     rows = [f"{100 + k / 50:.2f}, {-k / 10}, {k / 50}, 7" for k in range(3001)]
     path.write_text("\n".join([HEADING, *rows]) + "\n")
@@ -106,7 +106,7 @@ def test_a_recording_must_be_named() -> None:
         ("a.txt", b"", "expected a trace (.npz) or a table (.csv)"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_recording_is_rejected_in_one_line(
+def test_an_invalid_recording_is_rejected_in_one_line(
     name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(content)
@@ -125,7 +125,7 @@ def test_a_recording_that_is_too_large_is_rejected_unread(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("file", ["", "nowhere.csv", "a\0b.csv"])
-def test_a_recording_that_is_not_there_is_rejected(file: str) -> None:
+def test_a_missing_recording_is_rejected(file: str) -> None:
     with pytest.raises(TrainingError, match="no such file"):
         RecordedTask(file)
 

@@ -1,4 +1,4 @@
-"""Rewards are worth what their formulas say, worked out by hand, and point where they should."""
+"""Rewards against their formulas, computed by hand."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +31,7 @@ def worth(
     setpoint: Any = (0.0, 0.0, 0.0),
     setpoint_before: Any = None,
 ) -> float:
-    """Reward of one step; rates in deg/s, actions as the network asks for them."""
+    """Reward of one step; rates in deg/s, actions before they are clipped."""
     unclipped = np.array([action], np.float32)
     step = Transition(
         setpoint=np.deg2rad([setpoint]),
@@ -54,13 +54,13 @@ def test_the_tracking_reward_is_its_formula() -> None:
     assert seen == pytest.approx(expected, rel=1e-6)
 
 
-def test_an_axis_that_has_not_arrived_costs_the_same_however_far_it_is_when_settling_counts() -> None:
+def test_settling_costs_the_same_at_any_distance_beyond_its_limit() -> None:
     settle = TrackingReward(error=0.0, settle=0.5, output=0.0)
     assert worth(settle, error=[5.0, 0.0, 0.0]) == pytest.approx(-0.25, rel=1e-6)
     assert worth(settle, error=[-10.0, 20.0, 300.0]) == pytest.approx(-1.5, rel=1e-6)
 
 
-def test_less_error_less_output_and_less_change_are_each_worth_more_when_tracking() -> None:
+def test_less_error_output_and_change_each_raise_the_tracking_reward() -> None:
     base = worth(REWARD, error=[30.0, 30.0, 30.0])
     assert worth(REWARD, error=[15.0, 15.0, 15.0]) > base
     assert worth(REWARD, error=[30.0, 30.0, 30.0], action=[0.1] * 4, before=[0.1] * 4) > base

@@ -1,4 +1,4 @@
-"""What each task asks for, and what it refuses to be."""
+"""The commands of each task, and the errors of invalid ones."""
 
 import math
 from collections.abc import Callable

@@ -13,7 +13,7 @@ from sim.physics.imu import quantised_rate
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from training.learners.pathwise.network import Network, Passed
-from training.tasks.random_steps import Counted
+from training.tasks.random_steps import StepWeights
 
 Array = NDArray[np.float32]
 
@@ -23,7 +23,7 @@ class Batch:
     """Episodes of T control steps for B aircraft: the input of a flight."""
 
     setpoint: Array  # (T, B, 3) [rad/s]
-    counted: Counted  # (B, T), weight of each control step
+    step_weights: StepWeights  # (B, T), weight of each control step
     throttle: Array  # (B,), the pilot's thrust
     variation: Variation  # of the B aircraft
 

@@ -35,7 +35,7 @@ from training.learners.pathwise.gradient import gradient
 from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
 from training.learners.pathwise.network import Network
 from training.learners.protocol import Report, named_layers
-from training.tasks.random_steps import Counted, RandomStepsTask
+from training.tasks.random_steps import RandomStepsTask, StepWeights
 
 Floats = NDArray[np.float32]
 
@@ -97,13 +97,13 @@ class PathwiseLearner:
         config, world, count = self._config, self._config.world, self._pathwise.aircraft
         task, rate_hz = config.task, config.control_rate_hz
         if isinstance(task, RandomStepsTask):
-            setpoint, counted = task.batch(count, rng, rate_hz)
+            setpoint, step_weights = task.batch(count, rng, rate_hz)
         else:
             setpoint = task.episodes(count, rng, rate_hz)
-            counted = Counted.alike(*setpoint.shape[:2])
+            step_weights = StepWeights.equal(*setpoint.shape[:2])
         return Batch(
             setpoint=np.ascontiguousarray(setpoint.swapaxes(0, 1)),
-            counted=counted,
+            step_weights=step_weights,
             throttle=world.draw_throttle(count, rng),
             variation=world.randomization.draw(count, rng, self._aircraft.propulsion.delay),
         )

@@ -57,8 +57,8 @@ def figures_and_gradient(flight: Flight, batch: Batch, weights: Weights) -> tupl
         shares: Array = counts.T[:, :, None] / max(counts.sum() * parts, 1.0)
         return shares
 
-    absolute, square = share(batch.counted.error, 3), share(batch.counted.square, 3)
-    a_motor = share(batch.counted.effort, motors)
+    absolute, square = share(batch.step_weights.error, 3), share(batch.step_weights.square, 3)
+    a_motor = share(batch.step_weights.effort, motors)
     figures = Figures(
         mae=float((absolute * np.abs(error)).sum()),
         mse=float((square * np.square(error)).sum()),

@@ -19,7 +19,7 @@ from training.learners.pathwise.flight import Batch, Flight, fly
 from training.learners.pathwise.gradient import gradient
 from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
 from training.learners.pathwise.network import Network
-from training.tasks.random_steps import Counted
+from training.tasks.random_steps import StepWeights
 
 Floats = NDArray[np.float32]
 STEPS, RATE_HZ, IDLE = 120, 1000, 0.2
@@ -32,7 +32,7 @@ TERMS = (
 
 
 class Case:
-    """A batch of flights of an aircraft, again and again with other weights."""
+    """A batch of flights of an aircraft, repeatable with other weights."""
 
     def __init__(
         self, name: str, observation: str, *, activation: str = "tanh", squash: bool = False
@@ -53,7 +53,7 @@ class Case:
         setpoint[30:] = rng.normal(0.0, 1.5, (count, 3))
         self.batch = Batch(
             setpoint=setpoint,
-            counted=Counted(*rng.uniform(0.5, 1.5, (3, count, STEPS))),
+            step_weights=StepWeights(*rng.uniform(0.5, 1.5, (3, count, STEPS))),
             throttle=np.array([0.0, 0.3, 0.0, 0.6], np.float32),
             variation=Variation.nominal(count, self.aircraft.propulsion.delay),
         )
@@ -78,7 +78,7 @@ class Case:
         )
 
     def slope(self, direction: list[Floats], length: float) -> float:
-        """Of the loss along `direction` in the space of weights, by a central difference."""
+        """Slope of the loss along `direction` in the space of weights, by a central difference."""
         losses = []
         for way in (length, -length):
             moved = [p + np.float32(way) * d for p, d in zip(self.network.parameters, direction, strict=True)]
@@ -88,7 +88,7 @@ class Case:
 
 @pytest.fixture
 def smooth(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A chip without counts and ESCs without steps, whose differences are not those of rounding."""
+    """A chip without counts and ESCs without steps, so that rounding does not dominate differences."""
 
     def commands(y: Floats, throttle: Floats, idle: float) -> NDArray[np.float64]:
         u = y + (throttle * (1.0 - y.max(axis=1)))[:, None]

@@ -1,4 +1,4 @@
-"""The learner: repeatable, resumable, and it learns; what it cannot do is refused."""
+"""The pathwise learner: repeatable, resumable, and it learns; errors of unsupported configurations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ UPDATE = 4 * 150  # control steps of an update of `config`
 
 
 def config(**changes: Any) -> TrainingConfig:
-    """A run so small that it learns next to nothing."""
+    """A run so short that it learns next to nothing."""
     whole: dict[str, Any] = {
         "steps": 4 * UPDATE,
         "observation": "rate_error,rate_error_integral,rate~15Hz,rate_error_delta@1,previous_action",
@@ -44,14 +44,14 @@ def config(**changes: Any) -> TrainingConfig:
 
 
 def unheard(report: Report) -> None:
-    """Nobody listens."""
+    """Ignore the report."""
 
 
 def equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
     return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_a_run_goes_on_as_if_it_had_never_stopped_when_it_is_restored_at_a_leg() -> None:
+def test_a_run_continues_as_if_it_had_never_stopped_when_restored_at_a_segment() -> None:
     aircraft = load_aircraft("nf1")
     whole = make_learner(aircraft, config())
     whole.learn(0, unheard)
@@ -67,7 +67,7 @@ def test_a_run_goes_on_as_if_it_had_never_stopped_when_it_is_restored_at_a_leg()
     assert not equal(whole.policy(), policy)
 
 
-def test_another_policy_is_learnt_when_the_seed_is_another() -> None:
+def test_the_policy_differs_when_the_seed_differs() -> None:
     policies = []
     for seed in (1, 1, 2):
         model = make_learner(load_aircraft("nf1"), config(seed=seed))
@@ -77,7 +77,7 @@ def test_another_policy_is_learnt_when_the_seed_is_another() -> None:
     assert not equal(policies[0], policies[2])
 
 
-def test_reports_tell_steps_and_figures_when_updates_are_made() -> None:
+def test_reports_have_steps_and_figures_when_updates_are_made() -> None:
     reports: list[Report] = []
     make_learner(load_aircraft("nf1"), config()).learn(0, reports.append)
     assert [report.steps for report in reports] == [UPDATE, 2 * UPDATE]
@@ -143,7 +143,7 @@ def test_a_run_is_rejected_when_it_has_no_pathwise_gradient(
         ("leg_steps", 0),
     ],
 )
-def test_a_hyperparameter_is_rejected_by_name_when_it_cannot_be(field: str, value: Any) -> None:
+def test_an_invalid_hyperparameter_is_rejected_by_name(field: str, value: Any) -> None:
     with pytest.raises(TrainingError, match=field):
         config(algorithm=PathwiseConfig(**{field: value}), task=RandomStepsTask())
 
