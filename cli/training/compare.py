@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cli.training.conditions import (
     add_condition_arguments,
     check_controllers,
-    check_throttle,
+    check_ranges,
     command,
     conditions,
     conditions_document,
@@ -84,8 +84,7 @@ def run(args: argparse.Namespace) -> int:
     check_controllers(args.controllers)
     if len(args.throttle) > THROTTLES_MAX:
         raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
-    for throttle in args.throttle:
-        check_throttle(throttle)
+    check_ranges(*(("--throttle", throttle, 0.0, 1.0) for throttle in args.throttle))
     flown = conditions(args)
     controllers = [load_controller(name, flown.aircraft, args.idle) for name in args.controllers]
     rounds: dict[float, list[Entry]] = {}

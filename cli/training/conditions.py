@@ -54,14 +54,12 @@ def conditions(args: argparse.Namespace) -> Conditions:
     from training.evaluation.controllers import Conditions
     from training.tasks.registry import TASKS as BUILDERS
 
-    if not 1 <= args.episodes <= COUNT_MAX:
-        raise TrainingError(f"--episodes {args.episodes}, expected 1 to {COUNT_MAX}")
+    check_ranges(("--episodes", args.episodes, 1, COUNT_MAX))
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
     if args.delay is not None and not 0.0 <= args.delay <= DELAY_MAX_S:
         raise TrainingError(f"--delay {args.delay}, expected 0 to {DELAY_MAX_S:g} s")
-    if args.idle is not None and not 0.0 <= args.idle <= IDLE_MAX:
-        raise TrainingError(f"--idle {args.idle}, expected 0 to {IDLE_MAX:g}")
+    check_ranges(("--idle", args.idle, 0.0, IDLE_MAX))
     check_output(args.plot, ".png")
     aircraft = load_aircraft(args.aircraft)
     if args.delay is not None:
@@ -104,12 +102,13 @@ def progress_bars(args: argparse.Namespace) -> Iterator[Callable[[str], Callable
         yield add
 
 
-def check_throttle(throttle: float) -> None:
-    """Raise TrainingError unless 0 to 1."""
+def check_ranges(*ranges: tuple[str, float | None, float, float]) -> None:
+    """Raise TrainingError naming the first option outside its range, as NaN is; None is not checked."""
     from toolchain.errors import TrainingError
 
-    if not 0.0 <= throttle <= 1.0:
-        raise TrainingError(f"--throttle {throttle}, expected 0 to 1")
+    for option, value, low, high in ranges:
+        if value is not None and not low <= value <= high:
+            raise TrainingError(f"{option} {value}, expected {low:g} to {high:g}")
 
 
 def command(name: str, args: argparse.Namespace, *words: str, throttle: object) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
     add_condition_arguments,
-    check_throttle,
+    check_ranges,
     command,
     conditions,
     conditions_document,
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     from training.evaluation.controllers import load_controller
     from training.evaluation.evaluation import figures
 
-    check_throttle(args.throttle)
+    check_ranges(("--throttle", args.throttle, 0.0, 1.0))
     flown = conditions(args)
     controller = load_controller(args.controller, flown.aircraft, args.idle)
     with progress_bars(args) as bar:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.training.conditions import MOUNTS, check_controllers, progress_bars
+from cli.training.conditions import MOUNTS, check_controllers, check_ranges, progress_bars
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -94,12 +94,11 @@ def _plan(args: argparse.Namespace) -> Plan:
     from training.tasks.task import PulseTask
 
     check_controllers(args.controllers)
-    if not 2 <= args.episodes <= COUNT_MAX:
-        raise TrainingError(f"--episodes {args.episodes}, expected 2 to {COUNT_MAX}")
-    if not 0 <= args.draws <= COUNT_MAX // COMMANDS_PER_DRAW:
-        raise TrainingError(f"--draws {args.draws}, expected 0 to {COUNT_MAX // COMMANDS_PER_DRAW}")
-    if not 0.0 <= args.throttle_max <= 1.0:
-        raise TrainingError(f"--throttle-max {args.throttle_max}, expected 0 to 1")
+    check_ranges(
+        ("--episodes", args.episodes, 2, COUNT_MAX),
+        ("--draws", args.draws, 0, COUNT_MAX // COMMANDS_PER_DRAW),
+        ("--throttle-max", args.throttle_max, 0.0, 1.0),
+    )
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
     check_output(args.plot, ".png")

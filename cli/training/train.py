@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args, aircraft)
     _check_folder(args.out)
 
-    from training.runs.seeds import keep_best, plan, read_record  # torch, which takes seconds
+    from training.runs.seeds import keep_best, plan  # torch, which takes seconds
+    from training.runs.train import read_record
 
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
     if args.force:
@@ -161,7 +162,7 @@ def _train(args: argparse.Namespace, aircraft: Aircraft, item: Planned) -> Progr
 
 def _print_saved_steps(item: Planned, before: int | None) -> None:
     """before: `_written` when the run began."""
-    from training.runs.seeds import read_record
+    from training.runs.train import read_record
 
     if (now := _written(item)) is not None and (now != before or item.done is not None):
         steps = read_record(item.out)["steps"]

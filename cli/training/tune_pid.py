@@ -100,11 +100,12 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     """Check the arguments before anything is flown. Raises NeuroflightError."""
     from cli.output import check_output
+    from cli.training.conditions import check_ranges
     from sim.aircraft.pid_write import NAME
     from sim.physics.world import COUNT_MAX
     from training.pid_tuning.tuning import IDLE_MAX, POPULATION
 
-    ranges: tuple[tuple[str, float | None, float, float], ...] = (
+    check_ranges(
         ("--seed", args.seed, 0, 2**32 - 1),
         ("--commands", args.commands, 2, COUNT_MAX // POPULATION),
         ("--budget", args.budget, 1, BUDGET_MAX),
@@ -113,9 +114,6 @@ def _check(args: argparse.Namespace) -> None:
         ("--max-change", args.max_change, 1e-4, 1.0),
         ("--max-idle", args.max_idle, 0.0, IDLE_MAX),
     )
-    for option, value, low, high in ranges:
-        if value is not None and not low <= value <= high:
-            raise TrainingError(f"{option} {value}, expected {low:g} to {high:g}")
     if not NAME.fullmatch(args.name):
         raise TrainingError(f"--name {args.name!r}, expected 1 to 32 letters, digits, dashes, underscores")
     check_output(args.write, ".toml")
@@ -153,7 +151,8 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
     from rich.progress import Progress, TaskID
 
     from sim.control.pid import Pid, mixer
-    from training.evaluation.evaluation import evaluate
+    from training.evaluation.evaluation import figures, record
+    from training.tasks.task import PulseTask
 
     rule, first = next(iter(tuning.rules.items()))
     checked = {}
@@ -164,14 +163,17 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
             def show(done: int, total: int, task: TaskID = task) -> None:
                 bar.update(task, completed=done, total=total)
 
-            checked[name] = evaluate(
-                Pid(mixer(aircraft), trial.settings, args.check, RATE_HZ),
-                aircraft,
-                episodes=args.check,
-                seed=args.seed,
-                control_rate_hz=RATE_HZ,
-                idle=trial.settings.idle,
-                progress=show,
+            checked[name] = figures(
+                record(
+                    Pid(mixer(aircraft), trial.settings, args.check, RATE_HZ),
+                    aircraft,
+                    PulseTask(),
+                    episodes=args.check,
+                    seed=args.seed,
+                    control_rate_hz=RATE_HZ,
+                    idle=trial.settings.idle,
+                    progress=show,
+                )
             )
     return checked
 

@@ -24,8 +24,9 @@ from sim.physics.world import Mount, World
 from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
 from training.config.training_config import TrainingConfig
-from training.evaluation.evaluation import evaluate
+from training.evaluation.evaluation import figures, record
 from training.runs.train import train
+from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 LEARNING = PpoConfig().aircraft
@@ -171,7 +172,9 @@ def learning(steps: int, seconds: float, seed: int) -> Learning:
     with tempfile.TemporaryDirectory() as folder:
         minute = train(NF1, TrainingConfig(steps=int(MINUTE_S * speed), seed=seed), Path(folder))
         policy = PolicyController(read_policy(Path(folder) / "policy.onnx"), UNSEEN, exact=False)
-    result = evaluate(policy, NF1, episodes=UNSEEN, seed=UNSEEN_SEED, control_rate_hz=1000)
+    result = figures(
+        record(policy, NF1, PulseTask(), episodes=UNSEEN, seed=UNSEEN_SEED, control_rate_hz=1000)
+    )
     return Learning(
         steps_a_second=speed,
         of_the_twin=speed / alone.best,

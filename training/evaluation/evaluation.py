@@ -20,7 +20,7 @@ from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import IDLE_DEFAULT
-from training.tasks.task import PulseTask, Task
+from training.tasks.task import Task
 
 CHUNK = 256  # episodes whose errors are computed at a time, because their float64 copies are large
 
@@ -65,38 +65,6 @@ class Evaluation:
     smoothness_margin: float  # likewise
     spectrum: Spectrum
     response: ResponseFigures | None  # None where the task holds no command for a second
-
-
-def evaluate(
-    controller: Controller,
-    aircraft: Aircraft,
-    *,
-    episodes: int,
-    seed: int,
-    control_rate_hz: int,
-    task: Task | None = None,
-    mount: Mount = Mount.CENTRE,
-    noise: bool = True,
-    throttle: float | NDArray[np.float32] = 0.0,
-    idle: float = IDLE_DEFAULT,
-    progress: Callable[[int, int], None] | None = None,
-) -> Evaluation:
-    """Fly `episodes` commands of `task`, pulses by default, and compute the figures; see `record`."""
-    return figures(
-        record(
-            controller,
-            aircraft,
-            task or PulseTask(),
-            episodes=episodes,
-            seed=seed,
-            control_rate_hz=control_rate_hz,
-            mount=mount,
-            noise=noise,
-            throttle=throttle,
-            idle=idle,
-            progress=progress,
-        )
-    )
 
 
 def record(

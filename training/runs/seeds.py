@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
@@ -16,7 +15,7 @@ from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
 from training.config.training_config import SEED_MAX, TrainingConfig
 from training.runs.checkpoint import load_run
-from training.runs.train import CHECKPOINT, POLICY, RECORD, RECORD_BYTES_MAX
+from training.runs.train import CHECKPOINT, POLICY, RECORD, read_record
 
 SEEDS_MAX = 100
 
@@ -99,14 +98,3 @@ def keep_best(
     }
     write_text(out / RECORD, json.dumps(document, indent=2) + "\n")
     return best
-
-
-def read_record(folder: Path) -> dict[str, Any]:
-    """The training.json of a run. Raises TrainingError if there is none."""
-    path = folder / RECORD
-    try:
-        if (size := path.stat().st_size) > RECORD_BYTES_MAX:
-            raise TrainingError(f"{path} is {size} bytes, expected at most {RECORD_BYTES_MAX}")
-        return dict(json.loads(path.read_text()))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
-        raise TrainingError(f"{path} cannot be read; --resume writes it anew") from error

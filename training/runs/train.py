@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from sim.aircraft.model import Aircraft
+from toolchain.errors import TrainingError
 from toolchain.files import write_text
 from toolchain.policy.freeze import freeze
 from training.checkpoints.metrics import CheckpointMetrics
@@ -234,9 +235,17 @@ def _text(document: dict[str, Any]) -> str:
 def _seconds(out: Path) -> float:
     """Seconds that a run has taken so far, by its training.json; 0 if that cannot be read."""
     try:
-        path = out / RECORD
-        return (
-            float(json.loads(path.read_text())["seconds"]) if path.stat().st_size <= RECORD_BYTES_MAX else 0.0
-        )
-    except (OSError, ValueError, KeyError, TypeError):
+        return float(read_record(out)["seconds"])
+    except (TrainingError, ValueError, KeyError, TypeError):
         return 0.0
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """The training.json of a run. Raises TrainingError if there is none."""
+    path = folder / RECORD
+    try:
+        if (size := path.stat().st_size) > RECORD_BYTES_MAX:
+            raise TrainingError(f"{path} is {size} bytes, expected at most {RECORD_BYTES_MAX}")
+        return dict(json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise TrainingError(f"{path} cannot be read; --resume writes it anew") from error

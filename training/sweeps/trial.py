@@ -25,7 +25,7 @@ from toolchain.files import write_text
 from toolchain.policy.model import read_policy
 from training.checkpoints.monitor_process import Monitor
 from training.evaluation.evaluation import Scores, mean_over, record, scores
-from training.runs.train import CHECKPOINT, POLICY, RECORD, Callback, train
+from training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
 from training.sweeps.config import Trial, Validation
 from training.tasks.registry import TASKS
 
@@ -73,7 +73,7 @@ def run_trial(
         kept = (folder / CHECKPOINT).exists()
         train(aircraft, trial.config, folder, callback, resume=kept, monitor=Monitor(aircraft, trial.config))
     policy = folder / POLICY
-    trained = json.loads((folder / RECORD).read_text())
+    trained = read_record(folder)
     flown = _flown(policy, trial, aircraft, validation)
     instructions, cycles, reason = _counted(policy)
     outcome = Outcome(
@@ -131,9 +131,9 @@ def _outcome(values: Mapping[str, Any]) -> Outcome:
 def _trained(folder: Path, document: dict[str, Any]) -> bool:
     """Whether the record says that this configuration is fully trained."""
     try:
-        record = json.loads((folder / RECORD).read_text())
+        record = read_record(folder)
         return bool(record["complete"]) and record["config"] == json.loads(json.dumps(document))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (TrainingError, KeyError):
         return False
 
 

@@ -18,6 +18,7 @@ WEIGHT = (0.0, 1e12)  # of a term
 SCALE = (1e-12, 1e12)
 SHARE = (0.0, 1.0)
 RATE_DEG_S = (1e-3, 1e4)
+BAND = {"band_share": SHARE, "band_floor_deg_s": RATE_DEG_S, "scale": SCALE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,16 +120,8 @@ class CalmReward:
 
     def __post_init__(self) -> None:
         """Reject invalid constants."""
-        check_limits(
-            f"reward {self.name}",
-            self,
-            output=WEIGHT,
-            change=WEIGHT,
-            change_max=(0.0, 100.0),
-            band_share=SHARE,
-            band_floor_deg_s=RATE_DEG_S,
-            scale=SCALE,
-        )
+        what, percent = f"reward {self.name}", (0.0, 100.0)
+        check_limits(what, self, output=WEIGHT, change=WEIGHT, change_max=percent, **BAND)
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""
@@ -167,17 +160,8 @@ class ProgressReward:
 
     def __post_init__(self) -> None:
         """Reject invalid constants."""
-        check_limits(
-            f"reward {self.name}",
-            self,
-            output=WEIGHT,
-            change=WEIGHT,
-            penalty=WEIGHT,
-            idle=SHARE,
-            band_share=SHARE,
-            band_floor_deg_s=RATE_DEG_S,
-            scale=SCALE,
-        )
+        what = f"reward {self.name}"
+        check_limits(what, self, output=WEIGHT, change=WEIGHT, penalty=WEIGHT, idle=SHARE, **BAND)
 
     def __call__(self, step: Transition) -> Rewards:
         """See Reward."""

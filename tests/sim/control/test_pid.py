@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from sim.aircraft.model import PidSettings, load_aircraft, shipped
 from sim.control.pid import Pid, aircraft_pid, desaturated, mixer
 from toolchain.errors import AircraftError
-from training.evaluation.evaluation import evaluate
+from training.evaluation.evaluation import figures, record
+from training.tasks.task import PulseTask
 
 RATE_HZ = 1000
 CUTOFF_HZ = 80.0
@@ -152,7 +153,9 @@ def test_published_gains_give_the_published_figures_when_flown_without_noise_and
     aircraft = load_aircraft("nf1")
     aircraft = dataclasses.replace(aircraft, propulsion=dataclasses.replace(aircraft.propulsion, delay=0.0))
     pid = aircraft_pid(aircraft, 100, RATE_HZ, "published")
-    result = evaluate(pid, aircraft, episodes=100, seed=1, control_rate_hz=RATE_HZ, noise=False)
+    result = figures(
+        record(pid, aircraft, PulseTask(), episodes=100, seed=1, control_rate_hz=RATE_HZ, noise=False)
+    )
     assert result.tracking.mae == pytest.approx(np.array([4.0, 4.0, 3.0]), abs=1.0)
     assert result.tracking.mae == pytest.approx(np.array([4.773, 4.941, 3.829]), abs=1.0)
     assert result.tracking.mse.mean() == pytest.approx((414.216 + 493.033 + 199.662) / 3, rel=0.35)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import load_aircraft
 from sim.control.pid import aircraft_pid, pid_settings
-from training.evaluation.evaluation import evaluate, figures, record
+from training.evaluation.evaluation import figures, record
 from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -31,7 +31,9 @@ class Still:
 
 def test_errors_are_the_commands_when_nothing_turns() -> None:
     controller = Still(20)
-    result = evaluate(controller, NF1, episodes=20, seed=4, control_rate_hz=1000, noise=False)
+    result = figures(
+        record(controller, NF1, PulseTask(), episodes=20, seed=4, control_rate_hz=1000, noise=False)
+    )
     setpoints = np.rad2deg(np.array(controller.seen))
     commands = np.abs(setpoints[1000])
     assert commands.std() > 20
@@ -47,7 +49,7 @@ def test_every_controller_flies_the_same_commands_when_the_seed_is_the_same() ->
     seen = []
     for seed in (1, 1, 2):
         controller = Still(3)
-        evaluate(controller, NF1, episodes=3, seed=seed, control_rate_hz=1000, task=task)
+        figures(record(controller, NF1, task, episodes=3, seed=seed, control_rate_hz=1000))
         seen.append(np.array(controller.seen))
     assert np.array_equal(seen[0], seen[1])
     assert not np.array_equal(seen[0], seen[2])
@@ -55,22 +57,26 @@ def test_every_controller_flies_the_same_commands_when_the_seed_is_the_same() ->
 
 def test_the_pid_tracks_an_order_better_than_standing_still() -> None:
     idle = pid_settings(NF1).idle
-    pid = evaluate(aircraft_pid(NF1, 10), NF1, episodes=10, seed=5, control_rate_hz=1000, idle=idle)
-    still = evaluate(Still(10), NF1, episodes=10, seed=5, control_rate_hz=1000)
+    pid = figures(
+        record(aircraft_pid(NF1, 10), NF1, PulseTask(), episodes=10, seed=5, control_rate_hz=1000, idle=idle)
+    )
+    still = figures(record(Still(10), NF1, PulseTask(), episodes=10, seed=5, control_rate_hz=1000))
     assert pid.tracking.mae.mean() < 0.2 * still.tracking.mae.mean()
 
 
 def test_progress_counts_every_step() -> None:
     task = PulseTask(idle_s=0.01, command_s=0.01, rest_s=0.01)
     calls: list[tuple[int, int]] = []
-    evaluate(
-        Still(2),
-        NF1,
-        episodes=2,
-        seed=1,
-        control_rate_hz=1000,
-        task=task,
-        progress=lambda done, total: calls.append((done, total)),
+    figures(
+        record(
+            Still(2),
+            NF1,
+            task,
+            episodes=2,
+            seed=1,
+            control_rate_hz=1000,
+            progress=lambda done, total: calls.append((done, total)),
+        )
     )
     assert calls == [(k, 30) for k in range(1, 31)]
 
@@ -78,8 +84,8 @@ def test_progress_counts_every_step() -> None:
 def test_success_is_complete_when_the_pid_flies_and_rare_when_nothing_turns() -> None:
     task = EpisodicTask()
     controller, idle = aircraft_pid(NF1, 12), pid_settings(NF1).idle
-    pid = evaluate(controller, NF1, episodes=12, seed=3, control_rate_hz=1000, task=task, idle=idle)
-    still = evaluate(Still(12), NF1, episodes=12, seed=3, control_rate_hz=1000, task=task)
+    pid = figures(record(controller, NF1, task, episodes=12, seed=3, control_rate_hz=1000, idle=idle))
+    still = figures(record(Still(12), NF1, task, episodes=12, seed=3, control_rate_hz=1000))
     assert pid.response is not None
     assert still.response is not None
     assert pid.response.success.value.tolist() == [1.0, 1.0, 1.0]
@@ -90,13 +96,13 @@ def test_success_is_complete_when_the_pid_flies_and_rare_when_nothing_turns() ->
 
 def test_a_task_without_held_commands_has_no_response() -> None:
     task = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
-    assert evaluate(Still(2), NF1, episodes=2, seed=1, control_rate_hz=1000, task=task).response is None
+    assert figures(record(Still(2), NF1, task, episodes=2, seed=1, control_rate_hz=1000)).response is None
 
 
 def test_margin_shrinks_when_there_are_more_episodes() -> None:
     task = EnvelopeTask()
     few, many = (
-        evaluate(Still(count), NF1, episodes=count, seed=2, control_rate_hz=1000, task=task)
+        figures(record(Still(count), NF1, task, episodes=count, seed=2, control_rate_hz=1000))
         for count in (40, 640)
     )
     assert few.tracking_margin.mae == pytest.approx(4 * many.tracking_margin.mae, rel=0.35)

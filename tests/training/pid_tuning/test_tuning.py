@@ -14,9 +14,9 @@ from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from toolchain.contract import AXES, GRAVITY
-from training.evaluation.evaluation import evaluate
+from training.evaluation.evaluation import figures, record
 from training.pid_tuning.tuning import POPULATION, Limits, Trial, Tuning, idle_limit, training_commands, tune
-from training.tasks.task import EpisodicTask
+from training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
 LIMITS = Limits(output=0.12, change=0.012, idle=0.2)
@@ -58,7 +58,9 @@ def test_figures_of_a_candidate_are_those_of_its_evaluation(tuning: Tuning) -> N
     best = tuning.best
     aircraft = dataclasses.replace(NF1, pids=(("best", best.settings),))
     pid = aircraft_pid(aircraft, 40)
-    result = evaluate(pid, aircraft, episodes=40, seed=1, control_rate_hz=1000, idle=best.settings.idle)
+    result = figures(
+        record(pid, aircraft, PulseTask(), episodes=40, seed=1, control_rate_hz=1000, idle=best.settings.idle)
+    )
     assert best.mae == pytest.approx(result.tracking.mae.mean(), rel=0.4)  # of two commands against 40
     assert best.output == pytest.approx(result.effort.output, rel=0.3)
     assert best.change == pytest.approx(result.effort.change, rel=0.1)
@@ -88,14 +90,16 @@ def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
 def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic_task(name: str) -> None:
     aircraft = load_aircraft(name)
     assert aircraft.pids[0][0] == "tuned"
-    result = evaluate(
-        aircraft_pid(aircraft, 200),
-        aircraft,
-        episodes=200,
-        seed=2,
-        control_rate_hz=1000,
-        task=EpisodicTask(),
-        idle=pid_settings(aircraft).idle,
+    result = figures(
+        record(
+            aircraft_pid(aircraft, 200),
+            aircraft,
+            EpisodicTask(),
+            episodes=200,
+            seed=2,
+            control_rate_hz=1000,
+            idle=pid_settings(aircraft).idle,
+        )
     )
     assert result.response is not None
     assert result.response.success.value.tolist() == [1.0, 1.0, 1.0]
@@ -103,13 +107,16 @@ def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic
 
 @pytest.mark.prove
 def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
-    result = evaluate(
-        aircraft_pid(NF1, 1000, name="tuned"),
-        NF1,
-        episodes=1000,
-        seed=11,
-        control_rate_hz=1000,
-        idle=pid_settings(NF1, "tuned").idle,
+    result = figures(
+        record(
+            aircraft_pid(NF1, 1000, name="tuned"),
+            NF1,
+            PulseTask(),
+            episodes=1000,
+            seed=11,
+            control_rate_hz=1000,
+            idle=pid_settings(NF1, "tuned").idle,
+        )
     )
     assert result.tracking.mae.mean() <= 2.1
     assert result.tracking.mse.mean() <= 125

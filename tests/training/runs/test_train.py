@@ -15,8 +15,9 @@ from toolchain.errors import TrainingError
 from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
-from training.evaluation.evaluation import evaluate
+from training.evaluation.evaluation import figures, record
 from training.runs.train import Callback, Progress, train
+from training.tasks.task import PulseTask
 
 NF1 = load_aircraft("nf1")
 SMALL = PpoConfig(aircraft=8, horizon=16, minibatch=64, epochs=2, leg=1)
@@ -87,7 +88,7 @@ def test_learns_to_follow_within_forty_rollouts(tmp_path: Path) -> None:
     rewards = [progress.reward for progress in seen]
     assert sum(rewards[-5:]) / 5 > sum(rewards[:3]) / 3 + 1.0
     controller = PolicyController(read_policy(tmp_path / "policy.onnx"), 10, exact=False)
-    result = evaluate(controller, NF1, episodes=10, seed=99, control_rate_hz=1000)
+    result = figures(record(controller, NF1, PulseTask(), episodes=10, seed=99, control_rate_hz=1000))
     assert result.tracking.mae.mean() < 20.0  # deg/s; an aircraft that does nothing errs by about 36
 
 
