@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.board.core.context import TIME_HZ, Context
-from sim.board.core.engine import CPI, Engine, Note
-from sim.board.devices.esc import Esc, Frame
-from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
+from sim.board.core.engine import CPI, Note
+from sim.board.devices.esc import Frame
+from sim.board.devices.gyro_chip import MPU6500, READY, GyroKind
 from sim.board.inspection import Inspection
 from sim.board.native.callbacks import BoardEngine, Hot
 from sim.board.native.esc import HotEsc
@@ -22,17 +22,10 @@ from sim.board.native.gyro_chip import HotGyroChip
 from sim.board.native.iwdg import HotIwdg
 from sim.board.native.peripherals import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
 from sim.board.peripherals.adc import Adc, AdcCommon
-from sim.board.peripherals.dma import DmaSystem
-from sim.board.peripherals.exti import Exti
 from sim.board.peripherals.flash import Flash
-from sim.board.peripherals.gpio import Pins
-from sim.board.peripherals.iwdg import Iwdg
 from sim.board.peripherals.option_bytes import OptionBytes, signature
 from sim.board.peripherals.pwr import Pwr
 from sim.board.peripherals.rcc import MICROSECOND, Rcc
-from sim.board.peripherals.spi import Spi
-from sim.board.peripherals.syscfg import Syscfg
-from sim.board.peripherals.timer import Timer
 from sim.board.peripherals.usart import Usart
 from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
 from toolchain.contract import DSHOT_MIN
@@ -58,40 +51,33 @@ class Hardware:
 
     def __init__(
         self,
-        context: Context,
+        engine: BoardEngine,
         chip: GyroKind = MPU6500,
         *,
         options: OptionBytes | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
-        in_c: bool = True,
     ) -> None:
-        """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error.
-
-        in_c: the busy peripherals are C's, where an engine is there to hold them; else all are Python's,
-        more than ten times slower and the same.
-        """
-        self.context = context
-        engine = context if in_c and isinstance(context, BoardEngine) else None
+        """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error."""
+        self.context: Context = engine
+        context = engine
         self.rcc, self.pwr = Rcc(context), Pwr(context)
         self.flash = Flash(context, options, seed)
-        self.pins = HotPins(context) if engine else Pins(context)
-        self.syscfg = (HotSyscfg if engine else Syscfg)(context)
-        self.exti = (HotExti if engine else Exti)(context, self.syscfg)
-        self.dma = HotDmaSystem(context) if engine else DmaSystem(context)
-        self.gyro = (HotGyroChip if engine else GyroChip)(context, self.pins, chip)
-        self.spi = (HotSpi if engine else Spi)(context, self.dma, self.pins, self.gyro, seed)
-        timer_type = HotTimer if engine else Timer
-        self.timers = {name: timer_type(context, name, self.dma, self.pins) for name in TIMERS}
+        self.pins = HotPins(context)
+        self.syscfg = HotSyscfg(context)
+        self.exti = HotExti(context, self.syscfg)
+        self.dma = HotDmaSystem(context)
+        self.gyro = HotGyroChip(context, self.pins, chip)
+        self.spi = HotSpi(context, self.dma, self.pins, self.gyro, seed)
+        self.timers = {name: HotTimer(context, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
-        self.iwdg = (HotIwdg if engine else Iwdg)(context)
+        self.iwdg = HotIwdg(context)
         self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
-        esc_type = HotEsc if engine else Esc
-        self.escs = tuple(esc_type(number, self._fail) for number in range(1, len(MOTORS) + 1))
+        self.escs = tuple(HotEsc(number, self._fail) for number in range(1, len(MOTORS) + 1))
         self._hears_frame: Callable[[Frame], None] = lambda frame: None
         self.registers = Registers(context)
         for device in self._devices():
@@ -99,20 +85,12 @@ class Hardware:
         companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
-        self.hot: Hot | None = None
-        if isinstance(context, Engine):
-            self.registers.attach(context)
-            edge = f"EXTI{int(READY[2:])}"
-            name = f"the gyro's data-ready edge ({edge})"
-            context.bound_entry(load_table().interrupt(edge), ENTRY_BOUND, name)
-        if engine is not None:
-            assert isinstance(self.dma, HotDmaSystem)
-            assert isinstance(self.pins, HotPins)
-            assert isinstance(self.gyro, HotGyroChip)
-            assert isinstance(self.spi, HotSpi)
-            self.spi.on_errors = self.gyro.errors_on_the_bus
-            self.hot = Hot(engine, self.registers, self.dma, self.pins, self.gyro)
-            self.registers.accompany(self.spi, self.hot)
+        self.registers.attach(engine)
+        edge = f"EXTI{int(READY[2:])}"
+        engine.bound_entry(load_table().interrupt(edge), ENTRY_BOUND, f"the gyro's data-ready edge ({edge})")
+        self.spi.on_errors = self.gyro.errors_on_the_bus
+        self.hot = Hot(engine, self.registers, self.dma, self.pins, self.gyro)
+        self.registers.accompany(self.spi, self.hot)
         self._wire(watchdog_resets)
         for address, data in signature():
             self.context.set_memory(address, data)
@@ -146,10 +124,7 @@ class Hardware:
         self.flash.on_latency = pwr.on_change = rcc.check
         self.flash.on_begin = self._refuse_in_flight
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)
-        if self.hot is not None:
-            rcc.on_clocks.append(self.hot.set_clock)
-        else:
-            rcc.on_clocks += [self.spi.set_clock, *(t.set_clock for t in self.timers.values())]
+        rcc.on_clocks.append(self.hot.set_clock)
         rcc.on_clocks.append(self.adc.set_clock)
         rcc.after_reset.append(self.gyro.processor_reset)
         for listener in rcc.on_clocks:
@@ -163,9 +138,7 @@ class Hardware:
         for esc, (timer, channel) in zip(self.escs, MOTORS, strict=True):
             esc.on_frame = self._on_frame
             self.timers[timer].outputs[channel] = esc.pulses
-            if self.hot is not None:
-                assert isinstance(esc, HotEsc)
-                self.hot.wire(timer, channel, esc)
+            self.hot.wire(timer, channel, esc)
         self.iwdg.by_hardware = lambda: self.flash.options.hardware_watchdog
         self.iwdg.reset()
         if not watchdog_resets:
@@ -181,15 +154,11 @@ class Hardware:
     @on_frame.setter
     def on_frame(self, callback: Callable[[Frame], None]) -> None:
         self._hears_frame = callback
-        if self.hot is not None:
-            self.hot.listen()
+        self.hot.listen()
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
         """The DShot values that the ESCs of the first `count` motors obey now."""
-        if self.hot is not None:
-            return self.hot.obeyed(count)
-        cycle = self.context.cycle
-        return np.array([esc.obeys(cycle) for esc in self.escs[:count]], np.uint16)
+        return self.hot.obeyed(count)
 
     def _on_frame(self, frame: Frame) -> None:
         self._hears_frame(frame)
@@ -256,18 +225,16 @@ class Board:
         options: OptionBytes | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
-        in_c: bool = True,
     ) -> None:
         """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
-        in_c: False puts the busy peripherals into Python too, to hold one against the other.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
         self.engine = BoardEngine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
         self.hardware = Hardware(
-            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets, in_c=in_c
+            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
         )
         self.engine.vectors = self.hardware.flash.options.boot_address
         self.engine.power_cycle()

@@ -1,12 +1,9 @@
-"""A plain context for peripherals: time moves when a test says so, memory is a few arrays."""
+"""The board's hardware around a core that only waits: tests read and write registers as a program would."""
 
 from __future__ import annotations
 
-import heapq
 import struct
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
 
@@ -15,154 +12,27 @@ from sim.board.core.context import BoardError
 from sim.board.native.callbacks import BoardEngine
 from sim.board.registers.bus import load_table
 from tests.sim.board.programs import attach, boot, compile_program, results  # noqa: F401 - fixtures
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2
 
 MICROSECOND = 216
-
-
-class FakeAlarm:
-    """sim.board.core.context.Alarm."""
-
-    def __init__(self, context: FakeContext, order: int, callback: Callable[[], None]) -> None:
-        self._context, self._order, self._callback = context, order, callback
-        self.due: int | None = None
-
-    def set(self, cycle: int) -> None:
-        self.due = cycle
-        heapq.heappush(self._context.queue, (cycle, self._order, self))
-
-    def cancel(self) -> None:
-        self.due = None
-
-    def go_off(self) -> None:
-        self.due = None
-        self._callback()
-
-    def __lt__(self, other: FakeAlarm) -> bool:
-        return self._order < other._order
-
-
-class FakeContext:
-    """sim.board.core.context.Context without a core."""
-
-    def __init__(self) -> None:
-        self.cycle = 0
-        self.queue: list[tuple[int, int, FakeAlarm]] = []
-        self.alarms: list[FakeAlarm] = []
-        self.lines: dict[int, bool] = {}
-        self.nmis = 0
-        self.cache = False
-        self.core_hz = 16_000_000
-        self.busy_until: int | None = None
-        self.resets: list[str] = []
-        self.notes: list[str] = []
-        self.listeners: list[Callable[[str], None]] = []
-        self.sleepers: list[Callable[[], None]] = []
-        self.regions = {
-            base: bytearray(data)
-            for base, data in (
-                (FLASH_BASE, b"\xff" * FLASH_BYTES),
-                *((r.address, bytes(r.size)) for r in (ITCM, DTCM, SRAM1, SRAM2)),
-                (0x1FF07000, bytes(0x1000)),
-            )
-        }
-
-    def alarm(self, name: str, callback: Callable[[], None]) -> FakeAlarm:
-        self.alarms.append(FakeAlarm(self, len(self.alarms), callback))
-        return self.alarms[-1]
-
-    def irq(self, number: int, asserted: bool) -> None:
-        self.lines[number] = asserted
-
-    def nmi(self) -> None:
-        self.nmis += 1
-
-    def load(self, address: int, size: int) -> int:
-        return int.from_bytes(self.memory(address, size), "little")
-
-    def store(self, address: int, size: int, value: int) -> None:
-        self.set_memory(address, value.to_bytes(size, "little"))
-
-    def memory(self, address: int, size: int) -> bytes:
-        data, offset = self._place(address)
-        return bytes(data[offset : offset + size])
-
-    def set_memory(self, address: int, data: bytes) -> None:
-        memory, offset = self._place(address)
-        memory[offset : offset + len(data)] = data
-
-    def is_cached(self, address: int) -> bool:
-        return self.cache
-
-    def data_cache_on(self) -> bool:
-        return self.cache
-
-    def core_clock(self, hz: int) -> None:
-        self.core_hz = hz
-
-    def flash_busy(self, until: int | None) -> None:
-        self.busy_until = until
-
-    def system_reset(self, cause: str) -> None:
-        self.resets.append(cause)
-
-    def on_system_reset(self, callback: Callable[[str], None]) -> None:
-        self.listeners.append(callback)
-
-    def on_sleep(self, callback: Callable[[], None]) -> None:
-        self.sleepers.append(callback)
-
-    def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
-        self.flash_store = callback
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-    def fail(self, message: str) -> NoReturn:
-        raise BoardError(message)
-
-    # For tests
-
-    def run_to(self, cycle: int) -> None:
-        """Time passes until `cycle`; alarms go off on the way."""
-        while self.queue and self.queue[0][0] <= cycle:
-            due, _, alarm = heapq.heappop(self.queue)
-            if alarm.due == due:
-                self.cycle = max(self.cycle, due)
-                alarm.go_off()
-        self.cycle = max(self.cycle, cycle)
-
-    def run(self, microseconds: float) -> None:
-        self.run_to(self.cycle + round(microseconds * MICROSECOND))
-
-    def sleep(self) -> None:
-        """As a core that executes WFI."""
-        for sleeper in self.sleepers:
-            sleeper()
-
-    def asserted(self, name: str) -> bool:
-        """Whether interrupt line `name` is up."""
-        return self.lines.get(load_table().interrupt(name), False)
-
-    def _place(self, address: int) -> tuple[bytearray, int]:
-        for base, data in self.regions.items():
-            if base <= address < base + len(data):
-                return data, address - base
-        raise AssertionError(f"no memory at 0x{address:08X}")
 
 
 WAIT = struct.pack("<IIHH", 0x20010000, 0x00200009, 0xBF30, 0xE7FD)  # vectors; wfi, and again
 
 
 class WatchedEngine(BoardEngine):
-    """Notes what a core that only waits would not show."""
+    """Records calls whose effects a core that only waits does not show."""
 
     core_hz = 16_000_000
+    busy_until: int | None = None
     nmis = 0
 
     def core_clock(self, hz: int) -> None:
         self.core_hz = hz
         super().core_clock(hz)
+
+    def flash_busy(self, until: int | None) -> None:
+        self.busy_until = until
+        super().flash_busy(until)
 
     def nmi(self) -> None:
         self.nmis += 1
@@ -213,18 +83,14 @@ class EngineContext:
 
 
 class Bench:
-    """The board's hardware with a program's view of it: registers by name.
+    """The board's hardware with a program's view of it: registers by name."""
 
-    kind: "python", the classes alone, or "c", the busy ones in C and an engine around them.
-    """
-
-    def __init__(self, kind: str = "python", **options: Any) -> None:
-        self.context: Any = FakeContext() if kind == "python" else EngineContext()
-        self.hardware = Hardware(getattr(self.context, "engine", self.context), **options)
+    def __init__(self, **options: Any) -> None:
+        self.context: Any = EngineContext()
+        self._engine: BoardEngine = self.context.engine
+        self.hardware = Hardware(self._engine, **options)
         self._table = load_table()
-        self._engine: BoardEngine | None = getattr(self.context, "engine", None)
-        if self._engine is not None:
-            self._engine.power_cycle()
+        self._engine.power_cycle()
 
     def address(self, name: str) -> int:
         """Of "RCC_CR"; of "ADC_Common_CCR" too."""
@@ -239,21 +105,15 @@ class Bench:
         self.store(self.address(name), size, value)
 
     def load(self, address: int, size: int) -> int:
-        if self._engine is None:
-            return self.hardware.registers.read(address, size)
         value = self._engine.load(address, size)
         self._raise()
         return value
 
     def store(self, address: int, size: int, value: int) -> None:
-        if self._engine is None:
-            self.hardware.registers.write(address, size, value)
-        else:
-            self._engine.store(address, size, value)
-            self._raise()
+        self._engine.store(address, size, value)
+        self._raise()
 
     def _raise(self) -> None:
-        assert self._engine is not None
         try:
             self._engine.raise_now()
         except BoardError:
@@ -282,17 +142,8 @@ class Bench:
 
     def reset(self, cause: str) -> None:
         """As the engine resets the chip."""
-        if self._engine is not None:
-            self._engine.system_reset(cause)
-            self._engine.run_to(self._engine.cycle + 1)
-            return
-        for alarm in self.context.alarms:
-            alarm.cancel()
-        self.context.lines.clear()
-        for listener in self.context.listeners:
-            listener(cause)
-        for device in self.hardware.registers.devices.values():
-            device.reset()
+        self._engine.system_reset(cause)
+        self._engine.run_to(self._engine.cycle + 1)
 
     def full_speed(self) -> None:
         """216 MHz by HSE, PLL and over-drive, and all clocks of peripherals on."""
@@ -321,21 +172,15 @@ class Bench:
 
 
 @pytest.fixture
-def kind() -> str:
-    """Which peripherals a test is about; a module may ask for those in C as well."""
-    return "python"
-
-
-@pytest.fixture
-def make_bench(kind: str) -> Callable[..., Bench]:
+def make_bench() -> type[Bench]:
     """Makes a board with options of its own."""
-    return partial(Bench, kind)
+    return Bench
 
 
 @pytest.fixture
-def bench(kind: str) -> Bench:
+def bench() -> Bench:
     """The board after power-up."""
-    return Bench(kind)
+    return Bench()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A small firmware of another hand on the whole board: what it does, in C and Python, twice, and restored."""
+"""A small firmware of another hand on the whole board: what it does, twice, and restored."""
 
 from __future__ import annotations
 
@@ -110,20 +110,6 @@ def test_receiver_bytes_are_there_when_they_have_come(make_board: Callable[..., 
     assert peek(board, "received") == 25
 
 
-def test_both_boards_do_the_same_when_peripherals_are_in_c_and_in_python(
-    make_board: Callable[..., Board],
-) -> None:
-    seen = []
-    for in_c in (True, False):
-        board = make_board(in_c=in_c)
-        frames = fly(board)
-        board.run(BOOT_S + 0.01)
-        report = board.report()
-        seen.append((frames, board.engine.trace_hash, report.instructions, report.samples, report.registers))
-    assert seen[0] == seen[1]
-    assert len(seen[0][0]) > 4 * 30
-
-
 def test_run_repeats_to_the_bit_when_made_again(make_board: Callable[..., Board]) -> None:
     hashes = []
     for _ in range(2):
@@ -134,9 +120,8 @@ def test_run_repeats_to_the_bit_when_made_again(make_board: Callable[..., Board]
     assert hashes[0] == hashes[1]
 
 
-@pytest.mark.parametrize("in_c", [True, False])
-def test_run_goes_on_alike_when_restored_in_the_middle(make_board: Callable[..., Board], in_c: bool) -> None:
-    board = make_board(in_c=in_c)
+def test_run_goes_on_alike_when_restored_in_the_middle(make_board: Callable[..., Board]) -> None:
+    board = make_board()
     frames = fly(board)
     board.run(BOOT_S + 0.0011)
     board.hardware.usarts["USART2"].feed(b"0123456789", SBUS)
@@ -152,7 +137,7 @@ def test_run_goes_on_alike_when_restored_in_the_middle(make_board: Callable[...,
         restore_snapshot(board.engine, snapshot)
     assert results[0] == results[1]
     assert results[0][3] == 10
-    other = make_board(in_c=in_c)
+    other = make_board()
     frames = fly(other)
     restore_snapshot(other.engine, snapshot)
     other.run(0.005)

@@ -17,12 +17,6 @@ EN, TO_PERIPHERAL, MINC, CIRC, WORDS = 1, 1 << 6, 1 << 10, 1 << 8, 2 << 11 | 2 <
 ARPE_CEN = 1 << 7 | 1
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 @pytest.fixture
 def motors(fast: Bench) -> Bench:
     """TIM8 counting bits, its update's stream ready, as the motors' driver sets it up."""

@@ -13,12 +13,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 BUFFER = 0x20006000
 ADON, CONT, DMA, DDS, SWSTART = 1 << 0, 1 << 1, 1 << 8, 1 << 9, 1 << 30
 CONVERSION = 492 / 27  # us: 480 sampling cycles and 12, at 27 MHz

@@ -13,12 +13,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 USART1_RDR = 0x40011024
 DTCM, SRAM1, ITCM = 0x20000100, 0x20010000, 0x00000200
 TCIE, CIRC, MINC = 1 << 4, 1 << 8, 1 << 10

@@ -37,15 +37,16 @@ def program_bytes(bench: Bench) -> None:
 def begin_a_word(bench: Bench) -> None:
     unlock(bench)
     bench.write("FLASH_CR", WORDS | PG)
-    bench.context.flash_store(SECTOR_1, 4, 0)
+    bench.hardware.flash.program(SECTOR_1, 4, 0)
 
 
 def test_word_is_programmed_when_unlocked_and_its_time_has_passed(bench: Bench) -> None:
     unlock(bench)
     bench.write("FLASH_CR", WORDS | PG)
+    began = bench.context.cycle
     bench.hardware.flash.program(SECTOR_1, 4, 0x12345678)
     assert bench.get("FLASH_SR", "BSY") == 1
-    assert bench.context.busy_until == 16 * 216
+    assert bench.context.busy_until == began + 16 * 216
     bench.context.run(15)
     assert bench.get("FLASH_SR", "BSY") == 1
     bench.context.run(2)
@@ -121,6 +122,7 @@ def test_some_bits_are_left_when_power_goes_during_an_operation(bench: Bench) ->
     bench.write("FLASH_CR", WORDS | PG)
     store(bench, SECTOR_1, 0xFF00FF00)
     flash.cut_at = flash.operations
+    bench.context.resets.clear()
     flash.program(SECTOR_1 + 4, 4, 0x00000000)
     bench.context.run(20)
     left = bench.context.load(SECTOR_1 + 4, 4)
@@ -173,6 +175,7 @@ def test_options_are_refused_when_they_would_lock_the_chip(bench: Bench) -> None
 def test_flash_is_left_alone_when_a_motor_turns(bench: Bench, value: int, silent_ms: int) -> None:
     unlock(bench)
     bench.write("FLASH_CR", WORDS | SER | 1 << 3)
+    bench.hardware.escs[2].protocol = 600
     bench.hardware.escs[2].accept(Frame(3, bench.context.cycle, value, False, 600))
     bench.context.run(1000 * silent_ms)
     if value == 48:

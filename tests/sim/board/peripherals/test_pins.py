@@ -12,12 +12,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 def listen(bench: Bench, **fields: int) -> None:
     bench.set("SYSCFG_EXTICR1", EXTI3=2)
     bench.set("EXTI_RTSR", TR3=1)

@@ -13,12 +13,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 def test_core_runs_at_216_mhz_when_started_as_the_manual_says(fast: Bench) -> None:
     clocks = fast.hardware.rcc.clocks
     assert (clocks.core, clocks.apb1, clocks.apb2) == (216_000_000, 54_000_000, 108_000_000)

@@ -15,12 +15,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 TX, RX = 0x20011000, 0x20002000
 SLOW, FAST = 6, 2  # BR: 0.84 and 13.5 MHz
 CR2 = 7 << 8 | 1 << 12  # DS, FRXTH
@@ -172,8 +166,7 @@ def test_samples_follow_each_other_when_each_is_read_by_dma(fast: Bench) -> None
 
 
 def alarms_due(bench: Bench) -> int:
-    alarms = bench.context.alarms
-    return sum(a.due is not None for a in (alarms.values() if isinstance(alarms, dict) else alarms))
+    return sum(alarm.due is not None for alarm in bench.context.alarms.values())
 
 
 def test_one_alarm_is_enough_when_dma_moves_a_sample(fast: Bench) -> None:

@@ -14,12 +14,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 SLOTS = 0x20013000
 BIT = 360  # ticks of a 216 MHz timer, DShot600
 

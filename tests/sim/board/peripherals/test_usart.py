@@ -13,12 +13,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 RING, REPLY = 0x20004000, 0x20015000
 MSP = Format(115_200)
 UE, RE, TE, RXNEIE, IDLEIE = 1 << 0, 1 << 2, 1 << 3, 1 << 5, 1 << 4
@@ -174,22 +168,3 @@ def test_bytes_are_lost_when_the_receiver_is_off(fast: Bench) -> None:
     usart.feed(b"abc", MSP)
     fast.context.run(1000)
     assert usart.lost == 3
-
-
-def test_bytes_on_the_line_come_all_the_same_when_restored(fast: Bench, kind: str) -> None:
-    if kind == "c":
-        pytest.skip("the engine's time is restored with it: test_board.py")
-    start_sbus(fast)
-    fast.hardware.usarts["USART2"].feed(b"0123456789", SBUS)
-    fast.context.run(300)
-    registers = fast.hardware.registers.state()
-    alarms = [a.due for a in fast.context.alarms]
-    now = fast.context.cycle
-    fast.context.run(10_000)
-    fast.hardware.registers.restore(registers)
-    fast.context.cycle = now
-    for alarm, due in zip(fast.context.alarms, alarms, strict=True):
-        alarm.cancel() if due is None else alarm.set(due)
-    fast.context.set_memory(RING, bytes(64))
-    fast.context.run(10_000)
-    assert fast.context.memory(RING, 11) == b"\0\x0023456789\0"

@@ -12,12 +12,6 @@ if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
 
 
-@pytest.fixture(params=["python", "c"])
-def kind(request: pytest.FixtureRequest) -> str:
-    """The peripherals as classes, and the busy ones in C."""
-    return str(request.param)
-
-
 def test_access_is_refused_when_the_register_is_not_modelled(bench: Bench) -> None:
     with pytest.raises(BoardError, match=r"read at 0x40005404: I2C1 is not modelled"):
         bench.load(0x40005404, 4)

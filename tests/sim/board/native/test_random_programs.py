@@ -1,10 +1,10 @@
-"""Random programs of register accesses: the peripherals in C do what the classes in Python do."""
+"""Random programs of register accesses: data that moves late is the same data as when asked at every step."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -64,7 +64,7 @@ WRITES: dict[str, tuple[int, ...]] = {
 }
 READS = (*(n for n in WRITES if n not in ("TIM8_EGR", "TIM3_EGR", "DMA2_LIFCR", "GPIOC_BSRR")),
          "DMA2_LISR", "SPI1_SR", "GPIOC_IDR", "GPIOC_ODR", "TIM3_CNT", "TIM8_CCR2")  # fmt: skip
-OUTPUT = "makes pulses while"  # of a refusal
+SYNCING = (*(f"DMA2_S{stream}NDTR" for stream in (1, 2, 3)), "TIM8_CNT", "TIM3_CNT")  # bring all up to now
 LINES = ("TIM8_UP_TIM13", "TIM3", "DMA2_STREAM1", "DMA2_STREAM2", "DMA2_STREAM3", "SPI1", "EXTI3", "EXTI9_5")
 
 
@@ -90,8 +90,8 @@ def program(seed: int, steps: int) -> list[tuple[str, str, int]]:
     return done
 
 
-def execute(bench: Bench, steps: list[tuple[str, str, int]]) -> list[object]:
-    """What a program sees, up to the first refusal."""
+def execute(bench: Bench, steps: list[tuple[str, str, int]], pieces: int) -> list[object]:
+    """What a program sees, up to the first refusal. Time passes in so many pieces, with a look after each."""
     bench.full_speed()
     for pin, function in (("PA5", 5), ("PA6", 5), ("PA7", 5), ("PC6", 3), ("PC7", 3), ("PC8", 3), ("PC9", 3)):
         bench.alternate(pin, function)
@@ -123,52 +123,29 @@ def execute(bench: Bench, steps: list[tuple[str, str, int]]) -> list[object]:
             elif kind == "pin":
                 bench.hardware.pins.drive(name, bool(value))
             else:
-                bench.context.run_to(bench.context.cycle + value)
+                begin = bench.context.cycle
+                for piece in range(1, pieces + 1):
+                    bench.context.run_to(begin + value * piece // pieces)
+                    for register in SYNCING if pieces > 1 else ():
+                        bench.read(register)
         # What ends in this very cycle shows when somebody looks.
-        seen += [bench.read(f"DMA2_S{stream}NDTR") for stream in (1, 2, 3)]
+        seen += [bench.read(register) for register in SYNCING]
         seen += [bench.context.asserted(line) for line in LINES]
         seen.append(bytes(bench.context.memory(BUFFER, 2048)))
     except BoardError as error:
         seen.append(str(error).split("; pc")[0])
-    # C shows pulses in trains, so it may have kept the last ones for itself.
     seen.append([[p for p in pulses if p[0] == channel] for channel in range(1, 5)])
     return seen
 
 
-def alike(python: list[Any], c: list[Any]) -> bool:
-    """The same seen, and the same pulses as far as C has shown them.
-
-    A timer that runs by itself is judged when somebody looks at it, each time as late as can be: where its
-    output is refused by both, one may have seen a few steps more by then.
-    """
-    shown = list(zip(python[-1], c[-1], strict=True))
-    if python[-2] == c[-2] and isinstance(c[-2], str) and OUTPUT in c[-2]:
-        both = min(len(python), len(c)) - 2
-        return python[:both] == c[:both] and all(p[: len(q)] == q[: len(p)] for p, q in shown)
-    return python[:-1] == c[:-1] and all(p[: len(q)] == q and len(p) - len(q) < 17 for p, q in shown)
+@pytest.mark.parametrize("seed", range(40))
+def test_random_program_sees_the_same_when_registers_are_read_meanwhile(
+    make_bench: type[Bench], seed: int
+) -> None:
+    steps = program(seed, 12)
+    assert execute(make_bench(), steps, 1) == execute(make_bench(), steps, 7)
 
 
-def compare(make: type[Bench], seeds: range, steps: int) -> None:
-    refused = 0
-    for seed in seeds:
-        accesses = program(seed, steps)
-        python, c = execute(make("python"), accesses), execute(make("c"), accesses)
-        assert alike(python, c), f"seed {seed}"
-        refused += isinstance(python[-2], str)
-    assert refused < len(seeds)  # some get through
-
-
-@pytest.fixture
-def make() -> type[Bench]:
-    from tests.sim.board.conftest import Bench
-
-    return Bench
-
-
-def test_random_programs_see_the_same_when_peripherals_are_in_c(make: type[Bench]) -> None:
-    compare(make, range(40), 12)
-
-
-@pytest.mark.prove
-def test_long_random_programs_see_the_same_when_peripherals_are_in_c(make: type[Bench]) -> None:
-    compare(make, range(1000, 4000), 40)
+def test_most_random_programs_get_through(make_bench: type[Bench]) -> None:
+    refused = [isinstance(execute(make_bench(), program(seed, 12), 1)[-2], str) for seed in range(40)]
+    assert sum(refused) < 10
