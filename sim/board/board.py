@@ -11,26 +11,27 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.board.core.context import TIME_HZ, Context
-from sim.board.core.engine import CPI, Note
-from sim.board.devices.esc import Frame
-from sim.board.devices.gyro_chip import MPU6500, READY, GyroKind
+from sim.board.core.context import TIME_HZ
+from sim.board.core.engine import CPI, Engine, Note
+from sim.board.devices.esc import SILENT_S, Esc, Frame
+from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
 from sim.board.inspection import Inspection
-from sim.board.native.callbacks import BoardEngine, Hot
-from sim.board.native.esc import HotEsc
-from sim.board.native.gyro_chip import HotGyroChip
-from sim.board.native.iwdg import HotIwdg
-from sim.board.native.peripherals import HotDmaSystem, HotExti, HotPins, HotSpi, HotSyscfg, HotTimer
+from sim.board.native.library import Native, native_library
 from sim.board.peripherals.adc import Adc, AdcCommon
+from sim.board.peripherals.dma import DmaSystem
+from sim.board.peripherals.exti import Exti, Syscfg
 from sim.board.peripherals.flash import Flash
+from sim.board.peripherals.gpio import Pins
+from sim.board.peripherals.iwdg import Iwdg
 from sim.board.peripherals.option_bytes import OptionBytes, signature
 from sim.board.peripherals.pwr import Pwr
-from sim.board.peripherals.rcc import MICROSECOND, Rcc
+from sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
+from sim.board.peripherals.spi import Spi
+from sim.board.peripherals.timer import TIMERS, Timer
 from sim.board.peripherals.usart import Usart
 from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
 from toolchain.contract import DSHOT_MIN
 
-TIMERS = ("TIM1", "TIM2", "TIM3", "TIM4", "TIM5", "TIM8")
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
 UNFLOWN = (
@@ -51,7 +52,7 @@ class Hardware:
 
     def __init__(
         self,
-        engine: BoardEngine,
+        engine: Engine,
         chip: GyroKind = MPU6500,
         *,
         options: OptionBytes | None = None,
@@ -59,38 +60,36 @@ class Hardware:
         watchdog_resets: bool = False,
     ) -> None:
         """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error."""
-        self.context: Context = engine
-        context = engine
+        self.context = context = engine
+        self.native = native = Native(engine)
         self.rcc, self.pwr = Rcc(context), Pwr(context)
         self.flash = Flash(context, options, seed)
-        self.pins = HotPins(context)
-        self.syscfg = HotSyscfg(context)
-        self.exti = HotExti(context, self.syscfg)
-        self.dma = HotDmaSystem(context)
-        self.gyro = HotGyroChip(context, self.pins, chip)
-        self.spi = HotSpi(context, self.dma, self.pins, self.gyro, seed)
-        self.timers = {name: HotTimer(context, name, self.dma, self.pins) for name in TIMERS}
+        self.pins = Pins(native)
+        self.syscfg, self.exti = Syscfg(native), Exti(native)
+        self.dma = DmaSystem(native)
+        self.gyro = GyroChip(native, self.pins, chip)
+        self.spi = Spi(native, self.pins, self.gyro, seed)
+        self.timers = {name: Timer(native, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
         }
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
-        self.iwdg = HotIwdg(context)
+        self.iwdg = Iwdg(native)
         self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
-        self.escs = tuple(HotEsc(number, self._fail) for number in range(1, len(MOTORS) + 1))
+        self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
         self._hears_frame: Callable[[Frame], None] = lambda frame: None
         self.registers = Registers(context)
         for device in self._devices():
             self.registers.add(device)
-        companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs)
+        companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs, native)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
         self.registers.attach(engine)
         edge = f"EXTI{int(READY[2:])}"
         engine.bound_entry(load_table().interrupt(edge), ENTRY_BOUND, f"the gyro's data-ready edge ({edge})")
-        self.spi.on_errors = self.gyro.errors_on_the_bus
-        self.hot = Hot(engine, self.registers, self.dma, self.pins, self.gyro)
-        self.registers.accompany(self.spi, self.hot)
+        native.place(self.registers)
+        self.iwdg.place(engine.windows[self.registers.window_name(self.iwdg)])
         self._wire(watchdog_resets)
         for address, data in signature():
             self.context.set_memory(address, data)
@@ -124,21 +123,13 @@ class Hardware:
         self.flash.on_latency = pwr.on_change = rcc.check
         self.flash.on_begin = self._refuse_in_flight
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)
-        rcc.on_clocks.append(self.hot.set_clock)
-        rcc.on_clocks.append(self.adc.set_clock)
+        rcc.on_clocks += [self._set_clock, self.adc.set_clock]
         rcc.after_reset.append(self.gyro.processor_reset)
         for listener in rcc.on_clocks:
             listener(rcc.clocks)
         self.dma.devices = self.registers.devices
-        self.pins.on_drive = self.exti.edge
-        line = int(READY[2:])
-        self.gyro.watches_fall = lambda: self.exti.watches_fall(line)
         self.gyro.rest()
         self.context.on_system_reset(self._on_reset)
-        for esc, (timer, channel) in zip(self.escs, MOTORS, strict=True):
-            esc.on_frame = self._on_frame
-            self.timers[timer].outputs[channel] = esc.pulses
-            self.hot.wire(timer, channel, esc)
         self.iwdg.by_hardware = lambda: self.flash.options.hardware_watchdog
         self.iwdg.reset()
         if not watchdog_resets:
@@ -154,11 +145,29 @@ class Hardware:
     @on_frame.setter
     def on_frame(self, callback: Callable[[Frame], None]) -> None:
         self._hears_frame = callback
-        self.hot.listen()
+        self.native.on_frame = self._tell_frame
+        self.native.hear_frames()
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
-        """The DShot values that the ESCs of the first `count` motors obey now."""
-        return self.hot.obeyed(count)
+        """The DShot values that the ESCs of the first `count` motors obey now; 0 after a silence."""
+        values = np.empty(count, np.uint16)
+        place = self.native.ffi.from_buffer("uint16_t[]", values)
+        self.native.library.native_obeyed(self.native.handle, count, round(SILENT_S * TIME_HZ), place)
+        return values
+
+    def _wire_esc(self, motor: int, timer: str, channel: int) -> Esc:
+        place = TIMERS.index(timer)
+        esc = Esc(self.native.library.native_esc(self.native.handle, motor, place, channel), self._fail)
+        esc.on_frame = self._on_frame
+        self.timers[timer].outputs[channel] = esc.pulses
+        return esc
+
+    def _tell_frame(self, motor: int, cycle: int, data: int) -> None:
+        esc = self.escs[motor]
+        esc.on_frame(esc.frame(cycle, data))
+
+    def _set_clock(self, clocks: Clocks) -> None:
+        self.native.library.native_clocks(self.native.handle, clocks.apb2, clocks.timer1, clocks.timer2)
 
     def _on_frame(self, frame: Frame) -> None:
         self._hears_frame(frame)
@@ -232,7 +241,9 @@ class Board:
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
-        self.engine = BoardEngine(image, elf=elf, cpi=cpi, strict=strict, profile=profile)
+        self.engine = Engine(
+            image, elf=elf, cpi=cpi, strict=strict, profile=profile, library=native_library()
+        )
         self.hardware = Hardware(
             self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
         )

@@ -63,10 +63,10 @@ class Inspection:
 
     def _refuse(self, number: int, stream: int, left: int) -> None:
         controller = self._dma.controllers[number]
-        channel = controller.get(f"S{stream}CR", "CHSEL")
+        channel, address = controller.get(f"S{stream}CR", "CHSEL"), controller.words[f"S{stream}PAR"]
         self._context.fail(
             f"{controller.name} stream {stream} has waited more than {1000 * PERIOD // TIME_HZ} ms to move "
-            f"{left} items to 0x{controller.target(stream):08X}, but nothing makes the requests of its "
+            f"{left} items to 0x{address:08X}, but nothing makes the requests of its "
             f"channel {channel}"
         )
 

@@ -23,7 +23,8 @@ import numpy as np
 
 from sim.aircraft.model import load_aircraft
 from sim.board.core.context import TIME_HZ
-from sim.board.native.callbacks import BoardEngine, Hot
+from sim.board.core.engine import Engine
+from sim.board.native.library import Native
 from sim.control.pid_table import pid_table
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, load_scenario
@@ -170,10 +171,13 @@ def _desk(image: Path) -> Row:
 def _shares(image: Path, scenario: Scenario) -> dict[str, float]:
     code, engine, devices, python, twin_part, rest = PARTS
     watch = Stopwatch(rest)
-    callbacks = ("_source", "_exchange", "_pulses", "_judge", "_pin", "_refuse")
+    callbacks = ("source", "exchange", "errors", "pulses", "frames", "query", "pin", "reject", "sample")
     patches: list[Any] = [
-        *(mock.patch.object(Hot, name, watch.of(python, getattr(Hot, name))) for name in callbacks),
-        mock.patch.object(BoardEngine, "run", watch.of(engine, BoardEngine.run)),
+        *(
+            mock.patch.object(Native, f"_{name}", watch.of(python, getattr(Native, f"_{name}")))
+            for name in callbacks
+        ),
+        mock.patch.object(Engine, "run", watch.of(engine, Engine.run)),
         *(mock.patch.object(Twin, name, watch.of(twin_part, getattr(Twin, name))) for name in ("step",)),
     ]
     for patch in patches:

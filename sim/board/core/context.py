@@ -66,6 +66,11 @@ class Alarm(Protocol):
     """Something that happens once at a stated time. Snapshots keep it by its name."""
 
     @property
+    def number(self) -> int:
+        """Its number in the engine."""
+        ...
+
+    @property
     def due(self) -> int | None:
         """The cycle it is set for; None: not set."""
         ...
@@ -143,10 +148,6 @@ class Context(Protocol):
 
     def on_system_reset(self, callback: Callable[[str], None]) -> None:
         """`callback(cause)` runs at every reset before peripherals reset; RCC notes the cause for its CSR."""
-        ...
-
-    def on_sleep(self, callback: Callable[[], None]) -> None:
-        """`callback()` runs whenever time is about to pass while the core sleeps (WFI)."""
         ...
 
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:

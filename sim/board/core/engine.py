@@ -7,7 +7,6 @@ exception, and by WFI to the next event. The same image, peripherals and calls g
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,14 +17,7 @@ from typing import Any, NoReturn
 from unicorn import arm_const
 
 from sim.board.core.context import BoardError, Peripheral
-from sim.board.core.library import (
-    AlarmCallback,
-    FlashCallback,
-    ReadCallback,
-    SleepCallback,
-    WriteCallback,
-    load_library,
-)
+from sim.board.core.library import Library, load_library
 from sim.board.core.source_places import Places
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
 
@@ -46,7 +38,7 @@ XPSR = arm_const.UC_ARM_REG_XPSR
 
 
 class Outcome(IntEnum):
-    """Why the core came to a stop."""
+    """Why the core came to a stop: `enum outcome` of api.h."""
 
     REACHED = 0  # the cycle asked for
     LIMIT = 1  # the instructions asked for
@@ -73,21 +65,26 @@ class Alarm:
     """One of the engine's alarms."""
 
     def __init__(self, engine: Engine, number: int, name: str) -> None:
-        self._engine, self.number, self.name = engine, number, name
+        self._engine, self._number, self.name = engine, number, name
+
+    @property
+    def number(self) -> int:
+        """Its number in C."""
+        return self._number
 
     @property
     def due(self) -> int | None:
         """The cycle it is set for; None: not set."""
-        due = int(self._engine.library.engine_due(self._engine.handle, self.number))
+        due = int(self._engine.library.engine_due(self._engine.handle, self._number))
         return None if due == NEVER else due
 
     def set(self, cycle: int) -> None:
         """Call back at `cycle`; at once after this instruction if that has passed."""
-        self._engine.library.engine_set_alarm(self._engine.handle, self.number, max(cycle, 0))
+        self._engine.library.engine_set_alarm(self._engine.handle, self._number, max(cycle, 0))
 
     def cancel(self) -> None:
         """Do not call back."""
-        self._engine.library.engine_set_alarm(self._engine.handle, self.number, NEVER)
+        self._engine.library.engine_set_alarm(self._engine.handle, self._number, NEVER)
 
 
 class Engine:
@@ -101,11 +98,13 @@ class Engine:
         cpi: Fraction = CPI,
         strict: bool = True,
         profile: bool = False,
+        library: Library | None = None,
     ) -> None:
         """Flash holds `flash` and is erased behind it; the core stands at its first instruction.
 
         elf: the image's, for the names and lines of its code. strict: a fault of the core is an error of the
         image; else the program's fault handler runs. profile: keep the tree of calls.
+        library: one with more in it than the core.
         Raises BuildError when the engine cannot be built or `elf` is none, ValueError on a wrong argument.
         """
         if len(flash) > FLASH_BYTES:
@@ -113,11 +112,12 @@ class Engine:
         if not Fraction(1, 4) <= cpi <= 64:
             raise ValueError(f"{cpi} cycles an instruction, expected 1/4 to 64")
         self.places = Places(elf) if elf is not None else None
-        self.library = load_library()
+        loaded = library or load_library()
+        self.ffi, self.library = loaded.ffi, loaded.lib
         self.profiled = profile
-        self._functions = self._function_table() if profile else None
+        self._functions = self._function_table() if profile else self.ffi.NULL
         fixed = round(cpi * (1 << FRACTION))
-        self.handle: int = self.library.engine_new(fixed, strict, profile, self._functions)
+        self.handle = self.library.engine_new(fixed, strict, profile, self._functions)
         error = self.library.engine_open(self.handle)
         if error:
             raise RuntimeError(f"unicorn does not open: error {error}")
@@ -131,13 +131,14 @@ class Engine:
         self._writes: list[Callable[[int, int, int], None]] = []
         self._rings: list[Callable[[], None]] = []
         self._reset_listeners: list[Callable[[str], None]] = []
-        self._sleep_listeners: list[Callable[[], None]] = []
+        self.after_run: Callable[[], None] = lambda: None  # tells what the run has left to be told
         self._flash_store: Callable[[int, int, int], None] | None = None
         self._error: BaseException | None = None
         self._cause = ""
-        self._bound: dict[int, bytes] = {}  # names of bounded interrupts, which C only points to
+        self._bound: dict[int, Any] = {}  # names of bounded interrupts, which C only points to
         self._closed = False
-        self._hang_up()
+        self.callbacks = self._make_callbacks()
+        self.library.engine_callbacks(self.handle, self.callbacks)
         self.poke(FLASH_BASE, flash)
         self._reset("power")
 
@@ -162,7 +163,8 @@ class Engine:
 
         Raises BoardError for what the image did wrong, and what a peripheral raised.
         """
-        outcome = _OUTCOMES[int(self.library.engine_run(self.handle, cycle, instructions))]
+        outcome: Outcome = _OUTCOMES[self.library.engine_run(self.handle, cycle, instructions)]
+        self.after_run()
         if outcome is Outcome.RESET:
             self._reset(self._cause or "software")
         elif outcome is Outcome.FAILED:
@@ -192,7 +194,7 @@ class Engine:
     def _raise(self) -> NoReturn:
         if self._error is not None:
             raise self._error
-        raise BoardError(self._placed(self.library.engine_message(self.handle).decode()))
+        raise BoardError(self._placed(self.ffi.string(self.library.engine_message(self.handle)).decode()))
 
     def _placed(self, message: str) -> str:
         return f"{message}; {self.place()}"
@@ -236,6 +238,11 @@ class Engine:
         return int(self.library.engine_instructions(self.handle))
 
     @property
+    def accesses(self) -> int:
+        """To peripherals so far."""
+        return int(self.library.engine_accesses(self.handle))
+
+    @property
     def trace_hash(self) -> int:
         """Of all jumps, exceptions and their times so far: equal runs have equal ones."""
         return int(self.library.engine_hash(self.handle))
@@ -263,8 +270,7 @@ class Engine:
     def set_breakpoints(self, addresses: Iterable[int]) -> None:
         """Stop before the instructions at `addresses`, and nowhere else. Raises ValueError above 64."""
         wanted = sorted(set(addresses))
-        array = (ctypes.c_uint32 * len(wanted))(*wanted)
-        if self.library.engine_set_breakpoints(self.handle, array, len(wanted)):
+        if self.library.engine_set_breakpoints(self.handle, wanted, len(wanted)):
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
     def bound_entry(self, irq: int, cycles: int, name: str = "") -> None:
@@ -272,7 +278,7 @@ class Engine:
 
         Unless code outside flash holds it back while flash is erased or programmed. name: what raises it.
         """
-        self._bound[irq] = (name or f"interrupt {irq}").encode()
+        self._bound[irq] = self.ffi.new("char[]", (name or f"interrupt {irq}").encode())
         self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq])
 
     def skip_breakpoint(self) -> None:
@@ -329,17 +335,14 @@ class Engine:
 
     def memory(self, address: int, size: int) -> bytes:
         """Bytes of flash, RAM or system memory. Raises ValueError where nothing is."""
-        found = self.library.engine_memory(self.handle, address, size)
-        if not found:
-            raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
-        return ctypes.string_at(found, size)
+        return bytes(self.view(address, size))
 
     def view(self, address: int, size: int) -> memoryview:
         """The same bytes as the engine has them: they change as it runs, and die with it."""
         found = self.library.engine_memory(self.handle, address, size)
         if not found:
             raise ValueError(f"{size} bytes at 0x{address:08X}: no memory")
-        return memoryview((ctypes.c_uint8 * size).from_address(ctypes.addressof(found.contents))).cast("B")
+        return memoryview(self.ffi.buffer(found, size))
 
     def set_memory(self, address: int, data: bytes) -> None:
         """Change flash, RAM or system memory. Raises ValueError where nothing is."""
@@ -377,10 +380,6 @@ class Engine:
         """Tell `callback` of every reset and its cause."""
         self._reset_listeners.append(callback)
 
-    def on_sleep(self, callback: Callable[[], None]) -> None:
-        """Tell `callback` before time passes while the core sleeps."""
-        self._sleep_listeners.append(callback)
-
     def on_flash_store(self, callback: Callable[[int, int, int], None]) -> None:
         """Who takes what the program stores into flash."""
         self._flash_store = callback
@@ -397,59 +396,60 @@ class Engine:
         """Raise BoardError with the place."""
         raise BoardError(self._placed(message))
 
+    # ---- errors of callbacks: nothing unwinds through C ----
+
+    def raise_later(self, error: BaseException) -> None:
+        """Raise `error` when the core has come to a stop."""
+        if self._error is None:
+            self._error = error
+        self.library.engine_fail(self.handle)
+
+    def raise_now(self) -> None:
+        """Raise what `raise_later` was given outside a run."""
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
     # ---- what C calls ----
 
-    def _hang_up(self) -> None:
-        """Make the callbacks; they must live as long as the engine, and never unwind into C."""
+    def _make_callbacks(self) -> Any:  # noqa: ANN401 - struct callbacks
+        """What C calls; the engine keeps them alive, and they never unwind into C."""
         reads, writes, rings = self._reads, self._writes, self._rings
 
-        def read(window: int, offset: int, size: int) -> int:
+        def read(user: object, window: int, offset: int, size: int) -> int:
             try:
                 return reads[window](offset, size)
             except BaseException as error:
-                self._note_error(error)
+                self.raise_later(error)
                 return 0
 
-        def write(window: int, offset: int, size: int, value: int) -> None:
+        def write(user: object, window: int, offset: int, size: int, value: int) -> None:
             try:
                 writes[window](offset, size, value)
             except BaseException as error:
-                self._note_error(error)
+                self.raise_later(error)
 
-        def ring(alarm: int) -> None:
+        def ring(user: object, alarm: int) -> None:
             try:
                 rings[alarm]()
             except BaseException as error:
-                self._note_error(error)
+                self.raise_later(error)
 
-        def flash(address: int, size: int, value: int) -> None:
+        def flash(user: object, address: int, size: int, value: int) -> None:
             try:
                 if self._flash_store is None:
                     self.fail(f"a store of 0x{value:X} ({size} bytes) to flash at 0x{address:08X}")
                 self._flash_store(address, size, value & (1 << 8 * size) - 1)
             except BaseException as error:
-                self._note_error(error)
+                self.raise_later(error)
 
-        def sleep() -> None:
-            try:
-                for listener in self._sleep_listeners:
-                    listener()
-            except BaseException as error:
-                self._note_error(error)
-
-        callbacks: tuple[Any, ...] = (ReadCallback(read), WriteCallback(write))
-        callbacks += (AlarmCallback(ring), FlashCallback(flash), SleepCallback(sleep))
-        self._callbacks = callbacks
-        self.library.engine_callbacks(self.handle, *callbacks)
-
-    def _note_error(self, error: BaseException) -> None:
-        if self._error is None:
-            self._error = error
-        self.library.engine_fail(self.handle)
+        functions = {"read": read, "write": write, "alarm": ring, "flash": flash}
+        self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
+        return self.ffi.new("struct callbacks *", self._kept)
 
     def _function_table(self) -> Any:  # noqa: ANN401 - an array of C
         """For each halfword of code the number of its function in `places.functions` plus one; 0: none."""
-        table = (ctypes.c_uint16 * CODE_HALFWORDS)()
+        table = self.ffi.new(f"uint16_t[{CODE_HALFWORDS}]")
         for number, symbol in enumerate(self.places.functions if self.places else (), 1):
             row = code_row(symbol.address)
             if row is not None:

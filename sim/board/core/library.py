@@ -1,134 +1,62 @@
-"""The engine's C, built on first use with the host's compiler, and its functions by ctypes.
+"""The emulated board's C, built on first use with the host's compiler, and called by cffi.
 
 The library lies in a cache folder under a name made of the sources, the compiler and unicorn's version, so
-that a new source or a new compiler makes a new one, and two processes never disturb each other.
+that a new source or a new compiler makes a new one, and two processes never disturb each other. What Python
+may call is declared once, in each part's `api.h`.
 """
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import shutil
 import subprocess
 from collections.abc import Iterator
-from ctypes import (
-    CFUNCTYPE,
-    POINTER,
-    c_bool,
-    c_char_p,
-    c_int,
-    c_uint8,
-    c_uint16,
-    c_uint32,
-    c_uint64,
-    c_void_p,
-)
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import unicorn
+from cffi import FFI
 
 from toolchain.errors import BuildError
 from toolchain.files import replacing
 
-BOARD = Path(__file__).resolve().parents[1]
-SOURCES = tuple(sorted(BOARD.glob("*/c/*.c")))
-HEADERS = tuple(sorted(BOARD.glob("*/c/*.h")))
-CACHE = BOARD.parents[1] / "build" / "engine"
+CORE = Path(__file__).parent / "c"
+CACHE = CORE.parents[3] / "build" / "engine"
 FLAGS = ("-std=c11", "-O2", "-fno-semantic-interposition", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 WHOLE = ("-flto",)  # across files, where the compiler brings all that it takes
 COMPILERS = ("cc", "gcc", "clang")
 
-ReadCallback = CFUNCTYPE(c_uint32, c_uint32, c_uint32, c_uint32)
-WriteCallback = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32, c_uint32)
-AlarmCallback = CFUNCTYPE(None, c_uint32)
-FlashCallback = CFUNCTYPE(None, c_uint32, c_uint32, c_uint32)
-SleepCallback = CFUNCTYPE(None)
 
+@dataclass(frozen=True)
+class Library:
+    """A loaded library: `lib` has the functions and constants, `ffi` makes callbacks, structs and arrays."""
 
-class Task(ctypes.Structure):
-    """`struct task` of engine.h; times in 1/65536 cycles."""
-
-    _fields_ = (
-        *((name, c_uint64) for name in ("activations", "instructions", "least", "most", "longest")),
-        *(("latest", c_uint64), ("latest_at", c_uint64), ("latest_pc", c_uint32)),
-    )
-
-
-class Node(ctypes.Structure):
-    """`struct node` of engine.h."""
-
-    _fields_ = (
-        *((name, c_uint32) for name in ("function", "parent", "child", "sibling", "return_to")),
-        ("instructions", c_uint64),
-    )
-
-
-class Window(ctypes.Structure):
-    """`struct window` of engine.h."""
-
-    _fields_ = (("base", c_uint32), ("size", c_uint32), ("reads", c_uint64), ("writes", c_uint64))
-
-
-_SIGNATURES = {
-    "new": (c_void_p, c_uint64, c_bool, c_bool, POINTER(c_uint16)),
-    "open": (c_int, c_void_p),
-    "free": (None, c_void_p),
-    "callbacks": (None, c_void_p, ReadCallback, WriteCallback, AlarmCallback, FlashCallback, SleepCallback),
-    "reset": (None, c_void_p, c_uint32),
-    "run": (c_int, c_void_p, c_uint64, c_uint64),
-    "attach": (c_int, c_void_p, c_uint32, c_uint32),
-    "new_alarm": (c_int, c_void_p),
-    "set_alarm": (None, c_void_p, c_uint32, c_uint64),
-    "due": (c_uint64, c_void_p, c_uint32),
-    "cycle": (c_uint64, c_void_p),
-    "irq": (None, c_void_p, c_uint32, c_bool),
-    "nmi": (None, c_void_p),
-    "load": (c_uint32, c_void_p, c_uint32, c_uint32),
-    "store": (None, c_void_p, c_uint32, c_uint32, c_uint32),
-    "memory": (POINTER(c_uint8), c_void_p, c_uint32, c_uint32),
-    "poke": (c_int, c_void_p, c_uint32, c_char_p, c_uint32),
-    "core_clock": (None, c_void_p, c_uint64),
-    "flash_busy": (None, c_void_p, c_uint64),
-    "want_reset": (None, c_void_p),
-    "fail": (None, c_void_p),
-    "message": (c_char_p, c_void_p),
-    "pc": (c_uint32, c_void_p),
-    "set_pc": (None, c_void_p, c_uint32),
-    "register": (c_uint32, c_void_p, c_int),
-    "set_register": (None, c_void_p, c_int, c_uint32),
-    "state": (c_void_p, c_void_p),
-    "state_bytes": (c_uint32,),
-    "restored": (None, c_void_p),
-    "instructions": (c_uint64, c_void_p),
-    "hash": (c_uint64, c_void_p),
-    "cached": (c_bool, c_void_p, c_uint32),
-    "bound_entry": (None, c_void_p, c_uint32, c_uint64, c_char_p),
-    "depth": (c_uint32, c_void_p),
-    "sleeping": (c_bool, c_void_p),
-    "clock": (None, c_void_p, c_bool),
-    "spent": (POINTER(c_uint64), c_void_p),
-    "task": (POINTER(Task), c_void_p, c_uint32),
-    "enters": (POINTER(c_uint64), c_void_p),
-    "leaves": (POINTER(c_uint64), c_void_p),
-    "window": (POINTER(Window), c_void_p, c_uint32),
-    "set_breakpoints": (c_int, c_void_p, POINTER(c_uint32), c_uint32),
-    "skip_breakpoint": (None, c_void_p),
-    "nodes": (POINTER(Node), c_void_p, POINTER(c_uint32)),
-}
+    ffi: FFI
+    lib: Any
+    path: Path
 
 
 @cache
-def load_library(folder: Path = CACHE) -> ctypes.CDLL:
-    """The engine's library, built into `folder` unless it is there. Raises BuildError, one line."""
-    library = ctypes.CDLL(str(build_library(folder)))
-    for name, (result, *arguments) in _SIGNATURES.items():
-        function = getattr(library, f"engine_{name}")
-        function.restype, function.argtypes = result, arguments
-    return library
+def load_library(*parts: Path, folder: Path = CACHE) -> Library:
+    """The library of the core and of further parts, each a folder of C sources with an api.h.
+
+    Built into `folder` unless it is there. Raises BuildError, one line.
+    """
+    every = (CORE, *parts)
+    ffi = FFI()
+    ffi.cdef("".join(declarations(part / "api.h") for part in every))
+    path = build_library(every, folder)
+    return Library(ffi, ffi.dlopen(str(path)), path)
 
 
-def build_library(folder: Path) -> Path:
+def declarations(header: Path) -> str:
+    """What `header` declares, without the preprocessor's lines."""
+    return "".join(line for line in header.read_text().splitlines(True) if not line.startswith("#"))
+
+
+def build_library(parts: tuple[Path, ...], folder: Path) -> Path:
     """Where the library is, built if need be. Raises BuildError: no compiler, or what it says."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
@@ -136,11 +64,13 @@ def build_library(folder: Path) -> Path:
     include, shared = _unicorn()
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
     flags = FLAGS + WHOLE if "Free Software Foundation" in version else FLAGS
-    target = folder / f"engine-{_key(compiler, version, flags, shared)}.so"
+    sources = [source for part in parts for source in sorted(part.glob("*.[ch]"))]
+    target = folder / f"engine-{_key(compiler, version, flags, shared, sources)}.so"
     if target.is_file():
         return target
     with replacing(target) as aside:
-        command = [compiler, *flags, f"-I{include}", *map(str, SOURCES), str(shared)]
+        code = [str(source) for source in sources if source.suffix == ".c"]
+        command = [compiler, *flags, f"-I{include}", *code, str(shared)]
         command += [f"-Wl,-rpath,{shared.parent}", "-o", str(aside)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode != 0:
@@ -164,8 +94,8 @@ def _shared(folder: Path) -> Iterator[Path]:
     yield from sorted(folder.glob("libunicorn*.dylib"))
 
 
-def _key(compiler: str, version: str, flags: tuple[str, ...], shared: Path) -> str:
+def _key(compiler: str, version: str, flags: tuple[str, ...], shared: Path, sources: list[Path]) -> str:
     digest = hashlib.sha256(f"{compiler}\n{version}\n{shared}\n{unicorn.__version__}\n{flags}".encode())
-    for source in (*SOURCES, *HEADERS):
+    for source in sources:
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

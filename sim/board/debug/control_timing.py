@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sim.board.board import Board
 from sim.board.core.engine import CODE_HALFWORDS, Outcome, code_row, row_address
-from sim.board.debug.profile import task_counts
+from sim.board.debug.profile import code_counts, task_counts
 from sim.board.debug.variables import read_variables
 from toolchain.cortex_m7.cycles import Priced, Route, RouteCost, price_routes
 from toolchain.cortex_m7.disassembly import Instruction
@@ -133,11 +133,7 @@ class ControlMeter:
         self._controllers = {board.symbols[name] & ~1: name for name in CONTROLLERS}
         self._handlers: frozenset[int] = frozenset()  # of all exceptions
         self._code = _Code(code)
-        size = (CODE_HALFWORDS + 1,)
-        library, handle = self._engine.library, self._engine.handle
-        self._enters = np.ctypeslib.as_array(library.engine_enters(handle), size).view(np.int64)
-        self._leaves = np.ctypeslib.as_array(library.engine_leaves(handle), size).view(np.int64)
-        self._windows = np.ctypeslib.as_array(library.engine_window(handle, 0), (len(self._engine.windows),))
+        self._enters, self._leaves = code_counts(self._engine)
         self._open: list[_Call] = []
         self._runs: dict[Kind, Counter[_Key]] = {}
         self.interruptions = self.interrupting = 0
@@ -235,8 +231,8 @@ class ControlMeter:
     def _now(self) -> tuple[Counts, int, int]:
         """Changes of the number of executions along the code, instructions and accesses to devices so far."""
         self._engine.library.engine_enters(self._engine.handle)  # the counts of blocks in use into the books
-        accesses = self._windows["reads"].sum() + self._windows["writes"].sum()
-        return self._code.pick(self._enters, self._leaves), self._engine.instructions, int(accesses)
+        counts = self._code.pick(self._enters, self._leaves)
+        return counts, self._engine.instructions, self._engine.accesses
 
     def _read_steps(self) -> int:
         return int.from_bytes(self._engine.memory(self._steps.address, self._steps.size), "little")

@@ -5,16 +5,15 @@ Counts hold every instruction that was executed, those skipped under a condition
 
 from __future__ import annotations
 
-import ctypes
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.board.core.engine import CODE_HALFWORDS, FRACTION, ITCM_BYTES, Engine, code_row, row_address
-from sim.board.core.library import Node, Task
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
 from toolchain.cortex_m7.disassembly import disassemble
 from toolchain.errors import BuildError
@@ -88,7 +87,7 @@ def task_counts(engine: Engine) -> tuple[TaskCount, ...]:
     others = 0
     vectors = engine.load(0xE000ED08, 4)
     for number in range(1, EXCEPTIONS):
-        task: Task = engine.library.engine_task(engine.handle, number).contents
+        task = engine.library.engine_task(engine.handle, number)
         if task.activations:
             others += task.instructions
             handler = engine.load(vectors + 4 * number, 4) & ~1
@@ -146,12 +145,12 @@ def folded_stacks(engine: Engine) -> tuple[str, ...]:
     if engine.places is None or not engine.profiled:
         raise BuildError("a flame graph needs an engine made with profile and the image's ELF file")
     functions = engine.places.functions
-    count = ctypes.c_uint32()
-    nodes = engine.library.engine_nodes(engine.handle, ctypes.byref(count))
+    count = engine.ffi.new("uint32_t *")
+    nodes = engine.library.engine_nodes(engine.handle, count)
     paths: list[str] = []
     totals: Counter[str] = Counter()
-    for i in range(count.value):
-        node: Node = nodes[i]
+    for i in range(count[0]):
+        node = nodes[i]
         name = functions[node.function - 1].name if node.function else "?"
         parent = paths[node.parent] if i and node.parent else ""
         paths.append(f"{parent};{name}" if parent else name)
@@ -168,7 +167,7 @@ def profile_table(engine: Engine, rows: int = 30) -> Iterator[str]:
         yield f"{function.name:32} {function.instructions:14,} {share:7.1%} {function.calls:10,}"
 
 
-def _task(engine: Engine, number: int, task: Task, handler: int) -> TaskCount:
+def _task(engine: Engine, number: int, task: Any, handler: int) -> TaskCount:  # noqa: ANN401 - struct task
     symbol = engine.places.function(handler) if engine.places else None
     return TaskCount(
         number,
@@ -186,8 +185,13 @@ def _task(engine: Engine, number: int, task: Task, handler: int) -> TaskCount:
 
 def _halfword_counts(engine: Engine) -> NDArray[np.int64]:
     """How often each halfword of code was run over: begins less ends, summed along the addresses."""
-    size = CODE_HALFWORDS + 1
-    enters = np.ctypeslib.as_array(engine.library.engine_enters(engine.handle), (size,)).astype(np.int64)
-    leaves = np.ctypeslib.as_array(engine.library.engine_leaves(engine.handle), (size,)).astype(np.int64)
+    enters, leaves = code_counts(engine)
     counts: NDArray[np.int64] = np.cumsum(enters - leaves)[:-1]
     return counts
+
+
+def code_counts(engine: Engine) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The engine's own counts, along the halfwords of code: runs that began there, and that had ended."""
+    places = (engine.library.engine_enters(engine.handle), engine.library.engine_leaves(engine.handle))
+    enters, leaves = (np.frombuffer(engine.ffi.buffer(p, 8 * (CODE_HALFWORDS + 1)), np.int64) for p in places)
+    return enters, leaves

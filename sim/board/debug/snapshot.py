@@ -8,7 +8,6 @@ that follows is the run that would have followed.
 from __future__ import annotations
 
 import copy
-import ctypes
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -16,7 +15,8 @@ from typing import Any
 from unicorn import arm_const
 
 from sim.board.core.context import BoardError
-from sim.board.core.engine import CODE_HALFWORDS, CORE_REGISTERS, XPSR, Engine, Note
+from sim.board.core.engine import CORE_REGISTERS, XPSR, Engine, Note
+from sim.board.debug.profile import code_counts
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
 
 SYSTEM_MEMORY = (0x1FF00000, 0x10000)
@@ -49,11 +49,11 @@ def take_snapshot(engine: Engine) -> Snapshot:
     states = {name: peripheral.state() for name, peripheral in engine.peripherals.items()}
     return Snapshot(
         shape=_shape(engine),
-        core=ctypes.string_at(*_core(engine)),
-        registers=tuple(int(engine.library.engine_register(engine.handle, name)) for name in REGISTERS),
+        core=bytes(_core(engine)),
+        registers=tuple(engine.library.engine_register(engine.handle, name) for name in REGISTERS),
         memories=tuple(engine.memory(address, size) for address, size in MEMORIES),
         peripherals=copy.deepcopy(states),
-        counts=b"".join(ctypes.string_at(*place) for place in _counts(engine)),
+        counts=b"".join(map(bytes, _counts(engine))),
         notes=tuple(engine.notes.values()),
         resets=tuple(engine.resets),
     )
@@ -65,12 +65,9 @@ def restore_snapshot(engine: Engine, snapshot: Snapshot) -> None:
         raise BoardError("a snapshot of a board with other peripherals or another time; take a new one")
     for (address, _), data in zip(MEMORIES, snapshot.memories, strict=True):
         engine.poke(address, data)
-    address, size = _core(engine)
-    ctypes.memmove(address, snapshot.core, size)
-    offset = 0
-    for place, size in _counts(engine):
-        ctypes.memmove(place, snapshot.counts[offset : offset + size], size)
-        offset += size
+    _core(engine)[:] = snapshot.core
+    enters, leaves = _counts(engine)
+    enters[:], leaves[:] = snapshot.counts[: len(enters)], snapshot.counts[len(enters) :]
     for name, value in zip(REGISTERS, snapshot.registers, strict=True):
         engine.library.engine_set_register(engine.handle, name, value)
     engine.notes = {note.message: note for note in snapshot.notes}
@@ -84,15 +81,14 @@ def restore_snapshot(engine: Engine, snapshot: Snapshot) -> None:
 
 def _shape(engine: Engine) -> tuple[object, ...]:
     cpi: Fraction = engine.cpi
-    return (cpi, engine.strict, tuple(engine.alarms), tuple(engine.peripherals), _core(engine)[1])
+    return (cpi, engine.strict, tuple(engine.alarms), tuple(engine.peripherals), len(_core(engine)))
 
 
-def _core(engine: Engine) -> tuple[int, int]:
+def _core(engine: Engine) -> memoryview:
     library = engine.library
-    return int(library.engine_state(engine.handle)), int(library.engine_state_bytes())
+    return memoryview(engine.ffi.buffer(library.engine_state(engine.handle), library.engine_state_bytes()))
 
 
-def _counts(engine: Engine) -> tuple[tuple[int, int], ...]:
-    size = 8 * (CODE_HALFWORDS + 1)
-    both = (engine.library.engine_enters(engine.handle), engine.library.engine_leaves(engine.handle))
-    return tuple((ctypes.cast(place, ctypes.c_void_p).value or 0, size) for place in both)
+def _counts(engine: Engine) -> tuple[memoryview, memoryview]:
+    enters, leaves = (counts.data.cast("B") for counts in code_counts(engine))
+    return enters, leaves

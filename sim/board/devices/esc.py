@@ -1,5 +1,8 @@
 """DShot as a motor's ESC sees it: pulses on a line, from which frames come or an error that names the motor.
 
+C takes plain frames (native/c/esc.c). `Esc.pulses` decodes the first one, which tells the protocol, and says
+what is wrong with pulses that are no frame.
+
 A bit lasts 1.667 us with DShot600 and 3.333 us with DShot300; its pulse is 37.5 % of that for a 0 and 75 %
 for a 1. A frame is 16 bits, most significant first: 11 of the value, the telemetry bit, and a checksum, the
 exclusive or of the three nibbles before it; between frames the line rests low for 2 us or more.
@@ -28,6 +31,7 @@ TOLERANCE = 0.05  # of a nominal time
 GAP_S = 2e-6  # least rest between frames
 SILENT_S = 0.5  # without a frame, then the motor stops
 FRAME_BITS = 16
+NO_FRAME = 0xFFFFFFFF  # of api.h
 _HIGH = (0.375, 0.75)  # of a bit, for 0 and 1
 
 
@@ -45,17 +49,43 @@ class Frame:
 class Esc:
     """The receiving end of one motor's line. `fail` is called with what is wrong, and must not return."""
 
-    def __init__(self, motor: int, fail: Callable[[str], NoReturn], protocol: int | None = None) -> None:
-        self.motor = motor
-        self.protocol = protocol  # expected; None: whatever the first bit says
+    def __init__(self, in_c: Any, fail: Callable[[str], NoReturn]) -> None:  # noqa: ANN401 - struct esc
+        """in_c: its state, which C changes with each plain frame."""
+        self._in_c, self._fail = in_c, fail
+        self.motor = in_c.motor + 1
         self.on_frame: Callable[[Frame], None] = lambda frame: None
-        self.frames = 0
-        self.last: Frame | None = None
-        self._fail = fail
         self._bits: tuple[int, ...] = ()  # high times [cycles] of a frame that is not complete yet
         self._length = 0  # of its bits [cycles]
         self._next = 0  # cycle at which its next bit has to begin
-        self._rest_since = -TIME_HZ  # the end of the last frame's last bit
+        self.silence(forget=True)
+
+    @property
+    def protocol(self) -> int | None:
+        """300 or 600; None: whatever the first bit says."""
+        return int(self._in_c.protocol) or None
+
+    @protocol.setter
+    def protocol(self, protocol: int | None) -> None:
+        """C takes the frames whose bits have about the right length."""
+        bit = TIME_HZ / PROTOCOLS[protocol] if protocol else 0.0
+        self._in_c.protocol = protocol or 0
+        self._in_c.shortest, self._in_c.longest = math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
+
+    @property
+    def frames(self) -> int:
+        """How many there were."""
+        return int(self._in_c.frames)
+
+    @property
+    def last(self) -> Frame | None:
+        """The last one; None: there was none since power-up."""
+        state = self._in_c
+        return None if state.last == NO_FRAME else self.frame(state.last_cycle, state.last)
+
+    def frame(self, cycle: int, data: int) -> Frame:
+        """One that C has taken."""
+        assert self.protocol is not None
+        return Frame(self.motor, cycle, data >> 1, bool(data & 1), self.protocol)
 
     def pulses(self, start: int, length: int, highs: Sequence[int]) -> None:
         """Periods of `length` cycles, the first from cycle `start` on, high for `highs` cycles each."""
@@ -83,44 +113,29 @@ class Esc:
             if len(self._bits) == FRAME_BITS:
                 self._close(start + position * length)
 
-    def obeys(self, cycle: int) -> int:
-        """The value that the motor follows at `cycle`: the last frame's, 0 before any or after a silence."""
-        if self.last is None or cycle - self.last.cycle > SILENT_S * TIME_HZ:
-            return 0
-        return self.last.value
-
     def accept(self, frame: Frame) -> None:
-        """A frame that was decoded elsewhere."""
-        self._rest_since = frame.cycle
-        self.frames += 1
-        self.last = frame
+        """A frame that was decoded here."""
+        state = self._in_c
+        state.rest_since = state.last_cycle = frame.cycle
+        state.last = frame.value << 1 | frame.telemetry
+        state.frames += 1
         self.on_frame(frame)
-
-    @property
-    def bit_cycles(self) -> tuple[int, int]:
-        """The shortest and the longest bit that is taken [cycles]; 0: none is known yet."""
-        if self.protocol is None:
-            return 0, 0
-        bit = TIME_HZ / PROTOCOLS[self.protocol]
-        return math.ceil(bit * (1 - TOLERANCE)), int(bit * (1 + TOLERANCE))
 
     def silence(self, forget: bool) -> None:
         """The line falls silent, in the middle of a frame perhaps; `forget`: the ESC starts anew as well."""
         self._bits = ()
-        self._rest_since = -TIME_HZ
+        self._in_c.rest_since = -TIME_HZ
         if forget:
-            self.protocol = self.last = None
+            self.protocol, self._in_c.last = None, NO_FRAME
 
     def state(self) -> Any:  # noqa: ANN401
-        bits = (self._bits, self._length, self._next)
-        return (self.protocol, self.frames, self.last, self._rest_since, bits)
+        return (self._bits, self._length, self._next)
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        self.protocol, self.frames, self.last, self._rest_since, bits = state
-        self._bits, self._length, self._next = bits
+        self._bits, self._length, self._next = state
 
     def _open(self, cycle: int, length: int) -> None:
-        gap = (cycle - self._rest_since) / TIME_HZ
+        gap = (cycle - self._in_c.rest_since) / TIME_HZ
         if gap < GAP_S:
             self._fail(
                 f"motor {self.motor}: {gap * 1e6:.2f} us of rest before a frame, expected {GAP_S * 1e6:g} us "

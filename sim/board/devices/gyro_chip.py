@@ -1,9 +1,9 @@
 """The gyro chip behind SPI1: MPU6500 or ICM20689, as a register file with its times and limits.
 
 The loop says what the sensors measure; at each sample time the chip latches that into its data registers and
-pulses its data-ready line. Registers that the chip has but the model does not know are errors, so that a
-configuration is never taken for done. Sources: MPU-6500 product specification (PS-MPU-6500A-01) and register
-map (RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143).
+pulses its data-ready line, in C (native/c/gyro_chip.c). Registers that the chip has but the model does not
+know are errors, so that a configuration is never taken for done. Sources: MPU-6500 product specification
+(PS-MPU-6500A-01) and register map (RM-MPU-6500A-00), ICM-20689 data sheet (DS-000143).
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from sim.board.core.context import TIME_HZ, Context
+from sim.board.core.context import TIME_HZ
+from sim.board.core.engine import NEVER
+from sim.board.native.library import Native, in_c
 from sim.board.peripherals.gpio import Pins
 from toolchain.contract import ACCEL_COUNTS, ACCEL_FULL_SCALE_G, GRAVITY, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
-CS, READY = "PC2", "PC3"
+CS, READY = "PC2", "PC3"  # pins.c and gyro_chip.c know them too
 
 SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG, ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
 INT_PIN_CFG, INT_ENABLE, INT_STATUS, DATA = 0x37, 0x38, 0x3A, 0x3B
 SIGNAL_PATH_RESET, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, WHO_AM_I = 0x68, 0x6A, 0x6B, 0x6C, 0x75
 DATA_BYTES = 14  # accelerometer, temperature, gyro: 16 bits each, the upper byte first
 
-_DATA = struct.Struct(">7h")
+_VALUES = struct.Struct("=7h")  # `measured` of struct gyro
 _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
@@ -117,22 +119,23 @@ def _mounted(vector: Sequence[float], alignment: Alignment, scale: float) -> Cou
 
 
 class GyroChip:
-    """One chip, powered since cycle 0; a reset of the board's processor does not reset it."""
+    """One chip, powered since cycle 0; a reset of the board's processor does not reset it.
 
-    def __init__(self, context: Context, pins: Pins, kind: GyroKind = MPU6500) -> None:
-        self.context, self.kind = context, kind
-        self._pins = pins
-        self.before_sample: Callable[[int], None] = lambda number: None  # may call `measure`
-        self.watches_fall: Callable[[], bool] = lambda: True
+    C takes the samples and answers plain reads of data; this class answers for all other registers.
+    """
+
+    def __init__(self, native: Native, pins: Pins, kind: GyroKind = MPU6500) -> None:
+        self.context, self.kind = native.engine, kind
+        self._native, self._pins = native, pins
         self.phase = 0  # by how much later its samples begin: its clock is its own [cycles]
-        self.silent = False  # no data-ready pulses, as injected by a fault campaign
-        self._sample_alarm = context.alarm("gyro.sample", self._sample)
-        self._fall_alarm = context.alarm("gyro.fall", lambda: pins.drive(READY, False))
+        self._sample_alarm = self.context.alarm("gyro.sample", in_c)
+        self._fall_alarm = self.context.alarm("gyro.fall", in_c)
+        alarms = (self._sample_alarm.number, self._fall_alarm.number)
+        self._in_c = native.library.native_gyro(native.handle, *alarms, PULSE, float(kind.data_hz))
+        self._measured = memoryview(native.ffi.buffer(self._in_c.measured))
+        self._no_address = native.library.NO_ADDRESS
         self._powered_at = 0
-        self._due: int | None = None  # cycle of the next sample
-        self._period = 0  # between samples [cycles]
         self._start()
-        pins.watch(CS, self.select)
         self.rest()
 
     def rest(self) -> None:
@@ -144,45 +147,69 @@ class GyroChip:
         """The processor was reset and with it all alarms: the chip goes on."""
         self._fall_alarm.cancel()
         self._pins.drive(READY, False)
-        if self._due is not None:
-            self._sample_alarm.set(self._due)
+        if self.next_sample is not None:
+            self._sample_alarm.set(self.next_sample)
 
     def power_on(self) -> None:
         """The supply comes back after it was gone."""
         self._powered_at = self.context.cycle
-        self._due = None
+        self._in_c.due = NEVER
         self._sample_alarm.cancel()
         self._fall_alarm.cancel()
         self._start()
         self._pins.drive(READY, False)
 
     def _start(self) -> None:
-        self.samples = 0  # taken since power-up
-        self._measured = (0,) * 7  # accelerometer, temperature, gyro
-        self._ready_at = self._powered_at + self.kind.start_ms * _MILLISECOND
+        state = self._in_c
+        state.samples = 0  # taken since power-up
+        self.measure((0, 0, 0), 0, (0, 0, 0))
+        state.ready_at = self._powered_at + self.kind.start_ms * _MILLISECOND
         self._ready_why = "power-up"
-        self._selected = False
-        self._address: int | None = None  # of the next byte; None: the next byte is an address
-        self._reads = False
-        self._shadow = bytes(DATA_BYTES)  # data registers as the transaction under way sees them
+        state.address, state.reads = self._no_address, False
+        state.shadow = bytes(DATA_BYTES)
         self._clear()
 
     def _clear(self) -> None:
         self._registers = dict.fromkeys(_WRITABLE, 0)
         self._registers[PWR_MGMT_1] = self.kind.power_management
-        self._data = bytes(DATA_BYTES)
-        self._interrupt = False
+        self._in_c.data = bytes(DATA_BYTES)
+        self._in_c.interrupt = False
 
     # For the loop
 
     def measure(self, accel: Counts, temperature: int, gyro: Counts) -> None:
         """What the sensors measure from now on: int16 counts on the chip's axes, +-16 g and +-2000 deg/s."""
-        self._measured = (*accel, temperature, *gyro)
+        _VALUES.pack_into(self._measured, 0, *accel, temperature, *gyro)
+
+    @property
+    def before_sample(self) -> Callable[[int], None]:
+        """Gets the number of each sample before it is taken; may call `measure`."""
+        return self._native.on_sample
+
+    @before_sample.setter
+    def before_sample(self, callback: Callable[[int], None]) -> None:
+        self._native.on_sample = callback
+        self._native.library.native_hear_samples(self._native.handle, True)
+
+    @property
+    def samples(self) -> int:
+        """Taken since power-up."""
+        return int(self._in_c.samples)
+
+    @property
+    def silent(self) -> bool:
+        """No data-ready pulses, as injected by a fault campaign."""
+        return bool(self._in_c.silent)
+
+    @silent.setter
+    def silent(self, silent: bool) -> None:
+        self._in_c.silent = silent
 
     @property
     def next_sample(self) -> int | None:
         """The cycle of the next sample and data-ready pulse; None: the chip is not set up to give any."""
-        return self._due
+        due = int(self._in_c.due)
+        return None if due == NEVER else due
 
     def _configured_period(self) -> int:
         """Cycles between samples."""
@@ -193,75 +220,60 @@ class GyroChip:
 
     # On the bus
 
-    @property
-    def selected(self) -> bool:
-        """Whether its select line is low."""
-        return self._selected
-
-    def exchange(self, sent: Sequence[int], hz: float, mode: int) -> list[int] | None:
+    def exchange(self, sent: Sequence[int], transaction: int, hz: float, mode: int) -> bytes:
         """Bytes of a transaction (sim.board.peripherals.spi.SpiSlave)."""
-        if not self._selected:
-            return None
+        state = self._in_c
+        if transaction != state.transaction:
+            state.transaction = transaction
+            self._validate_end()
+            state.address = self._no_address
         if mode not in (0, 3):
             self.context.fail(f"the {self.kind.name} is addressed in SPI mode {mode}, expected 0 or 3")
-        if self._address is None and len(sent) > 2:
-            first = self._byte(sent[0], hz)
-            rest = len(sent) - 1
-            assert self._address is not None
-            place = self._address - DATA
-            if self._reads and 0 <= place <= DATA_BYTES - rest:
-                self._judge_clock(hz)
-                self._address += rest
-                return [first, *self._shadow[place : place + rest]]
-            return [first, *(self._byte(value, hz) for value in sent[1:])]
-        return [self._byte(value, hz) for value in sent]
+        return bytes(self._byte(value, hz) for value in sent)
 
     def _byte(self, value: int, hz: float) -> int:
-        if self._address is None:
-            self._address, self._reads = value & ~_READ, bool(value & _READ)
-            self._shadow = self._data
-            self._judge_time()
-            self._judge_clock(hz)
+        state = self._in_c
+        address = int(state.address)
+        if address == self._no_address:
+            state.address, state.reads = value & ~_READ, bool(value & _READ)
+            state.shadow = bytes(state.data)
+            self._validate_time()
+            self._validate_clock(hz)
             return 0
-        address = self._address
-        self._judge_clock(hz)
-        self._address = address + 1 & 0x7F
-        if self._reads:
+        self._validate_clock(hz)
+        state.address = address + 1 & 0x7F
+        if state.reads:
             return self._read(address)
         self._write(address, value)
         return 0
 
-    def select(self, level: bool) -> None:
-        """The level of the chip's select line, low while it is spoken to."""
-        self._judge_end()
-        self._selected = not level
-        self._address = None
-
-    def _judge_end(self) -> None:
+    def _validate_end(self) -> None:
         """A transaction has ended: it has read whole values."""
-        if not self._reads or self._address is None:
+        address = int(self._in_c.address)
+        if not self._in_c.reads or address == self._no_address:
             return
-        count = self._address - DATA
+        count = address - DATA
         if count & 1 and 0 < count < DATA_BYTES:
             self.context.fail(
-                f"the data of the {self.kind.name} was read up to 0x{self._address - 1:02X}, the upper half "
+                f"the data of the {self.kind.name} was read up to 0x{address - 1:02X}, the upper half "
                 f"of a value; expected both its bytes in one transaction"
             )
 
-    def _judge_time(self) -> None:
-        if self.context.cycle < self._ready_at:
-            left = (self._ready_at - self.context.cycle) / _MILLISECOND
+    def _validate_time(self) -> None:
+        ready_at = int(self._in_c.ready_at)
+        if self.context.cycle < ready_at:
+            left = (ready_at - self.context.cycle) / _MILLISECOND
             self.context.fail(
                 f"the {self.kind.name} is addressed {left:.1f} ms before it answers after {self._ready_why}, "
                 f"expected a wait"
             )
 
-    def _judge_clock(self, hz: float) -> None:
-        assert self._address is not None
-        fast = self._reads and INT_STATUS <= self._address < DATA + DATA_BYTES
+    def _validate_clock(self, hz: float) -> None:
+        address = int(self._in_c.address)
+        fast = self._in_c.reads and INT_STATUS <= address < DATA + DATA_BYTES
         limit = self.kind.data_hz if fast else REGISTER_HZ
         if hz > limit:
-            what = "data" if fast else f"register 0x{self._address:02X}"
+            what = "data" if fast else f"register 0x{address:02X}"
             self.context.fail(
                 f"SPI1 reads or writes {what} of the {self.kind.name} at {hz / 1e6:g} MHz, expected "
                 f"{limit / 1e6:g} MHz at most"
@@ -269,11 +281,11 @@ class GyroChip:
 
     def _read(self, address: int) -> int:
         if DATA <= address < DATA + DATA_BYTES:
-            return self._shadow[address - DATA]
+            return int(self._in_c.shadow[address - DATA])
         if address == WHO_AM_I:
             return self.kind.who_am_i
         if address == INT_STATUS:
-            self._interrupt, status = False, int(self._interrupt)
+            status, self._in_c.interrupt = int(self._in_c.interrupt), False
             return status
         if address not in _READABLE:
             self.context.fail(
@@ -290,63 +302,34 @@ class GyroChip:
             )
         if address == PWR_MGMT_1 and value & _DEVICE_RESET:
             self._clear()
-            self._ready_at = self.context.cycle + self.kind.reset_ms * _MILLISECOND
+            self._in_c.ready_at = self.context.cycle + self.kind.reset_ms * _MILLISECOND
             self._ready_why = "its reset"
         elif address == SIGNAL_PATH_RESET:
-            self._data = bytes(DATA_BYTES)  # the bits clear themselves
+            self._in_c.data = bytes(DATA_BYTES)  # the bits clear themselves
         elif address == USER_CTRL:
             self._registers[address] = value & ~0x01  # SIG_COND_RST clears itself
         else:
             self._registers[address] = value
         self._plan()
 
-    # Samples
-
     def _plan(self) -> None:
+        """The registers have changed."""
+        state = self._in_c
+        state.gyro_shift = FULL_SCALE - (self._registers[GYRO_CONFIG] >> 3 & 3)
+        state.accel_shift = FULL_SCALE - (self._registers[ACCEL_CONFIG] >> 3 & 3)
         awake = not self._registers[PWR_MGMT_1] & _SLEEP and not self._registers[PWR_MGMT_2] & 0x07
         if not awake or not self._registers[INT_ENABLE] & 1:
-            self._due = None
+            state.due = NEVER
             self._sample_alarm.cancel()
             return
-        self._period = self._configured_period()
-        if self._due is None:
-            self._due = self.context.cycle + self._period + self.phase
-            self._sample_alarm.set(self._due)
-
-    def _sample(self) -> None:
-        assert self._due is not None
-        now = self._due  # the core may have been in the middle of an instruction then
-        self._due = now + self._period
-        self._sample_alarm.set(self._due)
-        self.before_sample(self.samples)
-        self.samples += 1
-        if self.silent:
-            return
-        self._latch()
-        self._interrupt = True
-        self._pins.pulse(READY)
-        if self.watches_fall():
-            self._fall_alarm.set(now + PULSE)
-
-    def _latch(self) -> None:
-        gyro_shift = FULL_SCALE - (self._registers[GYRO_CONFIG] >> 3 & 3)
-        accel_shift = FULL_SCALE - (self._registers[ACCEL_CONFIG] >> 3 & 3)
-        values: Sequence[int] = self._measured
-        if gyro_shift or accel_shift:
-            shifts = (*[accel_shift] * 3, 0, *[gyro_shift] * 3)
-            scaled = (v << s for v, s in zip(self._measured, shifts, strict=True))
-            values = [max(-32768, min(32767, v)) for v in scaled]
-        self._data = _DATA.pack(*values)
-
-    _KEPT = (
-        "samples", "silent", "_measured", "_ready_at", "_ready_why", "_selected", "_address", "_reads",
-        "_shadow", "_due", "_period", "_registers", "_data", "_interrupt", "_powered_at",
-    )  # fmt: skip
+        state.period = self._configured_period()
+        if state.due == NEVER:
+            state.due = self.context.cycle + state.period + self.phase
+            self._sample_alarm.set(state.due)
 
     def state(self) -> Any:  # noqa: ANN401
-        return {name: getattr(self, name) for name in self._KEPT} | {"_registers": dict(self._registers)}
+        return (dict(self._registers), self._ready_why, self._powered_at)
 
     def restore(self, state: Any) -> None:  # noqa: ANN401
-        for name in self._KEPT:
-            setattr(self, name, state[name])
-        self._registers = dict(state["_registers"])
+        registers, self._ready_why, self._powered_at = state
+        self._registers = dict(registers)

@@ -47,7 +47,7 @@ class Adc(Device):
         # The sequence and its times, for registers and clocks of these values.
         self._order: tuple[tuple[int, ...], list[int], list[int]] = ((), [], [])
         self._begin()
-        dma.connect("ADC1", self)
+        dma.connect("ADC1", self, lazy=True)
 
     def _begin(self) -> None:
         self._on_at = 0

@@ -1,4 +1,4 @@
-"""GPIO: ports A to D, what drives each pin, and which peripheral a pin may serve.
+"""GPIO: ports A to D, and which peripheral a pin may serve; levels are C's (native/c/pins.c).
 
 A peripheral asks `Pins.expect` when it uses a pin: a pin in another mode is the image's mistake, found where
 it matters rather than where it was made.
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.board.core.context import Context
-from sim.board.registers.bus import Device
+from sim.board.native.library import Native, NativeDevice
 
 PORTS = "ABCD"
 _MODES = ("an input", "an output", "alternate function", "analog")
-_INPUT, _OUTPUT, _ALTERNATE, _ANALOG = range(4)
-_PULL_UP, _PULL_DOWN = 1, 2
+_ALTERNATE, _ANALOG = 2, 3
 ANALOG = -1  # in place of an alternate function
 
 # Which pin carries a signal on this board, and its alternate function (data sheet DS11853, alternate function
@@ -45,23 +43,13 @@ SIGNALS: dict[str, tuple[str, int, int]] = {
 }
 
 
-class Port(Device):
+class Port(NativeDevice):
     """One GPIO port."""
 
-    kept = ("driven", "levels")
-
-    def __init__(self, context: Context, letter: str) -> None:
-        super().__init__(context, f"GPIO{letter}")
+    def __init__(self, native: Native, letter: str) -> None:
+        super().__init__(native, f"GPIO{letter}", native.library.PORT, PORTS.index(letter))
         self.letter = letter
-        self.driven: dict[int, bool] = {}  # level that the board puts on a pin
-        self.levels: dict[int, bool] = {}  # of pins that somebody watches, as last told
         self.listeners: dict[int, Callable[[bool], None]] = {}
-        self.before_read: Callable[[], None] = lambda: None
-        self.version = 0  # rises with each change of modes or functions
-
-    def reset(self) -> None:
-        super().reset()
-        self._changed()
 
     def mode(self, pin: int) -> int:
         return self.words["MODER"] >> 2 * pin & 3
@@ -70,111 +58,31 @@ class Port(Device):
         register = "AFRL" if pin < 8 else "AFRH"
         return self.words[register] >> 4 * (pin & 7) & 15
 
-    def level(self, pin: int) -> bool:
-        """What is on the line: the pin's own level if it drives, the board's, or a pull's."""
-        if self.mode(pin) == _OUTPUT and not (
-            self.words["OTYPER"] >> pin & 1 and self.words["ODR"] >> pin & 1
-        ):
-            return bool(self.words["ODR"] >> pin & 1)
-        if pin in self.driven:
-            return self.driven[pin]
-        return self.words["PUPDR"] >> 2 * pin & 3 == _PULL_UP
-
-    def read_idr(self) -> int:
-        self.before_read()
-        return sum(self.level(pin) << pin for pin in range(16) if self.mode(pin) != _ANALOG)
-
-    def read_bsrr(self) -> int:
-        return 0
-
-    def write_bsrr(self, value: int) -> None:
-        # Setting wins where both are asked for (RM0431 6.4.7).
-        self.words["ODR"] = self.words["ODR"] & ~(value >> 16) | value & 0xFFFF
-        if self.listeners:
-            self._tell()
-
-    def write_odr(self, value: int) -> None:
-        self.keep("ODR", value)
-        self._tell()
-
-    def write_moder(self, value: int) -> None:
-        self._set("MODER", value)
-
-    def write_otyper(self, value: int) -> None:
-        self._set("OTYPER", value)
-
-    def write_pupdr(self, value: int) -> None:
-        self._set("PUPDR", value)
-
-    def write_afrl(self, value: int) -> None:
-        self._set("AFRL", value)
-
-    def write_afrh(self, value: int) -> None:
-        self._set("AFRH", value)
-
-    def _set(self, register: str, value: int) -> None:
-        if self.keep(register, value):
-            self._changed()
-
-    def _changed(self) -> None:
-        self.version += 1
-        self._tell()
-
-    def _tell(self) -> None:
-        for pin, listener in self.listeners.items():
-            level = self.level(pin)
-            if level != self.levels.get(pin):
-                self.levels[pin] = level
-                listener(level)
-
-    def restore(self, state: object) -> None:
-        super().restore(state)
-        self.version += 1
+    def on_pin(self, pin: int, level: bool) -> None:
+        self.listeners[pin](level)
 
 
 class Pins:
     """All ports, by pin name such as "PC2"."""
 
-    def __init__(self, context: Context) -> None:
-        self.ports = {letter: Port(context, letter) for letter in PORTS}
-        self.on_drive: Callable[[str, int, bool], None] = lambda port, pin, level: None
-        self._context = context
-        self._good: dict[str, int] = {}  # signal: version of its port when it was found right
+    def __init__(self, native: Native) -> None:
+        self.ports = {letter: Port(native, letter) for letter in PORTS}
+        self._native = native
 
     def drive(self, name: str, level: bool) -> None:
         """The board puts `level` on a pin."""
-        port, pin = self._place(name)
-        if port.driven.get(pin) != level:
-            port.driven[pin] = level
-            self.on_drive(port.letter, pin, level)
-
-    def pulse(self, name: str) -> None:
-        """The board lets a pin rise; where it was high still, it falls first."""
-        self.drive(name, False)
-        self.drive(name, True)
+        self._native.library.native_drive(self._native.handle, *_place(name), level)
 
     def watch(self, name: str, listener: Callable[[bool], None]) -> None:
         """`listener(level)` runs whenever the level on a pin that the image drives changes."""
-        port, pin = self._place(name)
-        port.listeners[pin] = listener
-        port.levels[pin] = port.level(pin)
-
-    def level(self, name: str) -> bool:
-        """What is on the line."""
-        port, pin = self._place(name)
-        return port.level(pin)
-
-    def pull(self, name: str) -> bool | None:
-        """Which way a pin is pulled; None: not at all."""
-        port, pin = self._place(name)
-        return {_PULL_UP: True, _PULL_DOWN: False}.get(port.words["PUPDR"] >> 2 * pin & 3)
+        port, pin = _place(name)
+        self.ports[PORTS[port]].listeners[pin] = listener
+        self._native.library.native_watch(self._native.handle, port, pin)
 
     def expect(self, signal: str, user: str) -> None:
         """`user` is about to use `signal` (a name of SIGNALS): fail unless its pin is set up for it."""
         letter, pin, wanted = SIGNALS[signal]
         port = self.ports[letter]
-        if self._good.get(signal) == port.version:
-            return
         mode, function = port.mode(pin), port.function(pin)
         if wanted == ANALOG:
             right, expected = mode == _ANALOG, "analog"
@@ -182,8 +90,9 @@ class Pins:
             right, expected = (mode, function) == (_ALTERNATE, wanted), f"alternate function {wanted}"
         if not right:
             is_ = f"{_MODES[mode]} {function}" if mode == _ALTERNATE else _MODES[mode]
-            self._context.fail(f"{user}: P{letter}{pin} is {is_}, expected {expected} ({signal})")
-        self._good[signal] = port.version
+            port.context.fail(f"{user}: P{letter}{pin} is {is_}, expected {expected} ({signal})")
 
-    def _place(self, name: str) -> tuple[Port, int]:
-        return self.ports[name[1]], int(name[2:])
+
+def _place(name: str) -> tuple[int, int]:
+    """Number of a port and pin."""
+    return PORTS.index(name[1]), int(name[2:])

@@ -4,33 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.board.core.context import TIME_HZ, Context
+from sim.board.core.context import TIME_HZ
+from sim.board.core.engine import NEVER
+from sim.board.native.library import Native
 from sim.board.peripherals.rcc import LSI_HZ
-from sim.board.registers.bus import Device
+from sim.board.registers.bus import WINDOW, Device, Register
 
 _RELOAD, _UNLOCK, _START = 0xAAAA, 0x5555, 0xCCCC  # KR (RM0431 IWDG)
 _UPDATE_TICKS = 5  # of LSI divided by the prescaler, until PR or RLR takes effect
 
 
 class Iwdg(Device):
-    """The independent watchdog. `on_timeout` says what a missed one comes to; a reset by itself."""
+    """The independent watchdog. `on_timeout` says what a missed one comes to; a reset by itself.
 
-    kept = ("_unlocked", "_running", "_prescaler", "_reload", "lsi_hz", "feeds", "closest")
+    C feeds it while it runs (native/c/watchdog.c), and has what that needs.
+    """
 
-    def __init__(self, context: Context, lsi_hz: int = LSI_HZ) -> None:
+    kept = ("_prescaler", "_reload")
+
+    def __init__(self, native: Native) -> None:
+        context = native.engine
         super().__init__(context, "IWDG")
-        self.lsi_hz = lsi_hz  # 17 to 47 kHz from chip to chip (data sheet)
+        self._native = native
         self.on_timeout: Callable[[], None] = lambda: context.system_reset("iwdg")
         self.by_hardware: Callable[[], bool] = lambda: False  # runs from reset on, by the option bytes
         self._timeout = context.alarm("iwdg.timeout", self._miss)
         self._pr_done = context.alarm("iwdg.pr", self._take_prescaler)
         self._rlr_done = context.alarm("iwdg.rlr", self._take_reload)
-        self.feeds = 0
-        self.closest: int | None = None  # cycles that were left at the latest feed of all
+        self._in_c = native.library.native_watchdog(native.handle, self._timeout.number)
         self._stop()
 
+    def place(self, window: int) -> None:
+        """It answers in the engine's `window`."""
+        offset = self.block.base % WINDOW
+        self._native.library.native_place_watchdog(self._native.handle, window, offset)
+
     def _stop(self) -> None:
-        self._unlocked = self._running = False
+        self._in_c.unlocked = self._in_c.period = 0
         self._prescaler, self._reload = 4, 0xFFF
 
     def reset(self) -> None:
@@ -46,20 +56,33 @@ class Iwdg(Device):
         """From a feed to the reset."""
         return self._ticks(self._reload + 1) / TIME_HZ
 
+    @property
+    def feeds(self) -> int:
+        """How often it was fed."""
+        return int(self._in_c.feeds)
+
+    @property
+    def closest(self) -> int | None:
+        """Cycles that were left at the latest feed of all."""
+        closest = int(self._in_c.closest)
+        return None if closest == NEVER else closest
+
+    def counts(self, register: Register) -> tuple[int, int] | None:
+        return (0, int(self._in_c.writes)) if register.name == "KR" else None
+
     def _start(self) -> None:
-        if not self._running:
-            self._running = True
-            self._feed()
+        if not self._in_c.period:
+            self._in_c.period = self._ticks(self._reload + 1)
+            self._in_c.feeds += 1
+            self._timeout.set(self.context.cycle + self._in_c.period)
 
     def write_kr(self, value: int) -> None:
-        self._unlocked = value == _UNLOCK
+        """What is no feed of a running watchdog."""
+        self._in_c.writes += 1
+        self._in_c.unlocked = value == _UNLOCK
         if value == _START:
             self._start()
-        elif value == _RELOAD:
-            if self._running:
-                self._note_left()
-                self._feed()
-        elif value != _UNLOCK:
+        elif value not in (_UNLOCK, _RELOAD):
             self.context.fail(f"IWDG_KR = 0x{value:04X}, expected 0xAAAA, 0x5555 or 0xCCCC")
 
     def write_pr(self, value: int) -> None:
@@ -71,7 +94,7 @@ class Iwdg(Device):
         self._rlr_done.set(self.context.cycle + self._ticks(_UPDATE_TICKS))
 
     def _update(self, register: str, flag: str, value: int) -> None:
-        if not self._unlocked:
+        if not self._in_c.unlocked:
             self.context.fail(
                 f"IWDG_{register} is written while it is locked, expected IWDG_KR 0x5555 before"
             )
@@ -87,22 +110,19 @@ class Iwdg(Device):
         self._prescaler = 4 << min(self.words["PR"], 6)
         if left is not None:
             self._timeout.set(self.context.cycle + ticks * self._ticks(1))
+        self._change_period()
 
     def _take_reload(self) -> None:
         self.put("SR", "RVU", 0)
         self._reload = self.words["RLR"]
+        self._change_period()
+
+    def _change_period(self) -> None:
+        if self._in_c.period:
+            self._in_c.period = self._ticks(self._reload + 1)
 
     def _ticks(self, count: int) -> int:
-        return count * self._prescaler * TIME_HZ // self.lsi_hz
-
-    def _feed(self) -> None:
-        self.feeds += 1
-        self._timeout.set(self.context.cycle + self._ticks(self._reload + 1))
-
-    def _note_left(self) -> None:
-        if self._timeout.due is not None:
-            left = self._timeout.due - self.context.cycle
-            self.closest = left if self.closest is None else min(left, self.closest)
+        return count * self._prescaler * TIME_HZ // LSI_HZ
 
     def _miss(self) -> None:
         self.on_timeout()

@@ -9,7 +9,8 @@ import pytest
 
 from sim.board.board import Hardware
 from sim.board.core.context import BoardError
-from sim.board.native.callbacks import BoardEngine
+from sim.board.core.engine import Engine
+from sim.board.native.library import native_library
 from sim.board.registers.bus import load_table
 from tests.sim.board.programs import attach, boot, compile_program, results  # noqa: F401 - fixtures
 
@@ -19,7 +20,7 @@ MICROSECOND = 216
 WAIT = struct.pack("<IIHH", 0x20010000, 0x00200009, 0xBF30, 0xE7FD)  # vectors; wfi, and again
 
 
-class WatchedEngine(BoardEngine):
+class WatchedEngine(Engine):
     """Records calls whose effects a core that only waits does not show."""
 
     core_hz = 16_000_000
@@ -42,7 +43,7 @@ class EngineContext:
     """The engine, with a core that only waits, as a test sees it."""
 
     def __init__(self) -> None:
-        self.engine = WatchedEngine(WAIT)
+        self.engine = WatchedEngine(WAIT, library=native_library())
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.engine, name)
@@ -87,7 +88,7 @@ class Bench:
 
     def __init__(self, **options: Any) -> None:
         self.context: Any = EngineContext()
-        self._engine: BoardEngine = self.context.engine
+        self._engine: Engine = self.context.engine
         self.hardware = Hardware(self._engine, **options)
         self._table = load_table()
         self._engine.power_cycle()

@@ -1,4 +1,4 @@
-/* The engine of the emulated board, from the inside: what its C files share. Python sees api.c's functions.
+/* The engine of the emulated board, from the inside: the types that its C files share.
  *
  * Time is kept in 1/65536 of a cycle of 216 MHz. Between callbacks it stands at the start of the running block; the
  * instruction at hand is `now()`. Everything that decides what happens next is in `struct state`, plain values that
@@ -12,6 +12,8 @@
 
 #include <unicorn/unicorn.h>
 
+#include "api.h"
+
 enum {
 	FRACTION = 16, /* bits of time below a cycle */
 	IRQ_COUNT = 104,
@@ -23,8 +25,6 @@ enum {
 	MPU_REGIONS = 8,
 	MESSAGE_BYTES = 512,
 };
-#define TIME_HZ UINT64_C(216000000)
-#define NEVER UINT64_MAX
 #define NOWHERE UINT32_MAX /* an address that no instruction has */
 
 /* RM0431 2.2.2, table 1; BOOT_ADD0's default is the alias. */
@@ -67,16 +67,6 @@ enum exception {
 	EXC_PENDSV = 14,
 	EXC_SYSTICK = 15,
 	EXC_IRQ0 = 16,
-};
-
-/* Why engine_run came back. */
-enum outcome {
-	RUN_REACHED = 0,   /* the time asked for */
-	RUN_LIMIT = 1,     /* the number of instructions asked for */
-	RUN_BREAKPOINT = 2,
-	RUN_RESET = 3,     /* the image or a peripheral asks for a system reset */
-	RUN_FAILED = 4,    /* engine_message says what */
-	RUN_ASLEEP = 5,    /* WFI with nothing that could ever end it, and no time to run to */
 };
 
 /* What an instruction needs beyond being executed by unicorn. */
@@ -123,17 +113,6 @@ struct activation {
 	uint64_t entered;     /* instructions executed when it began */
 	uint64_t preempted;   /* instructions of what interrupted it */
 	uint64_t time;        /* at entry */
-};
-
-/* What each exception has taken; exception 0 is the thread. */
-struct task {
-	uint64_t activations;
-	uint64_t instructions;
-	uint64_t least, most;    /* instructions of one activation, what interrupted it left out */
-	uint64_t longest;        /* time from entry to return, what interrupted it included */
-	uint64_t latest;         /* longest time from pending to entry */
-	uint64_t latest_at;      /* when that was */
-	uint32_t latest_pc;      /* what ran then */
 };
 
 /* One bit for each exception. */
@@ -190,15 +169,7 @@ struct state {
 	uint64_t syst_zero;          /* core cycle at which the counter reaches 0; NEVER: it stands */
 };
 
-/* Callbacks to Python. They never unwind: a failure is reported by engine_fail. */
-typedef uint32_t (*read_callback)(uint32_t window, uint32_t offset, uint32_t size);
-typedef void (*write_callback)(uint32_t window, uint32_t offset, uint32_t size, uint32_t value);
-typedef void (*alarm_callback)(uint32_t alarm);
-typedef void (*flash_callback)(uint32_t address, uint32_t size, uint32_t value);
-typedef void (*sleep_callback)(void);
-
-struct engine;
-
+/* A window of addresses with peripherals behind it. */
 struct window {
 	uint32_t base, size;
 	uint64_t reads, writes;
@@ -208,12 +179,6 @@ struct window {
 struct region {
 	struct engine *engine;
 	uint32_t base;
-};
-
-struct node { /* of the call tree */
-	uint32_t function, parent, child, sibling;
-	uint32_t return_to; /* address, NOWHERE: a handler or the thread */
-	uint64_t instructions;
 };
 
 /* CFSR, what of it more than one file tells (B3.2.15). */
@@ -277,11 +242,7 @@ struct engine {
 	struct window windows[WINDOW_MAX];
 	uint32_t window_count, alarm_count;
 	int16_t apb[APB_BYTES >> 10], ahb2[AHB2_BYTES >> 10], ppb[PPB_BYTES >> 10];
-	read_callback on_read;
-	write_callback on_write;
-	alarm_callback on_alarm;
-	flash_callback on_flash;
-	sleep_callback on_sleep;
+	struct callbacks callbacks;
 
 	uint32_t flash_patch;        /* a store to flash: offset whose bytes are set right after it */
 	uint8_t flash_bytes[8];

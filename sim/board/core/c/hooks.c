@@ -369,7 +369,7 @@ static void note_flash_store(struct engine *e, uint32_t address, uint32_t size, 
 {
 	const uint32_t offset = (address - FLASH_BASE) & ~3u;
 
-	e->on_flash(address, size, value);
+	e->callbacks.flash(e->callbacks.user, address, size, value);
 	e->flash_patch = offset;
 	memcpy(e->flash_bytes, e->flash + offset, 4);
 	e->flash_stored = true;
@@ -382,7 +382,7 @@ static bool on_invalid(uc_engine *uc, uc_mem_type type, uint64_t address, int si
 
 	(void)uc;
 	if (type == UC_MEM_WRITE_PROT && inside((uint32_t)address, (uint32_t)size, FLASH_BASE, FLASH_BYTES) &&
-	    e->on_flash != NULL && !e->flash_stored) {
+	    e->callbacks.flash != NULL && !e->flash_stored) {
 		note_flash_store(e, (uint32_t)address, (uint32_t)size, (uint32_t)value);
 		return true;
 	}

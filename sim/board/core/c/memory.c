@@ -82,7 +82,7 @@ uint32_t device_read(struct engine *e, uint32_t address, uint32_t size)
 		const uint64_t began = clock_ns(e);
 
 		++e->windows[found].reads;
-		const uint32_t value = e->on_read((uint32_t)found, address - e->windows[found].base, size);
+		const uint32_t value = e->callbacks.read(e->callbacks.user, (uint32_t)found, address - e->windows[found].base, size);
 		e->spent[SPENT_DEVICES] += clock_ns(e) - began;
 		return value;
 	}
@@ -100,7 +100,7 @@ void device_write(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 		const uint64_t began = clock_ns(e);
 
 		++e->windows[found].writes;
-		e->on_write((uint32_t)found, address - e->windows[found].base, size, value);
+		e->callbacks.write(e->callbacks.user, (uint32_t)found, address - e->windows[found].base, size, value);
 		e->spent[SPENT_DEVICES] += clock_ns(e) - began;
 	} else if (address >= PPB_BASE) {
 		system_write(e, address, size, value);

@@ -104,7 +104,7 @@ void fire_due(struct engine *e)
 			e->s.due[which] = NEVER;
 			const uint64_t began = clock_ns(e);
 
-			e->on_alarm(which);
+			e->callbacks.alarm(e->callbacks.user, which);
 			e->spent[SPENT_DEVICES] += clock_ns(e) - began;
 		}
 		alarms_changed(e);

@@ -1,7 +1,11 @@
-/* DMA1 and DMA2 in C: sim/board/peripherals/dma.py says what they do and why. */
+/* DMA1 and DMA2 (RM0431 8): streams between memory and the peripherals that make requests.
+ *
+ * Drivers know the time and move many items at once. A driver says with take and give what it has moved up to now, and
+ * is told to bring itself up to now before the program reads what could show it. So a transfer costs one event and
+ * still shows the right count at every cycle. */
 #include <string.h>
 
-#include "native.h"
+#include "dma.h"
 
 enum { LISR = 0, HISR = 1, LIFCR = 2, HIFCR = 3 };
 enum { S_CR = 4, S_NDTR = 5, S_PAR = 6, S_M0AR = 7, S_STEP = 6 }; /* words of stream 0 */
@@ -9,33 +13,33 @@ enum { CR_EN = 1u << 0, CR_DIR = 3u << 6, CR_READS = 1u << 6, CR_CIRC = 1u << 8,
 enum { CR_INTERRUPTS = 0x1Eu };
 enum { FLAG_HT = 1u << 4, FLAG_TC = 1u << 5, FLAGS = 0x3Du, FLAGS_WITH_INTERRUPT = 0x3Cu };
 
-static uint32_t *stream_words(struct hot *h, uint32_t controller, uint32_t stream)
+static uint32_t *dma_words(struct native *h, uint32_t controller, uint32_t stream)
 {
-	return words(h, h->controllers[controller]) + S_CR + S_STEP * stream;
+	return device_words(h, h->controllers[controller]) + S_CR + S_STEP * stream;
 }
 
-static uint32_t flag_shift(uint32_t stream)
+static uint32_t dma_shift(uint32_t stream)
 {
 	return (stream % 4u) / 2u * 16u + stream % 2u * 6u;
 }
 
-static void stream_update(struct hot *h, uint32_t controller, uint32_t stream)
+static void dma_update(struct native *h, uint32_t controller, uint32_t stream)
 {
 	const uint32_t device = h->controllers[controller];
-	const uint32_t flags = words(h, device)[stream < 4u ? LISR : HISR] >> flag_shift(stream) & FLAGS_WITH_INTERRUPT;
+	const uint32_t flags = device_words(h, device)[stream < 4u ? LISR : HISR] >> dma_shift(stream) & FLAGS_WITH_INTERRUPT;
 	/* DMEIE TEIE HTIE TCIE are bits 1 to 4, their flags bits 2 to 5. */
-	const uint32_t enabled = (stream_words(h, controller, stream)[0] & CR_INTERRUPTS) << 1;
+	const uint32_t enabled = (dma_words(h, controller, stream)[0] & CR_INTERRUPTS) << 1;
 
 	engine_irq(h->e, h->irqs[device][stream], (flags & enabled) != 0u);
 }
 
-static void stream_raise(struct hot *h, uint32_t controller, uint32_t stream, uint32_t flags)
+static void dma_raise(struct native *h, uint32_t controller, uint32_t stream, uint32_t flags)
 {
-	words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] |= flags << flag_shift(stream);
-	stream_update(h, controller, stream);
+	device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] |= flags << dma_shift(stream);
+	dma_update(h, controller, stream);
 }
 
-void stream_unlink(struct hot *h, uint32_t controller, uint32_t stream)
+static void dma_unlink(struct native *h, uint32_t controller, uint32_t stream)
 {
 	struct stream *const s = &h->s.streams[controller][stream];
 
@@ -46,90 +50,90 @@ void stream_unlink(struct hot *h, uint32_t controller, uint32_t stream)
 		s->sources[i] = -1;
 }
 
-static void source_sync(struct hot *h, uint32_t source)
+static void dma_source_sync(struct native *h, uint32_t source)
 {
-	if (now(h) >= h->s.due[source])
+	if (native_now(h) >= h->s.due[source])
 		h->s.due[source] = NEVER; /* it says anew */
-	h->source(source, true);
+	h->callbacks.source(source, true);
 }
 
-/* The driver of a request brings itself up to now, or hears that a stream came or went. */
-static void drive(struct hot *h, int32_t source, bool sync)
+/* The driver of a request brings itself up to now. */
+static void dma_drive(struct native *h, int32_t source)
 {
 	if (source < 0)
 		return;
-	if (source >= PYTHON_SOURCE) {
-		if (!sync)
-			h->source((uint32_t)source, false);
-		else if (now(h) >= h->s.due[source])
-			source_sync(h, (uint32_t)source);
-	} else if (source < TIMER_SOURCE) {
-		(sync ? spi_sync : spi_dma_changed)(h);
-	} else {
-		(sync ? timer_sync : timer_dma_changed)(h, (uint32_t)(source - TIMER_SOURCE) / 5u);
-	}
+	if (source < PYTHON_SOURCE)
+		h->drivers[source]->sync(h, (uint32_t)source);
+	else if (native_now(h) >= h->s.due[source])
+		dma_source_sync(h, (uint32_t)source);
 }
 
-static void stream_sync(struct hot *h, uint32_t controller, uint32_t stream)
+/* It hears that a stream came or went. */
+static void dma_tell(struct native *h, int32_t source)
 {
-	drive(h, h->s.streams[controller][stream].sources[0], true);
+	if (source >= PYTHON_SOURCE)
+		h->callbacks.source((uint32_t)source, false);
+	else if (source >= 0)
+		h->drivers[source]->changed(h, (uint32_t)source);
+}
+
+static void dma_sync(struct native *h, uint32_t controller, uint32_t stream)
+{
+	dma_drive(h, h->s.streams[controller][stream].sources[0]);
 }
 
 /* Before its count is read or it is stopped: what moves without alarms shows itself too. */
-static void drive_for(struct hot *h, uint32_t controller, uint32_t stream)
+static void dma_sync_all(struct native *h, uint32_t controller, uint32_t stream)
 {
 	const int32_t source = h->s.streams[controller][stream].sources[0];
 
 	if (source >= PYTHON_SOURCE && (h->lazy >> source & 1u) != 0u)
-		source_sync(h, (uint32_t)source);
+		dma_source_sync(h, (uint32_t)source);
 	else
-		stream_sync(h, controller, stream);
+		dma_sync(h, controller, stream);
 }
 
 /* An alarm is for what interrupts or can be noticed: otherwise the driver is asked when the program looks. */
-static void source_plan(struct hot *h, uint32_t source)
+static void dma_source_plan(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 	const bool rings =
-		place < 0 || (h->s.quiet >> source & 1u) == 0u || (stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+		place < 0 || (h->s.quiet >> source & 1u) == 0u || (dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
 
 	if (h->s.source_alarms[source] != UINT32_MAX)
 		engine_set_alarm(h->e, h->s.source_alarms[source], rings ? h->s.due[source] : NEVER);
 }
 
-/* At `cycle` a source of Python will have something to move. */
-void hot_wake(struct hot *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet)
+void native_wake(struct native *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet)
 {
 	const uint64_t bit = UINT64_C(1) << source;
 
 	h->s.due[source] = cycle;
 	h->s.quiet = quiet ? h->s.quiet | bit : h->s.quiet & ~bit;
 	h->s.source_alarms[source] = alarm;
-	source_plan(h, source);
+	dma_source_plan(h, source);
 }
 
 /* Before flags are read. Of a quiet stream that goes round and round they stay as they are once both are up. */
-static void flags_sync(struct hot *h, uint32_t controller, uint32_t stream)
+static void dma_flags_sync(struct native *h, uint32_t controller, uint32_t stream)
 {
 	const int32_t source = h->s.streams[controller][stream].sources[0];
-	const uint32_t flags = words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> flag_shift(stream);
-	const bool rounds = (stream_words(h, controller, stream)[0] & CR_CIRC) != 0u;
+	const uint32_t flags = device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
+	const bool rounds = (dma_words(h, controller, stream)[0] & CR_CIRC) != 0u;
 
 	if (source >= PYTHON_SOURCE && rounds && (h->lazy & h->s.quiet) >> source & 1u &&
 	    (flags & (FLAG_HT | FLAG_TC)) == (FLAG_HT | FLAG_TC))
 		return;
-	stream_sync(h, controller, stream);
+	dma_sync(h, controller, stream);
 }
 
-/* All streams of a controller have moved what they have until now. */
-void hot_sync(struct hot *h, uint32_t controller)
+void native_sync(struct native *h, uint32_t controller)
 {
 	for (uint32_t stream = 0; stream < STREAMS; ++stream)
-		drive_for(h, controller, stream);
+		dma_sync_all(h, controller, stream);
 }
 
-/* Items until a stream is half through or at its end. */
-uint32_t hot_until_flag(struct hot *h, uint32_t source)
+uint32_t native_until_flag(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 
@@ -141,14 +145,14 @@ uint32_t hot_until_flag(struct hot *h, uint32_t source)
 	return (s->moved < half ? half : s->total) - s->moved;
 }
 
-uint32_t hot_total(struct hot *h, uint32_t source)
+uint32_t native_total(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 
 	return place < 0 ? 0 : h->s.streams[place / STREAMS][place % STREAMS].total;
 }
 
-uint32_t hot_available(struct hot *h, uint32_t source)
+uint32_t native_available(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 
@@ -159,25 +163,25 @@ uint32_t hot_available(struct hot *h, uint32_t source)
 	return s->total - s->moved;
 }
 
-uint32_t hot_target(struct hot *h, uint32_t source)
+uint32_t native_target(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 
-	return place < 0 ? 0 : stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[2];
+	return place < 0 ? 0 : dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[2];
 }
 
-bool hot_circular(struct hot *h, uint32_t source)
+bool native_circular(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
 
 	return place >= 0 &&
-	       (stream_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
+	       (dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
 }
 
-static void advance(struct hot *h, uint32_t controller, uint32_t stream, uint32_t count)
+static void dma_advance(struct native *h, uint32_t controller, uint32_t stream, uint32_t count)
 {
 	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = stream_words(h, controller, stream);
+	uint32_t *const w = dma_words(h, controller, stream);
 	const uint32_t half = s->total - s->total / 2u;
 	uint32_t flags = 0, after = s->moved + count;
 
@@ -189,17 +193,16 @@ static void advance(struct hot *h, uint32_t controller, uint32_t stream, uint32_
 			after = 0;
 		} else {
 			w[0] &= ~(uint32_t)CR_EN;
-			stream_unlink(h, controller, stream);
+			dma_unlink(h, controller, stream);
 		}
 	}
 	s->moved = after;
 	w[1] = s->total - after;
 	if (flags != 0u)
-		stream_raise(h, controller, stream, flags);
+		dma_raise(h, controller, stream, flags);
 }
 
-/* Moves `count` items between `items` and memory; returns how many there were. */
-static uint32_t move(struct hot *h, uint32_t source, uint32_t *items, uint32_t count, bool to_memory)
+static uint32_t dma_move(struct native *h, uint32_t source, uint32_t *items, uint32_t count, bool to_memory)
 {
 	const int16_t place = h->s.stream_of[source];
 	uint32_t done = 0;
@@ -208,7 +211,7 @@ static uint32_t move(struct hot *h, uint32_t source, uint32_t *items, uint32_t c
 		return 0;
 	const uint32_t controller = (uint32_t)place / STREAMS, stream = (uint32_t)place % STREAMS;
 	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = stream_words(h, controller, stream);
+	uint32_t *const w = dma_words(h, controller, stream);
 
 	while (done < count && s->total != s->moved && h->s.stream_of[source] == place) {
 		const uint32_t size = 1u << (w[0] >> 11 & 3u), step = w[0] & CR_MINC ? size : 0u;
@@ -216,7 +219,7 @@ static uint32_t move(struct hot *h, uint32_t source, uint32_t *items, uint32_t c
 		const uint32_t address = w[3];
 
 		if (address >= SRAM_BASE && address < SRAM_END && engine_cached(h->e, address)) {
-			ask(h, ASK_CACHED, controller, stream, address);
+			native_query(h, QUERY_CACHED, h->controllers[controller], stream, address);
 			return done;
 		}
 		uint8_t *at = engine_memory(h->e, address + s->moved * step, step ? part * size : size);
@@ -232,167 +235,171 @@ static uint32_t move(struct hot *h, uint32_t source, uint32_t *items, uint32_t c
 			}
 		}
 		done += part;
-		advance(h, controller, stream, part);
+		dma_advance(h, controller, stream, part);
 	}
 	return done;
 }
 
-uint32_t hot_take(struct hot *h, uint32_t source, uint32_t *items, uint32_t count)
+uint32_t native_take(struct native *h, uint32_t source, uint32_t *items, uint32_t count)
 {
-	return move(h, source, items, count, false);
+	return dma_move(h, source, items, count, false);
 }
 
-uint32_t hot_give(struct hot *h, uint32_t source, uint32_t *items, uint32_t count)
+uint32_t native_give(struct native *h, uint32_t source, uint32_t *items, uint32_t count)
 {
-	return move(h, source, items, count, true);
+	return dma_move(h, source, items, count, true);
 }
 
-/* Python's answer to ASK_ENABLE. */
-void hot_set_source(struct hot *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source)
+void native_lazy(struct native *h, uint32_t source)
 {
-	h->s.streams[controller][stream].judged[place] = source;
+	h->lazy |= UINT64_C(1) << source;
 }
 
-static void stream_enable(struct hot *h, uint32_t controller, uint32_t stream)
+void native_set_source(struct native *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source)
+{
+	h->s.streams[controller][stream].valid[place] = source;
+}
+
+static void dma_enable(struct native *h, uint32_t controller, uint32_t stream)
 {
 	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = stream_words(h, controller, stream);
+	uint32_t *const w = dma_words(h, controller, stream);
 	const uint32_t cr = w[0] & ~(uint32_t)CR_INTERRUPTS;
-	const uint32_t flags = words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> flag_shift(stream);
+	const uint32_t flags = device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
 	static const int32_t none[SHARED] = {-1, -1, -1};
 	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(h->e, w[3]);
 
 	if (cached || (flags & FLAGS) != 0u || s->epoch != h->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
 	    s->ndtr != w[1]) {
-		memcpy(s->judged, none, sizeof none);
-		ask(h, ASK_ENABLE, controller, stream, 0);
+		memcpy(s->valid, none, sizeof none);
+		native_query(h, QUERY_ENABLE, h->controllers[controller], stream, 0);
 		if (h->failed)
 			return;
 		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = h->s.epoch;
 	}
 	/* What has passed until now passed without the stream. */
-	if (s->judged[0] >= PYTHON_SOURCE)
-		h->source((uint32_t)s->judged[0], true);
+	if (s->valid[0] >= PYTHON_SOURCE)
+		h->callbacks.source((uint32_t)s->valid[0], true);
 	else
-		drive(h, s->judged[0], true);
-	memcpy(s->sources, s->judged, sizeof s->sources);
+		dma_drive(h, s->valid[0]);
+	memcpy(s->sources, s->valid, sizeof s->sources);
 	s->total = w[1];
 	s->moved = 0;
 	for (uint32_t i = 0; i < SHARED && s->sources[i] >= 0; ++i) {
 		if (h->s.stream_of[s->sources[i]] >= 0) {
-			ask(h, ASK_TWICE, controller, stream, (uint32_t)s->sources[i]);
+			native_query(h, QUERY_TWICE, h->controllers[controller], stream, (uint32_t)s->sources[i]);
 			return;
 		}
 		h->s.stream_of[s->sources[i]] = (int16_t)(controller * STREAMS + stream);
 	}
-	drive(h, s->sources[0], false);
+	dma_tell(h, s->sources[0]);
 }
 
-static void stream_write_cr(struct hot *h, uint32_t controller, uint32_t stream, uint32_t value)
+static void dma_write_cr(struct native *h, uint32_t controller, uint32_t stream, uint32_t value)
 {
-	const uint32_t device = h->controllers[controller], slot = S_CR + S_STEP * stream;
+	const uint32_t device = h->controllers[controller], word = S_CR + S_STEP * stream;
 	struct stream *const s = &h->s.streams[controller][stream];
 
-	drive_for(h, controller, stream);
-	const uint32_t before = words(h, device)[slot];
+	dma_sync_all(h, controller, stream);
+	const uint32_t before = device_words(h, device)[word];
 
 	if ((before & CR_EN) != 0u && ((before ^ value) & ~(uint32_t)(CR_EN | CR_INTERRUPTS)) != 0u) {
-		ask(h, ASK_CHANGED, controller, stream, value);
+		native_query(h, QUERY_CHANGED, h->controllers[controller], stream, value);
 		return;
 	}
-	keep(h, device, slot, value);
+	device_keep(h, device, word, value);
 	if ((value & CR_EN) != 0u && (before & CR_EN) == 0u) {
-		stream_enable(h, controller, stream);
+		dma_enable(h, controller, stream);
 	} else if ((before & CR_EN) != 0u && (value & CR_EN) == 0u) {
 		const int32_t source = s->sources[0];
 
-		stream_unlink(h, controller, stream);
-		stream_raise(h, controller, stream, FLAG_TC);
-		drive(h, source, false);
+		dma_unlink(h, controller, stream);
+		dma_raise(h, controller, stream, FLAG_TC);
+		dma_tell(h, source);
 	}
-	stream_update(h, controller, stream);
+	dma_update(h, controller, stream);
 	if (s->sources[0] >= PYTHON_SOURCE)
-		source_plan(h, (uint32_t)s->sources[0]);
+		dma_source_plan(h, (uint32_t)s->sources[0]);
 }
 
-/* Can what has passed have ended the stream? Programs poll for that while bytes are on the wire. */
-static bool stream_may_have_ended(struct hot *h, uint32_t controller, uint32_t stream)
+/* Can what has passed have ended the stream? Programs poll for that. */
+static bool dma_may_have_ended(struct native *h, uint32_t controller, uint32_t stream)
 {
 	const int32_t source = h->s.streams[controller][stream].sources[0];
 
-	if (source != SPI_RX && source != SPI_TX)
+	if (source < 0 || source >= PYTHON_SOURCE || h->drivers[source]->may_have_ended == NULL)
 		return true;
-	if (h->s.begun == NEVER)
-		return true;
-	const uint64_t passed = (now(h) - h->s.begun) / byte_cycles(h);
-
-	if (source == SPI_RX)
-		return passed >= hot_available(h, SPI_RX);
-	return h->s.sending_count + spi_waiting(h) <= passed + FIFO_BYTES + 1u;
+	return h->drivers[source]->may_have_ended(h, (uint32_t)source);
 }
 
-uint32_t dma_read(struct hot *h, uint32_t device, uint32_t slot)
+uint32_t dma_read(struct native *h, uint32_t device, uint32_t word)
 {
 	const uint32_t controller = h->numbers[device];
 
-	if (slot == LISR || slot == HISR) {
+	if (word == LISR || word == HISR) {
 		for (uint32_t i = 0; i < 4u; ++i)
-			flags_sync(h, controller, i + (slot == HISR ? 4u : 0u));
-	} else if (slot >= S_CR && (slot - S_CR) % S_STEP == 0u) {
-		if (stream_may_have_ended(h, controller, (slot - S_CR) / S_STEP))
-			stream_sync(h, controller, (slot - S_CR) / S_STEP);
-	} else if (slot >= S_CR && (slot - S_CR) % S_STEP == 1u) {
-		drive_for(h, controller, (slot - S_CR) / S_STEP);
+			dma_flags_sync(h, controller, i + (word == HISR ? 4u : 0u));
+	} else if (word >= S_CR && (word - S_CR) % S_STEP == 0u) {
+		if (dma_may_have_ended(h, controller, (word - S_CR) / S_STEP))
+			dma_sync(h, controller, (word - S_CR) / S_STEP);
+	} else if (word >= S_CR && (word - S_CR) % S_STEP == 1u) {
+		dma_sync_all(h, controller, (word - S_CR) / S_STEP);
 	}
-	return words(h, device)[slot];
+	return device_words(h, device)[word];
 }
 
-void dma_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t value)
+void dma_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
 {
 	const uint32_t controller = h->numbers[device];
 
-	if (slot == LIFCR || slot == HIFCR) {
-		const uint32_t first = slot == LIFCR ? 0u : 4u;
+	if (word == LIFCR || word == HIFCR) {
+		const uint32_t first = word == LIFCR ? 0u : 4u;
 
 		for (uint32_t i = first; i < first + 4u; ++i) {
-			if ((value >> flag_shift(i) & FLAGS) == 0u)
+			if ((value >> dma_shift(i) & FLAGS) == 0u)
 				continue;
-			stream_sync(h, controller, i);
-			words(h, device)[slot - 2u] &= ~(value & FLAGS << flag_shift(i));
-			stream_update(h, controller, i);
+			dma_sync(h, controller, i);
+			device_words(h, device)[word - 2u] &= ~(value & FLAGS << dma_shift(i));
+			dma_update(h, controller, i);
 		}
 		return;
 	}
-	const uint32_t stream = (slot - S_CR) / S_STEP;
+	const uint32_t stream = (word - S_CR) / S_STEP;
 
-	if ((slot - S_CR) % S_STEP == 0u) {
-		stream_write_cr(h, controller, stream, value);
+	if ((word - S_CR) % S_STEP == 0u) {
+		dma_write_cr(h, controller, stream, value);
 		return;
 	}
-	stream_sync(h, controller, stream);
-	if ((words(h, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
-		ask(h, ASK_FROZEN, controller, stream, slot);
+	dma_sync(h, controller, stream);
+	if ((device_words(h, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
+		native_query(h, QUERY_FROZEN, h->controllers[controller], stream, word);
 	else
-		keep(h, device, slot, value);
+		device_keep(h, device, word, value);
 }
 
-static bool reads_dtcm(const uint32_t *w)
+static bool dma_reads_dtcm(const uint32_t *w)
 {
 	return (w[0] & (CR_EN | CR_DIR)) == (CR_EN | CR_READS) && w[3] >= DTCM_BASE && w[3] < SRAM_BASE;
 }
 
-void hot_sleep(void)
+void dma_reset(struct native *h, uint32_t controller)
 {
-	struct hot *const h = hot_current;
+	for (uint32_t i = 0; i < STREAMS; ++i) {
+		dma_unlink(h, controller, i);
+		h->s.streams[controller][i].total = h->s.streams[controller][i].moved = 0;
+		engine_irq(h->e, h->irqs[h->controllers[controller]][i], false);
+	}
+}
 
-	h->failed = false;
+void dma_sleep(struct native *h)
+{
 	for (uint32_t i = 0; i < 2u * STREAMS && !h->failed; ++i) {
 		const uint32_t controller = i / STREAMS, stream = i % STREAMS;
 
-		if (!reads_dtcm(stream_words(h, controller, stream)))
+		if (!dma_reads_dtcm(dma_words(h, controller, stream)))
 			continue;
-		drive_for(h, controller, stream); /* it may have ended */
-		if (reads_dtcm(stream_words(h, controller, stream)))
-			ask(h, ASK_ASLEEP, controller, stream, 0);
+		dma_sync_all(h, controller, stream); /* it may have ended */
+		if (dma_reads_dtcm(dma_words(h, controller, stream)))
+			native_query(h, QUERY_ASLEEP, h->controllers[controller], stream, 0);
 	}
 }

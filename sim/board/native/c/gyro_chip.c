@@ -1,46 +1,66 @@
-/* The gyro chip's samples and the reads of its data in C: sim/board/devices/gyro_chip.py says what the chip does and why, and
- * does whatever is not plain. */
+/* The gyro chip's samples, and reads of its data in one transaction. Its other registers are Python's
+ * (sim/board/devices/gyro_chip.py). */
 #include <string.h>
 
-#include "native.h"
+#include "gyro_chip.h"
+#include "pins.h"
 
 enum { READY_PORT = 2, READY_PIN = 3 };
 enum { DATA = 0x3B, READ = 0x80 };
 
-void gyro_sample(struct hot *h)
+/* What is measured at +-2000 deg/s and +-16 g, as the full scale that is set shows it. */
+static int16_t gyro_value(const struct gyro *g, uint32_t i)
+{
+	const uint32_t shift = i < 3u ? g->accel_shift : i > 3u ? g->gyro_shift : 0u;
+	const int32_t value = g->measured[i] * (1 << shift);
+
+	return (int16_t)(value < INT16_MIN ? INT16_MIN : value > INT16_MAX ? INT16_MAX : value);
+}
+
+void gyro_sample(struct native *h)
 {
 	struct gyro *const g = &h->s.gyro;
-	const uint64_t due = g->due;
+	const uint64_t due = g->due; /* the core may be in the middle of an instruction now */
 
 	g->due = due + g->period;
 	engine_set_alarm(h->e, h->gyro_alarm, g->due);
+	if (h->samples_heard)
+		h->callbacks.sample(g->samples);
 	++g->samples;
+	if (g->silent)
+		return;
 	for (uint32_t i = 0; i < GYRO_VALUES; ++i) { /* the upper byte first */
-		g->data[2u * i] = (uint8_t)((uint16_t)g->measured[i] >> 8);
-		g->data[2u * i + 1u] = (uint8_t)g->measured[i];
+		const uint16_t value = (uint16_t)gyro_value(g, i);
+
+		g->data[2u * i] = (uint8_t)(value >> 8);
+		g->data[2u * i + 1u] = (uint8_t)value;
 	}
 	g->interrupt = 1;
-	hot_pulse(h, READY_PORT, READY_PIN);
+	pins_pulse(h, READY_PORT, READY_PIN);
 	if (exti_watches_fall(h, READY_PIN))
 		engine_set_alarm(h->e, h->gyro_fall_alarm, due + h->gyro_pulse);
 }
 
-bool gyro_exchange(struct hot *h, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
+void gyro_fall(struct native *h)
+{
+	native_drive(h, READY_PORT, READY_PIN, false);
+}
+
+bool gyro_exchange(struct native *h, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
 {
 	struct gyro *const g = &h->s.gyro;
 	const bool begins = g->transaction != h->s.transaction || g->address == NO_ADDRESS;
 	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - DATA, rest = count - begins;
 
-	if (!h->gyro_answers || (mode != 0u && mode != 3u) || hz > h->gyro_data_hz || place > GYRO_BYTES ||
-	    rest > GYRO_BYTES - place)
+	if ((mode != 0u && mode != 3u) || hz > h->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
 		return false;
 	if (begins && g->reads && g->address - DATA < GYRO_BYTES && (g->address - DATA) % 2u != 0u)
 		return false; /* the transaction before ended inside a value */
-	if (begins ? (bytes[0] & READ) == 0u || now(h) < g->ready_at : !g->reads)
+	if (begins ? (bytes[0] & READ) == 0u || native_now(h) < g->ready_at : !g->reads)
 		return false;
 	if (begins) {
 		g->transaction = h->s.transaction;
-		g->selected = g->reads = 1;
+		g->reads = 1;
 		memcpy(g->shadow, g->data, sizeof g->shadow);
 		*bytes++ = 0;
 	}
@@ -49,23 +69,18 @@ bool gyro_exchange(struct hot *h, uint8_t *bytes, uint32_t count, double hz, uin
 	return true;
 }
 
-struct gyro *hot_gyro_state(struct hot *h)
-{
-	return &h->s.gyro;
-}
-
-/* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */
-void hot_gyro(struct hot *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz)
+struct gyro *native_gyro(struct native *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz)
 {
 	h->gyro_alarm = alarm;
 	h->gyro_fall_alarm = fall_alarm;
 	h->gyro_pulse = pulse;
 	h->gyro_data_hz = data_hz;
+	h->s.gyro.due = NEVER;
+	h->s.gyro.address = NO_ADDRESS;
+	return &h->s.gyro;
 }
 
-/* Whether samples are plain, and answers: if not, they are Python's. */
-void hot_gyro_plain(struct hot *h, bool samples, bool answers)
+void native_hear_samples(struct native *h, bool on)
 {
-	h->gyro_samples = samples;
-	h->gyro_answers = answers;
+	h->samples_heard = on;
 }

@@ -1,14 +1,14 @@
-/* EXTI and GPIO in C: sim/board/peripherals/exti.py and gpio.py say what they do and why. */
-#include "native.h"
+/* GPIO and EXTI (RM0431 6 and 11): levels of pins, edges, pending bits and interrupts. */
+#include "pins.h"
 
 /* ---- EXTI ---- */
 
 enum { EXTI_IMR = 0, EXTI_RTSR = 2, EXTI_FTSR = 3, EXTI_SWIER = 4, EXTI_PR = 5 };
 
-void exti_update(struct hot *h)
+void exti_update(struct native *h)
 {
 	static const uint32_t lines[STREAMS] = {1u << 0, 1u << 1, 1u << 2, 1u << 3, 1u << 4, 0x03E0u, 0xFC00u, 1u << 16};
-	const uint32_t *const w = words(h, h->exti);
+	const uint32_t *const w = device_words(h, h->exti);
 	const uint32_t pending = w[EXTI_PR] & w[EXTI_IMR], changed = pending ^ h->s.exti_asserted;
 
 	h->s.exti_asserted = pending;
@@ -17,35 +17,36 @@ void exti_update(struct hot *h)
 			engine_irq(h->e, h->irqs[h->exti][i], (pending & lines[i]) != 0u);
 }
 
-bool exti_watches_fall(const struct hot *h, uint32_t line)
+bool exti_watches_fall(const struct native *h, uint32_t line)
 {
 	return h->s.words[h->exti][EXTI_FTSR] >> line & 1u;
 }
 
-static void exti_edge(struct hot *h, uint32_t port, uint32_t line, bool rising)
+/* The level on pin `line` of `port` has changed. */
+static void exti_edge(struct native *h, uint32_t port, uint32_t line, bool rising)
 {
-	uint32_t *const w = words(h, h->exti);
+	uint32_t *const w = device_words(h, h->exti);
 
 	if ((w[rising ? EXTI_RTSR : EXTI_FTSR] >> line & 1u) == 0u || !h->s.clocked[h->syscfg])
 		return;
 	/* EXTICR1 to 4 are words 2 to 5, four bits a line. */
-	if ((words(h, h->syscfg)[2u + line / 4u] >> 4u * (line % 4u) & 15u) != port)
+	if ((device_words(h, h->syscfg)[2u + line / 4u] >> 4u * (line % 4u) & 15u) != port)
 		return;
 	w[EXTI_PR] |= 1u << line;
 	exti_update(h);
 }
 
-void exti_write(struct hot *h, uint32_t slot, uint32_t value)
+void exti_write(struct native *h, uint32_t word, uint32_t value)
 {
-	uint32_t *const w = words(h, h->exti);
+	uint32_t *const w = device_words(h, h->exti);
 
-	if (slot == EXTI_PR) {
+	if (word == EXTI_PR) {
 		w[EXTI_PR] &= ~value;
 		w[EXTI_SWIER] &= ~value;
 	} else {
-		const uint32_t changed = keep(h, h->exti, slot, value);
+		const uint32_t changed = device_keep(h, h->exti, word, value);
 
-		if (slot == EXTI_SWIER)
+		if (word == EXTI_SWIER)
 			w[EXTI_PR] |= changed & w[EXTI_SWIER] & w[EXTI_IMR];
 	}
 	exti_update(h);
@@ -55,7 +56,7 @@ void exti_write(struct hot *h, uint32_t slot, uint32_t value)
 
 enum { CS_PORT = 2, CS_PIN = 2 };
 
-static bool pin_level(const struct hot *h, uint32_t port, uint32_t pin)
+static bool pins_level(const struct native *h, uint32_t port, uint32_t pin)
 {
 	const uint32_t *const w = h->s.words[h->ports[port]];
 	const bool odr = (w[ODR] >> pin & 1u) != 0u;
@@ -67,10 +68,10 @@ static bool pin_level(const struct hot *h, uint32_t port, uint32_t pin)
 	return (w[PUPDR] >> 2u * pin & 3u) == 1u;
 }
 
-void tell_pins(struct hot *h, uint32_t port)
+void pins_tell(struct native *h, uint32_t port)
 {
 	if (port == CS_PORT) {
-		const bool selected = !pin_level(h, CS_PORT, CS_PIN);
+		const bool selected = !pins_level(h, CS_PORT, CS_PIN);
 
 		h->s.transaction += selected != h->s.selected;
 		h->s.selected = selected;
@@ -78,40 +79,40 @@ void tell_pins(struct hot *h, uint32_t port)
 	for (uint32_t pin = 0; h->watched[port] >> pin != 0u; ++pin) {
 		if ((h->watched[port] >> pin & 1u) == 0u)
 			continue;
-		const bool level = pin_level(h, port, pin);
+		const bool level = pins_level(h, port, pin);
 
 		if (level != (h->s.told[port] >> pin & 1u)) {
 			h->s.told[port] ^= (uint16_t)(1u << pin);
-			h->pin(port, pin, level);
+			h->callbacks.pin(h->ports[port], pin, level);
 		}
 	}
 }
 
-uint32_t port_read(struct hot *h, uint32_t device, uint32_t slot)
+uint32_t pins_read(struct native *h, uint32_t device, uint32_t word)
 {
 	const uint32_t port = h->numbers[device];
 	uint32_t value = 0;
 
-	if (slot != IDR)
-		return words(h, device)[slot];
+	if (word != IDR)
+		return device_words(h, device)[word];
 	for (uint32_t pin = 0; pin < 16u; ++pin)
-		if ((words(h, device)[MODER] >> 2u * pin & 3u) != 3u)
-			value |= (uint32_t)pin_level(h, port, pin) << pin;
+		if ((device_words(h, device)[MODER] >> 2u * pin & 3u) != 3u)
+			value |= (uint32_t)pins_level(h, port, pin) << pin;
 	return value;
 }
 
-void port_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t value)
+void pins_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
 {
-	uint32_t *const w = words(h, device);
+	uint32_t *const w = device_words(h, device);
 
-	if (slot == BSRR)
+	if (word == BSRR) /* setting wins where both are asked for (RM0431 6.4.7) */
 		w[ODR] = (w[ODR] & ~(value >> 16)) | (value & 0xFFFFu);
-	else if (keep(h, device, slot, value) != 0u && slot != ODR)
+	else if (device_keep(h, device, word, value) != 0u && word != ODR)
 		++h->s.epoch;
-	tell_pins(h, h->numbers[device]);
+	pins_tell(h, h->numbers[device]);
 }
 
-void hot_drive(struct hot *h, uint32_t port, uint32_t pin, bool level)
+void native_drive(struct native *h, uint32_t port, uint32_t pin, bool level)
 {
 	const uint16_t bit = (uint16_t)(1u << pin);
 
@@ -120,22 +121,18 @@ void hot_drive(struct hot *h, uint32_t port, uint32_t pin, bool level)
 	h->s.driven[port] |= bit;
 	h->s.high[port] = (uint16_t)(level ? h->s.high[port] | bit : h->s.high[port] & ~bit);
 	exti_edge(h, port, pin, level);
-	tell_pins(h, port);
+	pins_tell(h, port);
 }
 
-void hot_pulse(struct hot *h, uint32_t port, uint32_t pin)
+/* The board lets a pin rise; where it was high still, it falls first. */
+void pins_pulse(struct native *h, uint32_t port, uint32_t pin)
 {
-	hot_drive(h, port, pin, false);
-	hot_drive(h, port, pin, true);
+	native_drive(h, port, pin, false);
+	native_drive(h, port, pin, true);
 }
 
-bool hot_level(struct hot *h, uint32_t port, uint32_t pin)
-{
-	return pin_level(h, port, pin);
-}
-
-void hot_watch(struct hot *h, uint32_t port, uint32_t pin)
+void native_watch(struct native *h, uint32_t port, uint32_t pin)
 {
 	h->watched[port] |= (uint16_t)(1u << pin);
-	h->s.told[port] = (uint16_t)((h->s.told[port] & ~(1u << pin)) | (uint32_t)pin_level(h, port, pin) << pin);
+	h->s.told[port] = (uint16_t)((h->s.told[port] & ~(1u << pin)) | (uint32_t)pins_level(h, port, pin) << pin);
 }

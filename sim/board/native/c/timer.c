@@ -1,90 +1,95 @@
-/* The timers in C: sim/board/peripherals/timer.py and dshot.py say what they do and why. */
+/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA at their beat.
+ *
+ * A free-running timer costs nothing: its updates are counted when a register is read. While DMA feeds compare registers,
+ * an alarm marks the end of the transfer; what the pins did meanwhile is shown as trains of pulses. */
 #include <string.h>
 
-#include "native.h"
+#include "esc.h"
+#include "timer.h"
 
 enum { T_CR1 = 0, T_CR2 = 1, T_DIER = 3, T_SR = 4, T_EGR = 5, T_CCMR1 = 6, T_CCMR2 = 7, T_CCER = 8, T_CNT = 9,
        T_PSC = 10, T_ARR = 11, T_CCR1 = 13, T_CCR4 = 16, T_BDTR = 17, T_DCR = 18, T_DMAR = 19 };
 enum { CEN = 1u << 0, UDIS = 1u << 1, URS = 1u << 2, OPM = 1u << 3, ARPE = 1u << 7 };
 enum { CCDS = 1u << 3, MOE = 1u << 15, UIF = 1u << 0 };
 
-uint64_t timer_cycles(const struct hot *h, uint32_t t, uint64_t counts)
+static uint64_t timer_cycles(const struct native *h, uint32_t t, uint64_t counts)
 {
 	return counts * (h->s.timers[t].psc + 1u) * TIME_HZ / h->s.timer_clock[h->advanced[t]];
 }
 
-static uint64_t timer_period(const struct hot *h, uint32_t t)
+static uint64_t timer_period(const struct native *h, uint32_t t)
 {
 	return timer_cycles(h, t, (uint64_t)h->s.timers[t].arr + 1u);
 }
 
-uint32_t timer_count(const struct hot *h, uint32_t t)
+static uint32_t timer_count(const struct native *h, uint32_t t)
 {
 	const struct timer *const s = &h->s.timers[t];
 
 	if ((h->s.words[h->timer_devices[t]][T_CR1] & CEN) == 0u)
 		return s->stopped_at;
-	const uint64_t count = (now(h) - s->anchor) * h->s.timer_clock[h->advanced[t]] / (TIME_HZ * (s->psc + 1u));
+	const uint64_t count = (native_now(h) - s->anchor) * h->s.timer_clock[h->advanced[t]] / (TIME_HZ * (s->psc + 1u));
 
 	return count < s->arr ? (uint32_t)count : s->arr;
 }
 
-static uint32_t source_of(uint32_t t, uint32_t k)
+static uint32_t timer_source(uint32_t t, uint32_t k)
 {
 	return TIMER_SOURCE + 5u * t + k;
 }
 
 /* Is request `k` (0 update, 1 to 4 channels) made at each update? */
-static bool timer_asks(struct hot *h, uint32_t t, uint32_t k)
+static bool timer_asks(struct native *h, uint32_t t, uint32_t k)
 {
-	const uint32_t *const w = words(h, h->timer_devices[t]);
+	const uint32_t *const w = device_words(h, h->timer_devices[t]);
 
 	if ((w[T_DIER] >> (8u + k) & 1u) == 0u)
 		return false;
 	if (k != 0u && (w[T_CR2] & CCDS) == 0u) {
-		ask(h, ASK_COMPARE, t, k, 0);
+		native_query(h, QUERY_COMPARE, h->timer_devices[t], k, 0);
 		return false;
 	}
 	return true;
 }
 
-/* The words that one request writes: first and how many; 0 when it may not. */
-static uint32_t timer_target(struct hot *h, uint32_t t, uint32_t k, uint32_t *first)
+/* The words that one request writes, a register or a burst of them through DMAR: first and how many; 0 when it may not. */
+static uint32_t timer_targets(struct native *h, uint32_t t, uint32_t k, uint32_t *first)
 {
 	const uint32_t device = h->timer_devices[t];
-	const uint32_t *const w = words(h, device);
-	const uint32_t slot = (hot_target(h, source_of(t, k)) - h->bases[device]) >> 2;
+	const uint32_t *const w = device_words(h, device);
+	const uint32_t word = (native_target(h, timer_source(t, k)) - h->bases[device]) >> 2;
 	uint32_t count = 1;
 
-	*first = slot;
-	if (slot == T_DMAR) {
+	*first = word;
+	if (word == T_DMAR) {
 		*first = w[T_DCR] & 31u;
 		count = (w[T_DCR] >> 8 & 31u) + 1u;
 	}
 	for (uint32_t i = *first; i < *first + count; ++i) {
 		if (i != T_PSC && i != T_ARR && (i < T_CCR1 || i > T_CCR4)) {
-			ask(h, ASK_TARGET, t, k, 0);
+			native_query(h, QUERY_TARGET, h->timer_devices[t], k, 0);
 			return 0;
 		}
 	}
 	return count;
 }
 
-static bool preloaded(const struct hot *h, uint32_t t, uint32_t channel)
+static bool timer_preloads(const struct native *h, uint32_t t, uint32_t channel)
 {
 	return h->s.words[h->timer_devices[t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
 }
 
-static void timer_store(struct hot *h, uint32_t t, uint32_t slot, uint32_t value)
+static void timer_store(struct native *h, uint32_t t, uint32_t word, uint32_t value)
 {
-	keep(h, h->timer_devices[t], slot, value);
-	if (slot >= T_CCR1 && slot <= T_CCR4 && !preloaded(h, t, slot - T_CCR1))
-		h->s.timers[t].ccr[slot - T_CCR1] = value;
+	device_keep(h, h->timer_devices[t], word, value);
+	if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(h, t, word - T_CCR1))
+		h->s.timers[t].ccr[word - T_CCR1] = value;
 }
 
-void timer_load(struct hot *h, uint32_t t)
+/* What was preloaded takes effect. */
+static void timer_load(struct native *h, uint32_t t)
 {
-	const uint32_t *const w = words(h, h->timer_devices[t]);
+	const uint32_t *const w = device_words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
 
 	s->arr = w[T_ARR];
@@ -92,58 +97,21 @@ void timer_load(struct hot *h, uint32_t t)
 	memcpy(s->ccr, w + T_CCR1, sizeof s->ccr);
 }
 
-static void timer_update_irq(struct hot *h, uint32_t t)
+static void timer_update_irq(struct native *h, uint32_t t)
 {
 	const uint32_t device = h->timer_devices[t];
 
-	engine_irq(h->e, h->irqs[device][0], (words(h, device)[T_SR] & words(h, device)[T_DIER] & UIF) != 0u);
-}
-
-/* Takes a train for a DShot frame; false: it is none, or Python has to say what is wrong with it. */
-static bool take_frame(struct hot *h, uint32_t t, uint32_t channel, const struct train *train)
-{
-	struct esc *const esc = &h->s.timers[t].escs[channel];
-	const uint64_t length = train->length;
-	uint32_t frame = 0;
-
-	if (length < esc->shortest || length > esc->longest || (int64_t)train->start < esc->rest_since + GAP)
-		return false;
-	for (uint32_t i = 0; i < TRAIN; ++i) {
-		/* 37.5 % of the bit for a 0, 75 % for a 1, within 5 % of that: sim/board/devices/esc.py. */
-		const uint64_t high = 8u * (uint64_t)train->highs[i];
-		const uint64_t nominal = 16u * (uint64_t)train->highs[i] > 9u * length ? 6u * length : 3u * length;
-
-		if (20u * (high > nominal ? high - nominal : nominal - high) > nominal)
-			return false;
-		frame = frame << 1 | (nominal == 6u * length);
-	}
-	const uint32_t data = frame >> 4;
-
-	if ((frame & 15u) != ((data ^ data >> 4 ^ data >> 8) & 15u))
-		return false;
-	if (h->s.frame_count == FRAMES)
-		h->source(DRAIN, 0);
-	if (h->s.frame_count == FRAMES)
-		return false;
-	esc->last_cycle = train->start + TRAIN * length;
-	esc->rest_since = (int64_t)esc->last_cycle;
-	esc->last = data;
-	++esc->frames;
-	if (h->listening)
-		h->s.frames[h->s.frame_count++] = (struct frame){
-			.cycle = esc->last_cycle, .timer = t, .channel = channel + 1u, .data = data,
-		};
-	return true;
+	engine_irq(h->e, h->irqs[device][0], (device_words(h, device)[T_SR] & device_words(h, device)[T_DIER] & UIF) != 0u);
 }
 
 /* One period more of a channel. Python sees trains as a whole: up to a rest, or as long as a frame can be. */
-static void timer_show(struct hot *h, uint32_t t, uint32_t channel, uint64_t start, uint32_t high)
+static void timer_show(struct native *h, uint32_t t, uint32_t channel, uint64_t start, uint32_t high)
 {
 	struct train *const train = &h->s.timers[t].trains[channel];
 	const uint64_t length = timer_period(h, t);
 
 	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
-		h->pulses(t, channel + 1u, train->start, train->length, train->count, train->highs);
+		h->callbacks.pulses(h->timer_devices[t], channel + 1u, train->start, train->length, train->count, train->highs);
 		train->count = 0;
 	}
 	if (train->count == 0u) {
@@ -154,17 +122,17 @@ static void timer_show(struct hot *h, uint32_t t, uint32_t channel, uint64_t sta
 	}
 	train->highs[train->count++] = high;
 	if (high == 0u || train->count == TRAIN) {
-		if (high == 0u || !take_frame(h, t, channel, train))
-			h->pulses(t, channel + 1u, train->start, length, train->count, train->highs);
+		if (high == 0u || !esc_take(h, t, channel, train))
+			h->callbacks.pulses(h->timer_devices[t], channel + 1u, train->start, length, train->count, train->highs);
 		train->count = 0;
 	}
 }
 
 /* Periods of a channel that have passed, the first `offset` periods after the anchor. */
-static void timer_pulses(struct hot *h, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
+static void timer_pulses(struct native *h, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
 			 const uint32_t *compares)
 {
-	const uint32_t *const w = words(h, h->timer_devices[t]);
+	const uint32_t *const w = device_words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
 	const bool off = h->advanced[t] && (w[T_BDTR] & MOE) == 0u;
 	uint32_t highs[PERIODS];
@@ -176,11 +144,11 @@ static void timer_pulses(struct hot *h, uint32_t t, uint32_t channel, uint32_t o
 		highs[i] = (uint32_t)timer_cycles(h, t, compares[i]);
 		any = any || compares[i] != 0u;
 	}
-	if (any && (off || s->judged[channel] != h->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
-		ask(h, ASK_OUTPUT, t, channel + 1u, 0);
+	if (any && (off || s->valid[channel] != h->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
+		native_query(h, QUERY_OUTPUT, h->timer_devices[t], channel + 1u, 0);
 		if (h->failed)
 			return;
-		s->judged[channel] = h->s.epoch;
+		s->valid[channel] = h->s.epoch;
 		s->ccmr[channel] = w[T_CCMR1 + channel / 2u];
 	}
 	for (uint32_t i = 0; i < count; ++i)
@@ -188,12 +156,12 @@ static void timer_pulses(struct hot *h, uint32_t t, uint32_t channel, uint32_t o
 }
 
 /* One request's items go to their registers. */
-static void timer_feed(struct hot *h, uint32_t t, uint32_t k)
+static void timer_feed(struct native *h, uint32_t t, uint32_t k)
 {
 	uint32_t first, items[32];
-	const uint32_t count = timer_target(h, t, k, &first);
-	const uint32_t available = hot_available(h, source_of(t, k));
-	const uint32_t taken = hot_take(h, source_of(t, k), items, count < available ? count : available);
+	const uint32_t count = timer_targets(h, t, k, &first);
+	const uint32_t available = native_available(h, timer_source(t, k));
+	const uint32_t taken = native_take(h, timer_source(t, k), items, count < available ? count : available);
 
 	for (uint32_t i = 0; i < taken; ++i)
 		timer_store(h, t, first + i, items[i]);
@@ -201,21 +169,21 @@ static void timer_feed(struct hot *h, uint32_t t, uint32_t k)
 }
 
 /* `updates` updates, at each of which a period ends and DMA writes the compare values of the next. */
-static uint32_t timer_run_fed(struct hot *h, uint32_t t, uint32_t k, uint64_t updates)
+static uint32_t timer_run_fed(struct native *h, uint32_t t, uint32_t k, uint64_t updates)
 {
 	uint32_t compares[CHANNELS][PERIODS];
 	uint32_t first, done = 0;
-	const uint32_t step = timer_target(h, t, k, &first);
+	const uint32_t step = timer_targets(h, t, k, &first);
 
 	if (step == 0u)
 		return 1;
-	while (done < updates && done < PERIODS && hot_available(h, source_of(t, k)) != 0u && !h->failed) {
+	while (done < updates && done < PERIODS && native_available(h, timer_source(t, k)) != 0u && !h->failed) {
 		for (uint32_t c = 0; c < CHANNELS; ++c)
 			compares[c][done] = h->s.timers[t].ccr[c];
 		timer_load(h, t);
 		timer_feed(h, t, k);
 		++done;
-		if (h->s.timers[t].arr != words(h, h->timer_devices[t])[T_ARR])
+		if (h->s.timers[t].arr != device_words(h, h->timer_devices[t])[T_ARR])
 			break;
 	}
 	for (uint32_t c = 0; c < CHANNELS; ++c)
@@ -224,7 +192,7 @@ static uint32_t timer_run_fed(struct hot *h, uint32_t t, uint32_t k, uint64_t up
 }
 
 /* Nothing changes from update to update; an endless pulse train is shown for a while. */
-static uint64_t timer_free_run(struct hot *h, uint32_t t, uint64_t updates)
+static uint64_t timer_free_run(struct native *h, uint32_t t, uint64_t updates)
 {
 	struct timer *const s = &h->s.timers[t];
 	uint32_t compares[STEADY_PERIODS];
@@ -249,9 +217,9 @@ static uint64_t timer_free_run(struct hot *h, uint32_t t, uint64_t updates)
 }
 
 /* Goes through `updates` updates or fewer; returns how many. */
-static uint64_t timer_run(struct hot *h, uint32_t t, uint64_t updates)
+static uint64_t timer_run(struct native *h, uint32_t t, uint64_t updates)
 {
-	uint32_t *const w = words(h, h->timer_devices[t]);
+	uint32_t *const w = device_words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
 	uint32_t asking = 0, fed = 0, fed_count = 0, last = 0;
 	uint64_t count = 1;
@@ -260,7 +228,7 @@ static uint64_t timer_run(struct hot *h, uint32_t t, uint64_t updates)
 		if (!timer_asks(h, t, k))
 			continue;
 		asking |= 1u << k;
-		if (hot_available(h, source_of(t, k)) != 0u) {
+		if (native_available(h, timer_source(t, k)) != 0u) {
 			fed |= 1u << k;
 			last = k;
 			++fed_count;
@@ -286,14 +254,14 @@ static uint64_t timer_run(struct hot *h, uint32_t t, uint64_t updates)
 	return count;
 }
 
-void timer_sync(struct hot *h, uint32_t t)
+void timer_sync(struct native *h, uint32_t t)
 {
-	uint32_t *const w = words(h, h->timer_devices[t]);
+	uint32_t *const w = device_words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
 
 	if ((w[T_CR1] & (CEN | UDIS)) != CEN)
 		return;
-	uint64_t length = timer_period(h, t), updates = (now(h) - s->anchor) / length;
+	uint64_t length = timer_period(h, t), updates = (native_now(h) - s->anchor) / length;
 
 	while (updates != 0u && !h->failed) {
 		if (w[T_CR1] & OPM)
@@ -305,15 +273,14 @@ void timer_sync(struct hot *h, uint32_t t)
 			break;
 		}
 		length = timer_period(h, t); /* ARR or PSC may be others now */
-		updates = now(h) < s->anchor ? 0u : (now(h) - s->anchor) / length;
+		updates = native_now(h) < s->anchor ? 0u : (native_now(h) - s->anchor) / length;
 	}
 }
 
-/* The alarm for the next update that somebody waits for. */
-void timer_plan(struct hot *h, uint32_t t)
+void timer_plan(struct native *h, uint32_t t)
 {
 	const uint32_t device = h->timer_devices[t];
-	const uint32_t *const w = words(h, device);
+	const uint32_t *const w = device_words(h, device);
 	uint64_t waits = NEVER;
 
 	if ((w[T_CR1] & (CEN | UDIS)) == CEN) {
@@ -321,8 +288,8 @@ void timer_plan(struct hot *h, uint32_t t)
 			waits = 1;
 		for (uint32_t k = 0; k <= CHANNELS && !h->failed; ++k) {
 			uint32_t first;
-			const uint32_t available = timer_asks(h, t, k) ? hot_available(h, source_of(t, k)) : 0u;
-			const uint32_t step = available != 0u ? timer_target(h, t, k, &first) : 0u;
+			const uint32_t available = timer_asks(h, t, k) ? native_available(h, timer_source(t, k)) : 0u;
+			const uint32_t step = available != 0u ? timer_targets(h, t, k, &first) : 0u;
 
 			if (step != 0u && (available + step - 1u) / step < waits)
 				waits = (available + step - 1u) / step;
@@ -332,11 +299,18 @@ void timer_plan(struct hot *h, uint32_t t)
 			 waits == NEVER ? NEVER : h->s.timers[t].anchor + waits * timer_period(h, t));
 }
 
-void timer_dma_changed(struct hot *h, uint32_t t)
+static void timer_driver_sync(struct native *h, uint32_t source)
 {
+	timer_sync(h, (source - TIMER_SOURCE) / 5u);
+}
+
+static void timer_driver_changed(struct native *h, uint32_t source)
+{
+	const uint32_t t = (source - TIMER_SOURCE) / 5u;
+
 	timer_sync(h, t);
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if ((h->s.timers[t].pending >> k & 1u) != 0u && hot_available(h, source_of(t, k)) != 0u) {
+		if ((h->s.timers[t].pending >> k & 1u) != 0u && native_available(h, timer_source(t, k)) != 0u) {
 			h->s.timers[t].pending &= ~(1u << k);
 			timer_feed(h, t, k);
 		}
@@ -344,34 +318,62 @@ void timer_dma_changed(struct hot *h, uint32_t t)
 	timer_plan(h, t);
 }
 
-uint32_t timer_read(struct hot *h, uint32_t device, uint32_t slot)
+const struct driver timer_driver = {.sync = timer_driver_sync, .changed = timer_driver_changed};
+
+void timer_reset(struct native *h, uint32_t t)
+{
+	const uint32_t device = h->timer_devices[t];
+
+	memset(&h->s.timers[t], 0, offsetof(struct timer, escs)); /* ESCs live on */
+	timer_load(h, t);
+	engine_set_alarm(h->e, h->alarms[device], NEVER);
+	engine_irq(h->e, h->irqs[device][0], false);
+}
+
+void timer_clocks(struct native *h, uint64_t apb1, uint64_t apb2)
+{
+	uint32_t counts[TIMERS];
+
+	for (uint32_t t = 0; t < TIMERS; ++t) {
+		timer_sync(h, t);
+		counts[t] = timer_count(h, t);
+	}
+	h->s.timer_clock[0] = apb1;
+	h->s.timer_clock[1] = apb2;
+	for (uint32_t t = 0; t < TIMERS; ++t) {
+		h->s.timers[t].anchor = native_now(h) - timer_cycles(h, t, counts[t]);
+		timer_plan(h, t);
+	}
+}
+
+uint32_t timer_read(struct native *h, uint32_t device, uint32_t word)
 {
 	const uint32_t t = h->numbers[device];
-	uint32_t *const w = words(h, device);
+	uint32_t *const w = device_words(h, device);
 
-	if (slot == T_DMAR) {
-		ask(h, ASK_DMAR, t, 0, 0);
+	if (word == T_DMAR) {
+		native_query(h, QUERY_DMAR, h->timer_devices[t], 0, 0);
 		return 0;
 	}
-	if (slot != T_CNT && slot != T_SR && slot != T_CR1 && (slot < T_CCR1 || slot > T_CCR4))
-		return w[slot];
+	if (word != T_CNT && word != T_SR && word != T_CR1 && (word < T_CCR1 || word > T_CCR4))
+		return w[word];
 	timer_sync(h, t);
-	if (slot == T_CNT)
+	if (word == T_CNT)
 		return timer_count(h, t);
-	if (slot == T_SR && (w[T_CR1] & CEN) != 0u)
+	if (word == T_SR && (w[T_CR1] & CEN) != 0u)
 		for (uint32_t c = 0; c < CHANNELS; ++c)
 			if (h->s.timers[t].ccr[c] != 0u && timer_count(h, t) >= h->s.timers[t].ccr[c])
 				w[T_SR] |= 2u << c;
-	return w[slot];
+	return w[word];
 }
 
-static void timer_generate(struct hot *h, uint32_t t, uint32_t value)
+static void timer_generate(struct native *h, uint32_t t, uint32_t value)
 {
-	uint32_t *const w = words(h, h->timer_devices[t]);
+	uint32_t *const w = device_words(h, h->timer_devices[t]);
 	struct timer *const s = &h->s.timers[t];
 
 	if (value & 1u) {
-		s->anchor = now(h);
+		s->anchor = native_now(h);
 		s->stopped_at = 0;
 		timer_load(h, t);
 		if ((w[T_CR1] & URS) == 0u) {
@@ -379,7 +381,7 @@ static void timer_generate(struct hot *h, uint32_t t, uint32_t value)
 			for (uint32_t k = 0; k <= CHANNELS; ++k) {
 				if (!timer_asks(h, t, k))
 					continue;
-				if (hot_available(h, source_of(t, k)) != 0u)
+				if (native_available(h, timer_source(t, k)) != 0u)
 					timer_feed(h, t, k);
 				else
 					s->pending |= 1u << k;
@@ -390,37 +392,37 @@ static void timer_generate(struct hot *h, uint32_t t, uint32_t value)
 	w[T_SR] |= value & 0x1Eu;
 }
 
-void timer_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t value)
+void timer_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
 {
 	const uint32_t t = h->numbers[device];
 	struct timer *const s = &h->s.timers[t];
-	uint32_t *const w = words(h, device);
+	uint32_t *const w = device_words(h, device);
 	uint32_t count, changed;
 
-	if (slot == T_SR) {
+	if (word == T_SR) {
 		(void)timer_read(h, device, T_SR);
 		w[T_SR] &= value;
 		timer_update_irq(h, t);
 		return;
 	}
 	timer_sync(h, t);
-	switch (slot) {
+	switch (word) {
 	case T_DMAR:
-		ask(h, ASK_DMAR, t, 1, 0);
+		native_query(h, QUERY_DMAR, h->timer_devices[t], 1, 0);
 		return;
 	case T_EGR:
 		timer_generate(h, t, value);
 		break;
 	case T_CNT:
 		s->stopped_at = value;
-		s->anchor = now(h) - timer_cycles(h, t, value);
+		s->anchor = native_now(h) - timer_cycles(h, t, value);
 		break;
 	case T_CR1:
 		count = timer_count(h, t);
-		changed = keep(h, device, slot, value);
+		changed = device_keep(h, device, word, value);
 		if (changed & CEN) {
 			if (w[T_CR1] & CEN) {
-				s->anchor = now(h) - timer_cycles(h, t, count);
+				s->anchor = native_now(h) - timer_cycles(h, t, count);
 				s->steady = 0;
 			} else {
 				s->stopped_at = count;
@@ -428,14 +430,14 @@ void timer_write(struct hot *h, uint32_t device, uint32_t slot, uint32_t value)
 		}
 		break;
 	default:
-		keep(h, device, slot, value);
-		if (slot == T_ARR && (w[T_CR1] & ARPE) == 0u)
+		device_keep(h, device, word, value);
+		if (word == T_ARR && (w[T_CR1] & ARPE) == 0u)
 			s->arr = w[T_ARR];
-		if (slot >= T_CCR1 && slot <= T_CCR4 && !preloaded(h, t, slot - T_CCR1))
-			s->ccr[slot - T_CCR1] = w[slot];
-		if (slot == T_CCER || slot == T_BDTR || (slot >= T_CCR1 && slot <= T_CCR4))
+		if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(h, t, word - T_CCR1))
+			s->ccr[word - T_CCR1] = w[word];
+		if (word == T_CCER || word == T_BDTR || (word >= T_CCR1 && word <= T_CCR4))
 			s->steady = 0;
-		if (slot == T_DIER) {
+		if (word == T_DIER) {
 			for (uint32_t k = 0; k <= CHANNELS; ++k)
 				if (!timer_asks(h, t, k))
 					s->pending &= ~(1u << k);

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cffi import FFI
 from elftools.elf.elffile import ELFFile
 
-from sim.board.core.library import load_library
+from sim.board.core.library import CORE, load_library
 from toolchain.cortex_m7.disassembly import Instruction, disassemble
 
 ACCESS, DIVIDE, MASKS, WAIT, CONTROL = range(5)  # enum special_kind of engine.h
@@ -56,33 +57,19 @@ VECTORS();
 """
 
 
-class Special(ctypes.Structure):
-    """`struct special` of engine.h."""
-
-    _fields_ = (
-        ("offset", ctypes.c_uint16),
-        *((name, ctypes.c_uint8) for name in ("kind", "base", "index", "shift", "align", "always")),
-        ("immediate", ctypes.c_int16),
-    )
-
-
-class Block(ctypes.Structure):
-    """`struct block` of engine.h."""
-
-    _fields_ = (
-        *((name, ctypes.c_uint32) for name in ("start", "size")),
-        *((name, ctypes.c_uint16) for name in ("count", "special_count", "float_offset", "opening", "open")),
-        *(("calls", ctypes.c_bool), ("code", ctypes.c_uint32), ("times", ctypes.c_uint64)),
-        *(("offsets", ctypes.POINTER(ctypes.c_uint16)), ("specials", ctypes.POINTER(Special))),
-    )
+@cache
+def decoder() -> Any:
+    """The library with block_decode, which is not for Python: its structs come from engine.h."""
+    ffi, text = FFI(), (CORE / "engine.h").read_text()
+    for name in ("special", "block"):
+        ffi.cdef(text[text.index(f"struct {name} {{") :].partition("};\n")[0] + "};")
+    ffi.cdef("struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);")
+    return ffi.dlopen(str(load_library().path))
 
 
 def decode(code: bytes) -> Any:
     """The engine's block of `code`."""
-    function = load_library().block_decode
-    function.restype = ctypes.POINTER(Block)
-    function.argtypes = [ctypes.c_char_p, ctypes.c_uint32, ctypes.c_uint32]
-    return function(code, len(code), 0).contents
+    return decoder().block_decode(code, len(code), 0)
 
 
 def expected_access(instruction: Instruction) -> tuple[int, int, bool] | None:

@@ -96,12 +96,7 @@ def execute(bench: Bench, steps: list[tuple[str, str, int]], pieces: int) -> lis
     for pin, function in (("PA5", 5), ("PA6", 5), ("PA7", 5), ("PC6", 3), ("PC7", 3), ("PC8", 3), ("PC9", 3)):
         bench.alternate(pin, function)
     bench.context.set_memory(BUFFER, bytes(range(256)) * 8)
-    chip = bench.hardware.gyro
-
-    def exchange(sent: Sequence[int], hz: float, mode: int) -> list[int] | None:
-        return [byte ^ 0x5A for byte in sent] if chip.selected else None
-
-    chip.exchange = exchange  # type: ignore[method-assign]
+    bench.hardware.native.on_exchange = lambda sent, *_: bytes(byte ^ 0x5A for byte in sent)
     pulses: list[tuple[int, int, int, int]] = []
     for channel in range(1, 5):
 

@@ -9,6 +9,7 @@ import pytest
 
 from sim.board.core.context import BoardError
 from sim.board.devices.esc import Esc, Frame
+from sim.board.native.library import native_library
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -301,6 +302,10 @@ def refuse(message: str) -> NoReturn:
     raise RefusedError(message)
 
 
+def make_esc(motor: int) -> Esc:
+    return Esc(native_library().ffi.new("struct esc *", {"motor": motor - 1}), refuse)
+
+
 def highs(bits: Sequence[int]) -> list[int]:
     return [270 if bit else 135 for bit in bits]
 
@@ -310,7 +315,7 @@ def test_every_value_is_decoded_when_cut_anywhere(value: int) -> None:
     pulses = [0, *highs(frame_bits(value, value % 2 == 1)), 0, 0]
     for cut in range(len(pulses)):
         frames: list[Frame] = []
-        esc = Esc(1, refuse)
+        esc = make_esc(1)
         esc.on_frame = frames.append
         esc.pulses(0, BIT, pulses[:cut])
         esc.pulses(cut * BIT, BIT, pulses[cut:])
@@ -331,18 +336,18 @@ def test_every_value_is_decoded_when_cut_anywhere(value: int) -> None:
 )
 def test_frame_is_refused_when_an_esc_would_not_take_it(pulses: list[int], message: str) -> None:
     with pytest.raises(RefusedError, match=message):
-        Esc(3, refuse).pulses(0, BIT, pulses)
+        make_esc(3).pulses(0, BIT, pulses)
 
 
 def test_bits_are_refused_when_there_is_a_pause_between_them() -> None:
-    esc = Esc(2, refuse)
+    esc = make_esc(2)
     esc.pulses(0, BIT, highs(frame_bits(48))[:8])
     with pytest.raises(RefusedError, match="motor 2: a frame pauses after 8 bits"):
         esc.pulses(9 * BIT, BIT, highs(frame_bits(48))[8:])
 
 
 def test_bits_are_refused_when_their_length_changes_within_a_frame() -> None:
-    esc = Esc(2, refuse)
+    esc = make_esc(2)
     esc.pulses(0, BIT, highs(frame_bits(48))[:8])
     with pytest.raises(RefusedError, match=r"motor 2: a bit lasts 3\.333 us, the one before it 1\.667 us"):
         esc.pulses(8 * BIT, 2 * BIT, [135] * 8)

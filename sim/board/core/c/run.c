@@ -177,14 +177,14 @@ static void pass_asleep(struct engine *e)
 {
 	const uint8_t *const before = host(e, e->s.pc - 2u, 2);
 
-	e->on_sleep();
+	if (e->callbacks.sleep != NULL)
+		e->callbacks.sleep(e->callbacks.user);
 	if (!e->failed)
 		e->s.time = e->next_due < e->until ? e->next_due : e->until;
 	else if (before != NULL && before[0] == 0x30u && before[1] == 0xBFu)
 		e->last_pc = e->s.pc - 2u;
 }
 
-/* Runs until `cycle` (of 216 MHz) or for at most `instructions`. Returns an enum outcome. */
 int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 {
 	e->until = cycle > NEVER >> FRACTION ? NEVER : cycle << FRACTION;

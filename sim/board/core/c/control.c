@@ -1,4 +1,4 @@
-/* What Python calls (sim/board/core/library.py), and nothing else. Not from within unicorn, but where it says so. */
+/* The engine from outside: made, freed, reset; what peripherals and bus masters do to it. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -34,7 +34,6 @@ struct engine *engine_new(uint64_t cpi, bool strict, bool profiling, const uint1
 	return e;
 }
 
-/* Opens unicorn and maps the chip. 0, or unicorn's error. */
 int engine_open(struct engine *e)
 {
 	uc_err error = uc_open(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS, &e->uc);
@@ -61,18 +60,11 @@ void engine_free(struct engine *e)
 	free(e);
 }
 
-void engine_callbacks(struct engine *e, read_callback read, write_callback write, alarm_callback alarm,
-		      flash_callback flash, sleep_callback sleep)
+void engine_callbacks(struct engine *e, const struct callbacks *callbacks)
 {
-	e->on_read = read;
-	e->on_write = write;
-	e->on_alarm = alarm;
-	e->on_flash = flash;
-	e->on_sleep = sleep;
+	e->callbacks = *callbacks;
 }
 
-/* A system reset: registers as ARMv7-M B1.5.5 says, RAM as it is. The stack and the first instruction come from
- * `vectors`. Alarms and lines of peripherals are cancelled. */
 void engine_reset(struct engine *e, uint32_t vectors)
 {
 	const uint8_t *const head = host(e, vectors, 8);
@@ -171,7 +163,6 @@ void engine_nmi(struct engine *e)
 	pend(e, EXC_NMI);
 }
 
-/* A bus master's access: no check of alignment, no MPU. */
 uint32_t engine_load(struct engine *e, uint32_t address, uint32_t size)
 {
 	const uint8_t *const memory = host(e, address, size);
@@ -198,7 +189,6 @@ uint8_t *engine_memory(struct engine *e, uint32_t address, uint32_t size)
 	return host(e, address, size);
 }
 
-/* Changes memory as a bus master of its own. Flash is changed from within a store to it, too. */
 int engine_poke(struct engine *e, uint32_t address, const uint8_t *data, uint32_t size)
 {
 	uint8_t *const memory = host(e, address, size);
@@ -229,151 +219,4 @@ void engine_want_reset(struct engine *e)
 {
 	e->reset_wanted = true;
 	look_again(e);
-}
-
-/* A callback has failed; the message is Python's own. */
-void engine_fail(struct engine *e)
-{
-	fail(e, "%s", "");
-}
-
-const char *engine_message(const struct engine *e)
-{
-	return e->message;
-}
-
-/* Where the program is: in a callback the instruction at hand, after a failure the one that failed. */
-uint32_t engine_pc(const struct engine *e)
-{
-	return e->failed ? e->last_pc : e->block != NULL ? e->at : e->s.pc;
-}
-
-void engine_set_pc(struct engine *e, uint32_t pc)
-{
-	e->s.pc = pc & ~1u;
-	e->s.last_end = NOWHERE;
-}
-
-uint32_t engine_register(struct engine *e, int name)
-{
-	return reg(e, name);
-}
-
-void engine_set_register(struct engine *e, int name, uint32_t value)
-{
-	set_reg(e, name, value);
-}
-
-struct state *engine_state(struct engine *e)
-{
-	return &e->s;
-}
-
-uint32_t engine_state_bytes(void)
-{
-	return sizeof(struct state);
-}
-
-/* After `engine_state` has been overwritten. */
-void engine_restored(struct engine *e)
-{
-	e->block = NULL;
-	e->failed = e->reset_wanted = false;
-	e->skip = NOWHERE;
-	forget_code(e);
-	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, e->s.itcm_closed ? UC_PROT_READ | UC_PROT_EXEC : UC_PROT_ALL);
-	if (e->s.node >= e->node_count)
-		e->s.node = 0;
-	alarms_changed(e);
-}
-
-uint64_t engine_instructions(const struct engine *e)
-{
-	return e->s.instructions;
-}
-
-uint64_t engine_hash(const struct engine *e)
-{
-	return e->s.hash;
-}
-
-bool engine_cached(const struct engine *e, uint32_t address)
-{
-	return data_is_cached(e, address);
-}
-
-/* A request of `exception`, called `name`, that waits longer than `cycles` (of 216 MHz) is an error; 0: it may wait.
- * The caller keeps `name`. */
-void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name)
-{
-	if (exception >= EXCEPTION_COUNT)
-		return;
-	e->entry_bound[exception] = cycles << FRACTION;
-	e->bound_name[exception] = name;
-}
-
-uint32_t engine_depth(const struct engine *e)
-{
-	return e->s.depth;
-}
-
-/* Begins, or ends, to measure where this machine's time goes. */
-void engine_clock(struct engine *e, bool on)
-{
-	e->clocked = on;
-	memset(e->spent, 0, sizeof e->spent);
-}
-
-const uint64_t *engine_spent(const struct engine *e)
-{
-	return e->spent;
-}
-
-bool engine_sleeping(const struct engine *e)
-{
-	return e->s.sleeping;
-}
-
-const struct task *engine_task(const struct engine *e, uint32_t exception)
-{
-	return &e->s.tasks[exception];
-}
-
-uint64_t *engine_enters(struct engine *e)
-{
-	count_all(e);
-	return e->enters;
-}
-
-uint64_t *engine_leaves(struct engine *e)
-{
-	count_all(e);
-	return e->leaves;
-}
-
-const struct window *engine_window(const struct engine *e, uint32_t window)
-{
-	return &e->windows[window];
-}
-
-int engine_set_breakpoints(struct engine *e, const uint32_t *addresses, uint32_t count)
-{
-	if (count > BREAKPOINT_MAX)
-		return -1;
-	memcpy(e->breakpoints, addresses, count * sizeof *addresses);
-	e->breakpoint_count = count;
-	look_again(e);
-	return 0;
-}
-
-/* The breakpoint at the program counter is run over once. */
-void engine_skip_breakpoint(struct engine *e)
-{
-	e->skip = e->s.pc;
-}
-
-const struct node *engine_nodes(const struct engine *e, uint32_t *count)
-{
-	*count = e->node_count;
-	return e->nodes;
 }

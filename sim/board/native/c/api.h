@@ -1,0 +1,171 @@
+/* What Python calls of the native peripherals (native/library.py), and what both sides share. Python reads this file as
+ * it stands, behind the engine's api.h: plain declarations only; it skips the lines that begin with #. */
+#ifndef NATIVE_API_H
+#define NATIVE_API_H
+
+#include "../../core/c/api.h"
+
+enum {
+	NO_ADDRESS = 0xFFFFFFFF,
+	NO_FRAME = 0xFFFFFFFF,
+	PYTHON_SOURCE = 32, /* sources from here on are Python's */
+	GYRO_VALUES = 7,    /* accelerometer, temperature, gyro */
+	GYRO_BYTES = 14,
+};
+
+enum kind { PORT, SYSCFG, EXTI, DMA, SPI, TIMER };
+enum source { SPI_RX, SPI_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
+
+/* What C asks the class of a device, which raises an error for what is wrong. */
+enum query {
+	QUERY_ENABLE,   /* DMA; stream: is about to be enabled; sets its sources */
+	QUERY_CHANGED,  /* DMA; stream, new value: changed while enabled */
+	QUERY_FROZEN,   /* DMA; stream, word: written while enabled */
+	QUERY_TWICE,    /* DMA; stream, source: another stream serves it */
+	QUERY_CACHED,   /* DMA; stream, address */
+	QUERY_ASLEEP,   /* DMA; stream: reads DTCM while the core sleeps */
+	QUERY_SEND,     /* SPI: is about to send */
+	QUERY_BUSY,     /* SPI: CR1 changed meanwhile */
+	QUERY_FULL,     /* SPI: DR written into a full FIFO */
+	QUERY_OUTPUT,   /* timer; channel: makes pulses */
+	QUERY_TARGET,   /* timer; request: feeds no register that it may */
+	QUERY_COMPARE,  /* timer; request: made at compare */
+	QUERY_DMAR,     /* timer; write: DMAR by the program */
+};
+
+/* How the program may access a register. */
+struct rule {
+	uint32_t reset, fixed, writable;
+	uint8_t known, sizes, readable, writeable;
+};
+
+/* The ESC on a channel. Python decodes whatever is no plain frame, and the first one. */
+struct esc {
+	int64_t rest_since;         /* end of the last frame */
+	uint64_t frames;
+	uint64_t last_cycle;        /* of the last frame */
+	uint32_t last;              /* its value and telemetry bit, or NO_FRAME */
+	uint32_t protocol;          /* 300 or 600; 0: whatever the first bit says */
+	uint32_t shortest, longest; /* of a bit [cycles]; longest 0: nothing is known yet */
+	uint32_t motor;             /* from 0 */
+};
+
+struct frame {
+	uint64_t cycle;
+	uint32_t motor, data; /* data: value and telemetry bit */
+};
+
+struct gyro {
+	uint64_t due, period;   /* of samples [cycles]; due NEVER: there are none */
+	uint64_t samples;
+	uint64_t ready_at;      /* before this cycle the chip does not answer */
+	uint32_t address;       /* of the next byte, NO_ADDRESS: the next byte is one */
+	uint32_t transaction;   /* of the bus, the last one that the chip took part in */
+	int16_t measured[GYRO_VALUES];
+	uint8_t data[GYRO_BYTES];
+	uint8_t shadow[GYRO_BYTES]; /* data as the transaction sees them */
+	uint8_t gyro_shift, accel_shift; /* full scale above the one that is set, as a power of two */
+	uint8_t interrupt, reads;
+	uint8_t silent;         /* no data-ready pulses, as injected by a fault campaign */
+};
+
+struct watchdog {
+	uint64_t period;  /* from a feed to the reset [cycles]; 0: it stands */
+	uint64_t feeds;
+	uint64_t closest; /* cycles that were left at the latest feed; NEVER: there was none */
+	uint64_t writes;  /* of the key register */
+	uint8_t unlocked;
+};
+
+/* What C calls of Python. They never unwind: a failure is kept by Python, and reported by engine_fail. */
+typedef void (*reject_callback)(uint32_t device, uint32_t offset, uint32_t size, uint32_t value, bool write);
+typedef bool (*query_callback)(uint32_t query, uint32_t device, uint32_t a, uint32_t b); /* true: it has failed */
+typedef void (*source_callback)(uint32_t source, bool sync);
+typedef void (*exchange_callback)(uint8_t *bytes, uint32_t count, uint32_t transaction, double hz, uint32_t mode);
+typedef void (*errors_callback)(uint8_t *bytes, uint32_t count);
+typedef void (*pulses_callback)(uint32_t device, uint32_t channel, uint64_t start, uint64_t length, uint32_t count,
+	const uint32_t *highs);
+typedef void (*frames_callback)(const struct frame *frames, uint32_t count);
+typedef void (*pin_callback)(uint32_t device, uint32_t pin, bool level);
+typedef void (*sample_callback)(uint64_t number);
+
+struct native_callbacks {
+	reject_callback reject;     /* an access that a rule forbids */
+	query_callback query;
+	source_callback source;     /* a driver in Python brings itself up to now, or hears of a stream */
+	exchange_callback exchange; /* bytes that C does not answer for the gyro chip */
+	errors_callback errors;     /* bit errors on received bytes, if there are any */
+	pulses_callback pulses;     /* of a channel, that are no plain frame */
+	frames_callback frames;     /* frames that C has taken, if anybody listens */
+	pin_callback pin;           /* a watched pin has another level */
+	sample_callback sample;     /* the gyro chip is about to sample, if anybody listens */
+};
+
+struct native;
+
+/* Takes the engine's callbacks; `python` gets what is not C's. NULL: no memory. */
+struct native *native_new(struct engine *e, const struct callbacks *python, const struct native_callbacks *callbacks);
+void native_free(struct native *h);
+/* Everything that changes, as plain values: a snapshot copies it. */
+void *native_state(struct native *h);
+uint32_t native_state_bytes(void);
+
+/* A new device, number `number` among its kind; alarm UINT32_MAX: it has none. Returns the device's number. */
+uint32_t native_device(struct native *h, uint32_t kind, uint32_t number, uint32_t base, uint32_t alarm, bool advanced);
+/* It answers in the engine's `window`. */
+void native_place(struct native *h, uint32_t device, uint32_t window);
+void native_rule(struct native *h, uint32_t device, uint32_t word, const struct rule *rule);
+void native_irq(struct native *h, uint32_t device, uint32_t place, uint32_t number);
+/* As after a reset of the chip or by the peripheral's bit in RCC. */
+void native_reset(struct native *h, uint32_t device);
+uint32_t *native_words(struct native *h, uint32_t device);
+uint64_t native_touched(const struct native *h, uint32_t device, uint32_t word, bool writes);
+bool native_is_clocked(const struct native *h, uint32_t device);
+void native_clock(struct native *h, uint32_t device, bool on);
+/* The clock tree has changed: APB2, timers on APB1, timers on APB2 [Hz]. */
+void native_clocks(struct native *h, uint64_t apb2, uint64_t timer1, uint64_t timer2);
+
+/* The board puts a level on a pin. */
+void native_drive(struct native *h, uint32_t port, uint32_t pin, bool level);
+/* From now on changes of its level are told. */
+void native_watch(struct native *h, uint32_t port, uint32_t pin);
+
+/* DMA, for drivers in Python. `source` moves between its wakes as well: */
+void native_lazy(struct native *h, uint32_t source);
+/* At `cycle` it will have something to move; quiet: nobody could notice but by looking. */
+void native_wake(struct native *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet);
+/* One of the sources that drive a stream about to be enabled: the answer to QUERY_ENABLE. */
+void native_set_source(struct native *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source);
+/* All streams of a controller have moved what they have until now. */
+void native_sync(struct native *h, uint32_t controller);
+uint32_t native_total(struct native *h, uint32_t source);      /* items of the transfer; 0: no stream is enabled */
+uint32_t native_available(struct native *h, uint32_t source);  /* items until the stream ends or begins anew */
+uint32_t native_until_flag(struct native *h, uint32_t source); /* items until it is half through or at its end */
+uint32_t native_target(struct native *h, uint32_t source);     /* peripheral address */
+bool native_circular(struct native *h, uint32_t source);
+/* Moves items from or to memory; returns how many there were. */
+uint32_t native_take(struct native *h, uint32_t source, uint32_t *items, uint32_t count);
+uint32_t native_give(struct native *h, uint32_t source, uint32_t *items, uint32_t count);
+
+/* Received bytes have bit errors. */
+void native_bit_errors(struct native *h, bool any);
+
+/* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */
+struct gyro *native_gyro(struct native *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz);
+/* From now on somebody hears of samples, or no longer. */
+void native_hear_samples(struct native *h, bool on);
+
+/* The ESC of motor `motor` (from 0) is on channel 1 to 4 of timer `t`. */
+struct esc *native_esc(struct native *h, uint32_t motor, uint32_t t, uint32_t channel);
+/* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. */
+void native_obeyed(const struct native *h, uint32_t count, uint64_t silent, uint16_t *values);
+/* From now on every frame is told. */
+void native_hear_frames(struct native *h);
+/* Tells of the frames that have come. */
+void native_tell_frames(struct native *h);
+
+struct watchdog *native_watchdog(struct native *h, uint32_t alarm);
+/* Where its key register lies. */
+void native_place_watchdog(struct native *h, uint32_t window, uint32_t offset);
+
+#endif

@@ -1,0 +1,12 @@
+/* DMA1 and DMA2. What drivers call of it is in api.h. */
+#ifndef NATIVE_DMA_H
+#define NATIVE_DMA_H
+
+#include "native.h"
+
+void dma_reset(struct native *h, uint32_t controller);
+void dma_sleep(struct native *h); /* the core sleeps: fails if a stream reads DTCM, which does not answer then */
+uint32_t dma_read(struct native *h, uint32_t device, uint32_t word);
+void dma_write(struct native *h, uint32_t device, uint32_t word, uint32_t value);
+
+#endif
