@@ -4,12 +4,13 @@
  * branch into another function, as compilers end one with, puts the new function in the old one's place. */
 #include <stdlib.h>
 
-#include "engine.h"
+#include "call_tree.h"
+#include "memory.h"
 
 #define ROOT 0u
 #define NO_NODE 0u /* the root is nobody's child */
 
-static uint32_t child_of(struct engine *e, uint32_t parent, uint32_t function, uint32_t return_to)
+static uint32_t profile_child(struct engine *e, uint32_t parent, uint32_t function, uint32_t return_to)
 {
 	for (uint32_t i = e->nodes[parent].child; i != NO_NODE; i = e->nodes[i].sibling)
 		if (e->nodes[i].function == function && e->nodes[i].return_to == return_to)
@@ -29,7 +30,7 @@ static uint32_t child_of(struct engine *e, uint32_t parent, uint32_t function, u
 	return e->node_count++;
 }
 
-static void plant(struct engine *e)
+static void profile_plant(struct engine *e)
 {
 	if (e->node_count != 0u)
 		return;
@@ -45,7 +46,7 @@ static void plant(struct engine *e)
 }
 
 /* The nearest caller that waits at `address`; a handler's callers are not looked at. */
-static uint32_t returned_to(const struct engine *e, uint32_t address)
+static uint32_t profile_returned_to(const struct engine *e, uint32_t address)
 {
 	for (uint32_t i = e->s.node; i != ROOT && e->nodes[i].return_to != NOWHERE; i = e->nodes[i].parent)
 		if (e->nodes[i].return_to == address)
@@ -59,21 +60,21 @@ void profile_block(struct engine *e)
 	const uint32_t function = e->function_of[e->code];
 	const bool jumped = e->s.last_end != e->start;
 
-	plant(e);
+	profile_plant(e);
 	if (!e->profiling)
 		return;
 	if (s->called != NOWHERE) {
-		s->node = child_of(e, s->node, function, s->called);
+		s->node = profile_child(e, s->node, function, s->called);
 	} else if (s->node == ROOT) {
-		s->node = child_of(e, ROOT, function, NOWHERE);
+		s->node = profile_child(e, ROOT, function, NOWHERE);
 	} else if (jumped && s->last_end != NOWHERE) {
-		const uint32_t caller = returned_to(e, e->start);
+		const uint32_t caller = profile_returned_to(e, e->start);
 		const struct node *here = &e->nodes[s->node];
 
 		if (caller != ROOT)
 			s->node = caller;
 		else if (here->function != function)
-			s->node = child_of(e, here->parent, function, here->return_to);
+			s->node = profile_child(e, here->parent, function, here->return_to);
 	}
 	s->called = NOWHERE;
 }
@@ -84,7 +85,7 @@ void profile_enter(struct engine *e)
 
 	if (!e->profiling || row == NOWHERE)
 		return;
-	plant(e);
-	e->s.node = child_of(e, ROOT, e->function_of[row], NOWHERE);
+	profile_plant(e);
+	e->s.node = profile_child(e, ROOT, e->function_of[row], NOWHERE);
 	e->s.called = NOWHERE;
 }

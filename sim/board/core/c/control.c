@@ -2,7 +2,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "engine.h"
+#include "blocks.h"
+#include "clock.h"
+#include "exceptions.h"
+#include "hooks.h"
+#include "memory.h"
+#include "system_control.h"
+#include "windows.h"
 
 #define HSI_HZ UINT64_C(16000000) /* the core's clock after reset (RM0431 5.2) */
 
@@ -39,7 +45,7 @@ int engine_open(struct engine *e)
 	uc_err error = uc_open(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS, &e->uc);
 
 	error = error ? error : uc_ctl_set_cpu_model(e->uc, UC_CPU_ARM_CORTEX_M7);
-	error = error ? error : memory_map(e);
+	error = error ? error : windows_map(e);
 	return (int)(error ? error : hooks_add(e));
 }
 
@@ -48,7 +54,7 @@ void engine_free(struct engine *e)
 	if (e->uc != NULL)
 		uc_close(e->uc);
 	for (uint32_t i = 0; i < CODE_HALFWORDS; ++i)
-		drop_blocks(e, i);
+		blocks_drop(e, i);
 	free(e->itcm);
 	free(e->flash);
 	free(e->system);
@@ -80,10 +86,10 @@ void engine_reset(struct engine *e, uint32_t vectors)
 	for (uint32_t i = 0; i < ALARM_MAX; ++i)
 		e->s.due[i] = NEVER;
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, UC_PROT_ALL);
-	forget_code(e);
+	blocks_forget(e);
 	if (e->s.core_hz == 0u)
 		e->s.core_hz = HSI_HZ;
-	set_core_clock(e, HSI_HZ);
+	clock_set_core(e, HSI_HZ);
 	for (int i = 0; i < 13; ++i)
 		set_reg(e, general[i], 0xA5A5A5A5u); /* unknown on the chip */
 	set_reg(e, UC_ARM_REG_XPSR, 1u << 24);
@@ -139,7 +145,7 @@ void engine_set_alarm(struct engine *e, uint32_t alarm, uint64_t cycle)
 	/* Most alarms are set again and again behind the one that comes first. */
 	if (before == after || (before != NEVER && before << FRACTION <= e->next_due) ||
 	    (after != NEVER && after << FRACTION < e->next_due))
-		alarms_changed(e);
+		clock_alarms_changed(e);
 }
 
 uint64_t engine_due(const struct engine *e, uint32_t alarm)
@@ -149,18 +155,18 @@ uint64_t engine_due(const struct engine *e, uint32_t alarm)
 
 uint64_t engine_cycle(const struct engine *e)
 {
-	return now(e) >> FRACTION;
+	return clock_now(e) >> FRACTION;
 }
 
 void engine_irq(struct engine *e, uint32_t number, bool asserted)
 {
 	if (number < IRQ_COUNT)
-		set_line(e, EXC_IRQ0 + number, asserted);
+		exceptions_set_line(e, EXC_IRQ0 + number, asserted);
 }
 
 void engine_nmi(struct engine *e)
 {
-	pend(e, EXC_NMI);
+	exceptions_pend(e, EXC_NMI);
 }
 
 uint32_t engine_load(struct engine *e, uint32_t address, uint32_t size)
@@ -169,7 +175,7 @@ uint32_t engine_load(struct engine *e, uint32_t address, uint32_t size)
 	uint32_t value = 0;
 
 	if (memory == NULL)
-		return device_read(e, address, size);
+		return windows_read(e, address, size);
 	memcpy(&value, memory, size);
 	return value;
 }
@@ -181,7 +187,7 @@ void engine_store(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 	else if (host(e, address, size) != NULL)
 		fail(e, "a bus master writes 0x%X (%u bytes) to 0x%08X, which it cannot", value, size, address);
 	else
-		device_write(e, address, size, value);
+		windows_write(e, address, size, value);
 }
 
 uint8_t *engine_memory(struct engine *e, uint32_t address, uint32_t size)
@@ -198,25 +204,25 @@ int engine_poke(struct engine *e, uint32_t address, const uint8_t *data, uint32_
 	memcpy(memory, data, size);
 	if (row_of(address) != NOWHERE) {
 		e->code_changed = true;
-		look_again(e);
+		clock_attend(e);
 	}
 	return 0;
 }
 
 void engine_core_clock(struct engine *e, uint64_t hz)
 {
-	set_core_clock(e, hz);
+	clock_set_core(e, hz);
 }
 
 void engine_flash_busy(struct engine *e, uint64_t until)
 {
 	e->s.flash_busy = until > NEVER >> FRACTION ? NEVER >> FRACTION : until;
-	e->s.flash_rested = until != 0u ? e->s.flash_busy : now(e) >> FRACTION;
-	look_again(e);
+	e->s.flash_rested = until != 0u ? e->s.flash_busy : clock_now(e) >> FRACTION;
+	clock_attend(e);
 }
 
 void engine_want_reset(struct engine *e)
 {
 	e->reset_wanted = true;
-	look_again(e);
+	clock_attend(e);
 }

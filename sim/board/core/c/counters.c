@@ -1,5 +1,8 @@
 /* What counts cycles of the core: SysTick (ARMv7-M DDI 0403E B3.3) and the DWT's cycle counter (C1.8). */
-#include "engine.h"
+#include "clock.h"
+#include "counters.h"
+#include "exceptions.h"
+#include "memory.h"
 
 #define DWT_UNLOCK 0xC5ACCE55u
 #define DWT_CYCCNTENA 1u
@@ -26,19 +29,14 @@ void counters_reset(struct engine *e)
 
 /* ---- SysTick: CLKSOURCE 0 is the core clock by 8 (RM0431 5.2) ---- */
 
-static uint64_t step(const struct state *s)
+static uint64_t systick_step(const struct state *s)
 {
 	return s->syst_csr & SYST_CORE ? 1u : 8u;
 }
 
-static uint64_t core_now(const struct engine *e)
+static uint64_t counters_core_now(const struct engine *e)
 {
-	return core_cycles_at(e, now(e));
-}
-
-uint64_t systick_due(const struct engine *e)
-{
-	return e->s.syst_zero == NEVER ? NEVER : time_of_core_cycles(e, e->s.syst_zero);
+	return clock_core_cycles(e, clock_now(e));
 }
 
 void systick_fire(struct engine *e)
@@ -47,8 +45,8 @@ void systick_fire(struct engine *e)
 
 	s->syst_csr |= SYST_COUNTFLAG;
 	if (s->syst_csr & SYST_TICKINT)
-		pend(e, EXC_SYSTICK);
-	s->syst_zero = s->syst_rvr ? s->syst_zero + (s->syst_rvr + UINT64_C(1)) * step(s) : NEVER;
+		exceptions_pend(e, EXC_SYSTICK);
+	s->syst_zero = s->syst_rvr ? s->syst_zero + (s->syst_rvr + UINT64_C(1)) * systick_step(s) : NEVER;
 	s->syst_held = 0;
 }
 
@@ -58,7 +56,7 @@ static uint32_t systick_value(const struct engine *e)
 
 	if (s->syst_zero == NEVER)
 		return s->syst_held;
-	const uint64_t left = (s->syst_zero - core_now(e) + step(s) - 1u) / step(s);
+	const uint64_t left = (s->syst_zero - counters_core_now(e) + systick_step(s) - 1u) / systick_step(s);
 	return left > s->syst_rvr ? 0u : (uint32_t)left;
 }
 
@@ -69,8 +67,8 @@ static void systick_go(struct engine *e, uint32_t value)
 	const uint64_t left = value ? value : s->syst_rvr + UINT64_C(1);
 
 	s->syst_held = value;
-	s->syst_zero = s->syst_csr & SYST_ENABLE && s->syst_rvr + value != 0u ? core_now(e) + left * step(s) : NEVER;
-	alarms_changed(e);
+	s->syst_zero = s->syst_csr & SYST_ENABLE && s->syst_rvr + value != 0u ? counters_core_now(e) + left * systick_step(s) : NEVER;
+	clock_alarms_changed(e);
 }
 
 uint32_t systick_read(struct engine *e, uint32_t offset)
@@ -123,7 +121,7 @@ static bool dwt_counts(const struct state *s)
 
 static uint32_t dwt_value(const struct engine *e)
 {
-	return dwt_counts(&e->s) ? (uint32_t)core_now(e) - e->s.dwt_zero : e->s.dwt_held;
+	return dwt_counts(&e->s) ? (uint32_t)counters_core_now(e) - e->s.dwt_zero : e->s.dwt_held;
 }
 
 static void dwt_change(struct engine *e, uint32_t demcr, uint32_t ctrl, uint32_t value)
@@ -131,7 +129,7 @@ static void dwt_change(struct engine *e, uint32_t demcr, uint32_t ctrl, uint32_t
 	e->s.demcr = demcr;
 	e->s.dwt_ctrl = ctrl;
 	e->s.dwt_held = value;
-	e->s.dwt_zero = (uint32_t)core_now(e) - value;
+	e->s.dwt_zero = (uint32_t)counters_core_now(e) - value;
 }
 
 void demcr_write(struct engine *e, uint32_t value)

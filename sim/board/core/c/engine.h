@@ -1,7 +1,7 @@
 /* The engine of the emulated board, from the inside: the types that its C files share.
  *
  * Time is kept in 1/65536 of a cycle of 216 MHz. Between callbacks it stands at the start of the running block; the
- * instruction at hand is `now()`. Everything that decides what happens next is in `struct state`, plain values that
+ * instruction at hand is `clock_now()`. Everything that decides what happens next is in `struct state`, plain values that
  * a snapshot copies; the rest is memory, the processor's registers, and what can be made again. */
 #ifndef ENGINE_H
 #define ENGINE_H
@@ -261,80 +261,12 @@ struct engine {
 	uint32_t node_count, node_capacity;
 };
 
-/* hooks.c */
-void account(struct engine *e, uint32_t count);      /* the first `count` instructions of the block have been executed */
-void close_itcm(struct engine *e);                   /* read-only from its first instruction on */
-void mix(struct engine *e, uint64_t value);
-void count_all(struct engine *e);                    /* counts of blocks in use, into enters and leaves */
-void drop_blocks(struct engine *e, uint32_t row);
-void forget_code(struct engine *e);                  /* it was changed from outside; not while unicorn runs */
-uc_err hooks_add(struct engine *e);
+/* The trace's hash takes in `value`. */
+static inline void engine_mix(struct state *s, uint64_t value)
+{
+	uint64_t hash = (s->hash ^ value) * UINT64_C(0x9E3779B97F4A7C15);
 
-/* time.c */
-uint32_t index_at(const struct engine *e, uint32_t address); /* of an instruction in the block that runs */
-uint64_t now(const struct engine *e);                /* time of the instruction at hand */
-uint64_t core_cycles_at(const struct engine *e, uint64_t time);
-uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles);
-void set_core_clock(struct engine *e, uint64_t hz);
-void look_again(struct engine *e);                   /* something changed: decide anew after this instruction */
-void alarms_changed(struct engine *e);
-void fire_due(struct engine *e);
-
-uint64_t clock_ns(const struct engine *e);           /* of this machine; 0 when nobody asks */
-
-/* memory.c */
-extern const int general[16];                        /* unicorn's names of r0 to pc */
-void fail(struct engine *e, const char *format, ...) __attribute__((format(printf, 2, 3)));
-uint32_t reg(struct engine *e, int name);
-void set_reg(struct engine *e, int name, uint32_t value);
-uint8_t *host(struct engine *e, uint32_t address, uint32_t size); /* NULL: not memory */
-uint32_t row_of(uint32_t address);                   /* in CODE_HALFWORDS, NOWHERE: no code */
-uint32_t device_read(struct engine *e, uint32_t address, uint32_t size);
-void device_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
-uc_err memory_map(struct engine *e);
-
-/* thumb.c */
-struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening);
-
-/* exceptions.c */
-void exceptions_reset(struct engine *e);
-void pend(struct engine *e, uint32_t exception);
-void set_line(struct engine *e, uint32_t exception, bool asserted);
-uint32_t first_pending(const struct engine *e);
-uint32_t deliverable(struct engine *e);              /* EXC_THREAD: none */
-bool wakes(struct engine *e);
-void exception_enter(struct engine *e, uint32_t exception);
-void exception_return(struct engine *e, uint32_t exc_return);
-void raise_fault(struct engine *e, const struct fault *fault);
-int execution_priority(struct engine *e, bool with_primask);
-
-/* system_control.c */
-void system_reset_registers(struct engine *e);
-uint32_t system_read(struct engine *e, uint32_t address, uint32_t size);
-void system_write(struct engine *e, uint32_t address, uint32_t size, uint32_t value);
-
-/* counters.c */
-void counters_reset(struct engine *e);
-void systick_fire(struct engine *e);
-uint64_t systick_due(const struct engine *e);        /* time, NEVER */
-uint32_t systick_read(struct engine *e, uint32_t offset); /* from 0xE000E000 */
-void systick_write(struct engine *e, uint32_t offset, uint32_t value);
-void demcr_write(struct engine *e, uint32_t value);
-uint32_t dwt_read(struct engine *e, uint32_t offset); /* from 0xE0001000 */
-void dwt_write(struct engine *e, uint32_t offset, uint32_t value);
-
-/* nvic.c; offsets from 0xE000E000 */
-bool mpu_closes(const struct engine *e, uint32_t address);
-bool data_is_cached(const struct engine *e, uint32_t address);
-uint32_t mpu_read(struct engine *e, uint32_t offset);
-void mpu_write(struct engine *e, uint32_t offset, uint32_t value);
-uint32_t nvic_read(struct engine *e, uint32_t offset);
-void nvic_write(struct engine *e, uint32_t offset, uint32_t value);
-uint32_t priorities(const struct engine *e, uint32_t exception, uint32_t size);
-void set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value);
-
-/* call_tree.c */
-void profile_block(struct engine *e);
-void profile_enter(struct engine *e);
+	s->hash = hash ^ hash >> 29;
+}
 
 #endif

@@ -2,7 +2,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "engine.h"
+#include "call_tree.h"
+#include "clock.h"
+#include "exceptions.h"
+#include "memory.h"
 
 enum {
 	STACKED_ALIGN = 1u << 9, /* of the stacked xPSR: a word was left out to align the frame */
@@ -35,14 +38,14 @@ enum {
 #define CFSR_INVPC (1u << 18)
 
 /* Priority by which one exception may interrupt another: the upper bits, as AIRCR.PRIGROUP cuts them. */
-static int group(const struct engine *e, uint32_t priority)
+static int exceptions_group(const struct engine *e, uint32_t priority)
 {
 	const uint32_t split = (e->s.aircr >> 8 & 7u) + 1u;
 
 	return (int)(priority >> split << split);
 }
 
-static int own_priority(const struct engine *e, uint32_t exception)
+static int exceptions_own_priority(const struct engine *e, uint32_t exception)
 {
 	switch (exception) {
 	case EXC_RESET:
@@ -56,27 +59,27 @@ static int own_priority(const struct engine *e, uint32_t exception)
 	}
 }
 
-static int group_priority(const struct engine *e, uint32_t exception)
+static int exceptions_group_priority(const struct engine *e, uint32_t exception)
 {
-	const int own = own_priority(e, exception);
+	const int own = exceptions_own_priority(e, exception);
 
-	return own < 0 ? own : group(e, (uint32_t)own);
+	return own < 0 ? own : exceptions_group(e, (uint32_t)own);
 }
 
 /* B1.5.4; `with_primask` false: as WFI sees it. */
-int execution_priority(struct engine *e, bool with_primask)
+int exceptions_priority(struct engine *e, bool with_primask)
 {
 	int priority = THREAD_PRIORITY;
 
 	for (uint32_t i = 1; i <= e->s.depth; ++i) {
-		const int one = group_priority(e, e->s.active[i].exception);
+		const int one = exceptions_group_priority(e, e->s.active[i].exception);
 
 		if (one < priority)
 			priority = one;
 	}
 	const uint32_t base = reg(e, UC_ARM_REG_BASEPRI) & 0xF0u;
-	if (base != 0u && group(e, base) < priority)
-		priority = group(e, base);
+	if (base != 0u && exceptions_group(e, base) < priority)
+		priority = exceptions_group(e, base);
 	if (with_primask && reg(e, UC_ARM_REG_PRIMASK) & 1u && priority > 0)
 		priority = 0;
 	if (reg(e, UC_ARM_REG_FAULTMASK) & 1u && priority > -1)
@@ -85,7 +88,7 @@ int execution_priority(struct engine *e, bool with_primask)
 }
 
 /* The pending and enabled exception that goes first: lowest priority value, then lowest number. */
-uint32_t first_pending(const struct engine *e)
+uint32_t exceptions_first_pending(const struct engine *e)
 {
 	uint32_t found = EXC_THREAD;
 
@@ -93,24 +96,24 @@ uint32_t first_pending(const struct engine *e)
 		for (uint64_t left = e->s.pending.words[word] & e->s.enabled.words[word]; left != 0u; left &= left - 1u) {
 			const uint32_t i = word * 64u + (uint32_t)__builtin_ctzll(left);
 
-			if (found == EXC_THREAD || own_priority(e, i) < own_priority(e, found))
+			if (found == EXC_THREAD || exceptions_own_priority(e, i) < exceptions_own_priority(e, found))
 				found = i;
 		}
 	return found;
 }
 
-uint32_t deliverable(struct engine *e)
+uint32_t exceptions_deliverable(struct engine *e)
 {
-	const uint32_t found = first_pending(e);
+	const uint32_t found = exceptions_first_pending(e);
 
-	return found != EXC_THREAD && group_priority(e, found) < execution_priority(e, true) ? found : EXC_THREAD;
+	return found != EXC_THREAD && exceptions_group_priority(e, found) < exceptions_priority(e, true) ? found : EXC_THREAD;
 }
 
-bool wakes(struct engine *e)
+bool exceptions_wake(struct engine *e)
 {
-	const uint32_t found = first_pending(e);
+	const uint32_t found = exceptions_first_pending(e);
 
-	return found != EXC_THREAD && group_priority(e, found) < execution_priority(e, false);
+	return found != EXC_THREAD && exceptions_group_priority(e, found) < exceptions_priority(e, false);
 }
 
 void exceptions_reset(struct engine *e)
@@ -125,46 +128,46 @@ void exceptions_reset(struct engine *e)
 	e->s.active[0].exception = EXC_THREAD;
 }
 
-void pend(struct engine *e, uint32_t exception)
+void exceptions_pend(struct engine *e, uint32_t exception)
 {
 	if (!get(&e->s.pending, exception)) {
 		put(&e->s.pending, exception, true);
-		e->s.pended_at[exception] = now(e);
+		e->s.pended_at[exception] = clock_now(e);
 		e->s.pended_pc[exception] = e->block == NULL ? e->s.pc : e->at;
 		e->s.pended_in[exception] = (uint8_t)e->s.active[e->s.depth].exception;
 	}
-	look_again(e);
+	clock_attend(e);
 }
 
 /* A line that is high makes its interrupt pending when it rises and again when its handler ends. */
-void set_line(struct engine *e, uint32_t exception, bool asserted)
+void exceptions_set_line(struct engine *e, uint32_t exception, bool asserted)
 {
 	const bool rises = asserted && !get(&e->s.line, exception);
 
 	put(&e->s.line, exception, asserted);
 	if (rises)
-		pend(e, exception);
+		exceptions_pend(e, exception);
 }
 
-static void stacking_failed(struct engine *e, uint32_t sp, uint32_t cfsr, const char *what)
+static void exceptions_stacking_failed(struct engine *e, uint32_t sp, uint32_t cfsr, const char *what)
 {
 	struct fault fault = {.exception = EXC_BUS, .cfsr = cfsr, .address = sp};
 
 	snprintf(fault.text, sizeof fault.text, "stack overflow: %s at 0x%08X lies outside RAM", what, sp);
-	raise_fault(e, &fault);
+	exceptions_raise(e, &fault);
 }
 
-static bool is_ram(uint32_t address, uint32_t size)
+static bool exceptions_is_ram(uint32_t address, uint32_t size)
 {
 	return address >= RAM_BASE && address - RAM_BASE <= RAM_BYTES - size;
 }
 
-static void put_word(struct engine *e, uint32_t address, uint32_t value)
+static void exceptions_put_word(struct engine *e, uint32_t address, uint32_t value)
 {
 	memcpy(e->ram + (address - RAM_BASE), &value, 4);
 }
 
-static uint32_t get_word(struct engine *e, uint32_t address)
+static uint32_t exceptions_get_word(struct engine *e, uint32_t address)
 {
 	uint32_t value;
 
@@ -177,7 +180,7 @@ static const int frame_registers[] = {
 };
 
 /* B1.5.6 PushStack. The floating-point part is saved at once: LSPACT never shows. Returns EXC_RETURN, 0: failed. */
-static uint32_t push_frame(struct engine *e)
+static uint32_t exceptions_push_frame(struct engine *e)
 {
 	const uint32_t control = reg(e, UC_ARM_REG_CONTROL), psr = reg(e, UC_ARM_REG_XPSR);
 	const bool floats = control & CONTROL_FPCA, handler = e->s.depth != 0u;
@@ -187,38 +190,38 @@ static uint32_t push_frame(struct engine *e)
 	const uint32_t sp = (before - size) & ~7u;
 	const uint32_t padded = before - size != sp ? STACKED_ALIGN : 0u;
 
-	if (!is_ram(sp, size)) {
-		stacking_failed(e, sp, CFSR_STKERR, "an exception frame");
+	if (!exceptions_is_ram(sp, size)) {
+		exceptions_stacking_failed(e, sp, CFSR_STKERR, "an exception frame");
 		return 0;
 	}
 	for (uint32_t i = 0; i < 6u; ++i)
-		put_word(e, sp + 4u * i, reg(e, frame_registers[i]));
-	put_word(e, sp + 0x18u, e->s.pc & ~1u);
-	put_word(e, sp + 0x1Cu, (psr & ~(uint32_t)STACKED_ALIGN) | padded);
+		exceptions_put_word(e, sp + 4u * i, reg(e, frame_registers[i]));
+	exceptions_put_word(e, sp + 0x18u, e->s.pc & ~1u);
+	exceptions_put_word(e, sp + 0x1Cu, (psr & ~(uint32_t)STACKED_ALIGN) | padded);
 	if (floats) {
 		for (int i = 0; i < 16; ++i)
-			put_word(e, sp + 0x20u + 4u * (uint32_t)i, reg(e, UC_ARM_REG_S0 + i));
-		put_word(e, sp + 0x60u, reg(e, UC_ARM_REG_FPSCR));
-		put_word(e, sp + 0x64u, 0);
+			exceptions_put_word(e, sp + 0x20u + 4u * (uint32_t)i, reg(e, UC_ARM_REG_S0 + i));
+		exceptions_put_word(e, sp + 0x60u, reg(e, UC_ARM_REG_FPSCR));
+		exceptions_put_word(e, sp + 0x64u, 0);
 		e->s.fpcar = sp + 0x20u;
 	}
 	set_reg(e, UC_ARM_REG_SP, sp);
 	return (floats ? 0xFFFFFFE1u : 0xFFFFFFF1u) | (handler ? 0u : 8u) | (process ? 4u : 0u);
 }
 
-static uint64_t time_of(const struct state *s, uint64_t cycles)
+static uint64_t exceptions_time_of(const struct state *s, uint64_t cycles)
 {
 	return (cycles * TIME_HZ << FRACTION) / s->core_hz;
 }
 
-static double us(uint64_t time)
+static double exceptions_us(uint64_t time)
 {
 	return (double)(time >> FRACTION) * 1e6 / (double)TIME_HZ;
 }
 
 /* A request has waited. Who masks interrupts while flash is erased or programmed does so with reason, but not from
  * flash itself, whose code stands still for as long. */
-static void judge_wait(struct engine *e, uint32_t exception, uint64_t waited)
+static void exceptions_check_wait(struct engine *e, uint32_t exception, uint64_t waited)
 {
 	const struct state *s = &e->s;
 	const uint64_t bound = e->entry_bound[exception], since = s->pended_at[exception];
@@ -230,15 +233,15 @@ static void judge_wait(struct engine *e, uint32_t exception, uint64_t waited)
 		return;
 	if (stalled)
 		snprintf(why, sizeof why, "the core waited for busy flash");
-	else if (in != EXC_THREAD && group_priority(e, in) <= group_priority(e, exception))
+	else if (in != EXC_THREAD && exceptions_group_priority(e, in) <= exceptions_group_priority(e, exception))
 		snprintf(why, sizeof why, "the handler of exception %u ran", in);
-	fail(e, "%s waited %.2f us for its handler, at most %.2f us are allowed: %s", e->bound_name[exception], us(waited),
-	     us(bound), why);
+	fail(e, "%s waited %.2f us for its handler, at most %.2f us are allowed: %s", e->bound_name[exception], exceptions_us(waited),
+	     exceptions_us(bound), why);
 	e->last_pc = s->pended_pc[exception];
 }
 
 /* The handler's first instruction, IPSR, and the books. */
-static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
+static void exceptions_take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
 {
 	struct state *s = &e->s;
 	const uint8_t *entry = host(e, s->vtor + 4u * exception, 4);
@@ -268,8 +271,8 @@ static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint
 		task->latest_at = s->time;
 		task->latest_pc = s->pc;
 	}
-	judge_wait(e, exception, waited);
-	s->time += time_of(s, cycles);
+	exceptions_check_wait(e, exception, waited);
+	s->time += exceptions_time_of(s, cycles);
 	++task->activations;
 	++s->depth;
 	s->active[s->depth] = (struct activation){
@@ -277,20 +280,20 @@ static void take(struct engine *e, uint32_t exception, uint32_t exc_return, uint
 		.node = s->node, .called = s->called, .entered = s->instructions, .time = s->time};
 	s->pc = vector & ~1u;
 	s->last_end = NOWHERE;
-	mix(e, (uint64_t)exception << 32 | vector);
-	mix(e, s->time);
+	engine_mix(&e->s, (uint64_t)exception << 32 | vector);
+	engine_mix(&e->s, s->time);
 	profile_enter(e);
 }
 
-void exception_enter(struct engine *e, uint32_t exception)
+void exceptions_enter(struct engine *e, uint32_t exception)
 {
-	const uint32_t exc_return = push_frame(e);
+	const uint32_t exc_return = exceptions_push_frame(e);
 
 	if (exc_return != 0u)
-		take(e, exception, exc_return, ENTRY_CYCLES);
+		exceptions_take(e, exception, exc_return, ENTRY_CYCLES);
 }
 
-static void close_books(struct engine *e)
+static void exceptions_close(struct engine *e)
 {
 	struct state *s = &e->s;
 	const struct activation *a = &s->active[s->depth];
@@ -310,21 +313,21 @@ static void close_books(struct engine *e)
 	--s->depth;
 	s->active[s->depth].preempted += all;
 	if (get(&s->line, a->exception))
-		pend(e, a->exception);
+		exceptions_pend(e, a->exception);
 }
 
 /* B1.5.8 PopStack. */
-static void pop_frame(struct engine *e, uint32_t exc_return)
+static void exceptions_pop_frame(struct engine *e, uint32_t exc_return)
 {
 	const bool floats = (exc_return & 0x10u) == 0u, thread = exc_return & 8u, process = exc_return & 4u;
 	const uint32_t size = FRAME_BYTES + (floats ? FLOAT_BYTES : 0u);
 	const uint32_t sp = reg(e, process ? UC_ARM_REG_PSP : UC_ARM_REG_MSP);
 
-	if (!is_ram(sp, size)) {
-		stacking_failed(e, sp, CFSR_UNSTKERR, "the exception frame to return to");
+	if (!exceptions_is_ram(sp, size)) {
+		exceptions_stacking_failed(e, sp, CFSR_UNSTKERR, "the exception frame to return to");
 		return;
 	}
-	const uint32_t psr = get_word(e, sp + 0x1Cu), pc = get_word(e, sp + 0x18u);
+	const uint32_t psr = exceptions_get_word(e, sp + 0x1Cu), pc = exceptions_get_word(e, sp + 0x18u);
 	const uint32_t after = sp + size + (psr & STACKED_ALIGN ? 4u : 0u);
 	if (((psr & 0x1FFu) == 0u) != thread || (psr & THUMB) == 0u || pc & 1u) {
 		fail(e, "exception return 0x%08X to pc 0x%08X with xPSR 0x%08X, which do not belong together", exc_return,
@@ -335,18 +338,18 @@ static void pop_frame(struct engine *e, uint32_t exc_return)
 	set_reg(e, UC_ARM_REG_XPSR, psr & 0xF90F01FFu);
 	set_reg(e, UC_ARM_REG_CONTROL, (floats ? CONTROL_FLOATS : 0u) | (thread && process ? CONTROL_SPSEL : 0u));
 	for (uint32_t i = 0; i < 6u; ++i)
-		set_reg(e, frame_registers[i], get_word(e, sp + 4u * i));
+		set_reg(e, frame_registers[i], exceptions_get_word(e, sp + 4u * i));
 	if (floats) {
 		for (int i = 0; i < 16; ++i)
-			set_reg(e, UC_ARM_REG_S0 + i, get_word(e, sp + 0x20u + 4u * (uint32_t)i));
-		set_reg(e, UC_ARM_REG_FPSCR, get_word(e, sp + 0x60u));
+			set_reg(e, UC_ARM_REG_S0 + i, exceptions_get_word(e, sp + 0x20u + 4u * (uint32_t)i));
+		set_reg(e, UC_ARM_REG_FPSCR, exceptions_get_word(e, sp + 0x60u));
 	}
 	e->s.pc = pc;
 	e->s.last_end = NOWHERE;
-	mix(e, (uint64_t)exc_return << 32 | pc);
+	engine_mix(&e->s, (uint64_t)exc_return << 32 | pc);
 }
 
-void exception_return(struct engine *e, uint32_t exc_return)
+void exceptions_return(struct engine *e, uint32_t exc_return)
 {
 	struct state *s = &e->s;
 	const uint32_t kind = exc_return & 0xFu;
@@ -366,9 +369,9 @@ void exception_return(struct engine *e, uint32_t exc_return)
 		set_reg(e, UC_ARM_REG_FAULTMASK, 0);
 	const uint32_t ended = s->active[s->depth].exception;
 
-	close_books(e);
+	exceptions_close(e);
 	/* Tail-chaining: the next handler finds the frame as it lies. */
-	const uint32_t next = deliverable(e);
+	const uint32_t next = exceptions_deliverable(e);
 	s->repeats = next == ended && get(&s->line, ended) ? s->repeats + 1u : 0;
 	if (s->repeats >= REPEATS_MAX) {
 		fail(e, "the handler of exception %u has run %u times in a row and leaves its request up", ended, s->repeats);
@@ -377,17 +380,17 @@ void exception_return(struct engine *e, uint32_t exc_return)
 	}
 	if (next != EXC_THREAD) {
 		s->pc = exc_return;
-		take(e, next, exc_return, CHAIN_CYCLES);
+		exceptions_take(e, next, exc_return, CHAIN_CYCLES);
 		return;
 	}
-	pop_frame(e, exc_return);
-	s->time += time_of(s, RETURN_CYCLES);
+	exceptions_pop_frame(e, exc_return);
+	s->time += exceptions_time_of(s, RETURN_CYCLES);
 	if (s->depth == 0u && s->scr & 2u)
 		s->sleeping = true;
 }
 
 /* Strict: an error of the image. Else the exception, or the hard fault when it may not be taken (B1.5.14). */
-void raise_fault(struct engine *e, const struct fault *fault)
+void exceptions_raise(struct engine *e, const struct fault *fault)
 {
 	struct state *s = &e->s;
 	uint32_t exception = fault->exception;
@@ -411,8 +414,8 @@ void raise_fault(struct engine *e, const struct fault *fault)
 			exception == EXC_BUS   ? s->shcsr & SHCSR_BUSFAULTENA :
 			exception == EXC_USAGE ? s->shcsr & SHCSR_USGFAULTENA :
 						 true;
-	const int current = execution_priority(e, true);
-	if (!on || group_priority(e, exception) >= current) {
+	const int current = exceptions_priority(e, true);
+	if (!on || exceptions_group_priority(e, exception) >= current) {
 		exception = EXC_HARD;
 		s->hfsr |= HFSR_FORCED;
 		if (current <= -1) {
@@ -426,5 +429,5 @@ void raise_fault(struct engine *e, const struct fault *fault)
 		return;
 	}
 	s->pended_at[exception] = s->time;
-	exception_enter(e, exception);
+	exceptions_enter(e, exception);
 }

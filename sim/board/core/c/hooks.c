@@ -13,22 +13,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "engine.h"
+#include "blocks.h"
+#include "call_tree.h"
+#include "clock.h"
+#include "exceptions.h"
+#include "hooks.h"
+#include "memory.h"
 
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
 
-/* ---- counts ---- */
-
-void mix(struct engine *e, uint64_t value)
-{
-	uint64_t h = (e->s.hash ^ value) * UINT64_C(0x9E3779B97F4A7C15);
-
-	e->s.hash = h ^ h >> 29;
-}
-
 /* The first `count` instructions of the block have been executed. */
-void account(struct engine *e, uint32_t count)
+void hooks_account(struct engine *e, uint32_t count)
 {
 	struct block *const block = e->block;
 	const struct block *const b = block;
@@ -40,7 +36,7 @@ void account(struct engine *e, uint32_t count)
 	e->skip = NOWHERE;
 	/* Only jumps are hashed: a run cut in two by an alarm is the same run. */
 	if (e->s.last_end != e->start)
-		mix(e, (uint64_t)e->s.last_end << 32 | e->start);
+		engine_mix(&e->s, (uint64_t)e->s.last_end << 32 | e->start);
 	e->s.last_end = e->start + bytes;
 	e->s.time += count * e->s.tick;
 	e->s.instructions += count;
@@ -59,7 +55,7 @@ void account(struct engine *e, uint32_t count)
 /* ---- what unicorn calls ---- */
 
 /* Where in the block to stop for what is due, by time or by number of instructions. */
-static void plan(struct engine *e)
+static void hooks_plan(struct engine *e)
 {
 	const struct block *b = e->block;
 	const uint64_t due = e->next_due < e->until ? e->next_due : e->until;
@@ -84,7 +80,7 @@ static void plan(struct engine *e)
 	}
 }
 
-static void set_stop(struct engine *e)
+static void hooks_set_stop(struct engine *e)
 {
 	const struct block *b = e->block;
 	uint32_t stop = e->event_stop;
@@ -94,16 +90,16 @@ static void set_stop(struct engine *e)
 	e->stop_at = stop;
 }
 
-static void leave(struct engine *e, uint32_t address)
+static void hooks_leave(struct engine *e, uint32_t address)
 {
 	e->stopped = true;
 	e->s.pc = address;
-	account(e, index_at(e, address));
+	hooks_account(e, clock_index_at(e, address));
 	uc_emu_stop(e->uc);
 }
 
 /* The instruction at hand would fault: it is not executed. */
-static void refuse(struct engine *e, enum exception exception, uint32_t cfsr, const char *format, ...)
+static void hooks_reject(struct engine *e, enum exception exception, uint32_t cfsr, const char *format, ...)
 {
 	va_list arguments;
 
@@ -111,10 +107,10 @@ static void refuse(struct engine *e, enum exception exception, uint32_t cfsr, co
 	va_start(arguments, format);
 	vsnprintf(e->fault.text, sizeof e->fault.text, format, arguments);
 	va_end(arguments);
-	leave(e, e->at);
+	hooks_leave(e, e->at);
 }
 
-static void check_access(struct engine *e, const struct special *s)
+static void hooks_check_access(struct engine *e, const struct special *s)
 {
 	uint32_t address = reg(e, general[s->base]) + (uint32_t)(int32_t)s->immediate;
 
@@ -123,17 +119,17 @@ static void check_access(struct engine *e, const struct special *s)
 	if ((address & (s->align - 1u)) != 0u &&
 	    (s->always || e->s.ccr & CCR_UNALIGN_TRP || (address >= APB_BASE && address < 0x60000000u) ||
 	     address >= PPB_BASE)) {
-		refuse(e, EXC_USAGE, FAULT_UNALIGNED, "unaligned access at 0x%08X, this instruction needs %u bytes' alignment",
+		hooks_reject(e, EXC_USAGE, FAULT_UNALIGNED, "unaligned access at 0x%08X, this instruction needs %u bytes' alignment",
 		       address, s->align);
 	} else if (address < NULL_PAGE_BYTES) {
-		refuse(e, EXC_MEM, FAULT_DATA_ACCESS, "access at 0x%08X, in the null page", address);
+		hooks_reject(e, EXC_MEM, FAULT_DATA_ACCESS, "access at 0x%08X, in the null page", address);
 		e->fault.address = address;
 		e->fault.has_address = true;
 	}
 }
 
 /* Unicorn's core shows ARMv8-M's SFPA, and SPSEL in handlers, which ARMv7-M reads as zero (B1.4.4). */
-static void show_control(struct engine *e)
+static void hooks_show_control(struct engine *e)
 {
 	const int name = general[e->control_in - 1u];
 
@@ -141,22 +137,22 @@ static void show_control(struct engine *e)
 	e->control_in = 0;
 }
 
-static void special(struct engine *e, const struct special *s)
+static void hooks_special(struct engine *e, const struct special *s)
 {
 	switch (s->kind) {
 	case SPECIAL_ACCESS:
-		check_access(e, s);
+		hooks_check_access(e, s);
 		break;
 	case SPECIAL_DIVIDE:
 		if (e->s.ccr & CCR_DIV_0_TRP && reg(e, general[s->base]) == 0u)
-			refuse(e, EXC_USAGE, FAULT_DIVIDE, "division by zero");
+			hooks_reject(e, EXC_USAGE, FAULT_DIVIDE, "division by zero");
 		break;
 	case SPECIAL_WAIT:
 		e->waiting = true;
 		break;
 	case SPECIAL_CONTROL:
 		e->control_in = s->base + 1u;
-		look_again(e);
+		clock_attend(e);
 		break;
 	default:
 		e->attention = true; /* masks are read when the next instruction begins */
@@ -165,7 +161,7 @@ static void special(struct engine *e, const struct special *s)
 	}
 }
 
-static void note_breakpoint(struct engine *e, uint32_t address)
+static void hooks_note_breakpoint(struct engine *e, uint32_t address)
 {
 	for (uint32_t i = 0; i < e->breakpoint_count; ++i)
 		if (e->breakpoints[i] == address && address != e->skip)
@@ -173,39 +169,39 @@ static void note_breakpoint(struct engine *e, uint32_t address)
 }
 
 /* Does the loop have to see this before the instruction at `address`? */
-static bool wants_loop(struct engine *e, uint32_t address)
+static bool hooks_want_loop(struct engine *e, uint32_t address)
 {
 	if (e->failed || e->reset_wanted || e->flash_stored || e->code_changed)
 		return true;
-	if (address < ITCM_BYTES ? !e->s.itcm_closed : e->s.flash_busy << FRACTION > now(e))
+	if (address < ITCM_BYTES ? !e->s.itcm_closed : e->s.flash_busy << FRACTION > clock_now(e))
 		return true;
-	return deliverable(e) != EXC_THREAD;
+	return exceptions_deliverable(e) != EXC_THREAD;
 }
 
 /* An instruction that may have to wait: something is due, or it needs a look. */
-static __attribute__((noinline)) void consider(struct engine *e, uint32_t address)
+static __attribute__((noinline)) void hooks_consider(struct engine *e, uint32_t address)
 {
 	const struct block *b = e->block;
 
 	if (address < NULL_PAGE_BYTES) {
-		refuse(e, EXC_MEM, FAULT_INSTRUCTION_ACCESS, "execution at 0x%08X, in the null page", address);
+		hooks_reject(e, EXC_MEM, FAULT_INSTRUCTION_ACCESS, "execution at 0x%08X, in the null page", address);
 		e->fault.jumped = true;
 		return;
 	}
-	if (address >= e->event_stop && (b->offsets[index_at(e, address)] & 1u) == 0u) {
+	if (address >= e->event_stop && (b->offsets[clock_index_at(e, address)] & 1u) == 0u) {
 		bool stop = true;
 
 		if (e->control_in != 0u)
-			show_control(e);
+			hooks_show_control(e);
 		if (e->attention) {
 			e->attention = false;
-			stop = wants_loop(e, address);
-			plan(e);
+			stop = hooks_want_loop(e, address);
+			hooks_plan(e);
 			stop = stop || address >= e->event_stop;
 		}
 		if (stop) {
-			note_breakpoint(e, address);
-			leave(e, address);
+			hooks_note_breakpoint(e, address);
+			hooks_leave(e, address);
 			return;
 		}
 	}
@@ -214,22 +210,22 @@ static __attribute__((noinline)) void consider(struct engine *e, uint32_t addres
 		const struct special *s = &b->specials[e->next_special++];
 
 		if (e->start + s->offset == address)
-			special(e, s);
+			hooks_special(e, s);
 		if (e->stopped)
 			return;
 	}
 	if (e->s.cpacr != 0x00F00000u && b->float_offset != UINT16_MAX && address == e->start + b->float_offset) {
-		refuse(e, EXC_USAGE, FAULT_NO_COPROCESSOR,
+		hooks_reject(e, EXC_USAGE, FAULT_NO_COPROCESSOR,
 		       "a floating-point instruction while CPACR = 0x%08X does not allow it", e->s.cpacr);
 		return;
 	}
-	set_stop(e);
+	hooks_set_stop(e);
 	if (e->s.cpacr != 0x00F00000u && b->float_offset != UINT16_MAX && address < e->start + b->float_offset &&
 	    e->start + b->float_offset < e->stop_at)
 		e->stop_at = e->start + b->float_offset;
 }
 
-static void on_code(uc_engine *uc, uint64_t address, uint32_t size, void *user)
+static void hooks_on_code(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 {
 	struct engine *e = user;
 
@@ -237,82 +233,11 @@ static void on_code(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 	(void)size;
 	e->at = (uint32_t)address;
 	if ((uint32_t)address >= e->stop_at)
-		consider(e, (uint32_t)address);
-}
-
-static void count_block(struct engine *e, struct block *block)
-{
-	e->enters[block->code] += block->times;
-	e->leaves[block->code + block->size / 2u] += block->times;
-	block->times = 0;
-}
-
-/* The counts of blocks that are still in use, into the books. */
-void count_all(struct engine *e)
-{
-	for (uint32_t row = 0; row < e->block_rows; ++row)
-		for (struct block *block = e->blocks[row]; block != NULL; block = block->other)
-			count_block(e, block);
-}
-
-void drop_blocks(struct engine *e, uint32_t row)
-{
-	while (e->blocks[row] != NULL) {
-		struct block *const block = e->blocks[row];
-
-		e->blocks[row] = block->other;
-		free(block);
-	}
-}
-
-/* Code was changed from outside. Not while unicorn runs. */
-void forget_code(struct engine *e)
-{
-	e->code_changed = false;
-	count_all(e);
-	for (uint32_t row = 0; row < e->block_rows; ++row)
-		drop_blocks(e, row);
-	uc_ctl_flush_tb(e->uc);
-	uc_ctl_flush_tlb(e->uc);
-}
-
-static bool is_it(const struct block *block, uint32_t start, uint32_t size, uint32_t opening)
-{
-	return block != NULL && block->start == start && block->size == size && block->opening == opening;
-}
-
-/* The block that begins at `start`; NULL: no code can be there. What followed `before` last is likely to do so again,
- * and lies in this machine's cache. */
-static struct block *find_block(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
-{
-	if (before != NULL && is_it(before->next, start, size, opening))
-		return before->next;
-	const uint32_t row = row_of(start);
-
-	if (row == NOWHERE)
-		return NULL;
-	struct block *found = e->blocks[row];
-
-	while (found != NULL && !is_it(found, start, size, opening))
-		found = found->other;
-	if (found == NULL) {
-		found = block_decode(host(e, start, size), size, opening);
-		if (found == NULL)
-			return NULL;
-		found->start = start;
-		found->code = row;
-		found->other = e->blocks[row];
-		e->blocks[row] = found;
-		if (row >= e->block_rows)
-			e->block_rows = row + 1u;
-	}
-	if (before != NULL)
-		before->next = found;
-	return found;
+		hooks_consider(e, (uint32_t)address);
 }
 
 /* ITCM is written by start-up once; from its first instruction on it is read-only. */
-void close_itcm(struct engine *e)
+void hooks_close_itcm(struct engine *e)
 {
 	if (e->s.itcm_closed)
 		return;
@@ -320,7 +245,7 @@ void close_itcm(struct engine *e)
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, UC_PROT_READ | UC_PROT_EXEC);
 }
 
-static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
+static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 {
 	struct engine *e = user;
 	const uint32_t start = (uint32_t)address;
@@ -330,12 +255,12 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 	(void)uc;
 	if (before != NULL) {
 		opening = e->start + before->size == start ? before->open : 0;
-		account(e, before->count);
+		hooks_account(e, before->count);
 	}
 	e->at = e->start = e->s.pc = start;
 	e->next_special = 0;
 	e->stopped = false;
-	e->block = find_block(e, before, start, size, opening);
+	e->block = blocks_find(e, before, start, size, opening);
 	if (e->block == NULL) {
 		fail(e, "execution at 0x%08X", start);
 		uc_emu_stop(e->uc);
@@ -345,19 +270,19 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 	__builtin_prefetch(e->block->next);
 	if (e->profiling)
 		profile_block(e);
-	plan(e);
+	hooks_plan(e);
 	if (e->attention || (start < ITCM_BYTES && !e->s.itcm_closed) || start < NULL_PAGE_BYTES ||
 	    (start >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time)) {
 		e->attention = true;
 		e->event_stop = 0;
 	}
-	set_stop(e);
+	hooks_set_stop(e);
 	if (e->s.cpacr != 0x00F00000u && e->block->float_offset != UINT16_MAX &&
 	    start + e->block->float_offset < e->stop_at)
 		e->stop_at = start + e->block->float_offset;
 }
 
-static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
+static void hooks_on_interrupt(uc_engine *uc, uint32_t number, void *user)
 {
 	struct engine *e = user;
 
@@ -365,7 +290,7 @@ static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
 	uc_emu_stop(uc);
 }
 
-static void note_flash_store(struct engine *e, uint32_t address, uint32_t size, uint32_t value)
+static void hooks_note_flash_store(struct engine *e, uint32_t address, uint32_t size, uint32_t value)
 {
 	const uint32_t offset = (address - FLASH_BASE) & ~3u;
 
@@ -373,17 +298,17 @@ static void note_flash_store(struct engine *e, uint32_t address, uint32_t size, 
 	e->flash_patch = offset;
 	memcpy(e->flash_bytes, e->flash + offset, 4);
 	e->flash_stored = true;
-	look_again(e);
+	clock_attend(e);
 }
 
-static bool on_invalid(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
+static bool hooks_on_invalid(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
 {
 	struct engine *e = user;
 
 	(void)uc;
 	if (type == UC_MEM_WRITE_PROT && inside((uint32_t)address, (uint32_t)size, FLASH_BASE, FLASH_BYTES) &&
 	    e->callbacks.flash != NULL && !e->flash_stored) {
-		note_flash_store(e, (uint32_t)address, (uint32_t)size, (uint32_t)value);
+		hooks_note_flash_store(e, (uint32_t)address, (uint32_t)size, (uint32_t)value);
 		return true;
 	}
 	e->fault_type = (uint32_t)type;
@@ -398,9 +323,9 @@ uc_err hooks_add(struct engine *e)
 {
 	uc_engine *const uc = e->uc;
 	uc_hook hook;
-	uc_err error = uc_hook_add(uc, &hook, UC_HOOK_BLOCK, (void *)on_block, e, 1, 0);
+	uc_err error = uc_hook_add(uc, &hook, UC_HOOK_BLOCK, (void *)hooks_on_block, e, 1, 0);
 
-	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_CODE, (void *)on_code, e, 1, 0);
-	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_INTR, (void *)on_interrupt, e, 1, 0);
-	return error ? error : uc_hook_add(uc, &hook, UC_HOOK_MEM_INVALID, (void *)on_invalid, e, 1, 0);
+	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_CODE, (void *)hooks_on_code, e, 1, 0);
+	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_INTR, (void *)hooks_on_interrupt, e, 1, 0);
+	return error ? error : uc_hook_add(uc, &hook, UC_HOOK_MEM_INVALID, (void *)hooks_on_invalid, e, 1, 0);
 }

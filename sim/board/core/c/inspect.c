@@ -1,7 +1,10 @@
 /* The engine from outside: its state, counts and breakpoints. */
 #include <string.h>
 
-#include "engine.h"
+#include "blocks.h"
+#include "clock.h"
+#include "memory.h"
+#include "nvic.h"
 
 void engine_fail(struct engine *e)
 {
@@ -49,11 +52,11 @@ void engine_restored(struct engine *e)
 	e->block = NULL;
 	e->failed = e->reset_wanted = false;
 	e->skip = NOWHERE;
-	forget_code(e);
+	blocks_forget(e);
 	uc_mem_protect(e->uc, ITCM_BASE, ITCM_BYTES, e->s.itcm_closed ? UC_PROT_READ | UC_PROT_EXEC : UC_PROT_ALL);
 	if (e->s.node >= e->node_count)
 		e->s.node = 0;
-	alarms_changed(e);
+	clock_alarms_changed(e);
 }
 
 uint64_t engine_instructions(const struct engine *e)
@@ -68,7 +71,7 @@ uint64_t engine_hash(const struct engine *e)
 
 bool engine_cached(const struct engine *e, uint32_t address)
 {
-	return data_is_cached(e, address);
+	return mpu_caches(e, address);
 }
 
 void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name)
@@ -107,13 +110,13 @@ const struct task *engine_task(const struct engine *e, uint32_t exception)
 
 uint64_t *engine_enters(struct engine *e)
 {
-	count_all(e);
+	blocks_count(e);
 	return e->enters;
 }
 
 uint64_t *engine_leaves(struct engine *e)
 {
-	count_all(e);
+	blocks_count(e);
 	return e->leaves;
 }
 
@@ -132,7 +135,7 @@ int engine_set_breakpoints(struct engine *e, const uint32_t *addresses, uint32_t
 		return -1;
 	memcpy(e->breakpoints, addresses, count * sizeof *addresses);
 	e->breakpoint_count = count;
-	look_again(e);
+	clock_attend(e);
 	return 0;
 }
 

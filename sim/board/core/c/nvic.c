@@ -1,5 +1,8 @@
 /* Interrupts' enables and priorities (ARMv7-M DDI 0403E B3.4) and the regions of the MPU (B3.5). */
-#include "engine.h"
+#include "clock.h"
+#include "exceptions.h"
+#include "memory.h"
+#include "nvic.h"
 
 #define PRIORITY_BITS 0xF0u /* that the chip has */
 
@@ -30,7 +33,7 @@ bool mpu_closes(const struct engine *e, uint32_t address)
 
 /* SRAM1, SRAM2 and flash are cached by default (B3.1); a region makes them otherwise when it is not normal memory
  * with a cached inner policy: TEX, C, B of table B3-13. Shared memory is not cached by this core (TRM 5.2). */
-bool data_is_cached(const struct engine *e, uint32_t address)
+bool mpu_caches(const struct engine *e, uint32_t address)
 {
 	const uint32_t rasr = mpu_attributes(e, address);
 	const uint32_t tex = rasr >> 19 & 7u, shared = rasr >> 18 & 1u, c = rasr >> 17 & 1u, b = rasr >> 16 & 1u;
@@ -50,22 +53,22 @@ static uint32_t *mpu_register(struct engine *e, uint32_t offset, uint32_t *regio
 	return e->s.mpu_rasr;
 }
 
-static bool meets(uint64_t first, uint64_t bytes, uint32_t base, uint32_t size)
+static bool mpu_meets(uint64_t first, uint64_t bytes, uint32_t base, uint32_t size)
 {
 	return first < (uint64_t)base + size && base < first + bytes;
 }
 
 /* A region that takes away what the model goes on allowing would make a board of its own. The null page is closed
  * without the MPU, and stores to flash and ITCM are refused by themselves. */
-static void judge_region(struct engine *e, uint32_t region)
+static void mpu_check_region(struct engine *e, uint32_t region)
 {
 	const uint32_t rasr = e->s.mpu_rasr[region], access = rasr >> 24 & 7u;
 	const uint64_t first = e->s.mpu_rbar[region], bytes = UINT64_C(2) << (rasr >> 1 & 31u);
 	const bool null_page = first + bytes <= 2u * NULL_PAGE_BYTES, no_code = rasr >> 28 & 1u;
-	const bool on_code = meets(first, bytes, ITCM_BASE, ITCM_BYTES) || meets(first, bytes, ALIAS_BASE, FLASH_BYTES) ||
-			     meets(first, bytes, FLASH_BASE, FLASH_BYTES);
-	const bool on_data = meets(first, bytes, RAM_BASE, RAM_BYTES) || meets(first, bytes, APB_BASE, APB_BYTES) ||
-			     meets(first, bytes, AHB2_BASE, AHB2_BYTES);
+	const bool on_code = mpu_meets(first, bytes, ITCM_BASE, ITCM_BYTES) || mpu_meets(first, bytes, ALIAS_BASE, FLASH_BYTES) ||
+			     mpu_meets(first, bytes, FLASH_BASE, FLASH_BYTES);
+	const bool on_data = mpu_meets(first, bytes, RAM_BASE, RAM_BYTES) || mpu_meets(first, bytes, APB_BASE, APB_BYTES) ||
+			     mpu_meets(first, bytes, AHB2_BASE, AHB2_BYTES);
 
 	if ((rasr & 1u) == 0u || null_page)
 		return;
@@ -89,7 +92,7 @@ void mpu_write(struct engine *e, uint32_t offset, uint32_t value)
 		fail(e, "MPU_RASR = 0x%08X sets reserved bits", value);
 	registers[region] = registers == e->s.mpu_rbar ? value & ~31u : value;
 	if (registers == e->s.mpu_rasr)
-		judge_region(e, region);
+		mpu_check_region(e, region);
 }
 
 uint32_t mpu_read(struct engine *e, uint32_t offset)
@@ -102,7 +105,7 @@ uint32_t mpu_read(struct engine *e, uint32_t offset)
 
 /* ---- NVIC ---- */
 
-static uint32_t bits_of(const struct flags *flags, uint32_t word)
+static uint32_t nvic_bits(const struct flags *flags, uint32_t word)
 {
 	uint32_t bits = 0;
 
@@ -118,12 +121,12 @@ uint32_t nvic_read(struct engine *e, uint32_t offset)
 	switch (offset & 0xF80u) {
 	case 0x100u:
 	case 0x180u:
-		return bits_of(&e->s.enabled, word);
+		return nvic_bits(&e->s.enabled, word);
 	case 0x200u:
 	case 0x280u:
-		return bits_of(&e->s.pending, word);
+		return nvic_bits(&e->s.pending, word);
 	default:
-		return bits_of(&e->s.is_active, word);
+		return nvic_bits(&e->s.is_active, word);
 	}
 }
 
@@ -143,14 +146,14 @@ void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
 		switch (offset & 0xF80u) {
 		case 0x100u:
 			if (!get(&e->s.enabled, exception))
-				e->s.pended_at[exception] = now(e); /* it waits from now on */
+				e->s.pended_at[exception] = clock_now(e); /* it waits from now on */
 			put(&e->s.enabled, exception, true);
 			break;
 		case 0x180u:
 			put(&e->s.enabled, exception, false);
 			break;
 		case 0x200u:
-			pend(e, exception);
+			exceptions_pend(e, exception);
 			break;
 		case 0x280u: /* a line that is still high makes it pending again */
 			put(&e->s.pending, exception, get(&e->s.line, exception) && !get(&e->s.is_active, exception));
@@ -160,18 +163,18 @@ void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
 			return;
 		}
 	}
-	look_again(e);
+	clock_attend(e);
 }
 
-void set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value)
+void nvic_set_priorities(struct engine *e, uint32_t exception, uint32_t size, uint32_t value)
 {
 	for (uint32_t i = 0; i < size; ++i, value >>= 8)
 		if (exception + i < EXCEPTION_COUNT)
 			e->s.priority[exception + i] = value & PRIORITY_BITS;
-	look_again(e);
+	clock_attend(e);
 }
 
-uint32_t priorities(const struct engine *e, uint32_t exception, uint32_t size)
+uint32_t nvic_priorities(const struct engine *e, uint32_t exception, uint32_t size)
 {
 	uint32_t value = 0;
 

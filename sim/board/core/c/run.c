@@ -3,7 +3,13 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "engine.h"
+#include "blocks.h"
+#include "clock.h"
+#include "events.h"
+#include "exceptions.h"
+#include "hooks.h"
+#include "memory.h"
+#include "nvic.h"
 
 #define BLOCK_ADDRESSES_END 0xFFFFFFFEu /* an address that is never reached: unicorn wants one */
 #define XPSR_THUMB (1u << 24)
@@ -12,7 +18,7 @@
 enum { INTERRUPT_SVC = 2, INTERRUPT_PREFETCH = 3, INTERRUPT_BKPT = 7, INTERRUPT_EXCEPTION_RETURN = 8 };
 
 /* What unicorn could not go on with becomes a fault of the core. `e->s.pc` stands on the instruction. */
-static void explain(struct engine *e, uc_err error)
+static void run_explain(struct engine *e, uc_err error)
 {
 	struct fault *f = &e->fault;
 	const uint32_t at = e->fault_at;
@@ -64,20 +70,20 @@ static void explain(struct engine *e, uc_err error)
 	}
 }
 
-static void supervisor_call(struct engine *e)
+static void run_supervisor_call(struct engine *e)
 {
 	const struct fault escalated = {
 		.exception = EXC_HARD, .hfsr = 1u << 30, .text = "SVC where its priority does not let it run"};
 
 	e->s.pended_at[EXC_SVC] = e->s.time;
-	if (execution_priority(e, true) > e->s.priority[EXC_SVC])
-		exception_enter(e, EXC_SVC);
+	if (exceptions_priority(e, true) > e->s.priority[EXC_SVC])
+		exceptions_enter(e, EXC_SVC);
 	else
-		raise_fault(e, &escalated);
+		exceptions_raise(e, &escalated);
 }
 
 /* YIELD and WFE, which unicorn does not know what to do with: a program may go on behind them (B1.5.18). */
-static bool is_hint(struct engine *e, uint32_t address)
+static bool run_is_hint(struct engine *e, uint32_t address)
 {
 	const uint8_t *const code = host(e, address, 2);
 
@@ -85,41 +91,41 @@ static bool is_hint(struct engine *e, uint32_t address)
 }
 
 /* Unicorn has come back by itself or because of us. */
-static void settle(struct engine *e, uc_err error)
+static void run_settle(struct engine *e, uc_err error)
 {
 	const bool fetch = error == UC_ERR_FETCH_UNMAPPED || error == UC_ERR_FETCH_PROT;
 
-	if (e->stopped) { /* leave() has done the books */
+	if (e->stopped) { /* hooks_leave() has counted */
 		if (e->fault.exception != EXC_THREAD)
-			raise_fault(e, &e->fault);
+			exceptions_raise(e, &e->fault);
 		return;
 	}
 	e->s.pc = reg(e, UC_ARM_REG_PC);
 	if (e->block != NULL) {
 		const bool whole = error == UC_ERR_OK || fetch;
 
-		if (error == UC_ERR_INSN_INVALID && is_hint(e, e->at)) {
+		if (error == UC_ERR_INSN_INVALID && run_is_hint(e, e->at)) {
 			e->s.pc = e->at + 2u;
-			account(e, index_at(e, e->at) + 1u);
+			hooks_account(e, clock_index_at(e, e->at) + 1u);
 			return;
 		}
 
 		if (!whole)
 			e->s.pc = e->at;
-		account(e, whole ? e->block->count : index_at(e, e->at));
+		hooks_account(e, whole ? e->block->count : clock_index_at(e, e->at));
 	}
 	if (e->failed)
 		return;
 	if (e->interrupt == INTERRUPT_PREFETCH)
 		error = UC_ERR_FETCH_UNMAPPED;
 	if (error != UC_ERR_OK) {
-		explain(e, error);
+		run_explain(e, error);
 		if (!e->failed)
-			raise_fault(e, &e->fault);
+			exceptions_raise(e, &e->fault);
 	} else if (e->interrupt == INTERRUPT_SVC) {
-		supervisor_call(e);
+		run_supervisor_call(e);
 	} else if (e->interrupt == INTERRUPT_EXCEPTION_RETURN) {
-		exception_return(e, e->s.pc | 1u);
+		exceptions_return(e, e->s.pc | 1u);
 	} else if (e->interrupt == INTERRUPT_BKPT) {
 		fail(e, "a BKPT instruction");
 	} else if (e->interrupt != UINT32_MAX) {
@@ -131,22 +137,22 @@ static void settle(struct engine *e, uc_err error)
 	}
 }
 
-static void execute(struct engine *e)
+static void run_execute(struct engine *e)
 {
 	if (e->code_changed)
-		forget_code(e);
+		blocks_forget(e);
 	e->block = NULL;
 	e->control_in = 0;
 	e->stopped = e->waiting = e->flash_stored = false;
 	e->interrupt = UINT32_MAX;
 	e->fault.exception = EXC_THREAD;
-	const uint64_t began = clock_ns(e), devices = e->spent[SPENT_DEVICES];
+	const uint64_t began = clock_host_ns(e), devices = e->spent[SPENT_DEVICES];
 	const uc_err error = uc_emu_start(e->uc, e->s.pc | 1u, BLOCK_ADDRESSES_END, 0, 0);
 
-	e->spent[SPENT_CODE] += clock_ns(e) - began - (e->spent[SPENT_DEVICES] - devices);
-	settle(e, error);
+	e->spent[SPENT_CODE] += clock_host_ns(e) - began - (e->spent[SPENT_DEVICES] - devices);
+	run_settle(e, error);
 	if (e->code_changed)
-		forget_code(e);
+		blocks_forget(e);
 	if (e->flash_stored) { /* unicorn has stored the plain value: put back what the flash made of it */
 		memcpy(e->flash + e->flash_patch, e->flash_bytes, 4);
 		e->flash_stored = false;
@@ -155,10 +161,10 @@ static void execute(struct engine *e)
 }
 
 /* What a first instruction in ITCM, or one in busy flash, must wait for. */
-static void prepare_fetch(struct engine *e)
+static void run_prepare_fetch(struct engine *e)
 {
 	if (e->s.pc < ITCM_BYTES) {
-		close_itcm(e);
+		hooks_close_itcm(e);
 	} else if (e->s.flash_busy << FRACTION > e->s.time) {
 		e->s.time = e->s.flash_busy << FRACTION;
 		e->s.time = e->next_due < e->s.time ? e->next_due : e->s.time;
@@ -167,13 +173,13 @@ static void prepare_fetch(struct engine *e)
 	}
 }
 
-static bool is_stalled(const struct engine *e)
+static bool run_is_stalled(const struct engine *e)
 {
 	return e->s.pc >= ITCM_BYTES && e->s.flash_busy << FRACTION > e->s.time;
 }
 
 /* The core sleeps until something is due. An error is told at the instruction that sent it to sleep. */
-static void pass_asleep(struct engine *e)
+static void run_pass_asleep(struct engine *e)
 {
 	const uint8_t *const before = host(e, e->s.pc - 2u, 2);
 
@@ -197,32 +203,32 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 			return RUN_RESET;
 		if (e->s.time >= e->until)
 			return RUN_REACHED;
-		fire_due(e);
+		events_fire(e);
 		if (e->failed || e->reset_wanted)
 			continue;
 		if (e->s.sleeping) {
-			if (wakes(e)) {
+			if (exceptions_wake(e)) {
 				e->s.sleeping = false;
 			} else if (e->next_due == NEVER && e->until == NEVER) {
 				return RUN_ASLEEP;
 			} else {
-				pass_asleep(e);
+				run_pass_asleep(e);
 				continue;
 			}
 		}
-		prepare_fetch(e);
-		if (is_stalled(e) || e->next_due <= e->s.time || e->s.time >= e->until)
+		run_prepare_fetch(e);
+		if (run_is_stalled(e) || e->next_due <= e->s.time || e->s.time >= e->until)
 			continue;
-		const uint32_t exception = deliverable(e);
+		const uint32_t exception = exceptions_deliverable(e);
 		if (exception != EXC_THREAD) {
 			e->at_breakpoint = false;
-			exception_enter(e, exception);
+			exceptions_enter(e, exception);
 			continue;
 		}
 		if (e->at_breakpoint)
 			return RUN_BREAKPOINT;
 		if (e->s.instructions >= e->limit)
 			return RUN_LIMIT;
-		execute(e);
+		run_execute(e);
 	}
 }

@@ -2,7 +2,12 @@
  * others are found. Reserved bits set, and registers that are not here, are errors of the image. */
 #include <string.h>
 
-#include "engine.h"
+#include "clock.h"
+#include "counters.h"
+#include "exceptions.h"
+#include "memory.h"
+#include "nvic.h"
+#include "system_control.h"
 
 #define CPUID 0x411FC270u        /* Cortex-M7 r1p0 */
 #define CCR_RESET 0x00040200u    /* BP and STKALIGN read as one */
@@ -35,10 +40,10 @@ void system_reset_registers(struct engine *e)
 
 /* ---- SCB (B3.2) ---- */
 
-static uint32_t icsr(const struct engine *e)
+static uint32_t scb_icsr(const struct engine *e)
 {
 	const struct state *s = &e->s;
-	uint32_t value = s->active[s->depth].exception | first_pending(e) << 12;
+	uint32_t value = s->active[s->depth].exception | exceptions_first_pending(e) << 12;
 
 	value |= s->depth <= 1u ? 1u << 11 : 0u;
 	for (uint32_t i = EXC_IRQ0; i < EXCEPTION_COUNT; ++i)
@@ -47,23 +52,23 @@ static uint32_t icsr(const struct engine *e)
 	return value | (uint32_t)get(&s->pending, EXC_NMI) << 31;
 }
 
-static void icsr_write(struct engine *e, uint32_t value)
+static void scb_icsr_write(struct engine *e, uint32_t value)
 {
 	if (value & 0x61000000u)
 		fail(e, "SCB_ICSR = 0x%08X sets reserved bits", value);
 	if (value & 1u << 31)
-		pend(e, EXC_NMI);
+		exceptions_pend(e, EXC_NMI);
 	if (value & 1u << 28)
-		pend(e, EXC_PENDSV);
+		exceptions_pend(e, EXC_PENDSV);
 	if (value & 1u << 27)
 		put(&e->s.pending, EXC_PENDSV, false);
 	if (value & 1u << 26)
-		pend(e, EXC_SYSTICK);
+		exceptions_pend(e, EXC_SYSTICK);
 	if (value & 1u << 25)
 		put(&e->s.pending, EXC_SYSTICK, false);
 }
 
-static void aircr_write(struct engine *e, uint32_t value)
+static void scb_aircr_write(struct engine *e, uint32_t value)
 {
 	if (value >> 16 != VECTKEY) {
 		fail(e, "SCB_AIRCR = 0x%08X without its key 0x05FA", value);
@@ -76,10 +81,10 @@ static void aircr_write(struct engine *e, uint32_t value)
 	e->s.aircr = value & 0x700u;
 	if (value & 4u)
 		e->reset_wanted = true;
-	look_again(e);
+	clock_attend(e);
 }
 
-static uint32_t shcsr(const struct engine *e)
+static uint32_t scb_shcsr(const struct engine *e)
 {
 	const struct state *s = &e->s;
 
@@ -89,17 +94,17 @@ static uint32_t shcsr(const struct engine *e)
 	       (uint32_t)get(&s->pending, EXC_SVC) << 15;
 }
 
-static uint32_t ccsidr(const struct engine *e)
+static uint32_t scb_ccsidr(const struct engine *e)
 {
 	return e->s.csselr & 1u ? CCSIDR_CODE : CCSIDR_DATA;
 }
 
-static bool is_cache_operation(uint32_t offset)
+static bool scb_is_cache_operation(uint32_t offset)
 {
 	return offset == 0xF50u || (offset >= 0xF58u && offset <= 0xF78u);
 }
 
-static uint32_t *stored(struct engine *e, uint32_t offset, uint32_t *allowed)
+static uint32_t *scb_stored(struct engine *e, uint32_t offset, uint32_t *allowed)
 {
 	struct state *s = &e->s;
 
@@ -160,7 +165,7 @@ static uint32_t scs_read(struct engine *e, uint32_t offset)
 		return mpu_read(e, offset);
 	if (offset >= 0x010u && offset < 0x020u)
 		return systick_read(e, offset);
-	const uint32_t *const plain = stored(e, offset, &allowed);
+	const uint32_t *const plain = scb_stored(e, offset, &allowed);
 	if (plain != NULL)
 		return *plain;
 	switch (offset) {
@@ -169,13 +174,13 @@ static uint32_t scs_read(struct engine *e, uint32_t offset)
 	case 0xD00u:
 		return CPUID;
 	case 0xD04u:
-		return icsr(e);
+		return scb_icsr(e);
 	case 0xD0Cu:
 		return 0xFA050000u | s->aircr;
 	case 0xD14u:
 		return s->ccr;
 	case 0xD24u:
-		return shcsr(e);
+		return scb_shcsr(e);
 	case 0xD28u:
 		return s->cfsr;
 	case 0xD2Cu:
@@ -189,7 +194,7 @@ static uint32_t scs_read(struct engine *e, uint32_t offset)
 	case 0xD7Cu:
 		return CTR;
 	case 0xD80u:
-		return ccsidr(e);
+		return scb_ccsidr(e);
 	case 0xD90u:
 		return MPU_TYPE;
 	case 0xDFCu:
@@ -227,22 +232,22 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		systick_write(e, offset, value);
 		return;
 	}
-	if (is_cache_operation(offset))
+	if (scb_is_cache_operation(offset))
 		return; /* memory is always what the caches would hold */
-	plain = stored(e, offset, &allowed);
+	plain = scb_stored(e, offset, &allowed);
 	if (plain != NULL) {
 		if (value & ~allowed)
 			fail(e, "0x%08X to the core's register 0x%08X sets reserved bits", value, 0xE000E000u + offset);
 		*plain = value & allowed;
-		look_again(e);
+		clock_attend(e);
 		return;
 	}
 	switch (offset) {
 	case 0xD04u:
-		icsr_write(e, value);
+		scb_icsr_write(e, value);
 		return;
 	case 0xD0Cu:
-		aircr_write(e, value);
+		scb_aircr_write(e, value);
 		return;
 	case 0xD14u:
 		if (value & ~0x0007031Bu)
@@ -250,7 +255,7 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		s->ccr = (value & 0x0007011Bu) | CCR_RESET;
 		return;
 	case 0xD24u:
-		if ((value ^ shcsr(e)) & ~0x00070000u)
+		if ((value ^ scb_shcsr(e)) & ~0x00070000u)
 			fail(e, "SCB_SHCSR = 0x%08X changes active or pending exceptions, not modelled", value);
 		s->shcsr = value & 0x00070000u;
 		return;
@@ -270,7 +275,7 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 		if (value >= IRQ_COUNT)
 			fail(e, "NVIC_STIR = %u, the chip has %u interrupts", value, IRQ_COUNT);
 		else
-			pend(e, EXC_IRQ0 + value);
+			exceptions_pend(e, EXC_IRQ0 + value);
 		return;
 	case 0xF34u:
 		if ((value & 0x80000000u) == 0u)
@@ -288,7 +293,7 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 }
 
 /* Registers whose bytes can be reached one by one: priorities and the fault status (B3.2.2, B3.4.2). */
-static bool has_bytes(uint32_t address)
+static bool scs_has_bytes(uint32_t address)
 {
 	const uint32_t offset = address - 0xE000E000u;
 
@@ -299,14 +304,14 @@ uint32_t system_read(struct engine *e, uint32_t address, uint32_t size)
 {
 	const uint32_t offset = address - 0xE000E000u;
 
-	if (size != 4u && !has_bytes(address)) {
+	if (size != 4u && !scs_has_bytes(address)) {
 		fail(e, "read of %u bytes at 0x%08X, the register takes words only", size, address);
 		return 0;
 	}
 	if (offset >= 0x400u && offset < 0x400u + IRQ_COUNT)
-		return priorities(e, EXC_IRQ0 + offset - 0x400u, size);
+		return nvic_priorities(e, EXC_IRQ0 + offset - 0x400u, size);
 	if (offset >= 0xD18u && offset < 0xD24u)
-		return priorities(e, 4u + offset - 0xD18u, size);
+		return nvic_priorities(e, 4u + offset - 0xD18u, size);
 	if (offset < 0x1000u) {
 		const uint32_t word = scs_read(e, offset & ~3u) >> 8u * (offset & 3u);
 
@@ -322,12 +327,12 @@ void system_write(struct engine *e, uint32_t address, uint32_t size, uint32_t va
 {
 	const uint32_t offset = address - 0xE000E000u;
 
-	if (size != 4u && !has_bytes(address))
+	if (size != 4u && !scs_has_bytes(address))
 		fail(e, "write of %u bytes at 0x%08X, the register takes words only", size, address);
 	else if (offset >= 0x400u && offset < 0x400u + IRQ_COUNT)
-		set_priorities(e, EXC_IRQ0 + offset - 0x400u, size, value);
+		nvic_set_priorities(e, EXC_IRQ0 + offset - 0x400u, size, value);
 	else if (offset >= 0xD18u && offset < 0xD24u)
-		set_priorities(e, 4u + offset - 0xD18u, size, value);
+		nvic_set_priorities(e, 4u + offset - 0xD18u, size, value);
 	else if (offset < 0x1000u)
 		scs_write(e, offset & ~3u, value << 8u * (offset & 3u));
 	else if (address - 0xE0001000u < 0x1000u)

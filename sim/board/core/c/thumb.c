@@ -2,7 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "engine.h"
+#include "thumb.h"
 
 enum { LINE = 64 }; /* bytes, of this machine's cache */
 enum { NONE = 15, ALL = 0xFFFF, SP = 13, PC = 15 };
@@ -15,7 +15,7 @@ struct instruction {
 	uint32_t it;        /* instructions that it makes conditional */
 };
 
-static struct special access_of(uint32_t base, int32_t immediate, uint32_t align, bool always)
+static struct special thumb_access(uint32_t base, int32_t immediate, uint32_t align, bool always)
 {
 	return (struct special){
 		.kind = SPECIAL_ACCESS, .base = (uint8_t)base, .index = NONE, .align = (uint8_t)align,
@@ -23,12 +23,12 @@ static struct special access_of(uint32_t base, int32_t immediate, uint32_t align
 	};
 }
 
-static struct special plain(enum special_kind kind)
+static struct special thumb_plain(enum special_kind kind)
 {
 	return (struct special){.kind = (uint8_t)kind, .base = NONE, .index = NONE, .align = 1};
 }
 
-static void narrow(uint32_t w, struct instruction *i)
+static void thumb_narrow(uint32_t w, struct instruction *i)
 {
 	const uint32_t low = w & 7u, middle = w >> 3 & 7u, five = w >> 6 & 31u;
 
@@ -37,20 +37,20 @@ static void narrow(uint32_t w, struct instruction *i)
 		static const uint8_t bytes[8] = {4, 2, 1, 1, 4, 2, 1, 2};
 		const uint32_t op = w >> 9 & 7u;
 
-		i->special = access_of(middle, 0, bytes[op], false);
+		i->special = thumb_access(middle, 0, bytes[op], false);
 		i->special.index = (uint8_t)five & 7u;
 		i->is_special = true;
 		i->clobbers = op < 3u ? 0u : 1u << low;
 	} else if ((w & 0xE000u) == 0x6000u || (w & 0xF000u) == 0x8000u) {
 		const uint32_t bytes = (w & 0xF000u) == 0x8000u ? 2u : w & 0x1000u ? 1u : 4u;
 
-		i->special = access_of(middle, (int32_t)(five * bytes), bytes, false);
+		i->special = thumb_access(middle, (int32_t)(five * bytes), bytes, false);
 		i->is_special = true;
 		i->clobbers = w & 0x0800u ? 1u << low : 0u;
 	} else if ((w & 0xF000u) == 0x9000u) { /* against SP, which is always a multiple of 4 */
 		i->clobbers = w & 0x0800u ? 1u << (w >> 8 & 7u) : 0u;
 	} else if ((w & 0xF000u) == 0xC000u) {
-		i->special = access_of(w >> 8 & 7u, 0, 4, true);
+		i->special = thumb_access(w >> 8 & 7u, 0, 4, true);
 		i->is_special = true;
 		i->clobbers = w & 0x0800u ? w & 0xFFu : 0u;
 	} else if ((w & 0xFF00u) == 0xBF00u) {
@@ -58,11 +58,11 @@ static void narrow(uint32_t w, struct instruction *i)
 		if (w & 0xFu)
 			i->it = w & 1u ? 4u : w & 2u ? 3u : w & 4u ? 2u : 1u;
 		else if (w == 0xBF30u) {
-			i->special = plain(SPECIAL_WAIT);
+			i->special = thumb_plain(SPECIAL_WAIT);
 			i->is_special = true;
 		}
 	} else if ((w & 0xFFE8u) == 0xB660u) {
-		i->special = plain(SPECIAL_MASKS);
+		i->special = thumb_plain(SPECIAL_MASKS);
 		i->is_special = true;
 		i->clobbers = 0;
 	} else if ((w & 0xFE00u) == 0xB400u) { /* PUSH */
@@ -80,7 +80,7 @@ static void narrow(uint32_t w, struct instruction *i)
 	}
 }
 
-static void wide_load_store(uint32_t a, uint32_t b, struct instruction *i)
+static void thumb_wide_load_store(uint32_t a, uint32_t b, struct instruction *i)
 {
 	const uint32_t base = a & 15u, bytes = 1u << (a >> 5 & 3u);
 	const bool load = a & 0x10u;
@@ -90,41 +90,41 @@ static void wide_load_store(uint32_t a, uint32_t b, struct instruction *i)
 	if (base == PC || (load && target == PC && bytes < 4u)) /* literal; PLD */
 		return;
 	if (a & 0x80u) {
-		i->special = access_of(base, (int32_t)(b & 0xFFFu), bytes, false);
+		i->special = thumb_access(base, (int32_t)(b & 0xFFFu), bytes, false);
 	} else if (b & 0x800u) {
 		const int32_t offset = b & 0x200u ? (int32_t)(b & 0xFFu) : -(int32_t)(b & 0xFFu);
 
-		i->special = access_of(base, b & 0x400u ? offset : 0, bytes, false);
+		i->special = thumb_access(base, b & 0x400u ? offset : 0, bytes, false);
 		if (b & 0x100u && b & 3u)
 			i->clobbers |= 1u << base;
 	} else {
-		i->special = access_of(base, 0, bytes, false);
+		i->special = thumb_access(base, 0, bytes, false);
 		i->special.index = b & 15u;
 		i->special.shift = b >> 4 & 3u;
 	}
 	i->is_special = base != SP || i->special.index != NONE || (i->special.immediate & (int32_t)(bytes - 1u)) != 0;
 }
 
-static void wide(uint32_t a, uint32_t b, struct instruction *i)
+static void thumb_wide(uint32_t a, uint32_t b, struct instruction *i)
 {
 	const uint32_t base = a & 15u;
 
 	i->clobbers = ALL;
 	if ((a & 0xFE40u) == 0xE800u) { /* LDM, STM */
-		i->special = access_of(base, 0, 4, true);
+		i->special = thumb_access(base, 0, 4, true);
 		i->is_special = base != SP;
 		i->clobbers = a & 0x10u ? b : 0u;
 	} else if ((a & 0xFE40u) == 0xE840u && a & 0x120u) { /* LDRD, STRD */
 		const int32_t offset = (a & 0x80u ? 1 : -1) * (int32_t)(b & 0xFFu) * 4;
 
-		i->special = access_of(base, a & 0x100u ? offset : 0, 4, true);
+		i->special = thumb_access(base, a & 0x100u ? offset : 0, 4, true);
 		i->is_special = base != SP && base != PC;
 		i->clobbers = a & 0x10u ? 1u << (b >> 12) | 1u << (b >> 8 & 15u) : 0u;
 	} else if ((a & 0xFFE0u) == 0xE840u) { /* LDREX, STREX */
-		i->special = access_of(base, (int32_t)(b & 0xFFu) * 4, 4, true);
+		i->special = thumb_access(base, (int32_t)(b & 0xFFu) * 4, 4, true);
 		i->is_special = base != SP;
 	} else if ((a & 0xFE00u) == 0xF800u) {
-		wide_load_store(a, b, i);
+		thumb_wide_load_store(a, b, i);
 	} else if ((a & 0xEC00u) == 0xEC00u && ((b >> 8 & 15u) == 10u || (b >> 8 & 15u) == 11u)) {
 		i->is_float = true;
 		i->clobbers = 0;
@@ -132,22 +132,22 @@ static void wide(uint32_t a, uint32_t b, struct instruction *i)
 			const bool single = (a & 0x120u) == 0x100u;
 			const int32_t offset = (a & 0x80u ? 1 : -1) * (int32_t)(b & 0xFFu) * 4;
 
-			i->special = access_of(base, single || a & 0x100u ? offset : 0, 4, true);
+			i->special = thumb_access(base, single || a & 0x100u ? offset : 0, 4, true);
 			i->is_special = base != SP && base != PC;
 		} else if (a & 0x10u) {
 			i->clobbers = 1u << (b >> 12) | 1u << base; /* VMOV, VMRS to the core */
 		}
 	} else if ((a & 0xFFE0u) == 0xF380u && (b & 0xD000u) == 0x8000u) { /* MSR */
-		i->special = plain(SPECIAL_MASKS);
+		i->special = thumb_plain(SPECIAL_MASKS);
 		i->is_special = true;
 		i->clobbers = 0;
 	} else if (a == 0xF3EFu && (b & 0xF000u) == 0x8000u) { /* MRS */
-		i->special = plain(SPECIAL_CONTROL);
+		i->special = thumb_plain(SPECIAL_CONTROL);
 		i->special.base = b >> 8 & 15u;
 		i->is_special = (b & 0xFFu) == 20u;
 		i->clobbers = 1u << (b >> 8 & 15u);
 	} else if ((a & 0xFFD0u) == 0xFB90u && (b & 0xF0F0u) == 0xF0F0u) { /* SDIV, UDIV */
-		i->special = plain(SPECIAL_DIVIDE);
+		i->special = thumb_plain(SPECIAL_DIVIDE);
 		i->special.base = b & 15u;
 		i->is_special = true;
 		i->clobbers = 1u << (b >> 8 & 15u);
@@ -166,28 +166,28 @@ static void wide(uint32_t a, uint32_t b, struct instruction *i)
 	}
 }
 
-static uint32_t halfword(const uint8_t *code)
+static uint32_t thumb_halfword(const uint8_t *code)
 {
 	return (uint32_t)code[0] | (uint32_t)code[1] << 8;
 }
 
-static struct instruction decode(const uint8_t *code, uint32_t room)
+static struct instruction thumb_decode(const uint8_t *code, uint32_t room)
 {
 	struct instruction i = {.size = 2};
-	const uint32_t first = halfword(code);
+	const uint32_t first = thumb_halfword(code);
 
 	if (first < 0xE800u || room < 4u) {
-		narrow(first, &i);
+		thumb_narrow(first, &i);
 	} else {
 		i.size = 4;
-		wide(first, halfword(code + 2), &i);
+		thumb_wide(first, thumb_halfword(code + 2), &i);
 	}
 	return i;
 }
 
 /* An access needs no look when its base was looked at before in this block and has kept its alignment since: what
  * is far from the null page stays far from it by the reach of an immediate. */
-static bool is_known(const struct special *s, uint32_t aligned, uint32_t seen)
+static bool thumb_is_known(const struct special *s, uint32_t aligned, uint32_t seen)
 {
 	const bool far = seen >> s->base & 1u, even = aligned >> s->base & 1u;
 
@@ -212,12 +212,12 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 	block->specials = (struct special *)(block + 1);
 	block->offsets = (uint16_t *)(block->specials + most);
 	for (uint32_t at = 0; at < size;) {
-		struct instruction i = decode(code + at, size - at);
+		struct instruction i = thumb_decode(code + at, size - at);
 
 		block->offsets[block->count++] = (uint16_t)(at | (covered != 0u));
 		if (i.is_float && block->float_offset == UINT16_MAX)
 			block->float_offset = (uint16_t)at;
-		if (i.is_special && !is_known(&i.special, aligned, seen)) {
+		if (i.is_special && !thumb_is_known(&i.special, aligned, seen)) {
 			i.special.offset = (uint16_t)at;
 			block->specials[block->special_count++] = i.special;
 			if (i.special.kind == SPECIAL_ACCESS && i.special.index == NONE && covered == 0u) {

@@ -1,10 +1,10 @@
-/* Time: where it stands inside a run of instructions, the core's clock, and what is due when. */
+/* Time: where it stands inside a run of instructions, the core's clock, and when the next event is due. */
 #define _POSIX_C_SOURCE 199309L
 #include <time.h>
 
-#include "engine.h"
+#include "clock.h"
 
-uint64_t clock_ns(const struct engine *e)
+uint64_t clock_host_ns(const struct engine *e)
 {
 	struct timespec now;
 
@@ -15,7 +15,7 @@ uint64_t clock_ns(const struct engine *e)
 }
 
 /* Index of the instruction at `address` in the block. */
-uint32_t index_at(const struct engine *e, uint32_t address)
+uint32_t clock_index_at(const struct engine *e, uint32_t address)
 {
 	const struct block *b = e->block;
 	const uint32_t offset = address - e->start;
@@ -32,12 +32,12 @@ uint32_t index_at(const struct engine *e, uint32_t address)
 	return low;
 }
 
-uint64_t now(const struct engine *e)
+uint64_t clock_now(const struct engine *e)
 {
-	return e->block == NULL ? e->s.time : e->s.time + index_at(e, e->at) * e->s.tick;
+	return e->block == NULL ? e->s.time : e->s.time + clock_index_at(e, e->at) * e->s.tick;
 }
 
-uint64_t core_cycles_at(const struct engine *e, uint64_t time)
+uint64_t clock_core_cycles(const struct engine *e, uint64_t time)
 {
 	const struct state *s = &e->s;
 
@@ -46,7 +46,7 @@ uint64_t core_cycles_at(const struct engine *e, uint64_t time)
 	return s->core_cycles + (uint64_t)(((unsigned __int128)(time - s->core_time) * s->core_hz / TIME_HZ) >> FRACTION);
 }
 
-uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles)
+static uint64_t clock_time_of(const struct engine *e, uint64_t cycles)
 {
 	const struct state *s = &e->s;
 
@@ -58,55 +58,36 @@ uint64_t time_of_core_cycles(const struct engine *e, uint64_t cycles)
 	return s->core_time + (uint64_t)((ticks * TIME_HZ + s->core_hz - 1u) / s->core_hz);
 }
 
-void set_core_clock(struct engine *e, uint64_t hz)
+void clock_set_core(struct engine *e, uint64_t hz)
 {
-	const uint64_t time = now(e), cycles = core_cycles_at(e, time);
+	const uint64_t time = clock_now(e), cycles = clock_core_cycles(e, time);
 
 	e->s.core_time = time;
 	e->s.core_cycles = cycles;
 	e->s.core_hz = hz;
 	/* The rest of the block that runs is taken at the old rate: it moves by less than a block. */
 	e->s.tick = e->s.cpi * TIME_HZ / hz;
-	alarms_changed(e);
+	clock_alarms_changed(e);
 }
 
-void look_again(struct engine *e)
+void clock_attend(struct engine *e)
 {
 	e->attention = true;
 	e->stop_at = e->event_stop = 0;
 }
 
-void alarms_changed(struct engine *e)
+uint64_t clock_systick_due(const struct engine *e)
 {
-	uint64_t next = systick_due(e);
+	return e->s.syst_zero == NEVER ? NEVER : clock_time_of(e, e->s.syst_zero);
+}
+
+void clock_alarms_changed(struct engine *e)
+{
+	uint64_t next = clock_systick_due(e);
 
 	for (uint32_t i = 0; i < e->alarm_count; ++i)
 		if (e->s.due[i] != NEVER && e->s.due[i] << FRACTION < next)
 			next = e->s.due[i] << FRACTION;
 	e->next_due = next;
-	look_again(e);
-}
-
-void fire_due(struct engine *e)
-{
-	while (!e->failed && e->next_due <= e->s.time) {
-		uint64_t first = systick_due(e);
-		uint32_t which = ALARM_MAX;
-
-		for (uint32_t i = 0; i < e->alarm_count; ++i)
-			if (e->s.due[i] != NEVER && e->s.due[i] << FRACTION < first) {
-				first = e->s.due[i] << FRACTION;
-				which = i;
-			}
-		if (which == ALARM_MAX) {
-			systick_fire(e);
-		} else {
-			e->s.due[which] = NEVER;
-			const uint64_t began = clock_ns(e);
-
-			e->callbacks.alarm(e->callbacks.user, which);
-			e->spent[SPENT_DEVICES] += clock_ns(e) - began;
-		}
-		alarms_changed(e);
-	}
+	clock_attend(e);
 }

@@ -1,0 +1,77 @@
+/* Runs of instructions that unicorn translates as one, kept by where they begin, and how often each was executed. */
+#include <stdlib.h>
+
+#include "blocks.h"
+#include "memory.h"
+#include "thumb.h"
+
+static void blocks_count_one(struct engine *e, struct block *block)
+{
+	e->enters[block->code] += block->times;
+	e->leaves[block->code + block->size / 2u] += block->times;
+	block->times = 0;
+}
+
+/* The counts of blocks that are still in use, into the books. */
+void blocks_count(struct engine *e)
+{
+	for (uint32_t row = 0; row < e->block_rows; ++row)
+		for (struct block *block = e->blocks[row]; block != NULL; block = block->other)
+			blocks_count_one(e, block);
+}
+
+void blocks_drop(struct engine *e, uint32_t row)
+{
+	while (e->blocks[row] != NULL) {
+		struct block *const block = e->blocks[row];
+
+		e->blocks[row] = block->other;
+		free(block);
+	}
+}
+
+/* Code was changed from outside. Not while unicorn runs. */
+void blocks_forget(struct engine *e)
+{
+	e->code_changed = false;
+	blocks_count(e);
+	for (uint32_t row = 0; row < e->block_rows; ++row)
+		blocks_drop(e, row);
+	uc_ctl_flush_tb(e->uc);
+	uc_ctl_flush_tlb(e->uc);
+}
+
+static bool blocks_is(const struct block *block, uint32_t start, uint32_t size, uint32_t opening)
+{
+	return block != NULL && block->start == start && block->size == size && block->opening == opening;
+}
+
+/* The block that begins at `start`; NULL: no code can be there. What followed `before` last is likely to do so again,
+ * and lies in this machine's cache. */
+struct block *blocks_find(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
+{
+	if (before != NULL && blocks_is(before->next, start, size, opening))
+		return before->next;
+	const uint32_t row = row_of(start);
+
+	if (row == NOWHERE)
+		return NULL;
+	struct block *found = e->blocks[row];
+
+	while (found != NULL && !blocks_is(found, start, size, opening))
+		found = found->other;
+	if (found == NULL) {
+		found = block_decode(host(e, start, size), size, opening);
+		if (found == NULL)
+			return NULL;
+		found->start = start;
+		found->code = row;
+		found->other = e->blocks[row];
+		e->blocks[row] = found;
+		if (row >= e->block_rows)
+			e->block_rows = row + 1u;
+	}
+	if (before != NULL)
+		before->next = found;
+	return found;
+}
