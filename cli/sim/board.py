@@ -1,4 +1,4 @@
-"""`neuroflight board`: the image on an emulated board that lies on the desk and talks to other programs."""
+"""`neuroflight board`: the image on an idle emulated board, whose serial ports programs talk to."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
-from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT
+from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from sim.board.debug.gdb import GdbServer
     from sim.board.serial.bridge import Bridge, End
-    from sim.board.serial.idle_board import Desk
+    from sim.board.serial.idle_board import IdleBoard
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
-VOLTS_DEFAULT, VOLTS_MAX = 16.8, 36.0  # four cells, full; what the converter's pin can see
+VOLTS_MAX = 36.0  # what the converter's pin can see
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,9 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--volts",
         type=float,
-        default=VOLTS_DEFAULT,
+        default=SIM_BATTERY_MV / 1000,
         metavar="V",
-        help=f"of the battery; default {VOLTS_DEFAULT}",
+        help=f"of the battery; default {SIM_BATTERY_MV / 1000}",
     )
     parser.add_argument(
         "--seconds",
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     from sim.board.debug.gdb import GdbServer
     from sim.board.peripherals.usart import Format
     from sim.board.serial.bridge import Bridge, UartLine
-    from sim.board.serial.idle_board import Desk, Keeper, serve, with_image
+    from sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
     from toolchain.image.elf import read_flashable
 
     flashed, kept = read_flashable(image), _kept(args.flash)
@@ -80,36 +80,36 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as ends:
         end = open_end(serial)
         ends.callback(end.close)
-        desk = Desk(with_image(flashed, kept), elf=elf if elf.is_file() else None, volts=args.volts)
-        ends.callback(desk.close)
-        keeper = Keeper(desk, lambda content: _keep(args.flash, content))
+        idle = IdleBoard(with_image(flashed, kept), elf=elf if elf.is_file() else None, volts=args.volts)
+        ends.callback(idle.close)
+        keeper = Keeper(idle, lambda content: _keep(args.flash, content))
         if args.flash is not None and kept is None:
-            _keep(args.flash, desk.flash())
-        ends.callback(keeper.look, at_once=True)
-        desk.boot()  # what is sent before would be lost
-        bridge = Bridge(UartLine(desk.board, format=Format(args.baud)), end)
+            _keep(args.flash, idle.flash())
+        ends.callback(keeper.update, at_once=True)
+        idle.boot()  # what is sent before would be lost
+        bridge = Bridge(UartLine(idle.board, format=Format(args.baud)), end)
         ends.callback(bridge.close)
         debugger = None
         if args.gdb is not None:
-            debugger = GdbServer(desk.board.engine, args.gdb)
+            debugger = GdbServer(idle.board.engine, args.gdb)
             ends.callback(debugger.close)
-            desk.run_core = debugger.run_to
+            idle.run_core = debugger.run_to
         interrupt = ends.enter_context(Interrupt(debugger))
         _tell(image, args.baud, end, debugger)
         watch = _SpeedWatch(bridge)
 
-        def look() -> None:
-            interrupt.look()
-            keeper.look()
-            watch.look()
+        def update() -> None:
+            interrupt.check()
+            keeper.update()
+            watch.update()
             if debugger is not None:
-                debugger.look()
+                debugger.poll()
 
         try:
-            serve(desk, [bridge], seconds=args.seconds, look=look)
+            serve(idle, [bridge], seconds=args.seconds, update=update)
         except KeyboardInterrupt:
             print(flush=True)  # behind the terminal's ^C
-        print(_summary(desk), flush=True)
+        print(_summary(idle), flush=True)
     return 0
 
 
@@ -120,7 +120,7 @@ class _SpeedWatch:
         self._line = bridge.line
         self._said = False
 
-    def look(self) -> None:
+    def update(self) -> None:
         line = self._line
         if not self._said and line.refused + line.framing_errors:
             self._said = True
@@ -181,9 +181,9 @@ def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
     print("Ctrl-C ends it", flush=True)
 
 
-def _summary(desk: Desk) -> str:
+def _summary(idle: IdleBoard) -> str:
     from sim.board.core.context import TIME_HZ
 
-    report = desk.board.report()
+    report = idle.board.report()
     resets = ", ".join(report.resets[1:]) or "none"
     return f"{report.cycles / TIME_HZ:.1f} s on the board, resets: {resets}"

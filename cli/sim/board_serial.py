@@ -53,7 +53,7 @@ class Interrupt:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise KeyboardInterrupt if one has come."""
         if self._came:
             raise KeyboardInterrupt

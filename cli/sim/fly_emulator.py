@@ -28,7 +28,7 @@ OPTIONS: dict[str, object] = {  # and their defaults
     "profile": None,
 }
 BY_OPTION = {"gyro_rate_hz": "--gyro-hz", "receiver_protocol": "--receiver"}  # settings that have one
-SLICE = 216_000  # cycles between two looks at serial line and Ctrl-C, at most: 1 ms
+SLICE = 216_000  # cycles between two checks of serial line and Ctrl-C, at most: 1 ms
 
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
@@ -118,7 +118,7 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
             if bridge is not None:
                 bridge.exchange(until - board.cycle)
             run_to(until)
-            interrupt.look()
+            interrupt.check()
 
     return run
 

@@ -16,6 +16,7 @@ from sim.board.core.engine import CPI, Engine, Note
 from sim.board.devices.esc import SILENT_S, Esc, Frame
 from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
 from sim.board.inspection import Inspection
+from sim.board.matekf722 import MOTORS
 from sim.board.native.library import Native, native_library
 from sim.board.peripherals.adc import Adc, AdcCommon
 from sim.board.peripherals.dma import DmaSystem
@@ -34,17 +35,7 @@ from toolchain.contract import DSHOT_MIN
 
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
-UNFLOWN = (
-    TIME_HZ // 10
-)  # nobody flies a motor whose ESC hears nothing for so long, if it still turns [cycles]
-# Timer and channel behind each motor's line, motors 1 to 8 (the eighth's pin is USART2's transmitter too).
-MOTORS = (
-    *(("TIM8", channel) for channel in range(1, 5)),
-    ("TIM3", 4),
-    ("TIM1", 1),
-    ("TIM4", 3),
-    ("TIM5", 3),
-)
+UNFLOWN = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not flown, even if it turns [cycles]
 
 
 class Hardware:
@@ -121,7 +112,7 @@ class Hardware:
         rcc.govern(self.registers.devices)
         rcc.latency, rcc.scale = self.flash.latency, lambda: pwr.scale
         self.flash.on_latency = pwr.on_change = rcc.check
-        self.flash.on_begin = self._refuse_in_flight
+        self.flash.on_begin = self._reject_in_flight
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)
         rcc.on_clocks += [self._set_clock, self.adc.set_clock]
         rcc.after_reset.append(self.gyro.processor_reset)
@@ -179,7 +170,7 @@ class Hardware:
         for esc in self.escs:
             esc.silence(cause == "power")
 
-    def _refuse_in_flight(self, what: str) -> None:
+    def _reject_in_flight(self, what: str) -> None:
         """Erasing and programming hold up code and samples, which nothing in flight can wait for."""
         for esc in self.escs:
             last = esc.last

@@ -1,7 +1,8 @@
 """What no single access shows: set-ups that are legal one by one, and with which nothing ever happens.
 
-A look at the board every 10 ms, and where something stands still two more soon after it, at distances that
-fit no beat of an image and are longer than a byte at 9600 baud: who is at work moves something between them.
+The board is inspected every 10 ms. Where a stream stands still, two more inspections follow, at distances
+that are longer than a byte at 9600 baud and no multiple of an image's periods: a stream in use moves
+something meanwhile.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ class Inspection:
     def __init__(self, context: Context, dma: DmaSystem, exti: Exti, line: int) -> None:
         """line: of EXTI, to which the data-ready line leads."""
         self._context, self._dma, self._exti, self._line = context, dma, exti, line
-        self._alarm = context.alarm("inspection", self._look)
+        self._alarm = context.alarm("inspection", self._inspect)
         self._rest()
 
     def _rest(self) -> None:
-        self._waiting: frozenset[Stream] = frozenset()  # as seen 10 ms ago, and at all looks since then
-        self._again = 0  # looks that have followed the one after 10 ms
+        self._waiting: frozenset[Stream] = frozenset()  # as seen 10 ms ago, and at each inspection since then
+        self._again = 0  # inspections that have followed the one after 10 ms
 
     def restart(self) -> None:
         """The chip was reset and with it all alarms."""
         self._rest()
         self._alarm.set(self._context.cycle + PERIOD)
 
-    def _look(self) -> None:
-        self._judge_edge()
+    def _inspect(self) -> None:
+        self._validate_edge()
         waiting = frozenset(self._to_peripherals())
         still = self._waiting & waiting
         if still and self._again < len(AGAIN):
@@ -47,7 +48,7 @@ class Inspection:
             self._again += 1
             return
         if still:
-            self._refuse(*min(still))
+            self._reject(*min(still))
         self._waiting, self._again = waiting, 0
         self._alarm.set(self._context.cycle + PERIOD)
 
@@ -61,7 +62,7 @@ class Inspection:
                     found.append((number, stream, controller.words[f"S{stream}NDTR"]))
         return found
 
-    def _refuse(self, number: int, stream: int, left: int) -> None:
+    def _reject(self, number: int, stream: int, left: int) -> None:
         controller = self._dma.controllers[number]
         channel, address = controller.get(f"S{stream}CR", "CHSEL"), controller.words[f"S{stream}PAR"]
         self._context.fail(
@@ -70,7 +71,7 @@ class Inspection:
             f"channel {channel}"
         )
 
-    def _judge_edge(self) -> None:
+    def _validate_edge(self) -> None:
         """The pulse begins with the sample and is 50 us long."""
         bit = 1 << self._line
         words = self._exti.words

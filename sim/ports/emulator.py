@@ -27,7 +27,9 @@ from sim.board.core.context import TIME_HZ
 from sim.board.debug.fault_injection import Fault, FaultPlan
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.debug.variables import read_variables
-from sim.board.devices.gyro_chip import MPU6500, READY, Alignment, accel_counts, gyro_counts
+from sim.board.devices.gyro_chip import MPU6500, READY
+from sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
 from sim.board.serial.idle_board import configured
 from sim.ports.port import Reply, Sample, control_divider
 from sim.ports.receiver_frames import RECEIVERS
@@ -35,16 +37,12 @@ from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
     GYRO_RATE_DEFAULT_HZ,
     SETTINGS,
-    SIM_BATTERY_MV,
-    SIM_GYRO_ALIGNMENT,
     FlightState,
     StopCause,
 )
 from toolchain.errors import LinkError
 from toolchain.image.elf import read_flashable
 
-ALIGNMENT = Alignment(SIM_GYRO_ALIGNMENT)
-FULL_VOLTS = SIM_BATTERY_MV / 1000
 RECEIVER = "USART2"
 BOOT_S = 5.0  # from power to the first sample that the firmware reads
 EDGE_CYCLES = TIME_HZ // GYRO_EDGE_RATE_HZ
@@ -70,7 +68,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Moment:
+class PortSnapshot:
     """A port between two exchanges, to go on from as often as wanted."""
 
     board: Snapshot
@@ -223,15 +221,15 @@ class EmulatedPort:
         """Whether the firmware has booted, up to its first look for the gyro's samples."""
         return self._up
 
-    def save(self) -> Moment:
-        """This moment, between two exchanges."""
+    def save(self) -> PortSnapshot:
+        """The whole state, between two exchanges."""
         kept = {name: getattr(self, name) for name in self._KEPT}
-        return Moment(take_snapshot(self.board.engine), copy.deepcopy(kept))
+        return PortSnapshot(take_snapshot(self.board.engine), copy.deepcopy(kept))
 
-    def restore(self, moment: Moment, faults: Sequence[Fault] | None = None) -> None:
-        """Go on from `moment`, of this port or one like it; `faults`: instead of those that it was given."""
-        restore_snapshot(self.board.engine, moment.board)
-        for name, value in copy.deepcopy(moment.port).items():
+    def restore(self, snapshot: PortSnapshot, faults: Sequence[Fault] | None = None) -> None:
+        """Go on from `snapshot`, of this port or one like it; `faults`: instead of those it was given."""
+        restore_snapshot(self.board.engine, snapshot.board)
+        for name, value in copy.deepcopy(snapshot.port).items():
             setattr(self, name, value)
         if faults is not None:
             self._plan = FaultPlan(faults, self.gyro_rate_hz)

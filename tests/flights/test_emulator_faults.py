@@ -13,7 +13,7 @@ import pytest
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from sim.board.devices.esc import SILENT_S
 from sim.control import sticks
-from sim.ports.emulator import EmulatedPort, Event, Moment
+from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
 from sim.ports.port import Reply, Sample
 from toolchain.contract import GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 from toolchain.errors import LinkError, ScenarioError
@@ -55,7 +55,7 @@ class Still:
     def save(self) -> Any:
         return self.port.save(), copy.deepcopy((self._number, self._planned, self._rng))
 
-    def restore(self, moment: tuple[Moment, Any], *faults: str) -> None:
+    def restore(self, moment: tuple[PortSnapshot, Any], *faults: str) -> None:
         self.port.restore(moment[0], [parse_fault(fault) for fault in faults])
         self._number, self._planned, self._rng = copy.deepcopy(moment[1])
 

@@ -19,7 +19,7 @@ from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, Segment, load_scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
-from sim.ports.emulator import EmulatedPort, Moment
+from sim.ports.emulator import EmulatedPort, PortSnapshot
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
@@ -107,7 +107,7 @@ class RecordedPort(EmulatedPort):
         """armed_for: samples with the motors armed before the snapshot."""
         super().__init__(image)
         self._until = armed_for
-        self.snapshot: Moment | None = None
+        self.snapshot: PortSnapshot | None = None
         self._calls: list[tuple[Callable[..., object], tuple[object, ...]]] = []
 
     def announce(self, channels_us: Sequence[int], samples: int) -> None:

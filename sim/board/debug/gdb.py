@@ -61,7 +61,7 @@ class GdbServer:
         """Whether the debugger keeps the core from running."""
         return self._halted
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Take up a debugger that has come since; it finds the core halted. Waits for none."""
         if self._client is None and select.select([self._listener], [], [], 0)[0]:
             self.wait()

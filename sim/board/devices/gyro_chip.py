@@ -8,18 +8,16 @@ know are errors, so that a configuration is never taken for done. Sources: MPU-6
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 from sim.board.core.context import TIME_HZ
 from sim.board.core.engine import NEVER
+from sim.board.devices.gyro_mount import Counts
 from sim.board.native.library import Native, in_c
 from sim.board.peripherals.gpio import Pins
-from toolchain.contract import ACCEL_COUNTS, ACCEL_FULL_SCALE_G, GRAVITY, GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 CS, READY = "PC2", "PC3"  # pins.c and gyro_chip.c know them too
 
@@ -32,7 +30,6 @@ _VALUES = struct.Struct("=7h")  # `measured` of struct gyro
 _READ = 0x80
 _DEVICE_RESET, _SLEEP = 0x80, 0x40  # PWR_MGMT_1
 _MILLISECOND = TIME_HZ // 1000
-_DEGREES = 180.0 / math.pi
 PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
 REGISTER_HZ = 1_000_000  # SCK at most, all registers
 FULL_SCALE = 3  # GYRO_CONFIG FS_SEL and ACCEL_CONFIG AFS_SEL of the counts that the loop sets
@@ -68,54 +65,6 @@ class GyroKind:
 
 MPU6500 = GyroKind("MPU6500", 0x70, 20_000_000, 0x01, 100)
 ICM20689 = GyroKind("ICM20689", 0x98, 8_000_000, 0x41, 100)
-
-
-class Alignment(IntEnum):
-    """How the chip is turned on the board, clockwise seen from above."""
-
-    CW0 = 0
-    CW90 = 1
-    CW180 = 2
-    CW270 = 3
-
-
-# Chip axis i is body axis (x forward, y left, z up) number `_AXES[i]` times `_SIGNS[i]`.
-_AXES = {
-    Alignment.CW0: (0, 1, 2),
-    Alignment.CW90: (1, 0, 2),
-    Alignment.CW180: (0, 1, 2),
-    Alignment.CW270: (1, 0, 2),
-}
-_SIGNS = {
-    Alignment.CW0: (1.0, 1.0, 1.0),
-    Alignment.CW90: (-1.0, 1.0, 1.0),
-    Alignment.CW180: (-1.0, -1.0, 1.0),
-    Alignment.CW270: (1.0, -1.0, 1.0),
-}
-
-Counts = tuple[int, int, int]
-
-
-def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
-    """Counts on the chip's axes at +-2000 deg/s of body rates (3,) [rad/s]: half to even, clamped to int16.
-
-    The same arithmetic in the same order as the host build's, so that both see the same counts.
-    """
-    scaled = [rate * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S for rate in rates]
-    return _mounted(scaled, alignment, 1.0)
-
-
-def accel_counts(force: Sequence[float], alignment: Alignment) -> Counts:
-    """Counts on the chip's axes at +-16 g of specific force (3,) [m/s^2], body axes."""
-    return _mounted(force, alignment, ACCEL_COUNTS / ACCEL_FULL_SCALE_G / GRAVITY)
-
-
-def _mounted(vector: Sequence[float], alignment: Alignment, scale: float) -> Counts:
-    (i, j, k), (a, b, c) = _AXES[alignment], _SIGNS[alignment]
-    x, y, z = round(a * vector[i] * scale), round(b * vector[j] * scale), round(c * vector[k] * scale)
-    if not (-32768 <= x <= 32767 and -32768 <= y <= 32767 and -32768 <= z <= 32767):
-        x, y, z = (max(-32768, min(32767, value)) for value in (x, y, z))
-    return x, y, z
 
 
 class GyroChip:

@@ -178,7 +178,7 @@ class Usart(Device):
         was_on = self.words["CR1"] & 1
         changed = self.words["CR1"] ^ value
         if was_on and value & 1:
-            self._refuse_fixed("CR1", changed)
+            self._reject_fixed("CR1", changed)
         self.keep("CR1", value)
         if not self.words["CR1"] & 1:
             self._begin()
@@ -187,7 +187,7 @@ class Usart(Device):
         ready = self.words["CR1"] & 1 and self.get("CR1", "TE")
         self.words["ISR"] = self.words["ISR"] & ~_TEACK | (_TEACK if ready else 0)
         if changed & self.words["CR1"] & 1:
-            _ = self.format  # judged when the USART goes on
+            _ = self.format  # validated when the USART goes on
         self._load()
         self._plan_arrival()
         self._update()
@@ -384,10 +384,10 @@ class Usart(Device):
 
     def _write_fixed(self, register: str, value: int) -> None:
         if self.words["CR1"] & 1:
-            self._refuse_fixed(register, self.words[register] ^ value)
+            self._reject_fixed(register, self.words[register] ^ value)
         self.keep(register, value)
 
-    def _refuse_fixed(self, register: str, changed: int) -> None:
+    def _reject_fixed(self, register: str, changed: int) -> None:
         names = [f for f in _FIXED[register] if changed & self.mask(register, f)]
         if names:
             self.context.fail(f"{self.name}_{register} {', '.join(names)} changes while UE is 1, expected 0")

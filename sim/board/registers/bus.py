@@ -218,20 +218,15 @@ class Companion(Protocol):
 class _Slot:
     """A register in its place: the device behind it and how often it was touched."""
 
-    __slots__ = ("device", "fixed", "read", "reads", "register", "sized", "write", "writes")
+    __slots__ = ("device", "fixed", "read", "reads", "register", "write", "writes")
 
     def __init__(self, device: Device, register: Register) -> None:
         self.device, self.register = device, register
         self.fixed = register.reserved | register.unmodelled
         name = register.name
-        # SPI_DR's width says how many frames move, so there the handlers get the size.
-        self.sized = hasattr(device, f"sized_read_{name.lower()}")
-        prefix = "sized_" if self.sized else ""
-        self.read: Callable[..., int] = getattr(
-            device, f"{prefix}read_{name.lower()}", lambda: device.words[name]
-        )
-        self.write: Callable[..., object] = getattr(
-            device, f"{prefix}write_{name.lower()}", lambda value: device.keep(name, value)
+        self.read: Callable[[], int] = getattr(device, f"read_{name.lower()}", lambda: device.words[name])
+        self.write: Callable[[int], object] = getattr(
+            device, f"write_{name.lower()}", lambda value: device.keep(name, value)
         )
         self.reads = self.writes = 0
 
@@ -269,13 +264,11 @@ class _Window:
     def read(self, offset: int, size: int) -> int:
         slot = self.slots.get(offset & ~3)
         if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._refuse(slot, offset, size, "read")
+            self._reject(slot, offset, size, "read")
         assert slot is not None
         if "r" not in slot.register.access:
             self._fail(slot, "is read, but it is write-only")
         slot.reads += 1
-        if slot.sized:
-            return slot.read(size)
         value = slot.read()
         if size == 4:
             return value
@@ -284,21 +277,18 @@ class _Window:
     def write(self, offset: int, size: int, value: int) -> None:
         slot = self.slots.get(offset & ~3)
         if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._refuse(slot, offset, size, "write")
+            self._reject(slot, offset, size, "write")
         assert slot is not None
         register = slot.register
         if "w" not in register.access:
             self._fail(slot, "is written, but it is read-only")
         slot.writes += 1
-        if slot.sized:
-            slot.write(size, value)
-            return
         if size != 4:
             shift = 8 * (offset & 3)
             old = slot.device.words[register.name] if "r" in register.access else 0
             value = old & ~(((1 << 8 * size) - 1) << shift) & WORD | value << shift
         if (value ^ register.reset) & slot.fixed:
-            self._refuse_bits(slot, value)
+            self._reject_bits(slot, value)
         slot.write(value)
 
     def reset(self) -> None:
@@ -321,19 +311,19 @@ class _Window:
             self.slots[offset].reads, self.slots[offset].writes = counts
 
     def explain(self, offset: int, size: int, value: int | None) -> None:
-        """Say what is wrong with an access that was refused elsewhere. `value`: written; None: a read."""
+        """Say what is wrong with an access that C has rejected. `value`: written; None: a read."""
         slot = self.slots.get(offset & ~3)
         verb = "read" if value is None else "write"
         if slot is None or not slot.device.clocked or size not in slot.register.sizes:
-            self._refuse(slot, offset, size, verb)
+            self._reject(slot, offset, size, verb)
         assert slot is not None
         if value is None:
             self._fail(slot, "is read, but it is write-only")
         if "w" not in slot.register.access:
             self._fail(slot, "is written, but it is read-only")
-        self._refuse_bits(slot, value)
+        self._reject_bits(slot, value)
 
-    def _refuse(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
+    def _reject(self, slot: _Slot | None, offset: int, size: int, verb: str) -> None:
         """Say why there is no such access. Always raises."""
         address = self.base + offset
         if slot is None:
@@ -354,7 +344,7 @@ class _Window:
         widths = " or ".join(str(8 * size) for size in register.sizes)
         self._fail(slot, f"has a {verb} of {8 * size} bits, but takes {widths}")
 
-    def _refuse_bits(self, slot: _Slot, value: int) -> None:
+    def _reject_bits(self, slot: _Slot, value: int) -> None:
         register = slot.register
         wrong = (value ^ register.reset) & slot.fixed
         if wrong & register.reserved:
@@ -405,14 +395,6 @@ class Registers:
             if base >= _EXTERNAL and not window.devices:
                 continue
             bus.attach(base, WINDOW, window, window.name)
-
-    def read(self, address: int, size: int) -> int:
-        """As the program reads a register at `address`."""
-        return self._windows[address & ~(WINDOW - 1)].read(address & WINDOW - 1, size)
-
-    def write(self, address: int, size: int, value: int) -> None:
-        """As the program writes a register at `address`."""
-        self._windows[address & ~(WINDOW - 1)].write(address & WINDOW - 1, size, value)
 
     def touched(self) -> tuple[Touch, ...]:
         """Every register that the image touched, in order of address."""

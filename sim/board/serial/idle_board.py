@@ -1,7 +1,7 @@
-"""A board on the desk: powered, still, its battery full, and programs that talk to it over its lines.
+"""An idle board: powered, motionless, full battery; programs talk to its serial ports.
 
-Nothing here flies. `Desk` is the board with what its sensors measure at rest, `configured` a way to settings
-in its flash by the way that a pilot goes: over MSP.
+`IdleBoard` is a board whose sensors measure what they do at rest; `configured` stores settings in a board's
+flash as a pilot does, over MSP.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from flash.client import Client
 from flash.settings import Settings, as_stored
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
-from sim.board.devices.gyro_chip import MPU6500, Alignment, accel_counts, gyro_counts
+from sim.board.devices.gyro_chip import MPU6500
+from sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
 from toolchain.contract import (
@@ -27,14 +29,10 @@ from toolchain.contract import (
     FLASH_BYTES,
     GRAVITY,
     MSP_BAUD_DEFAULT,
-    SIM_BATTERY_MV,
-    SIM_GYRO_ALIGNMENT,
 )
 from toolchain.errors import LinkError
 
-STEP = TIME_HZ // 1000  # cycles between two measurements, and two looks at the lines: 1 ms
-FULL_VOLTS = SIM_BATTERY_MV / 1000
-ALIGNMENT = Alignment(SIM_GYRO_ALIGNMENT)
+STEP = TIME_HZ // 1000  # cycles between two measurements, and two exchanges with programs: 1 ms
 # At rest: MPU-6500 product specification, 3.1 and 3.2 (0.01 deg/s/rtHz and 300 ug/rtHz over 250 Hz).
 GYRO_NOISE, ACCEL_NOISE = np.radians(0.16), 0.005 * GRAVITY  # standard deviations [rad/s], [m/s^2]
 TEMPERATURE = round((25.0 - 21.0) * 333.87)  # 25 deg C [counts]
@@ -44,7 +42,7 @@ LAG_MAX_S = 0.1  # behind the clock on the wall; what is more is not made up for
 FLASH_REST = TIME_HZ // 10  # cycles without an operation after which flash is worth keeping
 
 
-class Desk:
+class IdleBoard:
     """A board of its own that lies still. Repeatable to the bit while no program talks to it."""
 
     def __init__(
@@ -102,43 +100,43 @@ class Desk:
 class Keeper:
     """Notices when flash has changed and come to rest, and hands its content on."""
 
-    def __init__(self, desk: Desk, keep: Callable[[bytes], None]) -> None:
-        self._desk, self._keep = desk, keep
-        self._seen = self._kept = desk.board.hardware.flash.operations
+    def __init__(self, idle: IdleBoard, keep: Callable[[bytes], None]) -> None:
+        self._idle, self._keep = idle, keep
+        self._seen = self._kept = idle.board.hardware.flash.operations
         self._since = 0  # cycle at which the last operation was seen
 
-    def look(self, *, at_once: bool = False) -> None:
-        """Hand on what has changed, if nothing is under way, or whatever it is."""
-        operations, cycle = self._desk.board.hardware.flash.operations, self._desk.board.cycle
+    def update(self, *, at_once: bool = False) -> None:
+        """Hand on what has changed, once no flash operation has come for a while, or at once."""
+        operations, cycle = self._idle.board.hardware.flash.operations, self._idle.board.cycle
         if operations != self._seen:
             self._seen, self._since = operations, cycle
         if operations != self._kept and (at_once or cycle - self._since >= FLASH_REST):
             self._kept = operations
-            self._keep(self._desk.flash())
+            self._keep(self._idle.flash())
 
 
 def serve(
-    desk: Desk,
+    idle: IdleBoard,
     bridges: Sequence[Bridge],
     *,
     seconds: float | None = None,
-    look: Callable[[], None] = lambda: None,
+    update: Callable[[], None] = lambda: None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Let the board run and programs talk to it, no faster than the clock on the wall.
 
-    seconds: of the board's time; None: without end. look: called every millisecond of it.
+    seconds: of the board's time; None: without end. update: called every millisecond of it.
     Raises BoardError for what the board does not forgive.
     """
-    board = desk.board
+    board = idle.board
     end = None if seconds is None else board.cycle + round(seconds * TIME_HZ)
     zero = clock() - board.cycle / TIME_HZ  # when the board had been powered had it kept up
     while end is None or board.cycle < end:
         for bridge in bridges:
             bridge.exchange(STEP)
-        desk.run_to(board.cycle + STEP if end is None else min(end, board.cycle + STEP))
-        look()
+        idle.run_to(board.cycle + STEP if end is None else min(end, board.cycle + STEP))
+        update()
         ahead = zero + board.cycle / TIME_HZ - clock()
         if ahead > 0:
             sleep(ahead)
@@ -170,19 +168,19 @@ def configured(image: bytes, elf: Path, settings: Mapping[str, float]) -> bytes:
     A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
     Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.
     """
-    desk = Desk(image, elf=elf)
+    idle = IdleBoard(image, elf=elf)
     try:
-        desk.boot()
-        asked = Settings(desk.client())
+        idle.boot()
+        asked = Settings(idle.client())
         for name, value in settings.items():
             asked.set(name, value)
         asked.save()
-        desk.board.reset()
-        desk.boot()
-        asked = Settings(desk.client(settings.get("msp_baud", MSP_BAUD_DEFAULT)))
+        idle.board.reset()
+        idle.boot()
+        asked = Settings(idle.client(settings.get("msp_baud", MSP_BAUD_DEFAULT)))
         for name, value in settings.items():
             if (got := asked.get(name)) != (wanted := as_stored(name, value)):
                 raise LinkError(f"{elf}: setting {name} is {got:g} after a reset, {wanted:g} was stored")
-        return desk.flash()
+        return idle.flash()
     finally:
-        desk.close()
+        idle.close()

@@ -12,9 +12,10 @@ import pytest
 
 from flash.msp import encode, request
 from sim.board.board import Board, Report
+from sim.board.matekf722 import FULL_VOLTS
 from sim.board.peripherals.usart import SBUS, Format
 from sim.control.sticks import channels
-from sim.ports.emulator import FULL_VOLTS, RECEIVER
+from sim.ports.emulator import RECEIVER
 from sim.ports.receiver_frames import sbus_frame
 from tests.conftest import ROOT
 from tests.sim.board.mutants.mutant import Mutant

@@ -16,7 +16,7 @@ class Mutant:
     message: str  # regular expression: what the board's error says of the mistake
     place: str = ""  # function that the error names; empty: the mistake shows while something else runs
     seconds: float = 0.05  # of the board's time, enough for the mistake to show
-    flown: bool = False  # armed by the receiver, at part throttle; else it lies on the desk, receiver off
+    flown: bool = False  # armed by the receiver, at part throttle; else idle, receiver off
     saves: float | None = None  # when a client asks for the settings to be saved [s]
     boots: int = 1  # so many power-ups, each for so long
     prove: bool = False  # for the long run only

@@ -9,7 +9,8 @@ import pytest
 
 from sim.board.core.context import BoardError
 from sim.board.devices import gyro_chip
-from sim.board.devices.gyro_chip import ICM20689, MPU6500, Alignment, accel_counts, gyro_counts
+from sim.board.devices.gyro_chip import ICM20689, MPU6500
+from sim.board.devices.gyro_mount import Alignment, accel_counts, gyro_counts
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench

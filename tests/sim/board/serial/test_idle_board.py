@@ -1,4 +1,4 @@
-"""A board on the desk with the real image: at rest, set over MSP, served in time."""
+"""A board on the idle with the real image: at rest, set over MSP, served in time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from flash.msp import encode, request
 from flash.settings import Settings
 from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
-from sim.board.serial import idle_board as desk_module
+from sim.board.serial import idle_board as idle_board
 from sim.board.serial.bridge import Bridge, PtyEnd, UartLine
-from sim.board.serial.idle_board import Desk, Keeper, configured, serve, with_image
+from sim.board.serial.idle_board import IdleBoard, Keeper, configured, serve, with_image
 from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_SETTINGS, Msp
 from toolchain.errors import LinkError
 
@@ -30,37 +30,37 @@ def image(board_image: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def booted(image: Path) -> Iterator[tuple[Desk, Snapshot]]:
-    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
-    desk.run_to(TIME_HZ // 2)
-    yield desk, take_snapshot(desk.board.engine)
-    desk.close()
+def booted(image: Path) -> Iterator[tuple[IdleBoard, Snapshot]]:
+    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
+    idle.run_to(TIME_HZ // 2)
+    yield idle, take_snapshot(idle.board.engine)
+    idle.close()
 
 
 @pytest.fixture
-def desk(booted: tuple[Desk, Snapshot]) -> Desk:
-    """The real image on the desk, shortly after its boot."""
+def idle(booted: tuple[IdleBoard, Snapshot]) -> IdleBoard:
+    """The real image on the idle, shortly after its boot."""
     restore_snapshot(booted[0].board.engine, booted[1])
     return booted[0]
 
 
 def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) -> None:
-    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
-    desk.run_to(2 * TIME_HZ)
-    with desk.client() as client:
+    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
+    idle.run_to(2 * TIME_HZ)
+    with idle.client() as client:
         info = read_info(client)
         battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
     assert info.arming_reasons == ("RECEIVER_LOST", "SWITCH_NOT_CYCLED")
     assert (battery.cells, battery.level) == (4, messages.BatteryLevel.GOOD)
-    desk.close()
+    idle.close()
 
 
 def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> None:
-    desk = Desk(image.read_bytes(), elf=image.with_suffix(".elf"))
-    desk.boot()
-    assert desk.board.cycle < TIME_HZ
-    assert desk.client().request(Msp.FC_VARIANT, retries=0) == b"NRFL"
-    desk.close()
+    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
+    idle.boot()
+    assert idle.board.cycle < TIME_HZ
+    assert idle.client().request(Msp.FC_VARIANT, retries=0) == b"NRFL"
+    idle.close()
 
 
 def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: Path) -> None:
@@ -71,12 +71,12 @@ def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: P
     )
     assert len(flash) == FLASH_BYTES
     assert flash[: FLASH_BOOT.size] == image.read_bytes()[: FLASH_BOOT.size]
-    desk = Desk(flash, elf=image.with_suffix(".elf"))
-    settings = Settings(desk.client())
+    idle = IdleBoard(flash, elf=image.with_suffix(".elf"))
+    settings = Settings(idle.client())
     got = [settings.get(name) for name in ("gyro_rate_hz", "roll_expo", "filter1_kind", "pitch_expo")]
     assert got == [8000, 0.10000000149011612, 5, 0.0]
-    assert messages.policy_info(desk.client().request(Msp.POLICY_INFO)).gyro_rate_hz == 8000
-    desk.close()
+    assert messages.policy_info(idle.client().request(Msp.POLICY_INFO)).gyro_rate_hz == 8000
+    idle.close()
 
 
 @pytest.mark.parametrize(
@@ -89,28 +89,28 @@ def test_settings_are_there_after_a_reset_when_the_board_was_configured(image: P
     ],
 )
 def test_a_setting_is_refused_with_the_reason_when_the_image_does_not_take_it(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, image: Path, settings: dict[str, float], words: str
+    idle: IdleBoard, monkeypatch: pytest.MonkeyPatch, image: Path, settings: dict[str, float], words: str
 ) -> None:
-    monkeypatch.setattr(desk_module, "Desk", lambda *_, **__: desk)  # booted once for all
-    monkeypatch.setattr(desk, "close", lambda: None)
+    monkeypatch.setattr(idle_board, "IdleBoard", lambda *_, **__: idle)  # booted once for all
+    monkeypatch.setattr(idle, "close", lambda: None)
     with pytest.raises(LinkError, match=words):
         configured(image.read_bytes(), image.with_suffix(".elf"), settings)
 
 
-def test_the_board_runs_no_faster_than_the_wall_clock_when_it_could(desk: Desk) -> None:
+def test_the_board_runs_no_faster_than_the_wall_clock_when_it_could(idle: IdleBoard) -> None:
     wall, slept = 5.0, 0.0
 
     def sleep(seconds: float) -> None:
         nonlocal wall, slept
         wall, slept = wall + seconds, slept + seconds
 
-    begin = desk.board.cycle
-    serve(desk, [], seconds=0.05, clock=lambda: wall, sleep=sleep)
-    assert desk.board.cycle - begin == 50 * MILLISECOND
+    begin = idle.board.cycle
+    serve(idle, [], seconds=0.05, clock=lambda: wall, sleep=sleep)
+    assert idle.board.cycle - begin == 50 * MILLISECOND
     assert slept == pytest.approx(0.05, abs=1e-9)
 
 
-def test_the_board_does_not_catch_up_when_it_was_held_for_long(desk: Desk) -> None:
+def test_the_board_does_not_catch_up_when_it_was_held_for_long(idle: IdleBoard) -> None:
     wall, slept = 5.0, 0.0
 
     def sleep(seconds: float) -> None:
@@ -119,33 +119,33 @@ def test_the_board_does_not_catch_up_when_it_was_held_for_long(desk: Desk) -> No
 
     def hold() -> None:
         nonlocal wall
-        wall += 0.0 if desk.board.cycle > begin + MILLISECOND else 10.0
+        wall += 0.0 if idle.board.cycle > begin + MILLISECOND else 10.0
 
-    begin = desk.board.cycle
-    serve(desk, [], seconds=0.3, look=hold, clock=lambda: wall, sleep=sleep)
+    begin = idle.board.cycle
+    serve(idle, [], seconds=0.3, update=hold, clock=lambda: wall, sleep=sleep)
     assert slept == pytest.approx(0.3 - 0.001 - 0.1, abs=0.002)  # a tenth of a second, not ten
 
 
-def test_a_program_is_served_when_the_board_is_on_the_desk(desk: Desk) -> None:
-    bridge = Bridge(UartLine(desk.board), PtyEnd())
+def test_a_program_is_served_when_the_board_is_on_the_desk(idle: IdleBoard) -> None:
+    bridge = Bridge(UartLine(idle.board), PtyEnd())
     with serial.Serial(bridge.end.name, timeout=0) as program:
         program.write(encode(request(Msp.FC_VARIANT)))
-        serve(desk, [bridge], seconds=0.01, clock=lambda: 0.0, sleep=lambda _: None)
+        serve(idle, [bridge], seconds=0.01, clock=lambda: 0.0, sleep=lambda _: None)
         assert program.read(100).startswith(b"$M>\x04\x02NRFL")
     bridge.close()
 
 
-def test_flash_is_kept_once_when_a_save_has_come_to_rest(desk: Desk) -> None:
+def test_flash_is_kept_once_when_a_save_has_come_to_rest(idle: IdleBoard) -> None:
     kept: list[bytes] = []
-    keeper = Keeper(desk, kept.append)
-    settings = Settings(desk.client())
+    keeper = Keeper(idle, kept.append)
+    settings = Settings(idle.client())
     settings.set("roll_expo", 0.5)
     settings.save()
-    keeper.look()
+    keeper.update()
     assert kept == [], "it may go on"
-    serve(desk, [], seconds=0.2, look=keeper.look, clock=lambda: 0.0, sleep=lambda _: None)
-    keeper.look(at_once=True)
-    assert kept == [desk.flash()]
+    serve(idle, [], seconds=0.2, update=keeper.update, clock=lambda: 0.0, sleep=lambda _: None)
+    keeper.update(at_once=True)
+    assert kept == [idle.flash()]
     assert any(
         kept[0][s.address - FLASH_BASE : s.address - FLASH_BASE + 4] == b"NFPS" for s in FLASH_SETTINGS
     )

@@ -15,7 +15,7 @@ from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.flash import Cut
 from sim.board.serial.bridge import UartLine
-from sim.board.serial.idle_board import Desk
+from sim.board.serial.idle_board import IdleBoard
 from toolchain.contract import MSP_BAUD_DEFAULT, MSP_BAUDS, MSP_PAYLOAD_MAX, SETTINGS, Msp
 from toolchain.errors import LinkError
 
@@ -28,59 +28,59 @@ MICROSECOND = TIME_HZ // 1_000_000
 SAVE_S = 2.0  # what it may take, with the restart behind it
 
 
-def until(desk: Desk, happened: Callable[[], bool], step: int) -> None:
+def until(idle: IdleBoard, happened: Callable[[], bool], step: int) -> None:
     """Run in steps of so many cycles until it has."""
-    end = desk.board.cycle + round(SAVE_S * TIME_HZ)
+    end = idle.board.cycle + round(SAVE_S * TIME_HZ)
     while not happened():
-        assert desk.board.cycle < end
-        desk.run_to(desk.board.cycle + step)
+        assert idle.board.cycle < end
+        idle.run_to(idle.board.cycle + step)
 
 
-def store(desk: Desk, values: dict[str, float]) -> None:
-    settings = Settings(desk.client())
+def store(idle: IdleBoard, values: dict[str, float]) -> None:
+    settings = Settings(idle.client())
     for name, value in values.items():
         settings.set(name, value)
     settings.save()
 
 
-def held(desk: Desk) -> dict[str, float]:
-    settings = Settings(desk.client())
+def held(idle: IdleBoard) -> dict[str, float]:
+    settings = Settings(idle.client())
     return {name: settings.get(name) for name in NEW}
 
 
 @pytest.fixture(scope="module")
-def booted(board_image: Path) -> Iterator[tuple[Desk, Snapshot]]:
+def booted(board_image: Path) -> Iterator[tuple[IdleBoard, Snapshot]]:
     """A board that has stored OLD."""
-    desk = Desk(board_image.with_suffix(".bin").read_bytes(), elf=board_image)
-    desk.boot()
-    store(desk, OLD)
-    yield desk, take_snapshot(desk.board.engine)
-    desk.close()
+    idle = IdleBoard(board_image.with_suffix(".bin").read_bytes(), elf=board_image)
+    idle.boot()
+    store(idle, OLD)
+    yield idle, take_snapshot(idle.board.engine)
+    idle.close()
 
 
 @pytest.fixture
-def desk(booted: tuple[Desk, Snapshot]) -> Desk:
+def idle(booted: tuple[IdleBoard, Snapshot]) -> IdleBoard:
     restore_snapshot(booted[0].board.engine, booted[1])
     return booted[0]
 
 
 # --- Resets -------------------------------------------------------------------------------------
-def test_stored_settings_are_there_when_power_was_gone(desk: Desk) -> None:
-    Settings(desk.client()).set("roll_expo", 0.5)  # and not stored
-    desk.board.reset()
-    desk.boot()
-    assert held(desk) == OLD
-    assert desk.board.engine.resets[-1] == "power"
+def test_stored_settings_are_there_when_power_was_gone(idle: IdleBoard) -> None:
+    Settings(idle.client()).set("roll_expo", 0.5)  # and not stored
+    idle.board.reset()
+    idle.boot()
+    assert held(idle) == OLD
+    assert idle.board.engine.resets[-1] == "power"
 
 
-def test_stored_settings_are_there_when_the_board_was_told_to_start_anew(desk: Desk) -> None:
-    with desk.client() as client:
+def test_stored_settings_are_there_when_the_board_was_told_to_start_anew(idle: IdleBoard) -> None:
+    with idle.client() as client:
         Settings(client).set("roll_expo", 0.5)  # and not stored
         assert client.request(Msp.REBOOT, retries=0) == b"", "the reply comes before the reset"
-        resets = desk.board.engine.resets
-        until(desk, lambda: resets[-1] == "software", MICROSECOND)
-    desk.boot()
-    assert held(desk) == OLD
+        resets = idle.board.engine.resets
+        until(idle, lambda: resets[-1] == "software", MICROSECOND)
+    idle.boot()
+    assert held(idle) == OLD
 
 
 @pytest.mark.parametrize(
@@ -90,17 +90,17 @@ def test_stored_settings_are_there_when_the_board_was_told_to_start_anew(desk: D
         for baud in MSP_BAUDS
     ],
 )
-def test_it_talks_at_the_speed_that_is_stored_when_it_has_started_anew(desk: Desk, baud: int) -> None:
-    store(desk, {"msp_baud": baud, "gyro_rate_hz": 8000})
-    with desk.client() as client:
+def test_it_talks_at_the_speed_that_is_stored_when_it_has_started_anew(idle: IdleBoard, baud: int) -> None:
+    store(idle, {"msp_baud": baud, "gyro_rate_hz": 8000})
+    with idle.client() as client:
         read_info(client)  # at the old one, until then
         client.request(Msp.REBOOT)
-    until(desk, lambda: desk.board.engine.resets[-1] == "software", 100 * MICROSECOND)
-    desk.boot()
+    until(idle, lambda: idle.board.engine.resets[-1] == "software", 100 * MICROSECOND)
+    idle.boot()
     other = 57_600 if baud != 57_600 else MSP_BAUD_DEFAULT
-    with desk.client(other) as client, pytest.raises(LinkError, match="silence"):
+    with idle.client(other) as client, pytest.raises(LinkError, match="silence"):
         client.request(Msp.API_VERSION, timeout=0.1, retries=0)
-    with desk.client(baud) as client:
+    with idle.client(baud) as client:
         assert read_info(client).variant == "NRFL"
         assert Settings(client).get("msp_baud") == baud
         with pytest.raises(LinkError, match="a length or a value that the command does not take"):
@@ -113,47 +113,47 @@ def test_it_talks_at_the_speed_that_is_stored_when_it_has_started_anew(desk: Des
 class Save:
     """A board that has stored OLD and is about to store NEW."""
 
-    desk: Desk
+    idle: IdleBoard
     before: Snapshot
     erased: Snapshot  # of the same save: its first word is about to be programmed
     begun: int  # flash operations before it
 
     def cut(self, operation: int, cut: Cut) -> None:
         """Power goes in the middle of that operation of the save, and comes back."""
-        board = self.desk.board
+        board = self.idle.board
         restore_snapshot(board.engine, self.before if operation == ERASE else self.erased)
         resets = len(board.engine.resets)
         board.hardware.flash.cut_at, board.hardware.flash.cut = self.begun + operation, cut
         if operation == ERASE:
             UartLine(board).send(encode(request(Msp.EEPROM_WRITE)))
-        until(self.desk, lambda: len(board.engine.resets) > resets, 100 * MICROSECOND)
+        until(self.idle, lambda: len(board.engine.resets) > resets, 100 * MICROSECOND)
         assert board.engine.resets[resets:] == ["power"]
-        self.desk.boot()
+        self.idle.boot()
 
 
 @pytest.fixture(scope="module")
-def save(booted: tuple[Desk, Snapshot]) -> Save:
-    desk, snapshot = booted
-    restore_snapshot(desk.board.engine, snapshot)
-    settings = Settings(desk.client())
+def save(booted: tuple[IdleBoard, Snapshot]) -> Save:
+    idle, snapshot = booted
+    restore_snapshot(idle.board.engine, snapshot)
+    settings = Settings(idle.client())
     for name, value in NEW.items():
         settings.set(name, value)
-    before, flash = take_snapshot(desk.board.engine), desk.board.hardware.flash
+    before, flash = take_snapshot(idle.board.engine), idle.board.hardware.flash
     begun = flash.operations
-    UartLine(desk.board).send(encode(request(Msp.EEPROM_WRITE)))
-    until(desk, lambda: flash.operations == begun + 1, 100 * MICROSECOND)
-    erased = desk.board.engine.alarms["flash.done"].due
+    UartLine(idle.board).send(encode(request(Msp.EEPROM_WRITE)))
+    until(idle, lambda: flash.operations == begun + 1, 100 * MICROSECOND)
+    erased = idle.board.engine.alarms["flash.done"].due
     assert erased is not None
-    desk.run_to(erased)
+    idle.run_to(erased)
     assert flash.operations == begun + 1
-    return Save(desk, before, take_snapshot(desk.board.engine), begun)
+    return Save(idle, before, take_snapshot(idle.board.engine), begun)
 
 
 def test_a_save_takes_as_many_operations_as_are_cut_when_it_is_left_alone(save: Save) -> None:
-    restore_snapshot(save.desk.board.engine, save.erased)
-    save.desk.run_to(save.desk.board.cycle + TIME_HZ // 20)
-    assert save.desk.board.hardware.flash.operations == save.begun + OPERATIONS
-    assert held(save.desk) == NEW
+    restore_snapshot(save.idle.board.engine, save.erased)
+    save.idle.run_to(save.idle.board.cycle + TIME_HZ // 20)
+    assert save.idle.board.hardware.flash.operations == save.begun + OPERATIONS
+    assert held(save.idle) == NEW
 
 
 SAMPLE = [
@@ -184,8 +184,8 @@ def test_the_board_boots_with_all_the_old_or_all_the_new_settings_when_power_goe
 ) -> None:
     save.cut(operation, cut)
     whole = (operation, cut) in ((LAST, Cut.AFTER), (LAST, Cut.WORDS))
-    assert held(save.desk) in ([OLD, NEW] if whole else [OLD])
-    with save.desk.client() as client:
+    assert held(save.idle) in ([OLD, NEW] if whole else [OLD])
+    with save.idle.client() as client:
         info = read_info(client)
     assert info.policy is not None
     assert info.policy.good
@@ -194,10 +194,10 @@ def test_the_board_boots_with_all_the_old_or_all_the_new_settings_when_power_goe
 
 def test_settings_can_be_stored_when_the_last_save_was_cut(save: Save) -> None:
     save.cut(ERASE, Cut.NOISE)
-    store(save.desk, NEW)
-    save.desk.board.reset()
-    save.desk.boot()
-    assert held(save.desk) == NEW
+    store(save.idle, NEW)
+    save.idle.board.reset()
+    save.idle.boot()
+    assert held(save.idle) == NEW
 
 
 @pytest.mark.prove
@@ -206,12 +206,12 @@ def test_the_board_boots_when_power_goes_while_a_boot_is_logged(board_image: Pat
     image = board_image.with_suffix(".bin").read_bytes()
     operation, resets = 0, 2
     while resets == 2:  # until there is no such operation any more
-        desk = Desk(image, elf=board_image)
-        desk.board.hardware.flash.cut_at, desk.board.hardware.flash.cut = operation, cut
-        desk.boot()
-        with desk.client() as client:
+        idle = IdleBoard(image, elf=board_image)
+        idle.board.hardware.flash.cut_at, idle.board.hardware.flash.cut = operation, cut
+        idle.boot()
+        with idle.client() as client:
             assert "FAULT" not in read_info(client).arming_reasons
-        resets = len(desk.board.engine.resets)
-        desk.close()
+        resets = len(idle.board.engine.resets)
+        idle.close()
         operation += 1
     assert operation > 20
