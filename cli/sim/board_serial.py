@@ -1,4 +1,4 @@
-"""What commands on the emulated board share: where other programs reach it, and how Ctrl-C does."""
+"""Shared by commands on the emulated board: serial ports for other programs, gdb, and Ctrl-C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`neuroflight fly --on emulator`: what may be asked of the emulated board, and what it tells."""
+"""`neuroflight fly --on emulator`: its options, and its report."""
 
 from __future__ import annotations
 

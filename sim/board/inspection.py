@@ -1,4 +1,4 @@
-"""What no single access shows: set-ups that are legal one by one, and with which nothing ever happens.
+"""Mistakes that no single access shows: every access is legal, but together they achieve nothing.
 
 The board is inspected every 10 ms. Where a stream stands still, two more inspections follow, at distances
 that are longer than a byte at 9600 baud and no multiple of an image's periods: a stream in use moves

@@ -1,4 +1,4 @@
-"""The image itself behind the port: build/MATEKF722/neuroflight.bin on the emulated board, in lockstep.
+"""A FirmwarePort around the emulated board, which runs build/MATEKF722/neuroflight.bin in lockstep.
 
 The board is powered with the port and stands, between two exchanges, one cycle before the edge of the gyro
 chip's data-ready line that the firmware reads next. An exchange lets the chip measure, and the board run to
@@ -92,7 +92,7 @@ class EmulatedPort:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
         settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
-        itself before, as `configured` does. receiver: of RECEIVERS. profile: keep who calls whom.
+        itself before, as `configured` does. receiver: of RECEIVERS. profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
         Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
         read its gyro at that rate, BuildError when image or ELF is none of ours, BoardError for what the
@@ -218,7 +218,7 @@ class EmulatedPort:
 
     @property
     def running(self) -> bool:
-        """Whether the firmware has booted, up to its first look for the gyro's samples."""
+        """Whether the firmware has booted: it reads the gyro's samples."""
         return self._up
 
     def save(self) -> PortSnapshot:

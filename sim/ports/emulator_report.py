@@ -1,4 +1,4 @@
-"""What a flight on the emulated board says of the image, beside its trace."""
+"""Report of a flight on the emulated board: timing margins, resets, events and notes, beside its trace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast the emulated board flies, beside the clock on the wall, and where the time goes.
+"""How fast the emulated board flies, in multiples of real time, and which parts take the time.
 
 The image of a policy is built, and flown by `fly` on the emulated board with its twin, first with nothing but
 a clock before and after, then once more with a stopwatch at every border between the parts.
@@ -35,7 +35,7 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
 AIRCRAFT, SCENARIO, SEED, COUNT = "nf1", "pulses", 1, 2
-DESK_S = 2.0
+IDLE_S = 2.0
 BAR = 1.0  # of real time, with a policy flying
 PARTS = (
     "instructions, and the engine's look at each (unicorn)",
@@ -49,7 +49,7 @@ PARTS = (
 
 @dataclass(frozen=True)
 class Row:
-    """A flight, or the board on the desk."""
+    """A flight, or the idle board."""
 
     name: str
     board_s: float  # time of the board
@@ -121,8 +121,8 @@ def measure(report: Callable[[str], None]) -> Speed:
         for name, scenario in (("policy flies", policy), ("PID flies", policy.under_pid())):
             report(f"board: {name}")
             rows.append(_apart(_flight, name, image, scenario))
-        report("board: on the desk")
-        rows.append(_apart(_desk, image))
+        report("board: idle")
+        rows.append(_apart(_idle, image))
         report("board: where the time goes")
         return Speed(tuple(rows), _apart(_shares, image, policy))
 
@@ -160,11 +160,11 @@ def _flight(name: str, image: Path, scenario: Scenario) -> Row:
     return rows[0]
 
 
-def _desk(image: Path) -> Row:
-    """Powered, booted, at rest: nobody measures, nobody flies."""
+def _idle(image: Path) -> Row:
+    """Powered, booted, at rest."""
     rows: list[Row] = []
-    with closing(EmulatedPort(image)) as port, _measured("on the desk", port, rows):
-        port.board.run(DESK_S)
+    with closing(EmulatedPort(image)) as port, _measured("idle", port, rows):
+        port.board.run(IDLE_S)
     return rows[0]
 
 

@@ -1,4 +1,4 @@
-"""`neuroflight board`: programs that talk to the image on the desk, as they would to a board."""
+"""`neuroflight board`: programs that talk to the image on an idle emulated board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seam between the engine and the peripherals of the emulated board.
+"""The interface between the engine and the peripherals of the emulated board.
 
 A peripheral is a class over a window of the address space. It gets a `Context` when it is made, and through
 it time, interrupts, memory and the way to say that the image did what a board does not forgive.

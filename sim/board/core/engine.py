@@ -131,7 +131,7 @@ class Engine:
         self._writes: list[Callable[[int, int, int], None]] = []
         self._rings: list[Callable[[], None]] = []
         self._reset_listeners: list[Callable[[str], None]] = []
-        self.after_run: Callable[[], None] = lambda: None  # tells what the run has left to be told
+        self.after_run: Callable[[], None] = lambda: None  # delivers what C has buffered
         self._flash_store: Callable[[int, int, int], None] | None = None
         self._error: BaseException | None = None
         self._cause = ""

@@ -1,4 +1,4 @@
-"""The emulated board's C, built on first use with the host's compiler, and called by cffi.
+"""The emulated board's C library: built on first use with the host's compiler, called through cffi.
 
 The library lies in a cache folder under a name made of the sources, the compiler and unicorn's version, so
 that a new source or a new compiler makes a new one, and two processes never disturb each other. What Python

@@ -1,4 +1,4 @@
-"""Where in the sources an address of the image lies: function, file and line, from the ELF's own tables."""
+"""Function, file and line of an address in the image, from the ELF's symbols and DWARF."""
 
 from __future__ import annotations
 

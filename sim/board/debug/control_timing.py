@@ -44,7 +44,7 @@ class Work(Enum):
 
 @dataclass(frozen=True)
 class Kind:
-    """What is told apart."""
+    """The kinds of runs that are counted apart."""
 
     work: Work
     armed: bool  # after it; of an algorithm True: it is only asked where the motors may turn
@@ -230,7 +230,7 @@ class ControlMeter:
 
     def _now(self) -> tuple[Counts, int, int]:
         """Changes of the number of executions along the code, instructions and accesses to devices so far."""
-        self._engine.library.engine_enters(self._engine.handle)  # the counts of blocks in use into the books
+        self._engine.library.engine_enters(self._engine.handle)  # adds the counts of blocks in use
         counts = self._code.pick(self._enters, self._leaves)
         return counts, self._engine.instructions, self._engine.accesses
 

@@ -1,4 +1,4 @@
-"""A flame graph of folded stacks as one SVG: width is instructions, who calls whom goes upward."""
+"""A flame graph of folded stacks as one SVG: width is instructions, callees stand on their callers."""
 
 from __future__ import annotations
 

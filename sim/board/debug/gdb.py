@@ -15,7 +15,7 @@ from sim.board.core.context import BoardError
 from sim.board.core.engine import Engine, Outcome
 from toolchain.errors import LinkError
 
-SLICE = 2_160_000  # cycles between two looks for the debugger's Ctrl-C: 10 ms
+SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
 PACKET_BYTES = 0x1000
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
 # Registers that reading leaves alone: system control block, floating-point context (ARMv7-M B3.2, B4.6).

@@ -1,4 +1,4 @@
-"""What the image executed: exact counts by exception, function and address, coverage, and who called whom.
+"""What the image executed: exact counts by exception, function and address, coverage, and call stacks.
 
 Counts hold every instruction that was executed, those skipped under a condition in their place included.
 """

@@ -253,5 +253,5 @@ def _rule(register: Register) -> dict[str, int]:
 
 
 def in_c() -> None:
-    """What an alarm that C sets and hears calls: nothing ever does."""
+    """In place of a callback, for an alarm that C sets and handles."""
     raise AssertionError("this alarm is C's")

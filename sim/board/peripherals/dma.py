@@ -194,8 +194,8 @@ class DmaSystem:
     def wake(self, source: str, alarm: Alarm, cycle: int | None, *, quiet: bool = True) -> None:
         """At `cycle` the driver of `source` has something to move: `alarm` rings then; None: it has nothing.
 
-        quiet: nobody could notice but by looking at DMA's registers or the driver's. Then it may be asked to
-        `sync` instead, when the program does.
+        quiet: only a read of DMA's registers or the driver's could show it. Then `sync` may be called
+        at such a read instead.
         """
         when = NEVER if cycle is None else cycle
         self._library.native_wake(self._native.handle, self._numbers[source], alarm.number, when, quiet)

@@ -1,4 +1,4 @@
-"""Which requests the chip leads to which streams of DMA1 and DMA2."""
+"""The DMA request mapping: which requests can drive which stream and channel of DMA1 and DMA2."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
 
 
 def serves(source: str, peripheral: str) -> bool:
-    """May request `source` move data of `peripheral`? Its own, or a timer's beat for pins."""
+    """May request `source` move data of `peripheral`? Its own, or a timer's updates for pins."""
     owner = source.split("_")[0]
     return owner == peripheral or (owner.startswith("TIM") and peripheral.startswith("GPIO"))

@@ -1,4 +1,4 @@
-"""FLASH: wait states, keys, erasing and programming with their real times, and power that goes meanwhile.
+"""FLASH: wait states, keys, erasing and programming with their real times, and power loss meanwhile.
 
 Programming clears bits only. The image must not ask for a 1 where a 0 is: the chip would answer with the
 bitwise and of both. An operation cut short leaves arbitrary bits behind, here from a seed: see `Cut`.

@@ -1,4 +1,4 @@
-"""What the chip keeps beside its flash: option bytes, unique id and flash size.
+"""Option bytes, unique id and flash size.
 
 Option bytes are read into FLASH_OPTCR, OPTCR1 and OPTCR2 at each reset and outlive all of them.
 """

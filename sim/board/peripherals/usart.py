@@ -29,7 +29,7 @@ _FIXED = {
 
 @dataclass(frozen=True)
 class Format:
-    """How bytes look on a line."""
+    """Format of bytes on a line."""
 
     baud: float
     data_bits: int = 8

@@ -1,4 +1,4 @@
-"""Strict registers: every access of the image is held against the vendor's table before a peripheral sees it.
+"""Strict registers: every access of the image is checked against the vendor's table first.
 
 A peripheral is a `Device`: its registers are words by name, and methods `read_cr1` and `write_cr1` stand
 where reading or writing does more than to keep a value. `Registers` puts devices behind the engine's bus,
@@ -160,7 +160,7 @@ class Device:
 
     @property
     def interrupts(self) -> tuple[int, ...]:
-        """The interrupt lines that it drives, where somebody else has to know."""
+        """The interrupt lines that it drives."""
         return ()
 
     def _reset_words(self) -> dict[str, int]:

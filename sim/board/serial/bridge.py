@@ -1,4 +1,4 @@
-"""The other end of a serial line of the emulated board, and what may sit there.
+"""The other end of a serial line of the emulated board: a pseudo terminal, TCP, or a client in lockstep.
 
 `UartLine` is the end of the wires: bytes that the board has sent, bytes that go in, each at its exact time,
 and what of either was no byte for its receiver because both ends run at different speeds. On it stand
@@ -26,7 +26,7 @@ from toolchain.contract import MSP_BAUD_DEFAULT
 from toolchain.errors import LinkError
 
 MSP_UART = "USART1"
-SLICE = TIME_HZ // 10_000  # cycles between two looks for what the board has sent: 100 us
+SLICE = TIME_HZ // 10_000  # cycles between two reads of what the board has sent: 100 us
 PENDING_MAX = 64 * 1024  # bytes kept for a program that does not read; what comes then is lost, as on wires
 READ_MAX = 4096
 

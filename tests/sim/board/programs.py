@@ -1,4 +1,4 @@
-"""Small programs for the emulated core, compiled as the firmware is: an oracle that is not ours."""
+"""Small programs for the emulated core, compiled as the firmware is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small firmware of another hand on the whole board: what it does, twice, and restored."""
+"""A small firmware, independent of ours, on the whole board: what it does, that it repeats, and restored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands still although every access was right."""
+"""Streams that never move and edges mistaken, although every single access is right."""
 
 from __future__ import annotations
 

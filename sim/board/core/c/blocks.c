@@ -12,7 +12,6 @@ static void blocks_count_one(struct engine *e, struct block *block)
 	block->times = 0;
 }
 
-/* The counts of blocks that are still in use, into the books. */
 void blocks_count(struct engine *e)
 {
 	for (uint32_t row = 0; row < e->block_rows; ++row)
@@ -30,7 +29,6 @@ void blocks_drop(struct engine *e, uint32_t row)
 	}
 }
 
-/* Code was changed from outside. Not while unicorn runs. */
 void blocks_forget(struct engine *e)
 {
 	e->code_changed = false;

@@ -1,4 +1,4 @@
-/* What counts cycles of the core: SysTick (ARMv7-M DDI 0403E B3.3) and the DWT's cycle counter (C1.8). */
+/* Counters of the core's cycles: SysTick (ARMv7-M DDI 0403E B3.3) and the DWT's cycle counter (C1.8). */
 #include "clock.h"
 #include "counters.h"
 #include "exceptions.h"

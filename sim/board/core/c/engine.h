@@ -69,7 +69,7 @@ enum exception {
 	EXC_IRQ0 = 16,
 };
 
-/* What an instruction needs beyond being executed by unicorn. */
+/* What the engine does at an instruction beside unicorn. */
 enum special_kind {
 	SPECIAL_ACCESS,  /* check alignment and the null page */
 	SPECIAL_DIVIDE,
@@ -215,7 +215,7 @@ struct engine {
 	uint32_t code;               /* its row in `enters` */
 	uint32_t at;                 /* the instruction at hand */
 	uint32_t next_special;
-	uint32_t stop_at;            /* first address in it that needs a look */
+	uint32_t stop_at;            /* first address in it at which hooks_consider runs */
 	uint32_t event_stop;         /* first address in it not to be executed */
 	bool attention;              /* something changed that may be due before event_stop */
 	bool stopped;                /* by us, before `at` */

@@ -120,7 +120,7 @@ void exceptions_reset(struct engine *e)
 {
 	static const uint8_t always[] = {EXC_NMI, EXC_HARD, EXC_MEM, EXC_BUS, EXC_USAGE, EXC_SVC, EXC_PENDSV, EXC_SYSTICK};
 
-	e->s.pending = e->s.is_active = e->s.enabled = e->s.line = (struct flags){{0, 0}};
+	e->s.pending = e->s.is_active = e->s.enabled = e->s.line = (struct flags){0};
 	memset(e->s.priority, 0, sizeof e->s.priority);
 	for (uint32_t i = 0; i < sizeof always; ++i)
 		put(&e->s.enabled, always[i], true);
@@ -219,8 +219,8 @@ static double exceptions_us(uint64_t time)
 	return (double)(time >> FRACTION) * 1e6 / (double)TIME_HZ;
 }
 
-/* A request has waited. Who masks interrupts while flash is erased or programmed does so with reason, but not from
- * flash itself, whose code stands still for as long. */
+/* A request has waited: fails beyond its bound. Masking interrupts while flash is erased or programmed is allowed, but
+ * not to code in flash, which is stalled for as long. */
 static void exceptions_check_wait(struct engine *e, uint32_t exception, uint64_t waited)
 {
 	const struct state *s = &e->s;
@@ -240,7 +240,7 @@ static void exceptions_check_wait(struct engine *e, uint32_t exception, uint64_t
 	e->last_pc = s->pended_pc[exception];
 }
 
-/* The handler's first instruction, IPSR, and the books. */
+/* Goes to the handler's first instruction, sets IPSR, and counts. */
 static void exceptions_take(struct engine *e, uint32_t exception, uint32_t exc_return, uint32_t cycles)
 {
 	struct state *s = &e->s;

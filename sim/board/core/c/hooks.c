@@ -1,4 +1,4 @@
-/* What unicorn calls while it runs, and what has been executed.
+/* What unicorn calls while it runs, and the count of what has been executed.
  *
  * How a slice becomes exact. Unicorn calls on_block before each run of instructions and on_code before each
  * instruction. on_block finds out where, if at all, the run must be left: at the first instruction that starts when
@@ -168,7 +168,7 @@ static void hooks_note_breakpoint(struct engine *e, uint32_t address)
 			e->at_breakpoint = true;
 }
 
-/* Does the loop have to see this before the instruction at `address`? */
+/* Does the loop have to act before the instruction at `address`? */
 static bool hooks_want_loop(struct engine *e, uint32_t address)
 {
 	if (e->failed || e->reset_wanted || e->flash_stored || e->code_changed)
@@ -178,7 +178,7 @@ static bool hooks_want_loop(struct engine *e, uint32_t address)
 	return exceptions_deliverable(e) != EXC_THREAD;
 }
 
-/* An instruction that may have to wait: something is due, or it needs a look. */
+/* An instruction at which something is due, or that must be checked. */
 static __attribute__((noinline)) void hooks_consider(struct engine *e, uint32_t address)
 {
 	const struct block *b = e->block;

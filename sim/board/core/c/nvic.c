@@ -6,7 +6,7 @@
 
 #define PRIORITY_BITS 0xF0u /* that the chip has */
 
-/* ---- MPU: kept, and looked at when an access finds nothing ---- */
+/* ---- MPU: kept, and consulted when an access faults or the cache matters ---- */
 
 /* RASR of the region that rules `address`: the highest one that covers it (B3.5.1); 0: none. */
 static uint32_t mpu_attributes(const struct engine *e, uint32_t address)
@@ -58,8 +58,8 @@ static bool mpu_meets(uint64_t first, uint64_t bytes, uint32_t base, uint32_t si
 	return first < (uint64_t)base + size && base < first + bytes;
 }
 
-/* A region that takes away what the model goes on allowing would make a board of its own. The null page is closed
- * without the MPU, and stores to flash and ITCM are refused by themselves. */
+/* The model does not enforce regions: one that closes memory or registers in use is an error. The null page is closed
+ * without the MPU, and stores to flash and ITCM are rejected anyway. */
 static void mpu_check_region(struct engine *e, uint32_t region)
 {
 	const uint32_t rasr = e->s.mpu_rasr[region], access = rasr >> 24 & 7u;

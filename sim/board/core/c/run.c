@@ -1,5 +1,4 @@
-/* The engine of the emulated board: the loop that lets unicorn execute until something is due, and makes of its end
- * what the core makes of it: a fault, an exception, sleep. */
+/* The loop: unicorn executes until something is due; then the engine takes the exception, raises the fault, or sleeps. */
 #include <stdio.h>
 #include <string.h>
 

@@ -1,4 +1,4 @@
-/* What the engine must know of a run of Thumb code: where its instructions lie and which of them need a look. */
+/* Decodes a run of Thumb code: where its instructions lie, and which of them the engine must check or act on. */
 #include <stdlib.h>
 #include <string.h>
 

@@ -1,4 +1,4 @@
-/* What the engine must know of a run of Thumb code. */
+/* Decodes a run of Thumb code. */
 #ifndef ENGINE_THUMB_H
 #define ENGINE_THUMB_H
 

@@ -96,9 +96,9 @@ struct native_callbacks {
 	exchange_callback exchange; /* bytes that C does not answer for the gyro chip */
 	errors_callback errors;     /* bit errors on received bytes, if there are any */
 	pulses_callback pulses;     /* of a channel, that are no plain frame */
-	frames_callback frames;     /* frames that C has taken, if anybody listens */
+	frames_callback frames;     /* frames that C has taken, if asked for */
 	pin_callback pin;           /* a watched pin has another level */
-	sample_callback sample;     /* the gyro chip is about to sample, if anybody listens */
+	sample_callback sample;     /* the gyro chip is about to sample, if asked for */
 };
 
 struct native;
@@ -127,12 +127,12 @@ void native_clocks(struct native *h, uint64_t apb2, uint64_t timer1, uint64_t ti
 
 /* The board puts a level on a pin. */
 void native_drive(struct native *h, uint32_t port, uint32_t pin, bool level);
-/* From now on changes of its level are told. */
+/* From now on `pin` gets changes of its level. */
 void native_watch(struct native *h, uint32_t port, uint32_t pin);
 
 /* DMA, for drivers in Python. `source` moves between its wakes as well: */
 void native_lazy(struct native *h, uint32_t source);
-/* At `cycle` it will have something to move; quiet: nobody could notice but by looking. */
+/* At `cycle` it will have something to move; quiet: only a read of registers could show it. */
 void native_wake(struct native *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet);
 /* One of the sources that drive a stream about to be enabled: the answer to QUERY_ENABLE. */
 void native_set_source(struct native *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source);
@@ -152,16 +152,16 @@ void native_bit_errors(struct native *h, bool any);
 
 /* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */
 struct gyro *native_gyro(struct native *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz);
-/* From now on somebody hears of samples, or no longer. */
+/* Whether `sample` is called from now on. */
 void native_hear_samples(struct native *h, bool on);
 
 /* The ESC of motor `motor` (from 0) is on channel 1 to 4 of timer `t`. */
 struct esc *native_esc(struct native *h, uint32_t motor, uint32_t t, uint32_t channel);
 /* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. */
 void native_obeyed(const struct native *h, uint32_t count, uint64_t silent, uint16_t *values);
-/* From now on every frame is told. */
+/* From now on `frames` gets every frame. */
 void native_hear_frames(struct native *h);
-/* Tells of the frames that have come. */
+/* Calls `frames` with those that have come. */
 void native_tell_frames(struct native *h);
 
 struct watchdog *native_watchdog(struct native *h, uint32_t alarm);

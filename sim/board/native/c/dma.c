@@ -68,7 +68,7 @@ static void dma_drive(struct native *h, int32_t source)
 		dma_source_sync(h, (uint32_t)source);
 }
 
-/* It hears that a stream came or went. */
+/* Tells it that a stream came or went. */
 static void dma_tell(struct native *h, int32_t source)
 {
 	if (source >= PYTHON_SOURCE)
@@ -93,12 +93,12 @@ static void dma_sync_all(struct native *h, uint32_t controller, uint32_t stream)
 		dma_sync(h, controller, stream);
 }
 
-/* An alarm is for what interrupts or can be noticed: otherwise the driver is asked when the program looks. */
+/* Sets the alarm only for what interrupts or shows by itself: otherwise the driver moves at the next read. */
 static void dma_source_plan(struct native *h, uint32_t source)
 {
 	const int16_t place = h->s.stream_of[source];
-	const bool rings =
-		place < 0 || (h->s.quiet >> source & 1u) == 0u || (dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+	const bool rings = place < 0 || (h->s.quiet >> source & 1u) == 0u ||
+		(dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
 
 	if (h->s.source_alarms[source] != UINT32_MAX)
 		engine_set_alarm(h->e, h->s.source_alarms[source], rings ? h->s.due[source] : NEVER);

@@ -63,7 +63,7 @@ struct native_state {
 	struct stream streams[2][STREAMS];
 	int16_t stream_of[SOURCES];
 	uint32_t source_alarms[SOURCES];
-	uint64_t quiet; /* sources of Python whose moves nobody could notice but by looking */
+	uint64_t quiet; /* sources of Python whose moves only a read of registers could show */
 	uint64_t due[SOURCES]; /* of Python's sources: cycle at which there is something to move; NEVER: nothing */
 	struct timer timers[TIMERS];
 	uint8_t sending[FIFO_BYTES + 1], received[FIFO_BYTES];
@@ -81,7 +81,7 @@ struct native_state {
 
 struct native;
 
-/* Who makes requests of DMA, in C. */
+/* A peripheral in C that makes DMA requests. */
 struct driver {
 	void (*sync)(struct native *h, uint32_t source);    /* it moves what it has until now */
 	void (*changed)(struct native *h, uint32_t source); /* a stream for it came or went */

@@ -1,6 +1,6 @@
 /* SPI1 as master (RM0431 SPI): bytes between the program and the chip on the bus, each taking its eight clocks.
  *
- * One alarm marks the end of a transfer by DMA; who reads a register before sees the bytes that have passed until then. */
+ * One alarm marks the end of a transfer by DMA; a register that is read before shows the bytes that have passed until then. */
 #include <string.h>
 
 #include "gyro_chip.h"
@@ -135,7 +135,7 @@ void spi_sync(struct native *h)
 	spi_update(h);
 }
 
-/* Sets the alarm for what somebody waits for. */
+/* Sets the alarm for the end of the transfer, or of the byte that an interrupt waits for. */
 void spi_plan(struct native *h)
 {
 	const uint32_t cr2 = device_words(h, h->spi)[SPI_CR2];

@@ -1,4 +1,4 @@
-/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA at their beat.
+/* TIM1 to TIM5 and TIM8 (RM0431 TIM): counters with preload, compare outputs and DMA requests at updates.
  *
  * A free-running timer costs nothing: its updates are counted when a register is read. While DMA feeds compare registers,
  * an alarm marks the end of the transfer; what the pins did meanwhile is shown as trains of pulses. */

@@ -1,4 +1,4 @@
-"""Entry, return, nesting, masks, tail-chaining and faults (ARMv7-M DDI 0403E B1.5), by programs that look."""
+"""Entry, return, nesting, masks, tail-chaining and faults (ARMv7-M DDI 0403E B1.5)."""
 
 from __future__ import annotations
 

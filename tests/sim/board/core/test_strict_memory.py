@@ -1,4 +1,4 @@
-"""What the chip does not forgive is an error that says what, where and in which line."""
+"""Accesses and set-ups that the emulator rejects: the error says what, where and in which line."""
 
 from __future__ import annotations
 

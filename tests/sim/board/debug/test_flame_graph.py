@@ -1,4 +1,4 @@
-"""Flame graphs: boxes that stand on their callers, as wide as their instructions are many."""
+"""Flame graphs: each box stands on its caller's, its width in proportion to its instructions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The remote protocol, spoken by a client of its own."""
+"""GDB's remote protocol, by a client written for these tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Builds mutants with the project's own makefile, and flies what came out on the emulated board."""
+"""Builds mutants with the project's own makefile, and flies them on the emulated board."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def mutate(source: Path, mutant: Mutant) -> None:
 
 
 def fly(elf: Path, mutant: Mutant) -> Flight:
-    """What the image did in `mutant.seconds`, in the hand of somebody who does not hold it quite still."""
+    """What the image did in `mutant.seconds`, on a board that is held in the hand: nearly still."""
     with closing(Board(elf.with_suffix(".bin").read_bytes(), elf=elf)) as board:
         gyro = board.hardware.gyro
         gyro.before_sample = lambda n: gyro.measure((0, 0, 2048), 333, (n // 2 % 3 - 1, 0, -(n // 2 % 2)))

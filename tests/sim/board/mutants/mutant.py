@@ -1,4 +1,4 @@
-"""A mutant: the real firmware with one deliberate mistake, and what the board must say of it."""
+"""A mutant: the real firmware with one deliberate mistake, and the error that the board must raise."""
 
 from __future__ import annotations
 

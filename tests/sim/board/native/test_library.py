@@ -1,4 +1,4 @@
-"""The header that Python reads, held against the library that was built."""
+"""The headers that Python reads, compared with the library that was built."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random programs of register accesses: data that moves late is the same data as when asked at every step."""
+"""Random programs see the same data whether peripherals catch up at every step or as late as they can."""
 
 from __future__ import annotations
 
@@ -91,7 +91,10 @@ def program(seed: int, steps: int) -> list[tuple[str, str, int]]:
 
 
 def execute(bench: Bench, steps: list[tuple[str, str, int]], pieces: int) -> list[object]:
-    """What a program sees, up to the first refusal. Time passes in so many pieces, with a look after each."""
+    """What a program sees, up to the first refusal.
+
+    pieces: that time passes in; after each but the only one, reads synchronize the peripherals.
+    """
     bench.full_speed()
     for pin, function in (("PA5", 5), ("PA6", 5), ("PA7", 5), ("PC6", 3), ("PC7", 3), ("PC8", 3), ("PC9", 3)):
         bench.alternate(pin, function)

@@ -1,4 +1,4 @@
-"""A board on the idle with the real image: at rest, set over MSP, served in time."""
+"""An idle board with the real image: at rest, set over MSP, served in time."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def booted(image: Path) -> Iterator[tuple[IdleBoard, Snapshot]]:
 
 @pytest.fixture
 def idle(booted: tuple[IdleBoard, Snapshot]) -> IdleBoard:
-    """The real image on the idle, shortly after its boot."""
+    """The real image on an idle board, shortly after its boot."""
     restore_snapshot(booted[0].board.engine, booted[1])
     return booted[0]
 
@@ -126,7 +126,7 @@ def test_the_board_does_not_catch_up_when_it_was_held_for_long(idle: IdleBoard) 
     assert slept == pytest.approx(0.3 - 0.001 - 0.1, abs=0.002)  # a tenth of a second, not ten
 
 
-def test_a_program_is_served_when_the_board_is_on_the_desk(idle: IdleBoard) -> None:
+def test_a_program_is_served_when_the_board_is_idle(idle: IdleBoard) -> None:
     bridge = Bridge(UartLine(idle.board), PtyEnd())
     with serial.Serial(bridge.end.name, timeout=0) as program:
         program.write(encode(request(Msp.FC_VARIANT)))
