@@ -105,67 +105,67 @@ struct native;
 
 /* Takes the engine's callbacks; `python` gets what is not C's. NULL: no memory. */
 struct native *native_new(struct engine *e, const struct callbacks *python, const struct native_callbacks *callbacks);
-void native_free(struct native *h);
+void native_free(struct native *n);
 /* Everything that changes, as plain values: a snapshot copies it. */
-void *native_state(struct native *h);
+void *native_state(struct native *n);
 uint32_t native_state_bytes(void);
 
 /* A new device, number `number` among its kind; alarm UINT32_MAX: it has none. Returns the device's number. */
-uint32_t native_device(struct native *h, uint32_t kind, uint32_t number, uint32_t base, uint32_t alarm, bool advanced);
+uint32_t native_device(struct native *n, uint32_t kind, uint32_t number, uint32_t base, uint32_t alarm, bool advanced);
 /* It answers in the engine's `window`. */
-void native_place(struct native *h, uint32_t device, uint32_t window);
-void native_rule(struct native *h, uint32_t device, uint32_t word, const struct rule *rule);
-void native_irq(struct native *h, uint32_t device, uint32_t place, uint32_t number);
+void native_place(struct native *n, uint32_t device, uint32_t window);
+void native_rule(struct native *n, uint32_t device, uint32_t word, const struct rule *rule);
+void native_irq(struct native *n, uint32_t device, uint32_t place, uint32_t number);
 /* As after a reset of the chip or by the peripheral's bit in RCC. */
-void native_reset(struct native *h, uint32_t device);
-uint32_t *native_words(struct native *h, uint32_t device);
-uint64_t native_touched(const struct native *h, uint32_t device, uint32_t word, bool writes);
-bool native_is_clocked(const struct native *h, uint32_t device);
-void native_clock(struct native *h, uint32_t device, bool on);
+void native_reset(struct native *n, uint32_t device);
+uint32_t *native_words(struct native *n, uint32_t device);
+uint64_t native_touched(const struct native *n, uint32_t device, uint32_t word, bool writes);
+bool native_is_clocked(const struct native *n, uint32_t device);
+void native_clock(struct native *n, uint32_t device, bool on);
 /* The clock tree has changed: APB2, timers on APB1, timers on APB2 [Hz]. */
-void native_clocks(struct native *h, uint64_t apb2, uint64_t timer1, uint64_t timer2);
+void native_clocks(struct native *n, uint64_t apb2, uint64_t timer1, uint64_t timer2);
 
 /* The board puts a level on a pin. */
-void native_drive(struct native *h, uint32_t port, uint32_t pin, bool level);
+void native_drive(struct native *n, uint32_t port, uint32_t pin, bool level);
 /* From now on `pin` gets changes of its level. */
-void native_watch(struct native *h, uint32_t port, uint32_t pin);
+void native_watch(struct native *n, uint32_t port, uint32_t pin);
 
 /* DMA, for drivers in Python. `source` moves between its wakes as well: */
-void native_lazy(struct native *h, uint32_t source);
+void native_lazy(struct native *n, uint32_t source);
 /* At `cycle` it will have something to move; quiet: only a read of registers could show it. */
-void native_wake(struct native *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet);
+void native_wake(struct native *n, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet);
 /* One of the sources that drive a stream about to be enabled: the answer to QUERY_ENABLE. */
-void native_set_source(struct native *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source);
+void native_set_source(struct native *n, uint32_t controller, uint32_t stream, uint32_t place, int32_t source);
 /* All streams of a controller have moved what they have until now. */
-void native_sync(struct native *h, uint32_t controller);
-uint32_t native_total(struct native *h, uint32_t source);      /* items of the transfer; 0: no stream is enabled */
-uint32_t native_available(struct native *h, uint32_t source);  /* items until the stream ends or begins anew */
-uint32_t native_until_flag(struct native *h, uint32_t source); /* items until it is half through or at its end */
-uint32_t native_target(struct native *h, uint32_t source);     /* peripheral address */
-bool native_circular(struct native *h, uint32_t source);
+void native_sync(struct native *n, uint32_t controller);
+uint32_t native_total(struct native *n, uint32_t source);      /* items of the transfer; 0: no stream is enabled */
+uint32_t native_available(struct native *n, uint32_t source);  /* items until the stream ends or begins anew */
+uint32_t native_until_flag(struct native *n, uint32_t source); /* items until it is half through or at its end */
+uint32_t native_target(struct native *n, uint32_t source);     /* peripheral address */
+bool native_circular(struct native *n, uint32_t source);
 /* Moves items from or to memory; returns how many there were. */
-uint32_t native_take(struct native *h, uint32_t source, uint32_t *items, uint32_t count);
-uint32_t native_give(struct native *h, uint32_t source, uint32_t *items, uint32_t count);
+uint32_t native_take(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
+uint32_t native_give(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
 
 /* Received bytes have bit errors. */
-void native_bit_errors(struct native *h, bool any);
+void native_bit_errors(struct native *n, bool any);
 
 /* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */
-struct gyro *native_gyro(struct native *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz);
+struct gyro *native_gyro(struct native *n, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz);
 /* Whether `sample` is called from now on. */
-void native_hear_samples(struct native *h, bool on);
+void native_hear_samples(struct native *n, bool on);
 
 /* The ESC of motor `motor` (from 0) is on channel 1 to 4 of timer `t`. */
-struct esc *native_esc(struct native *h, uint32_t motor, uint32_t t, uint32_t channel);
+struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t channel);
 /* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. */
-void native_obeyed(const struct native *h, uint32_t count, uint64_t silent, uint16_t *values);
+void native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values);
 /* From now on `frames` gets every frame. */
-void native_hear_frames(struct native *h);
+void native_hear_frames(struct native *n);
 /* Calls `frames` with those that have come. */
-void native_tell_frames(struct native *h);
+void native_tell_frames(struct native *n);
 
-struct watchdog *native_watchdog(struct native *h, uint32_t alarm);
+struct watchdog *native_watchdog(struct native *n, uint32_t alarm);
 /* Where its key register lies. */
-void native_place_watchdog(struct native *h, uint32_t window, uint32_t offset);
+void native_place_watchdog(struct native *n, uint32_t window, uint32_t offset);
 
 #endif

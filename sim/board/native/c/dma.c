@@ -13,9 +13,9 @@ enum { CR_EN = 1u << 0, CR_DIR = 3u << 6, CR_READS = 1u << 6, CR_CIRC = 1u << 8,
 enum { CR_INTERRUPTS = 0x1Eu };
 enum { FLAG_HT = 1u << 4, FLAG_TC = 1u << 5, FLAGS = 0x3Du, FLAGS_WITH_INTERRUPT = 0x3Cu };
 
-static uint32_t *dma_words(struct native *h, uint32_t controller, uint32_t stream)
+static uint32_t *dma_words(struct native *n, uint32_t controller, uint32_t stream)
 {
-	return device_words(h, h->controllers[controller]) + S_CR + S_STEP * stream;
+	return device_words(n, n->controllers[controller]) + S_CR + S_STEP * stream;
 }
 
 static uint32_t dma_shift(uint32_t stream)
@@ -23,165 +23,165 @@ static uint32_t dma_shift(uint32_t stream)
 	return (stream % 4u) / 2u * 16u + stream % 2u * 6u;
 }
 
-static void dma_update(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_update(struct native *n, uint32_t controller, uint32_t stream)
 {
-	const uint32_t device = h->controllers[controller];
-	const uint32_t flags = device_words(h, device)[stream < 4u ? LISR : HISR] >> dma_shift(stream) & FLAGS_WITH_INTERRUPT;
+	const uint32_t device = n->controllers[controller];
+	const uint32_t flags = device_words(n, device)[stream < 4u ? LISR : HISR] >> dma_shift(stream) & FLAGS_WITH_INTERRUPT;
 	/* DMEIE TEIE HTIE TCIE are bits 1 to 4, their flags bits 2 to 5. */
-	const uint32_t enabled = (dma_words(h, controller, stream)[0] & CR_INTERRUPTS) << 1;
+	const uint32_t enabled = (dma_words(n, controller, stream)[0] & CR_INTERRUPTS) << 1;
 
-	engine_irq(h->e, h->irqs[device][stream], (flags & enabled) != 0u);
+	engine_irq(n->e, n->irqs[device][stream], (flags & enabled) != 0u);
 }
 
-static void dma_raise(struct native *h, uint32_t controller, uint32_t stream, uint32_t flags)
+static void dma_raise(struct native *n, uint32_t controller, uint32_t stream, uint32_t flags)
 {
-	device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] |= flags << dma_shift(stream);
-	dma_update(h, controller, stream);
+	device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] |= flags << dma_shift(stream);
+	dma_update(n, controller, stream);
 }
 
-static void dma_unlink(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_unlink(struct native *n, uint32_t controller, uint32_t stream)
 {
-	struct stream *const s = &h->s.streams[controller][stream];
+	struct stream *const s = &n->s.streams[controller][stream];
 
 	for (uint32_t i = 0; i < SHARED; ++i)
 		if (s->sources[i] >= 0)
-			h->s.stream_of[s->sources[i]] = -1;
+			n->s.stream_of[s->sources[i]] = -1;
 	for (uint32_t i = 0; i < SHARED; ++i)
 		s->sources[i] = -1;
 }
 
-static void dma_source_sync(struct native *h, uint32_t source)
+static void dma_source_sync(struct native *n, uint32_t source)
 {
-	if (native_now(h) >= h->s.due[source])
-		h->s.due[source] = NEVER; /* it says anew */
-	h->callbacks.source(source, true);
+	if (native_now(n) >= n->s.due[source])
+		n->s.due[source] = NEVER; /* it says anew */
+	n->callbacks.source(source, true);
 }
 
 /* The driver of a request brings itself up to now. */
-static void dma_drive(struct native *h, int32_t source)
+static void dma_drive(struct native *n, int32_t source)
 {
 	if (source < 0)
 		return;
 	if (source < PYTHON_SOURCE)
-		h->drivers[source]->sync(h, (uint32_t)source);
-	else if (native_now(h) >= h->s.due[source])
-		dma_source_sync(h, (uint32_t)source);
+		n->drivers[source]->sync(n, (uint32_t)source);
+	else if (native_now(n) >= n->s.due[source])
+		dma_source_sync(n, (uint32_t)source);
 }
 
 /* Tells it that a stream came or went. */
-static void dma_tell(struct native *h, int32_t source)
+static void dma_tell(struct native *n, int32_t source)
 {
 	if (source >= PYTHON_SOURCE)
-		h->callbacks.source((uint32_t)source, false);
+		n->callbacks.source((uint32_t)source, false);
 	else if (source >= 0)
-		h->drivers[source]->changed(h, (uint32_t)source);
+		n->drivers[source]->changed(n, (uint32_t)source);
 }
 
-static void dma_sync(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_sync(struct native *n, uint32_t controller, uint32_t stream)
 {
-	dma_drive(h, h->s.streams[controller][stream].sources[0]);
+	dma_drive(n, n->s.streams[controller][stream].sources[0]);
 }
 
 /* Before its count is read or it is stopped: what moves without alarms shows itself too. */
-static void dma_sync_all(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_sync_all(struct native *n, uint32_t controller, uint32_t stream)
 {
-	const int32_t source = h->s.streams[controller][stream].sources[0];
+	const int32_t source = n->s.streams[controller][stream].sources[0];
 
-	if (source >= PYTHON_SOURCE && (h->lazy >> source & 1u) != 0u)
-		dma_source_sync(h, (uint32_t)source);
+	if (source >= PYTHON_SOURCE && (n->lazy >> source & 1u) != 0u)
+		dma_source_sync(n, (uint32_t)source);
 	else
-		dma_sync(h, controller, stream);
+		dma_sync(n, controller, stream);
 }
 
 /* Sets the alarm only for what interrupts or shows by itself: otherwise the driver moves at the next read. */
-static void dma_source_plan(struct native *h, uint32_t source)
+static void dma_source_plan(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
-	const bool rings = place < 0 || (h->s.quiet >> source & 1u) == 0u ||
-		(dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
+	const int16_t place = n->s.stream_of[source];
+	const bool rings = place < 0 || (n->s.quiet >> source & 1u) == 0u ||
+		(dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_INTERRUPTS) != 0u;
 
-	if (h->s.source_alarms[source] != UINT32_MAX)
-		engine_set_alarm(h->e, h->s.source_alarms[source], rings ? h->s.due[source] : NEVER);
+	if (n->s.source_alarms[source] != UINT32_MAX)
+		engine_set_alarm(n->e, n->s.source_alarms[source], rings ? n->s.due[source] : NEVER);
 }
 
-void native_wake(struct native *h, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet)
+void native_wake(struct native *n, uint32_t source, uint32_t alarm, uint64_t cycle, bool quiet)
 {
 	const uint64_t bit = UINT64_C(1) << source;
 
-	h->s.due[source] = cycle;
-	h->s.quiet = quiet ? h->s.quiet | bit : h->s.quiet & ~bit;
-	h->s.source_alarms[source] = alarm;
-	dma_source_plan(h, source);
+	n->s.due[source] = cycle;
+	n->s.quiet = quiet ? n->s.quiet | bit : n->s.quiet & ~bit;
+	n->s.source_alarms[source] = alarm;
+	dma_source_plan(n, source);
 }
 
 /* Before flags are read. Of a quiet stream that goes round and round they stay as they are once both are up. */
-static void dma_flags_sync(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_flags_sync(struct native *n, uint32_t controller, uint32_t stream)
 {
-	const int32_t source = h->s.streams[controller][stream].sources[0];
-	const uint32_t flags = device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
-	const bool rounds = (dma_words(h, controller, stream)[0] & CR_CIRC) != 0u;
+	const int32_t source = n->s.streams[controller][stream].sources[0];
+	const uint32_t flags = device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
+	const bool rounds = (dma_words(n, controller, stream)[0] & CR_CIRC) != 0u;
 
-	if (source >= PYTHON_SOURCE && rounds && (h->lazy & h->s.quiet) >> source & 1u &&
+	if (source >= PYTHON_SOURCE && rounds && (n->lazy & n->s.quiet) >> source & 1u &&
 	    (flags & (FLAG_HT | FLAG_TC)) == (FLAG_HT | FLAG_TC))
 		return;
-	dma_sync(h, controller, stream);
+	dma_sync(n, controller, stream);
 }
 
-void native_sync(struct native *h, uint32_t controller)
+void native_sync(struct native *n, uint32_t controller)
 {
 	for (uint32_t stream = 0; stream < STREAMS; ++stream)
-		dma_sync_all(h, controller, stream);
+		dma_sync_all(n, controller, stream);
 }
 
-uint32_t native_until_flag(struct native *h, uint32_t source)
+uint32_t native_until_flag(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 
 	if (place < 0)
 		return 0;
-	const struct stream *const s = &h->s.streams[place / STREAMS][place % STREAMS];
+	const struct stream *const s = &n->s.streams[place / STREAMS][place % STREAMS];
 	const uint32_t half = s->total - s->total / 2u;
 
 	return (s->moved < half ? half : s->total) - s->moved;
 }
 
-uint32_t native_total(struct native *h, uint32_t source)
+uint32_t native_total(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 
-	return place < 0 ? 0 : h->s.streams[place / STREAMS][place % STREAMS].total;
+	return place < 0 ? 0 : n->s.streams[place / STREAMS][place % STREAMS].total;
 }
 
-uint32_t native_available(struct native *h, uint32_t source)
+uint32_t native_available(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 
 	if (place < 0)
 		return 0;
-	const struct stream *const s = &h->s.streams[place / STREAMS][place % STREAMS];
+	const struct stream *const s = &n->s.streams[place / STREAMS][place % STREAMS];
 
 	return s->total - s->moved;
 }
 
-uint32_t native_target(struct native *h, uint32_t source)
+uint32_t native_target(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 
-	return place < 0 ? 0 : dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[2];
+	return place < 0 ? 0 : dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[2];
 }
 
-bool native_circular(struct native *h, uint32_t source)
+bool native_circular(struct native *n, uint32_t source)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 
 	return place >= 0 &&
-	       (dma_words(h, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
+	       (dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
 }
 
-static void dma_advance(struct native *h, uint32_t controller, uint32_t stream, uint32_t count)
+static void dma_advance(struct native *n, uint32_t controller, uint32_t stream, uint32_t count)
 {
-	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = dma_words(h, controller, stream);
+	struct stream *const s = &n->s.streams[controller][stream];
+	uint32_t *const w = dma_words(n, controller, stream);
 	const uint32_t half = s->total - s->total / 2u;
 	uint32_t flags = 0, after = s->moved + count;
 
@@ -193,36 +193,36 @@ static void dma_advance(struct native *h, uint32_t controller, uint32_t stream, 
 			after = 0;
 		} else {
 			w[0] &= ~(uint32_t)CR_EN;
-			dma_unlink(h, controller, stream);
+			dma_unlink(n, controller, stream);
 		}
 	}
 	s->moved = after;
 	w[1] = s->total - after;
 	if (flags != 0u)
-		dma_raise(h, controller, stream, flags);
+		dma_raise(n, controller, stream, flags);
 }
 
-static uint32_t dma_move(struct native *h, uint32_t source, uint32_t *items, uint32_t count, bool to_memory)
+static uint32_t dma_move(struct native *n, uint32_t source, uint32_t *items, uint32_t count, bool to_memory)
 {
-	const int16_t place = h->s.stream_of[source];
+	const int16_t place = n->s.stream_of[source];
 	uint32_t done = 0;
 
 	if (place < 0)
 		return 0;
 	const uint32_t controller = (uint32_t)place / STREAMS, stream = (uint32_t)place % STREAMS;
-	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = dma_words(h, controller, stream);
+	struct stream *const s = &n->s.streams[controller][stream];
+	uint32_t *const w = dma_words(n, controller, stream);
 
-	while (done < count && s->total != s->moved && h->s.stream_of[source] == place) {
+	while (done < count && s->total != s->moved && n->s.stream_of[source] == place) {
 		const uint32_t size = 1u << (w[0] >> 11 & 3u), step = w[0] & CR_MINC ? size : 0u;
 		const uint32_t left = s->total - s->moved, part = count - done < left ? count - done : left;
 		const uint32_t address = w[3];
 
-		if (address >= SRAM_BASE && address < SRAM_END && engine_cached(h->e, address)) {
-			native_query(h, QUERY_CACHED, h->controllers[controller], stream, address);
+		if (address >= SRAM_BASE && address < SRAM_END && engine_cached(n->e, address)) {
+			native_query(n, QUERY_CACHED, n->controllers[controller], stream, address);
 			return done;
 		}
-		uint8_t *at = engine_memory(h->e, address + s->moved * step, step ? part * size : size);
+		uint8_t *at = engine_memory(n->e, address + s->moved * step, step ? part * size : size);
 
 		if (at == NULL)
 			return done;
@@ -235,122 +235,122 @@ static uint32_t dma_move(struct native *h, uint32_t source, uint32_t *items, uin
 			}
 		}
 		done += part;
-		dma_advance(h, controller, stream, part);
+		dma_advance(n, controller, stream, part);
 	}
 	return done;
 }
 
-uint32_t native_take(struct native *h, uint32_t source, uint32_t *items, uint32_t count)
+uint32_t native_take(struct native *n, uint32_t source, uint32_t *items, uint32_t count)
 {
-	return dma_move(h, source, items, count, false);
+	return dma_move(n, source, items, count, false);
 }
 
-uint32_t native_give(struct native *h, uint32_t source, uint32_t *items, uint32_t count)
+uint32_t native_give(struct native *n, uint32_t source, uint32_t *items, uint32_t count)
 {
-	return dma_move(h, source, items, count, true);
+	return dma_move(n, source, items, count, true);
 }
 
-void native_lazy(struct native *h, uint32_t source)
+void native_lazy(struct native *n, uint32_t source)
 {
-	h->lazy |= UINT64_C(1) << source;
+	n->lazy |= UINT64_C(1) << source;
 }
 
-void native_set_source(struct native *h, uint32_t controller, uint32_t stream, uint32_t place, int32_t source)
+void native_set_source(struct native *n, uint32_t controller, uint32_t stream, uint32_t place, int32_t source)
 {
-	h->s.streams[controller][stream].valid[place] = source;
+	n->s.streams[controller][stream].valid[place] = source;
 }
 
-static void dma_enable(struct native *h, uint32_t controller, uint32_t stream)
+static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 {
-	struct stream *const s = &h->s.streams[controller][stream];
-	uint32_t *const w = dma_words(h, controller, stream);
+	struct stream *const s = &n->s.streams[controller][stream];
+	uint32_t *const w = dma_words(n, controller, stream);
 	const uint32_t cr = w[0] & ~(uint32_t)CR_INTERRUPTS;
-	const uint32_t flags = device_words(h, h->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
+	const uint32_t flags = device_words(n, n->controllers[controller])[stream < 4u ? LISR : HISR] >> dma_shift(stream);
 	static const int32_t none[SHARED] = {-1, -1, -1};
-	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(h->e, w[3]);
+	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(n->e, w[3]);
 
-	if (cached || (flags & FLAGS) != 0u || s->epoch != h->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
+	if (cached || (flags & FLAGS) != 0u || s->epoch != n->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
 	    s->ndtr != w[1]) {
 		memcpy(s->valid, none, sizeof none);
-		native_query(h, QUERY_ENABLE, h->controllers[controller], stream, 0);
-		if (h->failed)
+		native_query(n, QUERY_ENABLE, n->controllers[controller], stream, 0);
+		if (n->failed)
 			return;
-		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = h->s.epoch;
+		s->cr = cr, s->ndtr = w[1], s->par = w[2], s->m0ar = w[3], s->epoch = n->s.epoch;
 	}
 	/* What has passed until now passed without the stream. */
 	if (s->valid[0] >= PYTHON_SOURCE)
-		h->callbacks.source((uint32_t)s->valid[0], true);
+		n->callbacks.source((uint32_t)s->valid[0], true);
 	else
-		dma_drive(h, s->valid[0]);
+		dma_drive(n, s->valid[0]);
 	memcpy(s->sources, s->valid, sizeof s->sources);
 	s->total = w[1];
 	s->moved = 0;
 	for (uint32_t i = 0; i < SHARED && s->sources[i] >= 0; ++i) {
-		if (h->s.stream_of[s->sources[i]] >= 0) {
-			native_query(h, QUERY_TWICE, h->controllers[controller], stream, (uint32_t)s->sources[i]);
+		if (n->s.stream_of[s->sources[i]] >= 0) {
+			native_query(n, QUERY_TWICE, n->controllers[controller], stream, (uint32_t)s->sources[i]);
 			return;
 		}
-		h->s.stream_of[s->sources[i]] = (int16_t)(controller * STREAMS + stream);
+		n->s.stream_of[s->sources[i]] = (int16_t)(controller * STREAMS + stream);
 	}
-	dma_tell(h, s->sources[0]);
+	dma_tell(n, s->sources[0]);
 }
 
-static void dma_write_cr(struct native *h, uint32_t controller, uint32_t stream, uint32_t value)
+static void dma_write_cr(struct native *n, uint32_t controller, uint32_t stream, uint32_t value)
 {
-	const uint32_t device = h->controllers[controller], word = S_CR + S_STEP * stream;
-	struct stream *const s = &h->s.streams[controller][stream];
+	const uint32_t device = n->controllers[controller], word = S_CR + S_STEP * stream;
+	struct stream *const s = &n->s.streams[controller][stream];
 
-	dma_sync_all(h, controller, stream);
-	const uint32_t before = device_words(h, device)[word];
+	dma_sync_all(n, controller, stream);
+	const uint32_t before = device_words(n, device)[word];
 
 	if ((before & CR_EN) != 0u && ((before ^ value) & ~(uint32_t)(CR_EN | CR_INTERRUPTS)) != 0u) {
-		native_query(h, QUERY_CHANGED, h->controllers[controller], stream, value);
+		native_query(n, QUERY_CHANGED, n->controllers[controller], stream, value);
 		return;
 	}
-	device_keep(h, device, word, value);
+	device_keep(n, device, word, value);
 	if ((value & CR_EN) != 0u && (before & CR_EN) == 0u) {
-		dma_enable(h, controller, stream);
+		dma_enable(n, controller, stream);
 	} else if ((before & CR_EN) != 0u && (value & CR_EN) == 0u) {
 		const int32_t source = s->sources[0];
 
-		dma_unlink(h, controller, stream);
-		dma_raise(h, controller, stream, FLAG_TC);
-		dma_tell(h, source);
+		dma_unlink(n, controller, stream);
+		dma_raise(n, controller, stream, FLAG_TC);
+		dma_tell(n, source);
 	}
-	dma_update(h, controller, stream);
+	dma_update(n, controller, stream);
 	if (s->sources[0] >= PYTHON_SOURCE)
-		dma_source_plan(h, (uint32_t)s->sources[0]);
+		dma_source_plan(n, (uint32_t)s->sources[0]);
 }
 
 /* Can what has passed have ended the stream? Programs poll for that. */
-static bool dma_may_have_ended(struct native *h, uint32_t controller, uint32_t stream)
+static bool dma_may_have_ended(struct native *n, uint32_t controller, uint32_t stream)
 {
-	const int32_t source = h->s.streams[controller][stream].sources[0];
+	const int32_t source = n->s.streams[controller][stream].sources[0];
 
-	if (source < 0 || source >= PYTHON_SOURCE || h->drivers[source]->may_have_ended == NULL)
+	if (source < 0 || source >= PYTHON_SOURCE || n->drivers[source]->may_have_ended == NULL)
 		return true;
-	return h->drivers[source]->may_have_ended(h, (uint32_t)source);
+	return n->drivers[source]->may_have_ended(n, (uint32_t)source);
 }
 
-uint32_t dma_read(struct native *h, uint32_t device, uint32_t word)
+uint32_t dma_read(struct native *n, uint32_t device, uint32_t word)
 {
-	const uint32_t controller = h->numbers[device];
+	const uint32_t controller = n->numbers[device];
 
 	if (word == LISR || word == HISR) {
 		for (uint32_t i = 0; i < 4u; ++i)
-			dma_flags_sync(h, controller, i + (word == HISR ? 4u : 0u));
+			dma_flags_sync(n, controller, i + (word == HISR ? 4u : 0u));
 	} else if (word >= S_CR && (word - S_CR) % S_STEP == 0u) {
-		if (dma_may_have_ended(h, controller, (word - S_CR) / S_STEP))
-			dma_sync(h, controller, (word - S_CR) / S_STEP);
+		if (dma_may_have_ended(n, controller, (word - S_CR) / S_STEP))
+			dma_sync(n, controller, (word - S_CR) / S_STEP);
 	} else if (word >= S_CR && (word - S_CR) % S_STEP == 1u) {
-		dma_sync_all(h, controller, (word - S_CR) / S_STEP);
+		dma_sync_all(n, controller, (word - S_CR) / S_STEP);
 	}
-	return device_words(h, device)[word];
+	return device_words(n, device)[word];
 }
 
-void dma_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
+void dma_write(struct native *n, uint32_t device, uint32_t word, uint32_t value)
 {
-	const uint32_t controller = h->numbers[device];
+	const uint32_t controller = n->numbers[device];
 
 	if (word == LIFCR || word == HIFCR) {
 		const uint32_t first = word == LIFCR ? 0u : 4u;
@@ -358,23 +358,23 @@ void dma_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
 		for (uint32_t i = first; i < first + 4u; ++i) {
 			if ((value >> dma_shift(i) & FLAGS) == 0u)
 				continue;
-			dma_sync(h, controller, i);
-			device_words(h, device)[word - 2u] &= ~(value & FLAGS << dma_shift(i));
-			dma_update(h, controller, i);
+			dma_sync(n, controller, i);
+			device_words(n, device)[word - 2u] &= ~(value & FLAGS << dma_shift(i));
+			dma_update(n, controller, i);
 		}
 		return;
 	}
 	const uint32_t stream = (word - S_CR) / S_STEP;
 
 	if ((word - S_CR) % S_STEP == 0u) {
-		dma_write_cr(h, controller, stream, value);
+		dma_write_cr(n, controller, stream, value);
 		return;
 	}
-	dma_sync(h, controller, stream);
-	if ((device_words(h, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
-		native_query(h, QUERY_FROZEN, h->controllers[controller], stream, word);
+	dma_sync(n, controller, stream);
+	if ((device_words(n, device)[S_CR + S_STEP * stream] & CR_EN) != 0u)
+		native_query(n, QUERY_FROZEN, n->controllers[controller], stream, word);
 	else
-		device_keep(h, device, word, value);
+		device_keep(n, device, word, value);
 }
 
 static bool dma_reads_dtcm(const uint32_t *w)
@@ -382,24 +382,24 @@ static bool dma_reads_dtcm(const uint32_t *w)
 	return (w[0] & (CR_EN | CR_DIR)) == (CR_EN | CR_READS) && w[3] >= DTCM_BASE && w[3] < SRAM_BASE;
 }
 
-void dma_reset(struct native *h, uint32_t controller)
+void dma_reset(struct native *n, uint32_t controller)
 {
 	for (uint32_t i = 0; i < STREAMS; ++i) {
-		dma_unlink(h, controller, i);
-		h->s.streams[controller][i].total = h->s.streams[controller][i].moved = 0;
-		engine_irq(h->e, h->irqs[h->controllers[controller]][i], false);
+		dma_unlink(n, controller, i);
+		n->s.streams[controller][i].total = n->s.streams[controller][i].moved = 0;
+		engine_irq(n->e, n->irqs[n->controllers[controller]][i], false);
 	}
 }
 
-void dma_sleep(struct native *h)
+void dma_sleep(struct native *n)
 {
-	for (uint32_t i = 0; i < 2u * STREAMS && !h->failed; ++i) {
+	for (uint32_t i = 0; i < 2u * STREAMS && !n->failed; ++i) {
 		const uint32_t controller = i / STREAMS, stream = i % STREAMS;
 
-		if (!dma_reads_dtcm(dma_words(h, controller, stream)))
+		if (!dma_reads_dtcm(dma_words(n, controller, stream)))
 			continue;
-		dma_sync_all(h, controller, stream); /* it may have ended */
-		if (dma_reads_dtcm(dma_words(h, controller, stream)))
-			native_query(h, QUERY_ASLEEP, h->controllers[controller], stream, 0);
+		dma_sync_all(n, controller, stream); /* it may have ended */
+		if (dma_reads_dtcm(dma_words(n, controller, stream)))
+			native_query(n, QUERY_ASLEEP, n->controllers[controller], stream, 0);
 	}
 }

@@ -3,9 +3,10 @@
 
 enum { GAP = 432 }; /* least rest before a frame: 2 us [cycles] */
 
-bool esc_take(struct native *h, uint32_t t, uint32_t channel, const struct train *train)
+/* Takes a train for a DShot frame; false: it is none, or Python has to say what is wrong with it. */
+static bool esc_take(struct native *n, uint32_t t, uint32_t channel, const struct train *train)
 {
-	struct esc *const esc = &h->s.timers[t].escs[channel];
+	struct esc *const esc = &n->s.timers[t].escs[channel];
 	const uint64_t length = train->length;
 	uint32_t frame = 0;
 
@@ -24,50 +25,72 @@ bool esc_take(struct native *h, uint32_t t, uint32_t channel, const struct train
 
 	if ((frame & 15u) != ((data ^ data >> 4 ^ data >> 8) & 15u))
 		return false;
-	if (h->s.frame_count == FRAMES)
-		native_tell_frames(h);
+	if (n->s.frame_count == FRAMES)
+		native_tell_frames(n);
 	esc->last_cycle = train->start + TRAIN * length;
 	esc->rest_since = (int64_t)esc->last_cycle;
 	esc->last = data;
 	++esc->frames;
-	if (h->frames_heard)
-		h->s.frames[h->s.frame_count++] =
+	if (n->frames_heard)
+		n->s.frames[n->s.frame_count++] =
 			(struct frame){.cycle = esc->last_cycle, .motor = esc->motor, .data = data};
 	return true;
 }
 
-struct esc *native_esc(struct native *h, uint32_t motor, uint32_t t, uint32_t channel)
+void esc_show(struct native *n, uint32_t t, uint32_t channel, uint64_t start, uint64_t length, uint32_t high)
 {
-	struct esc *const esc = &h->s.timers[t].escs[channel - 1u];
+	struct train *const train = &n->s.timers[t].trains[channel];
+
+	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
+		n->callbacks.pulses(n->timer_devices[t], channel + 1u, train->start, train->length, train->count, train->highs);
+		train->count = 0;
+	}
+	if (train->count == 0u) {
+		if (high == 0u)
+			return;
+		train->start = start;
+		train->length = length;
+	}
+	train->highs[train->count++] = high;
+	if (high == 0u || train->count == TRAIN) {
+		if (high == 0u || !esc_take(n, t, channel, train))
+			n->callbacks.pulses(n->timer_devices[t], channel + 1u, train->start, length, train->count, train->highs);
+		train->count = 0;
+	}
+}
+
+struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t channel)
+{
+	struct esc *const esc = &n->s.timers[t].escs[channel - 1u];
 
 	esc->motor = motor;
 	esc->last = NO_FRAME;
-	h->motors[motor] = esc;
+	n->motors[motor] = esc;
 	return esc;
 }
 
-void native_obeyed(const struct native *h, uint32_t count, uint64_t silent, uint16_t *values)
+void native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values)
 {
-	const uint64_t cycle = native_now(h);
+	const uint64_t cycle = native_now(n);
 
 	for (uint32_t i = 0; i < count; ++i) {
-		const struct esc *const esc = h->motors[i];
+		const struct esc *const esc = n->motors[i];
 		const bool hears = esc->last != NO_FRAME && (cycle <= esc->last_cycle || cycle - esc->last_cycle <= silent);
 
 		values[i] = hears ? (uint16_t)(esc->last >> 1) : 0u;
 	}
 }
 
-void native_hear_frames(struct native *h)
+void native_hear_frames(struct native *n)
 {
-	h->frames_heard = true;
+	n->frames_heard = true;
 }
 
-void native_tell_frames(struct native *h)
+void native_tell_frames(struct native *n)
 {
-	const uint32_t count = h->s.frame_count;
+	const uint32_t count = n->s.frame_count;
 
-	h->s.frame_count = 0;
+	n->s.frame_count = 0;
 	if (count != 0u)
-		h->callbacks.frames(h->s.frames, count);
+		n->callbacks.frames(n->s.frames, count);
 }

@@ -4,7 +4,8 @@
 
 #include "native.h"
 
-/* Takes a train for a DShot frame; false: it is none, or Python has to say what is wrong with it. */
-bool esc_take(struct native *h, uint32_t t, uint32_t channel, const struct train *train);
+/* One period more of a channel. Python gets what is no plain frame in whole trains: up to a rest, or as long as a frame
+ * can be. */
+void esc_show(struct native *n, uint32_t t, uint32_t channel, uint64_t start, uint64_t length, uint32_t high);
 
 #endif

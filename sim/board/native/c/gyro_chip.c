@@ -17,15 +17,15 @@ static int16_t gyro_value(const struct gyro *g, uint32_t i)
 	return (int16_t)(value < INT16_MIN ? INT16_MIN : value > INT16_MAX ? INT16_MAX : value);
 }
 
-void gyro_sample(struct native *h)
+void gyro_sample(struct native *n)
 {
-	struct gyro *const g = &h->s.gyro;
+	struct gyro *const g = &n->s.gyro;
 	const uint64_t due = g->due; /* the core may be in the middle of an instruction now */
 
 	g->due = due + g->period;
-	engine_set_alarm(h->e, h->gyro_alarm, g->due);
-	if (h->samples_heard)
-		h->callbacks.sample(g->samples);
+	engine_set_alarm(n->e, n->gyro_alarm, g->due);
+	if (n->samples_heard)
+		n->callbacks.sample(g->samples);
 	++g->samples;
 	if (g->silent)
 		return;
@@ -36,30 +36,30 @@ void gyro_sample(struct native *h)
 		g->data[2u * i + 1u] = (uint8_t)value;
 	}
 	g->interrupt = 1;
-	pins_pulse(h, READY_PORT, READY_PIN);
-	if (exti_watches_fall(h, READY_PIN))
-		engine_set_alarm(h->e, h->gyro_fall_alarm, due + h->gyro_pulse);
+	pins_pulse(n, READY_PORT, READY_PIN);
+	if (exti_watches_fall(n, READY_PIN))
+		engine_set_alarm(n->e, n->gyro_fall_alarm, due + n->gyro_pulse);
 }
 
-void gyro_fall(struct native *h)
+void gyro_fall(struct native *n)
 {
-	native_drive(h, READY_PORT, READY_PIN, false);
+	native_drive(n, READY_PORT, READY_PIN, false);
 }
 
-bool gyro_exchange(struct native *h, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
+bool gyro_exchange(struct native *n, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
 {
-	struct gyro *const g = &h->s.gyro;
-	const bool begins = g->transaction != h->s.transaction || g->address == NO_ADDRESS;
+	struct gyro *const g = &n->s.gyro;
+	const bool begins = g->transaction != n->s.transaction || g->address == NO_ADDRESS;
 	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - DATA, rest = count - begins;
 
-	if ((mode != 0u && mode != 3u) || hz > h->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
+	if ((mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
 		return false;
 	if (begins && g->reads && g->address - DATA < GYRO_BYTES && (g->address - DATA) % 2u != 0u)
 		return false; /* the transaction before ended inside a value */
-	if (begins ? (bytes[0] & READ) == 0u || native_now(h) < g->ready_at : !g->reads)
+	if (begins ? (bytes[0] & READ) == 0u || native_now(n) < g->ready_at : !g->reads)
 		return false;
 	if (begins) {
-		g->transaction = h->s.transaction;
+		g->transaction = n->s.transaction;
 		g->reads = 1;
 		memcpy(g->shadow, g->data, sizeof g->shadow);
 		*bytes++ = 0;
@@ -69,18 +69,18 @@ bool gyro_exchange(struct native *h, uint8_t *bytes, uint32_t count, double hz, 
 	return true;
 }
 
-struct gyro *native_gyro(struct native *h, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz)
+struct gyro *native_gyro(struct native *n, uint32_t alarm, uint32_t fall_alarm, uint64_t pulse, double data_hz)
 {
-	h->gyro_alarm = alarm;
-	h->gyro_fall_alarm = fall_alarm;
-	h->gyro_pulse = pulse;
-	h->gyro_data_hz = data_hz;
-	h->s.gyro.due = NEVER;
-	h->s.gyro.address = NO_ADDRESS;
-	return &h->s.gyro;
+	n->gyro_alarm = alarm;
+	n->gyro_fall_alarm = fall_alarm;
+	n->gyro_pulse = pulse;
+	n->gyro_data_hz = data_hz;
+	n->s.gyro.due = NEVER;
+	n->s.gyro.address = NO_ADDRESS;
+	return &n->s.gyro;
 }
 
-void native_hear_samples(struct native *h, bool on)
+void native_hear_samples(struct native *n, bool on)
 {
-	h->samples_heard = on;
+	n->samples_heard = on;
 }

@@ -83,10 +83,10 @@ struct native;
 
 /* A peripheral in C that makes DMA requests. */
 struct driver {
-	void (*sync)(struct native *h, uint32_t source);    /* it moves what it has until now */
-	void (*changed)(struct native *h, uint32_t source); /* a stream for it came or went */
+	void (*sync)(struct native *n, uint32_t source);    /* it moves what it has until now */
+	void (*changed)(struct native *n, uint32_t source); /* a stream for it came or went */
 	/* Can what has passed have ended the stream? NULL: always. */
-	bool (*may_have_ended)(struct native *h, uint32_t source);
+	bool (*may_have_ended)(struct native *n, uint32_t source);
 };
 
 struct native {
@@ -116,27 +116,27 @@ struct native {
 	bool failed; /* Python has raised during this access */
 };
 
-static inline uint64_t native_now(const struct native *h)
+static inline uint64_t native_now(const struct native *n)
 {
-	return engine_cycle(h->e);
+	return engine_cycle(n->e);
 }
 
-static inline void native_query(struct native *h, enum query query, uint32_t device, uint32_t a, uint32_t b)
+static inline void native_query(struct native *n, enum query query, uint32_t device, uint32_t a, uint32_t b)
 {
-	if (h->callbacks.query(query, device, a, b))
-		h->failed = true;
+	if (n->callbacks.query(query, device, a, b))
+		n->failed = true;
 }
 
-static inline uint32_t *device_words(struct native *h, uint32_t device)
+static inline uint32_t *device_words(struct native *n, uint32_t device)
 {
-	return h->s.words[device];
+	return n->s.words[device];
 }
 
 /* Keeps the writable bits; returns those that changed. */
-static inline uint32_t device_keep(struct native *h, uint32_t device, uint32_t word, uint32_t value)
+static inline uint32_t device_keep(struct native *n, uint32_t device, uint32_t word, uint32_t value)
 {
-	const uint32_t writable = h->rules[device][word].writable;
-	uint32_t *const kept = &h->s.words[device][word];
+	const uint32_t writable = n->rules[device][word].writable;
+	uint32_t *const kept = &n->s.words[device][word];
 	const uint32_t before = *kept;
 
 	*kept = (before & ~writable) | (value & writable);

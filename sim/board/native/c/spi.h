@@ -8,11 +8,11 @@ enum { SPI_DR = 3 }; /* word */
 
 extern const struct driver spi_driver;
 
-void spi_reset(struct native *h);
-void spi_sync(struct native *h);
-void spi_start(struct native *h);
-void spi_plan(struct native *h);
-uint32_t spi_read(struct native *h, uint32_t word, uint32_t size);
-void spi_write(struct native *h, uint32_t word, uint32_t size, uint32_t value);
+void spi_reset(struct native *n);
+void spi_sync(struct native *n);
+void spi_start(struct native *n);
+void spi_plan(struct native *n);
+uint32_t spi_read(struct native *n, uint32_t word, uint32_t size);
+void spi_write(struct native *n, uint32_t word, uint32_t size, uint32_t value);
 
 #endif

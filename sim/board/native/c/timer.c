@@ -12,23 +12,23 @@ enum { T_CR1 = 0, T_CR2 = 1, T_DIER = 3, T_SR = 4, T_EGR = 5, T_CCMR1 = 6, T_CCM
 enum { CEN = 1u << 0, UDIS = 1u << 1, URS = 1u << 2, OPM = 1u << 3, ARPE = 1u << 7 };
 enum { CCDS = 1u << 3, MOE = 1u << 15, UIF = 1u << 0 };
 
-static uint64_t timer_cycles(const struct native *h, uint32_t t, uint64_t counts)
+static uint64_t timer_cycles(const struct native *n, uint32_t t, uint64_t counts)
 {
-	return counts * (h->s.timers[t].psc + 1u) * TIME_HZ / h->s.timer_clock[h->advanced[t]];
+	return counts * (n->s.timers[t].psc + 1u) * TIME_HZ / n->s.timer_clock[n->advanced[t]];
 }
 
-static uint64_t timer_period(const struct native *h, uint32_t t)
+static uint64_t timer_period(const struct native *n, uint32_t t)
 {
-	return timer_cycles(h, t, (uint64_t)h->s.timers[t].arr + 1u);
+	return timer_cycles(n, t, (uint64_t)n->s.timers[t].arr + 1u);
 }
 
-static uint32_t timer_count(const struct native *h, uint32_t t)
+static uint32_t timer_count(const struct native *n, uint32_t t)
 {
-	const struct timer *const s = &h->s.timers[t];
+	const struct timer *const s = &n->s.timers[t];
 
-	if ((h->s.words[h->timer_devices[t]][T_CR1] & CEN) == 0u)
+	if ((n->s.words[n->timer_devices[t]][T_CR1] & CEN) == 0u)
 		return s->stopped_at;
-	const uint64_t count = (native_now(h) - s->anchor) * h->s.timer_clock[h->advanced[t]] / (TIME_HZ * (s->psc + 1u));
+	const uint64_t count = (native_now(n) - s->anchor) * n->s.timer_clock[n->advanced[t]] / (TIME_HZ * (s->psc + 1u));
 
 	return count < s->arr ? (uint32_t)count : s->arr;
 }
@@ -39,25 +39,25 @@ static uint32_t timer_source(uint32_t t, uint32_t k)
 }
 
 /* Is request `k` (0 update, 1 to 4 channels) made at each update? */
-static bool timer_asks(struct native *h, uint32_t t, uint32_t k)
+static bool timer_asks(struct native *n, uint32_t t, uint32_t k)
 {
-	const uint32_t *const w = device_words(h, h->timer_devices[t]);
+	const uint32_t *const w = device_words(n, n->timer_devices[t]);
 
 	if ((w[T_DIER] >> (8u + k) & 1u) == 0u)
 		return false;
 	if (k != 0u && (w[T_CR2] & CCDS) == 0u) {
-		native_query(h, QUERY_COMPARE, h->timer_devices[t], k, 0);
+		native_query(n, QUERY_COMPARE, n->timer_devices[t], k, 0);
 		return false;
 	}
 	return true;
 }
 
 /* The words that one request writes, a register or a burst of them through DMAR: first and how many; 0 when it may not. */
-static uint32_t timer_targets(struct native *h, uint32_t t, uint32_t k, uint32_t *first)
+static uint32_t timer_targets(struct native *n, uint32_t t, uint32_t k, uint32_t *first)
 {
-	const uint32_t device = h->timer_devices[t];
-	const uint32_t *const w = device_words(h, device);
-	const uint32_t word = (native_target(h, timer_source(t, k)) - h->bases[device]) >> 2;
+	const uint32_t device = n->timer_devices[t];
+	const uint32_t *const w = device_words(n, device);
+	const uint32_t word = (native_target(n, timer_source(t, k)) - n->bases[device]) >> 2;
 	uint32_t count = 1;
 
 	*first = word;
@@ -67,134 +67,111 @@ static uint32_t timer_targets(struct native *h, uint32_t t, uint32_t k, uint32_t
 	}
 	for (uint32_t i = *first; i < *first + count; ++i) {
 		if (i != T_PSC && i != T_ARR && (i < T_CCR1 || i > T_CCR4)) {
-			native_query(h, QUERY_TARGET, h->timer_devices[t], k, 0);
+			native_query(n, QUERY_TARGET, n->timer_devices[t], k, 0);
 			return 0;
 		}
 	}
 	return count;
 }
 
-static bool timer_preloads(const struct native *h, uint32_t t, uint32_t channel)
+static bool timer_preloads(const struct native *n, uint32_t t, uint32_t channel)
 {
-	return h->s.words[h->timer_devices[t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
+	return n->s.words[n->timer_devices[t]][T_CCMR1 + channel / 2u] >> (3u + 8u * (channel % 2u)) & 1u;
 }
 
-static void timer_store(struct native *h, uint32_t t, uint32_t word, uint32_t value)
+static void timer_store(struct native *n, uint32_t t, uint32_t word, uint32_t value)
 {
-	device_keep(h, h->timer_devices[t], word, value);
-	if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(h, t, word - T_CCR1))
-		h->s.timers[t].ccr[word - T_CCR1] = value;
+	device_keep(n, n->timer_devices[t], word, value);
+	if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(n, t, word - T_CCR1))
+		n->s.timers[t].ccr[word - T_CCR1] = value;
 }
 
 /* What was preloaded takes effect. */
-static void timer_load(struct native *h, uint32_t t)
+static void timer_load(struct native *n, uint32_t t)
 {
-	const uint32_t *const w = device_words(h, h->timer_devices[t]);
-	struct timer *const s = &h->s.timers[t];
+	const uint32_t *const w = device_words(n, n->timer_devices[t]);
+	struct timer *const s = &n->s.timers[t];
 
 	s->arr = w[T_ARR];
 	s->psc = w[T_PSC];
 	memcpy(s->ccr, w + T_CCR1, sizeof s->ccr);
 }
 
-static void timer_update_irq(struct native *h, uint32_t t)
+static void timer_update_irq(struct native *n, uint32_t t)
 {
-	const uint32_t device = h->timer_devices[t];
+	const uint32_t device = n->timer_devices[t];
 
-	engine_irq(h->e, h->irqs[device][0], (device_words(h, device)[T_SR] & device_words(h, device)[T_DIER] & UIF) != 0u);
-}
-
-/* One period more of a channel. Python sees trains as a whole: up to a rest, or as long as a frame can be. */
-static void timer_show(struct native *h, uint32_t t, uint32_t channel, uint64_t start, uint32_t high)
-{
-	struct train *const train = &h->s.timers[t].trains[channel];
-	const uint64_t length = timer_period(h, t);
-
-	if (train->count != 0u && (train->length != length || train->start + train->count * length != start)) {
-		h->callbacks.pulses(h->timer_devices[t], channel + 1u, train->start, train->length, train->count, train->highs);
-		train->count = 0;
-	}
-	if (train->count == 0u) {
-		if (high == 0u)
-			return;
-		train->start = start;
-		train->length = length;
-	}
-	train->highs[train->count++] = high;
-	if (high == 0u || train->count == TRAIN) {
-		if (high == 0u || !esc_take(h, t, channel, train))
-			h->callbacks.pulses(h->timer_devices[t], channel + 1u, train->start, length, train->count, train->highs);
-		train->count = 0;
-	}
+	engine_irq(n->e, n->irqs[device][0], (device_words(n, device)[T_SR] & device_words(n, device)[T_DIER] & UIF) != 0u);
 }
 
 /* Periods of a channel that have passed, the first `offset` periods after the anchor. */
-static void timer_pulses(struct native *h, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
+static void timer_pulses(struct native *n, uint32_t t, uint32_t channel, uint32_t offset, uint32_t count,
 			 const uint32_t *compares)
 {
-	const uint32_t *const w = device_words(h, h->timer_devices[t]);
-	struct timer *const s = &h->s.timers[t];
-	const bool off = h->advanced[t] && (w[T_BDTR] & MOE) == 0u;
+	const uint32_t *const w = device_words(n, n->timer_devices[t]);
+	struct timer *const s = &n->s.timers[t];
+	const bool off = n->advanced[t] && (w[T_BDTR] & MOE) == 0u;
+	const uint64_t length = timer_period(n, t);
 	uint32_t highs[PERIODS];
 	bool any = false;
 
 	if (count == 0u || (w[T_CCER] >> 4u * channel & 1u) == 0u)
 		return;
 	for (uint32_t i = 0; i < count; ++i) {
-		highs[i] = (uint32_t)timer_cycles(h, t, compares[i]);
+		highs[i] = (uint32_t)timer_cycles(n, t, compares[i]);
 		any = any || compares[i] != 0u;
 	}
-	if (any && (off || s->valid[channel] != h->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
-		native_query(h, QUERY_OUTPUT, h->timer_devices[t], channel + 1u, 0);
-		if (h->failed)
+	if (any && (off || s->valid[channel] != n->s.epoch || s->ccmr[channel] != w[T_CCMR1 + channel / 2u])) {
+		native_query(n, QUERY_OUTPUT, n->timer_devices[t], channel + 1u, 0);
+		if (n->failed)
 			return;
-		s->valid[channel] = h->s.epoch;
+		s->valid[channel] = n->s.epoch;
 		s->ccmr[channel] = w[T_CCMR1 + channel / 2u];
 	}
 	for (uint32_t i = 0; i < count; ++i)
-		timer_show(h, t, channel, s->anchor + (offset + i) * timer_period(h, t), highs[i]);
+		esc_show(n, t, channel, s->anchor + (offset + i) * length, length, highs[i]);
 }
 
 /* One request's items go to their registers. */
-static void timer_feed(struct native *h, uint32_t t, uint32_t k)
+static void timer_feed(struct native *n, uint32_t t, uint32_t k)
 {
 	uint32_t first, items[32];
-	const uint32_t count = timer_targets(h, t, k, &first);
-	const uint32_t available = native_available(h, timer_source(t, k));
-	const uint32_t taken = native_take(h, timer_source(t, k), items, count < available ? count : available);
+	const uint32_t count = timer_targets(n, t, k, &first);
+	const uint32_t available = native_available(n, timer_source(t, k));
+	const uint32_t taken = native_take(n, timer_source(t, k), items, count < available ? count : available);
 
 	for (uint32_t i = 0; i < taken; ++i)
-		timer_store(h, t, first + i, items[i]);
-	h->s.timers[t].steady = 0;
+		timer_store(n, t, first + i, items[i]);
+	n->s.timers[t].steady = 0;
 }
 
 /* `updates` updates, at each of which a period ends and DMA writes the compare values of the next. */
-static uint32_t timer_run_fed(struct native *h, uint32_t t, uint32_t k, uint64_t updates)
+static uint32_t timer_run_fed(struct native *n, uint32_t t, uint32_t k, uint64_t updates)
 {
 	uint32_t compares[CHANNELS][PERIODS];
 	uint32_t first, done = 0;
-	const uint32_t step = timer_targets(h, t, k, &first);
+	const uint32_t step = timer_targets(n, t, k, &first);
 
 	if (step == 0u)
 		return 1;
-	while (done < updates && done < PERIODS && native_available(h, timer_source(t, k)) != 0u && !h->failed) {
+	while (done < updates && done < PERIODS && native_available(n, timer_source(t, k)) != 0u && !n->failed) {
 		for (uint32_t c = 0; c < CHANNELS; ++c)
-			compares[c][done] = h->s.timers[t].ccr[c];
-		timer_load(h, t);
-		timer_feed(h, t, k);
+			compares[c][done] = n->s.timers[t].ccr[c];
+		timer_load(n, t);
+		timer_feed(n, t, k);
 		++done;
-		if (h->s.timers[t].arr != device_words(h, h->timer_devices[t])[T_ARR])
+		if (n->s.timers[t].arr != device_words(n, n->timer_devices[t])[T_ARR])
 			break;
 	}
 	for (uint32_t c = 0; c < CHANNELS; ++c)
-		timer_pulses(h, t, c, 0, done, compares[c]);
+		timer_pulses(n, t, c, 0, done, compares[c]);
 	return done;
 }
 
 /* Nothing changes from update to update; an endless pulse train is shown for a while. */
-static uint64_t timer_free_run(struct native *h, uint32_t t, uint64_t updates)
+static uint64_t timer_free_run(struct native *n, uint32_t t, uint64_t updates)
 {
-	struct timer *const s = &h->s.timers[t];
+	struct timer *const s = &n->s.timers[t];
 	uint32_t compares[STEADY_PERIODS];
 
 	if (s->steady)
@@ -202,7 +179,7 @@ static uint64_t timer_free_run(struct native *h, uint32_t t, uint64_t updates)
 	if ((s->ccr[0] | s->ccr[1] | s->ccr[2] | s->ccr[3]) == 0u) {
 		for (uint32_t c = 0; updates > 1u && c < CHANNELS; ++c)
 			if (s->trains[c].count != 0u)
-				timer_show(h, t, c, s->anchor + timer_period(h, t), 0);
+				esc_show(n, t, c, s->anchor + timer_period(n, t), timer_period(n, t), 0);
 		return updates;
 	}
 	const uint32_t shown = updates - 1u < STEADY_PERIODS ? (uint32_t)(updates - 1u) : STEADY_PERIODS;
@@ -210,25 +187,25 @@ static uint64_t timer_free_run(struct native *h, uint32_t t, uint64_t updates)
 	for (uint32_t c = 0; c < CHANNELS; ++c) {
 		for (uint32_t i = 0; i < shown; ++i)
 			compares[i] = s->ccr[c];
-		timer_pulses(h, t, c, 1, shown, compares);
+		timer_pulses(n, t, c, 1, shown, compares);
 	}
 	s->steady = shown == STEADY_PERIODS;
 	return 1u + shown;
 }
 
 /* Goes through `updates` updates or fewer; returns how many. */
-static uint64_t timer_run(struct native *h, uint32_t t, uint64_t updates)
+static uint64_t timer_run(struct native *n, uint32_t t, uint64_t updates)
 {
-	uint32_t *const w = device_words(h, h->timer_devices[t]);
-	struct timer *const s = &h->s.timers[t];
+	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	struct timer *const s = &n->s.timers[t];
 	uint32_t asking = 0, fed = 0, fed_count = 0, last = 0;
 	uint64_t count = 1;
 
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if (!timer_asks(h, t, k))
+		if (!timer_asks(n, t, k))
 			continue;
 		asking |= 1u << k;
-		if (native_available(h, timer_source(t, k)) != 0u) {
+		if (native_available(n, timer_source(t, k)) != 0u) {
 			fed |= 1u << k;
 			last = k;
 			++fed_count;
@@ -236,193 +213,193 @@ static uint64_t timer_run(struct native *h, uint32_t t, uint64_t updates)
 	}
 	w[T_SR] |= UIF;
 	if (fed_count == 1u && w[T_ARR] == s->arr && w[T_PSC] == s->psc) {
-		count = timer_run_fed(h, t, last, updates);
+		count = timer_run_fed(n, t, last, updates);
 	} else {
 		for (uint32_t c = 0; c < CHANNELS; ++c)
-			timer_pulses(h, t, c, 0, 1, &s->ccr[c]);
-		const uint64_t length = timer_period(h, t);
+			timer_pulses(n, t, c, 0, 1, &s->ccr[c]);
+		const uint64_t length = timer_period(n, t);
 
-		timer_load(h, t);
-		if (fed == 0u && timer_period(h, t) == length)
-			count = timer_free_run(h, t, updates);
+		timer_load(n, t);
+		if (fed == 0u && timer_period(n, t) == length)
+			count = timer_free_run(n, t, updates);
 		for (uint32_t k = 0; k <= CHANNELS; ++k)
 			if (fed >> k & 1u)
-				timer_feed(h, t, k);
+				timer_feed(n, t, k);
 	}
 	s->pending |= asking & ~fed;
-	timer_update_irq(h, t);
+	timer_update_irq(n, t);
 	return count;
 }
 
-void timer_sync(struct native *h, uint32_t t)
+void timer_sync(struct native *n, uint32_t t)
 {
-	uint32_t *const w = device_words(h, h->timer_devices[t]);
-	struct timer *const s = &h->s.timers[t];
+	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	struct timer *const s = &n->s.timers[t];
 
 	if ((w[T_CR1] & (CEN | UDIS)) != CEN)
 		return;
-	uint64_t length = timer_period(h, t), updates = (native_now(h) - s->anchor) / length;
+	uint64_t length = timer_period(n, t), updates = (native_now(n) - s->anchor) / length;
 
-	while (updates != 0u && !h->failed) {
+	while (updates != 0u && !n->failed) {
 		if (w[T_CR1] & OPM)
 			updates = 1;
-		s->anchor += timer_run(h, t, updates) * length;
+		s->anchor += timer_run(n, t, updates) * length;
 		if (w[T_CR1] & OPM) {
 			w[T_CR1] &= ~(uint32_t)CEN;
 			s->stopped_at = 0;
 			break;
 		}
-		length = timer_period(h, t); /* ARR or PSC may be others now */
-		updates = native_now(h) < s->anchor ? 0u : (native_now(h) - s->anchor) / length;
+		length = timer_period(n, t); /* ARR or PSC may be others now */
+		updates = native_now(n) < s->anchor ? 0u : (native_now(n) - s->anchor) / length;
 	}
 }
 
-void timer_plan(struct native *h, uint32_t t)
+void timer_plan(struct native *n, uint32_t t)
 {
-	const uint32_t device = h->timer_devices[t];
-	const uint32_t *const w = device_words(h, device);
+	const uint32_t device = n->timer_devices[t];
+	const uint32_t *const w = device_words(n, device);
 	uint64_t waits = NEVER;
 
 	if ((w[T_CR1] & (CEN | UDIS)) == CEN) {
 		if (w[T_DIER] & 1u)
 			waits = 1;
-		for (uint32_t k = 0; k <= CHANNELS && !h->failed; ++k) {
+		for (uint32_t k = 0; k <= CHANNELS && !n->failed; ++k) {
 			uint32_t first;
-			const uint32_t available = timer_asks(h, t, k) ? native_available(h, timer_source(t, k)) : 0u;
-			const uint32_t step = available != 0u ? timer_targets(h, t, k, &first) : 0u;
+			const uint32_t available = timer_asks(n, t, k) ? native_available(n, timer_source(t, k)) : 0u;
+			const uint32_t step = available != 0u ? timer_targets(n, t, k, &first) : 0u;
 
 			if (step != 0u && (available + step - 1u) / step < waits)
 				waits = (available + step - 1u) / step;
 		}
 	}
-	engine_set_alarm(h->e, h->alarms[device],
-			 waits == NEVER ? NEVER : h->s.timers[t].anchor + waits * timer_period(h, t));
+	engine_set_alarm(n->e, n->alarms[device],
+			 waits == NEVER ? NEVER : n->s.timers[t].anchor + waits * timer_period(n, t));
 }
 
-static void timer_driver_sync(struct native *h, uint32_t source)
+static void timer_driver_sync(struct native *n, uint32_t source)
 {
-	timer_sync(h, (source - TIMER_SOURCE) / 5u);
+	timer_sync(n, (source - TIMER_SOURCE) / 5u);
 }
 
-static void timer_driver_changed(struct native *h, uint32_t source)
+static void timer_driver_changed(struct native *n, uint32_t source)
 {
 	const uint32_t t = (source - TIMER_SOURCE) / 5u;
 
-	timer_sync(h, t);
+	timer_sync(n, t);
 	for (uint32_t k = 0; k <= CHANNELS; ++k) {
-		if ((h->s.timers[t].pending >> k & 1u) != 0u && native_available(h, timer_source(t, k)) != 0u) {
-			h->s.timers[t].pending &= ~(1u << k);
-			timer_feed(h, t, k);
+		if ((n->s.timers[t].pending >> k & 1u) != 0u && native_available(n, timer_source(t, k)) != 0u) {
+			n->s.timers[t].pending &= ~(1u << k);
+			timer_feed(n, t, k);
 		}
 	}
-	timer_plan(h, t);
+	timer_plan(n, t);
 }
 
 const struct driver timer_driver = {.sync = timer_driver_sync, .changed = timer_driver_changed};
 
-void timer_reset(struct native *h, uint32_t t)
+void timer_reset(struct native *n, uint32_t t)
 {
-	const uint32_t device = h->timer_devices[t];
+	const uint32_t device = n->timer_devices[t];
 
-	memset(&h->s.timers[t], 0, offsetof(struct timer, escs)); /* ESCs live on */
-	timer_load(h, t);
-	engine_set_alarm(h->e, h->alarms[device], NEVER);
-	engine_irq(h->e, h->irqs[device][0], false);
+	memset(&n->s.timers[t], 0, offsetof(struct timer, escs)); /* ESCs live on */
+	timer_load(n, t);
+	engine_set_alarm(n->e, n->alarms[device], NEVER);
+	engine_irq(n->e, n->irqs[device][0], false);
 }
 
-void timer_clocks(struct native *h, uint64_t apb1, uint64_t apb2)
+void timer_clocks(struct native *n, uint64_t apb1, uint64_t apb2)
 {
 	uint32_t counts[TIMERS];
 
 	for (uint32_t t = 0; t < TIMERS; ++t) {
-		timer_sync(h, t);
-		counts[t] = timer_count(h, t);
+		timer_sync(n, t);
+		counts[t] = timer_count(n, t);
 	}
-	h->s.timer_clock[0] = apb1;
-	h->s.timer_clock[1] = apb2;
+	n->s.timer_clock[0] = apb1;
+	n->s.timer_clock[1] = apb2;
 	for (uint32_t t = 0; t < TIMERS; ++t) {
-		h->s.timers[t].anchor = native_now(h) - timer_cycles(h, t, counts[t]);
-		timer_plan(h, t);
+		n->s.timers[t].anchor = native_now(n) - timer_cycles(n, t, counts[t]);
+		timer_plan(n, t);
 	}
 }
 
-uint32_t timer_read(struct native *h, uint32_t device, uint32_t word)
+uint32_t timer_read(struct native *n, uint32_t device, uint32_t word)
 {
-	const uint32_t t = h->numbers[device];
-	uint32_t *const w = device_words(h, device);
+	const uint32_t t = n->numbers[device];
+	uint32_t *const w = device_words(n, device);
 
 	if (word == T_DMAR) {
-		native_query(h, QUERY_DMAR, h->timer_devices[t], 0, 0);
+		native_query(n, QUERY_DMAR, n->timer_devices[t], 0, 0);
 		return 0;
 	}
 	if (word != T_CNT && word != T_SR && word != T_CR1 && (word < T_CCR1 || word > T_CCR4))
 		return w[word];
-	timer_sync(h, t);
+	timer_sync(n, t);
 	if (word == T_CNT)
-		return timer_count(h, t);
+		return timer_count(n, t);
 	if (word == T_SR && (w[T_CR1] & CEN) != 0u)
 		for (uint32_t c = 0; c < CHANNELS; ++c)
-			if (h->s.timers[t].ccr[c] != 0u && timer_count(h, t) >= h->s.timers[t].ccr[c])
+			if (n->s.timers[t].ccr[c] != 0u && timer_count(n, t) >= n->s.timers[t].ccr[c])
 				w[T_SR] |= 2u << c;
 	return w[word];
 }
 
-static void timer_generate(struct native *h, uint32_t t, uint32_t value)
+static void timer_generate(struct native *n, uint32_t t, uint32_t value)
 {
-	uint32_t *const w = device_words(h, h->timer_devices[t]);
-	struct timer *const s = &h->s.timers[t];
+	uint32_t *const w = device_words(n, n->timer_devices[t]);
+	struct timer *const s = &n->s.timers[t];
 
 	if (value & 1u) {
-		s->anchor = native_now(h);
+		s->anchor = native_now(n);
 		s->stopped_at = 0;
-		timer_load(h, t);
+		timer_load(n, t);
 		if ((w[T_CR1] & URS) == 0u) {
 			w[T_SR] |= UIF;
 			for (uint32_t k = 0; k <= CHANNELS; ++k) {
-				if (!timer_asks(h, t, k))
+				if (!timer_asks(n, t, k))
 					continue;
-				if (native_available(h, timer_source(t, k)) != 0u)
-					timer_feed(h, t, k);
+				if (native_available(n, timer_source(t, k)) != 0u)
+					timer_feed(n, t, k);
 				else
 					s->pending |= 1u << k;
 			}
-			timer_update_irq(h, t);
+			timer_update_irq(n, t);
 		}
 	}
 	w[T_SR] |= value & 0x1Eu;
 }
 
-void timer_write(struct native *h, uint32_t device, uint32_t word, uint32_t value)
+void timer_write(struct native *n, uint32_t device, uint32_t word, uint32_t value)
 {
-	const uint32_t t = h->numbers[device];
-	struct timer *const s = &h->s.timers[t];
-	uint32_t *const w = device_words(h, device);
+	const uint32_t t = n->numbers[device];
+	struct timer *const s = &n->s.timers[t];
+	uint32_t *const w = device_words(n, device);
 	uint32_t count, changed;
 
 	if (word == T_SR) {
-		(void)timer_read(h, device, T_SR);
+		(void)timer_read(n, device, T_SR);
 		w[T_SR] &= value;
-		timer_update_irq(h, t);
+		timer_update_irq(n, t);
 		return;
 	}
-	timer_sync(h, t);
+	timer_sync(n, t);
 	switch (word) {
 	case T_DMAR:
-		native_query(h, QUERY_DMAR, h->timer_devices[t], 1, 0);
+		native_query(n, QUERY_DMAR, n->timer_devices[t], 1, 0);
 		return;
 	case T_EGR:
-		timer_generate(h, t, value);
+		timer_generate(n, t, value);
 		break;
 	case T_CNT:
 		s->stopped_at = value;
-		s->anchor = native_now(h) - timer_cycles(h, t, value);
+		s->anchor = native_now(n) - timer_cycles(n, t, value);
 		break;
 	case T_CR1:
-		count = timer_count(h, t);
-		changed = device_keep(h, device, word, value);
+		count = timer_count(n, t);
+		changed = device_keep(n, device, word, value);
 		if (changed & CEN) {
 			if (w[T_CR1] & CEN) {
-				s->anchor = native_now(h) - timer_cycles(h, t, count);
+				s->anchor = native_now(n) - timer_cycles(n, t, count);
 				s->steady = 0;
 			} else {
 				s->stopped_at = count;
@@ -430,20 +407,20 @@ void timer_write(struct native *h, uint32_t device, uint32_t word, uint32_t valu
 		}
 		break;
 	default:
-		device_keep(h, device, word, value);
+		device_keep(n, device, word, value);
 		if (word == T_ARR && (w[T_CR1] & ARPE) == 0u)
 			s->arr = w[T_ARR];
-		if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(h, t, word - T_CCR1))
+		if (word >= T_CCR1 && word <= T_CCR4 && !timer_preloads(n, t, word - T_CCR1))
 			s->ccr[word - T_CCR1] = w[word];
 		if (word == T_CCER || word == T_BDTR || (word >= T_CCR1 && word <= T_CCR4))
 			s->steady = 0;
 		if (word == T_DIER) {
 			for (uint32_t k = 0; k <= CHANNELS; ++k)
-				if (!timer_asks(h, t, k))
+				if (!timer_asks(n, t, k))
 					s->pending &= ~(1u << k);
-			timer_update_irq(h, t);
+			timer_update_irq(n, t);
 		}
 		break;
 	}
-	timer_plan(h, t);
+	timer_plan(n, t);
 }
