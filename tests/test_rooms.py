@@ -1,83 +1,250 @@
-"""The law of the house: dependencies point down, and only the command line joins rooms, lazily."""
+"""The plan of the house, held: imports and includes run one way, and files form no circle.
+
+`ROOMS` and `C_ROOMS` list the folders from the bottom up. A file may import or include files of its own room
+and of rooms listed before it. What fails names the two files of the offending arrow.
+"""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
-from pathlib import Path
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path, PurePosixPath
 
 import pytest
 
+from cli.main import ROOMS as COMMANDS
+
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("toolchain", "flash", "sim", "training", "cli")
-GROUND = {"toolchain.contract", "toolchain.errors", "toolchain.files"}  # what every room stands on
-BELOW = {  # the rooms that a room may look down on
-    "toolchain": {"toolchain"},
-    "flash": {"flash"},
-    "sim": {"sim", "toolchain", "flash"},
-    "training": {"training", "sim", "toolchain"},
-}
-FILES = sorted(path for room in BELOW for path in (ROOT / room).rglob("*.py"))
-COMMANDS = sorted(p for p in (ROOT / "cli").rglob("*.py") if p.name != "train_display.py")  # imported late
+PYTHON = ("toolchain", "flash", "sim", "training", "cli")  # top-level folders with Python code
+ROOMS = (
+    "toolchain/errors.py",
+    "toolchain/files.py",
+    "toolchain/contract",
+    "toolchain/__init__.py",
+    "toolchain/ir",
+    "toolchain/reader",
+    "toolchain/policy",
+    "toolchain/passes",
+    "toolchain/rendering",
+    "toolchain/codegen",
+    "toolchain/cortex_m7",
+    "toolchain/verification",
+    "toolchain/image",
+    "flash",
+    "sim/strict_toml.py",
+    "sim/plotting.py",
+    "sim/aircraft",
+    "sim/physics",
+    "sim/control",
+    "sim/board/core",
+    "sim/board/registers",
+    "sim/board/native",
+    "sim/board/peripherals",
+    "sim/board/devices",
+    "sim/board",
+    "sim/board/debug",
+    "sim/board/serial",
+    "sim/ports",
+    "sim/ports/betaflight",
+    "sim/flight",
+    "sim/analysis",
+    "sim/design",
+    "sim/identification",
+    "training/tasks",
+    "training/config",
+    "training/envs",
+    "training/learners",
+    "training/checkpoints",
+    "training/runs",
+    "training/evaluation",
+    "training/pid_tuning",
+    "training/sweeps",
+    "training/results_page",
+    "training/__init__.py",
+    "cli",
+)
+C_ROOMS = (
+    "firmware/targets",
+    "firmware/src/common",
+    "firmware/src/storage",
+    "firmware/src/sensing",
+    "firmware/src/receiver",
+    "firmware/src/control",
+    "firmware/src/motors",
+    "firmware/src/safety",
+    "firmware/src/housekeeping",
+    "firmware/src/msp",
+    "firmware/hal/stm32f7/core",
+    "firmware/hal",
+    "firmware/hal/stm32f7/peripherals",
+    "firmware/hal/stm32f7/startup",
+    "firmware/hal/stm32f7/devices",
+    "firmware/src",
+    "firmware/hal/stm32f7",
+    "firmware/hal/host",
+    "sim/board/core/c",
+    "sim/board/native/c",
+)
+GROUND = ("toolchain/errors.py", "toolchain/files.py", "toolchain/contract")
+STRANGERS = {"flash": ("toolchain",), "training": ("flash",)}  # knows nothing of these, the ground excepted
+
+Arrow = tuple[str, str]  # from one file to another, paths in the repository
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
-    """Modules of the project that the code in `tree` imports, wherever it does."""
+def module_file(name: str) -> Path | None:
+    """The file of the module called `name`; None: not the project's."""
+    path = ROOT / name.replace(".", "/")
+    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Files of the project that the code in `tree` imports, inside functions too."""
     for node in ast.walk(tree):
-        names = []
+        names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"line {node.lineno}: a relative import"
             module = node.module or ""
-            names = [f"{module}.{alias.name}" for alias in node.names] if module in ROOMS else [module]
-        yield from (name for name in names if name.split(".")[0] in ROOMS)
+            assert node.level == 0, f"line {node.lineno}: a relative import of {module}"
+            whole = [f"{module}.{alias.name}" for alias in node.names]
+            names = [name if module_file(name) else module for name in whole]
+        for name in dict.fromkeys(names):
+            if (found := module_file(name)) is not None:
+                yield str(found.relative_to(ROOT))
 
 
-def at_import(tree: ast.Module) -> list[ast.stmt]:
-    """The statements that run when the module is imported, without those for type checkers."""
+def includes(path: Path) -> Iterator[str]:
+    """Files of the project that a file of C includes."""
+    firmware = ROOT / "firmware"
+    folders = (path.parent, firmware / "src", firmware, *(firmware / "targets").iterdir(), ROOT)
+    for name in re.findall(r'^\s*#\s*include "([^"]+)"', path.read_text(), re.MULTILINE):
+        found = next((folder / name for folder in folders if (folder / name).is_file()), None)
+        if found is not None:  # else generated
+            yield str(found.resolve().relative_to(ROOT))
+
+
+def python_arrows() -> list[Arrow]:
+    """Who imports whom."""
+    files = sorted(path for room in PYTHON for path in (ROOT / room).rglob("*.py"))
+    return [
+        (str(path.relative_to(ROOT)), target)
+        for path in files
+        for target in imports(ast.parse(path.read_text()))
+    ]
+
+
+def c_arrows() -> list[Arrow]:
+    """Who includes whom; a .c and its .h count as one file, as each needs the other."""
+    files = sorted(path for room in ("firmware", "sim") for path in (ROOT / room).rglob("*.[ch]"))
+    files = [path for path in files if "generated" not in path.parts]
+    return [(str(path.relative_to(ROOT)), target) for path in files for target in includes(path)]
+
+
+def room_of(file: str, rooms: Sequence[str]) -> int:
+    """The place in `rooms` of the innermost room that holds `file`. Raises KeyError: none does."""
+    for place in (file, *map(str, PurePosixPath(file).parents)):
+        if place in rooms:
+            return rooms.index(place)
+    raise KeyError(f"{file} stands in no room of tests/test_rooms.py")
+
+
+def upward(arrows: Iterable[Arrow], rooms: Sequence[str]) -> list[str]:
+    """The arrows that run to a room further up or to a stranger, as "file -> file"."""
+
+    def is_forbidden(source: str, target: str) -> bool:
+        there = rooms[room_of(target, rooms)]
+        strangers = STRANGERS.get(source.split("/")[0], ())
+        return room_of(source, rooms) < room_of(target, rooms) or (
+            there.split("/")[0] in strangers and there not in GROUND
+        )
+
+    return [f"{source} -> {target}" for source, target in arrows if is_forbidden(source, target)]
+
+
+def circle(arrows: Iterable[Arrow]) -> str:
+    """The files of one circle as "file -> file -> ..."; "" where there is none."""
+    graph: dict[str, set[str]] = {}
+    for source, target in arrows:
+        if source != target:
+            graph.setdefault(source, set()).add(target)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return " -> ".join(reversed(error.args[1]))
+    return ""
+
+
+def at_import(tree: ast.Module) -> ast.Module:
+    """The statements that run when a module is imported, without those for type checkers."""
     kept = (s for s in tree.body if not isinstance(s, ast.FunctionDef | ast.ClassDef))
-    return [s for s in kept if not (isinstance(s, ast.If) and "TYPE_CHECKING" in ast.unparse(s.test))]
+    return ast.Module(
+        [s for s in kept if not (isinstance(s, ast.If) and "TYPE_CHECKING" in ast.unparse(s.test))], []
+    )
 
 
-def forbidden(room: str, names: Iterator[str]) -> list[str]:
-    """Those of `names` that a module of `room` may not import."""
-    return [name for name in names if name not in GROUND and name.split(".")[0] not in BELOW[room]]
+def test_imports_run_one_way() -> None:
+    assert not upward(python_arrows(), ROOMS)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_module_imports_only_rooms_below_when_it_is_no_command(path: Path) -> None:
-    room = path.relative_to(ROOT).parts[0]
-    names = list(imported(ast.parse(path.read_text())))
-    assert not forbidden(room, iter(names))
+def test_includes_run_one_way() -> None:
+    assert not upward(c_arrows(), C_ROOMS)
 
 
-@pytest.mark.parametrize("path", COMMANDS, ids=lambda p: str(p.relative_to(ROOT)))
-def test_command_joins_rooms_only_inside_functions_when_it_is_imported(path: Path) -> None:
-    top = ast.Module(at_import(ast.parse(path.read_text())), [])
-    # What commands share is held to the same law by a case of its own.
-    joined = {name for name in imported(top) if not name.startswith("cli.")}
-    assert joined <= GROUND
+def test_files_form_no_circle_when_they_import() -> None:
+    assert not circle(python_arrows())
 
 
-@pytest.mark.parametrize("name", ["contract", "errors", "files"])
-def test_ground_imports_nothing_of_the_project_when_read(name: str) -> None:
-    place = ROOT / "toolchain" / name
-    files = sorted(place.glob("*.py")) or [place.with_suffix(".py")]
-    found = [module for path in files for module in imported(ast.parse(path.read_text()))]
-    assert not [module for module in found if not module.startswith(f"toolchain.{name}.")]
+def test_files_form_no_circle_when_they_include() -> None:
+    assert not circle((source.rpartition(".")[0], target.rpartition(".")[0]) for source, target in c_arrows())
+
+
+def test_help_loads_no_room() -> None:
+    top = [
+        (str(path.relative_to(ROOT)), target)
+        for path in sorted((ROOT / "cli").rglob("*.py"))
+        for target in imports(at_import(ast.parse(path.read_text())))
+    ]
+    loaded = {f"cli/{room}/{name.replace('-', '_')}.py" for room, names in COMMANDS.items() for name in names}
+    assert all((ROOT / file).is_file() for file in loaded)
+    while more := {target for source, target in top if source in loaded} - loaded:
+        loaded |= more
+    assert not [file for file in loaded if not file.startswith(("cli/", *GROUND))]
+
+
+@pytest.mark.parametrize("name", GROUND)
+def test_ground_imports_nothing_of_the_rooms_when_read(name: str) -> None:
+    path = ROOT / name
+    for file in path.rglob("*.py") if path.is_dir() else [path]:
+        assert not [
+            target for target in imports(ast.parse(file.read_text())) if not target.startswith(GROUND)
+        ]
 
 
 @pytest.mark.parametrize(
-    ("room", "line"),
+    ("file", "line"),
     [
-        ("flash", "from toolchain.image.build import build"),
-        ("flash", "def f():\n    import sim.physics.twin"),
-        ("toolchain", "from sim import twin"),
-        ("toolchain", "import flash.msp"),
-        ("sim", "from training.tasks.task import PulseTask"),
-        ("training", "import flash"),
+        ("flash/client.py", "from toolchain.image.build import build"),
+        ("flash/client.py", "def f():\n    import sim.physics.twin"),
+        ("toolchain/image/build.py", "from sim.physics import twin"),
+        ("toolchain/ir/network.py", "import toolchain.codegen.plan"),
+        ("sim/physics/twin.py", "from training.tasks.task import Task"),
+        ("sim/board/core/engine.py", "from sim.board.board import Board"),
+        ("training/envs/vector.py", "import flash.msp"),
+        ("training/runs/train.py", "import cli.main"),
     ],
 )
-def test_law_finds_the_import_when_it_points_up(room: str, line: str) -> None:
-    assert forbidden(room, imported(ast.parse(line)))
+def test_arrow_is_named_by_its_two_files_when_it_points_up(file: str, line: str) -> None:
+    (target,) = imports(ast.parse(line))
+    assert upward([(file, target)], ROOMS) == [f"{file} -> {target}"]
+
+
+def test_circle_is_named_when_there_is_one() -> None:
+    assert circle([("a", "b"), ("b", "c"), ("a", "c"), ("a", "a")]) == ""
+    assert circle([("a", "b"), ("b", "c"), ("c", "a")]).count(" -> ") == 3
+
+
+def test_file_without_a_room_is_refused_when_it_imports() -> None:
+    with pytest.raises(KeyError, match=r"sim/new\.py stands in no room"):
+        room_of("sim/new.py", ROOMS)
