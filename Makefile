@@ -59,7 +59,7 @@ test: firmware host ## the tests
 	@$(VENV)/bin/python -m pytest $(ARGS)
 
 prove: firmware host ## the long version of what the tests sample
-	@$(VENV)/bin/python -m pytest -m "prove or not prove" $(ARGS)
+	@$(VENV)/bin/python -m pytest -m "slow or not slow" $(ARGS)
 
 coverage: setup ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)

@@ -177,7 +177,7 @@ def test_two_scenarios_are_a_row_each_when_given_together(fly: Command, tmp_path
     ]
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_the_image_flies_what_make_emulate_flies_and_disarms_each_time(fly: Command) -> None:
     names = ["roll", "flip", "sim/scenarios/split_s.toml", "pulses"]
     code, out, _ = fly("--scenario", *names, "--count", "14")

@@ -33,7 +33,7 @@ def test_it_refuses_in_one_line_what_makes_no_sense(
     assert told in line
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_it_tells_what_other_counts_tell_when_the_image_has_flown(board_image: Path, capsys: Capture) -> None:
     image = board_image.with_suffix(".bin")
     report = json.loads(image.with_name("report.json").read_text())

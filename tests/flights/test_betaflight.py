@@ -117,7 +117,7 @@ def test_the_command_prints_the_same_document_as_on_other_ports_when_it_flies(
     assert document["flights"]["firmware"].keys() == document["flights"]["PID"].keys()
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_feedforward_has_no_effect_when_sticks_come_by_packet(betaflight: Betaflight, flown: Flown) -> None:
     without = (*SETTINGS, "set f_roll = 0", "set f_pitch = 0", "set f_yaw = 0")
     first, second = (flown(BetaflightPort(betaflight, 2000, lines), TURN) for lines in (SETTINGS, without))
@@ -125,7 +125,7 @@ def test_feedforward_has_no_effect_when_sticks_come_by_packet(betaflight: Betafl
     assert not first.same(flown(BetaflightPort(betaflight, 2000, (*SETTINGS, "set p_roll = 60")), TURN))
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Betaflight) -> None:
     aircraft, scenario = load_aircraft("nf1"), pulses(20002, 10)
 
@@ -144,7 +144,7 @@ def test_it_beats_the_published_pid_when_both_fly_the_same_pulses(betaflight: Be
     assert change < 0.004 < pid_change
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", [Mount.RIG, Mount.FREE])
 def test_it_holds_the_rate_when_the_mount_is_another(
     betaflight: Betaflight, flown: Flown, mount: Mount

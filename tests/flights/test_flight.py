@@ -50,7 +50,7 @@ def test_the_policy_meets_the_limits_when_flown_over_sockets_at_the_boards_gyro_
     assert passes(figures(flown(HostPort(host_program), scenario), scenario.episodes(), idle))
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_the_policy_meets_the_limits_when_a_hundred_commands_are_flown_over_sockets(
     host_program: Path, flown: Flown, idle: float
 ) -> None:

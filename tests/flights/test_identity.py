@@ -64,7 +64,7 @@ def test_flights_differ_when_another_controller_flies(reference_library: Path, f
     assert not np.array_equal(flights[0].dshot, flights[1].dshot)
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["policy", "pid"])
 def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
     image: Path, host_program: Path, reference_library: Path, flown: Flown, controller: str
@@ -79,7 +79,7 @@ def test_the_image_flies_the_bits_of_the_host_build_for_a_minute(
 
 @pytest.mark.parametrize(
     "phase_us",
-    [pytest.param(us, marks=[] if us == 60 else [pytest.mark.prove]) for us in range(0, 125, 4)],
+    [pytest.param(us, marks=[] if us == 60 else [pytest.mark.slow]) for us in range(0, 125, 4)],
 )
 def test_the_bits_are_the_same_when_the_gyro_chips_clock_has_another_phase(
     image: Path, reference_library: Path, flown: Flown, phase_us: int
@@ -216,7 +216,7 @@ def handled(port: EmulatedPort) -> TaskCount:
     return next(task for task in task_counts(port.board.engine) if task.handler == HANDLER)
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_two_flights_are_the_same_when_they_begin_alike_or_in_the_middle_of_one(image: Path) -> None:
     scenario = Scenario("two seconds", five_seconds().segments[:8])
     with closing(RecordedPort(image, armed_for=4_000)) as port, closing(EmulatedPort(image)) as other:

@@ -7,7 +7,7 @@ import pytest
 STEPS = 300  # armed: commands, receiver frames, and the step that arms
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_the_control_task_keeps_to_its_bars_when_a_flight_is_played() -> None:
     from tests.bench.firmware import CYCLES_BAR, POLICIES, VARIES_BAR, rows
 

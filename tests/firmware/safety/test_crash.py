@@ -113,7 +113,7 @@ def test_nothing_is_seen_when_it_is_switched_off(scripted: Any) -> None:
 @pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
 @pytest.mark.parametrize(
     ("name", "count"),
-    [("roll", 1), ("flip", 1), ("pulses", 2), pytest.param("pulses", 1000, marks=pytest.mark.prove)],
+    [("roll", 1), ("flip", 1), ("pulses", 2), pytest.param("pulses", 1000, marks=pytest.mark.slow)],
 )
 def test_our_own_flights_are_far_from_a_crash_when_they_turn_and_flip(
     name: str, count: int, pid: bool, flown_here: Callable[[Scenario], Trace]

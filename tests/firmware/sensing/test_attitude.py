@@ -73,7 +73,7 @@ def up_at(rotation: Rotation) -> Array:
     return up
 
 
-@pytest.mark.parametrize("seconds", [8, pytest.param(60, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seconds", [8, pytest.param(60, marks=pytest.mark.slow)])
 def test_tilt_stays_true_when_a_noisy_biased_gyro_flies_random_rates(
     make: Callable[..., Attitude], seconds: int
 ) -> None:

@@ -479,7 +479,7 @@ def test_the_shipped_policy_survives_when_power_goes_at_a_sample_of_operations(
     assert power_goes(s, new, cuts) >= 1
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_the_shipped_policy_survives_when_power_goes_at_every_operation(
     reference_core: Any, chip: MakeChip
 ) -> None:

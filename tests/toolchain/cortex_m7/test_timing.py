@@ -153,7 +153,7 @@ def test_no_instruction_depends_on_the_observation_when_the_operation_is_any(
     assert cost.no_cycles_reason is None or find_pricer() is None, "every instruction has a price"
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("optimization", ["-O2", "-O3"])
 def test_bars_hold_on_one_route_when_observations_are_ten_thousand(
     kit: Kit, tmp_path: Path, optimization: str

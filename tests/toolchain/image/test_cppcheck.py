@@ -37,7 +37,7 @@ def test_a_finding_names_file_and_line_when_code_is_wrong(firmware: Path, shippe
 
 
 @needs_analyser
-@pytest.mark.prove
+@pytest.mark.slow
 def test_the_firmware_is_clean_when_analysed(shipped_policy: Path) -> None:
     assert analyse(shipped_policy) == ""
 

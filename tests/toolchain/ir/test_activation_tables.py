@@ -137,7 +137,7 @@ def test_fit_gives_the_committed_row_when_run_again(case: Case, row: int) -> Non
     np.testing.assert_array_equal(again.view(np.uint32), case.lookup.rows[row].view(np.uint32))
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_script_writes_the_committed_file_when_run_again() -> None:
     assert lookup_fit.tables_json() == lookup_fit.PATH.read_text()
 
@@ -193,7 +193,7 @@ def test_results_have_the_bits_of_compiled_c_when_x_is_any_float(case: Case, mac
     np.testing.assert_array_equal(apply(case.lookup, x).view(np.uint32), result.view(np.uint32))
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @each
 @pytest.mark.parametrize("negative", [False, True])
 def test_results_keep_their_bounds_when_x_is_every_float(

@@ -154,7 +154,7 @@ def test_random_networks_keep_their_values_when_all_passes_run() -> None:
     assert set(fired) == {step.name for step in PASSES}, "a pass that never fired was never tested"
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_thousands_of_random_networks_keep_their_values_when_all_passes_run() -> None:
     for seed in SEEDS_PROVEN:
         check(seed)

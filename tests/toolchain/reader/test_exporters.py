@@ -32,7 +32,7 @@ SCRIPT_OPSETS = range(13, 24)  # of the exporter by TorchScript; it knows no new
 DYNAMO_OPSETS = range(18, onnx.defs.onnx_opset_version() + 1)  # the exporter by torch.export writes no older
 SAMPLE = [(False, 13), (False, 17), (False, 23), (True, 18), (True, 26)]
 ALL = [(False, opset) for opset in SCRIPT_OPSETS] + [(True, opset) for opset in DYNAMO_OPSETS]
-RARE = [pytest.param(*way, marks=pytest.mark.prove) for way in ALL if way not in SAMPLE]
+RARE = [pytest.param(*way, marks=pytest.mark.slow) for way in ALL if way not in SAMPLE]
 WAYS = pytest.mark.parametrize(("dynamo", "opset"), [*SAMPLE, *RARE])
 
 

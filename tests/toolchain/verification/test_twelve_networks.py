@@ -211,7 +211,7 @@ def test_host_and_cortex_m7_agree_when_networks_are_of_every_kind(
     assert_near_onnxruntime(machines["Cortex-M7, emulated"])
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_host_and_cortex_m7_agree_when_there_are_10_000_observations(
     kit: Kit, tmp_path: Path, name: str

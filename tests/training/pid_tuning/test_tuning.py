@@ -105,7 +105,7 @@ def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic
     assert result.response.success.value.tolist() == [1.0, 1.0, 1.0]
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_tuned_pid_meets_its_bar_when_it_flies_unseen_pulses() -> None:
     result = figures(
         record(

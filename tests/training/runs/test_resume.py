@@ -73,8 +73,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
     [
         ("ppo", signal.SIGINT),
         ("pathwise", signal.SIGKILL),
-        pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.prove),
-        pytest.param("pathwise", signal.SIGINT, marks=pytest.mark.prove),
+        pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.slow),
+        pytest.param("pathwise", signal.SIGINT, marks=pytest.mark.slow),
     ],
 )
 def test_the_bytes_are_those_of_an_undisturbed_run_when_it_was_stopped_and_resumed(

@@ -20,7 +20,7 @@ from training.sweeps.run import run_sweep
 from training.sweeps.trial import run_trial
 
 pytestmark = [
-    pytest.mark.prove,  # five processes begin, one after the other
+    pytest.mark.slow,  # five processes begin, one after the other
     # Not by importing it: what a session listens on is settled before that.
     pytest.mark.skipif(find_spec("ray") is None, reason="Ray Tune is not installed"),
 ]

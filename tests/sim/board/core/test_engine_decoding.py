@@ -119,7 +119,7 @@ def test_every_instruction_is_seen_as_it_is_when_compiled(compile_program: Calla
     assert {"ldrd", "strd", "vldr", "vstr", "udiv", "sdiv", "ldrsb", "strh", "bl"} <= seen
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_every_instruction_of_the_image_is_seen_as_it_is(board_image: Path) -> None:
     assert len(check_all(board_image)) > 60
 

@@ -109,7 +109,7 @@ def test_it_is_the_same_run_when_cut_anywhere(make: Make, seed: int) -> None:
     check_cuts(make, seed, cycle=120_000, longest=40)
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_it_is_the_same_run_when_cut_anywhere_for_long(make: Make, seed: int) -> None:
     check_cuts(make, seed, cycle=3_000_000, longest=3 ** (1 + seed % 7))

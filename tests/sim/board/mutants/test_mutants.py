@@ -34,7 +34,7 @@ UNCHANGED = Mutant(
 @pytest.mark.parametrize(
     "mutant",
     [
-        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.prove] if m.prove else [])
+        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.prove else [])
         for m in MUTANTS
     ],
 )
@@ -57,7 +57,7 @@ def test_firmware_saves_its_settings_when_it_is_built_and_asked_as_mutants_are(f
     assert report.flash_operations > 2 * 50  # settings; the log of boots takes 25 of each
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 def test_line_is_noted_when_the_firmware_listens_at_another_baud(fly_mutant: Fly) -> None:
     """No error: a receiver of another kind may be plugged in. The firmware does not arm."""
     wrong = Mutant(

@@ -86,7 +86,7 @@ def test_stored_settings_are_there_when_the_board_was_told_to_start_anew(idle: I
 @pytest.mark.parametrize(
     "baud",
     [
-        pytest.param(baud, marks=[] if baud in (MSP_BAUDS[0], MSP_BAUDS[-1]) else pytest.mark.prove)
+        pytest.param(baud, marks=[] if baud in (MSP_BAUDS[0], MSP_BAUDS[-1]) else pytest.mark.slow)
         for baud in MSP_BAUDS
     ],
 )
@@ -172,7 +172,7 @@ SAMPLE = [
         pytest.param(
             operation,
             cut,
-            marks=[] if (operation, cut) in SAMPLE else pytest.mark.prove,
+            marks=[] if (operation, cut) in SAMPLE else pytest.mark.slow,
             id=f"{operation}-{cut.name.lower()}",
         )
         for operation in range(OPERATIONS)
@@ -200,7 +200,7 @@ def test_settings_can_be_stored_when_the_last_save_was_cut(save: Save) -> None:
     assert held(save.idle) == NEW
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", Cut)
 def test_the_board_boots_when_power_goes_while_a_boot_is_logged(board_image: Path, cut: Cut) -> None:
     image = board_image.with_suffix(".bin").read_bytes()

@@ -125,7 +125,7 @@ def test_rotor_is_found_when_its_parameters_are_unknown(number: int) -> None:
     check_trial(number, rate_hz=250)
 
 
-@pytest.mark.prove
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(20))
 def test_rotor_is_found_in_every_trial_when_there_are_many(number: int) -> None:
     check_trial(number, rate_hz=500)
