@@ -76,6 +76,7 @@ cppcheck: # the analyser of C, brought as the ARM compiler is
 
 lint: setup cppcheck ## style and types; C warnings are errors in every build
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+	@find firmware -path firmware/generated -prune -o -name '*.[ch]' -print | xargs $(VENV)/bin/clang-format --dry-run -Werror
 	@$(VENV)/bin/python -m toolchain.image.cppcheck $(POLICY)
 
 clean: ## what builds leave behind; the environment and training runs stay
