@@ -72,7 +72,7 @@ class Chain:
         return self
 
     def clip(self) -> Chain:
-        """Append the door that every policy ends with."""
+        """Append the last Clip, which every policy ends with."""
         return self.add("Clip", np.float32(0), np.float32(1))
 
     def model(self) -> onnx.ModelProto:

@@ -122,7 +122,7 @@ static void observation_update(struct observation *o, const struct observation_i
 /* Replaces the values from `out` to `end` by their low-pass, whose state is `state`. */
 static void observation_pass(float *state, float gain, bool first, float *out, const float *end)
 {
-	for (; out < end; ++out, state++) {
+	for (; out < end; ++out, ++state) {
 		*state = first ? *out : *state + gain * (*out - *state);
 		*out = *state;
 	}
@@ -131,7 +131,7 @@ static void observation_pass(float *state, float gain, bool first, float *out, c
 /* Exchanges the values from `out` to `end` with the oldest in the delay line. */
 static void observation_exchange(float *oldest, float *out, const float *end)
 {
-	for (; out < end; ++out, oldest++) {
+	for (; out < end; ++out, ++oldest) {
 		const float old = *oldest;
 		*oldest = *out;
 		*out = old;
