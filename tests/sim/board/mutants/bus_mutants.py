@@ -41,7 +41,7 @@ BUS_MUTANTS = (
         new="#define RESET_MS 50u",
         message=r"the MPU6500 is addressed \d\d\.\d ms before it answers after its reset, expected a wait",
         seconds=0.2,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="bus in another mode",
@@ -50,7 +50,7 @@ BUS_MUTANTS = (
         new="SPI_CR1_CPOL |",
         message=r"the MPU6500 is addressed in SPI mode 2, expected 0 or 3",
         seconds=0.2,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="gyro read a byte too far",
@@ -59,7 +59,7 @@ BUS_MUTANTS = (
         new="spi_start(gyro_request, gyro_response, TRANSFER_BYTES + 1u)",
         message=r"register 0x49 of the MPU6500 at 13.5 MHz, expected 1 MHz at most",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="gyro read a byte too short",
@@ -68,7 +68,7 @@ BUS_MUTANTS = (
         new="spi_start(gyro_request, gyro_response, TRANSFER_BYTES - 1u)",
         message=r"data of the MPU6500 was read up to 0x47, the upper half of a value",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="gyro never deselected",
@@ -77,7 +77,7 @@ BUS_MUTANTS = (
         new="samples stop */",
         message=r"MPU6500",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="edge of the data-ready line mistaken",
@@ -103,7 +103,7 @@ BUS_MUTANTS = (
         new="{DMA2, 4, 7}",
         message=r"DMA2 stream 4 has waited more than 10 ms to move 72 items to 0x4001044C, but nothing",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DMA started with flags of the last transfer",
@@ -112,7 +112,7 @@ BUS_MUTANTS = (
         new="\tDMA_SM0AR",
         message=r"is enabled while .*TCIF is set, expected its flags cleared before",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DMA into memory that it does not reach",
@@ -121,7 +121,7 @@ BUS_MUTANTS = (
         new="dma_start(DMA_GYRO_RX, (uint8_t *)0x3F00u + 0u * (uint32_t)receive, count);",
         message=r"memory 0x00003F00 to 0x00003F0E is out of the reach of DMA",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DMA buffers in cached RAM",
@@ -138,7 +138,7 @@ BUS_MUTANTS = (
         new="",
         message=r"DMA2 stream \d: 0x2003\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="motors' buffer where a sleeping core closes it",
@@ -147,7 +147,7 @@ BUS_MUTANTS = (
         new="static DMA_BUFFER uint32_t motor_slots",
         message=r"DMA2 stream 1 reads DTCM \(0x2000\w{4}\) while the core sleeps",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DShot bit time 10 % off",
@@ -164,7 +164,7 @@ BUS_MUTANTS = (
         new="ticks * 4u / 8u",
         message=r"motor 1: bit 1 is high for 0\.833 us, expected 0\.625 us for a 0",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DShot frame that never ends",
@@ -173,7 +173,7 @@ BUS_MUTANTS = (
         new="#define SLOTS (FRAME_BITS + 0u)",
         message=r"motor 1: 0\.00 us of rest before a frame",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DShot checksum wrong",
@@ -190,7 +190,7 @@ BUS_MUTANTS = (
         new="PWM_MODE_1 = 7",
         message=r"TIM8_CH1 is driven with OC1M 7, expected 6: PWM mode 1",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="motors' timer with its main output off",
@@ -199,7 +199,7 @@ BUS_MUTANTS = (
         new="TIM_BDTR(bank->timer) &= ~TIM_BDTR_MOE;",
         message=r"TIM8_CH1 makes pulses while TIM8_BDTR MOE is 0, expected 1",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="DShot burst into the next register",
@@ -208,7 +208,7 @@ BUS_MUTANTS = (
         new="BURST_OF_4 = 4",
         message=r"TIM8_DCR bursts into .*, expected",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="timer that never runs",

@@ -31,7 +31,7 @@ CLOCK_MUTANTS = (
         new="",
         message=r"PWR_CR1 ODSWEN is set before PWR_CSR1 ODRDY",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="regulator at a scale too low",
@@ -40,7 +40,7 @@ CLOCK_MUTANTS = (
         new="REGULATOR_SCALE_1 = 1",
         message=r"the core runs at 216 MHz, expected 144 MHz at most with voltage scale 3",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="PLL beyond its range",
@@ -49,7 +49,7 @@ CLOCK_MUTANTS = (
         new="FIELD(RCC_PLLCFGR_PLLM, PLL_M - 1u)",
         message=r"the PLL's VCO input is 2.66667 MHz, expected 0.95 MHz to 2.1 MHz",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="PLL started before its crystal",
@@ -58,7 +58,7 @@ CLOCK_MUTANTS = (
         new="",
         message=r"the PLL is switched on before its source HSE is ready",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="clock source switched before it is ready",
@@ -68,7 +68,7 @@ CLOCK_MUTANTS = (
         new="\tclock_replace(&RCC_CFGR, RCC_CFGR_SW, FIELD(RCC_CFGR_SW, SOURCE_PLL));",
         message=r"the core is switched to PLL, which is not ready",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="bus clocked too fast",
@@ -77,7 +77,7 @@ CLOCK_MUTANTS = (
         new="FIELD(RCC_CFGR_PPRE1, DIVIDE_BY_2)",
         message=r"APB1 runs at 108 MHz, expected 54 MHz at most",
         place="clock_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="forgotten clock of a timer",
@@ -95,7 +95,7 @@ CLOCK_MUTANTS = (
         new=";",
         message=r"DMA2_S\d\w+ is (read|written) without its clock: RCC_AHB1ENR DMA2EN is 0",
         place="power_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="motors' pins given to another timer",
@@ -113,7 +113,7 @@ CLOCK_MUTANTS = (
         message=r"SPI1 sends: PA6 is analog, expected alternate function 5 \(SPI1_MISO\)",
         place="spi_exchange|gyro_transfer",
         seconds=0.2,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="converter's pin left digital",
@@ -123,7 +123,7 @@ CLOCK_MUTANTS = (
         message=r"ADC1 converts channel 14: PC4 is an input, expected analog",
         place="power_convert|power_read",
         seconds=0.45,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="converter on a channel without a pin",
@@ -133,7 +133,7 @@ CLOCK_MUTANTS = (
         message=r"ADC1 converts channel 11, which has no pin on this board",
         place="power_convert|power_read",
         seconds=0.45,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="converter clocked too fast",
@@ -143,7 +143,7 @@ CLOCK_MUTANTS = (
         message=r"ADC1 is clocked at 54 MHz, expected 36 MHz at most",
         place="power_convert|power_read",
         seconds=0.45,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="receiver's line changed while it is on",
@@ -153,7 +153,7 @@ CLOCK_MUTANTS = (
         message=r"USART\d_CR3 OVRDIS changes while UE is 1, expected 0",
         place="uart_configure",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="register that the chip does not have",
@@ -162,7 +162,7 @@ CLOCK_MUTANTS = (
         new="\t(void)REGISTER(0x4002384Cu);\n\tbarrier();",
         message=r"the chip has no register there|has no register there",
         place="clock_peripherals",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="peripheral that the emulator does not know",
@@ -172,7 +172,7 @@ CLOCK_MUTANTS = (
         message=r"write at 0x40005400: I2C1 is not modelled",
         place="motors_run",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="reserved bit set",
@@ -181,7 +181,7 @@ CLOCK_MUTANTS = (
         new="FIELD(SPI_CR2_DS, BITS_8) | SPI_CR2_FRXTH | BIT(15);",
         message=r"SPI1_CR2 = 0x00009700 changes reserved bits 0x00008000",
         place="spi_configure",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="watchdog never fed",
@@ -198,6 +198,6 @@ CLOCK_MUTANTS = (
         new="",
         message=r"IWDG_PR is written while it is locked, expected IWDG_KR 0x5555 before",
         place="watchdog_start",
-        prove=True,
+        slow=True,
     ),
 )

@@ -40,7 +40,7 @@ CORE_MUTANTS = (
         place="mixer_step",
         seconds=1.6,
         flown=True,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="null pointer read",
@@ -50,7 +50,7 @@ CORE_MUTANTS = (
         message=r"access at 0x0000000\w, in the null page",
         place="gyro_sample_handler",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="null pointer called",
@@ -69,7 +69,7 @@ CORE_MUTANTS = (
         new="[IRQ_DMA2_STREAM2] = 0,",
         message=r"exception 74 has no vector at 0x\w+",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="handler that never clears its request",
@@ -101,7 +101,7 @@ CORE_MUTANTS = (
         + "\n\tinterrupts_enable();\n",
         message=r"data-ready edge \(EXTI3\) waited .*: interrupts were masked",
         seconds=1.0,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="handler that is as urgent as the gyro's edge",
@@ -119,7 +119,7 @@ CORE_MUTANTS = (
         new="{ 0x2003C000u, 14, NO_ACCESS }",
         message=r"MPU region 3 \(MPU_RASR 0x1000001B\) closes 0x2003C000 to 0x2003FFFF",
         place="core_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="code in RAM",
@@ -159,7 +159,7 @@ CORE_MUTANTS = (
         message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
         place="gyro_sample_handler",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="unaligned floats",
@@ -171,7 +171,7 @@ CORE_MUTANTS = (
         message=r"unaligned access at 0x2000\w{4}, this instruction needs 4 bytes' alignment",
         place="gyro_sample_handler",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="unaligned access to a register",
@@ -180,7 +180,7 @@ CORE_MUTANTS = (
         new='\t__asm volatile("str %0, [%1]" ::"r"(ADC1_CR1_SCAN), "r"(0x40012006u));\n',
         message=r"unaligned access at 0x40012006, this instruction needs 4 bytes' alignment",
         place="power_start",
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="register written by a byte",
@@ -190,7 +190,7 @@ CORE_MUTANTS = (
         message=r"ADC1_CR1 has a write of 8 bits, but takes 32",
         place="power_start",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="division by zero",
@@ -200,7 +200,7 @@ CORE_MUTANTS = (
         message=r"division by zero",
         place="gyro_run|hal_run",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="flash programmed without erasing it",
@@ -219,7 +219,7 @@ CORE_MUTANTS = (
         message=r"data-ready edge \(EXTI3\) waited .*: the core waited for busy flash",
         seconds=1.2,
         saves=0.5,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="flash written while motors turn",
@@ -232,7 +232,7 @@ CORE_MUTANTS = (
         place="flash_memory_program",
         seconds=1.8,
         flown=True,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="flash unlocked by a wrong key",
@@ -241,7 +241,7 @@ CORE_MUTANTS = (
         new="#define KEY_2 0xCDEF89ACu",
         message=r"FLASH_KEYR = 0xCDEF89AC, expected 0xCDEF89AB while locked",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="option bytes written while they are locked",
@@ -251,7 +251,7 @@ CORE_MUTANTS = (
         message=r"FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before",
         place="flash_memory_begin",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
     Mutant(
         name="flash written before it has rested",
@@ -260,6 +260,6 @@ CORE_MUTANTS = (
         new="(FLASH_SR & FLASH_SR_OPERR) != 0u; ++look",
         message=r"is written while the controller is busy, expected FLASH_SR BSY 0 before",
         seconds=0.4,
-        prove=True,
+        slow=True,
     ),
 )

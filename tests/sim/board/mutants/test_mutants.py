@@ -34,7 +34,7 @@ UNCHANGED = Mutant(
 @pytest.mark.parametrize(
     "mutant",
     [
-        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.prove else [])
+        pytest.param(m, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.slow else [])
         for m in MUTANTS
     ],
 )
