@@ -35,6 +35,7 @@ ROOMS = (
     "flash",
     "sim/strict_toml.py",
     "sim/plotting.py",
+    "sim/compiled.py",
     "sim/aircraft",
     "sim/physics",
     "sim/control",

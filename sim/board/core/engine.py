@@ -17,8 +17,9 @@ from typing import Any, NoReturn
 from unicorn import arm_const
 
 from sim.board.core.context import BoardError, Peripheral
-from sim.board.core.library import Library, load_library
+from sim.board.core.library import load_library
 from sim.board.core.source_places import Places
+from sim.compiled import Library
 from toolchain.contract import FLASH_BASE, FLASH_BYTES
 
 CPI = Fraction(163, 100)  # of the shipped policy as llvm-mca prices it: docs/timing.md

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sim.board.core.engine import Engine
-from sim.board.core.library import Library, load_library
+from sim.board.core.library import load_library
 from sim.board.registers.bus import Block, Device, Register, Registers, load_table
+from sim.compiled import Library
 
 C = Path(__file__).parent / "c"
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from sim.board.core import library
 from sim.board.core.context import BoardError
 from sim.board.core.engine import Engine, Outcome
 from sim.board.debug.profile import execution_counts
-from toolchain.errors import BuildError
 
 Boot = Callable[..., Engine]
 Results = Callable[[Engine, int], list[int]]
@@ -263,19 +260,6 @@ def test_code_is_run_anew_when_flash_is_changed(boot: Boot, results: Results) ->
     engine.power_cycle()
     engine.run()
     assert results(engine, 1) == [42]
-
-
-def test_the_library_is_built_once_when_nothing_has_changed(tmp_path: Path) -> None:
-    first = library.build_library((library.CORE,), tmp_path)
-    made = first.stat().st_mtime_ns
-    assert library.build_library((library.CORE,), tmp_path) == first
-    assert first.stat().st_mtime_ns == made
-
-
-def test_one_line_says_so_when_there_is_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "COMPILERS", ("no-such-compiler",))
-    with pytest.raises(BuildError, match="needs a C compiler"):
-        library.build_library((library.CORE,), tmp_path)
 
 
 def test_arguments_are_refused_when_they_make_no_sense() -> None:

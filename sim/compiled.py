@@ -1,0 +1,94 @@
+"""C that Python calls: built on first use with the host's compiler, loaded through cffi.
+
+A library lies in a cache folder under a name made of its sources, the compiler, the flags and what it is
+linked with, so that a new source or a new compiler makes a new one, and two processes never disturb each
+other. What Python may call is declared once, in the `api.h` of each folder of sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cffi import FFI
+
+from toolchain.errors import BuildError
+from toolchain.files import replacing
+
+CACHE = Path(__file__).resolve().parents[1] / "build" / "engine"
+FLAGS = ("-std=c11", "-O2", "-fno-semantic-interposition", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
+WHOLE = ("-flto",)  # across files, where the compiler brings all that it takes
+COMPILERS = ("cc", "gcc", "clang")
+
+
+@dataclass(frozen=True)
+class Library:
+    """A loaded library: `lib` has the functions and constants, `ffi` makes callbacks, structs and arrays."""
+
+    ffi: FFI
+    lib: Any
+    path: Path
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a library is made of."""
+
+    name: str  # of its files
+    what: str  # it is, as an error names it
+    parts: tuple[Path, ...]  # folders of C sources, each with an api.h
+    flags: tuple[str, ...] = ()
+    includes: tuple[Path, ...] = ()  # folders
+    linked: tuple[Path, ...] = ()  # libraries of Python packages
+    versions: tuple[str, ...] = ()  # of those packages
+
+
+def load(source: Source, folder: Path = CACHE) -> Library:
+    """The library of `source`, built into `folder` unless it is there. Raises BuildError, one line."""
+    ffi = FFI()
+    ffi.cdef("".join(declarations(part / "api.h") for part in source.parts))
+    path = build(source, folder)
+    return Library(ffi, ffi.dlopen(str(path)), path)
+
+
+def declarations(header: Path) -> str:
+    """What `header` declares, without the preprocessor's lines."""
+    return "".join(line for line in header.read_text().splitlines(True) if not line.startswith("#"))
+
+
+def build(source: Source, folder: Path) -> Path:
+    """Where the library is, built if need be. Raises BuildError: no compiler, or what it says."""
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    if compiler is None:
+        raise BuildError(f"{source.what} needs a C compiler of this machine, found none; install gcc")
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout
+    flags = (*FLAGS, *source.flags, *(WHOLE if "Free Software Foundation" in version else ()))
+    files = [file for part in source.parts for file in sorted(part.glob("*.[ch]"))]
+    target = folder / f"{source.name}-{_key((compiler, version, *flags), source, files)}.so"
+    if target.is_file():
+        return target
+    with replacing(target) as aside:
+        command = [compiler, *flags, *(f"-I{include}" for include in source.includes)]
+        command += [str(file) for file in files if file.suffix == ".c"]
+        for linked in source.linked:
+            command += (
+                [str(linked)] if linked.suffix == ".a" else [str(linked), f"-Wl,-rpath,{linked.parent}"]
+            )
+        done = subprocess.run([*command, "-lm", "-ldl", "-o", str(aside)], capture_output=True, text=True)
+        if done.returncode != 0:
+            lines = done.stderr.strip().splitlines() or ["no message"]
+            said = next((line for line in lines if "error" in line), lines[0])
+            raise BuildError(f"{source.what} does not build with {compiler}: {said}")
+    return target
+
+
+def _key(how: Sequence[str], source: Source, files: Sequence[Path]) -> str:
+    digest = hashlib.sha256("\n".join((*how, *map(str, source.linked), *source.versions)).encode())
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
