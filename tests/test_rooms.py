@@ -85,6 +85,7 @@ C_ROOMS = (
     "firmware/src",
     "firmware/hal/stm32f7",
     "firmware/hal/host",
+    "sim/physics/c",
     "sim/board/core/c",
     "sim/board/native/c",
 )

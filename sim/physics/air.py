@@ -1,4 +1,4 @@
-"""Drag of the body, and wind with the Dryden model's gusts. Vectorised over N aircraft."""
+"""Drag of the body, and wind with the Dryden model's gusts, of N aircraft. Computed by air.c."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sim.physics.library import library, pointer, random_source, struct
 
 Array = NDArray[np.float64]
 
@@ -19,8 +21,10 @@ def body_drag(air_velocity: Array, drag_area: Array) -> Array:
 
     air_velocity: of the body through the air [m/s], (N, 3), body axes. drag_area: C_D A [m^2], (3,).
     """
-    speed = np.sqrt((air_velocity * air_velocity).sum(axis=1, keepdims=True))
-    return np.asarray((-0.5 * AIR_DENSITY) * speed * air_velocity * drag_area)
+    velocity, area = (np.ascontiguousarray(rows, np.float64) for rows in (air_velocity, drag_area))
+    force = np.empty_like(velocity)
+    library().lib.air_drag(len(velocity), AIR_DENSITY, pointer(velocity), pointer(area), pointer(force))
+    return force
 
 
 def turbulence_scale(altitude: float) -> Array:
@@ -66,17 +70,26 @@ class Wind:
                 f"wind {mean} m/s, gust {gust} m/s at {altitude} m: expected finite, gust 0 or more"
             )
         self.velocity = np.tile(np.asarray(mean, dtype=np.float64), (count, 1))  # of the air, world axes
-        self._mean = np.array(mean, dtype=np.float64)
-        self._steady = gust == 0.0
-        self._decay = dt / turbulence_scale(altitude)  # of each axis, for each m/s of airspeed
-        self._gain = turbulence_intensity(altitude, gust)
+        self._count, self._steady, self._rng = count, gust == 0.0, rng
         heading = math.atan2(mean[1], mean[0])
         c, s = math.cos(heading), math.sin(heading)
-        self._axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # rows: u, v, w in the world
-        self._rng = rng
         # Two lags in a row, white noise into the first; variances 1 and 1/2, covariance 1/2.
         self._first = np.zeros((count, 3))
         self._second = np.zeros((count, 3))
+        self._draws = np.zeros((2, count, 3))
+        self.state = struct(
+            "wind",
+            steady=self._steady,
+            random=random_source(rng),
+            mean=np.asarray(mean, np.float64).tolist(),
+            decay=(dt / turbulence_scale(altitude)).tolist(),  # of each axis, for each m/s of airspeed
+            gain=turbulence_intensity(altitude, gust).tolist(),
+            axes=(c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0),  # rows: u, v, w in the world
+            draws=self._draws,
+            first=self._first,
+            second=self._second,
+            velocity=self.velocity,
+        )
         self.reset(np.arange(count))
 
     def reset(self, index: NDArray[np.intp]) -> None:
@@ -86,30 +99,12 @@ class Wind:
         draws = self._rng.standard_normal((len(index), 2, 3))
         self._first[index] = draws[:, 0]
         self._second[index] = 0.5 * (draws[:, 0] + draws[:, 1])
-        self._blow()
+        library().lib.wind_blow(self.state, self._count)
 
     def step(self, airspeed: Array) -> None:
         """Advance the gusts by `dt` around aircraft that move through the air at `airspeed` [m/s], (N,)."""
-        if self._steady:
-            return
-        ratio = airspeed[:, None] * self._decay
-        kept = np.exp(-ratio)
-        # Covariance that the new noise adds: the stationary one less what is kept of it.
-        noise = -np.expm1(-2.0 * ratio)
-        shared = 0.5 * (noise - 2.0 * ratio * kept * kept)
-        second = shared - (ratio * kept) ** 2
-        scale = np.sqrt(noise)
-        along = np.divide(shared, scale, out=np.zeros_like(scale), where=scale > 0.0)
-        draws = self._rng.standard_normal((2, *ratio.shape))
-        self._second = kept * (self._second + ratio * self._first) + along * draws[0]
-        self._second += np.sqrt(np.maximum(second - along * along, 0.0)) * draws[1]
-        self._first = kept * self._first + scale * draws[0]
-        self._blow()
-
-    def _blow(self) -> None:
-        gusts = math.sqrt(1.5) * self._first + (1.0 - math.sqrt(3.0)) / math.sqrt(2.0) * self._second
-        gusts[:, 0] = self._first[:, 0]
-        self.velocity = self._mean + (gusts * self._gain) @ self._axes
+        speeds = np.ascontiguousarray(airspeed, np.float64)
+        library().lib.wind_step(self.state, self._count, pointer(speeds))
 
 
 def _feet(altitude: float) -> float:

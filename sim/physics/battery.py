@@ -1,11 +1,15 @@
-"""A LiPo pack: voltage under load from power drawn and charge used. Vectorised over N aircraft."""
+"""A LiPo pack: voltage under load from power drawn and charge used. N aircraft, computed by battery.c."""
 
 from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Battery
+from sim.physics.library import elements, library, pointer, struct
 
 Array = NDArray[np.float64]
 
@@ -15,13 +19,31 @@ STATE_OF_CHARGE = np.array([-0.02, 0.00, 0.05, 0.10, 0.20, 0.30, 0.40, 0.50, 0.6
 CELL_VOLTAGE = np.array([0.00, 3.27, 3.61, 3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11, 4.20])  # [V]
 
 
+@lru_cache(maxsize=16)
+def pack_struct(battery: Battery) -> Any:  # noqa: ANN401 - a struct of cffi
+    """The pack as C has it."""
+    empty = -STATE_OF_CHARGE[0]  # how far below zero state of charge the voltage is 0
+    return struct(
+        "pack",
+        points=len(STATE_OF_CHARGE),
+        state_of_charge=STATE_OF_CHARGE.tolist(),
+        voltage=CELL_VOLTAGE.tolist(),
+        scale=battery.rest_voltage / CELL_VOLTAGE[-1],
+        capacity=battery.capacity,
+        resistance=battery.resistance,
+        charge_max=(1.0 + empty) * battery.capacity,
+    )
+
+
 def open_circuit_voltage(battery: Battery, state_of_charge: Array) -> Array:
     """Voltage of the pack without load [V], same shape as `state_of_charge` (0..1, 1 is full).
 
     Linear between the points of `CELL_VOLTAGE`, scaled so that a full pack gives its `rest_voltage`.
     """
-    scale = battery.rest_voltage / CELL_VOLTAGE[-1]
-    return np.asarray(scale * np.interp(state_of_charge, STATE_OF_CHARGE, CELL_VOLTAGE))
+    (left,) = elements(state_of_charge)
+    voltage = np.empty_like(left)
+    library().lib.pack_open_circuit(pack_struct(battery), left.size, pointer(left), pointer(voltage))
+    return voltage
 
 
 def loaded_voltage(open_circuit: Array, power: Array, resistance: float) -> Array:
@@ -30,16 +52,10 @@ def loaded_voltage(open_circuit: Array, power: Array, resistance: float) -> Arra
     Of the two solutions the one that small powers reach, V >= OCV / 2. More than OCV^2 / 4R a pack cannot
     give: there V is OCV / 2.
     """
-    root = np.sqrt(np.maximum(open_circuit * open_circuit - 4.0 * resistance * power, 0.0))
-    return np.asarray(0.5 * (open_circuit + root))
-
-
-def shaft_power(speed: Array, torque: Array) -> Array:
-    """Mechanical power that the motors of each aircraft give [W], (N,); braking gives none back.
-
-    speed [rad/s] and torque [N m] of each motor on its rotor, (N, M).
-    """
-    return np.asarray(np.maximum(speed * torque, 0.0).sum(axis=1))
+    rest, drawn = elements(open_circuit, power)
+    voltage = np.empty_like(rest)
+    library().lib.pack_loaded(rest.size, pointer(rest), pointer(drawn), resistance, pointer(voltage))
+    return voltage
 
 
 class BatteryState:
@@ -50,7 +66,6 @@ class BatteryState:
         self.charge = np.zeros(count)  # used [A s]
         self.current = np.zeros(count)  # [A]
         self.voltage = np.full((count, 1), battery.rest_voltage)  # under load [V], a column beside (N, M)
-        self._empty = -STATE_OF_CHARGE[0]  # how far below zero state of charge the voltage is 0
 
     @property
     def state_of_charge(self) -> Array:
@@ -72,11 +87,6 @@ class BatteryState:
 
     def step(self, power: Array, dt: float) -> None:
         """Draw `power` [W] for `dt` [s]: (N,), at the pack's terminals, motors and electronics together."""
-        battery = self.battery
-        open_circuit = open_circuit_voltage(battery, self.state_of_charge)
-        voltage = loaded_voltage(open_circuit, power, battery.resistance)
-        self.voltage = voltage[:, None]
-        if battery.resistance > 0.0:
-            power = np.minimum(power, open_circuit * open_circuit / (4.0 * battery.resistance))
-        self.current = np.divide(power, voltage, out=np.zeros_like(voltage), where=voltage > 0.0)
-        self.charge = np.minimum(self.charge + self.current * dt, (1.0 + self._empty) * battery.capacity)
+        drawn = np.ascontiguousarray(power, np.float64)
+        state = (pointer(self.charge), pointer(self.current), pointer(self.voltage))
+        library().lib.pack_step(pack_struct(self.battery), len(drawn), dt, pointer(drawn), *state)

@@ -1,4 +1,4 @@
-"""Models of gyro and accelerometer, and the 16-bit counts of a gyro chip. Vectorised over N aircraft.
+"""Models of gyro and accelerometer of N aircraft, computed by sensor.c; the 16-bit counts of a gyro chip.
 
 A reading is the true value turned to the chip, lagged by its low-pass, plus the constant of the episode,
 white noise and vibration from the rotors. Effects that the aircraft file leaves out are skipped.
@@ -7,49 +7,22 @@ white noise and vibration from the rotors. Effects that the aircraft file leaves
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Accelerometer, Gyro
+from sim.physics.library import assign, library, pointer, random_source, struct
 from toolchain.contract import GYRO_COUNTS, GYRO_FULL_SCALE_DEG_S
 
 Array = NDArray[np.float64]
-Which = NDArray[np.intp] | slice  # some of the aircraft
-EVERYONE = slice(None)
 RATE_PER_COUNT = np.float32(np.deg2rad(GYRO_FULL_SCALE_DEG_S / GYRO_COUNTS))  # [rad/s], the firmware's
-ONE = 1.0  # times the noise of the settings
-
-# Phase between axes of the vibration [rad]: an unbalanced rotor shakes across its own axis in a circle.
-VIBRATION_PHASE = np.array([0.0, math.pi / 2, math.pi / 4])
 
 
 def draw_bias(noise: Gyro | Accelerometer, count: int, rng: np.random.Generator) -> Array:
     """Constant offset of each aircraft's sensor for one episode, in the sensor's unit, (count, 3)."""
     return rng.normal(0.0, noise.bias, (count, 3))
-
-
-def measured_rate(
-    rate: Array,
-    bias: Array,
-    noise: Gyro | Accelerometer,
-    rng: np.random.Generator,
-    factor: Array | float = ONE,
-) -> Array:
-    """Reading before rounding, (N, 3): the true value with bias and `factor` times white noise.
-
-    factor: one for all or (N, 1).
-    """
-    scale = _noise_of(noise.noise)
-    if factor is not ONE:
-        scale = scale * factor
-    return np.asarray(rate + bias + rng.standard_normal(rate.shape) * scale)
-
-
-@lru_cache(maxsize=16)
-def _noise_of(noise: tuple[float, float, float]) -> Array:
-    return np.array(noise)
 
 
 def counts(rate: Array) -> NDArray[np.int16]:
@@ -61,17 +34,6 @@ def counts(rate: Array) -> NDArray[np.int16]:
 def quantised_rate(rate: Array) -> NDArray[np.float32]:
     """Rate [rad/s] after the chip and the firmware's conversion back, float32."""
     return counts(rate).astype(np.float32) * RATE_PER_COUNT
-
-
-def rotor_vibration(phase: Array, speed: Array, speed_max: float, amplitude: Array) -> Array:
-    """Vibration of each axis from the rotors' unbalance, (N, 3), in the unit of `amplitude` (3,).
-
-    phase: angle of each rotor [rad], speed: its speed [rad/s], both (N, M). An unbalance pulls with the
-    square of the speed: `amplitude` is that of one rotor at `speed_max` [rad/s].
-    """
-    strength = np.square(speed / speed_max)
-    waves = np.sin(phase[:, :, None] + VIBRATION_PHASE)
-    return np.asarray(np.matmul(strength[:, None, :], waves)[:, 0, :] * amplitude)
 
 
 def rotation_by(turn: Array) -> Array:
@@ -86,90 +48,100 @@ class _Sensor:
     """Three axes of N aircraft: lag, bias, white noise and vibration, in the unit of the settings."""
 
     def __init__(
-        self, settings: Gyro | Accelerometer, count: int, dt: float, rng: np.random.Generator
+        self,
+        settings: Gyro | Accelerometer,
+        count: int,
+        dt: float,
+        rng: np.random.Generator,
+        speed_max: float,
+        **more: object,
     ) -> None:
+        """speed_max: of a rotor [rad/s], where it vibrates as the settings say; more: of C's struct."""
         self._settings = settings
         self._rng = rng
+        self._factor = np.ones(count)  # of noise and bias
         self._bias = np.zeros((count, 3))
-        self._factor: Array | None = None  # of noise and bias, (N, 1); None: as the settings say
-        self._amplitude = np.array(settings.vibration)
-        self.vibrates = bool(self._amplitude.any())  # whether `measure` needs the rotors' phases
-        bandwidth = settings.bandwidth_hz
-        # First-order low-pass, exact for an input that stands still over the sample.
-        self._follow = None if bandwidth is None else -math.expm1(-2.0 * math.pi * bandwidth * dt)
         self._lagged = np.zeros((count, 3))
         self._fresh = np.ones(count, dtype=np.bool_)  # aircraft whose low-pass starts at its next input
+        self._draws = np.zeros((count, 3))
+        self.vibrates = any(settings.vibration)  # whether `measure` needs the rotors' phases
+        bandwidth = settings.bandwidth_hz
+        self.state = struct(
+            "sensor",
+            random=random_source(rng),
+            noise=settings.noise,
+            vibrates=self.vibrates,
+            amplitude=settings.vibration,
+            speed_max=speed_max,
+            lags=bandwidth is not None,
+            # First-order low-pass, exact for an input that stands still over the sample.
+            follow=0.0 if bandwidth is None else -math.expm1(-2.0 * math.pi * bandwidth * dt),
+            factor=self._factor,
+            bias=self._bias,
+            lagged=self._lagged,
+            fresh=self._fresh,
+            draws=self._draws,
+        )
+        assign(self.state, **more)
 
     def reset(self, index: NDArray[np.intp]) -> None:
         """A new episode for the aircraft of `index`: their bias is drawn anew."""
         bias = draw_bias(self._settings, len(index), self._rng)
-        self._bias[index] = bias if self._factor is None else bias * self._factor[index]
+        self._bias[index] = bias * self._factor[index, None]
         self._fresh[index] = True
 
     def vary(self, factor: Array) -> None:
         """White noise from now on, and bias from the next reset on, `factor` times the settings', (N,)."""
-        self._factor = factor[:, None]
+        self._factor[:] = factor
 
-    def _read(self, value: Array, phase: Array | None, speed: Array, speed_max: float, which: Which) -> Array:
-        if self._follow is not None:
-            lagged = np.where(self._fresh[which, None], value, self._lagged[which])
-            value = lagged + self._follow * (value - lagged)
-            self._lagged[which] = value
-            self._fresh[which] = False
-        factor = ONE if self._factor is None else self._factor[which]
-        reading = measured_rate(value, self._bias[which], self._settings, self._rng, factor)
-        if self.vibrates:
-            if phase is None:
-                raise ValueError("a sensor with vibration needs the rotors' phases, got none")
-            reading += rotor_vibration(phase, speed, speed_max, self._amplitude)
+    def measure(self, value: Array, rotor_phase: Array | None, rotor_speed: Array) -> Array:
+        """Reading of this sample, (N, 3), of the true value (N, 3) in body axes.
+
+        rotor_phase [rad] and rotor_speed [rad/s], (N, M), only matter to a sensor that vibrates; the phase
+        may be None otherwise. Raises ValueError if it is None and needed.
+        """
+        if self.vibrates and rotor_phase is None:
+            raise ValueError("a sensor with vibration needs the rotors' phases, got none")
+        given = [np.ascontiguousarray(rows, np.float64) for rows in (value, rotor_speed)]
+        phase = library().ffi.NULL if rotor_phase is None else pointer(np.ascontiguousarray(rotor_phase))
+        reading = np.empty_like(given[0])
+        everyone: Any = library().ffi.NULL
+        library().lib.sensor_read(
+            self.state,
+            len(reading),
+            everyone,
+            pointer(given[0]),
+            given[1].shape[1],
+            phase,
+            pointer(given[1]),
+            pointer(reading),
+        )
         return reading
 
 
 class GyroModel(_Sensor):
-    """The gyros of N aircraft, sampled every `dt` [s]; `reset` before the first `measure`.
+    """The gyros of N aircraft, sampled every `dt` [s]; `reset` before the first `measure`. In rad/s.
 
     `rng` gives a bias (n, 3) for each reset of n aircraft and noise (N, 3) for each measurement, nothing
     else. Rounding and saturation are the chip's: see `counts`.
     """
 
-    def __init__(self, gyro: Gyro, count: int, dt: float, rng: np.random.Generator) -> None:
-        super().__init__(gyro, count, dt, rng)
+    def __init__(self, gyro: Gyro, count: int, dt: float, rng: np.random.Generator, speed_max: float) -> None:
         # Rows times this matrix: the body's rate in the axes of a chip turned by `misalignment`.
-        self._turn = rotation_by(np.array(gyro.misalignment)) if any(gyro.misalignment) else None
-
-    def measure(
-        self,
-        rate: Array,
-        rotor_phase: Array | None,
-        rotor_speed: Array,
-        speed_max: float,
-        which: Which = EVERYONE,
-    ) -> Array:
-        """Reading of this sample [rad/s], (K, 3), of the true body rate (K, 3) of the aircraft of `which`.
-
-        rotor_phase [rad] and rotor_speed [rad/s], (K, M), only matter to a gyro that vibrates; the phase may
-        be None otherwise. Raises ValueError if it is None and needed.
-        """
-        if self._turn is not None:
-            rate = rate @ self._turn
-        return self._read(rate, rotor_phase, rotor_speed, speed_max, which)
+        turn = rotation_by(np.array(gyro.misalignment)).ravel().tolist()
+        super().__init__(gyro, count, dt, rng, speed_max, turned=any(gyro.misalignment), turn=turn)
 
 
 class AccelerometerModel(_Sensor):
-    """The accelerometers of N aircraft, like `GyroModel`; they saturate at full scale."""
+    """The accelerometers of N aircraft, like `GyroModel`, in m/s^2; they saturate at full scale."""
 
-    def __init__(self, accelerometer: Accelerometer, count: int, dt: float, rng: np.random.Generator) -> None:
-        super().__init__(accelerometer, count, dt, rng)
-        self._full_scale = accelerometer.full_scale
-
-    def measure(
+    def __init__(
         self,
-        specific_force: Array,
-        rotor_phase: Array | None,
-        rotor_speed: Array,
+        accelerometer: Accelerometer,
+        count: int,
+        dt: float,
+        rng: np.random.Generator,
         speed_max: float,
-        which: Which = EVERYONE,
-    ) -> Array:
-        """Reading [m/s^2], (K, 3), of the specific force (K, 3), body axes, as `GyroModel.measure` does."""
-        reading = self._read(specific_force, rotor_phase, rotor_speed, speed_max, which)
-        return np.clip(reading, -self._full_scale, self._full_scale)
+    ) -> None:
+        full_scale = accelerometer.full_scale
+        super().__init__(accelerometer, count, dt, rng, speed_max, saturates=True, full_scale=full_scale)

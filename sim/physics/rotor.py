@@ -1,4 +1,4 @@
-"""Rotors: motor command to speed, speed to force and moment on the aircraft. Pure and vectorised.
+"""Rotors: motor command to speed, speed to force and moment on the aircraft. Computed by rotor.c.
 
 Arrays are (N, M): N aircraft, M rotors in motor order. Forces and moments act at and about the centre of
 mass, in body axes, stacked as a wrench (N, 6): force [N], then moment [N m].
@@ -8,80 +8,107 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sim.aircraft.model import Aircraft, Propulsion, TorqueResponse
+from sim.physics.library import elements, library, pointer, struct
 from sim.physics.rotation import cross_matrix
 
 Array = NDArray[np.float64]
 
 
-def target_speed(command: Array, propulsion: Propulsion, voltage: Array | None = None) -> Array:
+@lru_cache(maxsize=64)
+def propulsion_struct(propulsion: Propulsion) -> Any:  # noqa: ANN401 - a struct of cffi
+    """The propulsion as C has it."""
+    return struct(
+        "propulsion",
+        speed_curve=propulsion.speed_curve,
+        thrust=_polynomial(propulsion.thrust_coefficient),
+        torque=_polynomial(propulsion.torque_ratio),
+        rotor_inertia=propulsion.rotor_inertia,
+        efficiency=propulsion.efficiency,
+        limited=isinstance(propulsion.response, TorqueResponse),
+    )
+
+
+def _polynomial(terms: tuple[float, ...]) -> dict[str, object]:
+    return {"terms": len(terms), "term": terms}
+
+
+def target_speed(command: ArrayLike, propulsion: Propulsion, voltage: ArrayLike | None = None) -> Array:
     """Speed that a motor command settles at [rad/s]; command is a fraction 0..1.
 
-    voltage: of the battery under load [V], (N, 1); None: the supply the curve was measured with. Speed is
-    taken as proportional to it. Source: Koch 2019, chapter 5: H(u), a quadratic fitted on the dynamometer.
+    voltage: of the battery under load [V], of a shape that goes with `command`'s; None: the supply the curve
+    was measured with.
     """
-    a, b, c = propulsion.speed_curve
-    speed: Array = (a * command + b) * command + c
-    if voltage is not None and propulsion.supply_voltage is not None:
-        speed *= voltage / propulsion.supply_voltage
-    return speed
+    known = propulsion.supply_voltage
+    ratio = 1.0 if voltage is None or known is None else np.asarray(voltage) / known
+    at, scale = elements(command, ratio)
+    speed = np.empty_like(at)
+    library().lib.rotor_target_speeds(
+        propulsion_struct(propulsion), at.size, pointer(at), pointer(scale), pointer(speed)
+    )
+    return speed[()]
+
+
+def response_rows(propulsion: Propulsion, dt: float, lag: Array) -> Array:
+    """What rotors do in a step of `dt` [s], (..., 3), as rotor_next_speed takes it.
+
+    lag: factor of the rotors' time constants, (...).
+    """
+    response, passed = propulsion.response, dt / lag
+    if isinstance(response, TorqueResponse):
+        inertia = propulsion.rotor_inertia
+        settle = -np.expm1(-response.gain / inertia * passed)
+        return np.stack(
+            [settle, response.torque_up / inertia * passed, response.torque_down / inertia * passed], axis=-1
+        )
+    rise = -np.expm1(-passed / response.time_constant_up)
+    fall = -np.expm1(-passed / response.time_constant_down)
+    return np.stack([rise, fall, np.zeros_like(rise)], axis=-1)
 
 
 def next_speed(
-    speed: Array, target: Array, dt: float, propulsion: Propulsion, lag: Array | float = 1.0
+    speed: ArrayLike, target: ArrayLike, dt: float, propulsion: Propulsion, lag: ArrayLike = 1.0
 ) -> Array:
     """Rotor speed [rad/s] after `dt` [s] towards a constant target; never below zero.
 
-    lag: factor of the rotors' time constants, (N, 1) or one for all.
-    TorqueResponse: I_r dw/dt = clamp(K (H(u) - w), -down, +up), exact while the clamp is away or holds
-    throughout; source: facts of the published twin and Koch 2019, chapter 5. FirstOrderResponse: exact.
+    lag: factor of the rotors' time constants, of a shape that goes with the speed's.
     """
-    response = propulsion.response
-    passed = dt / lag
-    away = target - speed
-    if isinstance(response, TorqueResponse):
-        inertia = propulsion.rotor_inertia
-        settle = _settled(-response.gain / inertia * passed)
-        up = response.torque_up / inertia * passed
-        down = response.torque_down / inertia * passed
-        change = np.minimum(np.maximum(settle * away, -down), up)
-    else:
-        rise = -np.expm1(-passed / response.time_constant_up)
-        fall = -np.expm1(-passed / response.time_constant_down)
-        change = np.where(away > 0, rise, fall) * away
-    after: Array = np.maximum(speed + change, 0.0)
-    return after
+    before, settles, lags = elements(speed, target, lag)
+    response = np.ascontiguousarray(response_rows(propulsion, dt, lags))
+    after = np.empty_like(before)
+    library().lib.rotor_next_speeds(
+        propulsion_struct(propulsion),
+        before.size,
+        pointer(response),
+        pointer(before),
+        pointer(settles),
+        pointer(after),
+    )
+    return after[()]
 
 
-def _settled(passed: Array | float) -> Array | float:
-    """1 - exp(passed)."""
-    return -np.expm1(passed) if isinstance(passed, np.ndarray) else _settled_alike(passed)
+def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
+    """A propulsion coefficient at rotor speeds [rad/s], any shape."""
+    (at,) = elements(speed)
+    value = np.empty_like(at)
+    made = struct("polynomial", **_polynomial(polynomial))
+    library().lib.polynomial_values(made, at.size, pointer(at), pointer(value))
+    return value[()]
 
 
-@lru_cache(maxsize=16)
-def _settled_alike(passed: float) -> float:
-    """As `_settled`, kept between steps: a scalar is the same at every step."""
-    settled: np.float64 = -np.expm1(passed)
-    return settled
-
-
-def coefficient(polynomial: tuple[float, ...], speed: Array) -> Array | float:
-    """A propulsion coefficient at rotor speeds [rad/s]; a constant stays a number."""
-    *lower, value = polynomial
-    at: Array | float = value
-    for term in reversed(lower):
-        at = at * speed + term
-    return at
-
-
-def thrust_and_torque(speed: Array, propulsion: Propulsion) -> tuple[Array, Array]:
+def thrust_and_torque(speed: ArrayLike, propulsion: Propulsion) -> tuple[Array, Array]:
     """Thrust [N] and drag torque [N m] of rotors at `speed` [rad/s], any shape: K_T w^2 and K_Q thrust."""
-    thrust = coefficient(propulsion.thrust_coefficient, speed) * speed * speed
-    return thrust, coefficient(propulsion.torque_ratio, speed) * thrust
+    (at,) = elements(speed)
+    thrust, torque = np.empty_like(at), np.empty_like(at)
+    library().lib.rotor_loads(
+        propulsion_struct(propulsion), at.size, pointer(at), pointer(thrust), pointer(torque)
+    )
+    return thrust[()], torque[()]
 
 
 @dataclass(frozen=True)
@@ -125,38 +152,44 @@ def rotor_geometry(aircraft: Aircraft) -> RotorGeometry:
         torque_wrench=torque_wrench,
         square_wrench=square_wrench,
         reaction_wrench=np.array(reaction),
-        motion_wrench=np.concatenate(motion),
+        motion_wrench=np.ascontiguousarray(np.concatenate(motion)),
         propulsion=propulsion,
     )
 
 
+def rotors_struct(geometry: RotorGeometry) -> Any:  # noqa: ANN401 - a struct of cffi
+    """The maps as C has them; keep `geometry` as long."""
+    maps = {
+        "thrust_wrench": geometry.thrust_wrench,
+        "torque_wrench": geometry.torque_wrench,
+        "reaction_wrench": geometry.reaction_wrench,
+        "motion_wrench": geometry.motion_wrench,
+    }
+    if geometry.square_wrench is not None:
+        maps["square_wrench"] = geometry.square_wrench
+    return struct("rotors", motors=len(geometry.thrust_wrench), **maps)
+
+
 def rotor_wrench(
-    before: Array,
-    after: Array,
-    dt: float,
-    velocity: Array,
-    rate: Array,
-    geometry: RotorGeometry,
-    load_factor: Array | None = None,
+    before: Array, after: Array, dt: float, velocity: Array, rate: Array, geometry: RotorGeometry
 ) -> Array:
     """Wrench of all rotors on the aircraft over one step, (N, 6).
 
     before, after: rotor speeds (N, M) [rad/s] at the step's ends; velocity (N, 3) [m/s] of the centre of
     mass through the air and rate (N, 3) [rad/s], both in body axes. Thrust, drag torque, reaction to rotor
     acceleration, gyroscopic moment, rotor drag and rolling moment.
-    load_factor: of the wrench of thrust and drag torque alone, (N, 6); see `load_factors`.
     """
-    if geometry.square_wrench is not None:
-        load = (after * after) @ geometry.square_wrench
-    else:
-        thrusts, torques = thrust_and_torque(after, geometry.propulsion)
-        load = thrusts @ geometry.thrust_wrench + torques @ geometry.torque_wrench
-    if load_factor is not None:
-        load *= load_factor
-    twist = np.concatenate([velocity, rate], axis=1)
-    motion = (after[:, :, None] * twist[:, None, :]).reshape(len(after), -1)
-    wrench: Array = (
-        load + ((after - before) / dt) @ geometry.reaction_wrench + motion @ geometry.motion_wrench
+    count = len(after)
+    wrench, factors = np.empty((count, 6)), np.ones((count, 6))
+    given = [np.ascontiguousarray(rows, np.float64) for rows in (before, after, velocity, rate)]
+    library().lib.rotor_wrenches(
+        propulsion_struct(geometry.propulsion),
+        rotors_struct(geometry),
+        count,
+        dt,
+        *(pointer(rows) for rows in given),
+        pointer(factors),
+        pointer(wrench),
     )
     return wrench
 

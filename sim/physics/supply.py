@@ -1,21 +1,24 @@
-"""What N aircraft draw their power from: the bench supply, a battery each, or some of both."""
+"""What N aircraft draw their power from: the bench supply, a battery each, or some of both; see supply.c."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from sim.physics.battery import BatteryState, shaft_power
+from sim.physics.battery import BatteryState, pack_struct
 from sim.physics.esc import Telemetry, telemetry
-from sim.physics.rotor import thrust_and_torque
+from sim.physics.library import assign, library, pointer, struct
+from sim.physics.rotor import propulsion_struct
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 
 
 class Supply:
-    """voltage: under load [V], (N, 1); None while all are on the bench supply of the speed curve."""
+    """Voltages and currents of N aircraft; the rotors meet the voltage as its ratio to the bench supply's."""
 
     def __init__(self, aircraft: Aircraft, count: int, rate_hz: int, charge: float | None) -> None:
         """charge: of every battery at reset, 0..1; None: the bench supply.
@@ -24,79 +27,82 @@ class Supply:
         """
         self._aircraft = aircraft
         self._count = count
-        self._rate_hz = rate_hz
-        self._battery = None if charge is None else _battery(aircraft, count)
+        self._battery: BatteryState | None = None
         self._charge: float | Array = 0.0 if charge is None else charge
-        self._bench: NDArray[np.bool_] | None = None  # (N, 1), those on the bench supply beside batteries
-        self._torque: Array | None = None  # (N, 1), factors of the drag torque
-        self.voltage: Array | None = None
-        self._update_voltage()
+        self._bench = np.full(count, charge is None)  # those on the bench supply beside batteries
+        self._torque = np.ones(count)  # factors of the drag torque
+        self._power = np.zeros(count)  # [W]
+        self._ratio = np.ones(count)
+        self.state = struct(
+            "supply",
+            motors=aircraft.motor_count,
+            rate_hz=rate_hz,
+            electronics_power=0.0 if aircraft.battery is None else aircraft.battery.electronics_power,
+            bench_voltage=_known(aircraft.propulsion.supply_voltage),
+            bench=self._bench,
+            torque_factor=self._torque,
+            power=self._power,
+            voltage_ratio=self._ratio,
+        )
+        if charge is not None:
+            self._connect()
 
     def vary(self, charge: Array, torque: Array) -> None:
-        """State of charge at reset of each aircraft, NaN for the bench supply, (N,); torque factors (N, 1).
+        """State of charge at reset of each aircraft, NaN for the bench supply; torque factors; both (N,).
 
         Raises AircraftError on a charge if the aircraft lacks a battery.
         """
         bench = np.isnan(charge)
         if self._battery is None and not bench.all():
-            self._battery = _battery(self._aircraft, self._count)
-        self._bench = bench[:, None] if bench.any() else None
+            self._connect()
+        self._bench[:] = bench
         self._charge = np.where(bench, 1.0, charge)
-        self._torque = torque
-        self._update_voltage()
+        self._torque[:] = torque
+        library().lib.supply_update(self.state, self._count)
 
     def reset(self, index: NDArray[np.intp]) -> None:
         """Batteries of the aircraft of `index` as at the start, without load."""
         if self._battery is not None:
             charge = self._charge
             self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
-            self._update_voltage()
-
-    def step(self, before: Array, after: Array) -> None:
-        """Draw the power of one sample: rotor speeds at its ends [rad/s], (N, M)."""
-        if self._battery is not None:
-            self._battery.step(self._power(before, after), 1.0 / self._rate_hz)
-            self._update_voltage()
+            library().lib.supply_update(self.state, self._count)
 
     def telemetry(self, speed: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown."""
-        voltage = np.full(self._count, self._aircraft.propulsion.supply_voltage or np.nan)
-        current = self._power(speed, speed) / voltage
+        power, at = np.empty(self._count), pointer(speed)
+        propulsion = propulsion_struct(self._aircraft.propulsion)
+        library().lib.supply_power(self.state, propulsion, self._count, at, at, pointer(power))
+        voltage = np.full(self._count, _known(self._aircraft.propulsion.supply_voltage))
+        current = power / voltage
         if self._battery is not None:
-            drained = slice(None) if self._bench is None else ~self._bench[:, 0]
+            drained = ~self._bench
             voltage[drained] = self._battery.voltage[drained, 0]
             current[drained] = self._battery.current[drained]
-        return telemetry(speed, voltage, current, self._aircraft.esc)
+        return telemetry(speed.copy(), voltage, current, self._aircraft.esc)
 
-    def _power(self, before: Array, after: Array) -> Array:
-        """What motors and electronics draw over a sample [W], (N,)."""
-        propulsion, battery = self._aircraft.propulsion, self._aircraft.battery
-        gained = propulsion.rotor_inertia * (after - before) * self._rate_hz
-        torque = thrust_and_torque(after, propulsion)[1]
-        if self._torque is not None:
-            torque *= self._torque
-        torque += gained
-        electronics = 0.0 if battery is None else battery.electronics_power
-        drawn: Array = shaft_power(after, torque) / propulsion.efficiency + electronics
-        return drawn
-
-    def _update_voltage(self) -> None:
-        if self._battery is None:
-            return
-        self.voltage = self._battery.voltage
-        if self._bench is not None:
-            bench = np.float64(self._aircraft.propulsion.supply_voltage)  # known where there is a battery
-            self.voltage = np.where(self._bench, bench, self.voltage)
-
-
-def _battery(aircraft: Aircraft, count: int) -> BatteryState:
-    if aircraft.battery is None:
-        raise AircraftError(
-            f"aircraft {aircraft.name}: no [battery] table, so it flies on the bench supply only"
+    def _connect(self) -> None:
+        """Give each aircraft a battery."""
+        aircraft = self._aircraft
+        if aircraft.battery is None:
+            raise AircraftError(
+                f"aircraft {aircraft.name}: no [battery] table, so it flies on the bench supply only"
+            )
+        if aircraft.propulsion.supply_voltage is None:
+            raise AircraftError(
+                f"aircraft {aircraft.name}: propulsion.supply_voltage_v missing; without it a battery's "
+                f"voltage says nothing about rotor speed"
+            )
+        self._battery = battery = BatteryState(aircraft.battery, self._count)
+        self._pack = pack_struct(aircraft.battery)
+        assign(
+            self.state,
+            pack=self._pack,
+            charge=battery.charge,
+            current=battery.current,
+            pack_voltage=battery.voltage,
         )
-    if aircraft.propulsion.supply_voltage is None:
-        raise AircraftError(
-            f"aircraft {aircraft.name}: propulsion.supply_voltage_v missing; without it a battery's voltage "
-            f"says nothing about rotor speed"
-        )
-    return BatteryState(aircraft.battery, count)
+        library().lib.supply_update(self.state, self._count)
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value

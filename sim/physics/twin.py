@@ -1,32 +1,36 @@
 """The digital twin: N copies of an aircraft, advanced together by one sample of the gyro a step.
 
-`Twin.step` is the list of stages, each a module beside this one:
+A step runs its stages in order:
 
     commands -> delay -> rotor speed -> supply -> wind -> wrench of rotors and drag -> world -> sensors
 
-The formulas (rotor, battery, esc, rotation, drag) are pure functions over arrays of N aircraft. What keeps
-a state between samples is an object of its own: command delay, supply, wind, sensors, and the world, whose
-bodies live in a pybullet client. The twin keeps rotor speeds and angles, velocity and the last readings.
+It runs in C (twin.c), in one call. Each stage is a module beside this one, and a C file of the same name: the
+module makes the arrays and fills in a struct that points to them. What keeps a state between samples is an
+object: command delay, supply, wind, sensors, and the world, whose bodies live in a pybullet client. The twin
+keeps rotor speeds and angles and the last readings.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import Aircraft
-from sim.physics.air import Wind, body_drag
-from sim.physics.delay import CommandDelay
+from sim.physics.air import AIR_DENSITY, Wind
+from sim.physics.delay import CommandDelay, bad_command
 from sim.physics.esc import Telemetry
-from sim.physics.imu import EVERYONE, AccelerometerModel, GyroModel, Which
-from sim.physics.rotation import turned_back
+from sim.physics.imu import AccelerometerModel, GyroModel
+from sim.physics.library import assign, library, pointer, struct
 from sim.physics.rotor import (
     load_factors,
-    next_speed,
+    propulsion_struct,
+    response_rows,
     rotor_geometry,
-    rotor_wrench,
-    target_speed,
+    rotors_struct,
 )
 from sim.physics.supply import Supply
 from sim.physics.variation import Variation
@@ -38,12 +42,27 @@ CALM: Vector = (0.0, 0.0, 0.0)
 WIND_ALTITUDE = 10.0  # [m], at which gusts are drawn: where such aircraft fly
 
 
+@dataclass(frozen=True, eq=False)
+class Live:
+    """A twin's state as C keeps it: the arrays that `step`, `measure` and `reset` overwrite."""
+
+    rate: Array
+    rotation: Array
+    velocity: Array
+    position: Array
+    rotor_speed: Array
+    specific_force: Array
+    gyro: Array
+    accelerometer: Array
+
+
 class Twin:
     """N aircraft in lockstep; one `step` is one sample of the gyro.
 
     A command given at a sample acts `delay` later (the aircraft's ESC and loop delay, rounded to whole
     samples), at the earliest from the next sample on. All random numbers come from `rng`: the
-    same generator state and commands repeat a run exactly.
+    same generator state and commands repeat a run exactly. Properties are copies of the state; `live` is the
+    state itself, for who reads it at every sample.
     """
 
     def __init__(
@@ -86,34 +105,82 @@ class Twin:
         self._supply = Supply(aircraft, count, rate_hz, charge)
         self._world = World(aircraft, count, self._dt, mount, self._gravity, ground=ground)
         self._geometry = rotor_geometry(aircraft)
-        self._speed_max = aircraft.propulsion.speed_max
+        speed_max = aircraft.propulsion.speed_max
         shape = (count, aircraft.motor_count)
         self._delay = CommandDelay(*shape, max(1, round(aircraft.propulsion.delay * rate_hz)))
-        self.rotor_speed = np.zeros(shape)
-        self.specific_force = np.zeros((count, 3))  # [m/s^2] body axes; where the centre is held, the rotors'
         self._variation = variation
-        self._lag: float | Array = 1.0
-        self._mass: float | Array = aircraft.mass_properties.mass  # [kg], or (N, 1)
-        self._load_factor: Array | None = None  # (N, 6), of the wrench of thrust and torque
-        self._speed_factor: Array | None = None  # (N, 1), of the speed that a command settles at
+        self._mass = np.full(count, aircraft.mass_properties.mass)  # [kg]
+        self._load_factor = np.ones((count, 6))  # of the wrench of thrust and torque
+        self._speed_factor = np.ones(count)  # of the speed that a command settles at
+        self._response = response_rows(aircraft.propulsion, self._dt, np.ones(count))
         self._wind = None
         if any(wind) or gust:
             # A stream of its own: the sensors' noise is the same with and without wind.
             self._wind = Wind(np.array(wind), gust, WIND_ALTITUDE, count, self._dt, rng.spawn(1)[0])
-        self._drag_area = np.array(aircraft.body.drag_area) if aircraft.body else np.zeros(3)
-        self._gyro = GyroModel(aircraft.gyro, count, self._dt, rng) if noise else None
+        self._gyro = GyroModel(aircraft.gyro, count, self._dt, rng, speed_max) if noise else None
         self._accelerometer = None
         if noise and aircraft.accelerometer is not None and mount is not Mount.CENTRE:
             own = rng.spawn(1)[0]
-            self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own)
+            self._accelerometer = AccelerometerModel(aircraft.accelerometer, count, self._dt, own, speed_max)
         sensors = [sensor for sensor in (self._gyro, self._accelerometer) if sensor is not None]
         self._phase = np.zeros(shape) if any(sensor.vibrates for sensor in sensors) else None  # [rad]
         self._phase_rng = rng.spawn(1)[0]
-        self.gyro = np.zeros((count, 3))
-        self._acceleration = np.zeros((count, 3))  # [m/s^2], read off the centre
+        self.live = Live(
+            rate=self._world.rate,
+            rotation=self._world.rotation,
+            velocity=self._world.velocity,
+            position=self._world.position,
+            rotor_speed=np.zeros(shape),
+            specific_force=np.zeros((count, 3)),
+            gyro=np.zeros((count, 3)),
+            accelerometer=np.zeros((count, 3)),
+        )
+        self._command = np.zeros(shape)
+        self._state = self._make_state()
+        self._step, self._measure = library().lib.twin_step, library().lib.twin_measure
         if variation is not None:
             self.vary(np.arange(count), variation)
         self.reset()
+
+    def _make_state(self) -> Any:  # noqa: ANN401 - a struct of cffi
+        """The twin as C has it."""
+        count, shape = self.count, self._command.shape
+        propulsion, body = self.aircraft.propulsion, self.aircraft.body
+        self._rotors = rotors_struct(self._geometry)
+        self._propulsion = propulsion_struct(propulsion)
+        self._scratch: dict[str, Array] = {name: np.zeros(shape) for name in ("acting", "before")}
+        self._scratch |= {name: np.zeros((count, 3)) for name in ("air_velocity", "earlier")}
+        self._scratch |= {"airspeed": np.zeros(count), "wrench": np.zeros((count, 6))}
+        state = struct(
+            "twin",
+            count=count,
+            dt=self._dt,
+            rate_hz=self.rate_hz,
+            field=self._field,
+            gravity=GRAVITY,
+            air_density=AIR_DENSITY,
+            drag_area=body.drag_area if body else CALM,
+            propulsion=self._propulsion,
+            rotors=self._rotors,
+            delay=self._delay.state,
+            supply=self._supply.state,
+            world=self._world.state,
+            response=self._response,
+            speed_factor=self._speed_factor,
+            load_factor=self._load_factor,
+            mass=self._mass,
+            command=self._command,
+            rotor_speed=self.live.rotor_speed,
+            specific_force=self.live.specific_force,
+            gyro=self.live.gyro,
+            acceleration=self.live.accelerometer,
+            **self._scratch,
+        )
+        if self._phase is not None:
+            assign(state, phase=self._phase)
+        parts = {"wind": self._wind, "gyroscope": self._gyro, "accelerometer": self._accelerometer}
+        assign(state, **{name: part.state for name, part in parts.items() if part is not None})
+        return state
 
     def close(self) -> None:
         """Disconnect from pybullet; the twin cannot be used afterwards."""
@@ -122,22 +189,37 @@ class Twin:
     @property
     def rate(self) -> Array:
         """True body rate [rad/s], (N, 3)."""
-        return self._world.rate
+        return self.live.rate.copy()
 
     @property
     def rotation(self) -> Array:
         """Attitude as matrices from body to world, (N, 3, 3)."""
-        return self._world.rotation
+        return self.live.rotation.copy()
 
     @property
     def velocity(self) -> Array:
         """Velocity of the centre of mass [m/s], world axes, (N, 3); zero where the mount holds it."""
-        return self._velocity
+        return self.live.velocity.copy()
 
     @property
     def position(self) -> Array:
         """Position of the centre of mass [m], world axes, (N, 3)."""
-        return self._world.position
+        return self.live.position.copy()
+
+    @property
+    def rotor_speed(self) -> Array:
+        """Speed of each rotor [rad/s], (N, M)."""
+        return self.live.rotor_speed.copy()
+
+    @property
+    def specific_force(self) -> Array:
+        """Specific force [m/s^2], (N, 3), body axes; where the centre is held, the rotors' alone."""
+        return self.live.specific_force.copy()
+
+    @property
+    def gyro(self) -> Array:
+        """Gyro readings of this sample [rad/s], (N, 3), body axes, unrounded."""
+        return self.live.gyro.copy()
 
     @property
     def accelerometer(self) -> Array:
@@ -146,15 +228,12 @@ class Twin:
         On a mount they include 1 g even if the world has no gravity: on the rig beside the acceleration of
         the swing, held at the centre 1 g alone and without noise.
         """
-        if self.mount is Mount.CENTRE:
-            upwards: Array = self._world.rotation[:, 2] * GRAVITY  # the world's upward axis in the body's
-            return upwards
-        return self._acceleration
+        return self.live.accelerometer.copy()
 
     @property
     def telemetry(self) -> Telemetry:
         """ESC telemetry of this sample; voltage and current are NaN on a supply of unknown voltage."""
-        return self._supply.telemetry(self.rotor_speed)
+        return self._supply.telemetry(self.live.rotor_speed)
 
     @property
     def variation(self) -> Variation | None:
@@ -170,15 +249,15 @@ class Twin:
         if self._variation is None:
             raise ValueError("this twin was made without a variation; give it one to begin with")
         self._variation = everyone = self._variation.changed(index, variation)
-        self._lag = everyone.lag[:, None]
-        self._speed_factor = everyone.speed[:, None]
-        self._mass = self.aircraft.mass_properties.mass * everyone.mass[:, None]
-        self._load_factor = load_factors(everyone.thrust, everyone.torque)
+        self._response[:] = response_rows(self.aircraft.propulsion, self._dt, everyone.lag)
+        self._speed_factor[:] = everyone.speed
+        self._mass[:] = self.aircraft.mass_properties.mass * everyone.mass
+        self._load_factor[:] = load_factors(everyone.thrust, everyone.torque)
         self._world.vary(index, variation.mass, variation.inertia)
         if self._gyro is not None:
             self._gyro.vary(everyone.noise)
         self._delay.vary(np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp)))
-        self._supply.vary(everyone.charge, self._load_factor[:, 5:])
+        self._supply.vary(everyone.charge, self._load_factor[:, 5])
 
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
         """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.
@@ -187,12 +266,11 @@ class Twin:
         """
         index = np.arange(self.count) if index is None else index
         self._delay.reset(index)
-        self.rotor_speed[index] = 0.0
+        self.live.rotor_speed[index] = 0.0
         if self._phase is not None:
             self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())
-        self._velocity = self._world.velocity
-        self.specific_force[index] = (0.0, 0.0, self._field)  # held where it is
+        self.live.specific_force[index] = (0.0, 0.0, self._field)  # held where it is
         self._supply.reset(index)
         if self._wind is not None:
             self._wind.reset(index)
@@ -204,53 +282,22 @@ class Twin:
     def step(self, motors: NDArray[np.floating]) -> None:
         """Advance one sample with `motors`, the commands (N, M) in 0..1 computed from this sample.
 
-        Raises ValueError on a wrong shape or a command that is not in 0..1 (NaN included).
+        Raises ValueError on a wrong shape or a command that is not in 0..1 (NaN included), RuntimeError if
+        pybullet refuses.
         """
-        world, dt, propulsion = self._world, self._dt, self.aircraft.propulsion
-        before = self.rotor_speed
-        target = target_speed(self._delay.step(motors), propulsion, self._supply.voltage)
-        if self._speed_factor is not None:
-            target *= self._speed_factor
-        after = next_speed(before, target, dt, propulsion, self._lag)
-        self._supply.step(before, after)
-        through_air = world.body_velocity if self._wind is None else self._air_velocity(self._wind)
-        wrench = rotor_wrench(before, after, dt, through_air, world.rate, self._geometry, self._load_factor)
-        if self.mount is Mount.FREE:
-            wrench[:, :3] += body_drag(through_air, self._drag_area)
-        if self._phase is not None:
-            self._phase += 0.5 * dt * (before + after)
-        self.rotor_speed = after
-        self._move(wrench)
-        self.measure()
+        if motors.shape != self._command.shape:
+            self._delay.check_shape(motors)
+        self._command[:] = motors
+        failed = self._step(self._state)
+        if failed:
+            if failed == library().lib.STEP_BAD_COMMAND:
+                raise bad_command(motors)
+            raise RuntimeError("pybullet refuses a step of the twin")
 
-    def measure(self, which: Which = EVERYONE) -> None:
-        """Draw new sensor readings of the aircraft of `which`, also without a step while they are held."""
-        phase = None if self._phase is None else self._phase[which]
-        rotors = (phase, self.rotor_speed[which], self._speed_max, which)
-        rate, force = self._world.rate[which], self.specific_force[which]
-        meter = self._accelerometer
-        gyro = rate if self._gyro is None else self._gyro.measure(rate, *rotors)
-        acceleration = force if meter is None else meter.measure(force, *rotors)
-        if which is EVERYONE:
-            self.gyro, self._acceleration = gyro, acceleration
+    def measure(self, which: NDArray[np.intp] | None = None) -> None:
+        """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""
+        if which is None:
+            self._measure(self._state, self.count, library().ffi.NULL)
         else:
-            self.gyro[which], self._acceleration[which] = gyro, acceleration
-
-    def _move(self, wrench: Array) -> None:
-        """Advance the world, and find the specific force from the change of velocity."""
-        world = self._world
-        if self.mount is Mount.CENTRE:
-            world.step(wrench)
-            self.specific_force = wrench[:, :3] / self._mass
-            return
-        world.step(wrench)
-        earlier, self._velocity = self._velocity, world.velocity
-        gained = (self._velocity - earlier) * self.rate_hz
-        gained[:, 2] += self._field
-        self.specific_force = turned_back(world.rotation, gained)
-
-    def _air_velocity(self, wind: Wind) -> Array:
-        """Velocity through moving air [m/s], (N, 3), body axes; advances the gusts."""
-        through_air: Array = self._velocity - wind.velocity
-        wind.step(np.sqrt((through_air * through_air).sum(axis=1)))
-        return turned_back(self._world.rotation, through_air)
+            index = np.ascontiguousarray(which, np.int64)
+            self._measure(self._state, len(index), pointer(index))

@@ -1,8 +1,9 @@
 """Speed of the twin and of training beside bare pybullet.
 
-Bare pybullet bounds the speed of the twin: the same bodies and the same calls (moment in, step, pose out; in
-free flight force and velocity too) without rotors, sensors and arithmetic. All are timed in turn, several
-times, and the best of each counts, so that other load on the machine slows a turn, not the figure.
+Bare pybullet is a Python loop that makes the same calls for as many bodies (moment in, step, pose out; in
+free flight force and velocity too), without rotors, sensors and arithmetic. The twin makes them in C, below
+pybullet's Python layer, so it may be the faster one. All are timed in turn, several times, and the best of
+each counts, so that other load on the machine slows a turn, not the figure.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from pathlib import Path
 import numpy as np
 import pybullet
 
+from sim.aircraft.mass import principal
 from sim.aircraft.model import load_aircraft
 from sim.control.controller import PolicyController
+from sim.physics.bodies import load_rig
 from sim.physics.twin import Twin
 from sim.physics.world import Mount, World
 from toolchain.policy.model import read_policy
@@ -61,18 +64,51 @@ class Speed:
 
     name: str
     value: float
-    floor: float
+    floor: float  # with as many aircraft
+
+
+def bodies(count: int, mount: Mount, stack: ExitStack) -> tuple[int, list[int]]:
+    """A pybullet client of its own with bodies as the world has them; its number and theirs."""
+    client = pybullet.connect(pybullet.DIRECT)
+    stack.callback(pybullet.disconnect, client)
+    pybullet.setTimeStep(0.001, client)
+    properties = NF1.mass_properties
+    moments, axes = principal(properties.inertia)
+    arm = properties.centre - np.array(NF1.centre_of_thrust)
+    made = []
+    for _ in range(count):
+        if mount is Mount.RIG:
+            made.append(load_rig(properties.mass, arm, moments, axes, client))
+        else:
+            made.append(pybullet.createMultiBody(baseMass=properties.mass, physicsClientId=client))
+        link = link_of(mount)
+        pybullet.changeDynamics(
+            made[-1],
+            link,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            physicsClientId=client,
+        )
+        if mount is not Mount.RIG:
+            pybullet.changeDynamics(made[-1], -1, localInertiaDiagonal=moments, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(made[-1], link, 0, 0, client)
+    return client, made
+
+
+def link_of(mount: Mount) -> int:
+    """pybullet's number of the link that moves."""
+    return 0 if mount is Mount.RIG else -1
 
 
 def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> Subject:
-    """pybullet alone, with the calls that the world makes.
+    """pybullet alone, called as a Python program calls it: what the world has its C do.
 
     rates: with one more call an aircraft, for the rate that the world keeps by itself.
     """
-    bodies = World(NF1, count, 0.001, mount, False)
-    stack.callback(bodies.close)
-    client, link, world = bodies._client, bodies._link, pybullet.WORLD_FRAME
-    numbers, nothing = bodies._bodies, (0.0, 0.0, 0.0)
+    client, numbers = bodies(count, mount, stack)
+    link, world, nothing = link_of(mount), pybullet.WORLD_FRAME, (0.0, 0.0, 0.0)
 
     def advance() -> object:
         for body in numbers:
@@ -94,9 +130,8 @@ def bare(count: int, mount: Mount, stack: ExitStack, *, rates: bool = False) -> 
 
 def uncorrected(count: int, stack: ExitStack) -> Subject:
     """pybullet's own integration: rates read back from it instead of kept as momentum."""
-    bodies = World(NF1, count, 0.001, Mount.CENTRE, False)
-    stack.callback(bodies.close)
-    client, numbers, matrix = bodies._client, bodies._bodies, pybullet.getMatrixFromQuaternion
+    client, numbers = bodies(count, Mount.CENTRE, stack)
+    matrix = pybullet.getMatrixFromQuaternion
     rotation, moment = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
 
     def advance() -> object:
@@ -110,15 +145,15 @@ def uncorrected(count: int, stack: ExitStack) -> Subject:
         spin = np.array([pybullet.getBaseVelocity(body, client)[1] for body in numbers])
         return np.matmul(spin[:, None, :], rotation)[:, 0, :]
 
-    return Subject("world with pybullet's own rates", Mount.CENTRE, count, advance)
+    return Subject("pybullet's own rates, in Python", Mount.CENTRE, count, advance)
 
 
 def world(count: int, stack: ExitStack) -> Subject:
     """The rigid bodies alone."""
-    bodies = World(NF1, count, 0.001, Mount.CENTRE, False)
-    stack.callback(bodies.close)
+    made = World(NF1, count, 0.001, Mount.CENTRE, False)
+    stack.callback(made.close)
     wrench = np.zeros((count, 6))
-    return Subject("world that keeps momentum", Mount.CENTRE, count, lambda: bodies.step(wrench))
+    return Subject("world that keeps momentum", Mount.CENTRE, count, lambda: made.step(wrench))
 
 
 def twin(count: int, mount: Mount, stack: ExitStack) -> Subject:
@@ -132,20 +167,21 @@ def twin(count: int, mount: Mount, stack: ExitStack) -> Subject:
 def twin_speeds(seconds: float) -> list[Speed]:
     """The twin and what it stands on. seconds: for each figure."""
     with ExitStack() as stack:
-        floors = [bare(64, mount, stack) for mount in Mount]
+        floors = [bare(count, mount, stack) for count in (1, 64) for mount in Mount]
+        floors.append(bare(LEARNING, Mount.CENTRE, stack))
         subjects = [
             *floors,
             bare(64, Mount.CENTRE, stack, rates=True),
             uncorrected(64, stack),
             world(64, stack),
-            *(twin(64, mount, stack) for mount in Mount),
-            *(twin(count, Mount.CENTRE, stack) for count in (1, LEARNING)),
+            *(twin(count, mount, stack) for count in (1, 64) for mount in Mount),
+            twin(LEARNING, Mount.CENTRE, stack),
         ]
         for _ in range(ROUNDS):
             for subject in subjects:
                 subject.time(seconds / ROUNDS)
-    floor = {subject.mount: subject.best for subject in floors}
-    return [Speed(f"{s.name}, {s.aircraft} aircraft", s.best, floor[s.mount]) for s in subjects]
+    floor = {(subject.mount, subject.aircraft): subject.best for subject in floors}
+    return [Speed(f"{s.name}, {s.aircraft} aircraft", s.best, floor[s.mount, s.aircraft]) for s in subjects]
 
 
 @dataclass(frozen=True)

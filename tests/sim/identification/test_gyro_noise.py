@@ -64,10 +64,10 @@ def test_aircraft_keys_hold_sigma_and_the_spread_of_the_means_when_written() -> 
 
 def test_figures_are_those_of_the_twins_gyro_when_it_made_the_record() -> None:
     settings = Gyro(noise=(0.03, 0.02, 0.01), bias=0.005)
-    model = GyroModel(settings, 1, 1 / RATE, np.random.default_rng(2))
+    model = GyroModel(settings, 1, 1 / RATE, np.random.default_rng(2), 1.0)
     model.reset(np.arange(1))
     still, speed = np.zeros((1, 3)), np.zeros((1, 4))
-    samples = np.array([quantised_rate(model.measure(still, None, speed, 1.0))[0] for _ in range(20_000)])
+    samples = np.array([quantised_rate(model.measure(still, None, speed))[0] for _ in range(20_000)])
     noise = measure_noise(Recording(RATE, samples.astype(np.float64), None, 0))
     assert noise.gyro.sigma == pytest.approx([0.03, 0.02, 0.01], rel=0.025)
     assert np.rad2deg(noise.gyro.step) == pytest.approx([2000 / 32768] * 3, rel=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import Battery
-from sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage, shaft_power
+from sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage
 
 PACK = Battery(cells=4, capacity=3600 * 1.55, rest_voltage=16.78, resistance=0.05, electronics_power=6.21)
 DT = 1e-3
@@ -132,12 +132,6 @@ def test_reset_refills_only_those_named_when_given_an_index() -> None:
 def test_reset_refuses_when_charge_is_no_fraction(charge: float) -> None:
     with pytest.raises(ValueError, match="expected 0 to 1"):
         BatteryState(PACK, 1).reset(np.arange(1), charge)
-
-
-def test_shaft_power_leaves_out_rotors_when_they_brake() -> None:
-    speed = np.array([[100.0, 200.0], [300.0, 0.0]])
-    torque = np.array([[0.1, -0.2], [0.01, 0.5]])
-    assert shaft_power(speed, torque).tolist() == pytest.approx([10.0, 3.0])
 
 
 def test_loaded_voltage_is_the_upper_root_when_both_are_physical() -> None:

@@ -33,9 +33,9 @@ def stepped(aircraft: Aircraft, speed: Array, rate: Array, command: Array) -> tu
         for _ in range(round(aircraft.propulsion.delay * RATE_HZ)):
             twin.step(command)
         twin._world.reset(range(len(speed)), rate)
-        twin.rotor_speed = speed.copy()
+        twin.live.rotor_speed[:] = speed
         twin.step(command)
-        return twin.rotor_speed, twin.rate.copy()
+        return twin.rotor_speed, twin.rate
     finally:
         twin.close()
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Accelerometer, Gyro, load_aircraft
-from sim.physics.imu import AccelerometerModel, GyroModel, counts, draw_bias, measured_rate, quantised_rate
+from sim.physics.imu import AccelerometerModel, GyroModel, counts, draw_bias, quantised_rate
 
 NF1 = load_aircraft("nf1")
 QUIET = Gyro(noise=(0.0, 0.0, 0.0), bias=0.0)
@@ -16,14 +16,17 @@ STILL = Accelerometer(noise=(0.0, 0.0, 0.0))
 SPEED = np.full((2, 4), 1000.0)
 
 
+SPEED_MAX = 2000.0
+
+
 def gyro(settings: Gyro, count: int = 2, dt: float = 1e-3, seed: int = 0) -> GyroModel:
-    model = GyroModel(settings, count, dt, np.random.default_rng(seed))
+    model = GyroModel(settings, count, dt, np.random.default_rng(seed), SPEED_MAX)
     model.reset(np.arange(count))
     return model
 
 
 def read(model: GyroModel, rate: NDArray[np.float64]) -> NDArray[np.float64]:
-    return model.measure(rate, None, SPEED, 2000.0)
+    return model.measure(rate, None, np.full((len(rate), 4), 1000.0))
 
 
 @pytest.mark.parametrize(
@@ -51,9 +54,10 @@ def test_quantised_rate_is_within_half_a_count() -> None:
 
 
 def test_noise_and_bias_have_the_logged_spread() -> None:
-    rng = np.random.default_rng(1)
-    rate = np.zeros((200_000, 3))
-    seen = np.rad2deg(measured_rate(rate, np.zeros(3), NF1.gyro, rng))
+    count, rng = 200_000, np.random.default_rng(1)
+    model = GyroModel(replace(NF1.gyro, bias=0.0), count, 1e-3, rng, SPEED_MAX)
+    model.reset(np.arange(count))
+    seen = np.rad2deg(model.measure(np.zeros((count, 3)), None, np.zeros((count, 4))))
     assert seen.std(axis=0) == pytest.approx([1.3373, 0.9990, 1.4516], rel=0.02)
     bias = np.rad2deg(draw_bias(NF1.gyro, 100_000, rng))
     assert bias.std() == pytest.approx(0.25, rel=0.02)
@@ -62,7 +66,7 @@ def test_noise_and_bias_have_the_logged_spread() -> None:
 
 def test_gyro_gives_the_plain_sensors_bits_when_nothing_else_is_set() -> None:
     rng = np.random.default_rng(5)
-    model = GyroModel(NF1.gyro, 3, 1e-3, rng)
+    model = GyroModel(NF1.gyro, 3, 1e-3, rng, SPEED_MAX)
     other = np.random.default_rng(5)
     bias = np.zeros((3, 3))
     for index in (np.arange(3), np.array([1]), np.array([0, 2])):
@@ -71,8 +75,8 @@ def test_gyro_gives_the_plain_sensors_bits_when_nothing_else_is_set() -> None:
         for _ in range(3):
             rate = other.uniform(-10, 10, (3, 3))
             rng.uniform(-10, 10, (3, 3))
-            plain = measured_rate(rate, bias, NF1.gyro, other)
-            assert model.measure(rate, None, SPEED, 2000.0).tobytes() == plain.tobytes()
+            plain = rate + bias + other.standard_normal((3, 3)) * np.array(NF1.gyro.noise)
+            assert model.measure(rate, None, np.zeros((3, 4))).tobytes() == plain.tobytes()
     assert rng.random() == other.random()
 
 
@@ -121,7 +125,7 @@ def test_vibration_grows_with_the_square_of_speed_when_a_rotor_turns() -> None:
     model = gyro(replace(QUIET, vibration=(2.0, 3.0, 4.0)), count=1)
     phase = np.linspace(0, 2 * math.pi, 400, endpoint=False)
     for speed, part in ((2000.0, 1.0), (1000.0, 0.25), (0.0, 0.0)):
-        turns = [model.measure(np.zeros((1, 3)), np.array([[p]]), np.array([[speed]]), 2000.0) for p in phase]
+        turns = [model.measure(np.zeros((1, 3)), np.array([[p]]), np.array([[speed]])) for p in phase]
         seen = np.array(turns)[:, 0]
         assert seen.max(axis=0) == pytest.approx(part * np.array([2.0, 3.0, 4.0]), rel=1e-3)
         assert seen.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
@@ -133,9 +137,9 @@ def test_vibration_grows_with_the_square_of_speed_when_a_rotor_turns() -> None:
 def test_vibration_adds_up_when_several_rotors_turn() -> None:
     model = gyro(replace(QUIET, vibration=(1.0, 1.0, 1.0)), count=1)
     still, speed = np.zeros((1, 3)), np.array([[2000.0, 1000.0]])
-    both = model.measure(still, np.array([[0.4, 1.1]]), speed, 2000.0)
+    both = model.measure(still, np.array([[0.4, 1.1]]), speed)
     alone = [
-        model.measure(still, np.array([[0.4, 1.1]]), speed * only, 2000.0)
+        model.measure(still, np.array([[0.4, 1.1]]), speed * only)
         for only in (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     ]
     assert both == pytest.approx(alone[0] + alone[1])
@@ -151,22 +155,22 @@ def test_vibration_is_refused_when_phases_are_not_tracked() -> None:
 
 
 def test_accelerometer_saturates_when_beyond_full_scale() -> None:
-    model = AccelerometerModel(replace(STILL, full_scale=20.0), 1, 1e-3, np.random.default_rng(0))
+    model = AccelerometerModel(replace(STILL, full_scale=20.0), 1, 1e-3, np.random.default_rng(0), SPEED_MAX)
     model.reset(np.arange(1))
-    seen = model.measure(np.array([[25.0, -30.0, 9.8]]), None, SPEED[:1], 2000.0)
+    seen = model.measure(np.array([[25.0, -30.0, 9.8]]), None, SPEED[:1])
     assert seen.tolist() == [[20.0, -20.0, 9.8]]
 
 
 def test_accelerometer_has_its_noise_bias_and_lag_when_they_are_set() -> None:
     count = 50_000
     settings = Accelerometer(noise=(0.1, 0.2, 0.4), bias=0.3, bandwidth_hz=100.0)
-    model = AccelerometerModel(settings, count, 1e-3, np.random.default_rng(4))
+    model = AccelerometerModel(settings, count, 1e-3, np.random.default_rng(4), SPEED_MAX)
     model.reset(np.arange(count))
     speed = np.zeros((count, 4))
-    model.measure(np.zeros((count, 3)), None, speed, 2000.0)
-    seen = model.measure(np.tile([0.0, 0.0, 10.0], (count, 1)), None, speed, 2000.0)
+    model.measure(np.zeros((count, 3)), None, speed)
+    seen = model.measure(np.tile([0.0, 0.0, 10.0], (count, 1)), None, speed)
     assert seen.std(axis=0) == pytest.approx(np.hypot([0.1, 0.2, 0.4], 0.3), rel=0.02)
     assert seen[:, 2].mean() == pytest.approx(10 * (1 - math.exp(-0.2 * math.pi)), abs=0.02)
-    again = model.measure(np.tile([0.0, 0.0, 10.0], (count, 1)), None, speed, 2000.0)
+    again = model.measure(np.tile([0.0, 0.0, 10.0], (count, 1)), None, speed)
     shared = np.cov(seen[:, 0], again[:, 0])[0, 1]  # what two readings share is the bias
     assert shared == pytest.approx(0.09, rel=0.05)

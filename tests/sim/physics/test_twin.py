@@ -8,6 +8,7 @@ import pytest
 from sim.aircraft.model import Battery, Body, load_aircraft
 from sim.physics.rotor import target_speed, thrust_and_torque
 from sim.physics.twin import Twin
+from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import GRAVITY
 from toolchain.errors import AircraftError
@@ -171,6 +172,23 @@ def test_battery_sags_under_load_and_empties_as_power_says() -> None:
     assert speed[0] == pytest.approx([settled[0, 0]] * 4, rel=2e-3)
 
 
+def test_rotors_that_brake_give_no_power_back() -> None:
+    braking = twin(charge=1.0, noise=False)
+    for _ in range(500):
+        braking.step(np.full((1, 4), 0.8))
+    for _ in range(10):
+        braking.step(np.zeros((1, 4)))
+    report = braking.telemetry
+    speed = braking.rotor_speed[0].copy()
+    braking.step(np.zeros((1, 4)))
+    lost = speed - braking.rotor_speed[0]
+    drawn = float(braking.telemetry.current[0])
+    braking.close()
+    inertia, torque = NF1.propulsion.rotor_inertia, thrust_and_torque(speed, NF1.propulsion)[1]
+    assert (inertia * lost * 1000 > torque).all(), "braking must take more than the air does"
+    assert drawn * report.voltage[0] == pytest.approx(PACK.electronics_power, rel=0.02)
+
+
 def test_half_empty_battery_turns_rotors_slower_than_a_full_one() -> None:
     speeds = []
     for charge in (1.0, 0.2):
@@ -330,3 +348,51 @@ def test_reset_of_one_aircraft_leaves_the_sensors_of_the_others_where_they_are()
     aircraft.close()
     assert np.array_equal(after[1], before[1])
     assert not np.array_equal(after[0], before[0])
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+@pytest.mark.parametrize("varied", [False, True], ids=["alike", "varied"])
+def test_one_aircraft_gets_the_bits_that_it_gets_among_others(mount: Mount, varied: bool) -> None:
+    """Rows of a twin of five and twins of one, the same commands, with everything that needs no draw."""
+    rng = np.random.default_rng(8)
+    factors = rng.uniform(0.8, 1.25, (7, 5))
+    names = ("mass", "inertia", "thrust", "torque", "speed", "lag", "noise")
+    five = Variation(
+        **dict(zip(names, factors, strict=True)),
+        delay_s=rng.uniform(0.0, 0.004, 5),
+        charge=rng.uniform(0.5, 1.0, 5),
+    )
+    commands = np.repeat(rng.uniform(0.0, 1.0, (30, 5, 4)), 10, axis=0)
+    options: dict[str, object] = {"noise": False, "mount": mount, "gravity": True}
+    if mount is Mount.FREE:
+        options["wind"] = (2.0, 1.0, -1.0)
+    if not varied:
+        options["charge"] = 0.7
+
+    def flown(which: slice) -> np.ndarray:
+        count = which.stop - which.start
+        aircraft = twin(count, **(options | ({"variation": five.at(which)} if varied else {})))  # type: ignore[arg-type]
+        for command in commands[:, which]:
+            aircraft.step(command)
+        seen = (aircraft.rate, aircraft.rotation, aircraft.velocity, aircraft.position, aircraft.gyro)
+        more = (aircraft.specific_force, aircraft.accelerometer, aircraft.rotor_speed)
+        rows: np.ndarray = np.concatenate([each.reshape(len(each), -1) for each in (*seen, *more)], axis=1)
+        aircraft.close()
+        return rows
+
+    among = flown(slice(0, 5))
+    assert np.abs(among[:, :3]).max() > 1.0, "they must have turned"
+    for i in range(5):
+        assert flown(slice(i, i + 1)).tobytes() == among[i : i + 1].tobytes()
+
+
+def test_readings_are_numpys_own_random_numbers() -> None:
+    """Noise of a twin held still: the generator's bias, then one draw of (N, 3) a sample."""
+    aircraft = twin(3, seed=6)
+    rng = np.random.default_rng(6)
+    rng.spawn(1)
+    bias = rng.normal(0.0, NF1.gyro.bias, (3, 3))
+    for _ in range(4):
+        assert np.array_equal(aircraft.gyro, bias + rng.standard_normal((3, 3)) * np.array(NF1.gyro.noise))
+        aircraft.measure()
+    aircraft.close()
