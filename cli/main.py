@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Sequence
@@ -44,6 +45,12 @@ COMMANDS = {
     "aircraft": "check and draw an aircraft file",
     "msp": "query a running firmware over MSP",
 }
+EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
+    "sim": ("cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
+    "train": ("gymnasium", "onnxruntime", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"),
+    "sweep": ("ray",),
+}
+ROOM_EXTRAS = {"training": "train"}  # what every command of a room needs at least
 # Matrices here are small: a second thread gains little, loses twenty times as much to a busy neighbour, and
 # may round otherwise than the first alone, so that a seed would no longer say what a run gives.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -68,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     args = parser().parse_args(argv)
     try:
-        code = int(args.run(args))
+        code = run_command(args)
         sys.stdout.flush()
         return code
     except NeuroflightError as error:
@@ -80,6 +87,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, `head` say, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def run_command(args: argparse.Namespace) -> int:
+    """The command's exit code. Raises NeuroflightError where a package of an extra is not installed."""
+    try:
+        return int(args.run(args))
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        brings = [extra for extra, packages in EXTRAS.items() if package in packages]
+        if not brings or importlib.util.find_spec(package) is not None:
+            raise
+        brings += [extra for room, extra in ROOM_EXTRAS.items() if args.command in ROOMS[room]]
+        extra = max(brings, key=list(EXTRAS).index)  # the larger brings the smaller
+        raise NeuroflightError(
+            f"{args.command} needs {package}, which is not installed; "
+            f"run: make setup EXTRA={extra}, or pip install 'neuroflight[{extra}]'"
+        ) from error
 
 
 if __name__ == "__main__":

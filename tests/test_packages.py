@@ -1,0 +1,136 @@
+"""What pyproject.toml asks for: an image takes the base dependencies alone, extras bring the rest."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterable
+from importlib.metadata import packages_distributions, requires
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from cli.main import EXTRAS
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+SIZES = ("firmware", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")  # that an image is built with
+PROCESSORS = ("x86_64", "aarch64")
+GLIBCS = ("2014", "_2_17", "_2_24", "_2_26", "_2_27", "_2_28")  # of manylinux, up to that of Debian 10
+
+# Runs the command line as if nothing but the named top-level packages were installed.
+HIDING = """
+import sys
+from importlib.metadata import packages_distributions
+kept, words = set(sys.argv[1].split(",")), sys.argv[2:]
+class Hiding:
+    def find_spec(self, name, path=None, target=None):
+        if path is None and name in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+hidden = set(packages_distributions()) - kept - {"cli", "flash", "sim", "toolchain", "training"}
+sys.meta_path.insert(0, Hiding())
+import importlib.util
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, package=None: None if name in hidden else found(name, package)
+from cli.main import main
+sys.exit(main(words))
+"""
+
+
+def name_of(requirement: str) -> str:
+    """The distribution that a requirement names, as the registry writes it."""
+    found = re.match(r"[\w.-]+", requirement)
+    assert found is not None
+    return re.sub(r"[-_.]+", "-", found[0]).lower()
+
+
+def with_dependencies(names: Iterable[str]) -> set[str]:
+    """Distributions and all that they require on this machine."""
+    known: set[str] = set()
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop()
+        if name not in known:
+            known.add(name)
+            needed = [line for line in requires(name) or [] if "extra ==" not in line]
+            waiting += [name_of(line) for line in needed if 'python_version < "3' not in line]
+    return known
+
+
+def light_packages() -> str:
+    """What may be imported after `pip install neuroflight`, top-level names with commas between."""
+    light = with_dependencies(map(name_of, PROJECT["dependencies"]))
+    packages = packages_distributions().items()
+    return ",".join(name for name, owners in packages if light.intersection(map(name_of, owners)))
+
+
+def neuroflight(*words: str) -> subprocess.CompletedProcess[str]:
+    """The command with the base dependencies alone."""
+    command = [sys.executable, "-c", HIDING, light_packages(), *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("target", ["HOST", "MATEKF722"])
+def test_an_image_is_built_when_only_the_base_dependencies_are_installed(target: str, tmp_path: Path) -> None:
+    done = neuroflight("build", "--target", target, "--out", str(tmp_path), "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["target"] == target
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        ("fly --controller pid", "sim"),
+        ("aircraft check nf1", "sim"),
+        ("board", "sim"),
+        ("verify training/policies/nf1/policy.onnx", "train"),
+        ("evaluate pid", "train"),
+        ("train --out OUT", "train"),
+    ],
+)
+def test_one_line_names_the_extra_when_a_package_is_not_installed(
+    words: str, extra: str, tmp_path: Path, board_image: Path
+) -> None:
+    image = ("--build", str(board_image.parent)) if words == "board" else ()
+    done = neuroflight(*words.replace("OUT", str(tmp_path / "run")).split(), *image)
+    assert done.returncode == 1
+    assert re.fullmatch(
+        rf"neuroflight: \w+ needs \w+, which is not installed; run: make setup EXTRA={extra}, "
+        rf"or pip install 'neuroflight\[{extra}\]'\n",
+        done.stderr,
+    ), done.stderr
+
+
+def test_the_commands_table_of_packages_is_what_the_extras_bring() -> None:
+    owners = packages_distributions()
+    for extra, packages in EXTRAS.items():
+        listed = {name_of(line) for line in PROJECT["optional-dependencies"][extra]} - {"neuroflight"}
+        assert {name_of(owners[package][0]) for package in packages} == listed
+
+
+def test_each_extra_brings_the_smaller_one() -> None:
+    for smaller, larger in pairwise(SIZES):
+        assert f"neuroflight[{smaller}]" in PROJECT["optional-dependencies"][larger]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processor", PROCESSORS)
+@pytest.mark.parametrize("version", PYTHONS)
+def test_the_registry_has_wheels_of_what_an_image_needs(version: str, processor: str, tmp_path: Path) -> None:
+    platforms = [word for glibc in GLIBCS for word in ("--platform", f"manylinux{glibc}_{processor}")]
+    pins, report = ROOT / "constraints.txt", tmp_path / "report.json"
+    command = [sys.executable, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--quiet"]
+    command += ["--target", str(tmp_path), "--report", str(report), "--constraint", str(pins)]
+    command += ["--only-binary", ":all:", "--python-version", version, *platforms]
+    done = subprocess.run([*command, *PROJECT["dependencies"]], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    installed = json.loads(report.read_text())["install"]
+    found = {name_of(entry["metadata"]["name"]) for entry in installed}
+    pinned = {name_of(line) for line in pins.read_text().splitlines() if "==" in line}
+    assert found <= pinned, "each version is pinned"
+    assert found >= set(map(name_of, PROJECT["dependencies"]))
