@@ -1,4 +1,5 @@
 # Neuroflight's front door. Every target works first on a fresh machine; each is one call into a room.
+# Each brings the packages that it needs and no others: EXTRA is what the largest of the targets asked for needs.
 TARGET   ?= MATEKF722
 POLICY   ?= training/policies/nf1/policy.onnx
 AIRCRAFT ?= nf1
@@ -16,18 +17,24 @@ VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
+IN_DEV   := setup test prove coverage bench lint
+IN_TRAIN := train
+IN_SIM   := fly emulate
+asked     = $(filter $(1),$(MAKECMDGOALS))
+EXTRA    := $(if $(call asked,$(IN_DEV)),dev,$(if $(call asked,$(IN_TRAIN)),train,$(if $(call asked,$(IN_SIM)),sim,firmware)))
+PYTHON   :=
+TORCH    :=
+READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
+
 .PHONY: coverage help setup arm cppcheck firmware host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
-setup: $(VENV)/.ready ## the Python environment
+setup: $(READY) ## the Python environment: [EXTRA=firmware|sim|train|sweep|dev] [PYTHON=] [TORCH=cuda]
 
-$(VENV)/.ready: pyproject.toml constraints.txt
-	@echo "setting up $(VENV) (once; about a minute)"
-	@python3 -m venv $(VENV)
-	@$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
-	@touch $@
+$(READY): setup.sh pyproject.toml constraints.txt
+	@PYTHON='$(PYTHON)' TORCH='$(TORCH)' ./setup.sh $(EXTRA)
 
 arm: # the ARM compiler and llvm-mca, from the system's packages where that is allowed; it goes without llvm-mca
 	@command -v arm-none-eabi-gcc >/dev/null && command -v llvm-mca >/dev/null || { \
@@ -38,13 +45,13 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 	    echo "arm-none-eabi-gcc is missing; run: sudo apt-get install $(ARM_PACKAGES)" >&2; exit 1; \
 	  fi; }
 
-firmware: setup arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
+firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
 	@$(RUN) build --target $(TARGET) --policy $(POLICY)
 
-host: setup ## the same firmware as a program of this machine
+host: $(READY) ## the same firmware as a program of this machine
 	@$(RUN) build --target HOST --policy $(POLICY)
 
-train: setup ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
+train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
 	@$(RUN) train --aircraft $(AIRCRAFT) $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
 	  --seed $(SEED) --out $(OUT) $(ARGS)
 
@@ -61,10 +68,10 @@ test: firmware host ## the tests
 prove: firmware host ## the long version of what the tests sample
 	@$(VENV)/bin/python -m pytest -m "slow or not slow" $(ARGS)
 
-coverage: setup ## what the tests reach of the firmware's core, under sanitizers
+coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)
 
-bench: setup arm ## speed, as figures and ratios of one run
+bench: $(READY) arm ## speed, as figures and ratios of one run
 	@$(VENV)/bin/python -m tests.bench $(ARGS)
 
 cppcheck: # the analyser of C, brought as the ARM compiler is
@@ -74,7 +81,7 @@ cppcheck: # the analyser of C, brought as the ARM compiler is
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends cppcheck >/dev/null; \
 	  else echo "cppcheck is missing; run: sudo apt-get install cppcheck" >&2; exit 1; fi; }
 
-lint: setup cppcheck ## style and types; C warnings are errors in every build
+lint: $(READY) cppcheck ## style and types; C warnings are errors in every build
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
 	@find firmware -path firmware/generated -prune -o -name '*.[ch]' -print | xargs $(VENV)/bin/clang-format --dry-run -Werror
 	@$(VENV)/bin/python -m toolchain.image.cppcheck $(POLICY)
