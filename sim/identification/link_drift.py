@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from sim.aircraft.mass import MassProperties, mass_properties, principal
 from sim.aircraft.model import Aircraft
 from sim.physics.rotation import quaternion, roll_pitch_yaw
-from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
+from sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
 from toolchain.contract import GYRO_FULL_SCALE_DEG_S
 from toolchain.errors import AircraftError
 
@@ -121,20 +121,20 @@ def _fly(
     _, axes = principal(airframe.inertia)
     distance = np.array([np.linalg.norm(p.centre - airframe.centre) for p in propellers])
     spin_inertia = np.array([p.inertia[2, 2] for p in propellers])
-    target = target_speed(command, aircraft.propulsion)
-    speed = np.zeros_like(target)
+    steps = round(DURATION_S / step_s)
+    targets = np.repeat(target_speed(command, aircraft.propulsion), steps, axis=0)
+    speeds = speeds_along(np.zeros(targets.shape[1]), targets, step_s, aircraft.propulsion)
+    thrusts, torques = thrust_and_torque(speeds[1:], aircraft.propulsion)
+    # What accelerates each propeller, and beside its drag the airframe's reaction to both.
+    shafts = aircraft.spins * spin_inertia * np.diff(speeds, axis=0) / step_s
+    motors = shafts + aircraft.spins * torques
     world = pybullet.WORLD_FRAME
     rates, drifts = [0.0], [0.0]
     _, turned = _pose(base, client)
     poses = [_pose(rotor, client) for rotor in rotors]
-    for _ in range(round(DURATION_S / step_s)):
-        after = next_speed(speed, target, step_s, aircraft.propulsion)
-        thrust, torque = thrust_and_torque(after, aircraft.propulsion)
-        shaft = aircraft.spins * spin_inertia * (after - speed)[0] / step_s  # accelerates the propeller
-        motor = shaft + aircraft.spins * torque[0]  # and overcomes its drag: the airframe's reaction
-        speed = after
+    for thrust, shaft, motor in zip(thrusts, shafts, motors, strict=True):
         pybullet.applyExternalTorque(*base, (turned @ axes.T)[:, 2] * -motor.sum(), world, client)
-        for (body, link), (at, attitude), force, turn in zip(rotors, poses, thrust[0], shaft, strict=True):
+        for (body, link), (at, attitude), force, turn in zip(rotors, poses, thrust, shaft, strict=True):
             up = attitude[:, 2]
             pybullet.applyExternalForce(body, link, up * force, at, world, client)
             pybullet.applyExternalTorque(body, link, up * turn, world, client)

@@ -92,6 +92,19 @@ def next_speed(
     return after[()]
 
 
+def speeds_along(start: Array, targets: Array, dt: float, propulsion: Propulsion) -> Array:
+    """Speeds [rad/s] of M rotors that follow K targets (K, M), `dt` [s] each: (K + 1, M), `start` first."""
+    steps, count = targets.shape
+    given = np.ascontiguousarray(targets, np.float64)
+    response = np.ascontiguousarray(response_rows(propulsion, dt, np.ones(1)))
+    speeds = np.empty((steps + 1, count))
+    speeds[0] = start
+    library().lib.rotor_speeds_along(
+        propulsion_struct(propulsion), steps, count, pointer(response), pointer(given), pointer(speeds)
+    )
+    return speeds
+
+
 def coefficient(polynomial: tuple[float, ...], speed: ArrayLike) -> Array:
     """A propulsion coefficient at rotor speeds [rad/s], any shape."""
     (at,) = elements(speed)

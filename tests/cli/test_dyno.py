@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -18,13 +20,13 @@ def command(capsys: pytest.CaptureFixture[str], *words: str | Path) -> dict[str,
     return document
 
 
-@pytest.fixture
-def log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    """The NF1's steps as a poor bench logs them."""
-    path = tmp_path / "bench.csv"
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The NF1's steps as a poor bench logs them; not to be changed."""
+    path = tmp_path_factory.mktemp("dyno") / "bench.csv"
     words = ["--experiment", "steps", "--rate-hz", "300", "--noise", "2", "--outliers", "1", "--uneven"]
-    assert main(["dyno", "run", *words, "--seed", "4", "--out", str(path), "--json"]) == 0
-    capsys.readouterr()
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(["dyno", "run", *words, "--seed", "4", "--out", str(path), "--json"]) == 0
     return path
 
 
@@ -119,7 +121,8 @@ def test_aircraft_file_stays_when_the_fit_fails(
     target = tmp_path / "mine.toml"
     target.write_bytes((FOLDER / "nf1.toml").read_bytes())
     rows = log.read_text().splitlines()
-    log.write_text("\n".join(rows[: len(rows) // 6]))  # the first step only
-    assert main(["dyno", "fit", str(log), "--write", str(target)]) == 1
+    short = tmp_path / "first_step.csv"
+    short.write_text("\n".join(rows[: len(rows) // 6]))
+    assert main(["dyno", "fit", str(short), "--write", str(target)]) == 1
     assert "expected at least three levels" in capsys.readouterr().err
     assert target.read_bytes() == (FOLDER / "nf1.toml").read_bytes()

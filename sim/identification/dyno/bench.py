@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Propulsion
 from sim.identification.dyno.recording import Recording
 from sim.identification.dyno.signal import JUMP, SETTLED_S, jumps, without_spikes
-from sim.physics.rotor import next_speed, target_speed, thrust_and_torque
+from sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
 
 Array = NDArray[np.float64]
 
@@ -93,11 +93,7 @@ def run(propulsion: Propulsion, experiment: tuple[Phase, ...], time: Array) -> R
     dt = 1.0 / SIMULATION_HZ
     grid = np.arange(int(time[-1] / dt) + 3, dtype=np.float64) * dt
     targets = target_speed(throttle_at(grid, experiment), propulsion)
-    speeds = np.empty(len(grid))
-    speed = targets[:1]
-    for k, target in enumerate(targets):
-        speeds[k] = speed[0]
-        speed = next_speed(speed, target, dt, propulsion)
+    speeds = speeds_along(targets[:1], targets[:-1, None], dt, propulsion)[:, 0]
     speed = np.interp(time - propulsion.delay, grid, speeds)
     thrust, torque = thrust_and_torque(speed, propulsion)
     return Recording(time, throttle_at(time, experiment), speed, thrust, torque)

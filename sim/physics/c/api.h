@@ -43,6 +43,8 @@ void rotor_target_speeds(const struct propulsion *p, size_t count, const double 
 			 double *speed);
 void rotor_next_speeds(const struct propulsion *p, size_t count, const double *response, const double *speed,
 		       const double *target, double *next);
+void rotor_speeds_along(const struct propulsion *p, size_t steps, size_t count, const double *response,
+			const double *target, double *speed);
 void rotor_loads(const struct propulsion *p, size_t count, const double *speed, double *thrust, double *torque);
 void rotor_wrenches(const struct propulsion *p, const struct rotors *r, size_t count, double dt, const double *before,
 		    const double *after, const double *velocity, const double *rate, const double *load_factor,

@@ -62,6 +62,15 @@ void rotor_next_speeds(const struct propulsion *p, size_t count, const double *r
 		next[i] = rotor_next_speed(p, response + 3u * i, speed[i], target[i]);
 }
 
+/* Rows of speed (steps + 1, count): the first is where the rotors start, each further one follows a row of target (steps,
+ * count). response: (3). */
+void rotor_speeds_along(const struct propulsion *p, size_t steps, size_t count, const double *response,
+			const double *target, double *speed)
+{
+	for (size_t i = 0; i < steps * count; ++i)
+		speed[count + i] = rotor_next_speed(p, response, speed[i], target[i]);
+}
+
 /* K_T w^2 [N] */
 double rotor_thrust(const struct propulsion *p, double speed)
 {

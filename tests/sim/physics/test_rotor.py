@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import RPM, TorqueResponse, load_aircraft
-from sim.physics.rotor import next_speed, rotor_geometry, rotor_wrench, target_speed
+from sim.physics.rotor import next_speed, rotor_geometry, rotor_wrench, speeds_along, target_speed
 
 NF1 = load_aircraft("nf1")
 PROPULSION = NF1.propulsion
@@ -58,6 +58,16 @@ def test_settling_is_the_same_at_any_step_when_the_clamp_is_away() -> None:
 
 def test_speed_never_turns_negative_when_braked_hard() -> None:
     assert next_speed(np.array([5.0]), np.array([0.0]), 0.1, PROPULSION)[0] >= 0.0
+
+
+def test_speeds_along_targets_are_those_of_single_steps() -> None:
+    targets = np.random.default_rng(2).uniform(0.0, 2600.0, (200, 3)).repeat(5, axis=0)
+    start = np.array([0.0, 900.0, 2600.0])
+    speeds = speeds_along(start, targets, 0.001, PROPULSION)
+    assert speeds.shape == (1001, 3)
+    for k, target in enumerate(targets):
+        assert np.array_equal(speeds[k + 1], next_speed(speeds[k], target, 0.001, PROPULSION))
+    assert np.array_equal(speeds[0], start)
 
 
 def test_equal_speeds_only_lift() -> None:

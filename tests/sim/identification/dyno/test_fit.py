@@ -23,7 +23,7 @@ from sim.identification.dyno.bench import (
 from sim.identification.dyno.fit import Fit, fit
 from sim.identification.dyno.model import Dynamics, make_schedule, simulate
 from sim.identification.dyno.recording import Recording
-from sim.physics.rotor import next_speed, target_speed
+from sim.physics.rotor import speeds_along, target_speed
 from toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
@@ -139,10 +139,7 @@ def test_closed_form_agrees_with_the_rotor_of_the_twin_when_throttle_wanders(
     rng = np.random.default_rng(11)
     dt, each = 1 / 20_000, 300  # throttle moves every 15 ms, before the rotor has settled
     throttle = np.repeat(rng.random(100), each)
-    speeds, speed = np.empty(len(throttle)), np.zeros(1)
-    for k, target in enumerate(target_speed(throttle, rotor)):
-        speeds[k] = speed[0]
-        speed = next_speed(speed, target, dt, rotor)
+    speeds = speeds_along(np.zeros(1), target_speed(throttle, rotor)[:-1, None], dt, rotor)[:, 0]
     time = np.arange(len(throttle), dtype=np.float64) * dt
     nothing = np.zeros_like(time)
     if isinstance(response, TorqueResponse):
