@@ -11,10 +11,12 @@ OUT      ?= runs/$(basename $(notdir $(AIRCRAFT)))-$(SEED)
 SCENARIO ?= pulses
 COUNT    ?= 10
 ON       ?= host
+JOBS     ?= auto
 ARGS     ?=
 
 VENV := .venv
 RUN  := $(VENV)/bin/neuroflight
+PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
 IN_DEV   := setup test prove coverage bench lint
@@ -62,11 +64,11 @@ emulate: firmware ## the image to be flashed flies on an emulated board: roll, f
 	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft $(AIRCRAFT) --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
 
-test: firmware host ## the tests
-	@$(VENV)/bin/python -m pytest $(ARGS)
+test: firmware host ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
+	@$(PYTEST) $(ARGS)
 
-prove: firmware host ## the long version of what the tests sample
-	@$(VENV)/bin/python -m pytest -m "slow or not slow" $(ARGS)
+prove: firmware host ## the long version of what the tests sample: [JOBS=] [ARGS=]
+	@$(PYTEST) -m "slow or not slow" $(ARGS)
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)
