@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,15 @@ from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.ports.port import FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
-from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
+from toolchain.contract import (
+    BOOT_GRACE_MS,
+    CALIBRATION_MS,
+    CHANNEL_ARM,
+    CHANNEL_THROTTLE,
+    DSHOT_MAX,
+    DSHOT_MIN,
+    DSHOT_STOP,
+)
 from toolchain.errors import LinkError
 
 FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
@@ -34,6 +43,11 @@ SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
 ARM_LIMIT_S = 10.0  # from power-on; a noisy gyro may need more than one calibration
 DISARM_LIMIT_S = 1.0  # from the pilot's switch to stopped motors
 PROGRESS_S = 0.1  # of flight between two calls of `progress`
+
+_THROTTLES = np.array([DSHOT_STOP, *range(DSHOT_MIN, DSHOT_MAX + 1)], np.uint16)
+_FRACTIONS: dict[int, float] = dict(  # of each throttle value
+    zip(_THROTTLES.tolist(), motor_fractions(_THROTTLES).tolist(), strict=True)
+)
 
 Progress = Callable[[float], None]  # gets the flown part, 0..1
 
@@ -58,49 +72,70 @@ def fly(
     pilot = _Pilot(scenario, port.control_rate_hz)
     link = _Lockstep(twin, port, pilot, motor_order)
     steps = pilot.steps
-    rows = np.zeros(steps, _row(port.motor_count))
-    rows[0] = _arm(link, scenario)
+    rows = _Rows(steps, port.motor_count)
+    rows.put(0, _arm(link, scenario), link.rate)
     every = max(1, round(PROGRESS_S * port.control_rate_hz))
     for k in range(1, steps):
-        rows[k] = link.control_step()
+        rows.put(k, link.control_step(), link.rate)
         if progress is not None and k % every == 0:
             progress(k / steps)
     _disarm(link)
     return Trace(
         t=np.arange(steps) / port.control_rate_hz,
-        motors=motor_fractions(rows["dshot"]),
-        **{name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()},
+        setpoint=rows.setpoint,
+        rate=rows.rate,
+        gyro=rows.gyro,
+        motors=motor_fractions(rows.dshot),
+        dshot=rows.dshot,
+        throttle=rows.throttle,
     )
 
 
-Row = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[np.uint16], float]
+class _Rows:
+    """What is kept of N control steps."""
+
+    def __init__(self, steps: int, motors: int) -> None:
+        self.setpoint = np.zeros((steps, 3), np.float32)
+        self.rate = np.zeros((steps, 3))
+        self.gyro = np.zeros((steps, 3), np.float32)
+        self.dshot = np.zeros((steps, motors), np.uint16)
+        self.throttle = np.zeros(steps, np.float32)
+
+    def put(self, step: int, reply: Reply, rate: NDArray[np.float64]) -> None:
+        """Keep the reply and the true rate (3,) [rad/s] of control step number `step`."""
+        self.setpoint[step] = reply.setpoint
+        self.rate[step] = rate
+        self.gyro[step] = reply.gyro
+        self.dshot[step] = reply.dshot
+        self.throttle[step] = reply.throttle
 
 
-def _row(motors: int) -> np.dtype[np.void]:
-    """What is kept of a control step, in the order of `Row`."""
-    return np.dtype(
-        [
-            ("setpoint", np.float32, 3),
-            ("rate", np.float64, 3),
-            ("gyro", np.float32, 3),
-            ("dshot", np.uint16, motors),
-            ("throttle", np.float32),
-        ]
-    )
+Frame = tuple[int, ...]  # channels [us]; equal ones of a pilot are one object
 
 
 class _Pilot:
     """Sticks low and the switch off and on until the firmware is armed; the scenario; the switch off."""
 
     def __init__(self, scenario: Scenario, control_rate_hz: int) -> None:
-        self._channels, self._heard = scenario.timeline(control_rate_hz)
-        self.steps = len(self._channels)
-        self._off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        known: dict[Frame, Frame] = {}
+
+        def frame(channels: NDArray[np.uint16]) -> Frame:
+            """`channels` as the one object for all that equal them."""
+            new = tuple(channels.tolist())
+            return known.setdefault(new, new)
+
+        channels, heard = scenario.timeline(control_rate_hz)
+        self.steps = len(channels)
+        self._frames = _frames(channels, heard, frame)
+        off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        self._off = frame(off)
         # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
-        self._on = self._channels[0].copy()
-        self._on[CHANNEL_THROTTLE] = self._off[CHANNEL_THROTTLE]
-        self._landed: NDArray[np.uint16] = self._channels[-1].copy()
-        self._landed[[CHANNEL_THROTTLE, CHANNEL_ARM]] = self._off[[CHANNEL_THROTTLE, CHANNEL_ARM]]
+        on = channels[0].copy()
+        on[CHANNEL_THROTTLE] = off[CHANNEL_THROTTLE]
+        self._on = frame(on)
+        landed = channels[-1].copy()
+        landed[[CHANNEL_THROTTLE, CHANNEL_ARM]] = off[[CHANNEL_THROTTLE, CHANNEL_ARM]]
+        self._landed = frame(landed)
         self._first = round(SWITCH_OFF_S * control_rate_hz)
         self._period = round(SWITCH_PERIOD_S * control_rate_hz)
 
@@ -109,14 +144,24 @@ class _Pilot:
         phase = step - self._first
         return phase >= 0 and phase % self._period < self._period // 2
 
-    def sticks(self, step: int, armed_at: int | None) -> NDArray[np.uint16] | None:
+    def sticks(self, step: int, armed_at: int | None) -> Frame | None:
         """Channels at control step `step`; None: nothing is sent. armed_at: the first armed step."""
         if armed_at is None:
             return self._on if self.switched(step) else self._off
         k = step - armed_at
-        if k >= self.steps:
-            return self._landed
-        return self._channels[k] if self._heard[k] else None
+        return self._landed if k >= self.steps else self._frames[k]
+
+
+def _frames(
+    channels: NDArray[np.uint16], heard: NDArray[np.bool_], frame: Callable[[NDArray[np.uint16]], Frame]
+) -> list[Frame | None]:
+    """The frame of each step of a timeline, None where nothing is heard."""
+    changes = (channels[1:] != channels[:-1]).any(axis=1) | (heard[1:] != heard[:-1])
+    bounds = [0, *(np.flatnonzero(changes) + 1).tolist(), len(channels)]
+    frames: list[Frame | None] = []
+    for begin, end in pairwise(bounds):
+        frames += [frame(channels[begin]) if heard[begin] else None] * (end - begin)
+    return frames
 
 
 class _Lockstep:
@@ -140,7 +185,8 @@ class _Lockstep:
         order = list(range(motors)) if motor_order is None else list(motor_order)
         if sorted(order) != list(range(motors)):
             raise ValueError(f"motor order {order} is no permutation of {motors} motors")
-        self._twin, self._port, self.pilot, self._order = twin, port, pilot, order
+        self._twin, self._port, self.pilot = twin, port, pilot
+        self._outputs = [order.index(motor) for motor in range(motors)]  # that drive each motor
         self._serial = port if isinstance(port, SerialReceiverPort) else None
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
@@ -148,21 +194,23 @@ class _Lockstep:
         # Control steps from the decision on a frame to its step: it must end one sample before that.
         lead_s = max(FRAME_SPACING_S, FRAME_S + 2 / port.gyro_rate_hz)
         self._lead = math.ceil(round(lead_s * port.control_rate_hz, 6))
-        self._planned: dict[int, NDArray[np.uint16]] = {}  # frames by control step
-        self._frame: NDArray[np.uint16] | None = None  # the last one planned
+        self._planned: dict[int, Frame] = {}  # frames by control step
+        self._frame: Frame | None = None  # the last one planned
         self._frame_step = 0
-        self._sample = 0
+        self._sample = Sample(0.0, *(np.zeros(3), np.eye(3)), *np.zeros((3, 3)))
+        self._samples = 0  # so far
         self._held = True
         self._motors = np.zeros((1, motors))
-        self._values: bytes | None = None  # DShot values whose fractions `_motors` holds
+        self._reply: Reply | None = None  # whose fractions `_motors` holds
+        self.rate = np.zeros(3)  # true body rate [rad/s] when the last control step began
         self.step = 0  # control steps so far
         self.armed = False  # at the last of them
         self._armed_at: int | None = None  # the first of them that was
         self.control_rate_hz = port.control_rate_hz
 
-    def control_step(self) -> Row:
-        """Run one control period."""
-        rate = self._twin.rate[0].copy()
+    def control_step(self) -> Reply:
+        """Run one control period; returns the reply to its first sample."""
+        self.rate[:] = self._twin.rate[0]
         reply = self._exchange(self._planned.pop(self.step, None))
         self.armed = reply.armed
         if reply.armed and self._armed_at is None:
@@ -171,7 +219,7 @@ class _Lockstep:
         for _ in range(1, self._divider):
             self._exchange(None)
         self.step += 1
-        return reply.setpoint, rate, reply.gyro, reply.dshot, reply.throttle
+        return reply
 
     def arming_reasons(self) -> str:
         """What the firmware says keeps it disarmed."""
@@ -179,56 +227,61 @@ class _Lockstep:
 
     def _plan(self, step: int) -> None:
         """Decide whether a frame belongs to control step `step`."""
-        channels = self.pilot.sticks(step, self._armed_at)
-        if channels is None:
+        frame = self.pilot.sticks(step, self._armed_at)
+        if frame is None:
             return
         since = step - self._frame_step
-        changed = self._frame is None or not np.array_equal(channels, self._frame)
-        if self._frame is not None and since < (self._spacing if changed else self._period):
+        if self._frame is not None and since < (self._period if frame is self._frame else self._spacing):
             return
-        self._frame, self._frame_step = channels, step
-        self._planned[step] = channels
+        self._frame, self._frame_step = frame, step
+        self._planned[step] = frame
         if self._serial is not None:
-            self._serial.announce(channels.tolist(), step * self._divider - self._sample)
+            self._serial.announce(frame, step * self._divider - self._samples)
 
-    def _exchange(self, channels: NDArray[np.uint16] | None) -> Reply:
-        twin = self._twin
-        sample = Sample(
-            time_s=self._sample / twin.rate_hz,
-            gyro=twin.gyro[0],
-            rotation=twin.rotation[0],
-            velocity=twin.velocity[0],
-            position=twin.position[0],
-            specific_force=twin.accelerometer[0],
-        )
-        reply = self._port.exchange(sample, None if channels is None else channels.tolist())
-        values = reply.dshot.tobytes()
-        if values != self._values:
-            self._motors[0, self._order] = motor_fractions(reply.dshot)
-            self._values = values
-        # Until the firmware is armed the aircraft is held at rest: only its sensors are sampled.
-        self._held = self._held and not reply.armed
+    def _exchange(self, channels: Frame | None) -> Reply:
+        twin, sample = self._twin, self._sample
+        sample.time_s = self._samples / twin.rate_hz
+        # One aircraft's (1, ...) into (...), which numpy broadcasts.
+        sample.gyro[:] = twin.gyro
+        sample.specific_force[:] = twin.accelerometer
+        sample.rotation[:] = twin.rotation
+        sample.velocity[:] = twin.velocity
+        sample.position[:] = twin.position
+        self._samples += 1
+        reply = self._port.exchange(sample, channels)
+        if reply is not self._reply:
+            self._command(reply)
         if self._held:
-            if reply.dshot.any():
-                raise LinkError(
-                    f"the firmware turns motors while it is disarmed: DShot {reply.dshot.tolist()}"
-                )
             twin.measure()
         else:
             twin.step(self._motors)
-        self._sample += 1
         return reply
 
+    def _command(self, reply: Reply) -> None:
+        """Motors and whether the aircraft is held, of a new reply."""
+        if self._reply is None or reply.dshot.tobytes() != self._reply.dshot.tobytes():
+            values = reply.dshot.tolist()
+            try:
+                self._motors[0] = [_FRACTIONS[values[output]] for output in self._outputs]
+            except KeyError:
+                motor_fractions(reply.dshot)  # names the value
+                raise
+        self._reply = reply
+        # Until the firmware is armed the aircraft is held at rest: only its sensors are sampled.
+        self._held = self._held and not reply.armed
+        if self._held and reply.dshot.any():
+            raise LinkError(f"the firmware turns motors while it is disarmed: DShot {reply.dshot.tolist()}")
 
-def _arm(link: _Lockstep, scenario: Scenario) -> Row:
-    """Boot with the switch off, then switch on until armed; returns the first armed control step."""
+
+def _arm(link: _Lockstep, scenario: Scenario) -> Reply:
+    """Boot with the switch off, then switch on until armed; returns the first armed control step's reply."""
     while link.step < ARM_LIMIT_S * link.control_rate_hz:
         switched = link.pilot.switched(link.step)
-        row = link.control_step()
+        reply = link.control_step()
         if link.armed and not switched:
             raise LinkError("the firmware is armed with the switch off: start a fresh one for each flight")
         if link.armed:
-            return row
+            return reply
     raise LinkError(
         f"the firmware did not arm within {ARM_LIMIT_S:g} s of scenario {scenario.name}'s boot: "
         f"{link.arming_reasons()}"
@@ -239,7 +292,7 @@ def _disarm(link: _Lockstep) -> None:
     """Go on with the switch off until all motors are commanded to stop."""
     values = None
     for _ in range(math.ceil(DISARM_LIMIT_S * link.control_rate_hz)):
-        values = link.control_step()[3]
+        values = link.control_step().dshot
         if not link.armed and not values.any():
             return
     assert values is not None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,7 @@ from toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX
+_REPLY = struct.Struct("<I24sfB")  # of _Trace: step, setpoint and gyro, throttle, armed
 
 
 class _Trace(ctypes.Structure):
@@ -64,11 +67,11 @@ class Reference:
                 f"choose a multiple of its policy's control rate, or build it anew with `make host`"
             )
         self._channels = (ctypes.c_uint16 * CHANNEL_COUNT)()
-        self._rates = (ctypes.c_double * 3)()
-        self._force = (ctypes.c_double * 3)()
+        self._measured = np.zeros(6)  # body rates, specific force
         self._dshot = (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
         self._trace = _Trace()
         self._answer = b""
+        self._take = self.sampler(self._measured)
 
     def receiver(self, channels_us: Sequence[int]) -> None:
         """Hand over one receiver frame, CHANNEL_COUNT pulse widths [us]."""
@@ -84,11 +87,23 @@ class Reference:
 
         Returns the DShot values as uint16 bytes.
         """
-        x, y, z = gyro.tolist()
-        fx, fy, fz = specific_force.tolist()
-        self._rates[:] = [x, -y, -z]  # the wire's axes: forward, right, down
-        self._force[:] = [fx, -fy, -fz]
-        self._library.reference_sample(self._memory, self._rates, self._force, self._dshot)
+        self._measured[:3], self._measured[3:] = gyro, specific_force
+        self._take()
+        return bytes(self._dshot)
+
+    def sampler(self, measured: NDArray[np.float64]) -> Callable[[], bool]:
+        """What takes a sample of what `measured` has at each call, and tells whether DShot values changed.
+
+        measured: body rates [rad/s] and specific force [m/s^2], (6,) or longer, contiguous; it must live as
+        long as what is returned.
+        """
+        gyro = measured.ctypes.data
+        memory, dshot = (ctypes.addressof(array) for array in (self._memory, self._dshot))
+        places = (memory, gyro, gyro + 3 * measured.itemsize, dshot)
+        return partial(self._library.reference_sample, *map(ctypes.c_void_p, places))
+
+    def dshot(self) -> bytes:
+        """The DShot values as uint16 bytes."""
         return bytes(self._dshot)
 
     def silent(self) -> bytes:
@@ -133,16 +148,19 @@ class ReferencePort:
         self.control_rate_hz = policy.control_rate_hz
         self._divider = control_divider(self.gyro_rate_hz, self.control_rate_hz)
         self._until_control = 0
-        self._values = b""
+        self._sample: Sample | None = None  # whose values `_take` takes
+        self._take: Callable[[], bool]
         self._reply: Reply | None = None
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
         if channels_us is not None:
             self.reference.receiver(channels_us)
-        values = self.reference.sample(sample.gyro, sample.specific_force)
-        if self._until_control == 0 or values != self._values or self._reply is None:
-            self._reply, self._values = self._read(values), values
+        if sample is not self._sample:
+            self._sample, self._take = sample, self.reference.sampler(sample.values)
+        changed = self._take()
+        if self._until_control == 0 or changed or self._reply is None:
+            self._reply = self._read()
         self._until_control = (self._until_control or self._divider) - 1
         return self._reply
 
@@ -155,15 +173,16 @@ class ReferencePort:
         """See FirmwarePort."""
         self.reference.close()
 
-    def _read(self, values: bytes) -> Reply:
-        trace = self.reference.trace()
+    def _read(self) -> Reply:
+        step, rates, throttle, armed = _REPLY.unpack_from(self.reference.trace())
+        setpoint_gyro = np.frombuffer(rates, np.float32)
         return Reply(
-            dshot=np.frombuffer(values, np.uint16, self.motor_count),
-            step=trace.step,
-            setpoint=np.array(trace.setpoint, np.float32),
-            gyro=np.array(trace.gyro, np.float32),
-            throttle=trace.throttle,
-            armed=bool(trace.armed),
+            dshot=np.frombuffer(self.reference.dshot(), np.uint16, self.motor_count),
+            step=step,
+            setpoint=setpoint_gyro[:3],
+            gyro=setpoint_gyro[3:],
+            throttle=throttle,
+            armed=bool(armed),
         )
 
 
@@ -178,7 +197,7 @@ def _load(path: Path) -> ctypes.CDLL:
             "reference_init": (ctypes.c_int, (pointer, ctypes.c_uint, pointer, size_t)),
             "reference_receiver": (None, (pointer, pointer)),
             "reference_power": (None, (pointer, ctypes.c_double, ctypes.c_double, ctypes.c_double)),
-            "reference_sample": (None, (pointer, pointer, pointer, pointer)),
+            "reference_sample": (ctypes.c_bool, (pointer, pointer, pointer, pointer)),
             "reference_silent": (None, (pointer, pointer)),
             "reference_trace": (None, (pointer, pointer)),
             "reference_msp": (size_t, (pointer, ctypes.c_char_p, size_t, pointer, size_t)),

@@ -13,16 +13,40 @@ from sim.aircraft.model import Aircraft
 from toolchain.errors import LinkError
 
 
-@dataclass(frozen=True, slots=True)
 class Sample:
-    """State of the twin at one gyro sample: body x forward, y left, z up; world x north, y west, z up."""
+    """State of the twin at one gyro sample: body x forward, y left, z up; world x north, y west, z up.
 
-    time_s: float  # since the port's first sample
-    gyro: NDArray[np.float64]  # (3,) [rad/s], measured, unrounded
-    rotation: NDArray[np.float64]  # (3, 3) attitude, body to world
-    velocity: NDArray[np.float64]  # (3,) [m/s], world
-    position: NDArray[np.float64]  # (3,) [m], world
-    specific_force: NDArray[np.float64]  # (3,) [m/s^2], body, as the accelerometer measures it
+    The loop fills one object anew for each sample: a port that keeps something of it copies it. All its
+    numbers but the time lie in one block, `values`, which C code may be pointed at once.
+    """
+
+    __slots__ = ("gyro", "position", "rotation", "specific_force", "time_s", "values", "velocity")
+
+    def __init__(
+        self,
+        time_s: float,
+        gyro: NDArray[np.float64],
+        rotation: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        position: NDArray[np.float64],
+        specific_force: NDArray[np.float64],
+    ) -> None:
+        """Copy the arrays, of the shapes below."""
+        self.values = values = np.empty(21)
+        self.time_s = time_s  # since the port's first sample
+        self.gyro = values[0:3]  # (3,) [rad/s], measured, unrounded
+        self.specific_force = values[3:6]  # (3,) [m/s^2], body, as the accelerometer measures it
+        self.rotation = values[6:15].reshape(3, 3)  # (3, 3) attitude, body to world
+        self.velocity = values[15:18]  # (3,) [m/s], world
+        self.position = values[18:21]  # (3,) [m], world
+        self.gyro[:], self.specific_force[:], self.rotation[:] = gyro, specific_force, rotation
+        self.velocity[:], self.position[:] = velocity, position
+
+    def copy(self) -> Sample:
+        """The sample as it is now."""
+        return Sample(
+            self.time_s, self.gyro, self.rotation, self.velocity, self.position, self.specific_force
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +63,8 @@ class Reply:
 
 class FirmwarePort(Protocol):
     """A firmware in lockstep: one reply a gyro sample, the first sample is a control step.
+
+    A reply is never changed once it is given. Where it holds what the one before held, it is the same object.
 
     A port is flown once, from its boot; a new flight takes a new port. All failures of the other side
     are LinkErrors.

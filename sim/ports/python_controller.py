@@ -54,10 +54,10 @@ class ControllerPort:
         self._grace = max(CALIBRATION_MS, BOOT_GRACE_MS) * gyro_rate_hz // 1000
         self._hold = RECEIVER_HOLD_MS * gyro_rate_hz // 1000
         self._lost = RECEIVER_LOST_MS * gyro_rate_hz // 1000
-        self._sum = np.zeros(3, np.int64)  # of counts
+        self._still = np.zeros((self._calibration, 3))  # gyro of the samples that the bias is taken from
         self._bias = np.zeros(3, np.float32)  # [rad/s]
         self._samples = 0
-        self._channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        self._hear(sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False))
         self._age = self._lost  # samples since the last frame
         self._switch = True  # as of the step before: on, so that a switch left on does not arm
         self._armed = False
@@ -65,17 +65,17 @@ class ControllerPort:
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
-        raw = counts(sample.gyro)
         if self._samples < self._calibration:
-            self._sum += raw
+            self._still[self._samples] = sample.gyro
             if self._samples == self._calibration - 1:
-                mean = self._sum.astype(np.float32) / np.float32(self._calibration)
-                self._bias = mean * RATE_PER_COUNT
+                total = counts(self._still).sum(axis=0, dtype=np.int64)
+                self._bias = total.astype(np.float32) / np.float32(self._calibration) * RATE_PER_COUNT
         self._age += 1
         if channels_us is not None:
-            self._channels, self._age = np.array(channels_us, np.uint16), 0
+            self._hear(np.array(channels_us, np.uint16))
+            self._age = 0
         if self._samples % self._divider == 0 or self._reply is None:
-            gyro = raw.astype(np.float32) * RATE_PER_COUNT - self._bias
+            gyro = counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias
             self._reply = self._control(gyro, self._samples // self._divider)
         self._samples += 1
         return self._reply
@@ -87,11 +87,15 @@ class ControllerPort:
     def close(self) -> None:
         """See FirmwarePort."""
 
+    def _hear(self, channels: NDArray[np.uint16]) -> None:
+        """Take in a receiver frame."""
+        self._channels = channels
+        self._setpoint = sticks.setpoint(channels)
+        self._throttle = sticks.throttle(channels[None])
+
     def _control(self, gyro: NDArray[np.float32], step: int) -> Reply:
-        setpoint = sticks.setpoint(self._channels)
-        if self._age >= self._hold:
-            setpoint = np.zeros(3, np.float32)
-        throttle = sticks.throttle(self._channels[None])
+        setpoint = np.zeros(3, np.float32) if self._age >= self._hold else self._setpoint
+        throttle = self._throttle
         self._arm()
         dshot = np.zeros(self.motor_count, np.uint16)
         if self._armed:

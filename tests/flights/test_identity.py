@@ -118,11 +118,7 @@ class RecordedPort(EmulatedPort):
         if self._until == 0:
             self.snapshot = self.save()
             self._calls.clear()
-        kept = Sample(
-            sample.time_s,
-            *(sample.gyro.copy(), sample.rotation.copy(), sample.velocity.copy()),
-            *(sample.position.copy(), sample.specific_force.copy()),
-        )
+        kept = sample.copy()
         self._calls.append((EmulatedPort.exchange, (kept, channels_us)))
         reply = super().exchange(sample, channels_us)
         self._until -= reply.armed

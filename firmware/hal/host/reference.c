@@ -74,14 +74,28 @@ void reference_power(void *self, double volts, double amps, double control_us)
 	r->board.control_us = control_us;
 }
 
-void reference_sample(void *self, const double rates_frd[3], const double force_frd[3], uint16_t dshot[])
+/* From body axes to those of the simulator's wire. */
+static void reference_turn(const double body[3], double frd[3])
+{
+	frd[0] = body[0];
+	frd[1] = -body[1];
+	frd[2] = -body[2];
+}
+
+bool reference_sample(void *self, const double rates[3], const double force[3], uint16_t dshot[])
 {
 	struct reference *r = self;
-	const struct imu_sample sample = host_board_sample(rates_frd, force_frd);
+	double rates_frd[3], force_frd[3];
 
+	reference_turn(rates, rates_frd);
+	reference_turn(force, force_frd);
+	const struct imu_sample sample = host_board_sample(rates_frd, force_frd);
 	program_sample(&r->program, &sample);
 	program_background(&r->program);
-	memcpy(dshot, r->board.dshot, r->board.motor_count * sizeof dshot[0]);
+	const size_t size = r->board.motor_count * sizeof dshot[0];
+	const bool changed = memcmp(dshot, r->board.dshot, size) != 0;
+	memcpy(dshot, r->board.dshot, size);
+	return changed;
 }
 
 void reference_silent(void *self, uint16_t dshot[])

@@ -2,6 +2,7 @@
 #ifndef NF_HOST_REFERENCE_H
 #define NF_HOST_REFERENCE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -32,9 +33,9 @@ void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT]
 /* The battery from now on, and how long each control step takes [us], 0: no time. Until then: full. */
 void reference_power(void *self, double volts, double amps, double control_us);
 
-/* One gyro sample: body rates [rad/s] and specific force [m/s^2], axes forward, right, down. Writes one DShot value a
- * motor. */
-void reference_sample(void *self, const double rates_frd[3], const double force_frd[3], uint16_t dshot[]);
+/* One gyro sample: body rates [rad/s] and specific force [m/s^2], axes forward, left, up. Writes one DShot value a motor
+ * and returns whether one of them is another than `dshot` held. */
+bool reference_sample(void *self, const double rates[3], const double force[3], uint16_t dshot[]);
 
 /* The gyro has said nothing for NF_GYRO_BAD_MS. Writes one DShot value a motor. */
 void reference_silent(void *self, uint16_t dshot[]);

@@ -37,7 +37,7 @@ class Recorder:
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         number = len(self.samples)
-        self.samples.append(sample)
+        self.samples.append(sample.copy())
         if channels_us is not None:
             self.frames.append((number, list(channels_us)))
         channels = self.frames[-1][1] if self.frames else UNHEARD
