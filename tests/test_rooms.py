@@ -88,6 +88,7 @@ C_ROOMS = (
     "sim/physics/c",
     "sim/board/core/c",
     "sim/board/native/c",
+    "sim/ports/c",
 )
 GROUND = ("toolchain/errors.py", "toolchain/files.py", "toolchain/contract")
 STRANGERS = {"flash": ("toolchain",), "training": ("flash",)}  # knows nothing of these, the ground excepted

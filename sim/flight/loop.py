@@ -19,20 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.control import sticks
-from sim.control.motors import motor_fractions
+from sim.control.motors import each_fraction, motor_fractions
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.ports.port import FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
-from toolchain.contract import (
-    BOOT_GRACE_MS,
-    CALIBRATION_MS,
-    CHANNEL_ARM,
-    CHANNEL_THROTTLE,
-    DSHOT_MAX,
-    DSHOT_MIN,
-    DSHOT_STOP,
-)
+from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
 from toolchain.errors import LinkError
 
 FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
@@ -43,11 +35,6 @@ SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
 ARM_LIMIT_S = 10.0  # from power-on; a noisy gyro may need more than one calibration
 DISARM_LIMIT_S = 1.0  # from the pilot's switch to stopped motors
 PROGRESS_S = 0.1  # of flight between two calls of `progress`
-
-_THROTTLES = np.array([DSHOT_STOP, *range(DSHOT_MIN, DSHOT_MAX + 1)], np.uint16)
-_FRACTIONS: dict[int, float] = dict(  # of each throttle value
-    zip(_THROTTLES.tolist(), motor_fractions(_THROTTLES).tolist(), strict=True)
-)
 
 Progress = Callable[[float], None]  # gets the flown part, 0..1
 
@@ -260,12 +247,8 @@ class _Lockstep:
     def _command(self, reply: Reply) -> None:
         """Motors and whether the aircraft is held, of a new reply."""
         if self._reply is None or reply.dshot.tobytes() != self._reply.dshot.tobytes():
-            values = reply.dshot.tolist()
-            try:
-                self._motors[0] = [_FRACTIONS[values[output]] for output in self._outputs]
-            except KeyError:
-                motor_fractions(reply.dshot)  # names the value
-                raise
+            fractions = each_fraction(reply.dshot)
+            self._motors[0] = [fractions[output] for output in self._outputs]
         self._reply = reply
         # Until the firmware is armed the aircraft is held at rest: only its sensors are sampled.
         self._held = self._held and not reply.armed

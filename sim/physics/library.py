@@ -19,7 +19,6 @@ from toolchain.errors import BuildError
 
 Array = NDArray[np.float64]
 C = Path(__file__).parent / "c"
-FIXED = ("-ffp-contract=off",)  # no product is fused with a sum but where the source says so
 CPU_INFO = Path("/proc/cpuinfo")
 _KINDS = {"float64": "double[]", "int64": "int64_t[]", "int32": "int32_t[]", "bool": "bool[]"}
 
@@ -32,7 +31,7 @@ def library() -> compiled.Library:
         name="physics",
         what="the twin",
         parts=(C,),
-        flags=FIXED + _fused(),
+        flags=_fused(),
         linked=(numpy / "random" / "lib" / "libnpyrandom.a",),
         versions=(np.__version__,),
     )

@@ -1,12 +1,13 @@
 """The host program behind the port: build/HOST/neuroflight over its real sockets, in strict lockstep.
 
-The packets are Betaflight's (`simulator_link`), and a trace packet of our own for each control step.
+The packets are Betaflight's (`simulator_link`), and a trace packet of our own for each control step. C sends
+and receives them; Python reads those that say something new.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
+import os
 import re
 import select
 import socket
@@ -15,27 +16,26 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
-from sim.control.motors import motor_fractions
+from sim.control.motors import each_fraction
 from sim.ports.port import Reply, Sample, control_divider, setting_changes
 from sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
-    RECEIVER,
-    SEA_LEVEL_PA,
     SERVO,
-    state_packet,
+    load_link,
     udp_socket,
 )
 from toolchain.contract import (
+    CHANNEL_COUNT,
     GYRO_RATE_DEFAULT_HZ,
+    MOTOR_COUNT_MAX,
     SIM_MOTOR_FORMAT,
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
@@ -49,11 +49,14 @@ REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
 END_S = 2.0  # from SIGTERM to SIGKILL
 LAST_WORDS_S = 0.1  # for the exit status of a program that fails
 LISTENING = ("state-port", "receiver-port", "power-port", "msp-port")
-SCALE_HEIGHT_M = 8434.5  # of an isothermal atmosphere at 15 degC
+SPIN_NS = 50_000  # to look for an answer before the thread sleeps, while answers come as fast
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
 
 _MOTOR = struct.Struct(SIM_MOTOR_FORMAT)
 _TRACE = struct.Struct(SIM_TRACE_FORMAT)
+_TRACE_HEAD = struct.Struct("<II24sfBB")  # setpoint and gyro in one; then _TRACE has DShot values
+_TRACE_DSHOT = _TRACE.size - 2 * MOTOR_COUNT_MAX  # where they begin
+_PACKETS = ("motor packet", "trace packet")  # in the order of api.h
 
 
 class HostPort:
@@ -71,10 +74,10 @@ class HostPort:
         """
         if not program.is_file():
             raise LinkError(f"{program}: not built yet; build it with `make host`")
+        library = load_link()
+        self._ffi, self._lib = library.ffi, library.lib
         with contextlib.ExitStack() as undo:
-            self._motor, self._servo, self._trace = (
-                undo.enter_context(udp_socket(REPLY_S)) for _ in range(3)
-            )
+            self._motor, self._servo, self._trace = (undo.enter_context(udp_socket()) for _ in range(3))
             options = {
                 "gyro-hz": gyro_rate_hz,
                 "motor-port": _port(self._motor),
@@ -83,7 +86,7 @@ class HostPort:
             }
             changes = setting_changes(settings or {})
             self._child = undo.enter_context(_Child(program, options, changes))
-            self._state, self._receiver = (undo.enter_context(udp_socket(REPLY_S)) for _ in range(2))
+            self._state, self._receiver = (undo.enter_context(udp_socket()) for _ in range(2))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
             self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
             with self._msp() as msp:
@@ -93,25 +96,26 @@ class HostPort:
             self.control_rate_hz = policy.control_rate_hz
             self._divider = control_divider(gyro_rate_hz, policy.control_rate_hz)
             self._close = undo.pop_all()
+        self._wire = self._joined()
+        self._channels = self._ffi.new("uint16_t[]", CHANNEL_COUNT)
+        self._sample: Sample | None = None  # whose values `_values` points to
+        self._values: Any = None
         self._samples = 0
         self._reply: Reply | None = None
-        self._fractions = np.zeros(self.motor_count)
+        self._fractions: list[float] = []  # of the reply
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
+        if sample is not self._sample:
+            self._sample, self._values = sample, self._ffi.from_buffer("double[]", sample.values)
+        channels = self._ffi.NULL
         if channels_us is not None:
-            self._send(self._receiver, RECEIVER.pack(sample.time_s, *channels_us))
-        self._send(self._state, _state_packet(sample))
-        motors = self._read_motors()
-        if self._samples % self._divider == 0:
-            self._reply = self._read_trace(self._samples // self._divider)
-            self._fractions = motor_fractions(self._reply.dshot)
+            channels, self._channels[0:CHANNEL_COUNT] = self._channels, channels_us
+        step, after = divmod(self._samples, self._divider)
+        found = self._lib.link_exchange(self._wire, sample.time_s, self._values, channels, after == 0)
+        if found != self._lib.LINK_SAME or self._reply is None:
+            self._read(found, step if after == 0 else None)
         self._samples += 1
-        if np.abs(motors - self._fractions).max() > MOTOR_PACKET_TOLERANCE:
-            raise LinkError(
-                f"{self._child.name}: its motor packet says {motors.tolist()}, "
-                f"its trace {self._fractions.tolist()}: the program is broken"
-            )
         assert self._reply is not None  # the first sample is a control step
         return self._reply
 
@@ -127,50 +131,77 @@ class HostPort:
     def _msp(self) -> Client:
         return Client(TcpTransport(TcpPort(LOOPBACK, self._child.ports["msp"])))
 
-    def _send(self, to: socket.socket, packet: bytes) -> None:
-        try:
-            to.send(packet)
-        except OSError as error:
-            raise self._child.lost(str(error)) from error
-
-    def _receive(self, source: socket.socket, what: str) -> bytes:
-        try:
-            return source.recv(PACKET_BYTES_MAX)
-        except TimeoutError as error:
-            raise self._child.lost(f"no {what} within {REPLY_S:g} s of a state packet") from error
-        except OSError as error:
-            raise self._child.lost(str(error)) from error
-
-    def _read_motors(self) -> NDArray[np.float64]:
-        """Motor fractions (M,) of the one packet that answers a state packet."""
+    def _joined(self) -> Any:  # noqa: ANN401 - a struct of api.h
+        """The sockets as C has them."""
         quad = self.motor_count == _MOTOR.size // 4
-        packet = self._receive(self._motor if quad else self._servo, "motor packet")
+        motors = self._motor if quad else self._servo
+        sockets = (self._state, self._receiver, motors, self._trace)
+        names = ("state", "receiver", "motors", "trace")
+        alone = len(os.sched_getaffinity(0)) == 1  # then the program runs only while this process sleeps
+        numbers = {
+            **{name: sock.fileno() for name, sock in zip(names, sockets, strict=True)},
+            "timeout_ms": round(1000 * REPLY_S),
+            "spin_ns": 0 if alone else SPIN_NS,
+        }
+        return self._ffi.new("struct link *", numbers)
+
+    def _read(self, found: int, step: int | None) -> None:
+        """Read what an exchange found. step: number of the control step, None: it is none."""
+        lib = self._lib
+        while found == lib.LINK_AGAIN:
+            found = lib.link_await(self._wire)
+        if found == lib.LINK_FAILED:
+            error = self._wire.error
+            raise self._child.lost(str(OSError(error, os.strerror(error))))
+        if found == lib.LINK_SILENT:
+            what = _PACKETS[self._wire.awaits]
+            raise self._child.lost(f"no {what} within {REPLY_S:g} s of a state packet")
+        motors = self._motors()
+        if step is not None:
+            self._reply = self._traced(step)
+            self._fractions = each_fraction(self._reply.dshot)
+        if not all(
+            abs(motor - told) <= MOTOR_PACKET_TOLERANCE
+            for motor, told in zip(motors, self._fractions, strict=True)
+        ):
+            raise LinkError(
+                f"{self._child.name}: its motor packet says {motors}, its trace {self._fractions}: "
+                f"the program is broken"
+            )
+
+    def _packet(self, number: int, packet: Any, size: int) -> bytes:  # noqa: ANN401 - a struct of api.h
+        """The bytes of a packet. Raises LinkError unless they are `size`."""
+        if packet.size != size:
+            raise self._child.lost(f"a {_PACKETS[number]} of {packet.size} bytes, expected {size}")
+        return bytes(self._ffi.buffer(packet.bytes, size))
+
+    def _motors(self) -> list[float]:
+        """Motor fractions of the one packet that answers a state packet."""
+        quad = self.motor_count == _MOTOR.size // 4
         layout = _MOTOR if quad else SERVO
-        if len(packet) != layout.size:
-            raise self._child.lost(f"a motor packet of {len(packet)} bytes, expected {layout.size}")
+        packet = self._packet(self._lib.LINK_MOTORS, self._wire.motor_packet, layout.size)
         if quad:
-            return np.array(_MOTOR.unpack(packet))
+            return list(_MOTOR.unpack(packet))
         count, *widths = SERVO.unpack(packet)
         if count != self.motor_count:
             raise self._child.lost(f"a motor packet of {count} motors, expected {self.motor_count}")
-        return (np.array(widths[:count]) - 1000.0) / 1000.0
+        return [(width - 1000.0) / 1000.0 for width in widths[:count]]
 
-    def _read_trace(self, step: int) -> Reply:
+    def _traced(self, step: int) -> Reply:
         """The trace packet of control step number `step`."""
-        packet = self._receive(self._trace, "trace packet")
-        if len(packet) != _TRACE.size:
-            raise self._child.lost(f"a trace packet of {len(packet)} bytes, expected {_TRACE.size}")
-        magic, number, *rates, throttle, motors, flags = (fields := _TRACE.unpack(packet))[:11]
+        packet = self._packet(self._lib.LINK_TRACE, self._wire.trace_packet, _TRACE.size)
+        magic, number, rates, throttle, motors, flags = _TRACE_HEAD.unpack_from(packet)
         if (magic, number, motors) != (SIM_TRACE_MAGIC, step, self.motor_count):
             raise self._child.lost(
                 f"a trace packet 0x{magic:08X} of step {number} with {motors} motors, "
                 f"expected 0x{SIM_TRACE_MAGIC:08X}, {step}, {self.motor_count}"
             )
+        setpoint_gyro = np.frombuffer(rates, np.float32)
         return Reply(
-            dshot=np.array(fields[11 : 11 + motors], np.uint16),
+            dshot=np.frombuffer(packet, np.uint16, motors, _TRACE_DSHOT),
             step=number,
-            setpoint=np.array(rates[:3], np.float32),
-            gyro=np.array(rates[3:], np.float32),
+            setpoint=setpoint_gyro[:3],
+            gyro=setpoint_gyro[3:],
             throttle=throttle,
             armed=bool(flags & SIM_TRACE_FLAG_ARMED),
         )
@@ -251,10 +282,3 @@ class _Child:
 
 def _port(sock: socket.socket) -> int:
     return int(sock.getsockname()[1])
-
-
-def _state_packet(sample: Sample) -> bytes:
-    x, y, z = sample.gyro.tolist()
-    fx, fy, fz = sample.specific_force.tolist()
-    pressure = SEA_LEVEL_PA * math.exp(-float(sample.position[2]) / SCALE_HEIGHT_M)
-    return state_packet(sample.time_s, (x, -y, -z), (fx, -fy, -fz), sample, pressure)

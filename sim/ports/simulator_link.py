@@ -1,15 +1,18 @@
-"""Packets of the simulator link, Betaflight's: what the host program and Betaflight's SITL both speak.
+"""The simulator link, Betaflight's packets: what the host program and Betaflight's SITL both speak.
 
 Rates and forces are in the axes of the wire: forward, right, down. Attitude is a quaternion w x y z from the
 body (x forward, y left, z up) to the world (north, west, up); velocity and position are east, north, up.
+State packets are made in C (c/state_packet.c), and so are exchanges with the host program (c/link.c).
 """
 
 from __future__ import annotations
 
 import socket
 import struct
+from functools import cache
+from pathlib import Path
 
-from sim.physics.rotation import quaternion
+from sim.compiled import Library, Source, load
 from sim.ports.port import Sample
 from toolchain.contract import SIM_RECEIVER_FORMAT, SIM_SERVO_FORMAT, SIM_STATE_FORMAT
 
@@ -20,20 +23,29 @@ Triple = tuple[float, float, float]
 
 RECEIVER = struct.Struct(SIM_RECEIVER_FORMAT)
 SERVO = struct.Struct(SIM_SERVO_FORMAT)
-_STATE = struct.Struct(SIM_STATE_FORMAT)
+STATE = struct.Struct(SIM_STATE_FORMAT)
+
+
+@cache
+def load_link() -> Library:
+    """The C of this folder. Raises BuildError when it is not built yet and cannot be."""
+    library = load(Source("link", "the simulator link", (Path(__file__).parent / "c",)))
+    assert STATE.size == 8 * library.lib.LINK_STATE_VALUES
+    return library
 
 
 def state_packet(time_s: float, rates: Triple, force: Triple, sample: Sample, pressure: float) -> bytes:
     """The state packet of `sample`. rates [rad/s], force [m/s^2]: wire axes; pressure: of the air [Pa]."""
-    north_speed, west_speed, up_speed = sample.velocity.tolist()
-    north, west, up = sample.position.tolist()
-    motion = (-west_speed, north_speed, up_speed, -west, north, up)
-    return _STATE.pack(time_s, *rates, *force, *quaternion(sample.rotation), *motion, pressure)
+    ffi, lib = (link := load_link()).ffi, link.lib
+    packet = bytearray(STATE.size)
+    values = ffi.from_buffer("double[]", sample.values)
+    lib.link_state(time_s, rates, force, values, pressure, ffi.from_buffer("double[]", packet))
+    return bytes(packet)
 
 
-def udp_socket(timeout: float | None) -> socket.socket:
-    """A UDP socket on a free loopback port; timeout: of its calls [s], None: they never wait."""
+def udp_socket(*, waits: bool = True) -> socket.socket:
+    """A UDP socket on a free loopback port; waits: whether its calls do."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.bind((LOOPBACK, 0))
-    sock.settimeout(0.0 if timeout is None else timeout)
+    sock.setblocking(waits)
     return sock

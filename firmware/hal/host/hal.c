@@ -5,6 +5,7 @@
 #include <errno.h>
 #include <math.h>
 #include <poll.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
@@ -28,7 +29,14 @@ static struct host {
 	double time_s;               /* of the last state packet; NaN: there was none */
 	unsigned long bad;           /* samples whose rate was NaN */
 	sigset_t while_waiting;      /* signals let through only there */
+	uint64_t answered_ns;        /* when the last state packet was answered */
+	bool spins;                  /* the packet before it came within SPIN_NS of an answer */
 } host;
+
+/* A simulator that sends its next packet so soon after the answer is awaited without sleeping: a wake-up takes as long as
+ * a sample does. A simulator that keeps to real time never does. */
+#define SPIN_NS 50000
+#define LOOK_NS 500000 /* between two looks at signals and MSP while packets are awaited so */
 
 /* The longest silence that is counted: a longer one has the same effect. */
 #define SILENCE_MAX_S 10.0
@@ -63,13 +71,18 @@ static void host_trace_write(void *context, const struct control_trace *trace)
 	link_send_trace(&host.link, trace);
 }
 
-static uint32_t host_cycles(void *context)
+static uint64_t host_now_ns(void)
 {
 	struct timespec now;
 
-	(void)context;
 	clock_gettime(CLOCK_MONOTONIC, &now);
-	return (uint32_t)now.tv_sec * 1000000000u + (uint32_t)now.tv_nsec;
+	return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+static uint32_t host_cycles(void *context)
+{
+	(void)context;
+	return (uint32_t)host_now_ns();
 }
 
 static void host_reset(void *context)
@@ -142,13 +155,13 @@ static void host_take_receiver_and_power(void)
 	}
 }
 
-/* One state packet: one sample, one reply. */
-static void host_step(const struct hal_handlers *handlers)
+/* One state packet: one sample, one reply. Returns whether there was one. */
+static bool host_step(const struct hal_handlers *handlers)
 {
 	struct link_state state;
 
 	if (!link_take_state(&host.link, &state))
-		return;
+		return false;
 	host_take_receiver_and_power();
 	host_pass_silence(handlers, state.time_s);
 	const struct imu_sample sample = host_board_sample(state.rates_frd, state.force_frd);
@@ -156,6 +169,22 @@ static void host_step(const struct hal_handlers *handlers)
 	handlers->sample(handlers->context, &sample);
 	handlers->background(handlers->context);
 	link_send_motors(&host.link, host.board.dshot, host.board.motor_count);
+	host.answered_ns = host_now_ns();
+	return true;
+}
+
+/* Answers state packets for LOOK_NS at most, as long as each comes within SPIN_NS of the answer before. Meanwhile the
+ * processor is lent to whoever needs it. */
+static void host_spin(const struct hal_handlers *handlers)
+{
+	const uint64_t began_ns = host_now_ns();
+
+	for (uint64_t now_ns = began_ns; host.spins && now_ns - began_ns < LOOK_NS; now_ns = host_now_ns()) {
+		if (host_step(handlers))
+			continue;
+		host.spins = now_ns - host.answered_ns < SPIN_NS;
+		sched_yield();
+	}
 }
 
 static void host_print_ready(void)
@@ -180,20 +209,24 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 
 	host_print_ready();
 	while (!ended) {
+		const struct timespec now = { 0 };
 		struct pollfd wait[] = {
 			{ .fd = host.link.state, .events = POLLIN },
 			{ .fd = host.tcp.listener, .events = POLLIN },
 			{ .fd = host.tcp.client, .events = POLLIN },
 		};
-		if (ppoll(wait, sizeof wait / sizeof wait[0], NULL, &host.while_waiting) < 0) {
+		host_spin(handlers);
+		if (ppoll(wait, sizeof wait / sizeof wait[0], host.spins ? &now : NULL, &host.while_waiting) < 0) {
 			if (errno == EINTR)
 				continue;
 			fprintf(stderr, "neuroflight: cannot wait for packets: %s\n", strerror(errno));
 			code = 1;
 			break;
 		}
-		if (wait[0].revents)
+		if (wait[0].revents) {
+			host.spins = host_now_ns() - host.answered_ns < SPIN_NS;
 			host_step(handlers);
+		}
 		if (wait[1].revents || wait[2].revents)
 			msp_tcp_serve(&host.tcp, handlers);
 	}

@@ -56,7 +56,7 @@ class BetaflightProcess:
             if settings is not None:
                 (self._folder / EEPROM).write_bytes(settings)
             self._errors: IO[bytes] = undo.enter_context(tempfile.TemporaryFile())
-            self._link = undo.enter_context(udp_socket(None))
+            self._link = undo.enter_context(udp_socket(waits=False))
             self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             undo.enter_context(self._control)
             with theirs:

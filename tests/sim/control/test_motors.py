@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.control.motors import dshot_values, motor_commands, motor_fractions, throttle_mix
+from sim.control.motors import dshot_values, each_fraction, motor_commands, motor_fractions, throttle_mix
 from toolchain.errors import LinkError
 
 
@@ -45,6 +45,13 @@ def test_motor_fractions_are_the_escs_when_values_are_throttle() -> None:
 def test_motor_fractions_refuse_when_a_value_is_no_throttle(value: int) -> None:
     with pytest.raises(LinkError, match=f"DShot value {value} is no throttle"):
         motor_fractions(np.array([100, value], np.uint16))
+    with pytest.raises(LinkError, match=f"DShot value {value} is no throttle"):
+        each_fraction(np.array([100, value], np.uint16))
+
+
+def test_fractions_have_the_same_bits_when_they_are_looked_up() -> None:
+    values = np.array([0, *range(48, 2048)], np.uint16)
+    assert each_fraction(values) == motor_fractions(values).tolist()
 
 
 def test_commands_are_the_outputs_within_a_step_of_dshot_when_the_throttle_is_closed() -> None:

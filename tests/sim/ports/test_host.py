@@ -4,6 +4,7 @@ import os
 import socket
 import struct
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 
 from sim.control import sticks
+from sim.physics.imu import rotation_by
+from sim.physics.rotation import quaternion
 from sim.ports import host as host_port
 from sim.ports.host import HostPort
 from sim.ports.port import Sample
+from sim.ports.simulator_link import load_link
 from toolchain.contract import RECEIVER_RECOVERY_MS
 from toolchain.errors import LinkError
 
@@ -166,8 +170,37 @@ def test_a_state_packet_speaks_the_wires_axes_when_the_aircraft_moves() -> None:
         position=np.array([7.0, 8.0, 100.0]),
         specific_force=np.array([0.1, 0.2, 9.8]),
     )
-    time_s, *rest = struct.unpack("<18d", host_port._state_packet(moving))
+    link = load_link()
+    packet = link.ffi.new("double[]", link.lib.LINK_STATE_VALUES)
+    link.lib.link_host_state(moving.time_s, link.ffi.from_buffer("double[]", moving.values), packet)
+    time_s, *rest = packet
     assert (time_s, rest[:3], rest[3:6]) == (1.5, [1.0, -2.0, -3.0], [0.1, -0.2, -9.8])
     assert rest[6:10] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     assert rest[10:16] == [-5.0, 4.0, 6.0, -8.0, 7.0, 100.0]
     assert rest[16] == pytest.approx(100129, abs=20)  # Pa at 100 m in the standard atmosphere
+
+
+def test_a_state_packet_has_the_quaternion_of_the_twin_to_the_bit_when_the_aircraft_turns() -> None:
+    link = load_link()
+    packet = link.ffi.new("double[]", link.lib.LINK_STATE_VALUES)
+    axes = np.array([[0.1, 0.2, 0.3], [1.0, -2.0, 2.9], [3.1, 0.1, 0.0], [0.0, 3.1, 0.2], [-0.1, 0.3, 3.1]])
+    largest = set()
+    for axis in axes:
+        turned = Sample(0.0, np.zeros(3), rotation_by(axis), *np.zeros((3, 3)))
+        link.lib.link_host_state(0.0, link.ffi.from_buffer("double[]", turned.values), packet)
+        assert tuple(packet[7:11]) == quaternion(turned.rotation)
+        largest.add(int(np.argmax(np.abs(list(packet[7:11])))))
+    assert largest == {0, 1, 2, 3}
+
+
+def test_the_program_sleeps_when_the_simulator_pauses(host_program: Path) -> None:
+    port = HostPort(host_program)
+    for _ in range(1000):
+        port.exchange(STILL, None)
+    assert port._child._process is not None
+    on_processor = Path(f"/proc/{port._child._process.pid}/schedstat")
+    began = int(on_processor.read_text().split()[0])
+    time.sleep(0.3)
+    spent_ns = int(on_processor.read_text().split()[0]) - began
+    port.close()
+    assert spent_ns < 30_000_000  # of 300,000,000
