@@ -17,9 +17,10 @@ numbered and turn as this project's do.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a co
 # a time slightly too small would become one nanosecond less.
 TIME_MARGIN = 1e-9
 
-_WIRE_RATE_PER_COUNT = np.deg2rad(1 / COUNTS_PER_DEG_S)  # [rad/s]
+_WIRE_RATE_PER_COUNT = float(np.deg2rad(1 / COUNTS_PER_DEG_S))  # [rad/s]
 
 
 class BetaflightPort:
@@ -107,31 +108,38 @@ class BetaflightPort:
         self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
         self._sum = np.zeros(3, np.int64)  # of counts
         self._bias = np.zeros(3, np.int32)  # counts
-        self._channels = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
+        self._hear(sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False))
+        self._packet = b""  # the last servo packet
         self._dshot = np.zeros(MOTOR_COUNT, np.uint16)
-        self._step = _Step(np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0)
+        self._reply: Reply | None = None
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
         time_s = self._samples / self.gyro_rate_hz * (1 + TIME_MARGIN)
         if channels_us is not None:
-            self._channels = np.array(channels_us, np.uint16)
+            self._hear(np.array(channels_us, np.uint16))
             self._process.send_receiver(RECEIVER.pack(time_s, *channels_us))
         raw = self._unbiased(counts(sample.gyro))
         self._process.send_state(state_packet(time_s, raw, sample))
         self._process.run(self._period_ns)
+        moved = False
         for packet in self._process.servo_packets():
-            self._dshot = dshot_values(packet)
-        if self._samples % self._divider == 0:
-            self._step = _Step(
-                setpoint=sticks.setpoint(self._channels),
-                gyro=raw.astype(np.float32) * RATE_PER_COUNT,
-                throttle=float(sticks.throttle(self._channels[None])[0]),
-            )
+            if packet != self._packet:
+                self._packet, self._dshot, moved = packet, dshot_values(packet), True
+        step, after = divmod(self._samples, self._divider)
         self._samples += 1
-        step = self._step
-        number = (self._samples - 1) // self._divider
-        return Reply(self._dshot, number, step.setpoint, step.gyro, step.throttle, bool(self._dshot.all()))
+        if after == 0 or self._reply is None:
+            gyro = raw.astype(np.float32) * RATE_PER_COUNT
+            armed = bool(self._dshot.all())
+            self._reply = Reply(self._dshot, step, self._setpoint, gyro, self._throttle, armed)
+        elif moved:
+            self._reply = replace(self._reply, dshot=self._dshot, armed=bool(self._dshot.all()))
+        return self._reply
+
+    def _hear(self, channels: NDArray[np.uint16]) -> None:
+        """Take in a receiver frame."""
+        self._setpoint = sticks.setpoint(channels)
+        self._throttle = float(sticks.throttle(channels[None])[0])
 
     def _unbiased(self, raw: NDArray[np.int16]) -> NDArray[np.int32]:
         """Counts less the gyro's bias, which is 0 until it is known."""
@@ -183,9 +191,14 @@ def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> byt
     It reads rates in forward, right, down and scales them to counts of its own, dropping fractions; it
     negates all three forces.
     """
-    x, y, z = (np.sign(raw) * (np.abs(raw.astype(np.float64)) + 0.5)) * _WIRE_RATE_PER_COUNT
+    x, y, z = (_wire_rate(count) for count in raw.tolist())
     fx, fy, fz = sample.specific_force.tolist()
     return link_packet(time_s, (x, -y, -z), (-fx, -fy, -fz), sample, SEA_LEVEL_PA)
+
+
+def _wire_rate(count: int) -> float:
+    """A rate [rad/s] in the middle of those that Betaflight makes `count` of; 0 of 0."""
+    return math.copysign(abs(count) + 0.5, count) * _WIRE_RATE_PER_COUNT if count else 0.0
 
 
 def dshot_values(packet: bytes) -> NDArray[np.uint16]:
@@ -200,15 +213,6 @@ def dshot_values(packet: bytes) -> NDArray[np.uint16]:
     fractions = np.clip((np.array(widths[:count]) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
     values = DSHOT_MIN + np.floor(DSHOT_SPAN * fractions + 0.5)
     return np.where(fractions > 0, values, DSHOT_STOP).astype(np.uint16)
-
-
-@dataclass(frozen=True)
-class _Step:
-    """Inputs of a control step."""
-
-    setpoint: NDArray[np.float32]  # (3,) [rad/s]
-    gyro: NDArray[np.float32]  # (3,) [rad/s]
-    throttle: float
 
 
 def _enter(line: Transport, text: bytes) -> None:
