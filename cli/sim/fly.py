@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.sim.fly_emulator import add_emulator_arguments, check_emulator, emulator_words, exit_code
+from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
-from cli.sim.fly_ports import Entry, open_firmware, open_pid, quiet
+from cli.sim.fly_ports import Entry, open_firmware, open_pid, prepare, quiet
 from toolchain.contract import GYRO_RATE_DEFAULT_HZ, GYRO_RATES_HZ
 from toolchain.errors import NeuroflightError
 
@@ -104,6 +105,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="flights at a time, each in a process of its own; default: the computer's cores; they are the "
+        "same with any N",
+    )
     add_emulator_arguments(parser)
 
 
@@ -116,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     aircraft = load_aircraft(args.aircraft)
     scenarios = _scenarios(args)
+    prepare(args, aircraft)
     if len(scenarios) > 1:
         return _run_several(args, aircraft, scenarios)
     (scenario,) = scenarios
@@ -144,6 +153,8 @@ def _check(args: argparse.Namespace) -> None:
         check_output(path, suffix)
     _check_air(args)
     check_emulator(args)
+    if args.jobs is not None and args.jobs < 1:
+        raise NeuroflightError(f"--jobs: got {args.jobs}, expected at least 1")
     if args.on == "betaflight" and args.set:
         raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
     if len(args.scenario) > 1:
@@ -176,10 +187,18 @@ def _scenarios(args: argparse.Namespace) -> list[Scenario]:
 
 def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario]) -> int:
     """The firmware's flight of each, in one table."""
+    tasks = [_task(args, aircraft, scenario) for scenario in scenarios]
+    names = [scenario.name for scenario in scenarios]
     flown = []
-    for scenario in scenarios:
-        with _bar(args) as show:
-            flown.append(_fly(args, aircraft, scenario, open_firmware(args, aircraft), show(scenario.name)))
+    if (jobs := _jobs(args)) == 1:
+        for name, task in zip(names, tasks, strict=True):
+            with _bar(args) as show:
+                flown.append(task(show(name)))
+    else:
+        import sim.physics.twin  # noqa: F401 - once, before the processes are forked
+
+        with Crew(tasks, jobs) as crew, _bar(args) as show:
+            flown = crew.results([show(name) for name in names])
     if args.json:
         documents = [
             document(args, aircraft, scenario, [one]) for scenario, one in zip(scenarios, flown, strict=True)
@@ -190,7 +209,16 @@ def _run_several(args: argparse.Namespace, aircraft: Aircraft, scenarios: list[S
     return 0
 
 
-Show = Callable[[float], None]  # gets the flown part, 0..1
+def _task(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> Callable[[Show], Flown]:
+    """The firmware's flight of `scenario`, from its boot on."""
+    return lambda show: _fly(args, aircraft, scenario, open_firmware(args, aircraft), show)
+
+
+def _jobs(args: argparse.Namespace) -> int:
+    """Flights at a time; one where somebody looks into it."""
+    if any(getattr(args, name) is not None for name in ("gdb", "serial", "profile")):
+        return 1
+    return usable_cores() if args.jobs is None else int(args.jobs)
 
 
 @contextmanager
@@ -210,13 +238,29 @@ def _bar(args: argparse.Namespace) -> Iterator[Callable[[str], Show]]:
 
 
 def _fly_all(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Flown]:
-    """The firmware's flight, then the PID's if the aircraft has gains for one."""
+    """The firmware's flight, and beside it the PID's if the aircraft has gains for one."""
+    import sim.physics.twin  # noqa: F401 - once, before a process is forked
+
     firmware = open_firmware(args, aircraft)
-    with closing(firmware), _bar(args) as show:
-        entries = [firmware]
-        if aircraft.pids:
-            entries.append(open_pid(args, aircraft, firmware.port.control_rate_hz))
-        return [_fly(args, aircraft, scenario, entry, show(entry.name)) for entry in entries]
+    with closing(firmware):
+        rate_hz = firmware.port.control_rate_hz
+
+        def beside(show: Show) -> Flown:
+            return _fly(args, aircraft, scenario, open_pid(args, aircraft, rate_hz), show)
+
+        if not aircraft.pids or _jobs(args) == 1:
+            with _bar(args) as show:
+                flown = [_fly(args, aircraft, scenario, firmware, show(firmware.name))]
+                return [*flown, beside(show("PID"))] if aircraft.pids else flown
+        with Crew([beside], 1) as crew, _bar(args) as show:
+            here, there = show(firmware.name), show("PID")
+
+            def both(part: float) -> None:
+                here(part)
+                for other in crew.poll().values():
+                    there(other)
+
+            return [_fly(args, aircraft, scenario, firmware, both), *crew.results([there])]
 
 
 def _fly(

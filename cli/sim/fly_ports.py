@@ -106,14 +106,19 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entr
         return Entry("firmware", port, idle, report=report, ends=ends)
 
 
-def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
-    """Betaflight, built first if needed; each stage of the build is printed to stderr."""
+def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:
+    """Build Betaflight if it will fly and is not there; each stage of the build is printed to stderr.
+
+    Raises AircraftError if Betaflight cannot fly the aircraft.
+    """
+    if args.on != "betaflight":
+        return
     from rich.console import Console
 
     from sim.ports.betaflight.build import build_betaflight
-    from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
+    from sim.ports.betaflight.port import aircraft_settings
 
-    settings = aircraft_settings(aircraft)
+    aircraft_settings(aircraft)
     console = Console(stderr=True)
     with nullcontext() if quiet(args) else console.status("Betaflight") as status:
 
@@ -122,6 +127,14 @@ def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
             if status is not None:
                 status.update(stage)
 
-        betaflight = build_betaflight(args.build or BETAFLIGHT, say)
-        port = BetaflightPort(betaflight, args.gyro_hz, settings)
-    return Entry("Betaflight", port, IDLE, own_mixer=True)
+        build_betaflight(args.build or BETAFLIGHT, say)
+
+
+def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
+    """Betaflight, which `prepare` has built."""
+    from sim.ports.betaflight.build import build_betaflight
+    from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
+
+    settings = aircraft_settings(aircraft)
+    betaflight = build_betaflight(args.build or BETAFLIGHT, lambda _: None)
+    return Entry("Betaflight", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, own_mixer=True)
