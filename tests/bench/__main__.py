@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-SUBJECTS = ("twin", "training", "compiler", "firmware", "board")
+SUBJECTS = ("twin", "training", "compiler", "firmware", "board", "flights")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,6 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         document |= measure_firmware(args)
     if "board" in args.only:
         document |= measure_board(args)
+    if "flights" in args.only:
+        document |= measure_flights(args)
     if args.json:
         print(json.dumps(document))
     return 0
@@ -95,6 +97,16 @@ def measure_board(args: argparse.Namespace) -> dict[str, Any]:
     if not args.json:
         print_table(speed)
     return {"board": document(speed)}
+
+
+def measure_flights(args: argparse.Namespace) -> dict[str, Any]:
+    """How fast firmwares fly on their ports, and where the time goes."""
+    from tests.bench.flights import document, measure, print_table
+
+    rows = measure(lambda text: print(text, file=sys.stderr))
+    if not args.json:
+        print_table(rows)
+    return {"flights": document(rows)}
 
 
 if __name__ == "__main__":
