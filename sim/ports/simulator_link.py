@@ -36,11 +36,11 @@ def load_link() -> Library:
 
 def state_packet(time_s: float, rates: Triple, force: Triple, sample: Sample, pressure: float) -> bytes:
     """The state packet of `sample`. rates [rad/s], force [m/s^2]: wire axes; pressure: of the air [Pa]."""
-    ffi, lib = (link := load_link()).ffi, link.lib
-    packet = bytearray(STATE.size)
-    values = ffi.from_buffer("double[]", sample.values)
-    lib.link_state(time_s, rates, force, values, pressure, ffi.from_buffer("double[]", packet))
-    return bytes(packet)
+    link = load_link()
+    packet = link.ffi.new("double[]", link.lib.LINK_STATE_VALUES)
+    values = link.ffi.from_buffer("double[]", sample.values)
+    link.lib.link_state(time_s, rates, force, values, pressure, packet)
+    return bytes(link.ffi.buffer(packet))
 
 
 def udp_socket(*, waits: bool = True) -> socket.socket:

@@ -6,15 +6,20 @@
  *
  *     struct report  program -> simulator   PARKED: the main thread has reached its limit and stands still
  *                                           BOUND: a server got port `value` instead of its own, `port`
- *     struct permit  simulator -> program   run to limit_ns, but first take in so many packets
+ *                                           SENT: neither
+ *                                           each followed by the servo packets that it has sent meanwhile
+ *     struct permit  simulator -> program   run to limit_ns, but first take in the packets that follow: a
+ *                                           state packet, a receiver packet, as it says
  *
- * Packets reach the program over UDP in threads of its own, its serial ports live in another. They share
- * data with the main thread unguarded. Here one thread works at a time: the main thread until it is parked,
- * each other from one select() to the next. `states` and `receivers` count all packets that were sent so
- * far; the main thread goes on when the last of them is dealt with, so that nothing depends on how the
- * system schedules threads. When the simulator goes away the program ends.
+ * Betaflight hears state and receiver packets in a thread each, its serial ports live in another. They share
+ * data with the main thread unguarded. Here one thread works at a time, each from one select() to the next.
  *
- * Servers get free ports on loopback. Servo packets (to 9001) go to NEUROFLIGHT_MOTOR_PORT, motor packets
+ * The two threads for packets lend their stacks: the first select() leaves the stack to the main thread, and
+ * waits on another one. With a packet, the main thread goes on there as if select() had returned, and comes
+ * back at the next select(). So a packet is dealt with before time goes on, without waking a thread. They
+ * take their stacks back when the program joins its threads. When the simulator goes away the program ends.
+ *
+ * Servers get free ports on loopback. Servo packets (to 9001) go to the simulator as above, motor packets
  * (to 9002), which say the same in thousandths, nowhere.
  */
 #define _GNU_SOURCE
@@ -25,12 +30,15 @@
 #include <pthread.h>
 #include <stdatomic.h>
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/select.h>
 #include <sys/socket.h>
+#include <sys/uio.h>
 #include <time.h>
+#include <ucontext.h>
 #include <unistd.h>
 
 enum {
@@ -41,11 +49,16 @@ enum {
 	TURN_NS = 5000,
 	STATE_BYTES = 144,
 	RECEIVER_BYTES = 40,
+	STATE_PORT = 9003,
+	RECEIVER_PORT = 9004,
 	SERVO_PORT = 9001,
 	MOTOR_PORT = 9002,
+	SERVO_BYTES = 68,
+	SERVO_PACKETS = 16, /* kept for one report */
+	KEEPER_BYTES = 65536, /* of the stack on which a thread waits that has lent its own */
 };
 
-enum { PARKED = 1, BOUND = 2 };
+enum { PARKED = 1, BOUND = 2, SENT = 3 };
 
 struct report {
 	uint32_t kind;
@@ -55,20 +68,42 @@ struct report {
 
 struct permit {
 	uint64_t limit_ns;
-	uint32_t states;
+	uint32_t states; /* packets that follow, at most one each */
 	uint32_t receivers;
+	uint8_t packets[STATE_BYTES + RECEIVER_BYTES];
 };
+
+/* Where packets of one kind arrive. */
+struct server {
+	const uint16_t port;
+	const size_t size; /* of a packet */
+	int fd;
+	bool lent;             /* its thread's stack is the main thread's */
+	const uint8_t *packet; /* to be read; NULL: none */
+	ucontext_t thread;     /* in its select() */
+	ucontext_t keeper;
+	uint8_t keeper_stack[KEEPER_BYTES];
+};
+
+static struct server servers[] = {
+	{.port = STATE_PORT, .size = STATE_BYTES, .fd = -1},
+	{.port = RECEIVER_PORT, .size = RECEIVER_BYTES, .fd = -1},
+};
+enum { SERVERS = sizeof servers / sizeof servers[0] };
 
 static struct {
 	int control;
-	uint16_t motor_port;
 	_Atomic uint64_t now_ns;
 	struct permit permit; /* the last one; of the main thread */
-	pthread_mutex_t lock; /* of what follows, up to the functions */
+	bool guest;           /* the main thread is on a stack that was lent to it */
+	ucontext_t home;      /* of the main thread meanwhile */
+	size_t servo_count;   /* guarded by `busy`, as all that Betaflight does */
+	uint8_t servo[SERVO_PACKETS][SERVO_BYTES];
+	pthread_mutex_t lock; /* of what follows, up to the functions, and of `lent` */
 	pthread_cond_t changed;
-	bool busy;       /* a thread works */
-	uint32_t states; /* packets dealt with */
-	uint32_t receivers;
+	pthread_cond_t end;  /* `ending` is set */
+	bool busy;   /* a thread works */
+	bool ending; /* threads are joined */
 	int (*clock_gettime)(clockid_t, struct timespec *);
 	int (*nanosleep)(const struct timespec *, struct timespec *);
 	int (*bind)(int, const struct sockaddr *, socklen_t);
@@ -77,10 +112,16 @@ static struct {
 	ssize_t (*sendto)(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
 	int (*pthread_create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
 	int (*pthread_join)(pthread_t, void **);
-} s = {.control = -1, .busy = true, .lock = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
+} s = {.control = -1, .busy = true, .lock = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER,
+     .end = PTHREAD_COND_INITIALIZER};
 
 static _Thread_local bool main_thread;
-static _Thread_local uint32_t *taken; /* the count of the packet that it deals with */
+
+/* Whether the caller is Betaflight's main loop. */
+static bool main_loop(void)
+{
+	return main_thread && !s.guest;
+}
 
 static long number(const char *name)
 {
@@ -99,16 +140,18 @@ __attribute__((constructor)) static void start(void)
 	*(void **)&s.pthread_create = dlsym(RTLD_NEXT, "pthread_create");
 	*(void **)&s.pthread_join = dlsym(RTLD_NEXT, "pthread_join");
 	s.control = (int)number("NEUROFLIGHT_CONTROL");
-	s.motor_port = (uint16_t)number("NEUROFLIGHT_MOTOR_PORT");
 	main_thread = true;
 }
 
 static void report(uint32_t kind, uint32_t port, uint64_t value)
 {
-	const struct report message = {kind, port, value};
-	if (send(s.control, &message, sizeof message, MSG_NOSIGNAL) != sizeof message) {
+	struct report head = {kind, port, value};
+	const struct iovec parts[] = {{&head, sizeof head}, {s.servo, s.servo_count * SERVO_BYTES}};
+	const struct msghdr message = {.msg_iov = (struct iovec *)parts, .msg_iovlen = 2};
+	if (sendmsg(s.control, &message, MSG_NOSIGNAL) < 0) {
 		_exit(1);
 	}
+	s.servo_count = 0;
 }
 
 /* Let another thread work. */
@@ -120,16 +163,71 @@ static void rest(void)
 	pthread_mutex_unlock(&s.lock);
 }
 
-/* Work, once no other thread does and all packets of `permit`, if any, are dealt with. */
-static void work(const struct permit *permit)
+/* Work, once no other thread does and the stack of `server`, if any, is lent. */
+static void work(const struct server *server)
 {
 	pthread_mutex_lock(&s.lock);
-	while (s.busy ||
-	       (permit != NULL && (s.states != permit->states || s.receivers != permit->receivers))) {
+	while (s.busy || (server != NULL && !server->lent)) {
 		pthread_cond_wait(&s.changed, &s.lock);
 	}
 	s.busy = true;
 	pthread_mutex_unlock(&s.lock);
+}
+
+/* Deal with a packet, of the main thread: its select() returns, and the next one comes back here. */
+static void deliver(struct server *server, const uint8_t *packet)
+{
+	rest();
+	work(server);
+	server->packet = packet;
+	s.guest = true;
+	swapcontext(&s.home, &server->thread);
+	s.guest = false;
+}
+
+/* Of a thread that has lent its stack: wait here, on another one, until it takes it back. */
+static void keep(int index)
+{
+	struct server *server = &servers[index];
+	pthread_mutex_lock(&s.lock);
+	server->lent = true;
+	s.busy = false;
+	pthread_cond_broadcast(&s.changed);
+	while (!s.ending) {
+		pthread_cond_wait(&s.end, &s.lock);
+	}
+	while (s.busy) {
+		pthread_cond_wait(&s.changed, &s.lock);
+	}
+	server->lent = false;
+	s.busy = true;
+	pthread_mutex_unlock(&s.lock);
+	setcontext(&server->thread);
+}
+
+/* A select() of the thread of `server`: 1 with a packet, 0 without. */
+static int await_packet(struct server *server)
+{
+	if (s.guest) {
+		swapcontext(&server->thread, &s.home);
+	} else {
+		getcontext(&server->keeper);
+		server->keeper.uc_stack.ss_sp = server->keeper_stack;
+		server->keeper.uc_stack.ss_size = sizeof server->keeper_stack;
+		makecontext(&server->keeper, (void (*)(void))keep, 1, (int)(server - servers));
+		swapcontext(&server->thread, &server->keeper);
+	}
+	return server->packet != NULL;
+}
+
+static struct server *server_of(int fd)
+{
+	for (int i = 0; i < SERVERS; ++i) {
+		if (fd >= 0 && servers[i].fd == fd) {
+			return &servers[i];
+		}
+	}
+	return NULL;
 }
 
 /* Stand still until the simulator permits more and its packets are dealt with. */
@@ -137,10 +235,18 @@ static void park(void)
 {
 	rest();
 	report(PARKED, 0, s.permit.limit_ns);
-	if (recv(s.control, &s.permit, sizeof s.permit, 0) != sizeof s.permit) {
+	const ssize_t got = recv(s.control, &s.permit, sizeof s.permit, 0);
+	const size_t states = s.permit.states * STATE_BYTES, receivers = s.permit.receivers * RECEIVER_BYTES;
+	if (got < 0 || (size_t)got != offsetof(struct permit, packets) + states + receivers) {
 		_exit(1);
 	}
-	work(&s.permit);
+	work(NULL);
+	if (receivers > 0) {
+		deliver(&servers[1], s.permit.packets + states);
+	}
+	if (states > 0) {
+		deliver(&servers[0], s.permit.packets);
+	}
 }
 
 /* The main thread's time goes on by `ns`. */
@@ -159,7 +265,7 @@ int clock_gettime(clockid_t clock, struct timespec *time)
 	if (clock != CLOCK_MONOTONIC) {
 		return s.clock_gettime(clock, time);
 	}
-	if (main_thread) {
+	if (main_loop()) {
 		pass(READING_NS);
 	}
 	const uint64_t now_ns = s.now_ns;
@@ -170,7 +276,7 @@ int clock_gettime(clockid_t clock, struct timespec *time)
 
 int nanosleep(const struct timespec *time, struct timespec *left)
 {
-	if (!main_thread) {
+	if (!main_loop()) {
 		return s.nanosleep(time, left);
 	}
 	const uint64_t ns = (uint64_t)time->tv_sec * 1000000000U + (uint64_t)time->tv_nsec;
@@ -178,12 +284,12 @@ int nanosleep(const struct timespec *time, struct timespec *left)
 	return 0;
 }
 
-/* A thread waits for the world in here, and nowhere else; the packet before is dealt with. */
+/* A thread waits for the world in here, and nowhere else. */
 int select(int count, fd_set *readable, fd_set *writable, fd_set *failed, struct timeval *timeout)
 {
-	if (taken != NULL) {
-		++*taken; /* guarded by `busy`, which is ours */
-		taken = NULL;
+	struct server *server = server_of(count - 1);
+	if (server != NULL && !s.ending) {
+		return await_packet(server);
 	}
 	rest();
 	const int ready = s.select(count, readable, writable, failed, timeout);
@@ -195,13 +301,14 @@ int select(int count, fd_set *readable, fd_set *writable, fd_set *failed, struct
 
 ssize_t recvfrom(int fd, void *data, size_t size, int flags, struct sockaddr *from, socklen_t *length)
 {
-	const ssize_t got = s.recvfrom(fd, data, size, flags, from, length);
-	if (got == STATE_BYTES) {
-		taken = &s.states;
-	} else if (got == RECEIVER_BYTES) {
-		taken = &s.receivers;
+	struct server *server = server_of(fd);
+	if (server == NULL || server->packet == NULL) {
+		return s.recvfrom(fd, data, size, flags, from, length);
 	}
-	return got;
+	size = size < server->size ? size : server->size;
+	memcpy(data, server->packet, size);
+	server->packet = NULL;
+	return (ssize_t)size;
 }
 
 ssize_t sendto(int fd, const void *data, size_t size, int flags, const struct sockaddr *to, socklen_t length)
@@ -211,13 +318,18 @@ ssize_t sendto(int fd, const void *data, size_t size, int flags, const struct so
 		return s.sendto(fd, data, size, flags, to, length);
 	}
 	memcpy(&address, to, sizeof address);
-	if (ntohs(address.sin_port) == MOTOR_PORT) {
+	const uint16_t port = ntohs(address.sin_port);
+	if (port == MOTOR_PORT) {
 		return (ssize_t)size;
 	}
-	if (ntohs(address.sin_port) == SERVO_PORT) {
-		address.sin_port = htons(s.motor_port);
+	if (port != SERVO_PORT || size != SERVO_BYTES) {
+		return s.sendto(fd, data, size, flags, to, length);
 	}
-	return s.sendto(fd, data, size, flags, (const struct sockaddr *)&address, sizeof address);
+	if (s.servo_count == SERVO_PACKETS) {
+		report(SENT, 0, 0);
+	}
+	memcpy(s.servo[s.servo_count++], data, size);
+	return (ssize_t)size;
 }
 
 int bind(int fd, const struct sockaddr *wanted, socklen_t length)
@@ -231,6 +343,11 @@ int bind(int fd, const struct sockaddr *wanted, socklen_t length)
 	if (s.bind(fd, (const struct sockaddr *)&address, size) != 0 ||
 	    getsockname(fd, (struct sockaddr *)&address, &size) != 0) {
 		return -1;
+	}
+	for (int i = 0; i < SERVERS; ++i) {
+		if (servers[i].port == ntohs(four->sin_port)) {
+			servers[i].fd = fd;
+		}
 	}
 	report(BOUND, ntohs(four->sin_port), ntohs(address.sin_port));
 	return 0;
@@ -263,6 +380,10 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *how, void *(*routine
 
 int pthread_join(pthread_t thread, void **value)
 {
+	pthread_mutex_lock(&s.lock);
+	s.ending = true;
+	pthread_cond_broadcast(&s.end);
+	pthread_mutex_unlock(&s.lock);
 	rest();
 	const int error = s.pthread_join(thread, value);
 	work(NULL);

@@ -208,11 +208,15 @@ def dshot_values(packet: bytes) -> NDArray[np.uint16]:
     count, *widths = SERVO.unpack(packet)
     if count != MOTOR_COUNT:
         raise LinkError(f"Betaflight: a servo packet of {count} motors, expected {MOTOR_COUNT}")
-    if not np.isfinite(widths[:count]).all():
+    if not all(math.isfinite(width) for width in widths[:count]):
         raise LinkError(f"Betaflight: pulse widths {widths[:count]}, expected {STOP_US} to {FULL_US} us")
-    fractions = np.clip((np.array(widths[:count]) - STOP_US) / (FULL_US - STOP_US), 0.0, 1.0)
-    values = DSHOT_MIN + np.floor(DSHOT_SPAN * fractions + 0.5)
-    return np.where(fractions > 0, values, DSHOT_STOP).astype(np.uint16)
+    return np.array([_dshot_value(width) for width in widths[:count]], np.uint16)
+
+
+def _dshot_value(width_us: float) -> int:
+    """The DShot value of a pulse width [us]."""
+    fraction = min(max((width_us - STOP_US) / (FULL_US - STOP_US), 0.0), 1.0)
+    return int(DSHOT_MIN + math.floor(DSHOT_SPAN * fraction + 0.5)) if fraction > 0 else DSHOT_STOP
 
 
 def _enter(line: Transport, text: bytes) -> None:

@@ -21,7 +21,7 @@ from typing import IO
 
 from flash.transport import TcpPort, TcpTransport
 from sim.ports.betaflight.build import Betaflight
-from sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, udp_socket
+from sim.ports.simulator_link import LOOPBACK, PACKET_BYTES_MAX, SERVO
 from toolchain.contract import MSP_TCP_PORT, SIM_RECEIVER_PORT, SIM_STATE_PORT
 from toolchain.errors import LinkError
 
@@ -33,7 +33,7 @@ LAST_WORDS_S = 0.1  # real, for the exit status of one that fails
 POLL_S = 0.0005  # real, for its TCP thread to carry bytes
 EEPROM = "eeprom.bin"  # its settings, in its working directory
 
-# struct report and struct permit of clock.c
+# struct report and struct permit of clock.c, before the packets that follow
 _REPORT = struct.Struct("<IIQ")
 _PERMIT = struct.Struct("<QII")
 _PARKED, _BOUND = 1, 2
@@ -49,20 +49,21 @@ class BetaflightProcess:
         """
         self.now_ns = 0
         self.ports: dict[int, int] = {}  # those it serves, by the number it asked for
-        self._states = self._receivers = 0  # packets sent
+        self._state = self._receiver = b""  # packets to be taken in before the next run
+        self._servo: list[bytes] = []  # packets since they were last asked for
         with contextlib.ExitStack() as undo:
             folder = tempfile.TemporaryDirectory(prefix="neuroflight-betaflight-")
             self._folder = Path(undo.enter_context(folder))
             if settings is not None:
                 (self._folder / EEPROM).write_bytes(settings)
             self._errors: IO[bytes] = undo.enter_context(tempfile.TemporaryFile())
-            self._link = undo.enter_context(udp_socket(waits=False))
             self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             undo.enter_context(self._control)
             with theirs:
                 self._process = self._start(betaflight, theirs)
             undo.callback(self._end)
-            self._control.settimeout(ANSWER_S)
+            # Not settimeout(), which asks the system once more before each answer.
+            self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(ANSWER_S))
             self._await_parked()
             while {SIM_STATE_PORT, SIM_RECEIVER_PORT, MSP_TCP_PORT} - set(self.ports):
                 if self.now_ns >= START_NS:
@@ -84,26 +85,23 @@ class BetaflightProcess:
         """Let it run for `ns` of its time, once it has taken in all packets sent so far. Raises LinkError."""
         limit = self.now_ns + ns
         with contextlib.suppress(OSError):  # its end shows in the answer
-            self._control.send(_PERMIT.pack(limit, self._states, self._receivers))
+            permit = _PERMIT.pack(limit, bool(self._state), bool(self._receiver))
+            self._control.send(permit + self._state + self._receiver)
+        self._state = self._receiver = b""
         self._await_parked()
         self.now_ns = limit
 
     def send_state(self, packet: bytes) -> None:
-        """Send a state packet; it is taken in before the next run."""
-        self._link.sendto(packet, (LOOPBACK, self.ports[SIM_STATE_PORT]))
-        self._states += 1
+        """Have a state packet taken in before the next run; one for each."""
+        self._state = packet
 
     def send_receiver(self, packet: bytes) -> None:
-        """Send a receiver packet; it is taken in before the next run."""
-        self._link.sendto(packet, (LOOPBACK, self.ports[SIM_RECEIVER_PORT]))
-        self._receivers += 1
+        """Have a receiver packet taken in before the next run; one for each."""
+        self._receiver = packet
 
     def servo_packets(self) -> list[bytes]:
         """Servo packets that it sent since the last call, oldest first."""
-        packets = []
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                packets.append(self._link.recv(PACKET_BYTES_MAX))
+        packets, self._servo = self._servo, []
         return packets
 
     def open_line(self) -> BetaflightLine:
@@ -137,7 +135,6 @@ class BetaflightProcess:
             **os.environ,
             "LD_PRELOAD": "./clock.so",
             "NEUROFLIGHT_CONTROL": str(control.fileno()),
-            "NEUROFLIGHT_MOTOR_PORT": str(self._link.getsockname()[1]),
         }
         try:
             return subprocess.Popen(
@@ -160,22 +157,30 @@ class BetaflightProcess:
         while True:
             try:
                 report = self._control.recv(PACKET_BYTES_MAX)
-            except TimeoutError as error:
+            except BlockingIOError as error:
                 raise self.lost(f"it does not come back within {ANSWER_S:g} s") from error
             except OSError as error:
                 raise self.lost(str(error)) from error
-            if len(report) != _REPORT.size:
+            if len(report) < _REPORT.size:
                 raise self.lost("it is gone")
-            kind, port, value = _REPORT.unpack(report)
+            kind, port, value = _REPORT.unpack_from(report)
+            ends = range(_REPORT.size, len(report), SERVO.size)
+            self._servo += [report[at : at + SERVO.size] for at in ends]
             if kind == _PARKED:
                 return
-            self.ports[port] = value
+            if kind == _BOUND:
+                self.ports[port] = value
 
     def _end(self) -> None:
         """End its process group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
+
+
+def _timeval(seconds: float) -> bytes:
+    """A time of the system's, struct timeval."""
+    return struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
 
 
 class BetaflightLine:
