@@ -197,7 +197,7 @@ class _Lockstep:
 
     def control_step(self) -> Reply:
         """Run one control period; returns the reply to its first sample."""
-        self.rate[:] = self._twin.rate[0]
+        self.rate[:] = self._twin.live.rate[0]
         reply = self._exchange(self._planned.pop(self.step, None))
         self.armed = reply.armed
         if reply.armed and self._armed_at is None:
@@ -229,11 +229,12 @@ class _Lockstep:
         twin, sample = self._twin, self._sample
         sample.time_s = self._samples / twin.rate_hz
         # One aircraft's (1, ...) into (...), which numpy broadcasts.
-        sample.gyro[:] = twin.gyro
-        sample.specific_force[:] = twin.accelerometer
-        sample.rotation[:] = twin.rotation
-        sample.velocity[:] = twin.velocity
-        sample.position[:] = twin.position
+        live = twin.live
+        sample.gyro[:] = live.gyro
+        sample.specific_force[:] = live.accelerometer
+        sample.rotation[:] = live.rotation
+        sample.velocity[:] = live.velocity
+        sample.position[:] = live.position
         self._samples += 1
         reply = self._port.exchange(sample, channels)
         if reply is not self._reply:
