@@ -327,5 +327,8 @@ uc_err hooks_add(struct engine *e)
 
 	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_CODE, (void *)hooks_on_code, e, 1, 0);
 	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_INTR, (void *)hooks_on_interrupt, e, 1, 0);
-	return error ? error : uc_hook_add(uc, &hook, UC_HOOK_MEM_INVALID, (void *)hooks_on_invalid, e, 1, 0);
+	/* All but RAM, where nothing but a fetch is invalid: under a hook of its memory, unicorn takes every store by a slow way. */
+	error = error ? error : uc_hook_add(uc, &hook, UC_HOOK_MEM_INVALID, (void *)hooks_on_invalid, e, 0, RAM_BASE - 1u);
+	return error ? error :
+		       uc_hook_add(uc, &hook, UC_HOOK_MEM_INVALID, (void *)hooks_on_invalid, e, RAM_BASE + RAM_BYTES, UINT32_MAX);
 }

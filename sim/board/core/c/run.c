@@ -10,7 +10,7 @@
 #include "memory.h"
 #include "nvic.h"
 
-#define BLOCK_ADDRESSES_END 0xFFFFFFFEu /* an address that is never reached: unicorn wants one */
+#define BLOCK_ADDRESSES_END 0xFFFFFFFFu /* unicorn wants an address to stop at: an odd one is never reached */
 #define XPSR_THUMB (1u << 24)
 
 /* Unicorn's numbers. */

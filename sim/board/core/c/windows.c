@@ -72,11 +72,26 @@ static uc_err windows_map_region(struct engine *e, uint32_t number, uint32_t bas
 	return uc_mmio_map(e->uc, base, bytes, windows_read_region, r, windows_write_region, r);
 }
 
+/* Unicorn asks once for each page what may be done there. Its own answer lets code run from RAM, and a page that may hold
+ * code takes every store by a slow way that looks for translated code. What is wrong (a store to flash, a fetch from RAM)
+ * still comes to light where unicorn compares the access with the mapping. */
+static bool windows_fill_tlb(uc_engine *uc, uint64_t address, uc_mem_type type, uc_tlb_entry *result, void *user)
+{
+	const bool code = address < RAM_BASE || type == UC_MEM_FETCH;
+
+	(void)uc;
+	(void)user;
+	result->paddr = address;
+	result->perms = UC_PROT_READ | UC_PROT_WRITE | (code ? UC_PROT_EXEC : 0);
+	return true;
+}
+
 /* The chip's memory and the windows of its peripherals, as unicorn sees them. */
 uc_err windows_map(struct engine *e)
 {
 	const uint32_t code = UC_PROT_READ | UC_PROT_EXEC, data = UC_PROT_READ | UC_PROT_WRITE;
 	uc_engine *const uc = e->uc;
+	uc_hook hook;
 	uc_err error = uc_mem_map_ptr(uc, ITCM_BASE, ITCM_BYTES, UC_PROT_ALL, e->itcm);
 
 	error = error ? error : uc_mem_map_ptr(uc, ALIAS_BASE, FLASH_BYTES, code, e->flash);
@@ -85,5 +100,7 @@ uc_err windows_map(struct engine *e)
 	error = error ? error : uc_mem_map_ptr(uc, RAM_BASE, RAM_BYTES, data, e->ram);
 	error = error ? error : windows_map_region(e, 0, APB_BASE, APB_BYTES);
 	error = error ? error : windows_map_region(e, 1, AHB2_BASE, AHB2_BYTES);
-	return error ? error : windows_map_region(e, 2, PPB_BASE, PPB_BYTES);
+	error = error ? error : windows_map_region(e, 2, PPB_BASE, PPB_BYTES);
+	error = error ? error : uc_ctl_tlb_mode(uc, UC_TLB_VIRTUAL);
+	return error ? error : uc_hook_add(uc, &hook, UC_HOOK_TLB_FILL, (void *)windows_fill_tlb, NULL, 1, 0);
 }
