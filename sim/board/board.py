@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from toolchain.contract import DSHOT_MIN
 
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
+SILENT = round(SILENT_S * TIME_HZ)  # of an ESC [cycles]
 UNFLOWN = TIME_HZ // 10  # a motor whose ESC hears nothing for so long is not flown, even if it turns [cycles]
 
 
@@ -70,6 +71,8 @@ class Hardware:
         self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
         self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
         self._hears_frame: Callable[[Frame], None] = lambda frame: None
+        self._heard: Any = None  # uint16_t[]: what `_obeyed` was made of
+        self._obeyed: NDArray[np.uint16] = np.empty(0, np.uint16)
         self.registers = Registers(context)
         for device in self._devices():
             self.registers.add(device)
@@ -140,11 +143,16 @@ class Hardware:
         self.native.hear_frames()
 
     def obeyed(self, count: int) -> NDArray[np.uint16]:
-        """The DShot values that the ESCs of the first `count` motors obey now; 0 after a silence."""
-        values = np.empty(count, np.uint16)
-        place = self.native.ffi.from_buffer("uint16_t[]", values)
-        self.native.library.native_obeyed(self.native.handle, count, round(SILENT_S * TIME_HZ), place)
-        return values
+        """The DShot values that the ESCs of the first `count` motors obey now; 0 after a silence.
+
+        The array cannot be written to: it is the same one for as long as they obey the same values.
+        """
+        if len(self._obeyed) != count:
+            self._heard = self.native.ffi.new("uint16_t[]", count)
+            self._obeyed = np.frombuffer(bytes(2 * count), np.uint16)
+        if self.native.library.native_obeyed(self.native.handle, count, SILENT, self._heard):
+            self._obeyed = np.frombuffer(bytes(self.native.ffi.buffer(self._heard)), np.uint16)
+        return self._obeyed
 
     def _wire_esc(self, motor: int, timer: str, channel: int) -> Esc:
         place = TIMERS.index(timer)

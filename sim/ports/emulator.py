@@ -75,6 +75,25 @@ class PortSnapshot:
     port: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class _Status:
+    """What the port reads of the firmware's status at each control step: views of it, of one row each."""
+
+    state: NDArray[Any]
+    armed: NDArray[Any]
+    step: NDArray[Any]
+    setpoint: NDArray[Any]
+    gyro: NDArray[Any]
+    throttle: NDArray[Any]
+
+    @classmethod
+    def of(cls, status: NDArray[Any]) -> _Status:
+        """status: shape (1,), as it lies in the board's memory."""
+        trace = status["trace"]
+        last = {name: trace[name] for name in ("armed", "step", "setpoint", "gyro", "throttle")}
+        return cls(state=status["state"], **last)
+
+
 class EmulatedPort:
     """FirmwarePort around a board of its own. What the board does not forgive is the LinkError BoardError."""
 
@@ -104,7 +123,6 @@ class EmulatedPort:
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
-        self._views: dict[str, NDArray[Any]] = {}  # of the board's memory
         self._receiver = RECEIVERS[receiver]
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
@@ -114,6 +132,8 @@ class EmulatedPort:
         flash = configured(flashed, elf, wanted) if wanted else flashed
         self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
         try:
+            self._taken = self._seen(_SAMPLES)
+            self._status = _Status.of(self._seen(_STATUS))
             self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
             self._run_to = attach(self.board)
             self._inject()
@@ -180,20 +200,21 @@ class EmulatedPort:
         self._edge += self._period
         self._run_to(self._edge - 1)
         self._samples += 1
-        values = self._dshot()
+        values = self.board.hardware.obeyed(self.motor_count)  # what each motor's ESC obeys
         if self._plan.begun:
             self._reply = self._reply_in_trouble(values)
             return self._reply
-        if int(self._read(_SAMPLES)) != self._samples:
+        taken = int(self._taken[0])
+        if taken != self._samples:
             resets = ", ".join(self.board.engine.resets[self._resets :])
             raise LinkError(
-                f"the firmware has taken {self._read(_SAMPLES)} gyro samples, it was given {self._samples}"
+                f"the firmware has taken {taken} gyro samples, it was given {self._samples}"
                 f"{'; it was reset: ' if resets else ''}{resets}"
             )
-        control_step = (self._samples - 1) % self._divider == 0
-        if control_step or self._reply is None or values.tobytes() != self._reply.dshot.tobytes():
-            self._reply = self._told(values)
-        return self._reply
+        reply = self._reply
+        if reply is None or (self._samples - 1) % self._divider == 0 or not _same(values, reply.dshot):
+            reply = self._reply = self._told(values)
+        return reply
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort."""
@@ -263,25 +284,20 @@ class EmulatedPort:
     def _next_frame(self) -> int | None:
         return self._announced[0][0] if self._announced else None
 
-    def _dshot(self) -> NDArray[np.uint16]:
-        """What each motor's ESC obeys."""
-        return self.board.hardware.obeyed(self.motor_count)
-
     def _told(self, values: NDArray[np.uint16]) -> Reply:
         """What the firmware says of its last control step."""
-        status = self._read(_STATUS)
-        trace = status["trace"]
-        armed = bool(trace["armed"])
+        told = self._status
+        armed = bool(told.armed[0])
         if armed and self._armed_at is None:
             self._armed_at = self._samples - 1
             self._plan.start(self._armed_at)
-        self._note_state(status, armed)
+        self._note_state(int(told.state[0]), armed)
         return Reply(
             dshot=values,
-            step=int(trace["step"]),
-            setpoint=trace["setpoint"].astype(np.float32),
-            gyro=trace["gyro"].astype(np.float32),
-            throttle=float(trace["throttle"]),
+            step=int(told.step[0]),
+            setpoint=told.setpoint[0].astype(np.float32),
+            gyro=told.gyro[0].astype(np.float32),
+            throttle=float(told.throttle[0]),
             armed=armed,
         )
 
@@ -297,20 +313,23 @@ class EmulatedPort:
         return Reply(values, step, _NO_RATES, _NO_RATES, 0.0, armed=False)
 
     def _read(self, name: str) -> Any:  # noqa: ANN401 - a number or a record
-        seen = self._views.get(name)
-        if seen is None:
-            variable = self._variables[name]
-            data = self.board.engine.view(variable.address, variable.size)
-            seen = self._views[name] = np.frombuffer(data, variable.dtype)
-        return seen[0]
+        return self._seen(name)[0]
+
+    def _seen(self, name: str) -> NDArray[Any]:
+        """A variable as it lies in the board's memory, shape (1,)."""
+        variable = self._variables[name]
+        return np.frombuffer(self.board.engine.view(variable.address, variable.size), variable.dtype)
 
     # ---- what happens ----
 
-    def _note_state(self, status: Any, armed: bool) -> None:  # noqa: ANN401 - a record
-        state, before = FlightState(int(status["state"])), self._state
+    def _note_state(self, number: int, armed: bool) -> None:
+        """number: of a FlightState."""
+        if number == self._state and armed == self._armed:
+            return
+        state, before = FlightState(number), self._state
         stops, self._state, self._armed = self._armed and not armed, state, armed
         if (state != before or stops) and (self._armed_at is not None or self._plan.begun):
-            cause = f": {StopCause(int(status['stop_cause'])).name}" if stops else ""
+            cause = f": {StopCause(int(self._read(_STATUS)['stop_cause'])).name}" if stops else ""
             self._happened(f"{state.name}{cause}", stops=stops)
 
     def _note_resets(self) -> None:
@@ -327,6 +346,11 @@ class EmulatedPort:
 
     def _happened(self, what: str, *, stops: bool = False) -> None:
         self._events.append((max(self._samples - 1, 0), what, stops))
+
+
+def _same(values: NDArray[np.uint16], before: NDArray[np.uint16]) -> bool:
+    """Whether the motors obey what they obeyed before; most often both are one array."""
+    return values is before or values.tobytes() == before.tobytes()
 
 
 def _stored(settings: Mapping[str, float], gyro_rate_hz: int, receiver: str) -> dict[str, float]:

@@ -157,8 +157,9 @@ void native_hear_samples(struct native *n, bool on);
 
 /* The ESC of motor `motor` (from 0) is on channel 1 to 4 of timer `t`. */
 struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t channel);
-/* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. */
-void native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values);
+/* What the ESCs of the first motors obey: their last values, 0 before any and after `silent` cycles without one. Returns
+ * whether that is something else than `values` were before. */
+bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values);
 /* From now on `frames` gets every frame. */
 void native_hear_frames(struct native *n);
 /* Calls `frames` with those that have come. */

@@ -69,16 +69,20 @@ struct esc *native_esc(struct native *n, uint32_t motor, uint32_t t, uint32_t ch
 	return esc;
 }
 
-void native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values)
+bool native_obeyed(const struct native *n, uint32_t count, uint64_t silent, uint16_t *values)
 {
 	const uint64_t cycle = native_now(n);
+	bool changed = false;
 
 	for (uint32_t i = 0; i < count; ++i) {
 		const struct esc *const esc = n->motors[i];
 		const bool hears = esc->last != NO_FRAME && (cycle <= esc->last_cycle || cycle - esc->last_cycle <= silent);
+		const uint16_t value = hears ? (uint16_t)(esc->last >> 1) : 0u;
 
-		values[i] = hears ? (uint16_t)(esc->last >> 1) : 0u;
+		changed |= values[i] != value;
+		values[i] = value;
 	}
+	return changed;
 }
 
 void native_hear_frames(struct native *n)
