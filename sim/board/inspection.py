@@ -13,9 +13,11 @@ from sim.board.core.context import TIME_HZ, Context
 from sim.board.peripherals.dma import STREAMS, DmaSystem
 from sim.board.peripherals.exti import Exti
 from sim.board.peripherals.rcc import MICROSECOND
+from sim.board.registers.bus import load_table
 
 PERIOD = TIME_HZ // 100  # [cycles]
 AGAIN = (1300 * MICROSECOND, 1700 * MICROSECOND)  # one after the other
+_NAMES = tuple((f"S{stream}CR", f"S{stream}NDTR") for stream in range(STREAMS))  # of each stream's registers
 
 Stream = tuple[int, int, int]  # controller, stream, items left
 
@@ -26,6 +28,8 @@ class Inspection:
     def __init__(self, context: Context, dma: DmaSystem, exti: Exti, line: int) -> None:
         """line: of EXTI, to which the data-ready line leads."""
         self._context, self._dma, self._exti, self._line = context, dma, exti, line
+        fields = load_table().blocks["DMA1"].registers["S0CR"].fields  # those of every stream are alike
+        self._enabled, self._direction = fields["EN"].mask, fields["DIR"].mask
         self._alarm = context.alarm("inspection", self._inspect)
         self._rest()
 
@@ -57,9 +61,10 @@ class Inspection:
         found = []
         for number, controller in self._dma.controllers.items():
             controller.sync()
-            for stream in range(STREAMS):
-                if controller.get(f"S{stream}CR", "EN") and controller.get(f"S{stream}CR", "DIR"):
-                    found.append((number, stream, controller.words[f"S{stream}NDTR"]))
+            words = controller.words
+            for stream, (settings, left) in enumerate(_NAMES):
+                if words[settings] & self._enabled and words[settings] & self._direction:
+                    found.append((number, stream, words[left]))
         return found
 
     def _reject(self, number: int, stream: int, left: int) -> None:

@@ -132,6 +132,7 @@ class EmulatedPort:
         flash = configured(flashed, elf, wanted) if wanted else flashed
         self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
         try:
+            self._gyro = self.board.hardware.gyro
             self._taken = self._seen(_SAMPLES)
             self._status = _Status.of(self._seen(_STATUS))
             self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
@@ -189,14 +190,14 @@ class EmulatedPort:
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort. A frame must have been announced."""
-        due = self._announced.pop(0)[1] if self._next_frame() == self._samples else None
-        if due != (None if channels_us is None else list(channels_us)):
-            raise LinkError("a receiver frame for the board must be announced before its time on the line")
+        if channels_us is not None or self._announced:
+            self._validate_announced(channels_us)
         gyro, force = sample.gyro.tolist(), sample.specific_force.tolist()
         if not math.isfinite(sum(gyro) + sum(force)):
             raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
-        self._inject()
-        self.board.hardware.gyro.measure(accel_counts(force, ALIGNMENT), 0, gyro_counts(gyro, ALIGNMENT))
+        if self._plan.due:
+            self._inject()
+        self._gyro.measure(accel_counts(force, ALIGNMENT), 0, gyro_counts(gyro, ALIGNMENT))
         self._edge += self._period
         self._run_to(self._edge - 1)
         self._samples += 1
@@ -281,8 +282,12 @@ class EmulatedPort:
         """Whether the firmware has opened the gyro's line, as the last thing of its boot."""
         return bool(self.board.hardware.exti.words["IMR"] >> _READY_LINE & 1)
 
-    def _next_frame(self) -> int | None:
-        return self._announced[0][0] if self._announced else None
+    def _validate_announced(self, channels_us: Sequence[int] | None) -> None:
+        """Raise LinkError unless these channels were announced for this sample, or None and none were."""
+        now = self._announced and self._announced[0][0] == self._samples
+        due = self._announced.pop(0)[1] if now else None
+        if due != (None if channels_us is None else list(channels_us)):
+            raise LinkError("a receiver frame for the board must be announced before its time on the line")
 
     def _told(self, values: NDArray[np.uint16]) -> Reply:
         """What the firmware says of its last control step."""

@@ -129,7 +129,8 @@ class FaultPlan:
         """rate_hz: of the gyro samples. Those of the boot are due at once."""
         self.begun = False  # one has come: nothing need keep step any more
         self._rate_hz = rate_hz
-        self._due = [(0, fault, False) for fault in faults if fault.at_s is None]  # sample, fault, it ends
+        # What is to come: sample, fault, whether it ends then.
+        self.due = [(0, fault, False) for fault in faults if fault.at_s is None]
         self._later = [fault for fault in faults if fault.at_s is not None]
         self._broken = 0.0  # share of receiver frames
         self._random = random.Random(1)
@@ -137,7 +138,7 @@ class FaultPlan:
     @property
     def waiting(self) -> tuple[Fault, ...]:
         """Faults whose time has not come."""
-        return (*(fault for _, fault, ends in self._due if not ends), *self._later)
+        return (*(fault for _, fault, ends in self.due if not ends), *self._later)
 
     def start(self, sample: int) -> None:
         """The flight begins with gyro sample number `sample`."""
@@ -149,8 +150,8 @@ class FaultPlan:
     def inject(self, board: Board, sample: int) -> list[str]:
         """Let what is due before `sample` happen to `board`; what that was, in words."""
         words = []
-        while self._due and self._due[0][0] <= sample:
-            _, fault, ends = self._due.pop(0)
+        while self.due and self.due[0][0] <= sample:
+            _, fault, ends = self.due.pop(0)
             words.append(f"fault {fault}{' ends' if ends else ''}")
             self.begun = True
             kind = fault.kind
@@ -174,8 +175,8 @@ class FaultPlan:
         return arrives, () if sent.parity == "N" else (place,)
 
     def _add(self, sample: int, fault: Fault, *, ends: bool) -> None:
-        self._due.append((sample, fault, ends))
-        self._due.sort(key=lambda item: item[0])
+        self.due.append((sample, fault, ends))
+        self.due.sort(key=lambda item: item[0])
 
 
 def _number(text: str, where: str, low: float, high: float, whole: bool) -> float:

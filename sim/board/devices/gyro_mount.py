@@ -20,19 +20,10 @@ class Alignment(IntEnum):
     CW270 = 3
 
 
-# Chip axis i is body axis (x forward, y left, z up) number `_AXES[i]` times `_SIGNS[i]`.
-_AXES = {
-    Alignment.CW0: (0, 1, 2),
-    Alignment.CW90: (1, 0, 2),
-    Alignment.CW180: (0, 1, 2),
-    Alignment.CW270: (1, 0, 2),
-}
-_SIGNS = {
-    Alignment.CW0: (1.0, 1.0, 1.0),
-    Alignment.CW90: (-1.0, 1.0, 1.0),
-    Alignment.CW180: (-1.0, -1.0, 1.0),
-    Alignment.CW270: (1.0, -1.0, 1.0),
-}
+# By alignment: chip axis i is `_SIGNS[][i]` times body axis (x forward, y left, z up) number `_AXES[][i]`.
+_AXES = ((0, 1, 2), (1, 0, 2), (0, 1, 2), (1, 0, 2))
+_SIGNS = ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0), (1.0, -1.0, 1.0))
+_PER_FORCE = ACCEL_COUNTS / ACCEL_FULL_SCALE_G / GRAVITY  # counts in 1 m/s^2
 
 Counts = tuple[int, int, int]
 
@@ -42,13 +33,16 @@ def gyro_counts(rates: Sequence[float], alignment: Alignment) -> Counts:
 
     The same arithmetic in the same order as the host build's, so that both see the same counts.
     """
-    scaled = [rate * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S for rate in rates]
-    return _mounted(scaled, alignment, 1.0)
+    x, y, z = rates
+    x = x * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+    y = y * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+    z = z * _DEGREES * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+    return _mounted((x, y, z), alignment, 1.0)
 
 
 def accel_counts(force: Sequence[float], alignment: Alignment) -> Counts:
     """Counts on the chip's axes at +-16 g of specific force (3,) [m/s^2], body axes."""
-    return _mounted(force, alignment, ACCEL_COUNTS / ACCEL_FULL_SCALE_G / GRAVITY)
+    return _mounted(force, alignment, _PER_FORCE)
 
 
 def _mounted(vector: Sequence[float], alignment: Alignment, scale: float) -> Counts:
