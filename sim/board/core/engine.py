@@ -260,7 +260,7 @@ class Engine:
     @property
     def spent_s(self) -> tuple[float, float]:
         """Since `clock` [s]: in unicorn with the engine's hooks, in peripherals and their alarms."""
-        code, devices = self.library.engine_spent(self.handle)[:2]
+        code, devices = self.library.engine_spent(self.handle)[0:2]
         return code / 1e9, devices / 1e9
 
     @property
