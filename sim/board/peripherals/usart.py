@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from sim.board.core.context import TIME_HZ, Context
 from sim.board.peripherals.dma import DmaSystem
@@ -42,7 +43,7 @@ class Format:
         inverted = " inverted" if self.inverted else ""
         return f"{self.baud:.0f} baud {self.data_bits}{self.parity}{self.stop_bits:g}{inverted}"
 
-    @property
+    @cached_property
     def byte_cycles(self) -> int:
         """How long a byte takes on the line."""
         bits = 1 + self.data_bits + (self.parity != "N") + self.stop_bits
@@ -86,6 +87,20 @@ class Usart(Device):
             self.mask("CR1", "RXNEIE", "IDLEIE", "PEIE"),
             self.mask("CR3", "EIE"),
         )
+        self._receiver = self.mask("CR1", "UE", "RE")
+        self._receiving_dma = self.mask("CR3", "DMAR")
+        # What interrupts: flags of ISR and the bit of CR1 that lets them.
+        self._causes = tuple(
+            (flags, self.mask("CR1", name))
+            for flags, name in (
+                (_RXNE | _ORE, "RXNEIE"),
+                (_IDLE, "IDLEIE"),
+                (_TC, "TCIE"),
+                (_TXE, "TXEIE"),
+                (_PE, "PEIE"),
+            )
+        )
+        self._format_key, self._format = (0, 0, 0, 0), SBUS  # the registers and clock of that format
         self._arriving: list[tuple[int, int, Format, bool]] = []  # end, byte, format, parity is wrong
         self._line_free = 0  # cycle at which the last byte of `_arriving` ends
         self._begin()
@@ -110,6 +125,13 @@ class Usart(Device):
     @property
     def format(self) -> Format:
         """As the image has set it."""
+        words = self.words
+        key = (words["BRR"], words["CR1"], words["CR2"], self._clock(self.name))
+        if key != self._format_key:
+            self._format_key, self._format = key, self._set_format()
+        return self._format
+
+    def _set_format(self) -> Format:
         divider, clock = self.words["BRR"], self._clock(self.name)
         if self.get("CR1", "OVER8"):
             divider = divider & 0xFFF0 | (divider & 7) << 1
@@ -216,13 +238,11 @@ class Usart(Device):
     def read_isr(self) -> int:
         self.sync()
         self._update()
-        busy = (
-            _BUSY
-            if self._arriving
-            and self._arriving[0][0] - self._arriving[0][2].byte_cycles <= (self.context.cycle)
-            else 0
-        )
-        return self.words["ISR"] | busy
+        if self._arriving:
+            end, _, sender, _ = self._arriving[0]
+            if end - sender.byte_cycles <= self.context.cycle:
+                return self.words["ISR"] | _BUSY
+        return self.words["ISR"]
 
     def write_icr(self, value: int) -> None:
         self.sync()
@@ -264,7 +284,7 @@ class Usart(Device):
         return self.words["CR1"] & self._own_interrupts[0] or self.words["CR3"] & self._own_interrupts[1]
 
     def _takes_by_dma(self) -> bool:
-        on = self.words["CR1"] & 1 and self.get("CR1", "RE") and self._receives_by_dma()
+        on = self.words["CR1"] & self._receiver == self._receiver and self._receives_by_dma()
         return bool(on and not self.words["ISR"] & _RXNE and self._dma.available(f"{self.name}_RX"))
 
     def _arrive(self) -> None:
@@ -328,7 +348,7 @@ class Usart(Device):
         self._update()
 
     def _receives_by_dma(self) -> int:
-        return self.get("CR3", "DMAR")
+        return self.words["CR3"] & self._receiving_dma
 
     def _hand_over(self) -> None:
         self.words["ISR"] &= ~_RXNE
@@ -364,23 +384,22 @@ class Usart(Device):
     # Flags and interrupt
 
     def _update(self) -> None:
-        if self._idle_at is not None and self.context.cycle >= self._idle_at:
-            busy = self._arriving and self._arriving[0][0] - self._arriving[0][2].byte_cycles < self._idle_at
-            self._idle_at = None
-            if not busy:
-                self.words["ISR"] |= _IDLE
-        if self._idle_at is not None and self.get("CR1", "IDLEIE"):
-            self._idle.set(self._idle_at)
-        flags = self.words["ISR"]
-        wanted = (
-            flags & (_RXNE | _ORE) and self.get("CR1", "RXNEIE"),
-            flags & _IDLE and self.get("CR1", "IDLEIE"),
-            flags & _TC and self.get("CR1", "TCIE"),
-            flags & _TXE and self.get("CR1", "TXEIE"),
-            flags & _PE and self.get("CR1", "PEIE"),
-            flags & (_FE | _ORE) and self.get("CR3", "EIE") and self.get("CR3", "DMAR"),
-        )
-        self.context.irq(self._irq, any(wanted))
+        words = self.words
+        if self._idle_at is not None:
+            if self.context.cycle >= self._idle_at:
+                busy = (
+                    self._arriving and self._arriving[0][0] - self._arriving[0][2].byte_cycles < self._idle_at
+                )
+                self._idle_at = None
+                if not busy:
+                    words["ISR"] |= _IDLE
+            elif self.get("CR1", "IDLEIE"):
+                self._idle.set(self._idle_at)
+        flags, lets = words["ISR"], words["CR1"]
+        wanted = flags & (_FE | _ORE) and self.get("CR3", "EIE") and self.get("CR3", "DMAR")
+        for raised, enable in self._causes:
+            wanted = wanted or (flags & raised and lets & enable)
+        self.context.irq(self._irq, bool(wanted))
 
     def _write_fixed(self, register: str, value: int) -> None:
         if self.words["CR1"] & 1:
