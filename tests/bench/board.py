@@ -1,7 +1,8 @@
 """How fast the emulated board flies, in multiples of real time, and which parts take the time.
 
 The image of a policy is built, and flown by `fly` on the emulated board with its twin, first with nothing but
-a clock before and after, then once more with a stopwatch at every border between the parts.
+a clock before and after, then once more with a stopwatch at every border between the parts. What the port was
+given in that flight is given to a second board: that is the time of board and port, without twin and loop.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import gc
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -30,13 +31,15 @@ from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, load_scenario
 from sim.physics.twin import Twin
 from sim.ports.emulator import EmulatedPort
+from sim.ports.port import Reply, Sample
+from tests.bench.unicorn_cost import BLOCK, Cost, unicorn_costs
 
 T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = ROOT / "training" / "policies" / "nf1" / "policy.onnx"
 AIRCRAFT, SCENARIO, SEED, COUNT = "nf1", "pulses", 1, 2
 IDLE_S = 2.0
-BAR = 1.0  # of real time, with a policy flying
+BAR = 2.0  # of real time, with a policy flying
 PARTS = (
     "instructions, and the engine's look at each (unicorn)",
     "exceptions, events, time (engine)",
@@ -74,6 +77,7 @@ class Speed:
 
     rows: tuple[Row, ...]
     shares: dict[str, float]  # of the policy's flight, by part; together 1
+    costs: tuple[Cost, ...]  # of an instruction
 
 
 class Stopwatch:
@@ -121,10 +125,12 @@ def measure(report: Callable[[str], None]) -> Speed:
         for name, scenario in (("policy flies", policy), ("PID flies", policy.under_pid())):
             report(f"board: {name}")
             rows.append(_apart(_flight, name, image, scenario))
+        report("board: the policy's flight again, without twin and loop")
+        rows.append(_apart(_replay, "policy, board alone", image, policy))
         report("board: idle")
         rows.append(_apart(_idle, image))
         report("board: where the time goes")
-        return Speed(tuple(rows), _apart(_shares, image, policy))
+        return Speed(tuple(rows), _apart(_shares, image, policy), _apart(unicorn_costs))
 
 
 def _apart(function: Callable[..., T], *arguments: object) -> T:
@@ -157,6 +163,41 @@ def _flight(name: str, image: Path, scenario: Scenario) -> Row:
         with _measured(name, port, rows):
             fly(twin, port, scenario)
         twin.close()
+    return rows[0]
+
+
+class _Recorder(EmulatedPort):
+    """Keeps what it is given."""
+
+    given: list[tuple[str, tuple[Any, ...]]]  # method and arguments
+
+    def announce(self, channels_us: Sequence[int], samples: int) -> None:
+        """Likewise."""
+        self.given.append(("announce", (list(channels_us), samples)))
+        super().announce(channels_us, samples)
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """Likewise."""
+        kept = sample.copy()
+        self.given.append(("exchange", (kept, channels_us)))
+        return super().exchange(sample, channels_us)
+
+
+def _replay(name: str, image: Path, scenario: Scenario) -> Row:
+    """A flight's samples and frames, given to a second board."""
+    rows: list[Row] = []
+    with closing(_Recorder(image)) as recorder:
+        recorder.given = []
+        twin = _twin(recorder, scenario)
+        fly(twin, recorder, scenario)
+        twin.close()
+    with closing(EmulatedPort(image)) as port:
+        calls = [(getattr(port, method), arguments) for method, arguments in recorder.given]
+        gc.collect()
+        gc.freeze()  # a flight keeps no samples for the collector to look through
+        with _measured(name, port, rows):
+            for call, arguments in calls:
+                call(*arguments)
     return rows[0]
 
 
@@ -210,11 +251,11 @@ def _shares(image: Path, scenario: Scenario) -> dict[str, float]:
 def print_table(speed: Speed, line: Callable[[str], None] = print) -> None:
     """For people."""
     heads = f"{'real time':>11}{'of CPU':>9}{'M instructions a second':>26}{'a board second':>16}"
-    line(f"{'emulated board':18}{heads}")
+    line(f"{'emulated board':20}{heads}")
     for row in speed.rows:
         million = row.instructions / 1e6
         line(
-            f"{row.name:18}{row.factor:>10.2f}x{row.cpu_factor:>8.2f}x{million / row.wall_s:>26.1f}"
+            f"{row.name:20}{row.factor:>10.2f}x{row.cpu_factor:>8.2f}x{million / row.wall_s:>26.1f}"
             f"{million / row.board_s:>16.1f}"
         )
     first = speed.rows[0]
@@ -223,6 +264,10 @@ def print_table(speed: Speed, line: Callable[[str], None] = print) -> None:
     line("where the time of the policy's flight goes")
     for part in PARTS:
         line(f"  {part:56}{speed.shares[part]:>5.0%}")
+    bare = speed.costs[0].ns
+    line(f"{f'a loop of {BLOCK} instructions':28}{'ns an instruction':>20}{'ns a block above bare':>24}")
+    for cost in speed.costs:
+        line(f"  {cost.name:26}{cost.ns:>20.2f}{BLOCK * (cost.ns - bare):>24.1f}")
 
 
 def document(speed: Speed) -> dict[str, Any]:
@@ -240,4 +285,5 @@ def document(speed: Speed) -> dict[str, Any]:
         ],
         "shares": {part: round(share, 4) for part, share in speed.shares.items()},
         "bar": BAR,
+        "unicorn_ns_an_instruction": {cost.name: round(cost.ns, 3) for cost in speed.costs},
     }
