@@ -39,17 +39,8 @@ void blocks_forget(struct engine *e)
 	uc_ctl_flush_tlb(e->uc);
 }
 
-static bool blocks_is(const struct block *block, uint32_t start, uint32_t size, uint32_t opening)
+struct block *blocks_search(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
 {
-	return block != NULL && block->start == start && block->size == size && block->opening == opening;
-}
-
-/* The block that begins at `start`; NULL: no code can be there. What followed `before` last is likely to do so again,
- * and lies in this machine's cache. */
-struct block *blocks_find(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
-{
-	if (before != NULL && blocks_is(before->next, start, size, opening))
-		return before->next;
 	const uint32_t row = row_of(start);
 
 	if (row == NOWHERE)

@@ -4,8 +4,22 @@
 
 #include "engine.h"
 
-/* The block that begins at `start`, `before` having run before it; NULL: no code can be there. */
-struct block *blocks_find(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening);
+static inline bool blocks_is(const struct block *block, uint32_t start, uint32_t size, uint32_t opening)
+{
+	return block != NULL && block->start == start && block->size == size && block->opening == opening;
+}
+
+struct block *blocks_search(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening);
+
+/* The block that begins at `start`, `before` having run before it; NULL: no code can be there. What followed `before` last is
+ * likely to do so again, and lies in this machine's cache. */
+static inline struct block *blocks_find(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
+{
+	if (before != NULL && blocks_is(before->next, start, size, opening))
+		return before->next;
+	return blocks_search(e, before, start, size, opening);
+}
+
 void blocks_count(struct engine *e); /* counts of blocks in use, into enters and leaves */
 void blocks_drop(struct engine *e, uint32_t row);
 void blocks_forget(struct engine *e); /* code was changed from outside; not while unicorn runs */

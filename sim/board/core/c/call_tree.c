@@ -57,7 +57,7 @@ static uint32_t profile_returned_to(const struct engine *e, uint32_t address)
 void profile_block(struct engine *e)
 {
 	struct state *const s = &e->s;
-	const uint32_t function = e->function_of[e->code];
+	const uint32_t function = e->function_of[e->block->code];
 	const bool jumped = e->s.last_end != e->start;
 
 	profile_plant(e);

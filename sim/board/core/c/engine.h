@@ -212,7 +212,6 @@ struct engine {
 	/* The block that runs; NULL between blocks. */
 	struct block *block;
 	uint32_t start;              /* its address */
-	uint32_t code;               /* its row in `enters` */
 	uint32_t at;                 /* the instruction at hand */
 	uint32_t next_special;
 	uint32_t stop_at;            /* first address in it at which hooks_consider runs */

@@ -23,16 +23,10 @@
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
 
-/* The first `count` instructions of the block have been executed. */
-void hooks_account(struct engine *e, uint32_t count)
+/* The first `count` instructions of the block, `bytes` long, have been executed. */
+static inline void hooks_pass(struct engine *e, const struct block *b, uint32_t count, uint32_t bytes)
 {
-	struct block *const block = e->block;
-	const struct block *const b = block;
-	const uint32_t bytes = count < b->count ? b->offsets[count] & ~1u : b->size;
-
 	e->block = NULL;
-	if (count == 0u)
-		return;
 	e->skip = NOWHERE;
 	/* Only jumps are hashed: a run cut in two by an alarm is the same run. */
 	if (e->s.last_end != e->start)
@@ -40,15 +34,27 @@ void hooks_account(struct engine *e, uint32_t count)
 	e->s.last_end = e->start + bytes;
 	e->s.time += count * e->s.tick;
 	e->s.instructions += count;
-	if (count == b->count) {
-		++block->times;
-	} else {
-		++e->enters[e->code];
-		++e->leaves[e->code + bytes / 2u];
-	}
 	if (e->profiling) {
 		e->nodes[e->s.node].instructions += count;
 		e->s.called = b->calls && count == b->count ? e->s.last_end : NOWHERE;
+	}
+}
+
+void hooks_account(struct engine *e, uint32_t count)
+{
+	struct block *const block = e->block;
+
+	if (count == 0u) {
+		e->block = NULL;
+	} else if (count == block->count) {
+		++block->times;
+		hooks_pass(e, block, count, block->size);
+	} else {
+		const uint32_t bytes = block->offsets[count] & ~1u;
+
+		++e->enters[block->code];
+		++e->leaves[block->code + bytes / 2u];
+		hooks_pass(e, block, count, bytes);
 	}
 }
 
@@ -64,6 +70,8 @@ static void hooks_plan(struct engine *e)
 	uint64_t k = b->count;
 
 	e->event_stop = NOWHERE;
+	if (left >= b->count * e->s.tick && most >= b->count && e->breakpoint_count == 0u)
+		return;
 	if (left < b->count * e->s.tick)
 		k = (left + e->s.tick - 1u) / e->s.tick;
 	if (most < k)
@@ -232,7 +240,7 @@ static void hooks_on_code(uc_engine *uc, uint64_t address, uint32_t size, void *
 	(void)uc;
 	(void)size;
 	e->at = (uint32_t)address;
-	if ((uint32_t)address >= e->stop_at)
+	if (__builtin_expect((uint32_t)address >= e->stop_at, false))
 		hooks_consider(e, (uint32_t)address);
 }
 
@@ -255,7 +263,10 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 	(void)uc;
 	if (before != NULL) {
 		opening = e->start + before->size == start ? before->open : 0;
-		hooks_account(e, before->count);
+		if (before->count != 0u) {
+			++before->times;
+			hooks_pass(e, before, before->count, before->size);
+		}
 	}
 	e->at = e->start = e->s.pc = start;
 	e->next_special = 0;
@@ -266,7 +277,6 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 		uc_emu_stop(e->uc);
 		return;
 	}
-	e->code = e->block->code;
 	__builtin_prefetch(e->block->next);
 	if (e->profiling)
 		profile_block(e);
