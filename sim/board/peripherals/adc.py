@@ -175,12 +175,12 @@ class Adc(Device):
         """Do the conversions that have ended up to now."""
         if not self._running:
             return
-        times = self._times()
-        if self.context.cycle - self._at < times[self._next]:
+        times, now = self._times(), self.context.cycle
+        left = now - self._at
+        if left < times[self._next]:
             return
         codes = [self._code(channel) for channel in self._order[1]]
         ended: list[int] = []
-        left = self.context.cycle - self._at
         endless, whole = self.get("CR2", "CONT"), sum(times)
         while left >= times[self._next]:
             if self._next == 0 and endless and left >= whole:
@@ -195,7 +195,7 @@ class Adc(Device):
                 if not endless:
                     self._running = False
                     break
-        self._at = self.context.cycle - left
+        self._at = now - left
         if ended:
             self._deliver(ended)
             self._same += len(ended)
@@ -230,24 +230,24 @@ class Adc(Device):
         self._update_irq()
 
     def _plan(self) -> None:
-        self._alarm.cancel()
-        self._dma.wake("ADC1", self._alarm, None)
+        by_dma, wanted = self.get("CR2", "DMA"), 0  # conversions until something shows
         if not self._running:
-            return
-        times = self._times()
-        if self.get("CR2", "DMA"):
-            wanted = self._dma.until_flag("ADC1")
-            if not wanted or self._stalled:
-                return
+            pass
+        elif by_dma:
+            wanted = 0 if self._stalled else self._dma.until_flag("ADC1")
         elif self.get("CR1", "EOCIE"):
             wanted = 1
-        else:
+        if not wanted:
+            self._alarm.cancel()
+            self._dma.wake("ADC1", self._alarm, None)
             return
+        times = self._times()
         rounds, rest = divmod(wanted, len(times))
         cycles = rounds * sum(times) + sum(times[(self._next + i) % len(times)] for i in range(rest))
-        if self.get("CR2", "DMA") and not self.get("CR1", "OVRIE"):
+        if by_dma and not self.get("CR1", "OVRIE"):
             self._dma.wake("ADC1", self._alarm, self._at + cycles, quiet=self._writes_the_same(len(times)))
         else:
+            self._dma.wake("ADC1", self._alarm, None)
             self._alarm.set(self._at + cycles)
 
     def _writes_the_same(self, places: int) -> bool:
