@@ -28,6 +28,7 @@
 #include <errno.h>
 #include <netinet/in.h>
 #include <pthread.h>
+#include <sched.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -55,6 +56,7 @@ enum {
 	MOTOR_PORT = 9002,
 	SERVO_BYTES = 68,
 	SERVO_PACKETS = 16, /* kept for one report */
+	SPIN_NS = 100000, /* real, for which the next permit is looked for before the thread sleeps: a wake-up takes longer */
 	KEEPER_BYTES = 65536, /* of the stack on which a thread waits that has lent its own */
 };
 
@@ -95,6 +97,8 @@ static struct {
 	int control;
 	_Atomic uint64_t now_ns;
 	struct permit permit; /* the last one; of the main thread */
+	bool alone;           /* on one processor, where the simulator runs only while this thread sleeps */
+	bool spins;           /* the last permit came within SPIN_NS */
 	bool guest;           /* the main thread is on a stack that was lent to it */
 	ucontext_t home;      /* of the main thread meanwhile */
 	size_t servo_count;   /* guarded by `busy`, as all that Betaflight does */
@@ -140,6 +144,8 @@ __attribute__((constructor)) static void start(void)
 	*(void **)&s.pthread_create = dlsym(RTLD_NEXT, "pthread_create");
 	*(void **)&s.pthread_join = dlsym(RTLD_NEXT, "pthread_join");
 	s.control = (int)number("NEUROFLIGHT_CONTROL");
+	cpu_set_t processors;
+	s.alone = sched_getaffinity(0, sizeof processors, &processors) == 0 && CPU_COUNT(&processors) == 1;
 	main_thread = true;
 }
 
@@ -230,12 +236,41 @@ static struct server *server_of(int fd)
 	return NULL;
 }
 
+/* Of the computer's clock. */
+static uint64_t real_ns(void)
+{
+	struct timespec now;
+	s.clock_gettime(CLOCK_MONOTONIC, &now);
+	return (uint64_t)now.tv_sec * 1000000000U + (uint64_t)now.tv_nsec;
+}
+
+/* The next permit. The processor is kept, and lent to others, only while permits come within SPIN_NS. */
+static ssize_t await_permit(void)
+{
+	const uint64_t began = real_ns();
+	ssize_t got = -1;
+	while (s.spins && got < 0 && real_ns() - began < SPIN_NS) {
+		got = recv(s.control, &s.permit, sizeof s.permit, MSG_DONTWAIT);
+		if (got < 0 && errno != EAGAIN) {
+			return got;
+		}
+		if (got < 0) {
+			sched_yield();
+		}
+	}
+	if (got < 0) {
+		got = recv(s.control, &s.permit, sizeof s.permit, 0);
+	}
+	s.spins = !s.alone && real_ns() - began < SPIN_NS;
+	return got;
+}
+
 /* Stand still until the simulator permits more and its packets are dealt with. */
 static void park(void)
 {
 	rest();
 	report(PARKED, 0, s.permit.limit_ns);
-	const ssize_t got = recv(s.control, &s.permit, sizeof s.permit, 0);
+	const ssize_t got = await_permit();
 	const size_t states = s.permit.states * STATE_BYTES, receivers = s.permit.receivers * RECEIVER_BYTES;
 	if (got < 0 || (size_t)got != offsetof(struct permit, packets) + states + receivers) {
 		_exit(1);

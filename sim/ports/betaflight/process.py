@@ -30,6 +30,7 @@ STEP_NS = 1_000_000  # of simulated time, between two checks of its output
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
 END_S = 5.0  # real, from its decision to restart to its end
 LAST_WORDS_S = 0.1  # real, for the exit status of one that fails
+SPIN_NS = 200_000  # real, for which an answer is looked for before the process sleeps: a wake-up takes longer
 POLL_S = 0.0005  # real, for its TCP thread to carry bytes
 EEPROM = "eeprom.bin"  # its settings, in its working directory
 
@@ -50,6 +51,8 @@ class BetaflightProcess:
         self.now_ns = 0
         self.ports: dict[int, int] = {}  # those it serves, by the number it asked for
         self._state = self._receiver = b""  # packets to be taken in before the next run
+        self._alone = len(os.sched_getaffinity(0)) == 1  # then the program runs only while this one sleeps
+        self._spins = False
         self._servo: list[bytes] = []  # packets since they were last asked for
         with contextlib.ExitStack() as undo:
             folder = tempfile.TemporaryDirectory(prefix="neuroflight-betaflight-")
@@ -156,7 +159,7 @@ class BetaflightProcess:
     def _await_parked(self) -> None:
         while True:
             try:
-                report = self._control.recv(PACKET_BYTES_MAX)
+                report = self._next_report()
             except BlockingIOError as error:
                 raise self.lost(f"it does not come back within {ANSWER_S:g} s") from error
             except OSError as error:
@@ -170,6 +173,18 @@ class BetaflightProcess:
                 return
             if kind == _BOUND:
                 self.ports[port] = value
+
+    def _next_report(self) -> bytes:
+        """The next report. The processor is kept, and lent to others, only while they come within SPIN_NS."""
+        began = time.perf_counter_ns()
+        while self._spins and time.perf_counter_ns() - began < SPIN_NS:
+            try:
+                return self._control.recv(PACKET_BYTES_MAX, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                os.sched_yield()
+        report = self._control.recv(PACKET_BYTES_MAX)
+        self._spins = not self._alone and time.perf_counter_ns() - began < SPIN_NS
+        return report
 
     def _end(self) -> None:
         """End its process group."""
