@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from sim.physics.twin import Twin
 from sim.physics.world import Mount, World
 from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
-from training.config.training_config import TrainingConfig
+from training.config.config_file import load_config
 from training.evaluation.evaluation import figures, record
 from training.runs.train import train
 from training.tasks.task import PulseTask
@@ -186,34 +186,42 @@ def twin_speeds(seconds: float) -> list[Speed]:
 
 @dataclass(frozen=True)
 class Learning:
-    """What `neuroflight train` does with PPO, checkpoints and all."""
+    """What `neuroflight train` does with a recipe, checkpoints and all."""
 
+    recipe: str
     steps_a_second: float  # end to end
     of_the_twin: float  # that, beside the twin alone with as many aircraft
+    of_bare_pybullet: float  # and beside the Python loop of `bare`
     steps_in_a_minute: int
     seconds: float  # that they took
     mae_deg_s: float  # mean over axes of the policy that they made, on unseen pulses
     worst_mae_deg_s: float  # of a command and axis
 
 
-def learning(steps: int, seconds: float, seed: int) -> Learning:
-    """PPO on the NF1's pulses. steps: to take the speed with; seconds: for the twin alone."""
+def learning(recipe: str, steps: int, seconds: float, seed: int) -> Learning:
+    """A recipe on the NF1's pulses. steps: to take the speed with; seconds: for the twin alone."""
+    config = replace(load_config(recipe), steps=steps, seed=seed)
+    aircraft = config.algorithm.aircraft
     with ExitStack() as stack:
-        alone = twin(LEARNING, Mount.CENTRE, stack)
+        floor, alone = bare(aircraft, Mount.CENTRE, stack), twin(aircraft, Mount.CENTRE, stack)
         for _ in range(ROUNDS):
+            floor.time(seconds / ROUNDS)
             alone.time(seconds / ROUNDS)
     with tempfile.TemporaryDirectory() as folder:
-        state = train(NF1, TrainingConfig(steps=steps, seed=seed), Path(folder))
+        state = train(NF1, config, Path(folder))
     speed = state.steps / state.seconds
     with tempfile.TemporaryDirectory() as folder:
-        minute = train(NF1, TrainingConfig(steps=int(MINUTE_S * speed), seed=seed), Path(folder))
+        minute = train(NF1, replace(config, steps=int(MINUTE_S * speed)), Path(folder))
         policy = PolicyController(read_policy(Path(folder) / "policy.onnx"), UNSEEN, exact=False)
-    result = figures(
-        record(policy, NF1, PulseTask(), episodes=UNSEEN, seed=UNSEEN_SEED, control_rate_hz=1000)
+    flights = record(
+        policy, NF1, PulseTask(), episodes=UNSEEN, seed=UNSEEN_SEED, control_rate_hz=1000, idle=config.idle
     )
+    result = figures(flights)
     return Learning(
+        recipe=recipe,
         steps_a_second=speed,
         of_the_twin=speed / alone.best,
+        of_bare_pybullet=speed / floor.best,
         steps_in_a_minute=minute.steps,
         seconds=minute.seconds,
         mae_deg_s=float(result.tracking.mae.mean()),
