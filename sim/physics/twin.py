@@ -292,7 +292,7 @@ class Twin:
         if failed:
             if failed == library().lib.STEP_BAD_COMMAND:
                 raise bad_command(motors)
-            raise RuntimeError("pybullet refuses a step of the twin")
+            raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
 
     def measure(self, which: NDArray[np.intp] | None = None) -> None:
         """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""

@@ -158,6 +158,7 @@ class World:
         if self._client >= 0:
             pybullet.disconnect(self._client)
             self._client = -1
+            self.state.client = library().ffi.NULL  # so that C refuses instead of using what is gone
 
     def reset(self, index: Iterable[int], rate: Array | None = None) -> None:
         """Put the aircraft of `index` level, at the origin or on the ground, at rest.
@@ -290,7 +291,7 @@ class World:
 
 
 def _failed() -> RuntimeError:
-    return RuntimeError("pybullet refuses a command of the twin")
+    return RuntimeError("pybullet refuses a command of the world; is it closed?")
 
 
 def _gyroscopic(inertia: Array) -> Array:

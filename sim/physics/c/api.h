@@ -17,7 +17,7 @@ enum { MOTORS_MAX = 16, TERMS_MAX = 8, BATTERY_POINTS_MAX = 32 };
 
 struct polynomial {
 	uint32_t terms;
-	double term[8]; /* the constant first */
+	double term[TERMS_MAX]; /* the constant first */
 };
 
 struct propulsion {
@@ -66,7 +66,8 @@ bool delay_step(struct delay *d, size_t count, const double *command, double *ac
 
 struct pack {
 	uint32_t points;
-	double state_of_charge[32], voltage[32]; /* of a rested cell [V], over its charge left */
+	double state_of_charge[BATTERY_POINTS_MAX];
+	double voltage[BATTERY_POINTS_MAX]; /* of a rested cell [V], over its charge left */
 	double scale;                            /* of the pack's voltage to the cell's */
 	double capacity;                         /* [A s] */
 	double resistance;                       /* [ohm] */
@@ -149,7 +150,7 @@ struct world {
 	size_t count;
 	int mount;
 	bool ground, gravity;
-	void *client;          /* bullet's */
+	void *client;          /* bullet's; NULL: closed */
 	int link, frame;       /* of bullet: what torques act on, and the axes that they are given in */
 	const int32_t *bodies; /* (N) */
 	double half_step;      /* [s] */

@@ -23,13 +23,13 @@ double rotor_target_speed(const struct propulsion *p, double command)
 	return (curve[0] * command + curve[1]) * command + curve[2];
 }
 
-/* voltage_ratio: of the battery under load to the supply that the curve was measured with; NULL: 1. Speed is taken as
+/* voltage_ratio: of the battery under load to the supply that the curve was measured with. Speed is taken as
  * proportional to it. */
 void rotor_target_speeds(const struct propulsion *p, size_t count, const double *command, const double *voltage_ratio,
 			 double *speed)
 {
 	for (size_t i = 0; i < count; ++i)
-		speed[i] = rotor_target_speed(p, command[i]) * (voltage_ratio != NULL ? voltage_ratio[i] : 1.0);
+		speed[i] = rotor_target_speed(p, command[i]) * voltage_ratio[i];
 }
 
 /* Speed after a step towards a target that stands; never below zero.

@@ -35,11 +35,13 @@ static bool world_read_one(struct world *w, size_t i, struct bullet_state *state
 	return true;
 }
 
-/* Attitudes and positions of the aircraft of `which` (count). False: Bullet refuses. */
+/* Attitudes and positions of the aircraft of `which` (count). False: Bullet refuses, or the world is closed. */
 bool world_read_pose(struct world *w, size_t count, const int64_t *which)
 {
 	struct bullet_state state;
 
+	if (w->client == NULL)
+		return false;
 	for (size_t k = 0; k < count; ++k)
 		if (!world_read_one(w, (size_t)which[k], &state))
 			return false;
@@ -153,9 +155,11 @@ static bool world_take(struct world *w, size_t i)
 	return true;
 }
 
-/* Advances one time step under the wrenches (N, 6). False: Bullet refuses. */
+/* Advances one time step under the wrenches (N, 6). False: Bullet refuses, or the world is closed. */
 bool world_step(struct world *w, const double *wrench)
 {
+	if (w->client == NULL)
+		return false;
 	for (size_t i = 0; i < w->count; ++i)
 		world_ask(w, i, wrench + 6u * i);
 	bullet_push(w->client, w->count, w->bodies, w->link, w->frame, w->torque,

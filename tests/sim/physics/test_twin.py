@@ -125,6 +125,13 @@ def test_refuses_commands_that_are_no_fractions(motors: np.ndarray) -> None:
     aircraft.close()
 
 
+def test_refuses_a_step_when_it_is_closed() -> None:
+    aircraft = twin()
+    aircraft.close()
+    with pytest.raises(RuntimeError, match="is it closed"):
+        aircraft.step(np.zeros((1, 4)))
+
+
 def test_terminal_speed_thrust_and_yaw_torque_are_the_analytic_ones() -> None:
     """Half a per cent, in still air that holds nothing back: H(u), K_T w^2 and K_Q K_T w^2."""
     propulsion = replace(NF1.propulsion, drag_coefficient=0.0, rolling_coefficient=0.0)
