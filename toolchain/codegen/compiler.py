@@ -9,6 +9,7 @@ import numpy as np
 from toolchain.codegen.emit import Emission, emit
 from toolchain.codegen.plan import Plan, lower
 from toolchain.codegen.selftest import selftest_vectors
+from toolchain.errors import PolicyError
 from toolchain.ir.network import Network
 from toolchain.passes import Saving, optimize
 from toolchain.policy.blob import PolicyBlob, blob_terms, filters_hash
@@ -28,7 +29,10 @@ class CompiledPolicy:
 
 
 def compile_policy(policy: PolicyModel) -> CompiledPolicy:
-    """The C of `policy`. Deterministic. Raises PolicyError where folding leaves float32's range."""
+    """The C of `policy`. Deterministic.
+
+    Raises PolicyError where folding or the self-test leaves float32's range.
+    """
     network, savings = optimize(policy.network)
     return compile_network(policy, network, savings)
 
@@ -39,6 +43,11 @@ def compile_network(
     """The C of `policy` with its network in the form `network`, as it stands."""
     plan = lower(policy, network)
     observation, action = selftest_vectors(network)
+    if not np.isfinite(action).all():
+        raise PolicyError(
+            f"the policy answers NaN to finite observations of up to {np.abs(observation).max():g}, "
+            "expected numbers; train it anew: its weights are too large for float32"
+        )
     blob = PolicyBlob(
         sequence=0,
         architecture_hash=plan.architecture_hash,

@@ -10,7 +10,7 @@ import numpy as np
 
 from toolchain.codegen.kernel_calls import BLOCK, Call, Place
 from toolchain.codegen.scratch_allocation import PendingCall
-from toolchain.codegen.weight_table import block_part, function_part, lanes_part, padded_gates
+from toolchain.codegen.weight_table import block_part, lanes_part, padded_gates
 from toolchain.ir.activation_tables import EXPM1, TANH, ActivationTable
 from toolchain.ir.float32 import Float32
 from toolchain.ir.lanes import LANES, padded
@@ -60,7 +60,7 @@ class Lowering:
         for function, users in ((TANH, (Tanh, Sigmoid, Silu, Gru, Lstm)), (EXPM1, (Elu,))):
             if any(isinstance(node.operation, users) for node in network.nodes):
                 self.functions.append(function)
-                self._tables[function.name] = self._store(function_part(function))
+                self._tables[function.name] = self._store(function.rows.ravel())
         entrance = self._new(network.inputs)
         self._emit("enter", entrance, (), network.inputs)
         values = [entrance]
@@ -138,7 +138,9 @@ class Lowering:
         return target
 
     def _look_up(self, function: ActivationTable, x: _Value) -> _Value:
-        return self._map("look_up", [x], table=self._tables[function.name])
+        """The bounds that keep addresses inside the table come with the code: no weight can change them."""
+        limits = (function.low, function.high, function.magic)
+        return self._map("look_up", [x], table=self._tables[function.name], constants=limits)
 
     def _sigmoid(self, half: _Value) -> _Value:
         return self._map("sigmoid", [self._look_up(TANH, half)])

@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.ir.activation_tables import ActivationTable
 from toolchain.ir.float32 import Float32
 from toolchain.ir.lanes import padded
-
-
-def function_part(table: ActivationTable) -> Float32:
-    """What the look-up kernel reads: bounds and magic number, then the rows."""
-    head = np.array([table.low, table.high, table.magic, 0.0], np.float32)
-    return np.concatenate([head, table.rows.ravel()])
 
 
 def lanes_part(values: Float32 | NDArray[np.float64]) -> Float32:

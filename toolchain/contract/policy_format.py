@@ -25,7 +25,7 @@ SELFTEST_COUNT = 16
 # header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
 # behind the one before without a gap, all little-endian.
 POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
-POLICY_BLOB_LAYOUT = 2
+POLICY_BLOB_LAYOUT = 3
 POLICY_BLOB_AIRCRAFT_BYTES = 32
 POLICY_BLOB_CRC_BYTES = 4
 POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter

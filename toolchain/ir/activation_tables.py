@@ -13,7 +13,7 @@ prove`):
 
 No result lies beyond 1. As |x| grows, a result may lie below the largest so far by as much as the last column
 says, and below the float before by 2 ulp. Up to |x| = 2^-12 (TANH) and 2^-24 (EXPM1), subnormals and -0
-included, x comes back unchanged. TANH is odd to the bit. NaN gives the value at `high`: 1, or 0 of EXPM1.
+included, x comes back unchanged. TANH is odd to the bit. NaN and infinity give NaN.
 
 The ulp is that of the exact result's binade. Where f ends a binade that G begins, half a unit each of c0, of
 the sum and of the product can add up to 2.5. Smaller steps do not help: G(1.875) stays a row, and its c0 is
@@ -54,10 +54,12 @@ class ActivationTable:
 def apply(table: ActivationTable, x: Float32) -> Float32:
     """The tabulated function of each float32 value of `x`, rounded at each step as the compiled C is.
 
-    NaN counts as `high`, as it does for the processor's own minimum.
+    NaN takes the row of `high`, as it does by the processor's own minimum; 0 x makes the result NaN, as it does
+    of an infinity.
     """
     f = np.float32
     with np.errstate(invalid="ignore", under="ignore"):
+        finite = np.isfinite(x)
         x = np.where(x <= f(table.high), x, f(table.high))
         x = np.where(x > f(table.low), x, f(table.low))
         a = np.abs(x)
@@ -65,7 +67,7 @@ def apply(table: ActivationTable, x: Float32) -> Float32:
         r = a - (total - f(table.magic))
         row = total.view(np.int32) - f(table.magic).view(np.int32)
         c0, c1, c2, c3 = np.moveaxis(table.rows[row], -1, 0)
-        return x * fma(fma(fma(c3, r, c2), r, c1), r, c0)
+        return np.where(finite, x * fma(fma(fma(c3, r, c2), r, c1), r, c0), f(np.nan))
 
 
 def _load(name: str) -> ActivationTable:

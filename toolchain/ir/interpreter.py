@@ -1,10 +1,9 @@
 """Evaluates a policy's network exactly as the emitted C does, bit for bit, on many observations at once.
 
 Every operation has the order of the kernels that `toolchain.codegen.emit` writes: a linear layer
-starts from the bias and adds inputs in ascending order, each by one fused multiply-add; bounds are chosen by
-comparison, so that an activation turns a NaN into one of its bounds and recurrent state stays finite whatever
-comes in; an observation that holds a NaN or an infinity gives the lower bound of the output's Clip on every
-motor.
+starts from the bias and adds inputs in ascending order, each by one fused multiply-add. What is no number
+stays so: an activation or a Clip whose input is NaN or infinite gives NaN, and an observation that holds
+either gives NaN on every motor. A step whose action holds NaN clears the recurrent state.
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ from toolchain.ir.operations import (
 
 State = tuple[Float32, ...]  # (N, units) of each recurrent node in order; for an Lstm h, then c
 
-_HALF, _1 = np.float32(0.5), np.float32(1)
-_LARGEST = float(np.finfo(np.float32).max)
+_HALF, _1, _NAN = np.float32(0.5), np.float32(1), np.float32(np.nan)
 
 
 def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> Float32:
@@ -51,7 +49,7 @@ def evaluate(network: Network, observation: Float32, *, exact: bool = True) -> F
 
     exact: give the emitted C's bits; otherwise matrices go through BLAS and tanh through numpy, many times
     as fast and a few ulp away, which is for statistics over many flights.
-    Any observation gives actions within the last Clip's bounds.
+    Actions are within the last Clip's bounds; NaN where the observation or a sum of it leaves float32.
     """
     return advance(network, observation, clear_state(network, len(observation)), exact=exact)[0]
 
@@ -84,7 +82,7 @@ def advance(
     usable = np.isfinite(observation).all(axis=1, keepdims=True)
     old, new = iter(state), list[Float32]()
     with np.errstate(all="ignore"):
-        values = [np.where(usable, observation + np.float32(0), np.float32(np.nan))]  # -0 becomes 0
+        values = [observation + np.float32(0)]  # -0 becomes 0
         for node in network.nodes:
             inputs = [values[number] for number in node.inputs]
             match node.operation:
@@ -98,7 +96,9 @@ def advance(
                     values.append(h)
                 case operation:
                     values.append(_apply(operation, inputs, exact))
-    return np.where(usable, values[-1], np.float32(last.low)), tuple(new)
+    action = np.where(usable, values[-1], _NAN)
+    lost = np.isnan(action).any(axis=1, keepdims=True)
+    return action, tuple(np.where(lost, np.float32(0), part + np.float32(0)) for part in new)
 
 
 def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Float32:
@@ -115,7 +115,6 @@ def _apply(operation: Stateless, inputs: Sequence[Float32], exact: bool) -> Floa
         case Silu():
             return x * _sigmoid(x, exact)
         case Softsign():
-            x = _bound(x, -_LARGEST, _LARGEST)
             quotient: Float32 = np.divide(x, _1 + np.abs(x))
             return quotient
         case Relu():
@@ -197,13 +196,13 @@ def _sum(x: Float32, add: Callable[[Float32, Float32], Float32]) -> Float32:
     return ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3]))[:, None]
 
 
-def _bound(x: Float32, low: float, high: float) -> Float32:
-    return _at_most(_at_least(x, low), high)
-
-
 def _at_most(x: Float32, high: float) -> Float32:
-    return np.where(x <= np.float32(high), x, np.float32(high))
+    return _if_finite(x, np.where(x <= np.float32(high), x, np.float32(high)))
 
 
 def _at_least(x: Float32, low: float) -> Float32:
-    return np.where(x > np.float32(low), x, np.float32(low))
+    return _if_finite(x, np.where(x > np.float32(low), x, np.float32(low)))
+
+
+def _if_finite(x: Float32, y: Float32) -> Float32:
+    return np.where(np.isfinite(x), y, _NAN)

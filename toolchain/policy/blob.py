@@ -51,7 +51,7 @@ class PolicyBlob:
     policy_sha256: str  # of the ONNX file, 64 hexadecimal digits
     idle: float  # motor fraction without thrust, 0 to 0.5, exactly a float32
     weights: Float32  # (weight count,), finite: the whole table that policy_init takes
-    selftest_observation: Float32  # (T, observation count); may hold NaN and infinities
+    selftest_observation: Float32  # (T, observation count)
     selftest_action: Float32  # (T, action count), the exact answers, in [0, 1]
     selftest_steps: int  # rows from one policy_init to the next: recurrent state carries over between them
 

@@ -1,7 +1,7 @@
 """Every policy ends with a Clip within [0, 1], motor fractions.
 
-An export that ends with an activation of that range, such as a sigmoid, gets such a Clip here: it changes
-only what NaN gives. Any other model without one is rejected.
+An export that ends with an activation of that range, such as a sigmoid, gets such a Clip here, which
+changes no value. Any other model without one is rejected.
 """
 
 from __future__ import annotations

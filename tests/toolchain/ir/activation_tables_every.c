@@ -29,11 +29,12 @@ static float value_of(uint32_t bits)
 static float lookup(const float (*rows)[4], float low, float high, float step, float x)
 {
     const float magic = 12582912.0f * step;
+    const float not_finite = x * 0.0f; /* NaN of NaN and of infinities */
     x = x <= high ? x : high;
     x = x > low ? x : low;
     const float a = fabsf(x);
     const float total = a + magic;
-    const float r = a - (total - magic);
+    const float r = a - (total - magic) + not_finite;
     const float *c = rows[bits_of(total) - bits_of(magic)];
     return x * fmaf(fmaf(fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
 }
@@ -50,7 +51,7 @@ void lookup_every(const float (*rows)[4], float low, float high, float step, int
                   struct worst *worst)
 {
     float before = 0.0f, top = 0.0f;
-    for (uint32_t magnitude = 0; magnitude <= 0x7F800000u; magnitude++) {
+    for (uint32_t magnitude = 0; magnitude < 0x7F800000u; magnitude++) {
         const float x = value_of(magnitude | (negative ? 0x80000000u : 0u));
         const float result = lookup(rows, low, high, step, x);
         const double exact = is_tanh ? tanh((double)x) : x > 0.0f ? 0.0 : expm1((double)x);

@@ -60,7 +60,7 @@ BLOB = PolicyBlob(
 NUMBERS = struct.pack(
     "<4sHHIIIIIHHIIIHHI",
     b"NFPB",
-    2,
+    3,
     HEADER_BYTES,
     HEADER_BYTES + 4 * (5 + 12 + 8) + 4,
     7,
@@ -111,7 +111,7 @@ def same(a: PolicyBlob, b: PolicyBlob) -> bool:
 
 
 # --- Bytes out, bytes in ----------------------------------------------------------------------
-def test_bytes_are_those_of_layout_two_when_packed() -> None:
+def test_bytes_are_those_of_layout_three_when_packed() -> None:
     data = pack(BLOB)
     floats = WEIGHTS.tobytes() + OBSERVATION.tobytes() + ACTION.tobytes()
     assert data[:52] == NUMBERS
@@ -212,7 +212,7 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     ("name", "value", "text"),
     [
         ("magic", b"NFPX", r"begins with b'NFPX', expected b'NFPB'; is it a policy blob\?"),
-        ("layout", b"\x01\x00", "layout version 1, expected 2"),
+        ("layout", b"\x01\x00", "layout version 1, expected 3"),
         ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 344"),
         ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 448 by its counts"),
         ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 344"),

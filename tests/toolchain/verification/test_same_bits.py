@@ -45,7 +45,11 @@ def chain_of(kit: Kit, name: str) -> Chain:
 
 
 def assert_same_bits(got: Float32, expected: Float32) -> None:
-    np.testing.assert_array_equal(got.view(np.uint32), expected.view(np.uint32))
+    """NaN has many bits, so that it is compared as such."""
+    numbers = ~np.isnan(expected)
+    assert numbers.any()
+    np.testing.assert_array_equal(np.isnan(got), ~numbers)
+    np.testing.assert_array_equal(got[numbers].view(np.uint32), expected[numbers].view(np.uint32))
 
 
 @pytest.mark.parametrize("name", [*SHAPES, "odd"])
@@ -111,20 +115,48 @@ def test_actions_agree_with_torch_when_torch_exported_the_model(kit: Kit, tmp_pa
     np.testing.assert_allclose(evaluate(policy.network, observation), expected, rtol=0, atol=TOLERANCE)
 
 
-def test_actions_are_bounded_when_observations_are_anything(kit: Kit) -> None:
+def test_actions_are_bounded_or_nan_when_observations_are_anything(kit: Kit) -> None:
     policy = kit.compiled(kit.mlp())
-    action = evaluate(policy.network, kit.observations(10_000, 6, seed=2))
-    assert np.isfinite(action).all()
-    assert action.min() >= 0
-    assert action.max() <= 1
+    observation = kit.observations(10_000, 6, seed=2)
+    action = evaluate(policy.network, observation)
+    sane = (np.abs(observation) < 1e30).all(axis=1)  # false for NaN
+    assert np.isfinite(action[sane]).all()
+    assert np.isnan(action[~np.isfinite(observation).all(axis=1)]).all()
+    assert np.nanmin(action) >= 0
+    assert np.nanmax(action) <= 1
 
 
 @pytest.mark.parametrize("activation", ["Tanh", "Relu"])
-def test_motors_stop_when_one_value_is_nan(kit: Kit, tmp_path: Path, activation: str) -> None:
+def test_all_actions_are_nan_when_one_value_is_nan(kit: Kit, tmp_path: Path, activation: str) -> None:
     policy = kit.compiled(kit.mlp(activation=activation))
     observation = np.zeros((6, 6), np.float32)
     np.fill_diagonal(observation, np.nan)
-    assert not kit.host(policy, tmp_path).actions(observation).any()
+    assert np.isnan(kit.host(policy, tmp_path / "host").actions(observation)).all()
+    assert np.isnan(kit.arm(policy, tmp_path / "arm").actions(observation)).all()
+
+
+@pytest.mark.parametrize("activation", ["Tanh", "Relu", "LeakyRelu", "Softsign", "Elu", "Sigmoid"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_an_action_is_nan_when_a_weight_is_no_number(
+    kit: Kit, tmp_path: Path, activation: str, bad: float
+) -> None:
+    """Each weight in turn. Layers stand behind the tables of functions; these widths need no padding."""
+    policy = kit.compiled(kit.mlp((6, 8, 8, 4), activation))
+    host, arm = kit.host(policy, tmp_path / "host"), kit.arm(policy, tmp_path / "arm")
+    observation = kit.observations(2, 6)[:1]
+    table_of_policy, silent = policy.plan.table, []
+    layers = range(table_of_policy.size - (7 * 8 + 9 * 8 + 9 * 4), table_of_policy.size)
+    for index in layers:
+        table = table_of_policy.copy()
+        table[index] = bad
+        host.init(ctypes.c_void_p(table.ctypes.data))
+        if not np.isnan(host.actions(observation)).any():
+            silent.append(index)
+    assert not silent
+    struck = table_of_policy.copy()
+    struck[layers[0]] = bad
+    arm.init(struck)
+    assert np.isnan(arm.actions(observation)).all()
 
 
 @pytest.mark.parametrize("name", ["6-64-64-4 tanh", "6-33-7-4 relu", "odd"])

@@ -195,13 +195,13 @@ def test_sanitizer_is_named_when_the_c_overflows_an_int(
 @pytest.mark.parametrize(
     ("words", "law"),
     [
-        ("if (observation[2] != observation[2]) action[1] = observation[2];", "bounds"),
+        ('if (observation[5] == 0x1p-149f) action[3] = __builtin_nanf("");', "bits"),
         ("if (observation[2] != observation[2]) action[1] = 0.5f;", "door"),
         ("if (observation[2] > 3e38f) action[1] = 1.5f;", "bounds"),
         ("if (observation[5] == 0x1p-149f) action[3] = 0.5f * action[3] + 0x1p-2f;", "bits"),
         ("static int steps; if (steps++ == 300) action[0] = action[1];", "bits"),
     ],
-    ids=["nan leaks", "nan moves a motor", "huge leaks", "rare bits", "an early step tells on a later one"],
+    ids=["nan from a number", "nan moves a motor", "huge leaks", "rare bits", "an early step tells"],
 )
 def test_law_is_named_when_the_c_breaks_it(
     compiled: CompiledPolicy, policy: Chain, tmp_path: Path, words: str, law: str

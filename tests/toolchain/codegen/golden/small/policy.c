@@ -33,6 +33,12 @@ static inline float bound_above(float x, float high)
 #endif
 }
 
+/* y, or NaN if x is NaN or infinite: the bounds above would hide it. */
+static inline float if_finite(float x, float y)
+{
+    return __builtin_fmaf(x, 0.0f, y);
+}
+
 /* y = W x + b, 8 outputs a block; w holds a block's biases, then the weights of each input. */
 KERNEL void linear8(const float *w, const float *x, unsigned inputs, float *y, unsigned blocks)
 {
@@ -159,48 +165,50 @@ KERNEL void linear4(const float *w, const float *x, unsigned inputs, float *y, u
 #endif
 }
 
-/* y = x G(|x|), x first bounded: t = {low, high, magic, 0, rows of 4 coefficients of G}. Adding the magic number
- * rounds |x| to the middle of a row's interval and leaves the row's number in the low bits. NaN counts as high. */
-KERNEL void look_up(const float *t, const float *x, float *y, unsigned count)
+/* y = x G(|x|), x first bounded: t = rows of 4 coefficients of G. Adding the magic number rounds |x| to the middle of a
+ * row's interval and leaves the row's number in the low bits. NaN takes the row of high, so that no address leaves the
+ * table; 0 x, added to the distance from the row's middle, makes the result NaN. */
+KERNEL void look_up(const float *t, const float *x, float *y, unsigned count, float low, float high, float magic)
 {
 #ifdef POLICY_CORTEX_M7
+    const float limits[4] = { low, high, magic, 0.0f };
     unsigned base, k0, k1, k2, k3;
     __asm__ volatile(
-        "ldr %[base], [%[t], #8]\n\t"
-        "vldmia %[t]!, {s28-s31}\n\t"
+        "ldr %[base], [%[limits], #8]\n\t"
+        "vldmia %[limits], {s28-s31}\n\t"
         "sub %[base], %[t], %[base], lsl #4\n" /* row k is at base + 16 (bits of the sum) */
         "1: vldmia %[x]!, {s0-s3}\n\t"
-        "vminnm.f32 s0, s0, s29; vminnm.f32 s1, s1, s29; vminnm.f32 s2, s2, s29; vminnm.f32 s3, s3, s29\n\t"
-        "vmaxnm.f32 s0, s0, s28; vmaxnm.f32 s1, s1, s28; vmaxnm.f32 s2, s2, s28; vmaxnm.f32 s3, s3, s28\n\t"
-        "vabs.f32 s4, s0; vabs.f32 s5, s1; vabs.f32 s6, s2; vabs.f32 s7, s3\n\t"
-        "vadd.f32 s8, s4, s30; vadd.f32 s9, s5, s30; vadd.f32 s10, s6, s30; vadd.f32 s11, s7, s30\n\t"
-        "vmov %[k0], %[k1], s8, s9\n\t"
-        "vmov %[k2], %[k3], s10, s11\n\t"
-        "vsub.f32 s8, s8, s30; vsub.f32 s9, s9, s30; vsub.f32 s10, s10, s30; vsub.f32 s11, s11, s30\n\t"
-        "vsub.f32 s4, s4, s8; vsub.f32 s5, s5, s9; vsub.f32 s6, s6, s10; vsub.f32 s7, s7, s11\n\t"
+        "vminnm.f32 s8, s0, s29; vminnm.f32 s9, s1, s29; vminnm.f32 s10, s2, s29; vminnm.f32 s11, s3, s29\n\t"
+        "vmaxnm.f32 s8, s8, s28; vmaxnm.f32 s9, s9, s28; vmaxnm.f32 s10, s10, s28; vmaxnm.f32 s11, s11, s28\n\t"
+        "vabs.f32 s4, s8; vabs.f32 s5, s9; vabs.f32 s6, s10; vabs.f32 s7, s11\n\t"
+        "vadd.f32 s12, s4, s30; vadd.f32 s13, s5, s30; vadd.f32 s14, s6, s30; vadd.f32 s15, s7, s30\n\t"
+        "vmov %[k0], %[k1], s12, s13\n\t"
+        "vmov %[k2], %[k3], s14, s15\n\t"
+        "vsub.f32 s12, s12, s30; vsub.f32 s13, s13, s30; vsub.f32 s14, s14, s30; vsub.f32 s15, s15, s30\n\t"
+        "vsub.f32 s4, s4, s12; vsub.f32 s5, s5, s13; vsub.f32 s6, s6, s14; vsub.f32 s7, s7, s15\n\t"
+        "vfma.f32 s4, s0, s31; vfma.f32 s5, s1, s31; vfma.f32 s6, s2, s31; vfma.f32 s7, s3, s31\n\t" /* + 0 x */
         "add %[k0], %[base], %[k0], lsl #4; add %[k1], %[base], %[k1], lsl #4; add %[k2], %[base], %[k2], lsl #4; add %[k3], %[base], %[k3], lsl #4\n\t"
         "vldmia %[k0], {s12-s15}; vldmia %[k1], {s16-s19}; vldmia %[k2], {s20-s23}; vldmia %[k3], {s24-s27}\n\t"
         "vfma.f32 s14, s15, s4; vfma.f32 s18, s19, s5; vfma.f32 s22, s23, s6; vfma.f32 s26, s27, s7\n\t"
         "vfma.f32 s13, s14, s4; vfma.f32 s17, s18, s5; vfma.f32 s21, s22, s6; vfma.f32 s25, s26, s7\n\t"
         "vfma.f32 s12, s13, s4; vfma.f32 s16, s17, s5; vfma.f32 s20, s21, s6; vfma.f32 s24, s25, s7\n\t"
-        "vmul.f32 s0, s0, s12; vmul.f32 s1, s1, s16; vmul.f32 s2, s2, s20; vmul.f32 s3, s3, s24\n\t"
+        "vmul.f32 s0, s8, s12; vmul.f32 s1, s9, s16; vmul.f32 s2, s10, s20; vmul.f32 s3, s11, s24\n\t"
         "vstmia %[y]!, {s0-s3}\n\t"
         "subs %[count], %[count], #4\n\t"
         "bne 1b"
-        : [t] "+r"(t), [x] "+r"(x), [y] "+r"(y), [count] "+r"(count), [base] "=&r"(base),
+        : [x] "+r"(x), [y] "+r"(y), [count] "+r"(count), [base] "=&r"(base),
           [k0] "=&r"(k0), [k1] "=&r"(k1), [k2] "=&r"(k2), [k3] "=&r"(k3)
-        :
+        : [t] "r"(t), [limits] "r"(limits)
         : "cc", "memory", "s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7", "s8", "s9", "s10", "s11", "s12", "s13", "s14", "s15",
           "s16", "s17", "s18", "s19", "s20", "s21", "s22", "s23", "s24", "s25", "s26", "s27", "s28", "s29", "s30", "s31");
 #else
-    const float low = t[0], high = t[1], magic = t[2];
     for (unsigned i = 0; i < count; ++i) {
         const float v = bound_below(bound_above(x[i], high), low);
-        const float a = __builtin_fabsf(v), sum = a + magic, r = a - (sum - magic);
+        const float a = __builtin_fabsf(v), sum = a + magic, r = __builtin_fmaf(x[i], 0.0f, a - (sum - magic));
         unsigned bits, first;
         __builtin_memcpy(&bits, &sum, sizeof bits);
         __builtin_memcpy(&first, &magic, sizeof first);
-        const float *const c = t + 4 + 4 * (bits - first);
+        const float *const c = t + 4 * (bits - first);
         y[i] = v * __builtin_fmaf(__builtin_fmaf(__builtin_fmaf(c[3], r, c[2]), r, c[1]), r, c[0]);
     }
 #endif
@@ -223,10 +231,10 @@ KERNEL void affine(const float *w, const float *x, float *y, unsigned count)
 KERNEL void at_least(const float *x, float *y, unsigned count, float low)
 {
     for (unsigned i = 0; i < count; i += 4) {
-        const float y0 = bound_below(x[i], low);
-        const float y1 = bound_below(x[i + 1], low);
-        const float y2 = bound_below(x[i + 2], low);
-        const float y3 = bound_below(x[i + 3], low);
+        const float y0 = if_finite(x[i], bound_below(x[i], low));
+        const float y1 = if_finite(x[i + 1], bound_below(x[i + 1], low));
+        const float y2 = if_finite(x[i + 2], bound_below(x[i + 2], low));
+        const float y3 = if_finite(x[i + 3], bound_below(x[i + 3], low));
         y[i] = y0;
         y[i + 1] = y1;
         y[i + 2] = y2;
@@ -255,19 +263,19 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
     float *const v = p->scratch;
     float poison = 0.0f; /* NaN as soon as the observation holds a NaN or an infinity */
 
-    for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT; ++i)
-        poison = __builtin_fmaf(observation[i], 0.0f, poison);
-    for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT; ++i)
-        v[i] = observation[i] + poison;
-    affine(w + 576, v, (v + 12), 4);
-    linear8(w + 584, (v + 12), 3, v, 1);
-    linear4(w + 616, (v + 12), 3, (v + 8), 1);
-    look_up(w, v, (v + 12), 12);
-    linear4(w + 632, (v + 12), 9, v, 1);
+    for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT; ++i) {
+        poison = if_finite(observation[i], poison);
+        v[i] = observation[i] + 0.0f; /* -0 becomes 0 */
+    }
+    affine(w + 572, v, (v + 12), 4);
+    linear8(w + 580, (v + 12), 3, v, 1);
+    linear4(w + 612, (v + 12), 3, (v + 8), 1);
+    look_up(w, v, (v + 12), 12, -0x1.1cp+3f, 0x1.1cp+3f, 0x1.8p+19f);
+    linear4(w + 628, (v + 12), 9, v, 1);
     at_least(v, (v + 4), 4, 0x0p+0f);
-    affine(w + 672, (v + 4), v, 4);
+    affine(w + 668, (v + 4), v, 4);
     for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
-        action[i] = bound_above(bound_below(v[i] + poison, 0x0p+0f), 0x1p+0f);
+        action[i] = bound_above(bound_below(v[i], 0x0p+0f), 0x1p+0f) + if_finite(v[i], poison);
 }
 
 const unsigned char policy_observation_blocks[POLICY_OBSERVATION_TERM_COUNT] = {
@@ -284,31 +292,31 @@ const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT] = {
 #define POLICY_PART(name, offset, bytes)                                            \
     __asm__(".globl " #name "\n\t.type " #name ", %object\n\t"                      \
             ".set " #name ", policy_blob + " #offset "\n\t.size " #name ", " #bytes)
-POLICY_PART(policy_weights, 344, 2720);
-POLICY_PART(policy_selftest_observation, 3064, 192);
-POLICY_PART(policy_selftest_action, 3256, 256);
+POLICY_PART(policy_weights, 344, 2704);
+POLICY_PART(policy_selftest_observation, 3048, 192);
+POLICY_PART(policy_selftest_action, 3240, 256);
 _Static_assert(offsetof(struct policy_blob, weights) == 344, "weights");
-_Static_assert(sizeof policy_blob.weights == 2720, "weights");
-_Static_assert(offsetof(struct policy_blob, selftest_observation) == 3064, "selftest_observation");
+_Static_assert(sizeof policy_blob.weights == 2704, "weights");
+_Static_assert(offsetof(struct policy_blob, selftest_observation) == 3048, "selftest_observation");
 _Static_assert(sizeof policy_blob.selftest_observation == 192, "selftest_observation");
-_Static_assert(offsetof(struct policy_blob, selftest_action) == 3256, "selftest_action");
+_Static_assert(offsetof(struct policy_blob, selftest_action) == 3240, "selftest_action");
 _Static_assert(sizeof policy_blob.selftest_action == 256, "selftest_action");
 
 _Alignas(8) const struct policy_blob policy_blob = {
     .header = {
         .magic = 0x4250464Eu,
-        .layout = 2,
+        .layout = 3,
         .header_bytes = 344,
-        .total_bytes = 3516,
+        .total_bytes = 3500,
         .sequence = 0,
-        .architecture_hash = 0xF6C02DD4u,
+        .architecture_hash = 0xE170F53Du,
         .filters_hash = 0x0D4CBB29u,
         .control_rate_hz = 1000,
         .observation_count = 3,
         .action_count = 4,
         .weight_offset = 344,
-        .weight_count = 680,
-        .selftest_offset = 3064,
+        .weight_count = 676,
+        .selftest_offset = 3048,
         .selftest_count = 16,
         .selftest_steps = 1,
         .observation_term_count = 1,
@@ -321,120 +329,119 @@ _Alignas(8) const struct policy_blob policy_blob = {
         .idle = 0x0p+0f,
     },
     .weights = {
-        -0x1.1cp+3f, 0x1.1cp+3f, 0x1.8p+19f, 0x0p+0f, 0x1p+0f, 0x0p+0f,
-        -0x1.556908p-2f, 0x1.a95dbp-8f, 0x1.ff559ap-1f, -0x1.5444eap-5f, -0x1.521062p-2f, 0x1.0eb324p-5f,
-        0x1.fd5992p-1f, -0x1.511b5p-4f, -0x1.4899bep-2f, 0x1.085fb2p-4f, 0x1.fa154cp-1f, -0x1.f1e6c8p-4f,
-        -0x1.397194p-2f, 0x1.7d4ad8p-4f, 0x1.f597eap-1f, -0x1.44e49ap-3f, -0x1.25222p-2f, 0x1.e15818p-4f,
-        0x1.eff5aap-1f, -0x1.8b35d2p-3f, -0x1.0ca656p-2f, 0x1.188fbp-3f, 0x1.e946fep-1f, -0x1.caf816p-3f,
-        -0x1.e1dc24p-3f, 0x1.355f3p-3f, 0x1.e1a792p-1f, -0x1.01bf48p-2f, -0x1.a60cacp-3f, 0x1.46eb78p-3f,
-        0x1.d9353ep-1f, -0x1.1a2fdcp-2f, -0x1.67e93cp-3f, 0x1.4db3a8p-3f, 0x1.d00efep-1f, -0x1.2eb93cp-2f,
-        -0x1.295ef8p-3f, 0x1.4ac0cap-3f, 0x1.c653fep-1f, -0x1.3f63eep-2f, -0x1.d8b422p-4f, 0x1.3f80aap-3f,
-        0x1.bc22bap-1f, -0x1.4c5166p-2f, -0x1.64063cp-4f, 0x1.2d967cp-3f, 0x1.b19854p-1f, -0x1.55b706p-2f,
-        -0x1.ee841cp-5f, 0x1.16b54ap-3f, 0x1.a6cffep-1f, -0x1.5bd914p-2f, -0x1.267b72p-5f, 0x1.f8ff7cp-4f,
-        0x1.9be2a6p-1f, -0x1.5f05f8p-2f, -0x1.d0551p-7f, 0x1.c0e12ap-4f, 0x1.90e6a4p-1f, -0x1.5f919p-2f,
-        0x1.4b416ep-8f, 0x1.8797eap-4f, 0x1.85efacp-1f, -0x1.5dd19ap-2f, 0x1.637618p-6f, 0x1.4f316p-4f,
-        0x1.7b0ec8p-1f, -0x1.5a1a88p-2f, 0x1.251d54p-5f, 0x1.193f8cp-4f, 0x1.705268p-1f, -0x1.54bd28p-2f,
-        0x1.85a4d6p-5f, 0x1.cdc1f2p-5f, 0x1.65c69p-1f, -0x1.4e05p-2f, 0x1.d3741ap-5f, 0x1.719d04p-5f,
-        0x1.5b74fcp-1f, -0x1.46371ep-2f, 0x1.086a5ep-4f, 0x1.1ed7fp-5f, 0x1.51655ep-1f, -0x1.3d9198p-2f,
-        0x1.1f8bc6p-4f, 0x1.ab659ap-6f, 0x1.479d9p-1f, -0x1.344b46p-2f, 0x1.309166p-4f, 0x1.2c0de4p-6f,
-        0x1.3e21d6p-1f, -0x1.2a93f4p-2f, 0x1.3c10cep-4f, 0x1.7d9088p-7f, 0x1.34f51p-1f, -0x1.2094a6p-2f,
-        0x1.42c6fp-4f, 0x1.8949ecp-8f, 0x1.2c18eep-1f, -0x1.16701p-2f, 0x1.45a4fcp-4f, 0x1.530854p-10f,
-        0x1.238e24p-1f, -0x1.0c432ep-2f, 0x1.451916p-4f, -0x1.51a322p-9f, 0x1.1b5492p-1f, -0x1.0225d6p-2f,
-        0x1.41babap-4f, -0x1.75dadep-8f, 0x1.136b6ap-1f, -0x1.f0567cp-3f, 0x1.3c7202p-4f, -0x1.0c4892p-7f,
-        0x1.0bd158p-1f, -0x1.dcc576p-3f, 0x1.355c24p-4f, -0x1.4b66e8p-7f, 0x1.048498p-1f, -0x1.c9b04ap-3f,
-        0x1.2d36f8p-4f, -0x1.7af918p-7f, 0x1.fb063p-2f, -0x1.b728ecp-3f, 0x1.23c294p-4f, -0x1.9d6d18p-7f,
-        0x1.ed9506p-2f, -0x1.a53c56p-3f, 0x1.19babp-4f, -0x1.b4ec46p-7f, 0x1.e0b0b6p-2f, -0x1.93f358p-3f,
-        0x1.0f5aaap-4f, -0x1.c35ccp-7f, 0x1.d4540ep-2f, -0x1.835374p-3f, 0x1.048f6p-4f, -0x1.ca64fep-7f,
-        0x1.c879b6p-2f, -0x1.735f4ep-3f, 0x1.f3923cp-5f, -0x1.cb7072p-7f, 0x1.bd1c4ep-2f, -0x1.641754p-3f,
-        0x1.de1df8p-5f, -0x1.c7b504p-7f, 0x1.b23678p-2f, -0x1.557a24p-3f, 0x1.c926a8p-5f, -0x1.c03966p-7f,
-        0x1.a7c2eap-2f, -0x1.4784fap-3f, 0x1.b46f48p-5f, -0x1.b5d9eap-7f, 0x1.9dbc72p-2f, -0x1.3a33f6p-3f,
-        0x1.a038ccp-5f, -0x1.a94e46p-7f, 0x1.941e02p-2f, -0x1.2d826ap-3f, 0x1.8c6ffap-5f, -0x1.9b2e82p-7f,
-        0x1.8ae2b2p-2f, -0x1.216b08p-3f, 0x1.795c9cp-5f, -0x1.8bf778p-7f, 0x1.8205c6p-2f, -0x1.15e81ep-3f,
-        0x1.6742b8p-5f, -0x1.7c0edcp-7f, 0x1.7982b4p-2f, -0x1.0af3b8p-3f, 0x1.55c3dap-5f, -0x1.6bc6cap-7f,
-        0x1.71551ep-2f, -0x1.0087bcp-3f, 0x1.454c8cp-5f, -0x1.5b60e8p-7f, 0x1.6978dcp-2f, -0x1.ed3c12p-4f,
-        0x1.355828p-5f, -0x1.4b111p-7f, 0x1.61e9f2p-2f, -0x1.da60f8p-4f, 0x1.26538p-5f, -0x1.3affa8p-7f,
-        0x1.5aa49ap-2f, -0x1.c8722cp-4f, 0x1.17a582p-5f, -0x1.2b4b94p-7f, 0x1.53a536p-2f, -0x1.b763d8p-4f,
-        0x1.0a23bcp-5f, -0x1.1c0bfp-7f, 0x1.4ce85ep-2f, -0x1.a72a9ap-4f, 0x1.fa6f4p-6f, -0x1.0d516ep-7f,
-        0x1.466ad4p-2f, -0x1.97bb64p-4f, 0x1.e1b116p-6f, -0x1.fe4f2ap-8f, 0x1.402984p-2f, -0x1.890b8ep-4f,
-        0x1.ca7b9ep-6f, -0x1.e32b7p-8f, 0x1.3a2186p-2f, -0x1.7b10f8p-4f, 0x1.b456cep-6f, -0x1.c93fap-8f,
-        0x1.345018p-2f, -0x1.6dc1ep-4f, 0x1.9f76ecp-6f, -0x1.b08e5cp-8f, 0x1.2eb29ep-2f, -0x1.611502p-4f,
-        0x1.8c0c8ep-6f, -0x1.991612p-8f, 0x1.2946a2p-2f, -0x1.55019ap-4f, 0x1.79943cp-6f, -0x1.82d1fap-8f,
-        0x1.2409dp-2f, -0x1.497f48p-4f, 0x1.67a7dp-6f, -0x1.6dbad8p-8f, 0x1.1ef9f2p-2f, -0x1.3e8628p-4f,
-        0x1.56d336p-6f, -0x1.59c79cp-8f, 0x1.1a14f2p-2f, -0x1.340eb4p-4f, 0x1.472dc4p-6f, -0x1.46ede6p-8f,
-        0x1.1558d8p-2f, -0x1.2a11e4p-4f, 0x1.3878fp-6f, -0x1.352274p-8f, 0x1.10c3c8p-2f, -0x1.208908p-4f,
-        0x1.2a4528p-6f, -0x1.245976p-8f, 0x1.0c53fep-2f, -0x1.176dd4p-4f, 0x1.1cdd28p-6f, -0x1.1486cep-8f,
-        0x1.0807dp-2f, -0x1.0eba5cp-4f, 0x1.0ff7f6p-6f, -0x1.059e4cp-8f, 0x1.03dda8p-2f, -0x1.0669p-4f,
-        0x1.0471c2p-6f, -0x1.ef27a4p-9f, 0x1.ffa818p-3f, -0x1.fce908p-5f, 0x1.f19734p-7f, -0x1.d4b6f4p-9f,
-        0x1.f7d31ep-3f, -0x1.edafe2p-5f, 0x1.dca3a8p-7f, -0x1.bbd34cp-9f, 0x1.f039bap-3f, -0x1.df1d34p-5f,
-        0x1.c85244p-7f, -0x1.a46638p-9f, 0x1.e8d962p-3f, -0x1.d12832p-5f, 0x1.b54406p-7f, -0x1.8e5a14p-9f,
-        0x1.e1afb2p-3f, -0x1.c3c8a2p-5f, 0x1.a2a4e8p-7f, -0x1.799a28p-9f, 0x1.daba6p-3f, -0x1.b6f6acp-5f,
-        0x1.91eb24p-7f, -0x1.6612aap-9f, 0x1.d3f748p-3f, -0x1.aaab08p-5f, 0x1.81a1d4p-7f, -0x1.53b0c8p-9f,
-        0x1.cd645ep-3f, -0x1.9edecep-5f, 0x1.71fe7ap-7f, -0x1.4262aep-9f, 0x1.c6ffb2p-3f, -0x1.938b84p-5f,
-        0x1.62c0ccp-7f, -0x1.321774p-9f, 0x1.c0c76ap-3f, -0x1.88ab06p-5f, 0x1.54dc4ap-7f, -0x1.22bf2ap-9f,
-        0x1.bab9c8p-3f, -0x1.7e3794p-5f, 0x1.47ab1ap-7f, -0x1.144ac6p-9f, 0x1.b4d522p-3f, -0x1.742bc2p-5f,
-        0x1.3b6988p-7f, -0x1.06ac24p-9f, 0x1.af17e6p-3f, -0x1.6a827ap-5f, 0x1.2f39cap-7f, -0x1.f3abecp-10f,
-        0x1.a98092p-3f, -0x1.6136e8p-5f, 0x1.23af76p-7f, -0x1.db777ep-10f, 0x1.a40db8p-3f, -0x1.58448p-5f,
-        0x1.18e23cp-7f, -0x1.c4a38ep-10f, 0x1.9ebdfcp-3f, -0x1.4fa6f8p-5f, 0x1.0ec774p-7f, -0x1.af1a26p-10f,
-        0x1.999014p-3f, -0x1.475a4cp-5f, 0x1.04d1fep-7f, -0x1.9ac6b2p-10f, 0x1.9482c4p-3f, -0x1.3f5aacp-5f,
-        0x1.f6307p-8f, -0x1.8795eep-10f, 0x1.8f94dep-3f, -0x1.37a478p-5f, 0x1.e3fee2p-8f, -0x1.7575d2p-10f,
-        0x1.8ac542p-3f, -0x1.30344cp-5f, 0x1.d3d97p-8f, -0x1.645582p-10f, 0x1.8612e2p-3f, -0x1.2906f8p-5f,
-        0x1.c2f4f4p-8f, -0x1.542534p-10f, 0x1.817cb6p-3f, -0x1.22196ap-5f, 0x1.b3659ep-8f, -0x1.44d62cp-10f,
-        0x1.7d01c6p-3f, -0x1.1b68c8p-5f, 0x1.a41bf8p-8f, -0x1.365a9cp-10f, 0x1.78a122p-3f, -0x1.14f25ap-5f,
-        0x1.966a16p-8f, -0x1.28a5a2p-10f, 0x1.7459e8p-3f, -0x1.0eb38cp-5f, 0x1.89103p-8f, -0x1.1bab32p-10f,
-        0x1.702b3ep-3f, -0x1.08a9f2p-5f, 0x1.7c504ep-8f, -0x1.0f6004p-10f, 0x1.6c1454p-3f, -0x1.02d33cp-5f,
-        0x1.70087cp-8f, -0x1.03b994p-10f, 0x1.681464p-3f, -0x1.fa5a7ap-6f, 0x1.63532p-8f, -0x1.f15c12p-11f,
-        0x1.642aacp-3f, -0x1.ef6bb8p-6f, 0x1.58ad18p-8f, -0x1.dc685ap-11f, 0x1.60567ap-3f, -0x1.e4d658p-6f,
-        0x1.4ca11ap-8f, -0x1.c886c8p-11f, 0x1.5c971ap-3f, -0x1.da968ap-6f, 0x1.42f836p-8f, -0x1.b5a742p-11f,
-        0x1.58ebe8p-3f, -0x1.d0a8d4p-6f, 0x1.38eefp-8f, -0x1.a3bab8p-11f, 0x1.555442p-3f, -0x1.c709d4p-6f,
-        0x1.2f6eccp-8f, -0x1.92b30ep-11f, 0x1.51cf8ep-3f, -0x1.bdb658p-6f, 0x1.264be8p-8f, -0x1.828312p-11f,
-        0x1.4e5d38p-3f, -0x1.b4ab56p-6f, 0x1.1d867cp-8f, -0x1.731e6cp-11f, 0x1.4afcb2p-3f, -0x1.abe5eep-6f,
-        0x1.150fdep-8f, -0x1.647988p-11f, 0x1.47ad74p-3f, -0x1.a3636p-6f, 0x1.0c92f8p-8f, -0x1.568992p-11f,
-        0x1.446efap-3f, -0x1.9b210cp-6f, 0x1.04bfd6p-8f, -0x1.49446p-11f, 0x1.4140c8p-3f, -0x1.931c7cp-6f,
-        0x1.f8346cp-9f, -0x1.3ca06cp-11f, 0x1.3e2262p-3f, -0x1.8b5348p-6f, 0x1.e9959p-9f, -0x1.3094ccp-11f,
-        0x1.3b1354p-3f, -0x1.83c33p-6f, 0x1.dce63ap-9f, -0x1.25191ep-11f, 0x1.38133p-3f, -0x1.7c6a12p-6f,
-        0x1.cf07e6p-9f, -0x1.1a258ap-11f, 0x1.352188p-3f, -0x1.7545d6p-6f, 0x1.c32bbp-9f, -0x1.0fb2aep-11f,
-        0x1.323df6p-3f, -0x1.6e5494p-6f, 0x1.b687c8p-9f, -0x1.05b99ep-11f, 0x1.2f6816p-3f, -0x1.679468p-6f,
-        0x1.a910fep-9f, -0x1.f867b2p-12f, 0x1.2c9f86p-3f, -0x1.610382p-6f, 0x1.9d381p-9f, -0x1.e63686p-12f,
-        0x1.29e3e8p-3f, -0x1.5aa03p-6f, 0x1.94aa8p-9f, -0x1.d4d43ap-12f, 0x1.2734e8p-3f, -0x1.5468dcp-6f,
-        0x1.8716c6p-9f, -0x1.c436p-12f, 0x1.24922ap-3f, -0x1.4e5beap-6f, 0x1.7cf3a2p-9f, -0x1.b451acp-12f,
-        0x1.21fb5cp-3f, -0x1.4877dcp-6f, 0x1.744a66p-9f, -0x1.a51dbp-12f, 0x1.1f703p-3f, -0x1.42bb52p-6f,
-        0x1.6983fap-9f, -0x1.969106p-12f, 0x1.1cf056p-3f, -0x1.3d24e4p-6f, 0x1.60388ep-9f, -0x1.88a336p-12f,
-        0x1.1a7b84p-3f, -0x1.37b344p-6f, 0x1.5701b2p-9f, -0x1.7b4c3ep-12f, 0x1.18117p-3f, -0x1.326532p-6f,
-        0x1.504ecap-9f, -0x1.6e8498p-12f, 0x1.15b1d8p-3f, -0x1.2d3984p-6f, 0x1.463bb2p-9f, -0x1.624526p-12f,
-        0x1.135c74p-3f, -0x1.282f08p-6f, 0x1.3f6964p-9f, -0x1.568736p-12f, 0x1.111106p-3f, -0x1.2344acp-6f,
-        0x1.36d89cp-9f, -0x1.4b4474p-12f, 0x1.0ecf4ep-3f, -0x1.1e7962p-6f, 0x1.2dc654p-9f, -0x1.4076e6p-12f,
-        0x1.0c970cp-3f, -0x1.19cc1cp-6f, 0x1.2889e8p-9f, -0x1.3618eap-12f, 0x1.0a680ap-3f, -0x1.153bf2p-6f,
-        0x1.1f74f8p-9f, -0x1.2c2528p-12f, 0x1.08420ap-3f, -0x1.10c7e4p-6f, 0x1.19b4b4p-9f, -0x1.229698p-12f,
-        0x1.0624d8p-3f, -0x1.0c6f1cp-6f, 0x1.1234bep-9f, -0x1.196878p-12f, 0x1.04103cp-3f, -0x1.0830bp-6f,
-        0x1.0c8358p-9f, -0x1.109642p-12f, 0x1.020404p-3f, -0x1.040bd8p-6f, 0x1.05b6e6p-9f, -0x1.081bb6p-12f,
-        0x1.fffff8p-4f, -0x1.ffff84p-7f, 0x1.0054acp-9f, -0x1.ffe994p-13f, 0x1.fc07eap-4f, -0x1.f81752p-7f,
-        0x1.f3716cp-10f, -0x1.f03b52p-13f, 0x1.f81f7cp-4f, -0x1.f05da6p-7f, 0x1.e8fdbep-10f, -0x1.e1256ap-13f,
-        0x1.f44654p-4f, -0x1.e8d11ap-7f, 0x1.ded9bep-10f, -0x1.d2a1p-13f, 0x1.f07c1ap-4f, -0x1.e1704ep-7f,
-        0x1.d3baacp-10f, -0x1.c4a78cp-13f, 0x1.ecc078p-4f, -0x1.da39f4p-7f, 0x1.c757a2p-10f, -0x1.b732e6p-13f,
-        0x1.e91318p-4f, -0x1.d32cc6p-7f, 0x1.bd435p-10f, -0x1.aa3d32p-13f, 0x1.e573aap-4f, -0x1.cc478ep-7f,
-        0x1.b3c77ap-10f, -0x1.9dc0dcp-13f, 0x1.e1e1ep-4f, -0x1.c58922p-7f, 0x1.a9c208p-10f, -0x1.91b8a2p-13f,
-        0x1.de5d6cp-4f, -0x1.bef06p-7f, 0x1.a183a2p-10f, -0x1.861f7cp-13f, 0x1.dae606p-4f, -0x1.b87c3p-7f,
-        0x1.97afb6p-10f, -0x1.7af0aap-13f, 0x1.d77b64p-4f, -0x1.b22b88p-7f, 0x1.8f1deep-10f, -0x1.7027ap-13f,
-        0x1.d41d4p-4f, -0x1.abfd62p-7f, 0x1.87bce6p-10f, -0x1.65c014p-13f, 0x1.d0cb58p-4f, -0x1.a5f0ccp-7f,
-        0x1.7e761cp-10f, -0x1.5bb5eap-13f, 0x1.cd8568p-4f, -0x1.a004c8p-7f, 0x1.7610b2p-10f, -0x1.54686ap-13f,
-        0x1p-1f, 0x1p-1f, 0x1p-1f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f,
-        0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f, 0x0p+0f, 0x1.8p-3f,
-        0x1.8p-2f, 0x1.2p-1f, 0x1.8p-1f, 0x1.ep-1f, 0x1.2p+0f, 0x1.5p+0f,
-        0x1p-4f, 0x1p-2f, 0x1.cp-2f, 0x1.4p-1f, 0x1.ap-1f, 0x1p+0f,
-        0x1.3p+0f, 0x1.6p+0f, 0x1p-3f, 0x1.4p-2f, 0x1p-1f, 0x1.6p-1f,
-        0x1.cp-1f, 0x1.1p+0f, 0x1.4p+0f, 0x1.7p+0f, 0x1p-2f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x1.8p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x1.9p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1.ap+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
+        0x1p+0f, 0x0p+0f, -0x1.556908p-2f, 0x1.a95dbp-8f, 0x1.ff559ap-1f, -0x1.5444eap-5f,
+        -0x1.521062p-2f, 0x1.0eb324p-5f, 0x1.fd5992p-1f, -0x1.511b5p-4f, -0x1.4899bep-2f, 0x1.085fb2p-4f,
+        0x1.fa154cp-1f, -0x1.f1e6c8p-4f, -0x1.397194p-2f, 0x1.7d4ad8p-4f, 0x1.f597eap-1f, -0x1.44e49ap-3f,
+        -0x1.25222p-2f, 0x1.e15818p-4f, 0x1.eff5aap-1f, -0x1.8b35d2p-3f, -0x1.0ca656p-2f, 0x1.188fbp-3f,
+        0x1.e946fep-1f, -0x1.caf816p-3f, -0x1.e1dc24p-3f, 0x1.355f3p-3f, 0x1.e1a792p-1f, -0x1.01bf48p-2f,
+        -0x1.a60cacp-3f, 0x1.46eb78p-3f, 0x1.d9353ep-1f, -0x1.1a2fdcp-2f, -0x1.67e93cp-3f, 0x1.4db3a8p-3f,
+        0x1.d00efep-1f, -0x1.2eb93cp-2f, -0x1.295ef8p-3f, 0x1.4ac0cap-3f, 0x1.c653fep-1f, -0x1.3f63eep-2f,
+        -0x1.d8b422p-4f, 0x1.3f80aap-3f, 0x1.bc22bap-1f, -0x1.4c5166p-2f, -0x1.64063cp-4f, 0x1.2d967cp-3f,
+        0x1.b19854p-1f, -0x1.55b706p-2f, -0x1.ee841cp-5f, 0x1.16b54ap-3f, 0x1.a6cffep-1f, -0x1.5bd914p-2f,
+        -0x1.267b72p-5f, 0x1.f8ff7cp-4f, 0x1.9be2a6p-1f, -0x1.5f05f8p-2f, -0x1.d0551p-7f, 0x1.c0e12ap-4f,
+        0x1.90e6a4p-1f, -0x1.5f919p-2f, 0x1.4b416ep-8f, 0x1.8797eap-4f, 0x1.85efacp-1f, -0x1.5dd19ap-2f,
+        0x1.637618p-6f, 0x1.4f316p-4f, 0x1.7b0ec8p-1f, -0x1.5a1a88p-2f, 0x1.251d54p-5f, 0x1.193f8cp-4f,
+        0x1.705268p-1f, -0x1.54bd28p-2f, 0x1.85a4d6p-5f, 0x1.cdc1f2p-5f, 0x1.65c69p-1f, -0x1.4e05p-2f,
+        0x1.d3741ap-5f, 0x1.719d04p-5f, 0x1.5b74fcp-1f, -0x1.46371ep-2f, 0x1.086a5ep-4f, 0x1.1ed7fp-5f,
+        0x1.51655ep-1f, -0x1.3d9198p-2f, 0x1.1f8bc6p-4f, 0x1.ab659ap-6f, 0x1.479d9p-1f, -0x1.344b46p-2f,
+        0x1.309166p-4f, 0x1.2c0de4p-6f, 0x1.3e21d6p-1f, -0x1.2a93f4p-2f, 0x1.3c10cep-4f, 0x1.7d9088p-7f,
+        0x1.34f51p-1f, -0x1.2094a6p-2f, 0x1.42c6fp-4f, 0x1.8949ecp-8f, 0x1.2c18eep-1f, -0x1.16701p-2f,
+        0x1.45a4fcp-4f, 0x1.530854p-10f, 0x1.238e24p-1f, -0x1.0c432ep-2f, 0x1.451916p-4f, -0x1.51a322p-9f,
+        0x1.1b5492p-1f, -0x1.0225d6p-2f, 0x1.41babap-4f, -0x1.75dadep-8f, 0x1.136b6ap-1f, -0x1.f0567cp-3f,
+        0x1.3c7202p-4f, -0x1.0c4892p-7f, 0x1.0bd158p-1f, -0x1.dcc576p-3f, 0x1.355c24p-4f, -0x1.4b66e8p-7f,
+        0x1.048498p-1f, -0x1.c9b04ap-3f, 0x1.2d36f8p-4f, -0x1.7af918p-7f, 0x1.fb063p-2f, -0x1.b728ecp-3f,
+        0x1.23c294p-4f, -0x1.9d6d18p-7f, 0x1.ed9506p-2f, -0x1.a53c56p-3f, 0x1.19babp-4f, -0x1.b4ec46p-7f,
+        0x1.e0b0b6p-2f, -0x1.93f358p-3f, 0x1.0f5aaap-4f, -0x1.c35ccp-7f, 0x1.d4540ep-2f, -0x1.835374p-3f,
+        0x1.048f6p-4f, -0x1.ca64fep-7f, 0x1.c879b6p-2f, -0x1.735f4ep-3f, 0x1.f3923cp-5f, -0x1.cb7072p-7f,
+        0x1.bd1c4ep-2f, -0x1.641754p-3f, 0x1.de1df8p-5f, -0x1.c7b504p-7f, 0x1.b23678p-2f, -0x1.557a24p-3f,
+        0x1.c926a8p-5f, -0x1.c03966p-7f, 0x1.a7c2eap-2f, -0x1.4784fap-3f, 0x1.b46f48p-5f, -0x1.b5d9eap-7f,
+        0x1.9dbc72p-2f, -0x1.3a33f6p-3f, 0x1.a038ccp-5f, -0x1.a94e46p-7f, 0x1.941e02p-2f, -0x1.2d826ap-3f,
+        0x1.8c6ffap-5f, -0x1.9b2e82p-7f, 0x1.8ae2b2p-2f, -0x1.216b08p-3f, 0x1.795c9cp-5f, -0x1.8bf778p-7f,
+        0x1.8205c6p-2f, -0x1.15e81ep-3f, 0x1.6742b8p-5f, -0x1.7c0edcp-7f, 0x1.7982b4p-2f, -0x1.0af3b8p-3f,
+        0x1.55c3dap-5f, -0x1.6bc6cap-7f, 0x1.71551ep-2f, -0x1.0087bcp-3f, 0x1.454c8cp-5f, -0x1.5b60e8p-7f,
+        0x1.6978dcp-2f, -0x1.ed3c12p-4f, 0x1.355828p-5f, -0x1.4b111p-7f, 0x1.61e9f2p-2f, -0x1.da60f8p-4f,
+        0x1.26538p-5f, -0x1.3affa8p-7f, 0x1.5aa49ap-2f, -0x1.c8722cp-4f, 0x1.17a582p-5f, -0x1.2b4b94p-7f,
+        0x1.53a536p-2f, -0x1.b763d8p-4f, 0x1.0a23bcp-5f, -0x1.1c0bfp-7f, 0x1.4ce85ep-2f, -0x1.a72a9ap-4f,
+        0x1.fa6f4p-6f, -0x1.0d516ep-7f, 0x1.466ad4p-2f, -0x1.97bb64p-4f, 0x1.e1b116p-6f, -0x1.fe4f2ap-8f,
+        0x1.402984p-2f, -0x1.890b8ep-4f, 0x1.ca7b9ep-6f, -0x1.e32b7p-8f, 0x1.3a2186p-2f, -0x1.7b10f8p-4f,
+        0x1.b456cep-6f, -0x1.c93fap-8f, 0x1.345018p-2f, -0x1.6dc1ep-4f, 0x1.9f76ecp-6f, -0x1.b08e5cp-8f,
+        0x1.2eb29ep-2f, -0x1.611502p-4f, 0x1.8c0c8ep-6f, -0x1.991612p-8f, 0x1.2946a2p-2f, -0x1.55019ap-4f,
+        0x1.79943cp-6f, -0x1.82d1fap-8f, 0x1.2409dp-2f, -0x1.497f48p-4f, 0x1.67a7dp-6f, -0x1.6dbad8p-8f,
+        0x1.1ef9f2p-2f, -0x1.3e8628p-4f, 0x1.56d336p-6f, -0x1.59c79cp-8f, 0x1.1a14f2p-2f, -0x1.340eb4p-4f,
+        0x1.472dc4p-6f, -0x1.46ede6p-8f, 0x1.1558d8p-2f, -0x1.2a11e4p-4f, 0x1.3878fp-6f, -0x1.352274p-8f,
+        0x1.10c3c8p-2f, -0x1.208908p-4f, 0x1.2a4528p-6f, -0x1.245976p-8f, 0x1.0c53fep-2f, -0x1.176dd4p-4f,
+        0x1.1cdd28p-6f, -0x1.1486cep-8f, 0x1.0807dp-2f, -0x1.0eba5cp-4f, 0x1.0ff7f6p-6f, -0x1.059e4cp-8f,
+        0x1.03dda8p-2f, -0x1.0669p-4f, 0x1.0471c2p-6f, -0x1.ef27a4p-9f, 0x1.ffa818p-3f, -0x1.fce908p-5f,
+        0x1.f19734p-7f, -0x1.d4b6f4p-9f, 0x1.f7d31ep-3f, -0x1.edafe2p-5f, 0x1.dca3a8p-7f, -0x1.bbd34cp-9f,
+        0x1.f039bap-3f, -0x1.df1d34p-5f, 0x1.c85244p-7f, -0x1.a46638p-9f, 0x1.e8d962p-3f, -0x1.d12832p-5f,
+        0x1.b54406p-7f, -0x1.8e5a14p-9f, 0x1.e1afb2p-3f, -0x1.c3c8a2p-5f, 0x1.a2a4e8p-7f, -0x1.799a28p-9f,
+        0x1.daba6p-3f, -0x1.b6f6acp-5f, 0x1.91eb24p-7f, -0x1.6612aap-9f, 0x1.d3f748p-3f, -0x1.aaab08p-5f,
+        0x1.81a1d4p-7f, -0x1.53b0c8p-9f, 0x1.cd645ep-3f, -0x1.9edecep-5f, 0x1.71fe7ap-7f, -0x1.4262aep-9f,
+        0x1.c6ffb2p-3f, -0x1.938b84p-5f, 0x1.62c0ccp-7f, -0x1.321774p-9f, 0x1.c0c76ap-3f, -0x1.88ab06p-5f,
+        0x1.54dc4ap-7f, -0x1.22bf2ap-9f, 0x1.bab9c8p-3f, -0x1.7e3794p-5f, 0x1.47ab1ap-7f, -0x1.144ac6p-9f,
+        0x1.b4d522p-3f, -0x1.742bc2p-5f, 0x1.3b6988p-7f, -0x1.06ac24p-9f, 0x1.af17e6p-3f, -0x1.6a827ap-5f,
+        0x1.2f39cap-7f, -0x1.f3abecp-10f, 0x1.a98092p-3f, -0x1.6136e8p-5f, 0x1.23af76p-7f, -0x1.db777ep-10f,
+        0x1.a40db8p-3f, -0x1.58448p-5f, 0x1.18e23cp-7f, -0x1.c4a38ep-10f, 0x1.9ebdfcp-3f, -0x1.4fa6f8p-5f,
+        0x1.0ec774p-7f, -0x1.af1a26p-10f, 0x1.999014p-3f, -0x1.475a4cp-5f, 0x1.04d1fep-7f, -0x1.9ac6b2p-10f,
+        0x1.9482c4p-3f, -0x1.3f5aacp-5f, 0x1.f6307p-8f, -0x1.8795eep-10f, 0x1.8f94dep-3f, -0x1.37a478p-5f,
+        0x1.e3fee2p-8f, -0x1.7575d2p-10f, 0x1.8ac542p-3f, -0x1.30344cp-5f, 0x1.d3d97p-8f, -0x1.645582p-10f,
+        0x1.8612e2p-3f, -0x1.2906f8p-5f, 0x1.c2f4f4p-8f, -0x1.542534p-10f, 0x1.817cb6p-3f, -0x1.22196ap-5f,
+        0x1.b3659ep-8f, -0x1.44d62cp-10f, 0x1.7d01c6p-3f, -0x1.1b68c8p-5f, 0x1.a41bf8p-8f, -0x1.365a9cp-10f,
+        0x1.78a122p-3f, -0x1.14f25ap-5f, 0x1.966a16p-8f, -0x1.28a5a2p-10f, 0x1.7459e8p-3f, -0x1.0eb38cp-5f,
+        0x1.89103p-8f, -0x1.1bab32p-10f, 0x1.702b3ep-3f, -0x1.08a9f2p-5f, 0x1.7c504ep-8f, -0x1.0f6004p-10f,
+        0x1.6c1454p-3f, -0x1.02d33cp-5f, 0x1.70087cp-8f, -0x1.03b994p-10f, 0x1.681464p-3f, -0x1.fa5a7ap-6f,
+        0x1.63532p-8f, -0x1.f15c12p-11f, 0x1.642aacp-3f, -0x1.ef6bb8p-6f, 0x1.58ad18p-8f, -0x1.dc685ap-11f,
+        0x1.60567ap-3f, -0x1.e4d658p-6f, 0x1.4ca11ap-8f, -0x1.c886c8p-11f, 0x1.5c971ap-3f, -0x1.da968ap-6f,
+        0x1.42f836p-8f, -0x1.b5a742p-11f, 0x1.58ebe8p-3f, -0x1.d0a8d4p-6f, 0x1.38eefp-8f, -0x1.a3bab8p-11f,
+        0x1.555442p-3f, -0x1.c709d4p-6f, 0x1.2f6eccp-8f, -0x1.92b30ep-11f, 0x1.51cf8ep-3f, -0x1.bdb658p-6f,
+        0x1.264be8p-8f, -0x1.828312p-11f, 0x1.4e5d38p-3f, -0x1.b4ab56p-6f, 0x1.1d867cp-8f, -0x1.731e6cp-11f,
+        0x1.4afcb2p-3f, -0x1.abe5eep-6f, 0x1.150fdep-8f, -0x1.647988p-11f, 0x1.47ad74p-3f, -0x1.a3636p-6f,
+        0x1.0c92f8p-8f, -0x1.568992p-11f, 0x1.446efap-3f, -0x1.9b210cp-6f, 0x1.04bfd6p-8f, -0x1.49446p-11f,
+        0x1.4140c8p-3f, -0x1.931c7cp-6f, 0x1.f8346cp-9f, -0x1.3ca06cp-11f, 0x1.3e2262p-3f, -0x1.8b5348p-6f,
+        0x1.e9959p-9f, -0x1.3094ccp-11f, 0x1.3b1354p-3f, -0x1.83c33p-6f, 0x1.dce63ap-9f, -0x1.25191ep-11f,
+        0x1.38133p-3f, -0x1.7c6a12p-6f, 0x1.cf07e6p-9f, -0x1.1a258ap-11f, 0x1.352188p-3f, -0x1.7545d6p-6f,
+        0x1.c32bbp-9f, -0x1.0fb2aep-11f, 0x1.323df6p-3f, -0x1.6e5494p-6f, 0x1.b687c8p-9f, -0x1.05b99ep-11f,
+        0x1.2f6816p-3f, -0x1.679468p-6f, 0x1.a910fep-9f, -0x1.f867b2p-12f, 0x1.2c9f86p-3f, -0x1.610382p-6f,
+        0x1.9d381p-9f, -0x1.e63686p-12f, 0x1.29e3e8p-3f, -0x1.5aa03p-6f, 0x1.94aa8p-9f, -0x1.d4d43ap-12f,
+        0x1.2734e8p-3f, -0x1.5468dcp-6f, 0x1.8716c6p-9f, -0x1.c436p-12f, 0x1.24922ap-3f, -0x1.4e5beap-6f,
+        0x1.7cf3a2p-9f, -0x1.b451acp-12f, 0x1.21fb5cp-3f, -0x1.4877dcp-6f, 0x1.744a66p-9f, -0x1.a51dbp-12f,
+        0x1.1f703p-3f, -0x1.42bb52p-6f, 0x1.6983fap-9f, -0x1.969106p-12f, 0x1.1cf056p-3f, -0x1.3d24e4p-6f,
+        0x1.60388ep-9f, -0x1.88a336p-12f, 0x1.1a7b84p-3f, -0x1.37b344p-6f, 0x1.5701b2p-9f, -0x1.7b4c3ep-12f,
+        0x1.18117p-3f, -0x1.326532p-6f, 0x1.504ecap-9f, -0x1.6e8498p-12f, 0x1.15b1d8p-3f, -0x1.2d3984p-6f,
+        0x1.463bb2p-9f, -0x1.624526p-12f, 0x1.135c74p-3f, -0x1.282f08p-6f, 0x1.3f6964p-9f, -0x1.568736p-12f,
+        0x1.111106p-3f, -0x1.2344acp-6f, 0x1.36d89cp-9f, -0x1.4b4474p-12f, 0x1.0ecf4ep-3f, -0x1.1e7962p-6f,
+        0x1.2dc654p-9f, -0x1.4076e6p-12f, 0x1.0c970cp-3f, -0x1.19cc1cp-6f, 0x1.2889e8p-9f, -0x1.3618eap-12f,
+        0x1.0a680ap-3f, -0x1.153bf2p-6f, 0x1.1f74f8p-9f, -0x1.2c2528p-12f, 0x1.08420ap-3f, -0x1.10c7e4p-6f,
+        0x1.19b4b4p-9f, -0x1.229698p-12f, 0x1.0624d8p-3f, -0x1.0c6f1cp-6f, 0x1.1234bep-9f, -0x1.196878p-12f,
+        0x1.04103cp-3f, -0x1.0830bp-6f, 0x1.0c8358p-9f, -0x1.109642p-12f, 0x1.020404p-3f, -0x1.040bd8p-6f,
+        0x1.05b6e6p-9f, -0x1.081bb6p-12f, 0x1.fffff8p-4f, -0x1.ffff84p-7f, 0x1.0054acp-9f, -0x1.ffe994p-13f,
+        0x1.fc07eap-4f, -0x1.f81752p-7f, 0x1.f3716cp-10f, -0x1.f03b52p-13f, 0x1.f81f7cp-4f, -0x1.f05da6p-7f,
+        0x1.e8fdbep-10f, -0x1.e1256ap-13f, 0x1.f44654p-4f, -0x1.e8d11ap-7f, 0x1.ded9bep-10f, -0x1.d2a1p-13f,
+        0x1.f07c1ap-4f, -0x1.e1704ep-7f, 0x1.d3baacp-10f, -0x1.c4a78cp-13f, 0x1.ecc078p-4f, -0x1.da39f4p-7f,
+        0x1.c757a2p-10f, -0x1.b732e6p-13f, 0x1.e91318p-4f, -0x1.d32cc6p-7f, 0x1.bd435p-10f, -0x1.aa3d32p-13f,
+        0x1.e573aap-4f, -0x1.cc478ep-7f, 0x1.b3c77ap-10f, -0x1.9dc0dcp-13f, 0x1.e1e1ep-4f, -0x1.c58922p-7f,
+        0x1.a9c208p-10f, -0x1.91b8a2p-13f, 0x1.de5d6cp-4f, -0x1.bef06p-7f, 0x1.a183a2p-10f, -0x1.861f7cp-13f,
+        0x1.dae606p-4f, -0x1.b87c3p-7f, 0x1.97afb6p-10f, -0x1.7af0aap-13f, 0x1.d77b64p-4f, -0x1.b22b88p-7f,
+        0x1.8f1deep-10f, -0x1.7027ap-13f, 0x1.d41d4p-4f, -0x1.abfd62p-7f, 0x1.87bce6p-10f, -0x1.65c014p-13f,
+        0x1.d0cb58p-4f, -0x1.a5f0ccp-7f, 0x1.7e761cp-10f, -0x1.5bb5eap-13f, 0x1.cd8568p-4f, -0x1.a004c8p-7f,
+        0x1.7610b2p-10f, -0x1.54686ap-13f, 0x1p-1f, 0x1p-1f, 0x1p-1f, 0x0p+0f,
+        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p-2f, 0x1p-2f,
+        0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f, 0x1p-2f,
+        0x0p+0f, 0x1.8p-3f, 0x1.8p-2f, 0x1.2p-1f, 0x1.8p-1f, 0x1.ep-1f,
+        0x1.2p+0f, 0x1.5p+0f, 0x1p-4f, 0x1p-2f, 0x1.cp-2f, 0x1.4p-1f,
+        0x1.ap-1f, 0x1p+0f, 0x1.3p+0f, 0x1.6p+0f, 0x1p-3f, 0x1.4p-2f,
+        0x1p-1f, 0x1.6p-1f, 0x1.cp-1f, 0x1.1p+0f, 0x1.4p+0f, 0x1.7p+0f,
+        0x1p-2f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1.8p+0f, 0x0p+0f,
+        0x0p+0f, 0x0p+0f, 0x1.9p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
+        0x1.ap+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
+        0x0p+0f, 0x0p+0f, 0x1p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
+        0x0p+0f, 0x1p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
         0x1p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x1p+0f, 0x0p+0f, 0x0p+0f,
         0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
         0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
         0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
-        0x1p+1f, 0x1p+1f, 0x1p+1f, 0x1p+1f, 0x0p+0f, 0x0p+0f,
-        0x0p+0f, 0x0p+0f,
+        0x0p+0f, 0x0p+0f, 0x1p+1f, 0x1p+1f, 0x1p+1f, 0x1p+1f,
+        0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f,
     },
     .selftest_observation = {
         { 0x0p+0f, 0x0p+0f, 0x0p+0f },
@@ -443,10 +450,10 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.0c6f7ap-20f, 0x1.0c6f7ap-20f, 0x1.0c6f7ap-20f },
         { 0x1.f4p+9f, 0x1.f4p+9f, 0x1.f4p+9f },
         { -0x1.f4p+9f, -0x1.f4p+9f, -0x1.f4p+9f },
-        { 0x1.fffffep+127f, 0x1.fffffep+127f, 0x1.fffffep+127f },
-        { -0x1.fffffep+127f, -0x1.fffffep+127f, -0x1.fffffep+127f },
-        { __builtin_nanf(""), __builtin_nanf(""), __builtin_nanf("") },
-        { -__builtin_inff(), -__builtin_inff(), -__builtin_inff() },
+        { 0x1.e848p+19f, 0x1.e848p+19f, 0x1.e848p+19f },
+        { -0x1.e848p+19f, -0x1.e848p+19f, -0x1.e848p+19f },
+        { 0x1.dcd65p+29f, 0x1.dcd65p+29f, 0x1.dcd65p+29f },
+        { -0x1.dcd65p+29f, -0x1.dcd65p+29f, -0x1.dcd65p+29f },
         { 0x1.68dabp-5f, -0x1.cc3c5ap-6f, 0x1.689dd6p-5f },
         { 0x1.8a1664p-3f, -0x1.5279ep-3f, -0x1.09cd92p-4f },
         { 0x1.dcde7ap-2f, 0x1.776b2p-2f, 0x1.4a1f7ep-2f },
@@ -463,7 +470,7 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f },
         { 0x1p+0f, 0x1p+0f, 0x1p+0f, 0x1p+0f },
         { 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f },
-        { 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f },
+        { 0x1p+0f, 0x1p+0f, 0x1p+0f, 0x1p+0f },
         { 0x0p+0f, 0x0p+0f, 0x0p+0f, 0x0p+0f },
         { 0x1.f932cep-2f, 0x1.01ffd6p-1f, 0x1.076258p-1f, 0x1.0cc0e2p-1f },
         { 0x1.e3cd82p-2f, 0x1.dcf49ap-2f, 0x1.d618d2p-2f, 0x1.cf3a2cp-2f },
@@ -472,5 +479,5 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.3c85a6p-2f, 0x1.19ceb8p-3f, 0x0p+0f, 0x0p+0f },
         { 0x1.99c368p-1f, 0x1p+0f, 0x1p+0f, 0x1p+0f },
     },
-    .crc32 = 0x4851064Du,
+    .crc32 = 0x077C5E36u,
 };

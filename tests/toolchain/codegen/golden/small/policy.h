@@ -9,11 +9,11 @@
 
 #define POLICY_OBSERVATION_COUNT 3
 #define POLICY_ACTION_COUNT 4
-#define POLICY_WEIGHT_COUNT 680
+#define POLICY_WEIGHT_COUNT 676
 #define POLICY_CONTROL_RATE_HZ 1000
 /* CRC-32 over operations, activations, shapes, table layout, observation terms, rate and filters: tables of
  * policies with the same hash may be exchanged. */
-#define POLICY_ARCHITECTURE_HASH 0xF6C02DD4u
+#define POLICY_ARCHITECTURE_HASH 0xE170F53Du
 #define POLICY_FILTERS_HASH 0x0D4CBB29u /* of the gyro filter chain it was trained behind */
 #define POLICY_SELFTEST_COUNT 16
 #define POLICY_SELFTEST_STEPS 1 /* vectors from one policy_init to the next */
@@ -105,8 +105,8 @@ extern const float policy_selftest_action[POLICY_SELFTEST_COUNT][POLICY_ACTION_C
 void policy_init(struct policy *p, const float *weights);
 
 /* One control step: motor fractions in [0, 1] from one observation. Takes the same path whatever the values.
- * Any observation gives finite actions within bounds; one that holds a NaN or an infinity gives the lower
- * bound on every motor. */
+ * An action is within bounds, or NaN: all of it where the observation holds a NaN or an infinity, some or all of it where
+ * weights or sums do. A step with NaN has no effect on later ones. */
 void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_COUNT],
                  float action[POLICY_ACTION_COUNT]);
 
