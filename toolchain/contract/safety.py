@@ -56,6 +56,10 @@ class ArmingReason(IntEnum):
     MOTOR_TEST = 11
     STORING = 12  # flash is being erased or written, or the board is about to start anew
     PID_MISSING = 13  # the switch chooses a PID that is not built in
+    POLICY_REFUSED = 14  # it fell back in flight, nobody acknowledged that, and the switch chooses it
+
+
+ARMING_REASON_COUNT = len(ArmingReason)
 
 
 class StopCause(IntEnum):
@@ -74,7 +78,7 @@ class StopCause(IntEnum):
 
 
 class FallbackCause(IntEnum):
-    """Why the PID flies instead of the policy."""
+    """Why the PID flies instead of the policy; all but the pilot's switch refuse it until acknowledged."""
 
     NONE = 0
     SWITCH = 1  # the pilot's

@@ -61,26 +61,36 @@ void control_rest(struct control *control)
 void control_reset(struct control *control)
 {
 	control->first = true;
-	control->latched = false;
-	control->fallback = NF_FALLBACK_NONE;
+	control->latched = control->refused != NF_FALLBACK_NONE;
+	control->fallback = control->refused;
 	control->misses = 0;
 	control->handover_left = 0;
 	control->flying = CONTROLLER_POLICY;
 	control_rest(control);
 }
 
+void control_acknowledge(struct control *control)
+{
+	control->refused = NF_FALLBACK_NONE;
+}
+
 uint32_t control_reasons(const struct control *control, bool pid_wanted)
 {
 	if (pid_wanted)
 		return control->good[CONTROLLER_PID] ? 0u : 1u << NF_ARMING_REASON_PID_MISSING;
-	return control->good[CONTROLLER_POLICY] ? 0u : 1u << NF_ARMING_REASON_POLICY_BAD;
+	if (!control->good[CONTROLLER_POLICY])
+		return 1u << NF_ARMING_REASON_POLICY_BAD;
+	return control->refused == NF_FALLBACK_NONE ? 0u : 1u << NF_ARMING_REASON_POLICY_REFUSED;
 }
 
-/* From now until the next reset the PID flies, where there is one. */
+/* From now on the PID flies, where there is one, and the policy is refused until it is acknowledged. */
 static void control_fall_back(struct control *control, enum nf_fallback_cause cause)
 {
 	control->latched = control->good[CONTROLLER_PID];
-	control->fallback = control->latched ? cause : control->fallback;
+	if (!control->latched)
+		return;
+	control->fallback = cause;
+	control->refused = cause;
 }
 
 /* The controller to fly: the one that the pilot wants, unless only the other is usable. */

@@ -41,6 +41,7 @@ struct control {
 	struct mixer mixers[CONTROLLER_COUNT]; /* each with its controller's idle */
 	const float *weights;
 	bool good[CONTROLLER_COUNT];         /* may fly */
+	enum nf_fallback_cause refused;      /* why the policy must not fly until it is acknowledged; NONE: it may */
 	bool first;                          /* no step since the reset */
 	bool fresh;                          /* the controllers remember nothing */
 	enum controller flying;              /* since the last step */
@@ -57,22 +58,25 @@ struct control {
 /* NF_ERR_IDLE, NF_ERR_OBSERVATION: do not run this firmware. What `config` points to must outlive the control. */
 enum nf_err control_init(struct control *control, const struct control_config *config);
 
-/* A flight begins: nothing from before reaches its first step, and the policy gets a new chance. */
+/* A flight begins: nothing from before reaches its first step, except that a refused policy stays refused. */
 void control_reset(struct control *control);
+
+/* The pilot knows why the policy was refused: it may fly from the next reset on. Only while the motors stand still. */
+void control_acknowledge(struct control *control);
 
 /* Disarmed: clears the controllers' state, so that the step that arms takes no longer than the others. */
 void control_rest(struct control *control);
 
-/* Which reasons forbid arming with the switch so: POLICY_BAD, PID_MISSING or none. */
+/* Which reasons forbid arming with the switch so: POLICY_BAD, POLICY_REFUSED, PID_MISSING or none. */
 uint32_t control_reasons(const struct control *control, bool pid_wanted);
 
 /* One control step: writes the motors' fractions, 0..1. An output of the policy that is NaN or out of range is never
- * flown: the PID computes the same step and flies until the next reset. Returns false, `output` unset, if there is no
- * PID to do so; that policy is bad from then on. */
+ * flown: the PID computes the same step, and the policy is refused until it is acknowledged. Returns false, `output`
+ * unset, if there is no PID to do so; that policy is bad from then on. */
 bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT]);
 
-/* Did the last control step end after its deadline? NF_DEADLINE_MISSES_MAX times in a row: the PID flies until the
- * next reset, where there is one. */
+/* Did the last control step end after its deadline? NF_DEADLINE_MISSES_MAX times in a row: the PID flies, where there
+ * is one, and the policy is refused until it is acknowledged. */
 void control_deadline(struct control *control, bool missed);
 
 /* Largest minus smallest motor of the controller's last output, 0..1. */

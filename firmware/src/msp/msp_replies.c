@@ -93,7 +93,7 @@ static void reply_put_status(struct msp_writer *w, const struct source *s)
 static void reply_put_arming(struct msp_writer *w, const struct source *s)
 {
 	msp_put_u8(w, 0); /* no flight modes beyond the first 32 */
-	msp_put_u8(w, NF_ARMING_REASON_PID_MISSING + 1);
+	msp_put_u8(w, NF_ARMING_REASON_COUNT);
 	msp_put_u32(w, s->status->arming_reasons);
 	msp_put_u8(w, 0);  /* no restart needed */
 	msp_put_u16(w, 0); /* core temperature: not measured */

@@ -122,10 +122,57 @@ def test_the_pid_answers_in_the_same_step_and_to_the_end_when_the_policy_answers
         flight.step(pid=pid)
         assert flight.pid_flies
     assert flight.self.fallback == FallbackCause.POLICY_OUTPUT
+    scripted.lib.control_acknowledge(flight.self)
     scripted.lib.control_reset(flight.self)
     flight.step()
-    assert not flight.pid_flies, "the next flight gives it a new chance"
+    assert not flight.pid_flies, "the pilot gives it a new chance"
     assert flight.self.fallback == FallbackCause.NONE
+
+
+def fallen_back(scripted: Any, pull: Any, cause: FallbackCause) -> Flight:
+    """A flight in which the PID took over for that cause."""
+    flight = Flight(scripted, pid=gains(scripted))
+    flight.step()
+    if cause == FallbackCause.POLICY_OUTPUT:
+        pull(math.nan, 0.3, 0.3, 0.3)
+        flight.step()
+        pull(0.3, 0.3, 0.3, 0.3)
+    else:
+        for _ in range(DEADLINE_MISSES_MAX):
+            scripted.lib.control_deadline(flight.self, True)
+            flight.step()
+    assert flight.pid_flies
+    return flight
+
+
+@pytest.mark.parametrize("cause", [FallbackCause.POLICY_OUTPUT, FallbackCause.DEADLINE])
+def test_a_policy_that_fell_back_is_refused_through_flights_until_it_is_acknowledged(
+    scripted: Any, pull: Any, cause: FallbackCause
+) -> None:
+    flight = fallen_back(scripted, pull, cause)
+    for _ in range(3):
+        assert flight.reasons(pid=False) == 1 << ArmingReason.POLICY_REFUSED
+        assert flight.reasons(pid=True) == 0, "the PID may be armed"
+        scripted.lib.control_reset(flight.self)
+        for pid in (True, False, True, False):
+            flight.step(pid=pid)
+            assert flight.pid_flies, "the switch does not put a refused policy in command"
+        assert (flight.self.refused, flight.self.fallback) == (cause, cause)
+    scripted.lib.control_acknowledge(flight.self)
+    assert flight.reasons(pid=False) == 0
+    scripted.lib.control_reset(flight.self)
+    flight.step()
+    assert not flight.pid_flies
+
+
+def test_the_policy_is_not_refused_when_the_pilot_chose_the_pid(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted))
+    flight.step()
+    for _ in range(DEADLINE_MISSES_MAX):
+        flight.step(pid=True)
+        scripted.lib.control_deadline(flight.self, True)
+    assert flight.self.refused == FallbackCause.NONE
+    assert flight.reasons(pid=False) == 0
 
 
 @pytest.mark.parametrize("bad", BAD)

@@ -364,12 +364,22 @@ def test_the_pid_answers_in_the_same_step_when_the_policy_answers_no_number(
     assert all(0.0 < value <= 1.0 for row in rows for value in row)
     assert (p.safety.pid_flies, p.safety.fallback_cause) == (True, FallbackCause.POLICY_OUTPUT)
     p.run(50)
-    assert p.safety.pid_flies, "until it is disarmed"
+    assert p.safety.pid_flies, "the policy is refused"
     p.arm, p.throttle = 1000, 1000
     p.run(50)
+    assert p.reasons == {"POLICY_REFUSED"}
+    assert p.safety.fallback_cause == FallbackCause.POLICY_OUTPUT, "told after disarming"
+    p.arm = 2000
+    assert set(p.run(50)) == {STOPPED}
+    p.arm, p.pid = 1000, 2000
+    p.run(50)
+    assert not p.reasons
     p.arm = 2000
     p.run(50)
-    assert (p.safety.state, p.safety.pid_flies) == (FlightState.ARMED, False)
+    assert (p.safety.state, p.safety.pid_flies) == (FlightState.ARMED, True)
+    p.pid = 1000
+    p.run(50)
+    assert (p.safety.pid_flies, p.safety.fallback_cause) == (True, FallbackCause.POLICY_OUTPUT)
 
 
 # --- What MSP may change ----------------------------------------------------------------------
