@@ -28,6 +28,7 @@ class Safety:
     receiver_percent: int  # quality of the link
     temperature_deg_c: float  # of the gyro
     idle: float  # motor fraction at zero thrust, of the controller that flies
+    refused_cause: FallbackCause  # why the policy must not fly until it is acknowledged; NONE: it may
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,7 @@ def safety(payload: bytes) -> Safety:
     state, stop = reader.one_of(FlightState), reader.one_of(StopCause)
     fallback, health = reader.one_of(FallbackCause), reader.one_of(GyroHealth)
     reasons, policy_good, pid_built_in, pid_flies, percent, centidegrees, idle = reader.fields("I3?Bhf")
+    refused = reader.one_of(FallbackCause)
     return Safety(
         state=state,
         stop_cause=stop,
@@ -105,6 +107,7 @@ def safety(payload: bytes) -> Safety:
         receiver_percent=percent,
         temperature_deg_c=centidegrees / 100,
         idle=idle,
+        refused_cause=refused,
     )
 
 

@@ -28,7 +28,7 @@ SLOT_BYTES_MAX = MSP_PAYLOAD_MAX - SLOT_HEADER_BYTES
 WORD_BYTES = 4
 STORING = frozenset(  # commands that wait for the flash
     {
-        *(Msp.EEPROM_WRITE, Msp.FAULTS),
+        *(Msp.EEPROM_WRITE, Msp.FAULTS, Msp.ACKNOWLEDGE),
         *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
     }
 )

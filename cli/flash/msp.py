@@ -1,4 +1,4 @@
-"""`neuroflight msp`: query a running firmware over MSP. Reads only; nothing is changed on the board."""
+"""`neuroflight msp`: query a running firmware over MSP; nothing is changed but what is acknowledged."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from flash.acknowledge import Acknowledged
     from flash.client import Info
 
 
@@ -23,20 +24,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     summary = "who the firmware is, which policy it flies and what forbids arming"
     info = questions.add_parser("info", help=summary, description=summary)
     info.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    summary = (
+        "acknowledge logged faults and a policy that was refused in flight, so that the board arms again"
+    )
+    questions.add_parser("acknowledge", help=summary, description=summary)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Query and print. Returns 0; raises LinkError when the firmware does not answer."""
+    """Query and print. Returns 0; raises LinkError when the firmware does not answer or refuses."""
+    from flash.acknowledge import acknowledge
     from flash.client import Client, read_info
     from flash.transport import open_transport
 
     with Client(open_transport(args.port)) as client:
+        if args.question == "acknowledge":
+            print(_told(acknowledge(client)))
+            return 0
         info = read_info(client)
     if args.json:
         print(json.dumps(asdict(info), indent=2))
     else:
         _print_table(info)
     return 0
+
+
+def _told(known: Acknowledged) -> str:
+    """What was acknowledged, in a line."""
+    from toolchain.contract import FallbackCause
+
+    told = []
+    if known.fault is not None:
+        told.append(f"fault {known.fault.kind.name} found by boot {known.fault.boot}, and all before it")
+    if known.refused is not FallbackCause.NONE:
+        told.append(f"the policy that was refused in flight: {known.refused.name}")
+    return f"acknowledged: {'; '.join(told)}" if told else "there was nothing to acknowledge"
 
 
 def _print_table(info: Info) -> None:

@@ -5,6 +5,7 @@
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
 #define FRACTION_PER_US 0.001f
+#define TOOK_OVER_MS 3000u /* so long beeper and LED tell nothing but that the PID took over */
 _Static_assert(NF_DSHOT_ALL_MOTORS == UINT8_MAX, "as MSP says it");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US says otherwise");
 
@@ -123,6 +124,16 @@ static enum nf_refusal background_command_motors(void *context, unsigned motor, 
 				 !fw->status.trace.armed && !motor_test_forbids(&fw->motor_test));
 }
 
+static enum nf_refusal background_acknowledge(void *context)
+{
+	struct background *background = context;
+	const enum nf_refusal refusal = fault_log_acknowledge_all(&background->faults);
+
+	if (refusal == NF_REFUSAL_NONE)
+		firmware_acknowledge(background->config.firmware);
+	return refusal;
+}
+
 static enum nf_refusal background_reboot(void *context)
 {
 	struct background *background = context;
@@ -153,6 +164,7 @@ static void background_offer_services(struct background *background)
 		.motor_test = background_test_motors,
 		.motors = background_turn_motors,
 		.dshot_command = background_command_motors,
+		.acknowledge = background_acknowledge,
 		.reboot = background_reboot,
 	};
 	msp_init(&background->msp, config->identity);
@@ -172,18 +184,29 @@ static void background_run_battery(void *context)
 			battery_level(&background->battery) == BATTERY_UNKNOWN);
 }
 
+static uint32_t background_ms(const struct background *background)
+{
+	const uint32_t samples = firmware_samples(background->config.firmware);
+
+	return (uint32_t)((uint64_t)samples * 1000u / background->settings.gyro_rate_hz);
+}
+
 /* What beeper and LED are to tell. */
-static uint32_t background_alerts(const struct background *background, const struct firmware_status *status)
+static uint32_t background_alerts(const struct background *background, const struct firmware_status *status,
+				  uint32_t ms)
 {
 	const enum battery_level level = battery_level(&background->battery);
 	const bool find_me = status->channels_us[NF_CHANNEL_BEEPER] >= NF_BEEPER_ON_US;
 	const bool lost = background->heard && !status->receiver_good;
-	const bool fault = status->state == NF_FLIGHT_FAULT || status->gyro_health != NF_GYRO_HEALTH_GOOD ||
-			   background->faults.pending;
+	const bool stopped = status->state == NF_FLIGHT_FAULT || background->faults.pending;
+	const bool fault = stopped || status->gyro_health != NF_GYRO_HEALTH_GOOD;
+	const bool took_over = background->refused && status->trace.armed &&
+			       ms - background->refused_since_ms < TOOK_OVER_MS;
 
-	return (uint32_t)fault << ALERT_FAULT | (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED |
-	       (uint32_t)find_me << ALERT_FIND_ME | (uint32_t)lost << ALERT_RECEIVER_LOST |
-	       (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
+	return (uint32_t)took_over << ALERT_TOOK_OVER | (uint32_t)stopped << ALERT_FAULT_TOLD |
+	       (uint32_t)background->refused << ALERT_POLICY_REFUSED | (uint32_t)fault << ALERT_FAULT |
+	       (uint32_t)(status->state == NF_FLIGHT_CRASHED) << ALERT_CRASHED | (uint32_t)find_me << ALERT_FIND_ME |
+	       (uint32_t)lost << ALERT_RECEIVER_LOST | (uint32_t)(level == BATTERY_LOW) << ALERT_BATTERY_LOW |
 	       (uint32_t)(level == BATTERY_WARN) << ALERT_BATTERY_WARN |
 	       (uint32_t)(status->state == NF_FLIGHT_CALIBRATING) << ALERT_CALIBRATING |
 	       1u << (status->trace.armed ? ALERT_ARMED : ALERT_DISARMED);
@@ -194,23 +217,42 @@ static void background_run_alert(void *context)
 	struct background *background = context;
 	const struct hal *hal = background->config.hal;
 	const struct firmware *fw = background->config.firmware;
-	const uint32_t ms = (uint32_t)((uint64_t)firmware_samples(fw) * 1000u / background->settings.gyro_rate_hz);
+	const uint32_t ms = background_ms(background);
 	struct firmware_status status;
 
 	firmware_status(fw, &status);
 	background->heard |= status.receiver_good;
+	if (!background->refused)
+		background->refused_since_ms = ms;
+	background->refused = status.refused_cause != NF_FALLBACK_NONE;
 	const unsigned flashes = status.state == NF_FLIGHT_FAULT ? status.stop_cause : background->faults.record.kind;
-	const struct alert_state state = alert_step(&background->alert, background_alerts(background, &status), flashes,
-						    ms);
+	const struct alert_state state = alert_step(&background->alert, background_alerts(background, &status, ms),
+						    flashes, ms);
 	hal->beeper(hal->context, state.beeper);
 	hal->led(hal->context, state.led);
 }
 
-/* A fault that was acknowledged over MSP forbids nothing any more. */
+/* The pilot's sticks acknowledge what MSP's ACKNOWLEDGE does, under the same interlock. */
+static void background_watch_gesture(struct background *background)
+{
+	struct firmware_status status;
+
+	firmware_status(background->config.firmware, &status);
+	const bool allowed = status.state == NF_FLIGHT_DISARMED && status.receiver_good &&
+			     status.channels_us[NF_CHANNEL_ARM] < NF_ARM_ON_US;
+	if (!gesture_step(&background->gesture, status.channels_us, allowed, background_ms(background)) ||
+	    background_storing(background, true) != NF_REFUSAL_NONE)
+		return;
+	(void)background_acknowledge(background); /* flash refused: the LED goes on telling the fault */
+	(void)background_storing(background, false);
+}
+
+/* A fault that was acknowledged forbids nothing any more. */
 static void background_run_storage(void *context)
 {
 	struct background *background = context;
 
+	background_watch_gesture(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 
@@ -232,6 +274,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert);
+	gesture_init(&background->gesture);
 	background_offer_services(background);
 	for (size_t i = 0; i < TASK_COUNT; ++i)
 		task_stats_init(&config->stats[i], 0);

@@ -16,6 +16,7 @@
 #include "housekeeping/scheduler.h"
 #include "msp/msp.h"
 #include "msp/msp_commands.h"
+#include "receiver/gesture.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
 #include "storage/policy_slots.h"
@@ -47,7 +48,10 @@ struct background {
 	struct scheduler scheduler;
 	struct battery battery;
 	struct alert alert;
+	struct gesture gesture;
 	bool heard; /* the receiver, since boot */
+	bool refused; /* a policy, when alerts were last looked at */
+	uint32_t refused_since_ms;
 	bool rebooting; /* was asked to, and is about to */
 	struct msp msp;
 	struct msp_services services;

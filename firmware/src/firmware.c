@@ -84,6 +84,7 @@ static void firmware_report(struct firmware *fw)
 	status->state = (uint8_t)fw->safety.state;
 	status->stop_cause = (uint8_t)fw->safety.stop_cause;
 	status->fallback_cause = (uint8_t)control->fallback;
+	status->refused_cause = (uint8_t)control->refused;
 	status->gyro_health = (uint8_t)fw->health;
 	status->policy_good = control->good[CONTROLLER_POLICY];
 	status->pid_built_in = control->good[CONTROLLER_PID];
@@ -269,8 +270,11 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 		if (found)
 			firmware_update_safety(fw, found);
 	} else {
+		if (fw->acknowledged)
+			control_acknowledge(&fw->control);
 		control_rest(&fw->control);
 	}
+	fw->acknowledged = false;
 	trace->armed = safety_motors(&fw->safety);
 	firmware_drive(fw, output);
 	trace->step = fw->control_steps++;
@@ -339,6 +343,12 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 	const uint32_t bit = 1u << reason;
 
 	fw->forbidden = holds ? fw->forbidden | bit : fw->forbidden & ~bit;
+	fence();
+}
+
+void firmware_acknowledge(struct firmware *fw)
+{
+	fw->acknowledged = true;
 	fence();
 }
 

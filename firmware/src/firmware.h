@@ -60,6 +60,7 @@ struct firmware {
 	volatile uint32_t forbidden;    /* arming reasons that the background knows */
 	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
 	volatile bool posted;           /* they wait to be taken up */
+	volatile bool acknowledged;     /* by the pilot, for the next control step */
 	bool heard;                     /* a receiver frame waits to be evaluated */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
@@ -93,6 +94,10 @@ const struct control_trace *firmware_trace(const struct firmware *fw);
 /* From the background: does `reason` forbid arming? BATTERY_UNKNOWN, FAULT and STORING are asked of it. It takes effect
  * at safety's next update; armed motors stay armed. */
 void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds);
+
+/* From the background: the pilot knows why the policy was refused in flight. It may fly again, unless the next control
+ * step finds the motors armed: then nothing happens. */
+void firmware_acknowledge(struct firmware *fw);
 
 /* From the background: are the motors stopped, with no test and no command under way? */
 bool firmware_stopped(const struct firmware *fw);

@@ -38,8 +38,8 @@ static enum nf_err boot(void)
 	const enum nf_err err = background_start(&background, &config);
 
 	program.hal = info.hal;
-	/* Only now is it in the log. */
-	if (faulted)
+	/* Without an entry in the log the record is all that is known of the fault: it waits for the next boot. */
+	if (faulted && background.faults.logged)
 		hal_fault_clear();
 	return err;
 }

@@ -60,6 +60,9 @@ HEADERS = (
     "motors/dshot_command.h",
     "motors/motor_test.h",
     "housekeeping/alert.h",
+    "receiver/gesture.h",
+    "hal/host/board.h",
+    "program.h",
     "hal/host/convert.h",
     "hal/host/reference.h",
 )

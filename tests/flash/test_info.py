@@ -244,3 +244,10 @@ def test_one_line_and_status_1_when_nobody_listens(
     assert output.out == ""
     assert output.err.count("\n") == 1
     assert output.err.startswith(f"neuroflight: tcp:127.0.0.1:{free_tcp_port}: nobody listens there")
+
+
+def test_nothing_is_acknowledged_when_nothing_is_the_matter(
+    host: Host, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["msp", "--port", host.port, "acknowledge"]) == 0
+    assert capsys.readouterr().out == "there was nothing to acknowledge\n"

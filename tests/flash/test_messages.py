@@ -46,7 +46,7 @@ POLICY = (
 BATTERY = b"\x04" + b"\x14\x05" + b"\xa8" + b"\x7b\x00" + b"\x85\xff" + b"\x01" + b"\x8e\x06"
 SAFETY = (
     b"\x06" + b"\x07" + b"\x03" + b"\x02" + b"\x40\x04\x00\x00" + b"\x01\x01\x00" + b"\x57" + b"\x2e\xfb"
-    + b"\x00\x00\x00\x3e"
+    + b"\x00\x00\x00\x3e" + b"\x02"
 )  # fmt: skip
 TASKS = struct.pack("<IB", 216_000_000, 2) + struct.pack("<H5I", 3000, 9, 0, 500, 300, 400) + struct.pack(
     "<H5I", 1000, 3, 1, 16000, 15000, 15500
@@ -84,7 +84,7 @@ PAYLOADS = {
 # Replies of these say nothing but that it is done.
 SILENT = {
     *(Msp.SET_RAW_RC, Msp.SET_MOTOR, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.SETTING_SET, Msp.EEPROM_WRITE),
-    *(Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.REBOOT),
+    *(Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.REBOOT, Msp.ACKNOWLEDGE),
 }
 # How many leading bytes each layout needs; NAME, RC and MOTOR are as long as they are.
 NEEDED = {
@@ -101,7 +101,7 @@ NEEDED = {
     Msp.ANALOG: 9,
     Msp.BATTERY_STATE: 11,
     Msp.POLICY_INFO: 65,
-    Msp.SAFETY: 18,
+    Msp.SAFETY: 19,
     Msp.TASKS: 49,
     Msp.FAULTS: 97,
     Msp.SETTING_INFO: 33,
@@ -154,6 +154,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
                 receiver_percent=87,
                 temperature_deg_c=-12.34,
                 idle=0.125,
+                refused_cause=FallbackCause.POLICY_OUTPUT,
             ),
         ),
         (

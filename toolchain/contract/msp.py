@@ -30,6 +30,7 @@ class Msp(IntEnum):
     TASKS = 0x4E02  # v2, ours: rate, worst, best, mean and misses of each task
     FAULTS = 0x4E03  # v2, ours: the record of the last fault; with a payload: it is acknowledged
     SAFETY = 0x4E04  # v2, ours: flight state, causes of the last stop and of the last change to the PID
+    ACKNOWLEDGE = 0x4E05  # v2, ours: all logged faults, and the policy that was refused in flight
     SETTING_INFO = 0x4E10  # v2, ours: name, unit, range, default of one setting, by index
     SETTING_GET = 0x4E11  # v2, ours: value of one setting, by index
     SETTING_SET = 0x4E12  # v2, ours: one setting, by index; flown from the next boot on

@@ -11,6 +11,8 @@ ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
 PID_ON_US = 1700  # at or above this the PID flies
 BEEPER_ON_US = 1700
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
+STICK_LOW_US, STICK_HIGH_US = 1100, 1900  # beyond these a stick stands at its end
+GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long, disarmed: acknowledges
 RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.

@@ -32,6 +32,7 @@ struct firmware_status {
 	uint8_t state;                         /* enum nf_flight_state */
 	uint8_t stop_cause;                    /* enum nf_stop_cause: why the motors stopped last */
 	uint8_t fallback_cause;                /* enum nf_fallback_cause: why the PID took over last */
+	uint8_t refused_cause;                 /* enum nf_fallback_cause: why the policy must not fly, NONE: it may */
 	uint8_t gyro_health;                   /* enum nf_gyro_health */
 	uint8_t receiver_quality;              /* % */
 	bool attitude_known;

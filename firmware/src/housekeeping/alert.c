@@ -2,6 +2,7 @@
 
 #define SLOT_MS 50u
 #define FLASH_PAUSE 16u /* slots between two rounds of a fault's flashes */
+#define BEEP_SLOTS 3u   /* a beep lasts as long as so many flashes: ears count more slowly */
 
 /* '#' is on, '.' is off, each for SLOT_MS. */
 struct rhythm {
@@ -15,11 +16,15 @@ struct rhythm {
 #define NOTHING { 0, 0, false }
 
 static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = {
-	[ALERT_FAULT] = { NOTHING, REPEATED("#.") }, /* counted: see flashing() */
+	[ALERT_FAULT] = { NOTHING, REPEATED("#.") }, /* counted: see alert_flashing() */
 	[ALERT_CRASHED] = { REPEATED("######....######........"), REPEATED("##..") },
 	[ALERT_FIND_ME] = { REPEATED("#.#.#...#.#.#......."), REPEATED("#...") },
 	[ALERT_RECEIVER_LOST] = { REPEATED("##..##.............."), REPEATED("##..##..............") },
+	[ALERT_TOOK_OVER] = { REPEATED("##.##.##.##........."), REPEATED("##.") },
 	[ALERT_BATTERY_LOW] = { REPEATED("########.."), REPEATED("########..") },
+	[ALERT_FAULT_TOLD] = { REPEATED("#."), NOTHING }, /* counted */
+	[ALERT_POLICY_REFUSED] = { REPEATED("########..##..##...................."),
+				   REPEATED("########..##..##........") },
 	[ALERT_BATTERY_WARN] = { REPEATED("####................"), NOTHING },
 	[ALERT_CALIBRATING] = { NOTHING, REPEATED("#.") },
 	[ALERT_ARMED] = { ONCE("####"), REPEATED("#") },
@@ -68,7 +73,11 @@ static bool alert_play(struct alert *alert, enum alert_output output, uint32_t c
 	const uint32_t slot = (ms - alert->since_ms[output]) / SLOT_MS;
 	if (condition == ALERT_CONDITION_COUNT)
 		return false;
-	return condition == ALERT_FAULT ? alert_flashing(flashes, slot) : alert_on(&rhythms[condition][output], slot);
+	if (condition == ALERT_FAULT)
+		return alert_flashing(flashes, slot);
+	if (condition == ALERT_FAULT_TOLD)
+		return alert_flashing(flashes, slot / BEEP_SLOTS);
+	return alert_on(&rhythms[condition][output], slot);
 }
 
 struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms)

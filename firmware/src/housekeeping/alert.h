@@ -11,7 +11,10 @@ enum alert_condition {
 	ALERT_CRASHED,
 	ALERT_FIND_ME,       /* the pilot's beeper switch */
 	ALERT_RECEIVER_LOST, /* after it was heard */
+	ALERT_TOOK_OVER,     /* the PID, a moment ago and in flight */
 	ALERT_BATTERY_LOW,
+	ALERT_FAULT_TOLD,    /* what forbids arming for good: the beeper beeps as often as the LED flashes */
+	ALERT_POLICY_REFUSED,/* it fell back in flight, and nobody acknowledged that */
 	ALERT_BATTERY_WARN,
 	ALERT_CALIBRATING,
 	ALERT_ARMED,

@@ -49,6 +49,13 @@ static enum nf_refusal command_faults_acknowledge(struct request *q)
 	return fault_log_acknowledge(q->services->faults, msp_take_u32(&q->payload));
 }
 
+static enum nf_refusal command_acknowledge(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	return s->acknowledge ? s->acknowledge(s->context) : NF_REFUSAL_ABSENT;
+}
+
 static enum nf_refusal command_setting_info(struct request *q)
 {
 	const struct setting *setting = settings_info(msp_take_u16(&q->payload));
@@ -195,6 +202,7 @@ static const struct command {
 	{ NF_MSP_TASKS, ALWAYS, 0, 0, command_tasks },
 	{ NF_MSP_FAULTS, ALWAYS, 0, 0, command_faults_read },
 	{ NF_MSP_FAULTS, STORING, 4, 4, command_faults_acknowledge },
+	{ NF_MSP_ACKNOWLEDGE, STORING, 0, 0, command_acknowledge },
 	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, command_setting_info },
 	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, command_setting_get },
 	{ NF_MSP_SETTING_SET, STOPPED, 6, 6, command_setting_set },

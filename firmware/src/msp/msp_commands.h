@@ -36,6 +36,8 @@ struct msp_services {
 	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
 	/* A DShot command for the motor of that index, UINT8_MAX: for all. */
 	enum nf_refusal (*dshot_command)(void *context, unsigned motor, unsigned command);
+	/* The pilot knows of all logged faults and of the refused policy. While `storing`. */
+	enum nf_refusal (*acknowledge)(void *context);
 	/* Starts anew, once the reply is on its way. */
 	enum nf_refusal (*reboot)(void *context);
 };

@@ -2,6 +2,7 @@
 #ifndef NF_MSP_IDENTITY_H
 #define NF_MSP_IDENTITY_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 /* Constant for a board. */
@@ -9,6 +10,7 @@ struct msp_identity {
 	const char *board;       /* 4 letters, the ecosystem's board identifier */
 	const char *target;      /* build target, at most 32 letters */
 	const char *maker;       /* 4 letters */
+	bool osd_chip;           /* a MAX7456 is on the board; this firmware leaves it alone */
 	uint32_t unique_id[3];
 };
 

@@ -12,6 +12,8 @@
 #define SENSOR_ACCELEROMETER (1u << 0)
 #define MCU_NOT_TOLD 255u         /* BOARD_INFO: the numbering of chips differs between versions */
 #define CONFIGURED 2u             /* BOARD_INFO's configuration state: set up */
+#define TYPE_WITHOUT_OSD 0u       /* BOARD_INFO's board type: a flight controller, */
+#define TYPE_WITH_OSD 2u          /* with an OSD chip of its own, used or not */
 #define SHA256_DIGITS 64
 #define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
 #define RSSI_FULL 1023u
@@ -49,7 +51,7 @@ static void reply_board_info(struct msp_writer *w, const struct source *s)
 {
 	msp_put_text(w, s->identity->board, 4);
 	msp_put_u16(w, 0); /* hardware revision */
-	msp_put_u8(w, 0);  /* board type: a flight controller without an OSD of its own */
+	msp_put_u8(w, s->identity->osd_chip ? TYPE_WITH_OSD : TYPE_WITHOUT_OSD);
 	msp_put_u8(w, 0);  /* capabilities: no USB serial, no soft serial */
 	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX);
 	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX); /* board name */
@@ -256,6 +258,7 @@ static void reply_safety(struct msp_writer *w, const struct source *s)
 	msp_put_u8(w, status->receiver_quality);
 	msp_put_rounded(w, status->temperature_deg_c * 100.0f);
 	msp_put_float(w, status->idle);
+	msp_put_u8(w, status->refused_cause);
 }
 
 static const struct command {

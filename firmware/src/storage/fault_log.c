@@ -96,14 +96,14 @@ void fault_log_boot(struct fault_log *log, const struct flash *flash, const stru
 		log->address = 0;
 	}
 	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
-	const bool kept = index < ENTRY_COUNT && flash_program(flash, fault_log_address_of(index), &entry,
-							       offsetof(struct entry, acknowledged));
+	log->logged = index < ENTRY_COUNT &&
+		      flash_program(flash, fault_log_address_of(index), &entry, offsetof(struct entry, acknowledged));
 	if (entry.record.kind == FAULT_NONE)
 		return;
 	log->pending = true;
 	log->record = entry.record;
 	log->boot = entry.boot;
-	log->address = kept ? fault_log_address_of(index) : 0;
+	log->address = log->logged ? fault_log_address_of(index) : 0;
 }
 
 enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)
@@ -119,4 +119,13 @@ enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)
 	fault_log_scan(log, ENTRY_COUNT);
 	log->boots = boots; /* also where flash did not take this boot's entry */
 	return NF_REFUSAL_NONE;
+}
+
+enum nf_refusal fault_log_acknowledge_all(struct fault_log *log)
+{
+	enum nf_refusal refusal = NF_REFUSAL_NONE;
+
+	for (unsigned i = 0; i < ENTRY_COUNT && log->pending && refusal == NF_REFUSAL_NONE; ++i)
+		refusal = fault_log_acknowledge(log, log->boot);
+	return refusal;
 }

@@ -19,11 +19,15 @@ struct fault_log {
 	struct fault_record record;
 	uint32_t boot;              /* the boot that found it */
 	uint32_t address;           /* of its entry, 0: flash did not take it */
+	bool logged;                /* flash holds this boot's entry, with the fault before it */
 };
 
 /* Counts this boot and keeps `record` (NULL: no fault before it). Waits for the flash; at boot, before anything can
  * arm. Flash that does not take it loses the entry, but a fault is pending all the same. */
 void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record);
+
+/* Acknowledges all that is pending, the newest first, like fault_log_acknowledge. NF_REFUSAL_FLASH: the rest stays. */
+enum nf_refusal fault_log_acknowledge_all(struct fault_log *log);
 
 /* Acknowledges the fault that boot number `boot` found: it is no longer pending, an earlier one may be. Only while
  * nothing can arm. NF_REFUSAL_INDEX: that is not the pending one. NF_REFUSAL_FLASH: pending it stays. */

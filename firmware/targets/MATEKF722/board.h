@@ -6,6 +6,7 @@
 #define BOARD_ID "S7X2" /* what configurators know F72x boards by */
 #define BOARD_TARGET "MATEKF722"
 #define BOARD_MAKER "MTKS"
+#define BOARD_OSD_CHIP true /* MAX7456 on SPI2, which nothing drives yet */
 
 #define BOARD_HSE_HZ 8000000u
 #define BOARD_MPU6500_ALIGNMENT ALIGN_CW180

@@ -9,10 +9,11 @@ import pytest
 
 SLOT_MS = 50
 NAMES = (
-    *("FAULT", "CRASHED", "FIND_ME", "RECEIVER_LOST", "BATTERY_LOW"),
-    *("BATTERY_WARN", "CALIBRATING", "ARMED", "DISARMED"),
+    *("FAULT", "CRASHED", "FIND_ME", "RECEIVER_LOST", "TOOK_OVER", "BATTERY_LOW", "FAULT_TOLD"),
+    *("POLICY_REFUSED", "BATTERY_WARN", "CALIBRATING", "ARMED", "DISARMED"),
 )
-BEEPS = {"CRASHED", "FIND_ME", "RECEIVER_LOST", "BATTERY_LOW", "BATTERY_WARN", "ARMED", "DISARMED"}
+SILENT, DARK = {"FAULT", "CALIBRATING"}, {"FAULT_TOLD", "BATTERY_WARN"}
+BEEPS = set(NAMES) - SILENT
 ONCE = {"ARMED", "DISARMED"}
 
 
@@ -57,13 +58,13 @@ def test_a_rhythm_plays_at_once_and_goes_on_when_its_condition_holds(scripted: A
         assert ("#" in beeper[100:]) is (name not in ONCE)
     else:
         assert set(beeper) == {"."}
-    if name != "BATTERY_WARN":
+    if name not in DARK:
         assert led[0] == led[100:].strip(".")[:1] == "#"
 
 
 def test_rhythms_can_be_told_apart_when_heard_or_seen(scripted: Any) -> None:
     heard = [Alert(scripted).play(name)[0] for name in NAMES if name in BEEPS]
-    seen = [Alert(scripted).play(name)[1] for name in NAMES if name not in ("BATTERY_WARN", "FAULT")]
+    seen = [Alert(scripted).play(name)[1] for name in NAMES if name not in DARK | {"FAULT"}]
     assert len(set(heard)) == len(heard)
     assert len(set(seen)) == len(seen)
 
@@ -79,6 +80,15 @@ def test_a_fault_flashes_its_number_when_it_holds(alert: Alert, flashes: int) ->
     assert max(len(list(run)) for value, run in groupby(led) if value == "#") == 1
 
 
+@pytest.mark.parametrize("flashes", [0, 1, 3, 5])
+def test_a_fault_beeps_as_often_as_it_flashes_when_it_is_told(alert: Alert, flashes: int) -> None:
+    beeper, led = alert.play("FAULT", "FAULT_TOLD", "ARMED", flashes=flashes, slots=900)
+    beeps = [text.count("###") for text in beeper.strip(".").split("." * 30) if text.strip(".")]
+    seen = [text.count("#") for text in led.strip(".").split("." * 10) if text.strip(".")]
+    assert set(beeps[:-1]) == set(seen[:-1]) == {max(flashes, 1)}
+    assert {len(list(run)) for value, run in groupby(beeper) if value == "#"} == {3}, "long enough to count"
+
+
 @pytest.mark.parametrize("urgent", range(len(NAMES)))
 def test_the_most_urgent_plays_when_several_hold(scripted: Any, urgent: int) -> None:
     for other in range(urgent + 1, len(NAMES)):
@@ -86,7 +96,7 @@ def test_the_most_urgent_plays_when_several_hold(scripted: Any, urgent: int) -> 
         alone = Alert(scripted).play(NAMES[urgent])
         less = Alert(scripted).play(NAMES[other])
         assert both[0] == (alone if NAMES[urgent] in BEEPS else less)[0]
-        assert both[1] == (less if NAMES[urgent] == "BATTERY_WARN" else alone)[1]
+        assert both[1] == (less if NAMES[urgent] in DARK else alone)[1]
 
 
 def test_a_rhythm_begins_anew_when_its_condition_returns(alert: Alert) -> None:

@@ -208,6 +208,15 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
     assert len(s.ask(Msp.BUILD_INFO)) == 26
 
 
+@pytest.mark.parametrize(("chip", "board_type"), [(False, 0), (True, 2)])
+def test_the_board_type_tells_an_osd_chip_when_there_is_one(
+    server: Callable[..., Server], chip: bool, board_type: int
+) -> None:
+    s = server()
+    s._identity.osd_chip = chip
+    assert s.ask(Msp.BOARD_INFO)[6] == board_type
+
+
 def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[..., Server]) -> None:
     assert messages.policy_info(server(policy_good=True).ask(Msp.POLICY_INFO)) == PolicyInfo(
         name="scripted",
@@ -329,6 +338,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         receiver_quality=87,
         temperature_deg_c=-12.344,
         idle=0.25,
+        refused_cause=FallbackCause.POLICY_OUTPUT,
     )
     assert records.safety(s.ask(Msp.SAFETY)) == records.Safety(
         state=FlightState.CRASHED,
@@ -342,6 +352,7 @@ def test_safety_tells_state_and_causes_when_asked(server: Callable[..., Server])
         receiver_percent=87,
         temperature_deg_c=-12.34,
         idle=0.25,
+        refused_cause=FallbackCause.POLICY_OUTPUT,
     )
 
 

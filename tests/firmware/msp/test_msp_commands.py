@@ -23,7 +23,7 @@ from toolchain.policy.blob import PolicyBlob, pack
 
 MakeChip = Callable[..., Any]
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
-FUNCTIONS = ("storing", "channels", "motor_test", "motors", "dshot_command", "reboot")
+FUNCTIONS = ("storing", "channels", "motor_test", "motors", "dshot_command", "acknowledge", "reboot")
 
 
 class Server:
@@ -47,6 +47,7 @@ class Server:
             "dshot_command": ffi.callback(
                 "enum nf_refusal(void *, unsigned, unsigned)", self._on("dshot_command")
             ),
+            "acknowledge": ffi.callback("enum nf_refusal(void *)", self._on("acknowledge")),
             "reboot": ffi.callback("enum nf_refusal(void *)", self._on("reboot")),
         }
         self.services = self.core.new(
@@ -62,7 +63,7 @@ class Server:
             },
         )
         self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR")]
-        self._identity = self.core.new("struct msp_identity *", [*self._texts, (1, 2, 3)])
+        self._identity = self.core.new("struct msp_identity *", [*self._texts, False, (1, 2, 3)])
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
         self._msp = self.core.new("struct msp *")
         lib.settings_default(self.settings)
@@ -148,6 +149,7 @@ GOOD: dict[Msp, bytes] = {
     Msp.SET_MOTOR: requests.set_motor([1000] * 4),
     Msp.DSHOT_COMMAND: requests.dshot_command(1),
     Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
+    Msp.ACKNOWLEDGE: b"",
     Msp.REBOOT: b"",
 }
 READS = {Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET}
@@ -189,6 +191,7 @@ def test_only_reading_and_sticks_are_served_when_armed(server: Callable[..., Ser
 STORED = {
     Msp.EEPROM_WRITE: b"",
     Msp.FAULTS: requests.acknowledge(1),
+    Msp.ACKNOWLEDGE: b"",
     Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
     Msp.POLICY_SLOT_WRITE: requests.slot_write(0, bytes(8)),
     Msp.POLICY_SLOT_END: b"",
@@ -213,7 +216,7 @@ def test_nothing_arms_from_before_to_after_when_flash_is_written(
     s = server()
     assert set(STORED) == requests.STORING
     s.ask(command, STORED[command])
-    (_, first, before), (_, last, after) = s.calls
+    (_, first, before), *_, (_, last, after) = s.calls
     assert (first, last, before, after) == (True, False, 0, s.chip.operations)
 
 
@@ -227,6 +230,7 @@ def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[...,
         "motor_test": Msp.MOTOR_TEST,
         "motors": Msp.SET_MOTOR,
         "dshot_command": Msp.DSHOT_COMMAND,
+        "acknowledge": Msp.ACKNOWLEDGE,
         "reboot": Msp.REBOOT,
     }[name]
     assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
@@ -237,6 +241,7 @@ def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[...,
     [
         (Msp.TASKS, {0}),
         (Msp.FAULTS, {0, 4}),
+        (Msp.ACKNOWLEDGE, {0}),
         (Msp.SETTING_INFO, {2}),
         (Msp.SETTING_GET, {2}),
         (Msp.SETTING_SET, {6}),

@@ -110,6 +110,26 @@ def test_faults_come_one_by_one_newest_first_when_there_are_several(log: Callabl
     assert x.log.boots == 4
 
 
+def test_all_are_acknowledged_at_once_when_asked(log: Callable[[], Log]) -> None:
+    x = log()
+    for line in (10, 20, 0, 30):
+        assert x.boot(line).logged
+    assert x.core.lib.fault_log_acknowledge_all(x.log) == Refusal.NONE
+    assert x.pending is None
+    assert x.boot().boots == 5
+    assert x.pending is None
+    assert x.core.lib.fault_log_acknowledge_all(x.log) == Refusal.NONE, "nothing is pending"
+
+
+def test_the_rest_stays_pending_when_flash_refuses_to_acknowledge_all(log: Callable[[], Log]) -> None:
+    x = log()
+    for line in (10, 20):
+        x.boot(line)
+    x.chip.cut(1, 0, 1)
+    assert x.core.lib.fault_log_acknowledge_all(x.log) == Refusal.FLASH
+    assert x.pending == (1, 10)
+
+
 def test_a_pending_fault_is_carried_over_when_the_log_is_full(log: Callable[[], Log]) -> None:
     x = log()
     x.boot(line=5)
@@ -141,7 +161,7 @@ def test_a_fault_is_pending_when_flash_does_not_take_it(log: Callable[[], Log]) 
     x.chip.cut(3, 0, 1)
     x.boot(line=6)
     assert x.pending == (2, 6)
-    assert x.log.address == 0
+    assert (x.log.address, x.log.logged) == (0, False)
     assert x.acknowledge(2) == Refusal.NONE, "there is nothing to write"
     assert x.pending == (1, 5), "the one before it comes up again"
     assert x.acknowledge(1) == Refusal.FLASH

@@ -1,0 +1,24 @@
+/* Gesture: the sticks by which a pilot in the field says "I know": both down and apart (mode 2), that is throttle low,
+ * yaw full left, pitch full back, roll full right. It does not arm anything here or in Betaflight. */
+#ifndef NF_GESTURE_H
+#define NF_GESTURE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+
+struct gesture {
+	bool shown;        /* at the last step */
+	bool told;         /* for as long as it is shown */
+	uint32_t since_ms; /* shown */
+};
+
+void gesture_init(struct gesture *gesture);
+
+/* Channels [us] as flown, at `ms` since any moment, wrapping. allowed: disarmed, with the arm switch off and a good
+ * receiver; else the sticks say nothing. Returns true once, when the gesture has been held for NF_GESTURE_MS: it must
+ * be left before it is told again. */
+bool gesture_step(struct gesture *gesture, const uint16_t channels_us[NF_CHANNEL_COUNT], bool allowed, uint32_t ms);
+
+#endif

@@ -1,0 +1,29 @@
+"""Acknowledges what keeps a board from arming until somebody knows of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash import records
+from flash.client import Client
+from flash.records import Fault
+from toolchain.contract import FallbackCause, Msp
+
+
+@dataclass(frozen=True)
+class Acknowledged:
+    """What was the matter."""
+
+    fault: Fault | None  # the newest of those logged
+    refused: FallbackCause  # why the policy was not allowed to fly; NONE: it was
+
+
+def acknowledge(client: Client) -> Acknowledged:
+    """Acknowledge all logged faults and the refused policy; returns what they were.
+
+    Raises LinkError while the motors are armed or flash refuses: then all stays as it was.
+    """
+    fault = records.faults(client.request(Msp.FAULTS)).pending
+    refused = records.safety(client.request(Msp.SAFETY)).refused_cause
+    client.request(Msp.ACKNOWLEDGE)
+    return Acknowledged(fault, refused)
