@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 
 from flash import requests
 from flash.client import Client
@@ -10,6 +11,7 @@ from flash.requests import SettingInfo
 from toolchain.contract import SETTINGS, Msp, Setting
 from toolchain.errors import LinkError
 
+_STYLE = "rates_style"
 _BY_NAME = {setting.name: (index, setting) for index, setting in enumerate(SETTINGS)}
 
 
@@ -51,6 +53,7 @@ class Settings:
     def set(self, name: str, value: float) -> None:
         """Change it until the next boot, or for good once `save` was called.
 
+        Another style of rates sets all rates to the defaults of that style.
         Raises LinkError for a value beyond its limits, and while the motors are armed.
         """
         index, info = self._find(name)
@@ -59,6 +62,8 @@ class Settings:
             span = f"{kind}{info.low:g} to {info.high:g} {info.unit}".rstrip()
             raise LinkError(f"setting {name} got {value:g}, expected {span}")
         self._client.request(Msp.SETTING_SET, requests.setting_set(index, value, info.whole))
+        if name == _STYLE:
+            self._known.clear()  # rates have other limits now
 
     def save(self) -> None:
         """Store all as they are now. Raises LinkError when they do not go together or flash fails."""
@@ -82,6 +87,11 @@ class Settings:
         info = requests.setting_info(told)
         self._known[info.name] = index, info
         return info
+
+
+def in_order(changes: Mapping[str, float]) -> dict[str, float]:
+    """`changes` as they have to be set one by one: the style of rates, which sets them all, goes first."""
+    return dict(sorted(changes.items(), key=lambda change: change[0] != _STYLE))
 
 
 def as_stored(name: str, value: float) -> float:

@@ -10,6 +10,21 @@ _Static_assert(NF_DSHOT_ALL_MOTORS == UINT8_MAX, "as MSP says it");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "FRACTION_PER_US says otherwise");
 
 /* --- Boot --------------------------------------------------------------------------------------------- */
+/* Another style of rates sets all of them: it goes before the rates, in whatever order the changes came. */
+static bool background_change_settings(struct nf_settings *settings, const struct background_config *config)
+{
+	const unsigned style = settings_find("rates_style");
+
+	for (unsigned pass = 0; pass < 2; ++pass)
+		for (size_t i = 0; i < config->change_count; ++i) {
+			const struct setting_change *change = &config->changes[i];
+			const bool due = (change->index == style) == (pass == 0);
+			if (due && settings_set(settings, change->index, &change->value) != NF_REFUSAL_NONE)
+				return false;
+		}
+	return true;
+}
+
 /* The settings of this boot: as stored, then changed. */
 static enum nf_err background_load_settings(struct background *background)
 {
@@ -17,10 +32,8 @@ static enum nf_err background_load_settings(struct background *background)
 
 	settings_load(&background->edited, &config->hal->flash);
 	background->settings = background->edited;
-	for (size_t i = 0; i < config->change_count; ++i)
-		if (settings_set(&background->settings, config->changes[i].index, &config->changes[i].value) !=
-		    NF_REFUSAL_NONE)
-			return NF_ERR_SETTINGS;
+	if (!background_change_settings(&background->settings, config))
+		return NF_ERR_SETTINGS;
 	if (config->gyro_rate_hz > 0)
 		background->settings.gyro_rate_hz = config->gyro_rate_hz;
 	const unsigned conflict = settings_conflict(&background->settings);

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flash.settings import as_stored, parse_change
+from flash.settings import as_stored, in_order, parse_change
 from toolchain.errors import LinkError
 
 
@@ -42,3 +42,9 @@ def test_a_change_is_refused_with_the_reason_when_it_makes_no_sense(text: str, w
 def test_a_value_is_rounded_when_the_firmware_keeps_it_as_float32() -> None:
     assert as_stored("roll_expo", 0.1) == 0.10000000149011612
     assert as_stored("gyro_rate_hz", 16_777_217.0) == 16_777_217.0
+
+
+def test_the_style_of_rates_comes_first_when_changes_are_put_in_order() -> None:
+    changes = {"yaw_max": 0.5, "rates_style": 1.0, "deadband_us": 3.0}
+    assert list(in_order(changes)) == ["rates_style", "yaw_max", "deadband_us"]
+    assert in_order(changes) == changes

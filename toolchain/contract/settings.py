@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from toolchain.contract.frame_time_sensors import AXES, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ
@@ -21,6 +21,16 @@ from toolchain.contract.safety import GYRO_BAD_MS
 
 
 @dataclass(frozen=True)
+class Span:
+    """Other limits that a setting has."""
+
+    low: float
+    high: float
+    default: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Setting:
     """One number that a pilot may change: kept in flash, flown from the next boot on."""
 
@@ -32,6 +42,7 @@ class Setting:
     unit: str
     meaning: str
     choices: tuple[str, ...] = ()  # names of 0, 1, ...
+    betaflight: Span | None = None  # instead, where rates_style is betaflight; the same kind
 
 
 def _choice(name: str, default: str, choices: tuple[str, ...], meaning: str) -> Setting:
@@ -61,6 +72,9 @@ _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
 _MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
+_STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
+_RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
+_MAX_MEANING = "actual: at full stick; betaflight: super rate"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
     _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
@@ -92,23 +106,22 @@ SETTINGS = (
             ("beeper", CHANNEL_BEEPER),
         )
     ),
-    _choice("rates_style", "actual", ("actual", "betaflight"), "what the nine numbers below mean"),
+    _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
     *(
         setting
         for axis in AXES
         for setting in (
-            _number(
-                f"{axis}_rate",
-                0.01,
-                1000.0,
-                1000.0,
-                "deg/s",
-                "actual: slope at the centre; betaflight: RC rate",
+            replace(
+                _number(f"{axis}_rate", 0.01, 1000.0, 1000.0, "deg/s", _RATE_MEANING),
+                betaflight=Span(0.01, 2.55, 1.0, "1"),
             ),
-            _number(
-                f"{axis}_max", 0.0, 1998.0, 1000.0, "deg/s", "actual: at full stick; betaflight: super rate"
+            replace(
+                _number(f"{axis}_max", 0.0, 1998.0, 1000.0, "deg/s", _MAX_MEANING),
+                betaflight=Span(0.0, 1.0, 0.7, "1"),
             ),
-            _number(f"{axis}_expo", 0.0, 1.0, 0.0, "1", "0: none"),
+            replace(
+                _number(f"{axis}_expo", 0.0, 1.0, 0.0, "1", "0: none"), betaflight=Span(0.0, 1.0, 0.0, "1")
+            ),
         )
     ),
     _whole("deadband_us", 0, 100, 0, "us", "of roll and pitch"),

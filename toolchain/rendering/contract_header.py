@@ -85,17 +85,11 @@ def render_contract() -> str:
             if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
-        settings=[
-            {
-                "name": setting.name,
-                "kind": setting.kind,
-                "limits": ", ".join(
-                    _number(setting, value) for value in (setting.low, setting.high, setting.default)
-                ),
-                "unit": setting.unit,
-                "comment": f"{setting.unit}: {setting.meaning}" if setting.unit else setting.meaning,
-            }
+        settings=[_setting(setting, setting) for setting in contract.SETTINGS],
+        betaflight=[
+            _setting(setting, setting.betaflight)
             for setting in contract.SETTINGS
+            if setting.betaflight is not None
         ],
         choices=[
             (f"{setting.name}_{choice}".upper(), value)
@@ -104,6 +98,17 @@ def render_contract() -> str:
             for value, choice in enumerate(setting.choices)
         ],
     )
+
+
+def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) -> dict[str, str]:
+    """A row of the macros NF_SETTINGS..., `span` having the limits."""
+    return {
+        "name": setting.name,
+        "kind": setting.kind,
+        "limits": ", ".join(_number(setting, value) for value in (span.low, span.high, span.default)),
+        "unit": span.unit,
+        "comment": f"{span.unit}: {setting.meaning}" if span.unit else setting.meaning,
+    }
 
 
 def _number(setting: contract.Setting, value: float) -> str:

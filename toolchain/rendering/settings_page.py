@@ -18,6 +18,11 @@ on. On the board they are read and written over MSP (`SETTING_INFO`, `SETTING_GE
 A policy flies behind the gyro filters that it was trained with: one that was trained without any cannot arm
 while `filter1_kind` and its like are other than `none`. The PID flies behind all of them.
 
+Each of the two styles of rates has limits and defaults of its own. Changing `rates_style` sets the nine
+rates to the defaults of the new style, so it comes first: rates that are set before it are lost. Among the
+changes of one start (`--set`) it is taken first wherever it stands. No stick asks for more than 1998 deg/s in
+either style.
+
 `msp_baud` is the speed of the very line that settings go over: from the next boot on both ends have to speak
 at the new one. The host program has no such line and takes no notice.
 
@@ -38,7 +43,16 @@ def _row(setting: Setting) -> str:
         span, default = ", ".join(setting.choices), setting.choices[int(setting.default)]
     else:
         span, default = f"{setting.low:g} to {setting.high:g}", f"{setting.default:g}"
-    return f"| `{setting.name}` | {span} | {default} | {setting.unit} | {setting.meaning} |\n"
+    unit, other = setting.unit, setting.betaflight
+    if other is not None:
+        span = _both(span, f"{other.low:g} to {other.high:g}")
+        default, unit = _both(default, f"{other.default:g}"), _both(unit, other.unit)
+    return f"| `{setting.name}` | {span} | {default} | {unit} | {setting.meaning} |\n"
+
+
+def _both(actual: str, betaflight: str) -> str:
+    """What holds in each of the two styles of rates."""
+    return actual if actual == betaflight else f"{actual}; betaflight: {betaflight}"
 
 
 if __name__ == "__main__":

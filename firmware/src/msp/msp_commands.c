@@ -58,7 +58,7 @@ static enum nf_refusal command_acknowledge(struct request *q)
 
 static enum nf_refusal command_setting_info(struct request *q)
 {
-	const struct setting *setting = settings_info(msp_take_u16(&q->payload));
+	const struct setting *setting = settings_info_beside(q->services->settings, msp_take_u16(&q->payload));
 
 	if (!setting)
 		return NF_REFUSAL_INDEX;

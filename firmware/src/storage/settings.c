@@ -9,21 +9,37 @@
 #define INDEX(name, kind, low, high, preset, unit) SETTING_AT_##name,
 enum { NF_SETTINGS(INDEX) };
 
-#define ROW(name_, kind_, low_, high_, preset_, unit_)      \
-	[SETTING_AT_##name_] = { #name_,                    \
-				 unit_,                     \
-				 SETTING_##kind_,           \
-				 { .as_##kind_ = (low_) },  \
-				 { .as_##kind_ = (high_) }, \
-				 { .as_##kind_ = (preset_) } },
+#define FACTS(name_, kind_, low_, high_, preset_, unit_)                                             \
+	{                                                                                            \
+		#name_, unit_, SETTING_##kind_, { .as_##kind_ = (low_) }, { .as_##kind_ = (high_) }, \
+		{                                                                                    \
+			.as_##kind_ = (preset_)                                                      \
+		}                                                                                    \
+	}
+#define ROW(name, kind, low, high, preset, unit) [SETTING_AT_##name] = FACTS(name, kind, low, high, preset, unit),
 static const struct setting table[] = { NF_SETTINGS(ROW) };
 
+#define RATES_FIRST SETTING_AT_roll_rate
+#define RATES_LAST SETTING_AT_yaw_expo
+#define ROW_OF_RATES(name, kind, low, high, preset, unit) \
+	[SETTING_AT_##name - RATES_FIRST] = FACTS(name, kind, low, high, preset, unit),
+static const struct setting betaflight[] = { NF_SETTINGS_BETAFLIGHT(ROW_OF_RATES) };
+
 _Static_assert(sizeof table / sizeof table[0] == NF_SETTING_COUNT, "a row each");
+_Static_assert(sizeof betaflight / sizeof betaflight[0] == RATES_LAST - RATES_FIRST + 1, "the rates, side by side");
+_Static_assert(SETTING_AT_rates_style < RATES_FIRST, "loading takes the style before the rates that it sets");
 _Static_assert(sizeof(struct nf_settings) == NF_SETTING_COUNT * sizeof(union setting_value), "an array of values");
 
 const struct setting *settings_info(unsigned index)
 {
 	return index < NF_SETTING_COUNT ? &table[index] : NULL;
+}
+
+const struct setting *settings_info_beside(const struct nf_settings *settings, unsigned index)
+{
+	if (settings->rates_style == NF_RATES_STYLE_BETAFLIGHT && index >= RATES_FIRST && index <= RATES_LAST)
+		return &betaflight[index - RATES_FIRST];
+	return settings_info(index);
 }
 
 static bool settings_same_name(const char *a, const char *b)
@@ -75,9 +91,15 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 {
 	if (index >= NF_SETTING_COUNT)
 		return NF_REFUSAL_INDEX;
-	if (!settings_within(&table[index], value))
+	if (!settings_within(settings_info_beside(settings, index), value))
 		return NF_REFUSAL_RANGE;
+	const uint32_t style = settings->rates_style;
 	settings_put(settings, index, value);
+	if (settings->rates_style == style)
+		return NF_REFUSAL_NONE;
+	/* The same numbers mean another thing in another style. */
+	for (unsigned rate = RATES_FIRST; rate <= RATES_LAST; ++rate)
+		settings_put(settings, rate, &settings_info_beside(settings, rate)->preset);
 	return NF_REFUSAL_NONE;
 }
 
@@ -145,6 +167,18 @@ static bool settings_map_fits(const struct nf_settings *settings, unsigned first
 	return true;
 }
 
+static bool settings_rates_fit(const struct nf_settings *settings, unsigned first)
+{
+	(void)first;
+	for (unsigned index = RATES_FIRST; index <= RATES_LAST; ++index) {
+		union setting_value rate;
+		settings_get(settings, index, &rate);
+		if (!settings_within(settings_info_beside(settings, index), &rate))
+			return false;
+	}
+	return true;
+}
+
 static bool settings_battery_fits(const struct nf_settings *settings, unsigned first)
 {
 	(void)first;
@@ -163,6 +197,7 @@ static const struct rule {
 	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
 	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_beeper },
+	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 };

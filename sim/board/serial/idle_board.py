@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flash.client import Client
-from flash.settings import Settings, as_stored
+from flash.settings import Settings, as_stored, in_order
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.devices.gyro_chip import MPU6500
@@ -172,7 +172,7 @@ def configured(image: bytes, elf: Path, settings: Mapping[str, float]) -> bytes:
     try:
         idle.boot()
         asked = Settings(idle.client())
-        for name, value in settings.items():
+        for name, value in in_order(settings).items():
             asked.set(name, value)
         asked.save()
         idle.board.reset()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from flash import messages, records
 from flash.client import Client
+from flash.settings import Settings
 from sim.control import sticks
 from sim.ports.library import Reference
 from toolchain.contract import (
@@ -224,3 +226,51 @@ def test_the_link_is_lost_and_the_motors_descend_when_that_is_the_stage(board: M
     assert b.run(100) == [1048] * 4
     assert b.safety.state == FlightState.FAILSAFE_DROP
     assert b.run(200) == [0] * 4
+
+
+def setpoint_deg_s(b: Board, us: int) -> float:
+    """Roll rate that a stick there asks for."""
+    b.heard = False
+    for _ in range(30):
+        b.core.receiver([us, 1500, 1000, 1500, *[1000] * 12])
+        b.run(10)
+    return math.degrees(b.core.trace().setpoint[0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "at_1501", "at_full"),
+    [
+        ({"rates_style": 1}, 0.40056, 666.667),
+        ({"rates_style": 1, "roll_rate": 2.0}, 0.80112, 1333.33),
+        ({"roll_rate": 2.0, "rates_style": 1}, 0.80112, 1333.33),  # the order of changes does not matter
+        ({}, 2.0, 1000.0),
+    ],
+)
+def test_a_style_alone_gives_its_own_rates_when_set_for_a_start(
+    board: Make, settings: dict[str, float], at_1501: float, at_full: float
+) -> None:
+    b = board(**settings)
+    assert setpoint_deg_s(b, 1501) == pytest.approx(at_1501, rel=1e-4)
+    assert setpoint_deg_s(b, 2000) == pytest.approx(at_full, rel=1e-4)
+
+
+@pytest.mark.parametrize("settings", [{"roll_rate": 3.0}, {"yaw_max": 1.5}])
+def test_it_does_not_boot_when_a_rate_is_beyond_its_style(board: Make, settings: dict[str, float]) -> None:
+    board(**settings)
+    with pytest.raises(LinkError, match="refuses the settings"):
+        board(rates_style=1, **settings)
+
+
+def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(board: Make) -> None:
+    settings = Settings(board().client)
+    settings.set("roll_rate", 500.0)
+    settings.set("rates_style", 1.0)
+    assert settings.get("roll_rate") == 1.0
+    settings.set("roll_rate", 1.5)
+    settings.set("rates_style", 1.0)
+    assert settings.get("roll_rate") == 1.5
+    with pytest.raises(LinkError, match=r"roll_rate got 500, expected 0\.01 to 2\.55"):
+        settings.set("roll_rate", 500.0)
+    settings.save()
+    settings.set("rates_style", 0.0)
+    settings.set("roll_rate", 500.0)

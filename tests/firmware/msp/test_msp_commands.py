@@ -281,6 +281,16 @@ def test_each_setting_tells_the_contracts_facts_when_asked(server: Callable[...,
         assert value == info.default
 
 
+def test_a_rate_tells_the_limits_of_its_style_when_that_was_changed(server: Callable[..., Server]) -> None:
+    s = server()
+    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["rates_style"], 1, whole=True))
+    info = requests.setting_info(s.reply(Msp.SETTING_INFO, requests.setting_index(INDEX["yaw_max"])))
+    assert (info.low, info.high, info.unit) == (0.0, 1.0, "1")
+    assert info.default == pytest.approx(0.7)
+    payload = requests.setting_set(INDEX["yaw_max"], 1.01, whole=False)
+    assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.RANGE, 0)
+
+
 @pytest.mark.parametrize("command", [Msp.SETTING_INFO, Msp.SETTING_GET])
 def test_a_setting_is_refused_when_there_is_none_of_that_number(
     server: Callable[..., Server], command: Msp

@@ -131,7 +131,7 @@ def test_known_rates_come_out_when_set_as_pilots_do(scripted: Any) -> None:
 @pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])
 def test_the_rate_ends_at_1998_when_more_is_set(scripted: Any, style: int) -> None:
     most = 1998 if style == ACTUAL else 1.0
-    rates = Rates(scripted, rates_style=style, roll_rate=1000.0, roll_max=most)
+    rates = Rates(scripted, rates_style=style, roll_rate=1000.0 if style == ACTUAL else 2.55, roll_max=most)
     for us, sign in ((2000, 1), (1000, -1)):
         assert rates.at(us)[0] == pytest.approx(sign * math.radians(1998), rel=1e-6)
 

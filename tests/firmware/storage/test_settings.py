@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import SETTINGS, Refusal, Setting
+from toolchain.contract import SETTINGS, Refusal, Setting, Span
 
 COUNT = len(SETTINGS)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
@@ -186,3 +186,77 @@ def test_no_conflict_is_found_when_settings_go_together(
     before = bytes(scripted.ffi.buffer(settings))
     scripted.lib.settings_mend(settings)
     assert bytes(scripted.ffi.buffer(settings)) == before
+
+
+# --- The two styles of rates -------------------------------------------------------------------
+RATES = [setting for setting in SETTINGS if setting.betaflight is not None]
+STYLES = (ACTUAL, BETAFLIGHT) = SETTINGS[INDEX["rates_style"]].choices.index("actual"), 1
+
+
+def span_of(setting: Setting, style: int) -> Setting | Span:
+    """Its limits in that style."""
+    if style == ACTUAL:
+        return setting
+    assert setting.betaflight is not None
+    return setting.betaflight
+
+
+def test_nine_rates_have_limits_of_their_own_when_the_style_is_betaflights() -> None:
+    axes = ("roll", "pitch", "yaw")
+    assert [each.name for each in RATES] == [
+        f"{axis}_{what}" for axis in axes for what in ("rate", "max", "expo")
+    ]
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_rates_are_at_the_defaults_of_the_style_when_it_changes(
+    scripted: Any, settings: Any, put: Put, style: int
+) -> None:
+    if style == ACTUAL:
+        assert put(settings, "rates_style", BETAFLIGHT) == Refusal.NONE
+    for each in RATES:
+        assert put(settings, each.name, 0.5) == Refusal.NONE
+    assert put(settings, "deadband_us", 9) == Refusal.NONE
+    assert put(settings, "rates_style", style) == Refusal.NONE
+    for each in RATES:
+        assert getattr(settings, each.name) == float32(span_of(each, style).default), each.name
+    assert settings.deadband_us == 9
+    assert scripted.lib.settings_conflict(settings) == COUNT
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_rates_are_kept_when_the_same_style_is_set_again(settings: Any, put: Put, style: int) -> None:
+    put(settings, "rates_style", style)
+    for each in RATES:
+        assert put(settings, each.name, 0.25) == Refusal.NONE
+    assert put(settings, "rates_style", style) == Refusal.NONE
+    assert {getattr(settings, each.name) for each in RATES} == {0.25}
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("rate", RATES, ids=lambda rate: rate.name)
+def test_a_rate_keeps_to_the_limits_of_its_style_when_set(
+    scripted: Any, settings: Any, put: Put, style: int, rate: Setting
+) -> None:
+    put(settings, "rates_style", style)
+    span = span_of(rate, style)
+    told = scripted.lib.settings_info_beside(settings, INDEX[rate.name])
+    assert [told.low.as_float, told.high.as_float, told.preset.as_float] == [
+        float32(number) for number in (span.low, span.high, span.default)
+    ]
+    assert scripted.ffi.string(told.unit).decode() == span.unit
+    for value in (span.low, span.high):
+        assert put(settings, rate.name, value) == Refusal.NONE
+    for value in (span.high * 1.001, float32(span.low) - 1e-3, math.nan):
+        assert put(settings, rate.name, value) == Refusal.RANGE
+    assert getattr(settings, rate.name) == float32(span.high)
+
+
+def test_rates_of_the_other_style_are_a_conflict_and_mended_when_they_were_put_there(
+    scripted: Any, settings: Any
+) -> None:
+    settings.rates_style = BETAFLIGHT  # and 1000 as RC rate and as super rate
+    assert scripted.lib.settings_conflict(settings) == INDEX["rates_style"]
+    settings.deadband_us = 9
+    scripted.lib.settings_mend(settings)
+    assert (settings.rates_style, settings.roll_rate, settings.deadband_us) == (ACTUAL, 1000.0, 9)

@@ -104,6 +104,8 @@ def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Ca
             return setting.default + 8
         if setting.name == "gyro_rate_hz":
             return 8000
+        if setting.betaflight is not None:
+            return setting.betaflight.high
         return setting.high if setting.default != setting.high else setting.low
 
     s = store()
@@ -134,6 +136,29 @@ def test_the_higher_sequence_wins_when_both_sectors_hold_a_set(store: Callable[[
         assert s.load() == (True, {"deadband_us": 2 if second > first else 1})
         s.save(deadband_us=3)
         assert s.load() == (True, {"deadband_us": 3})
+
+
+@pytest.mark.parametrize(
+    ("stored", "flown"),
+    [
+        # What a set of before the limits of each style may hold: both numbers as they are by default.
+        ({"roll_rate": 1000.0, "roll_max": 1000.0}, {"roll_rate": 1.0, "roll_max": 0.7}),
+        ({"roll_rate": 1.5, "roll_max": 1000.0}, {"roll_rate": 1.5, "roll_max": 0.7}),
+        ({"roll_rate": 2.0, "roll_max": 0.5, "roll_expo": 0.25}, {"roll_rate": 2.0, "roll_max": 0.5}),
+        ({}, {"roll_rate": 1.0, "roll_max": 0.7, "roll_expo": 0.0}),
+    ],
+)
+@pytest.mark.parametrize("style_first", [False, True])
+def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
+    store: Callable[[], Store], stored: dict[str, float], flown: dict[str, float], style_first: bool
+) -> None:
+    s, style = store(), {"rates_style": 1}
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set(style | stored if style_first else stored | style, 3))
+    made = s.core.new("struct nf_settings *")
+    assert s.core.lib.settings_load(made, s.chip.flash)
+    assert made.rates_style == 1
+    assert {name: getattr(made, name) for name in flown} == pytest.approx(flown, rel=1e-7)
+    assert (made.yaw_rate, made.yaw_max) == pytest.approx((1.0, 0.7))
 
 
 def test_old_values_are_kept_when_the_firmware_has_more_settings(store: Callable[[], Store]) -> None:
