@@ -41,7 +41,7 @@ REASONS = {
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
     Refusal.ORDER: "a policy slot is begun, then written in order, then ended",
     Refusal.BLOB: "the policy is none for this firmware (error {detail} of nf_err.h)",
-    Refusal.SEQUENCE: "the policy's sequence number is not above those already there",
+    Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
 }
 
@@ -123,7 +123,7 @@ def slot_write(offset: int, data: bytes) -> bytes:
 
 
 def slot_begun(payload: bytes) -> int:
-    """Decode the reply to POLICY_SLOT_BEGIN: the least sequence number that the blob may have."""
+    """Decode the reply to POLICY_SLOT_BEGIN: the sequence number that the blob may have, or a newer one."""
     (sequence,) = Reader(Msp.POLICY_SLOT_BEGIN, payload).fields("I")
     return int(sequence)
 

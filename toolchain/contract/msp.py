@@ -76,5 +76,5 @@ class Refusal(IntEnum):
     FLASH = 6  # did not take what was written
     ORDER = 7  # not what comes next: a policy slot is begun, written from its beginning, ended
     BLOB = 8  # the policy is not one for this image
-    SEQUENCE = 9  # of the policy is not above those before
+    SEQUENCE = 9  # of the policy is not newer than the one that stays
     ABSENT = 10  # this build has no such thing

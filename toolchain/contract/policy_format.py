@@ -54,7 +54,7 @@ POLICY_BLOB_FIELDS = (
     HeaderField("uint16_t", "layout", "", "version of this layout"),
     HeaderField("uint16_t", "header_bytes", "bytes", "where the weights begin, a multiple of 8"),
     HeaderField("uint32_t", "total_bytes", "bytes", "of the whole blob, CRC included"),
-    HeaderField("uint32_t", "sequence", "", "0: compiled in; of valid slots the highest is flown"),
+    HeaderField("uint32_t", "sequence", "", "0: compiled in; of valid slots the newest is flown"),
     HeaderField("uint32_t", "architecture_hash", "", "same: weights may be exchanged"),
     HeaderField("uint32_t", "filters_hash", "", "CRC-32 of the gyro filters' JSON list"),
     HeaderField("uint32_t", "control_rate_hz", "Hz", "of policy_step, at least 1"),

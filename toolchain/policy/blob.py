@@ -41,7 +41,7 @@ class BlobTerm:
 class PolicyBlob:
     """What a policy blob says. Counts are those of the arrays."""
 
-    sequence: int  # 0: compiled in; slots count from 1, the highest valid one is flown
+    sequence: int  # 0: compiled in; slots count from 1 and wrap, the newest valid one is flown
     architecture_hash: int  # CRC-32 of all but the weights: toolchain.codegen.plan
     filters_hash: int  # of the gyro filter chain that it was trained behind: `filters_hash`
     control_rate_hz: int

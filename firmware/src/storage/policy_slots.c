@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "common/serial_number.h"
+
 static const struct place {
 	uint32_t address;
 	uint32_t size;
@@ -85,22 +87,23 @@ static bool policy_slots_use(struct policy_slots *slots, enum policy_source sour
 	return true;
 }
 
-/* The source found good with the highest sequence, POLICY_SOURCE_COUNT if there is none. Of two alike the first. */
+static bool policy_slots_newer(const struct policy_slots *slots, enum policy_source a, enum policy_source b)
+{
+	return serial_number_newer(policy_slots_sequence_of(policy_slots_blob_of(slots, a)),
+				   policy_slots_sequence_of(policy_slots_blob_of(slots, b)));
+}
+
+/* Of the slots that are good the newer one, and the first where neither is newer; else the compiled-in policy, whose
+ * number counts for nothing beside a slot's; POLICY_SOURCE_COUNT: none is good. */
 static enum policy_source policy_slots_best(const struct policy_slots *slots)
 {
-	enum policy_source chosen = POLICY_SOURCE_COUNT;
-	uint32_t highest = 0;
+	const bool a = slots->found[POLICY_SLOT_A] == NF_OK, b = slots->found[POLICY_SLOT_B] == NF_OK;
 
-	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; ++source) {
-		if (slots->found[source] != NF_OK)
-			continue;
-		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, source));
-		if (chosen == POLICY_SOURCE_COUNT || sequence > highest) {
-			chosen = source;
-			highest = sequence;
-		}
-	}
-	return chosen;
+	if (a && b)
+		return policy_slots_newer(slots, POLICY_SLOT_B, POLICY_SLOT_A) ? POLICY_SLOT_B : POLICY_SLOT_A;
+	if (a || b)
+		return a ? POLICY_SLOT_A : POLICY_SLOT_B;
+	return slots->found[POLICY_COMPILED_IN] == NF_OK ? POLICY_COMPILED_IN : POLICY_SOURCE_COUNT;
 }
 
 enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
@@ -137,12 +140,10 @@ bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob
 }
 
 /* --- Writing a slot ----------------------------------------------------------------------------------- */
-/* Sequence of the policy that the slot holds now, 0 if that cannot be flown. */
-static uint32_t policy_slots_rank(const struct policy_slots *slots, enum policy_source slot)
+/* Does the slot hold a policy now that can be flown? */
+static bool policy_slots_holds(const struct policy_slots *slots, enum policy_source slot)
 {
-	if (slots->found[slot] == NF_ERR_POLICY || policy_slots_check(slots, slot) != NF_OK)
-		return 0;
-	return policy_slots_sequence_of(policy_slots_blob_of(slots, slot));
+	return slots->found[slot] != NF_ERR_POLICY && policy_slots_check(slots, slot) == NF_OK;
 }
 
 /* The flown slot stays. Where the compiled-in policy flies, slots may have been written since boot: the best stays. */
@@ -150,27 +151,32 @@ static enum policy_source policy_slots_to_be_written(const struct policy_slots *
 {
 	if (slots->flown == POLICY_SLOT_A || slots->flown == POLICY_SLOT_B)
 		return slots->flown == POLICY_SLOT_A ? POLICY_SLOT_B : POLICY_SLOT_A;
-	return policy_slots_rank(slots, POLICY_SLOT_A) > policy_slots_rank(slots, POLICY_SLOT_B) ? POLICY_SLOT_B :
-												   POLICY_SLOT_A;
+	const bool b_is_best = policy_slots_holds(slots, POLICY_SLOT_B) &&
+			       policy_slots_newer(slots, POLICY_SLOT_B, POLICY_SLOT_A);
+	return policy_slots_holds(slots, POLICY_SLOT_A) && !b_is_best ? POLICY_SLOT_B : POLICY_SLOT_A;
 }
 
-/* The highest sequence of any complete policy here, also of one that failed its self-test. */
-static uint32_t policy_slots_highest_sequence(const struct policy_slots *slots)
+/* The newest sequence of the complete policies in the slots, also of one that failed its self-test; 0, the compiled-in
+ * policy's, where there is none. */
+static uint32_t policy_slots_newest_sequence(const struct policy_slots *slots)
 {
-	uint32_t highest = 0;
+	uint32_t newest = 0;
+	bool first = true;
 
-	for (enum policy_source source = 0; source < POLICY_SOURCE_COUNT; ++source) {
-		if (policy_slots_check(slots, source) != NF_OK)
+	for (enum policy_source slot = POLICY_SLOT_A; slot <= POLICY_SLOT_B; ++slot) {
+		if (policy_slots_check(slots, slot) != NF_OK)
 			continue;
-		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, source));
-		highest = sequence > highest ? sequence : highest;
+		const uint32_t sequence = policy_slots_sequence_of(policy_slots_blob_of(slots, slot));
+		if (first || serial_number_newer(sequence, newest))
+			newest = sequence;
+		first = false;
 	}
-	return highest;
+	return newest;
 }
 
 uint32_t policy_slots_next_sequence(const struct policy_slots *slots)
 {
-	return policy_slots_highest_sequence(slots) + 1;
+	return policy_slots_newest_sequence(slots) + 1;
 }
 
 /* Gives the update up, and says why. */
@@ -239,7 +245,7 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	*why = policy_blob_check_behind(update.head, blob, update.total, &slots->running);
 	if (*why != NF_OK)
 		return policy_slots_give_up(slots, NF_REFUSAL_BLOB);
-	if (policy_slots_sequence_of(blob) <= policy_slots_highest_sequence(slots))
+	if (!serial_number_newer(policy_slots_sequence_of(blob), policy_slots_newest_sequence(slots)))
 		return policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
 		return policy_slots_give_up(slots, NF_REFUSAL_FLASH);

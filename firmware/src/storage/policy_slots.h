@@ -1,8 +1,8 @@
 /* Policy slots: which policy this boot flies, and how a slot gets a new one.
  *
- * The compiled-in policy and two slots of flash hold blobs (docs/policy-blob.md). At boot the one with the highest
+ * The compiled-in policy and two slots of flash hold blobs (docs/policy-blob.md). At boot the one with the newest
  * sequence number that is whole, made for this image and passes its own self-test is taken; the compiled-in one is the
- * last. A slot's first word is written last, so that one half written is none. */
+ * last. Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word is written last, so that one half written is none. */
 #ifndef NF_POLICY_SLOTS_H
 #define NF_POLICY_SLOTS_H
 
@@ -67,11 +67,11 @@ enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
 enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, const void *words, size_t bytes);
 
 /* Ends the update: checks all of it, then makes it valid. It is flown from the next boot on. May be repeated.
- * NF_REFUSAL_ORDER, NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not above all
- * others here. A slot that is refused stays empty until it is begun again. */
+ * NF_REFUSAL_ORDER, NF_REFUSAL_FLASH; NF_REFUSAL_BLOB: *why tells what is wrong; NF_REFUSAL_SEQUENCE: not newer than
+ * the one that stays. A slot that is refused stays empty until it is begun again. */
 enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
 
-/* The sequence number that the next policy has to have at least. Reads all blobs: some milliseconds. */
+/* The sequence number that the next policy has to have, or a newer one. Reads all blobs: some milliseconds. */
 uint32_t policy_slots_next_sequence(const struct policy_slots *slots);
 
 #endif

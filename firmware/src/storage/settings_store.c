@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/crc32.h"
+#include "common/serial_number.h"
 
 #define SETTINGS_MAGIC 0x5350464Eu /* "NFPS" */
 #define SETTINGS_LAYOUT 1u
@@ -12,7 +13,7 @@
 struct head {
 	uint32_t magic;
 	uint32_t layout;
-	uint32_t sequence; /* the higher one is the newer one; sectors wear out long before it wraps */
+	uint32_t sequence; /* wraps: see serial_number.h */
 	uint32_t count;    /* of entries */
 };
 
@@ -65,7 +66,8 @@ static const uint8_t *settings_store_newest(const struct flash *flash, struct he
 	for (unsigned i = 0; i < NF_FLASH_SETTINGS_COUNT; ++i) {
 		const uint8_t *set = flash_at(flash, places[i].address);
 		struct head other;
-		if (!settings_store_read_head(set, &other) || (found && other.sequence < head->sequence))
+		if (!settings_store_read_head(set, &other) ||
+		    (found && serial_number_newer(head->sequence, other.sequence)))
 			continue;
 		*head = other;
 		*place = i;

@@ -129,7 +129,7 @@ def test_the_compiled_in_policy_is_flown_when_slots_are_empty(slots: Callable[..
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "flown"), [(1, 2, SLOT_B), (2, 1, SLOT_A), (7, 7, SLOT_A), (2**32 - 1, 1, SLOT_A)]
+    ("a", "b", "flown"), [(1, 2, SLOT_B), (2, 1, SLOT_A), (7, 7, SLOT_A), (2**31, 1, SLOT_A)]
 )
 def test_the_highest_sequence_is_flown_when_slots_are_good(
     slots: Callable[..., Slots], a: int, b: int, flown: int
@@ -379,24 +379,85 @@ def test_a_policy_is_refused_when_it_is_none_for_this_image(
     assert s.update(pack(like(s.image, 1, 3, 4))) == Refusal.NONE
 
 
-@pytest.mark.parametrize(("sequence", "refusal"), [(0, 9), (6, 9), (7, 9), (8, 0), (2**32 - 1, 0)])
-def test_a_policy_is_refused_when_its_sequence_is_not_above_all_others(
-    slots: Callable[..., Slots], sequence: int, refusal: int
+TOP, HALF = 2**32 - 1, 2**31  # sequences are compared as numbers that wrap
+
+
+@pytest.mark.parametrize(
+    ("there", "sequence", "refusal"),
+    [
+        *((7, 0, 9), (7, 6, 9), (7, 7, 9), (7, 8, 0), (7, 7 + HALF - 1, 0), (7, 7 + HALF, 9), (7, TOP, 9)),
+        *((TOP, TOP, 9), (TOP, TOP - 1, 9), (TOP, 0, 0), (TOP, 1, 0), (TOP, HALF - 2, 0), (TOP, HALF - 1, 9)),
+        *((0, 0, 9), (0, 1, 0), (0, HALF - 1, 0), (0, HALF, 9), (0, TOP, 9)),
+    ],
+)
+@pytest.mark.parametrize("slot", [SLOT_A, SLOT_B])
+def test_a_policy_is_refused_when_its_sequence_is_not_newer_than_the_one_that_stays(
+    slots: Callable[..., Slots], slot: int, there: int, sequence: int, refusal: int
 ) -> None:
     s = slots()
-    s.put(SLOT_B, like(s.image, 7, 3, 4))
+    s.put(slot, like(s.image, there, 3, 4))
     s.boot()
-    assert s.next_sequence == 8
+    assert s.next_sequence == (there + 1) % 2**32
     assert s.update(pack(like(s.image, sequence, 5, 6))) == refusal
     assert s.boot().weights == (floats(3, 4) if refusal else floats(5, 6))
 
 
-def test_no_policy_can_follow_when_the_sequence_is_the_highest_there_is(slots: Callable[..., Slots]) -> None:
+@pytest.mark.parametrize("there", [0, 1, HALF - 1, HALF, TOP - 1, TOP])
+@pytest.mark.parametrize("slot", [SLOT_A, SLOT_B])
+def test_another_policy_can_follow_when_any_number_is_there(
+    slots: Callable[..., Slots], slot: int, there: int
+) -> None:
     s = slots()
-    s.put(SLOT_B, like(s.image, 2**32 - 1, 3, 4))
+    s.put(slot, like(s.image, there, 3, 4))
+    for further in range(1, 4):
+        s.boot()
+        sequence = s.next_sequence
+        assert sequence == (there + further) % 2**32
+        assert s.update(pack(like(s.image, sequence, sequence, 6))) == Refusal.NONE
+        booted = s.boot()
+        assert (booted.sequence, booted.weights) == (sequence, floats(sequence, 6))
+
+
+@pytest.mark.parametrize("sent", [HALF - 1, HALF, TOP])
+def test_the_slots_are_not_locked_when_an_absurd_number_was_sent(
+    slots: Callable[..., Slots], sent: int
+) -> None:
+    s = slots()
     s.boot()
-    assert s.update(pack(like(s.image, 2**32 - 1, 5, 6))) == Refusal.SEQUENCE
-    assert s.update(pack(like(s.image, 0, 5, 6))) == Refusal.SEQUENCE
+    assert s.update(pack(like(s.image, sent, 3, 4))) == (Refusal.NONE if sent < HALF else Refusal.SEQUENCE)
+    for _ in range(3):
+        s.boot()
+        assert s.update(pack(like(s.image, s.next_sequence, 5, 6))) == Refusal.NONE
+        assert s.boot().weights == floats(5, 6)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "flown"),
+    [
+        *((TOP, 0, SLOT_B), (0, TOP, SLOT_A), (TOP - 1, 1, SLOT_B), (1, TOP - 1, SLOT_A)),
+        *((0, 0, SLOT_A), (0, HALF, SLOT_A), (HALF, 0, SLOT_A), (0, HALF - 1, SLOT_B), (5, HALF + 6, SLOT_A)),
+    ],
+)
+def test_the_newer_one_is_flown_when_numbers_wrap(
+    slots: Callable[..., Slots], a: int, b: int, flown: int
+) -> None:
+    s = slots()
+    s.put(SLOT_A, like(s.image, a, 3, 4))
+    s.put(SLOT_B, like(s.image, b, 5, 6))
+    assert s.boot().flown == flown
+    s.put(flown, like(s.image, 0, 7, 8, selftest_action=np.full((3, 4), 0.5, np.float32)))
+    assert s.boot().flown == 1 - flown, "never the compiled-in one, whose number is 0"
+
+
+def test_the_newest_stays_when_numbers_wrap_and_slots_are_written_without_a_boot(
+    slots: Callable[..., Slots],
+) -> None:
+    s = slots()
+    s.boot()
+    for sequence in (HALF - 1, 2 * HALF - 2, 2 * HALF - 1, 0, 1):
+        assert s.update(pack(like(s.image, sequence, sequence, 0))) == Refusal.NONE, sequence
+        assert s.begin(1000) == Refusal.NONE, "another one begun, and power goes"
+        assert Slots(s.chip).boot().weights == floats(sequence, 0)
 
 
 # --- Power goes -----------------------------------------------------------------------------------

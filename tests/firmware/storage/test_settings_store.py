@@ -128,14 +128,20 @@ def test_nothing_is_written_when_settings_do_not_go_together(store: Callable[[],
 
 
 # --- Sets of other versions -------------------------------------------------------------------
-def test_the_higher_sequence_wins_when_both_sectors_hold_a_set(store: Callable[[], Store]) -> None:
-    for first, second in ((5, 6), (6, 5), (0, 0xFFFFFFFE)):
-        s = store()
-        s.chip.fill(FLASH_SETTINGS[0].address, as_set({"deadband_us": 1}, first))
-        s.chip.fill(FLASH_SETTINGS[1].address, as_set({"deadband_us": 2}, second))
-        assert s.load() == (True, {"deadband_us": 2 if second > first else 1})
-        s.save(deadband_us=3)
-        assert s.load() == (True, {"deadband_us": 3})
+@pytest.mark.parametrize(
+    ("older", "newer"), [(5, 6), (2, 2**31 + 1), (0xFFFFFFFF, 0), (0xFFFFFFFE, 3), (0xFFFFFFFE, 0xFFFFFFFF)]
+)
+@pytest.mark.parametrize("place", [0, 1])
+def test_the_newer_set_wins_when_both_sectors_hold_one_and_numbers_wrap(
+    store: Callable[[], Store], older: int, newer: int, place: int
+) -> None:
+    s = store()
+    s.chip.fill(FLASH_SETTINGS[place].address, as_set({"deadband_us": 1}, newer))
+    s.chip.fill(FLASH_SETTINGS[1 - place].address, as_set({"deadband_us": 2}, older))
+    assert s.load() == (True, {"deadband_us": 1})
+    for deadband in (3, 4, 5):
+        assert s.save(deadband_us=deadband) == Refusal.NONE
+        assert s.load() == (True, {"deadband_us": deadband})
 
 
 @pytest.mark.parametrize(

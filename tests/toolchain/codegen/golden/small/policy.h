@@ -34,7 +34,7 @@ struct policy_blob_header {
     uint16_t layout; /* version of this layout */
     uint16_t header_bytes; /* bytes: where the weights begin, a multiple of 8 */
     uint32_t total_bytes; /* bytes: of the whole blob, CRC included */
-    uint32_t sequence; /* 0: compiled in; of valid slots the highest is flown */
+    uint32_t sequence; /* 0: compiled in; of valid slots the newest is flown */
     uint32_t architecture_hash; /* same: weights may be exchanged */
     uint32_t filters_hash; /* CRC-32 of the gyro filters' JSON list */
     uint32_t control_rate_hz; /* Hz: of policy_step, at least 1 */
