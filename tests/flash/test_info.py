@@ -20,6 +20,7 @@ from flash.messages import DECODERS
 from flash.msp import Decoder, Direction, Message, Version, encode
 from flash.transport import open_transport
 from toolchain.contract import (
+    ARMING_REASON_COUNT,
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     GYRO_RATES_HZ,
@@ -190,7 +191,7 @@ def test_yamspy_and_we_read_the_same_when_both_ask_the_host_program(
     reasons = {reason.name for reason in ArmingReason if heard.CONFIG["armingDisableFlags"] >> reason & 1}
     assert reasons == set(info.arming_reasons)
     assert "THROTTLE_HIGH" in reasons
-    assert heard.CONFIG["armingDisableCount"] == len(ArmingReason)
+    assert heard.CONFIG["armingDisableCount"] == ARMING_REASON_COUNT
 
 
 def test_yamspy_reads_sticks_and_motors_when_it_asks_the_host_program(

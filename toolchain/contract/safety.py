@@ -62,6 +62,9 @@ class ArmingReason(IntEnum):
 ARMING_REASON_COUNT = len(ArmingReason)
 
 
+ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes
+
+
 class StopCause(IntEnum):
     """Why the motors stopped last."""
 

@@ -14,6 +14,7 @@ import pytest
 from flash import messages, records
 from flash.messages import PolicyInfo, PolicySource
 from toolchain.contract import (
+    ARMING_REASON_COUNT,
     MSP_PAYLOAD_MAX,
     ArmingReason,
     FallbackCause,
@@ -245,7 +246,7 @@ def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Se
     assert extended.status.armed is armed
     assert extended.status.cycle_time_us == 1000
     assert extended.status.load_percent == 37
-    assert extended.arming_flag_count == len(ArmingReason)
+    assert extended.arming_flag_count == ARMING_REASON_COUNT
     assert messages.arming_reasons(extended.arming_flags) == ("BOOT_GRACE", "POLICY_BAD")
 
 
