@@ -41,7 +41,7 @@ static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t ch
 		[NF_GYRO_HEALTH_GOOD] = 0,
 		[NF_GYRO_HEALTH_INVALID] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_INVALID,
 		[NF_GYRO_HEALTH_STUCK] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_STUCK,
-		[NF_GYRO_HEALTH_SATURATED] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SATURATED,
+		[NF_GYRO_HEALTH_SATURATED] = SAFETY_REASON(GYRO_BAD), /* flown, until it is railed */
 		[NF_GYRO_HEALTH_SILENT] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SILENT,
 	};
 	const enum receiver_link link = receiver_link(&fw->receiver);
@@ -52,6 +52,7 @@ static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t ch
 	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
 	       REASON_IF(!firmware_level(fw), NOT_LEVEL) |
 	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST) |
+	       (gyro_railed(&fw->gyro) ? SAFETY_GYRO_SATURATED : 0u) |
 	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
 	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
 }

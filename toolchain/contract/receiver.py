@@ -13,6 +13,9 @@ BEEPER_ON_US = 1700
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
 STICK_LOW_US, STICK_HIGH_US = 1100, 1900  # beyond these a stick stands at its end
 GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long, disarmed: acknowledges
+# No stick asks for more: the gyro ends at 2000 deg/s, its bias may be 20, and a rate that it cannot tell
+# from a higher one cannot be held.
+RATE_MAX_DEG_S = 1950.0
 RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.

@@ -12,7 +12,10 @@ CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
 RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
 RECEIVER_LOST_MS = 400  # silence after which the configured failsafe stage begins
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
-GYRO_BAD_MS = 10  # bad, stuck, saturated or silent: so long the last good sample stands in, then motors stop
+GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in, then motors stop
+# An axis at the end of its range is flown as that. An aircraft that turns faster than its gyro can tell for
+# so long, without one sample below, is out of control, or its gyro is dead: no stick asks for such a rate.
+GYRO_SATURATED_MS = 500
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
 # A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so
 # much more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
@@ -48,7 +51,7 @@ class ArmingReason(IntEnum):
     THROTTLE_HIGH = 3
     SWITCH_NOT_CYCLED = 4
     POLICY_BAD = 5  # and the switch chooses the policy
-    GYRO_BAD = 6  # stuck, saturated, silent or no number
+    GYRO_BAD = 6  # stuck, at the end of its range, silent or no number
     NOT_LEVEL = 7  # tilted beyond the limit, or the attitude is not known
     BATTERY_UNKNOWN = 8
     FAULT = 9  # a fault record that nobody acknowledged
@@ -95,5 +98,5 @@ class GyroHealth(IntEnum):
     GOOD = 0
     INVALID = 1  # the transfer failed or the value is no rate
     STUCK = 2
-    SATURATED = 3
+    SATURATED = 3  # an axis is at the end of its range, and flown so
     SILENT = 4

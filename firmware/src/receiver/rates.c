@@ -9,7 +9,8 @@ _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MID_US == HALF_STICK_US, "of the u
 _Static_assert(NF_CHANNEL_MID_US - NF_CHANNEL_MIN_US == HALF_STICK_US, "of the lower half");
 _Static_assert(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US == 1000, "THROTTLE_PER_US says otherwise");
 
-#define RATE_MAX (1998.0f * NF_RAD_PER_DEG) /* rad/s: the largest rate of Betaflight's rate curves */
+#define RATE_MAX (NF_RATE_MAX_DEG_S * NF_RAD_PER_DEG) /* rad/s */
+_Static_assert(NF_RATE_MAX_DEG_S + NF_CALIBRATION_BIAS_DEG_S < (float)NF_GYRO_FULL_SCALE_DEG_S, "the gyro can say it");
 
 /* Of style betaflight. */
 #define RC_RATE_DEG_S 200.0f  /* at full stick, for an RC rate of 1 */

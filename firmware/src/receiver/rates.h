@@ -29,7 +29,7 @@ struct rates {
  * rate; e: expo. */
 void rates_init(struct rates *rates, const struct nf_settings *settings);
 
-/* Body rates [rad/s] for the channels [us], at most 1998 deg/s; a stick beyond its end counts as at its end.
+/* Body rates [rad/s] for the channels [us], at most NF_RATE_MAX_DEG_S; a stick beyond its end counts as at its end.
  * Channel high is roll right, nose down, yaw right; the body's yaw is positive to the left. */
 void rates_setpoint(const struct rates *rates, const uint16_t channels_us[NF_CHANNEL_COUNT], float setpoint[3]);
 

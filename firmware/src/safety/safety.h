@@ -13,9 +13,9 @@
 #define SAFETY_SWITCH_ON (1u << 20)
 #define SAFETY_OFF_HEARD (1u << 21)      /* the last frame says off, whatever the link's state */
 #define SAFETY_RECEIVER_HELD (1u << 22)  /* silent, but not yet lost */
-#define SAFETY_GYRO_INVALID (1u << 23)   /* these four: with the reason GYRO_BAD */
+#define SAFETY_GYRO_INVALID (1u << 23)   /* this, stuck and silent: with the reason GYRO_BAD */
 #define SAFETY_GYRO_STUCK (1u << 24)
-#define SAFETY_GYRO_SATURATED (1u << 25)
+#define SAFETY_GYRO_SATURATED (1u << 25) /* for NF_GYRO_SATURATED_MS */
 #define SAFETY_GYRO_SILENT (1u << 26)
 #define SAFETY_CRASH (1u << 27)
 #define SAFETY_RUNAWAY (1u << 28)

@@ -45,6 +45,7 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 	*gyro = (struct gyro){
 		.alignment = alignment,
 		.bad_after = gyro_rate_hz * NF_GYRO_BAD_MS / 1000u,
+		.saturated_after = gyro_rate_hz * NF_GYRO_SATURATED_MS / 1000u,
 		.stuck_after = gyro_rate_hz * stuck_ms / 1000u,
 		/* Of all low-passes one of first order changes fastest after a step over the whole range. */
 		.jump = (int32_t)(FULL_SWING * nf_one_minus_exp(NF_TAU * NF_GYRO_BANDWIDTH_HZ / (float)gyro_rate_hz)),
@@ -69,20 +70,19 @@ static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
 static enum nf_gyro_health gyro_classify(const struct gyro *gyro, const struct imu_sample *sample)
 {
 	const int32_t reach = gyro->jump * (int32_t)(gyro->bad + 1);
+	enum nf_gyro_health health = NF_GYRO_HEALTH_GOOD;
 
 	if (!sample->valid)
 		return NF_GYRO_HEALTH_INVALID;
 	for (int i = 0; i < 3; ++i) {
 		const int32_t counts = sample->gyro[i];
-		if (counts >= NF_GYRO_SATURATED_COUNTS || counts <= -NF_GYRO_SATURATED_COUNTS)
-			return NF_GYRO_HEALTH_SATURATED;
-	}
-	for (int i = 0; i < 3; ++i) {
-		const int32_t jumped = sample->gyro[i] - gyro->last.gyro[i];
+		const int32_t jumped = counts - gyro->last.gyro[i];
 		if (jumped > reach || jumped < -reach)
 			return NF_GYRO_HEALTH_INVALID;
+		if (counts >= NF_GYRO_SATURATED_COUNTS || counts <= -NF_GYRO_SATURATED_COUNTS)
+			health = NF_GYRO_HEALTH_SATURATED;
 	}
-	return NF_GYRO_HEALTH_GOOD;
+	return health;
 }
 
 /* Keeps a good sample. Returns whether all its words equal the last one's: noise makes that rare in a working chip. */
@@ -100,9 +100,13 @@ static bool gyro_repeats(struct imu_sample *last, const struct imu_sample *sampl
 	return changed == 0;
 }
 
-static void gyro_take(struct gyro *gyro, const struct imu_sample *sample)
+static void gyro_take(struct gyro *gyro, const struct imu_sample *sample, bool saturated)
 {
 	gyro->bad = 0;
+	if (!saturated)
+		gyro->saturated = 0;
+	else if (gyro->saturated < gyro->saturated_after)
+		++gyro->saturated;
 	if (!gyro_repeats(&gyro->last, sample))
 		gyro->same = 0;
 	else if (gyro->same < gyro->stuck_after)
@@ -113,17 +117,17 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 {
 	const enum nf_gyro_health judged = gyro_classify(gyro, sample);
 
-	if (judged == NF_GYRO_HEALTH_GOOD)
-		gyro_take(gyro, sample);
+	if (judged != NF_GYRO_HEALTH_INVALID)
+		gyro_take(gyro, sample, judged == NF_GYRO_HEALTH_SATURATED);
 	else if (gyro->bad < gyro->bad_after)
 		++gyro->bad;
 
 	if (gyro->bad >= gyro->bad_after)
-		gyro->health = judged;
+		gyro->health = NF_GYRO_HEALTH_INVALID;
 	else if (gyro->stuck_after > 0 && gyro->same >= gyro->stuck_after)
 		gyro->health = NF_GYRO_HEALTH_STUCK;
 	else
-		gyro->health = NF_GYRO_HEALTH_GOOD;
+		gyro->health = gyro->saturated > 0 ? NF_GYRO_HEALTH_SATURATED : NF_GYRO_HEALTH_GOOD;
 
 	if (!gyro->calibrated) {
 		if (judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD)
@@ -142,6 +146,11 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 	for (int i = 0; i < 3; ++i)
 		rate[i] -= gyro->bias[i];
 	return gyro->health;
+}
+
+bool gyro_railed(const struct gyro *gyro)
+{
+	return gyro->saturated >= gyro->saturated_after;
 }
 
 void gyro_acceleration(const struct gyro *gyro, float acceleration[3])

@@ -20,8 +20,10 @@ struct gyro {
 	int32_t jump;             /* counts, that a good sample may lie away from the one before */
 	uint32_t bad;             /* samples since the last good one, at most bad_after */
 	uint32_t bad_after;       /* number of bad samples in a row that is more than a glitch */
-	uint32_t same;            /* good samples that repeated the one before, at most stuck_after */
-	uint32_t stuck_after;     /* number of repetitions that a working chip does not produce; 0: no limit */
+	uint32_t saturated; /* samples in a row at an end of the range, bad ones left out; at most saturated_after */
+	uint32_t saturated_after; /* number of them that no flight takes */
+	uint32_t same; /* good samples that repeated the one before, at most stuck_after */
+	uint32_t stuck_after; /* number of repetitions that a working chip does not produce; 0: no limit */
 };
 
 /* Starts uncalibrated and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
@@ -29,15 +31,20 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 
 /* Takes one sample and writes the body rates [rad/s].
  *
- * A bad sample is one that is not valid, has an axis at the end of its range, or lies further from the last good
- * one than the chip's low-pass can move; the last good one stands in for it (before the first: 0 rad/s). Returns
- * the present health: INVALID or SATURATED from NF_GYRO_BAD_MS of bad samples in a row on, STUCK from stuck_ms of
- * samples on that are the same in every word, and GOOD again with the first that is neither. NF_GYRO_HEALTH_SILENT
- * is not this module's: there is no sample to say it.
+ * A bad sample is one that is not valid, or lies further from the last good one than the chip's low-pass can move;
+ * the last good one stands in for it (before the first: 0 rad/s). One that has an axis at the end of its range is good:
+ * the aircraft turns at least so fast. Returns the present health: INVALID from NF_GYRO_BAD_MS of bad samples in a row
+ * on, STUCK from stuck_ms of samples on that are the same in every word, SATURATED while an axis of the last good
+ * sample is at the end of its range, and GOOD again with the first that is none of it. NF_GYRO_HEALTH_SILENT is not
+ * this module's: there is no sample to say it.
  *
  * Until calibrated each good sample also enters the calibration. A window of NF_CALIBRATION_MS whose spread or mean
- * exceeds the stillness limits on any axis is discarded and a new one begins; so is one with a bad or stuck sample. */
+ * exceeds the stillness limits on any axis is discarded and a new one begins; so is one with a bad, saturated or stuck
+ * sample. */
 enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample, float rate[3]);
+
+/* Has an axis been at the end of its range for NF_GYRO_SATURATED_MS, without a good sample below it? */
+bool gyro_railed(const struct gyro *gyro);
 
 /* Specific force of the last good sample [m/s^2], body axes: 9.81 upwards at rest. All zero: the chip does not measure
  * it. */

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_THROTTLE, CHANNEL_YAW
+from toolchain.contract import CHANNEL_PITCH, CHANNEL_ROLL, CHANNEL_THROTTLE, CHANNEL_YAW, RATE_MAX_DEG_S
 
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
 NAMES = ("roll", "pitch", "yaw")
 SIGNS = (1, 1, -1)  # yaw: channel high turns right, body yaw is positive to the left
 ACTUAL, BETAFLIGHT = 0, 1
-RATE_MAX = 1998.0
+RATE_MAX = RATE_MAX_DEG_S
 
 
 class Rates:
@@ -129,11 +129,11 @@ def test_known_rates_come_out_when_set_as_pilots_do(scripted: Any) -> None:
 
 
 @pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])
-def test_the_rate_ends_at_1998_when_more_is_set(scripted: Any, style: int) -> None:
+def test_the_rate_ends_below_the_gyros_range_when_more_is_set(scripted: Any, style: int) -> None:
     most = 1998 if style == ACTUAL else 1.0
     rates = Rates(scripted, rates_style=style, roll_rate=1000.0 if style == ACTUAL else 2.55, roll_max=most)
     for us, sign in ((2000, 1), (1000, -1)):
-        assert rates.at(us)[0] == pytest.approx(sign * math.radians(1998), rel=1e-6)
+        assert rates.at(us)[0] == pytest.approx(sign * math.radians(RATE_MAX_DEG_S), rel=1e-6)
 
 
 @pytest.mark.parametrize("style", [ACTUAL, BETAFLIGHT])

@@ -26,10 +26,10 @@ BITS = {
     "forbidden": 1 << ArmingReason.THROTTLE_HIGH,  # one that stands for all that only forbid
 }
 GYRO = {
-    "invalid": StopCause.GYRO_INVALID,
-    "stuck": StopCause.GYRO_STUCK,
-    "saturated": StopCause.GYRO_SATURATED,
-    "silent": StopCause.GYRO_SILENT,
+    "invalid": (FlightState.FAULT, StopCause.GYRO_INVALID),
+    "stuck": (FlightState.FAULT, StopCause.GYRO_STUCK),
+    "silent": (FlightState.FAULT, StopCause.GYRO_SILENT),
+    "saturated": (FlightState.CRASHED, StopCause.GYRO_SATURATED),
 }
 OWN = (ArmingReason.SWITCH_NOT_CYCLED, ArmingReason.CRASHED)
 FORBIDDING = [reason for reason in ArmingReason if reason not in OWN]
@@ -73,9 +73,9 @@ class Cell:
         holds, state = self.holds, self.state
         lost, on = "lost" in holds, "on" in holds
         if self.turning:
-            for name, cause in GYRO.items():
+            for name, stop in GYRO.items():
                 if name in holds:
-                    return FlightState.FAULT, cause
+                    return stop
             for name, to, cause in (
                 ("no_controller", FlightState.DISARMED, StopCause.NO_CONTROLLER),
                 ("crash", FlightState.CRASHED, StopCause.CRASH),

@@ -10,7 +10,7 @@
 #include "receiver/receiver.h"
 
 #define PIECES_MAX 300000
-#define SETPOINT_MAX 34.9f /* rad/s: 1998 deg/s and a hair */
+#define SETPOINT_MAX 34.04f /* rad/s: 1950 deg/s and a hair */
 
 #define DEFAULT(name, kind, low, high, preset, unit) .name = (kind)(preset),
 

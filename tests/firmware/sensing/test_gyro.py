@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import CALIBRATION_MS, GYRO_BAD_MS, GYRO_RATES_HZ, GyroHealth
+from toolchain.contract import CALIBRATION_MS, GYRO_BAD_MS, GYRO_RATES_HZ, GYRO_SATURATED_MS, GyroHealth
 
 LSB_RAD_S = math.radians(2000) / 32768
 CLOCKWISE_DEG = (0, 90, 180, 270)  # in the order of enum board_alignment
@@ -168,20 +168,11 @@ def chip(scripted: Any) -> Callable[..., Chip]:
     return lambda *args, **kwargs: Chip(scripted, *args, **kwargs)
 
 
-BAD: dict[str, tuple[dict[str, Any], GyroHealth]] = {
-    "not valid": ({"counts": (9, 9, 9), "valid": False}, INVALID),
-    "saturated": ({"counts": (500, -600, MOST + 1)}, SATURATED),
-    "saturated below": ({"counts": (-MOST - 1, -600, 700)}, SATURATED),
-    "at the end": ({"counts": (500, -32768, 700)}, SATURATED),
-}
-
-
 @pytest.mark.parametrize("rate_hz", GYRO_RATES_HZ)
-@pytest.mark.parametrize("kind", BAD)
 def test_the_last_good_sample_stands_in_until_bad_ones_are_too_many(
-    chip: Callable[..., Chip], rate_hz: int, kind: str
+    chip: Callable[..., Chip], rate_hz: int
 ) -> None:
-    sample, health = BAD[kind]
+    sample: dict[str, Any] = {"counts": (9, 9, 9), "valid": False}
     c = chip(rate_hz)
     c.feed((500, -600, 700))
     glitch = c.samples(GYRO_BAD_MS) - 1
@@ -192,18 +183,65 @@ def test_the_last_good_sample_stands_in_until_bad_ones_are_too_many(
         assert c.feed((roll, -600, 700)) is GOOD
         assert c.counts == [roll, -600, 700]
     assert c.feed(**sample, times=glitch) is GOOD
-    assert c.feed(**sample) is health
-    assert c.feed(**sample, times=10 * glitch) is health
+    assert c.feed(**sample) is INVALID
+    assert c.feed(**sample, times=10 * glitch) is INVALID
     assert c.counts == [503, -600, 700]
     assert c.feed((504, -600, 700)) is GOOD
 
 
-def test_health_names_the_latest_trouble_when_it_changes(chip: Callable[..., Chip]) -> None:
+ENDS = [(500, -600, MOST + 1), (-MOST - 1, -600, 700), (500, -32768, 700), (32767, 32767, 32767)]
+
+
+@pytest.mark.parametrize("rate_hz", GYRO_RATES_HZ)
+@pytest.mark.parametrize("end", ENDS)
+def test_an_axis_at_the_end_of_its_range_is_flown_as_it_is_until_that_lasts(
+    scripted: Any, chip: Callable[..., Chip], rate_hz: int, end: tuple[int, int, int]
+) -> None:
+    c = chip(rate_hz)
+    near = [max(-MOST, min(count, MOST)) for count in end]
+    for fast in (0.5, 1.0):  # no further apart than a gyro moves in a sample
+        for _ in range(8):
+            assert c.feed([round(fast * count) for count in near]) is GOOD
+    assert c.counts == near
+    lasts = c.samples(GYRO_SATURATED_MS)
+    for times in (1, lasts - 1):
+        assert c.feed(end, times=times) is SATURATED
+        assert c.counts == list(end)
+        assert not scripted.lib.gyro_railed(c.struct)
+        assert c.feed(near) is GOOD
+    assert c.feed(end, times=lasts) is SATURATED
+    assert scripted.lib.gyro_railed(c.struct)
+    assert c.feed(near) is GOOD
+    assert not scripted.lib.gyro_railed(c.struct)
+
+
+def test_saturation_goes_on_when_a_glitch_falls_into_it(scripted: Any, chip: Callable[..., Chip]) -> None:
     c = chip()
-    c.feed()
-    c.feed(valid=False, times=6)
-    assert c.feed((32767, 0, 0), times=4) is SATURATED
-    assert c.feed(valid=False) is INVALID
+    c.feed((MOST, 0, 0))
+    c.feed((32767, 0, 0), times=GYRO_SATURATED_MS - 1)
+    assert c.feed(valid=False, times=GYRO_BAD_MS - 1) is SATURATED
+    assert not scripted.lib.gyro_railed(c.struct)
+    assert c.feed((32767, 0, 0)) is SATURATED
+    assert scripted.lib.gyro_railed(c.struct)
+
+
+def test_health_names_the_latest_trouble_when_it_changes(chip: Callable[..., Chip]) -> None:
+    c = chip(stuck_ms=10)
+    c.feed((MOST, 0, 0))
+    assert c.feed((32767, 0, 0)) is SATURATED
+    assert c.feed((32767, 0, 0), times=10) is STUCK
+    assert c.feed(valid=False, times=10) is INVALID
+    assert c.feed((32766, 0, 0)) is SATURATED
+    assert c.feed((MOST, 0, 0)) is GOOD
+
+
+def test_a_spike_to_the_end_is_a_glitch_when_the_chip_could_not_have_made_it(
+    chip: Callable[..., Chip],
+) -> None:
+    c = chip(4000)
+    c.feed((500, -600, 700))
+    assert c.feed((32767, -600, 700)) is GOOD
+    assert c.counts == [500, -600, 700]
 
 
 # What the chips' 250 Hz low-pass of first order lets through of a step over the whole range, in a sample.
@@ -299,13 +337,10 @@ def test_the_same_sample_is_believed_for_ever_when_the_setting_says_never(chip: 
     assert chip(stuck_ms=0).feed(times=20_000) is GOOD
 
 
-@pytest.mark.parametrize("trouble", [{"valid": False}, {"counts": (32767, 0, 0)}])
-def test_rates_are_zero_when_there_was_no_good_sample_yet(
-    chip: Callable[..., Chip], trouble: dict[str, Any]
-) -> None:
+def test_rates_are_zero_when_there_was_no_good_sample_yet(chip: Callable[..., Chip]) -> None:
     c = chip()
     for _ in range(20):
-        c.feed(**trouble)
+        c.feed(valid=False)
         assert c.counts == [0, 0, 0]
 
 

@@ -1,0 +1,39 @@
+"""Full stick at the highest rate that may be set: faster than the gyro can tell, and back again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.flight.scenario import Rates, Scenario, Segment
+from sim.flight.trace import Trace
+from sim.ports.library import ReferencePort
+from toolchain.contract import GYRO_BAD_MS, GYRO_FULL_SCALE_DEG_S, GYRO_SATURATED_MS
+
+THROTTLE = 0.5
+MOST = {f"{axis}_max": 1998.0 for axis in ("roll", "pitch", "yaw")}
+
+
+def longest(held: np.ndarray) -> int:
+    """Most steps in a row that hold."""
+    return max(map(len, "".join("x" if one else " " for one in held).split()), default=0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_it_stays_armed_and_returns_when_it_turns_faster_than_its_gyro_can_tell(
+    reference_library: Path, flown: Callable[..., Trace], axis: int
+) -> None:
+    right: list[float] = [0.0, 0.0, 0.0]
+    right[axis] = 1000.0  # of the stick: its end
+    sticks: list[Rates] = [(0, 0, 0), (right[0], right[1], 0), (-right[0], -right[1], 0), (0, 0, 0)]
+    scenario = Scenario("full stick", tuple(Segment(0.6, rates, THROTTLE) for rates in sticks)).under_pid()
+    trace = flown(ReferencePort(reference_library, 4000, MOST), scenario)
+    true, told = (np.degrees(np.abs(rates[:, axis])) for rates in (trace.rate, trace.gyro))
+    lost = longest(true > GYRO_FULL_SCALE_DEG_S)
+    assert 1.2 * GYRO_BAD_MS < lost < GYRO_SATURATED_MS, "the flight shows what it is to show"
+    assert told.max() <= GYRO_FULL_SCALE_DEG_S + 20  # with the bias taken out
+    assert (trace.dshot > 0).all()
+    assert true[-100:].max() < 30
