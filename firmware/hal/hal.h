@@ -86,7 +86,7 @@ struct hal_handlers {
 	void (*msp_reset)(void *context);
 };
 
-/* Brings the chip up, motors stopped, no sample yet. Returns HAL_RUN, or the exit code (>= 0) with which
+/* Brings the chip up, no sample yet, motors stopped: a board sends them stop frames from here on until hal_run. Returns HAL_RUN, or the exit code (>= 0) with which
  * the program ends at once (host: 0 after --help, 1 after one line on stderr). Board: argc 0, argv NULL;
  * always HAL_RUN, also when the gyro does not answer: without samples nothing arms and MSP still tells why. */
 int hal_init(int argc, char **argv, struct hal_info *info);

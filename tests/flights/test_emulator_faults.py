@@ -20,6 +20,7 @@ from toolchain.errors import LinkError, ScenarioError
 
 RATE = 4000  # of gyro samples
 FRAME, LEAD = 40, 16  # samples between two receiver frames, and from the announcement to the frame
+STOP_FRAMES_S = 0.02  # from any reset, whatever else the boot does
 START_S = 0.05  # of the flight, when the drills begin
 NOTHING = Reply(np.zeros(4, np.uint16), 0, np.zeros(3, np.float32), np.zeros(3, np.float32), 0.0, armed=False)
 
@@ -132,7 +133,7 @@ def test_it_boots_disarmed_and_remembers_when_the_supply_dips(
     assert (reset, calibrates.what) == (Event(0.06, "reset: brown-out", stops=True), "CALIBRATING")
     assert 0.2 < boot.at_s - reset.at_s < 0.4
     # Its ESCs keep the battery's power and their last value until frames come again, which say 0.
-    assert turning(replies) == pytest.approx(boot.at_s - START_S, abs=0.002)
+    assert turning(replies) <= reset.at_s - START_S + STOP_FRAMES_S
     assert not any(reply.armed for reply in replies[round(0.02 * RATE) :])
     assert {"FAULT", "SWITCH_NOT_CYCLED"} <= set(started[0].port.arming_reasons())
 

@@ -19,6 +19,7 @@
 #include "hal/stm32f7/peripherals/flash_memory.h"
 #include "nf_contract.h"
 #include "policy.h"
+#include "storage/settings_store.h"
 
 _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
@@ -30,6 +31,9 @@ static struct {
 	bool wanted;
 	uint32_t since_ms;
 } restart;
+
+/* The handlers of hal_run write motor frames; before, the tick does. */
+static volatile bool program_runs;
 
 /* Traces leave the board by a log, which this target does not keep yet; MSP shows the last step. */
 static void hal_trace_write(void *context, const struct control_trace *trace)
@@ -113,6 +117,16 @@ static const struct hal functions = {
 	.flash = { .at = hal_flash_at, .erase = hal_flash_erase, .program = hal_flash_program },
 };
 
+/* In the protocol that the settings say, as the program will read them. */
+static void hal_start_motors(void)
+{
+	struct nf_settings settings;
+
+	(void)settings_load(&settings, &functions.flash);
+	motor_pins_start();
+	motors_run(settings.motor_protocol, POLICY_ACTION_COUNT);
+}
+
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	(void)argc;
@@ -122,11 +136,13 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	if (!time_cycles_start() || !clock_start())
 		stop(LED_NO_CLOCK);
 	clock_peripherals();
-	motor_pins_start();
+	/* ESCs keep the last value that they were sent before a reset: stop frames come first, and from here on each
+	 * millisecond, whatever the gyro does. */
+	hal_start_motors();
+	time_tick_start(CLOCK_CORE_HZ / 1000u);
 	watchdog_start();
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
-	time_tick_start(CLOCK_CORE_HZ / 1000u);
 	power_start();
 	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
 	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
@@ -149,8 +165,8 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 {
 	msp_uart_start(settings->msp_baud);
 	receiver_line_start(settings->receiver_protocol);
-	motors_run(settings->motor_protocol, POLICY_ACTION_COUNT);
 	gyro_run(handlers, settings->gyro_rate_hz);
+	program_runs = true;
 	for (;;) {
 		const uint32_t samples = gyro_samples(), milliseconds = time_ms();
 
@@ -174,6 +190,8 @@ int hal_refuse(enum nf_err why)
 void tick_handler(void)
 {
 	time_tick();
+	if (!program_runs)
+		motors_write(NULL, NULL, 0, false); /* missing values stop */
 	gyro_tick();
 }
 

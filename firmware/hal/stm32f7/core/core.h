@@ -11,7 +11,8 @@
  *   PRIORITY_FAULT       all faults, clock failure  never          to the reset, motors stopped
  *   PRIORITY_GYRO_EDGE   EXTI3, data-ready          8 kHz          < 2 us: starts a read every n-th edge
  *   PRIORITY_SAMPLE      DMA2 stream 2, read done   gyro rate      the control path, < 1 gyro period
- *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds; a silent gyro's step
+ *   PRIORITY_TICK        SysTick                    1 kHz          < 1 us: counts milliseconds; a silent gyro's step,
+ *                                                                  stop frames until the program sends its own
  *   (thread)             background, MSP, sleep     the rest
  *
  * Samples and the tick share a priority, so that neither interrupts the other: both may step the core. Erasing and
