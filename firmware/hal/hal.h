@@ -86,9 +86,10 @@ struct hal_handlers {
 	void (*msp_reset)(void *context);
 };
 
-/* Brings the chip up, no sample yet, motors stopped: a board sends them stop frames from here on until hal_run. Returns HAL_RUN, or the exit code (>= 0) with which
- * the program ends at once (host: 0 after --help, 1 after one line on stderr). Board: argc 0, argv NULL;
- * always HAL_RUN, also when the gyro does not answer: without samples nothing arms and MSP still tells why. */
+/* Brings the chip up, no sample yet, motors stopped: from here until hal_run a board sends them stop frames. Returns
+ * HAL_RUN, or the exit code (>= 0) with which the program ends at once (host: 0 after --help, 1 after one line on
+ * stderr). Board: argc 0, argv NULL; always HAL_RUN, also when the gyro does not answer: without samples nothing arms
+ * and MSP still tells why. */
 int hal_init(int argc, char **argv, struct hal_info *info);
 
 /* Runs the handlers with gyro rate, receiver and motor protocol as in `settings`, which outlive the program.

@@ -4,6 +4,7 @@
 
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
+#define FAULT_LOG_RENEW_MS 5000u
 #define FRACTION_PER_US 0.001f
 #define TOOK_OVER_MS 3000u /* so long beeper and LED tell nothing but that the PID took over */
 _Static_assert(NF_DSHOT_ALL_MOTORS == UINT8_MAX, "as MSP says it");
@@ -260,12 +261,26 @@ static void background_watch_gesture(struct background *background)
 	(void)background_storing(background, false);
 }
 
+/* While flash is erased motors get no frames. By this time after the boot their controllers have long heard stop frames,
+ * and are done with what they do at power-up. */
+static void background_renew_fault_log(struct background *background)
+{
+	const uint32_t quiet = background->settings.gyro_rate_hz * FAULT_LOG_RENEW_MS / 1000u;
+
+	if (!background->faults.crowded || firmware_samples(background->config.firmware) < quiet ||
+	    background_storing(background, true) != NF_REFUSAL_NONE)
+		return;
+	fault_log_renew(&background->faults);
+	(void)background_storing(background, false);
+}
+
 /* A fault that was acknowledged forbids nothing any more. */
 static void background_run_storage(void *context)
 {
 	struct background *background = context;
 
 	background_watch_gesture(background);
+	background_renew_fault_log(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 

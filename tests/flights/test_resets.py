@@ -17,7 +17,7 @@ from sim.board.devices.esc import Frame
 from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
-from toolchain.contract import MSP_BAUD_DEFAULT, Msp
+from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_FAULT_RECORD, MSP_BAUD_DEFAULT, Msp
 from toolchain.image.elf import read_flashable
 
 BOUND_S = 0.02  # from a reset to the first frame of each motor
@@ -30,14 +30,13 @@ CHIPS = {"mpu6500": MPU6500, "icm20689": ICM20689, "absent": ABSENT}
 class Pins:
     """A board of its own, and the frames on its motors' pins."""
 
-    def __init__(self, image: Path, chip: GyroKind = MPU6500) -> None:
-        self.board = Board(
-            read_flashable(image),
-            elf=image.with_suffix(".elf"),
-            chip=chip,
-            strict=False,
-            watchdog_resets=True,
-        )
+    def __init__(self, image: Path, chip: GyroKind = MPU6500, *, log_full: bool = False) -> None:
+        flash, elf = bytearray(read_flashable(image)), image.with_suffix(".elf")
+        flash += b"\xff" * (FLASH_BYTES - len(flash))
+        if log_full:
+            start = FLASH_FAULT_RECORD.address - FLASH_BASE
+            flash[start : start + FLASH_FAULT_RECORD.size] = bytes(FLASH_FAULT_RECORD.size)
+        self.board = Board(bytes(flash), elf=elf, chip=chip, strict=False, watchdog_resets=True)
         self.board.hardware.gyro.measure((0, 0, 2048), 0, (0, 0, 0))
         self.frames: list[Frame] = []
         self.board.hardware.on_frame = self.frames.append
@@ -82,8 +81,8 @@ class Pins:
 def pins(board_image: Path) -> Iterator[Callable[..., Pins]]:
     with contextlib.ExitStack() as stack:
 
-        def make(chip: str = "mpu6500") -> Pins:
-            made = Pins(board_image.with_suffix(".bin"), CHIPS[chip])
+        def make(chip: str = "mpu6500", *, log_full: bool = False) -> Pins:
+            made = Pins(board_image.with_suffix(".bin"), CHIPS[chip], log_full=log_full)
             stack.callback(made.board.close)
             return made
 
@@ -139,4 +138,18 @@ def test_stop_frames_come_in_time_when_the_gyro_is_silent_after_the_reset(pins: 
     board.frames.clear()
     board.run(0.5)  # the program's own frames, now that it runs
     assert len(board.frames) >= 0.4 / PAUSE_S
+    assert {frame.value for frame in board.frames} == {0}
+
+
+def test_stop_frames_come_for_seconds_before_the_full_fault_log_is_erased(pins: Callable[..., Pins]) -> None:
+    board = pins(log_full=True)
+    board.answers_within_bound()
+    flash = board.board.hardware.flash
+    assert flash.operations == 0
+    board.run(4.5)
+    assert flash.operations == 0
+    board.run(2.0)
+    assert flash.operations > 20, "erased, then an entry written"
+    pauses = [after.cycle - before.cycle for before, after in itertools.pairwise(board.frames[::MOTORS])]
+    assert sum(pause > PAUSE_S * TIME_HZ for pause in pauses) == 1
     assert {frame.value for frame in board.frames} == {0}

@@ -17,6 +17,7 @@ struct entry {
 };
 
 #define ENTRY_COUNT (NF_FLASH_FAULT_RECORD_SIZE / sizeof(struct entry))
+#define ROOM 8u /* boots, some of which may end before the log can be begun anew */
 _Static_assert(NF_FLASH_FAULT_RECORD_ADDRESS == NF_FLASH_SECTORS_3_ADDRESS, "the sector to erase");
 _Static_assert(sizeof(struct entry) % FLASH_WORD_BYTES == 0, "whole words");
 
@@ -81,7 +82,7 @@ static void fault_log_scan(struct fault_log *log, unsigned count)
 
 void fault_log_boot(struct fault_log *log, const struct flash *flash, const struct fault_record *record)
 {
-	unsigned index = fault_log_first_blank(flash);
+	const unsigned index = fault_log_first_blank(flash);
 	struct entry entry = { .magic = FAULT_LOG_MAGIC };
 
 	*log = (struct fault_log){ .flash = flash };
@@ -89,12 +90,7 @@ void fault_log_boot(struct fault_log *log, const struct flash *flash, const stru
 	entry.boot = ++log->boots;
 	if (record)
 		entry.record = *record;
-	if (index == ENTRY_COUNT) {
-		if (log->pending && !record)
-			entry.record = log->record; /* carried over, as found by this boot */
-		index = flash_erase(flash, FAULT_LOG_SECTOR) ? 0 : ENTRY_COUNT;
-		log->address = 0;
-	}
+	log->crowded = index + ROOM >= ENTRY_COUNT;
 	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
 	log->logged = index < ENTRY_COUNT &&
 		      flash_program(flash, fault_log_address_of(index), &entry, offsetof(struct entry, acknowledged));
@@ -104,6 +100,33 @@ void fault_log_boot(struct fault_log *log, const struct flash *flash, const stru
 	log->record = entry.record;
 	log->boot = entry.boot;
 	log->address = log->logged ? fault_log_address_of(index) : 0;
+}
+
+/* Writes what boot number `boot` found as entry number `index`. Returns its address, 0: flash did not take it. */
+static uint32_t fault_log_write(const struct fault_log *log, unsigned index, uint32_t boot,
+				const struct fault_record *record)
+{
+	struct entry entry = { .magic = FAULT_LOG_MAGIC, .boot = boot, .record = *record };
+	const uint32_t address = fault_log_address_of(index);
+
+	entry.crc = crc32_more(0, &entry, offsetof(struct entry, crc));
+	return flash_program(log->flash, address, &entry, offsetof(struct entry, acknowledged)) ? address : 0;
+}
+
+void fault_log_renew(struct fault_log *log)
+{
+	static const struct fault_record nothing = { .kind = FAULT_NONE };
+	const bool erased = flash_erase(log->flash, FAULT_LOG_SECTOR);
+	unsigned index = 0;
+
+	log->crowded = false;
+	log->address = 0;
+	if (!erased)
+		return;
+	if (log->pending)
+		log->address = fault_log_write(log, index++, log->boot, &log->record);
+	if (!log->pending || log->boot != log->boots)
+		(void)fault_log_write(log, index, log->boots, &nothing);
 }
 
 enum nf_refusal fault_log_acknowledge(struct fault_log *log, uint32_t boot)

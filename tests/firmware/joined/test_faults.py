@@ -28,6 +28,9 @@ from sim.ports.library import ReferencePort
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import (
     DEADLINE_MISSES_MAX,
+    FLASH_BASE,
+    FLASH_BYTES,
+    FLASH_FAULT_RECORD,
     GYRO_BAD_MS,
     GYRO_SATURATED_MS,
     MOTOR_TEST_MAGIC,
@@ -517,3 +520,23 @@ def test_the_motors_stop_within_a_second_when_two_motors_are_swapped(reference_l
     print(f"two motors swapped: stopped after {stopped} ms, {safety.stop_cause.name}")
     assert 0 < stopped < 1000
     assert not trace.dshot[stopped:].any()
+
+
+def test_a_full_log_begins_anew_some_seconds_after_the_boot_and_only_while_disarmed(
+    pilot: Callable[..., Pilot], tmp_path: Path
+) -> None:
+    flash = tmp_path / "flash.bin"
+    log = slice(FLASH_FAULT_RECORD.address - FLASH_BASE, FLASH_FAULT_RECORD.address - FLASH_BASE + 0x4000)
+    content = bytearray(b"\xff" * FLASH_BYTES)
+    content[log] = bytes(FLASH_FAULT_RECORD.size)  # written all over
+    flash.write_bytes(content)
+    p = pilot(f"--settings={flash}")
+    p.take_off()
+    p.run(6000)
+    assert p.state() == FlightState.ARMED
+    assert flash.read_bytes()[log] == content[log], "nothing is erased at boot, nor in flight"
+    p.arm, p.throttle = 1000, 1000
+    p.run(200)
+    assert flash.read_bytes()[log.start : log.start + 4] == b"NFFL"
+    p.run(FRAME_MS)
+    assert not p.reasons

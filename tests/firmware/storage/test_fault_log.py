@@ -14,6 +14,7 @@ from toolchain.contract import FLASH_FAULT_RECORD, Refusal
 MakeChip = Callable[..., Any]
 ENTRY_BYTES = 104
 ENTRIES = FLASH_FAULT_RECORD.size // ENTRY_BYTES
+ROOM = 8  # entries left, when it is to be begun anew
 WORDS = ENTRY_BYTES // 4 - 1  # of an entry; one more acknowledges it
 KINDS = range(5)  # of cuts: enum flash_cut
 
@@ -34,6 +35,17 @@ class Log:
             )
         self.core.lib.fault_log_boot(self.log, self.chip.flash, record)
         return self.log
+
+    def renew(self) -> None:
+        """Begins anew, as the background does where little room is left."""
+        assert self.log.crowded
+        self.core.lib.fault_log_renew(self.log)
+        assert not self.log.crowded
+
+    def fill(self, boots: int, line: int = 0) -> None:
+        """So many boots, the last after an assertion at that line; nobody renews the log."""
+        for boot in range(boots):
+            self.boot(line if boot == boots - 1 else 0)
 
     def acknowledge(self, boot: int) -> int:
         return int(self.core.lib.fault_log_acknowledge(self.log, boot))
@@ -61,10 +73,16 @@ def test_the_record_is_as_python_reads_it_when_laid_out(scripted: Any) -> None:
 
 def test_boots_are_counted_when_nothing_happens(log: Callable[[], Log]) -> None:
     x = log()
+    renewed = []
     for boot in range(1, 3 * ENTRIES):
         assert x.boot().boots == boot
         assert x.pending is None
+        if x.log.crowded:
+            x.renew()
+            renewed.append(boot)
         x.chip.power_on()
+    assert renewed[0] == ENTRIES - ROOM + 1
+    assert len(renewed) == 3
 
 
 def test_a_fault_is_pending_over_boots_when_nobody_has_read_it(log: Callable[[], Log]) -> None:
@@ -130,29 +148,46 @@ def test_the_rest_stays_pending_when_flash_refuses_to_acknowledge_all(log: Calla
     assert x.pending == (1, 10)
 
 
-def test_a_pending_fault_is_carried_over_when_the_log_is_full(log: Callable[[], Log]) -> None:
+def test_nothing_is_erased_at_boot_when_the_log_is_full(log: Callable[[], Log]) -> None:
+    x = log()
+    x.fill(ENTRIES)
+    for _ in range(3):
+        operations = x.chip.operations
+        assert x.boot().boots == ENTRIES + 1, "flash has no room for it"
+        assert x.log.crowded
+        assert x.chip.operations == operations
+    x.renew()
+    assert x.boot().boots == ENTRIES + 2
+
+
+@pytest.mark.parametrize("boots", [ENTRIES - ROOM + 1, ENTRIES, ENTRIES + 1])
+def test_a_pending_fault_is_carried_over_when_the_log_begins_anew(log: Callable[[], Log], boots: int) -> None:
     x = log()
     x.boot(line=5)
-    for boot in range(2, ENTRIES + 1):
-        assert x.boot().boots == boot
+    x.fill(boots - 1)
+    assert x.pending == (1, 5)
     operations = x.chip.operations
-    assert x.boot().boots == ENTRIES + 1
-    assert x.chip.operations == operations + 1 + WORDS, "erased, and written once"
-    assert x.pending == (ENTRIES + 1, 5)
-    assert x.boot().boots == ENTRIES + 2
-    assert x.pending == (ENTRIES + 1, 5)
-    assert x.acknowledge(ENTRIES + 1) == Refusal.NONE
-    x.boot()
+    x.renew()
+    assert x.chip.operations == operations + 1 + 2 * WORDS, "erased, and two entries written"
+    assert x.pending == (1, 5)
+    assert x.boot().boots == boots + 1
+    assert x.pending == (1, 5)
+    assert x.acknowledge(1) == Refusal.NONE
+    assert x.boot().boots == boots + 2
     assert x.pending is None
 
 
 def test_the_new_fault_is_kept_when_the_full_log_holds_another(log: Callable[[], Log]) -> None:
     x = log()
     x.boot(line=5)
-    for _ in range(ENTRIES - 1):
-        x.boot()
+    x.fill(ENTRIES - 1)
     x.boot(line=6)
     assert x.pending == (ENTRIES + 1, 6)
+    x.renew()
+    assert x.pending == (ENTRIES + 1, 6)
+    assert x.boot().boots == ENTRIES + 2
+    assert x.pending == (ENTRIES + 1, 6)
+    assert x.acknowledge(ENTRIES + 1) == Refusal.NONE
 
 
 def test_a_fault_is_pending_when_flash_does_not_take_it(log: Callable[[], Log]) -> None:
@@ -171,11 +206,12 @@ def test_a_fault_is_pending_when_flash_does_not_take_it(log: Callable[[], Log]) 
 
 def test_a_fault_is_pending_when_a_full_flash_cannot_be_erased(log: Callable[[], Log]) -> None:
     x = log()
-    for _ in range(ENTRIES):
-        x.boot()
-    x.chip.cut(0, 0, 1)
+    x.fill(ENTRIES)
     x.boot(line=6)
+    x.chip.cut(0, 0, 1)
+    x.renew()
     assert x.pending == (ENTRIES + 1, 6)
+    assert x.log.address == 0
 
 
 def test_nothing_is_believed_when_flash_holds_noise(log: Callable[[], Log]) -> None:
@@ -185,6 +221,7 @@ def test_nothing_is_believed_when_flash_holds_noise(log: Callable[[], Log]) -> N
         x.chip.fill(FLASH_FAULT_RECORD.address, fill)
         assert x.boot().boots == 1
         assert x.pending is None
+        x.renew()
         assert x.boot(line=9).boots == 2
         assert x.pending == (2, 9)
 
@@ -251,22 +288,22 @@ def test_a_fault_stays_pending_when_its_acknowledgement_is_not_whole(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_log_goes_on_when_power_goes_while_the_full_one_is_erased(
-    log: Callable[[], Log], kind: int
-) -> None:
+def test_the_log_goes_on_when_power_goes_while_it_is_begun_anew(log: Callable[[], Log], kind: int) -> None:
     """Then, and only then, it may be lost; what it says is never false."""
     x = log()
-    for boot in range(ENTRIES):
-        x.boot(line=5 if boot == ENTRIES - 1 else 0)
+    x.fill(ENTRIES, line=5)
     before = x.chip.content
-    for at in range(1 + WORDS):
+    for at in range(1 + 2 * WORDS):
         for seed in range(4):
             x.chip.content = before
-            x.chip.cut(at, kind, 31 * at + seed)
             x.boot()
+            x.chip.cut(at, kind, 31 * at + seed)
+            x.renew()
             x.chip.power_on()
             boots = x.boot().boots
             assert boots in (1, *range(2, ENTRIES + 3))
-            assert x.pending in (None, (ENTRIES, 5), (ENTRIES + 1, 5))
+            assert x.pending in (None, (ENTRIES, 5))
+            if x.log.crowded:
+                x.renew()
             assert x.boot(line=8).boots == boots + 1
             assert x.pending == (boots + 1, 8)
