@@ -127,6 +127,7 @@ def command(name: str, args: argparse.Namespace, *words: str, throttle: object) 
         no_noise=args.no_noise,
         delay=args.delay,
         idle=args.idle,
+        battery=getattr(args, "battery", None),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
@@ -55,6 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_condition_arguments(parser, episodes=100)
     parser.add_argument("--throttle", type=float, default=0.0, metavar="T", help="pilot's thrust, 0..1")
+    parser.add_argument(
+        "--battery",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="CHARGE",
+        help="fly on the aircraft's battery, charged so far, 0..1 (1); default: the bench supply",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
     from training.evaluation.controllers import load_controller
     from training.evaluation.evaluation import figures
 
-    check_ranges(("--throttle", args.throttle, 0.0, 1.0))
-    flown = conditions(args)
+    check_ranges(("--throttle", args.throttle, 0.0, 1.0), ("--battery", args.battery, 0.0, 1.0))
+    flown = replace(conditions(args), charge=args.battery)
     controller = load_controller(args.controller, flown.aircraft, args.idle)
     with progress_bars(args) as bar:
         flights = flown.fly(controller, args.throttle, bar(f"{args.episodes} commands"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     if tuning.interrupted:
         print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
     checked = _fly_unseen(args, aircraft, tuning)
-    best = tuning.best.settings
+    best = replace(tuning.best.settings, nominal_voltage=aircraft.propulsion.supply_voltage)
     if args.write:
         name = args.aircraft
         source = FOLDER / f"{name}.toml" if name in shipped() else Path(name)

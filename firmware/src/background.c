@@ -194,8 +194,9 @@ static void background_run_battery(void *context)
 
 	hal->power_read(hal->context, &power);
 	battery_step(&background->battery, power.volts_mv, power.amps_mv, power.valid);
-	firmware_forbid(background->config.firmware, NF_ARMING_REASON_BATTERY_UNKNOWN,
-			battery_level(&background->battery) == BATTERY_UNKNOWN);
+	const bool known = battery_level(&background->battery) != BATTERY_UNKNOWN;
+	firmware_forbid(background->config.firmware, NF_ARMING_REASON_BATTERY_UNKNOWN, !known);
+	firmware_power(background->config.firmware, known ? background->battery.volts : 0.0f);
 }
 
 static uint32_t background_ms(const struct background *background)

@@ -353,6 +353,11 @@ void firmware_acknowledge(struct firmware *fw)
 	fence();
 }
 
+void firmware_power(struct firmware *fw, float voltage)
+{
+	pid_compensate(&fw->control.pid, voltage);
+}
+
 bool firmware_stopped(const struct firmware *fw)
 {
 	fence();

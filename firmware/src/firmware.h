@@ -99,6 +99,9 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
  * step finds the motors armed: then nothing happens. */
 void firmware_acknowledge(struct firmware *fw);
 
+/* From the background: the battery's voltage, filtered [V], 0 where it is not known. The PID flies by it. */
+void firmware_power(struct firmware *fw, float voltage);
+
 /* From the background: are the motors stopped, with no test and no command under way? */
 bool firmware_stopped(const struct firmware *fw);
 

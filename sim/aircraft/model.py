@@ -136,6 +136,9 @@ class PidSettings:
     idle: float  # fraction an armed motor turns at without thrust, which these gains were found with
     # Share of each motor in roll, pitch and yaw, which the gains were found with; None: from the geometry.
     mixer: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] | None = None
+    tpa_rate: float = 0.0  # part of K_D that full throttle takes away
+    tpa_breakpoint: float = 0.0  # throttle where that begins, 0..1
+    nominal_voltage: float | None = None  # [V] that the gains were found with; None: not compensated
 
 
 @dataclass(frozen=True)
@@ -419,6 +422,9 @@ def _pids(table: StrictTable, motors: int) -> tuple[tuple[str, PidSettings], ...
             derivative_cutoff_hz=_optional(pid, "derivative_cutoff_hz", 1, 1e5),
             idle=pid.number("idle", 0, 0.5, 0.0),
             mixer=_mixer(pid.table("mixer"), motors) if pid.has("mixer") else None,
+            tpa_rate=pid.number("tpa_rate", 0, 1, 0.0),
+            tpa_breakpoint=pid.number("tpa_breakpoint", 0, 0.99, 0.0),
+            nominal_voltage=_optional(pid, "nominal_voltage_v", 1, 1000),
         )
         pid.finish()
         pids.append((name, settings))

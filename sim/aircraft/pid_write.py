@@ -89,6 +89,10 @@ def _document(settings: PidSettings) -> dict[str, Any]:
     document: dict[str, Any] = {"idle": settings.idle}
     if settings.derivative_cutoff_hz is not None:
         document["derivative_cutoff_hz"] = settings.derivative_cutoff_hz
+    if settings.tpa_rate > 0.0:
+        document |= {"tpa_rate": settings.tpa_rate, "tpa_breakpoint": settings.tpa_breakpoint}
+    if settings.nominal_voltage is not None:
+        document["nominal_voltage_v"] = settings.nominal_voltage
     return document | {axis: list(gains) for axis, gains in zip(AXES, settings.gains, strict=True)}
 
 

@@ -1,9 +1,14 @@
 """The attitude-rate PID: the baseline that every policy is compared with.
 
-u_axis = (K_P e + K_I sum(e) dt - K_D d gyro/dt) / 1000 with the rate error e and the gyro in deg/s, spread
-over the motors by a mixer that follows from the geometry unless the settings name their own. The sum is
-then lifted until no motor is below zero, and narrowed if it spans more than the whole range: the
+u_axis = c (K_P e + K_I sum(e) dt - a K_D d gyro/dt) / 1000 with the rate error e and the gyro in deg/s,
+spread over the motors by a mixer that follows from the geometry unless the settings name their own. The sum
+is then lifted until no motor is below zero, and narrowed if it spans more than the whole range: the
 differences between motors, which turn the aircraft, stay.
+
+a is 1 up to a throttle, the breakpoint, and falls from there to 1 - rate at full throttle: that is where K_D
+swings first when the motors answer late. c is (nominal / measured)^2 of the battery's voltage, 1 to
+PID_COMPENSATION_MAX: rotor speed goes with the voltage, thrust with its square. Both are 1 where the settings
+do not name them.
 
 Three choices are ours. The derivative is the gyro's, not the error's: no kick when the sticks jump. It may
 be low-passed, as on every flight controller: bare, the NF1's gyro noise alone moves the motors by a tenth
@@ -22,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft, PidSettings
+from toolchain.contract import PID_COMPENSATION_MAX
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
@@ -71,6 +77,11 @@ class Pid:
         with np.errstate(divide="ignore"):
             self._integral_max = np.where(self._i > 0, INTEGRAL_OUTPUT_MAX / self._i, 0.0)
         self._smoothing = np.array([[self._share(item.derivative_cutoff_hz)] for item in each])
+        # A throttle is of float32, and one that equals the breakpoint is not above it.
+        self._breakpoint = np.array([[item.tpa_breakpoint] for item in each], np.float32).astype(np.float64)
+        self._tpa_slope = np.array([[item.tpa_rate / (1.0 - item.tpa_breakpoint)] for item in each])
+        self._nominal = np.array([[item.nominal_voltage or 0.0] for item in each])
+        self._compensation: float | Array = 1.0
         self._integral = np.zeros((count, 3))  # [deg]
         self._slope = np.zeros((count, 3))  # [deg/s^2], of the gyro, low-passed
         self._previous: Array | None = None  # gyro of the step before [deg/s]
@@ -80,22 +91,31 @@ class Pid:
         return 1.0 if cutoff_hz is None else 1.0 - math.exp(-2 * math.pi * cutoff_hz * self._dt)
 
     def reset(self) -> None:
-        """Clear integral and derivative; the derivative of the next step is zero."""
+        """Clear integral and derivative; the derivative of the next step is zero. The voltage stays."""
         self._integral[:] = 0.0
         self._slope[:] = 0.0
         self._previous = None
 
+    def compensate(self, voltage: Array) -> None:
+        """Fly from now on by the packs' voltages (count,) [V], as filtered; NaN where none is known."""
+        known = voltage > 0.0
+        ratio = self._nominal / np.where(known, voltage, 1.0)[:, None]
+        factor = (ratio * ratio).clip(1.0, PID_COMPENSATION_MAX)
+        self._compensation = np.where(known[:, None], factor, 1.0)
+
     def step(
         self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """See Controller; `throttle` is not used."""
+        """See Controller."""
         rate = np.rad2deg(gyro.astype(np.float64))
         error = np.rad2deg(setpoint.astype(np.float64)) - rate
         slope = 0.0 if self._previous is None else (rate - self._previous) / self._dt
         self._slope += self._smoothing * (slope - self._slope)
         self._previous = rate
         self._integral = np.clip(self._integral + error * self._dt, -self._integral_max, self._integral_max)
-        demand = self._p * error + self._i * self._integral - self._d * self._slope
+        above = np.maximum(throttle.astype(np.float64)[:, None] - self._breakpoint, 0.0)
+        d = (1.0 - self._tpa_slope * above) * self._d
+        demand = self._compensation * (self._p * error + self._i * self._integral - d * self._slope)
         y: NDArray[np.float32] = desaturated(demand @ self._mix.T).astype(np.float32)
         return y
 

@@ -24,6 +24,9 @@ def pid_table(aircraft: Aircraft) -> PidTable | None:
         derivative_cutoff_hz=settings.derivative_cutoff_hz,
         idle=settings.idle,
         mixer=mixer(aircraft) if settings.mixer is None else np.array(settings.mixer).T,
+        tpa_rate=settings.tpa_rate,
+        tpa_breakpoint=settings.tpa_breakpoint,
+        nominal_voltage=settings.nominal_voltage,
     )
 
 

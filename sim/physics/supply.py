@@ -67,6 +67,13 @@ class Supply:
             self._battery.reset(index, charge[index] if isinstance(charge, np.ndarray) else charge)
             library().lib.supply_update(self.state, self._count)
 
+    @property
+    def pack_voltage(self) -> Array:
+        """Voltage of each battery under load [V], (N,); NaN on the bench supply."""
+        if self._battery is None:
+            return np.full(self._count, math.nan)
+        return np.where(self._bench, math.nan, self._battery.voltage[:, 0])
+
     def telemetry(self, speed: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown."""
         power, at = np.empty(self._count), pointer(speed)

@@ -236,6 +236,11 @@ class Twin:
         return self._supply.telemetry(self.live.rotor_speed)
 
     @property
+    def pack_voltage(self) -> Array:
+        """Voltage of each battery under load [V], (N,), unrounded; NaN on the bench supply."""
+        return self._supply.pack_voltage
+
+    @property
     def variation(self) -> Variation | None:
         """How each aircraft differs from its file; None: not at all."""
         return self._variation

@@ -35,3 +35,10 @@ class DshotCommand(IntEnum):
 # its own, which it brings along.
 IDLE_DEFAULT = 0.0  # of policies that do not tell
 IDLE_MAX = 0.5
+
+# --- The battery, and the PID's answer to it -----------------------------------------------------
+BATTERY_RATE_HZ = 100  # of its measurements
+BATTERY_FILTER_S = 0.1  # of its low-pass: slower than the motors' current ripple, faster than a pilot
+# The PID's outputs grow as the pack sags, so far: down to 3.5 V a cell from a nominal 4.0. A voltage that is
+# read wrong makes the loop gain no larger than this, which the NF1's tuned PID flies at every throttle.
+PID_COMPENSATION_MAX = 1.3

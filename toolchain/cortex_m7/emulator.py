@@ -7,6 +7,7 @@ fault that names the function. The core and its floating point are unicorn's, wi
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -46,6 +47,7 @@ from unicorn.arm_const import (
     UC_ARM_REG_R1,
     UC_ARM_REG_R2,
     UC_ARM_REG_R3,
+    UC_ARM_REG_S0,
     UC_ARM_REG_SP,
     UC_CPU_ARM_CORTEX_M7,
 )
@@ -181,10 +183,17 @@ class CortexM7:
         """Put `data` into memory, constants included."""
         self._uc.mem_write(address, data)
 
-    def call(self, function: str, *arguments: int, instructions: int = INSTRUCTIONS_MAX) -> int:
+    def call(
+        self,
+        function: str,
+        *arguments: int,
+        number: float | None = None,
+        instructions: int = INSTRUCTIONS_MAX,
+    ) -> int:
         """Call `function` with up to four words. Returns r0.
 
-        instructions: after how many the call is given up.
+        number: its argument of type float, rounded to one; None: it has none. instructions: after how many
+        the call is given up.
         Raises FaultError when the call fails, BuildError when the program has no such function.
         """
         entry = self.program.symbol(function).address
@@ -194,6 +203,8 @@ class CortexM7:
             )
         for register, value in zip(ARGUMENTS, arguments, strict=False):
             self._uc.reg_write(register, value)
+        if number is not None:
+            self._uc.reg_write(UC_ARM_REG_S0, int.from_bytes(struct.pack("<f", number), "little"))
         self._uc.reg_write(UC_ARM_REG_SP, STACK.address + STACK.size)
         self._uc.reg_write(UC_ARM_REG_LR, RETURN | 1)
         self._bad_access = ""

@@ -27,6 +27,9 @@ class PidTable:
     derivative_cutoff_hz: float | None
     idle: float
     mixer: NDArray[np.float64]  # (M, 3): share of each motor in roll, pitch, yaw
+    tpa_rate: float = 0.0  # part of K_D that full throttle takes away
+    tpa_breakpoint: float = 0.0  # throttle where that begins, 0..1
+    nominal_voltage: float | None = None  # [V] that the gains were found with; None: not compensated
 
     @property
     def motor_count(self) -> int:
@@ -62,6 +65,9 @@ def _numbers(table: PidTable, control_rate_hz: int) -> dict[str, object]:
         "integral_max": _row(integral_max),
         "period_s": _float(1.0 / control_rate_hz),
         "smoothing": _float(smoothing),
+        "tpa_breakpoint": _float(table.tpa_breakpoint),
+        "tpa_slope": _float(table.tpa_rate / (1.0 - table.tpa_breakpoint)),
+        "nominal_voltage": _float(table.nominal_voltage or 0.0),
         "mixer": [_row(share) for share in table.mixer],
     }
 

@@ -87,6 +87,7 @@ class Conditions:
     seed: int  # of commands, noise and bias
     mount: Mount = Mount.CENTRE
     noise: bool = True
+    charge: float | None = None  # of every battery, 0..1; None: the bench supply
 
     def fly(
         self,
@@ -107,6 +108,7 @@ class Conditions:
             noise=self.noise,
             throttle=throttle,
             idle=controller.idle,
+            charge=self.charge if variation is None else None,
             variation=variation,
             progress=progress,
         )

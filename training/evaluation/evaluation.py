@@ -13,8 +13,10 @@ from sim.analysis.confidence import Mean, mean_of
 from sim.analysis.metrics import Effort, Tracking, effort, tracking
 from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_figures, response
 from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
+from sim.control.battery_voltage import BatteryVoltage
 from sim.control.controller import Controller, PolicyController
 from sim.control.motors import motor_commands
+from sim.control.pid import Pid
 from sim.physics.imu import quantised_rate
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
@@ -79,14 +81,16 @@ def record(
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
+    charge: float | None = None,
     variation: Variation | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
     controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
-    for all or (episodes,); variation: how the aircraft differ from their file, `episodes` of them; progress:
-    called with steps done and to do. The same seed gives every controller the same commands.
+    for all or (episodes,); charge: of every battery, 0..1, None: the bench supply, if no variation says it;
+    variation: how the aircraft differ from their file, `episodes` of them; progress: called with steps done
+    and to do. The same seed gives every controller the same commands.
     """
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     wanted = task.episodes(episodes, commands, control_rate_hz)
@@ -100,9 +104,11 @@ def record(
         rate_hz=control_rate_hz,
         mount=mount,
         noise=noise,
+        charge=charge,
         variation=variation,
         rng=noise_rng,
     )
+    battery = BatteryVoltage(control_rate_hz)
     try:
         controller.reset()
         for k in range(steps):
@@ -110,6 +116,8 @@ def record(
             flown[k] = twin.rate
             if isinstance(controller, PolicyController) and controller.senses:
                 controller.sense(twin.rotor_speed, twin.rotation)
+            if isinstance(controller, Pid) and battery.due(k):
+                controller.compensate(battery.measure(twin.pack_voltage))
             outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
             twin.step(motor_commands(y, thrust, idle))
             if progress is not None:

@@ -123,7 +123,7 @@ static bool control_answer(struct control *control, const struct control_input *
 	float observation[POLICY_OBSERVATION_COUNT];
 
 	if (control->flying == CONTROLLER_PID) {
-		pid_step(&control->pid, input->setpoint, input->rate, control->action);
+		pid_step(&control->pid, input->setpoint, input->rate, input->throttle, control->action);
 	} else {
 		observation_step(&control->observation, &seen, observation);
 		policy_step(&control->policy, observation, control->action);

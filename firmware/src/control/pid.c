@@ -1,10 +1,11 @@
 #include "control/pid.h"
 
 #include "common/limit.h"
+#include "nf_contract.h"
 
 void pid_init(struct pid *pid, const struct pid_gains *gains)
 {
-	*pid = (struct pid){ .gains = gains };
+	*pid = (struct pid){ .gains = gains, .compensation = 1.0f };
 	pid_reset(pid);
 }
 
@@ -18,8 +19,25 @@ void pid_reset(struct pid *pid)
 	}
 }
 
-/* Demand of an axis to a motor whose share in it is 1. */
-static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate)
+/* One store of a word: a control step that interrupts sees the old or the new one. */
+void pid_compensate(struct pid *pid, float voltage)
+{
+	const float nominal = pid->gains->nominal_voltage;
+	const float ratio = nominal > 0.0f && voltage > 0.0f ? nominal / voltage : 1.0f;
+
+	pid->compensation = limit(ratio * ratio, 1.0f, NF_PID_COMPENSATION_MAX);
+}
+
+/* Of D, by the throttle; exactly 1 up to the breakpoint. P and I stay: they hold the axis, and do not make the noise. */
+static float pid_attenuation(const struct pid_gains *gains, float throttle)
+{
+	const float above = throttle - gains->tpa_breakpoint;
+
+	return above > 0.0f ? 1.0f - gains->tpa_slope * above : 1.0f;
+}
+
+/* Demand of an axis to a motor whose share in it is 1. attenuation: of D. */
+static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate, float attenuation)
 {
 	const struct pid_gains *g = pid->gains;
 	const float error = setpoint - rate;
@@ -28,7 +46,7 @@ static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate)
 	pid->slope[i] += g->smoothing * (slope - pid->slope[i]);
 	pid->rate[i] = rate;
 	pid->integral[i] = limit(pid->integral[i] + error * g->period_s, -g->integral_max[i], g->integral_max[i]);
-	return g->p[i] * error + g->i[i] * pid->integral[i] - g->d[i] * pid->slope[i];
+	return g->p[i] * error + g->i[i] * pid->integral[i] - attenuation * g->d[i] * pid->slope[i];
 }
 
 /* Moves demands into 0..1: scaled where they span more than 1, raised until none is below 0, clipped at 1. */
@@ -46,12 +64,15 @@ static void pid_desaturate(float demand[POLICY_ACTION_COUNT])
 		demand[i] = limit((demand[i] + lift) / span, 0.0f, 1.0f);
 }
 
-void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float action[POLICY_ACTION_COUNT])
+void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float throttle,
+	      float action[POLICY_ACTION_COUNT])
 {
+	const float attenuation = pid_attenuation(pid->gains, throttle);
+	const float compensation = pid->compensation;
 	float axes[3];
 
 	for (int i = 0; i < 3; ++i)
-		axes[i] = pid_axis_step(pid, i, setpoint[i], rate[i]);
+		axes[i] = compensation * pid_axis_step(pid, i, setpoint[i], rate[i], attenuation);
 	pid->first = false;
 	for (int m = 0; m < POLICY_ACTION_COUNT; ++m) {
 		const float *share = pid->gains->mixer[m];

@@ -1,7 +1,8 @@
 /* PID: the classical controller that stands beside the policy, with the aircraft's gains built in.
  *
- * y = mixer (P e + I sum(e) dt - D d rate/dt), lifted and narrowed into 0..1 so that differences survive. The
- * integral is clamped, the derivative is that of the rate through a first-order low-pass. The same law as
+ * y = mixer c (P e + I sum(e) dt - a D d rate/dt), lifted and narrowed into 0..1 so that differences survive. The
+ * integral is clamped, the derivative is that of the rate through a first-order low-pass. a, the throttle's attenuation,
+ * falls from 1 above a throttle; c, the battery's compensation, rises from 1 as the pack sags. The same law as
  * sim/control/pid.py. */
 #ifndef NF_PID_H
 #define NF_PID_H
@@ -19,6 +20,9 @@ struct pid_gains {
 	float integral_max[3];     /* rad */
 	float period_s;            /* of a control step */
 	float smoothing;           /* part of a new derivative that its low-pass takes over in a step, (0, 1] */
+	float tpa_breakpoint;      /* throttle above which D falls, 0..1 */
+	float tpa_slope;           /* by how much of it a unit of throttle; 0: it stays */
+	float nominal_voltage;     /* of the pack that the gains were found with [V]; 0: another is not compensated */
 	float mixer[POLICY_ACTION_COUNT][3]; /* share of each motor in roll, pitch, yaw */
 };
 
@@ -27,6 +31,7 @@ extern const struct pid_gains pid_gains_built_in;
 
 struct pid {
 	const struct pid_gains *gains;
+	volatile float compensation; /* of the pack's voltage, 1 to NF_PID_COMPENSATION_MAX; from the background */
 	bool first;                /* no step since the reset: there is no derivative yet */
 	float integral[3];         /* rad */
 	float rate[3];             /* rad/s, of the last step */
@@ -36,10 +41,19 @@ struct pid {
 /* `gains` must outlive the PID. */
 void pid_init(struct pid *pid, const struct pid_gains *gains);
 
-/* Forgets the past. */
+/* Forgets the past; the battery's voltage stays. */
 void pid_reset(struct pid *pid);
 
-/* One control step. setpoint, rate: rad/s, body axes. Writes motor fractions 0..1, before the throttle. */
-void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float action[POLICY_ACTION_COUNT]);
+/* From the background: the pack's voltage, filtered [V]; 0 or NaN where it is not known: no compensation.
+ *
+ * A rotor settles at a speed that goes with the voltage, its thrust with the square of the speed: the moment that an
+ * output gives goes with the square of the voltage. Outputs are multiplied by (nominal / voltage)^2, at least 1, so that
+ * a fuller pack than the nominal one flies the gains as they are, and at most NF_PID_COMPENSATION_MAX. */
+void pid_compensate(struct pid *pid, float voltage);
+
+/* One control step. setpoint, rate: rad/s, body axes; throttle: 0..1. Writes motor fractions 0..1, before the
+ * throttle. */
+void pid_step(struct pid *pid, const float setpoint[3], const float rate[3], float throttle,
+	      float action[POLICY_ACTION_COUNT]);
 
 #endif

@@ -7,7 +7,7 @@
 #define MILLI 1000.0f
 
 /* Gains of first-order low-passes; period / (period + time constant). */
-#define FILTER (PERIOD / (PERIOD + 0.1f)) /* 0.1 s: slower than the motors' current ripple, faster than a pilot */
+#define FILTER (PERIOD / (PERIOD + NF_BATTERY_FILTER_S))
 #define REST (PERIOD / (PERIOD + 30.0f)) /* 30 s: slower than a manoeuvre, faster than the pack's discharge */
 
 #define CELL_FULL_V 4.35f /* and a hair: a charged LiHV cell */

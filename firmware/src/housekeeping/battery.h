@@ -7,7 +7,7 @@
 
 #include "nf_contract.h"
 
-#define BATTERY_RATE_HZ 100 /* of battery_step */
+#define BATTERY_RATE_HZ NF_BATTERY_RATE_HZ /* of battery_step */
 
 enum battery_level {
 	BATTERY_UNKNOWN, /* not measured, or no pack: USB alone */

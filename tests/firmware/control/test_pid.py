@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from sim.aircraft.model import PidSettings, load_aircraft
 from sim.control.pid import Pid, aircraft_pid, mixer
 from sim.control.pid_table import named_pid_table, shipped_pid_table
+from toolchain.contract import PID_COMPENSATION_MAX
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 STEPS = 3000
@@ -29,11 +31,11 @@ def flight(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return setpoint.astype(np.float32), rate.astype(np.float32)
 
 
-def stepped(core: Any, pid: Any, setpoint: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def stepped(core: Any, pid: Any, setpoint: np.ndarray, rate: np.ndarray, throttle: float = 0.0) -> np.ndarray:
     out = core.new("float[4]")
     rows = []
     for s, r in zip(setpoint.tolist(), rate.tolist(), strict=True):
-        core.lib.pid_step(pid, core.new("float[3]", s), core.new("float[3]", r), out)
+        core.lib.pid_step(pid, core.new("float[3]", s), core.new("float[3]", r), throttle, out)
         rows.append(list(out))
     return np.array(rows)
 
@@ -61,6 +63,70 @@ def test_the_built_in_pid_is_the_tuned_one_when_it_flies_at_random(reference_cor
         [peer.step(s[None], r[None], still) for s, r in zip(setpoint[:50], rate, strict=False)]
     )
     assert np.abs(stepped(core, pid, setpoint[:50], rate[:50]) - again).max() <= TOLERANCE
+
+
+def built_in(core: Any, **changed: float) -> Any:
+    """The built-in gains, or a copy with these members changed."""
+    gains = core.new("struct pid_gains *", core.lib.pid_gains_built_in)
+    for name, value in changed.items():
+        setattr(gains, name, value)
+    return gains
+
+
+@pytest.mark.parametrize("throttle", [0.0, 0.3, 0.6, 0.61, 0.9, 1.0])
+@pytest.mark.parametrize("volts", [math.nan, 16.8, 16.0, 15.2, 14.2, 12.0])
+def test_c_follows_throttle_and_battery_as_the_twins_pid_does(
+    reference_core: Any, throttle: float, volts: float
+) -> None:
+    core, gains = reference_core, built_in(reference_core)
+    pid = core.new("struct pid *")
+    core.lib.pid_init(pid, gains)
+    core.lib.pid_compensate(pid, volts)
+    peer = aircraft_pid(load_aircraft("nf1"), 1, RATE_HZ)
+    peer.compensate(np.array([volts]))
+    setpoint, rate = (part[:600] for part in flight(np.random.default_rng(7)))
+    thrust = np.full(1, throttle, np.float32)
+    expected = np.concatenate(
+        [peer.step(s[None], r[None], thrust) for s, r in zip(setpoint, rate, strict=True)]
+    )
+    got = stepped(core, pid, setpoint, rate, throttle)
+    assert np.abs(got - expected).max() <= TOLERANCE
+    bare = core.new("struct pid *")
+    plain = built_in(core, tpa_slope=0.0, nominal_voltage=0.0)
+    core.lib.pid_init(bare, plain)
+    core.lib.pid_compensate(bare, volts)
+    unchanged = got.tobytes() == stepped(core, bare, setpoint, rate, throttle).tobytes()
+    assert unchanged == (throttle <= np.float32(0.6) and not volts < 16.0), "1 exactly, or it acts"
+
+
+@pytest.mark.parametrize(
+    ("volts", "factor"),
+    [
+        (0.0, 1.0),
+        (-1.0, 1.0),
+        (math.nan, 1.0),
+        (-math.inf, 1.0),
+        (math.inf, 1.0),
+        (25.2, 1.0),
+        (16.0, 1.0),
+        (15.0, (16 / 15) ** 2),
+        (14.1, (16 / 14.1) ** 2),
+        (13.9, PID_COMPENSATION_MAX),
+        (1e-30, PID_COMPENSATION_MAX),
+    ],
+)
+def test_the_compensation_stays_in_its_range_whatever_the_battery_says(
+    reference_core: Any, volts: float, factor: float
+) -> None:
+    core, gains = reference_core, built_in(reference_core)
+    pid = core.new("struct pid *")
+    core.lib.pid_init(pid, gains)
+    assert pid.compensation == 1.0
+    core.lib.pid_compensate(pid, volts)
+    assert pid.compensation == pytest.approx(factor, rel=1e-6)
+    assert (pid.compensation == 1.0) == (factor == 1.0)
+    core.lib.pid_reset(pid)
+    assert pid.compensation == pytest.approx(factor, rel=1e-6), "the battery outlives a flight"
 
 
 def built(core: Any, settings: PidSettings, mix: np.ndarray) -> Any:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.control.battery_voltage import BatteryVoltage
+
 UNKNOWN, GOOD, WARN, LOW = range(4)
 RATE_HZ = 100
 SCALE = 11.0  # of the divider, as set by default
@@ -55,6 +57,16 @@ Make = Callable[..., Battery]
 @pytest.fixture
 def make(scripted: Any) -> Make:
     return lambda **settings: Battery(scripted, **settings)
+
+
+def test_the_twins_voltage_is_the_firmwares_when_a_pack_sags(make: Make) -> None:
+    firmware, twin = make(battery_cells=4), BatteryVoltage(1000)
+    for step in range(3000):
+        if twin.due(step):
+            volts = 16.6 if step < 500 else 14.3 if step < 2000 else 15.9
+            firmware.run(volts, 1 / RATE_HZ)
+            (filtered,) = twin.measure(np.array([volts]))
+            assert firmware.struct.volts == pytest.approx(filtered, abs=0.01)
 
 
 @pytest.mark.parametrize("cells", range(1, 7))

@@ -69,6 +69,10 @@ class Board:
         self._core.write(address, data)
         return address
 
+    def power(self, voltage: float) -> None:
+        """What the background has measured."""
+        self._core.call("firmware_power", self.firmware, number=voltage)
+
     def step(self, frame: bytes, sample: bytes) -> tuple[bytes, bytes]:
         """One control step; returns the DShot values and the trace, as they lie in memory."""
         self._core.write(self._argument, frame)
@@ -103,6 +107,9 @@ class Host:
     def pid_bytes(self) -> bytes:
         return bytes(self._core.ffi.buffer(self._pid))
 
+    def power(self, voltage: float) -> None:
+        self._core.lib.firmware_power(self.firmware, voltage)
+
     def weights_bytes(self) -> bytes:
         return bytes(self._core.ffi.buffer(self._core.lib.policy_weights))
 
@@ -131,8 +138,9 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
     host: Host,
     sbus: Any,
 ) -> None:
-    rng = np.random.default_rng(31)
+    rng, power = np.random.default_rng(31), np.random.default_rng(32)
     values: set[bytes] = set()
+    voltages: list[float] = []
     for step in range(BOOT_STEPS + FLIGHT_STEPS):
         flying = step >= BOOT_STEPS
         sigma = 10 if not flying else 10 ** rng.uniform(0, 4)
@@ -145,11 +153,17 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         if flying and step == BOOT_STEPS:
             frame = sbus([992, 992, 192, 992, 1792, *[992] * 11])
         sample = sample_bytes(step, (x, y, z))
+        if step % 10 == 0:
+            voltages.append(power.choice([0.0, power.uniform(12.5, 17.0)]))
+            host.power(voltages[-1])
+            board.power(voltages[-1])
         ours, theirs = host.step(frame, sample), board.step(frame, sample)
         assert ours == theirs, f"step {step}"
         values.add(ours[0])
         assert (ours[0] != bytes(8)) == flying, f"armed from step {BOOT_STEPS} on, and only then: {step}"
     assert len(values) > FLIGHT_STEPS / 2, "the outputs must have moved"
+    sagging = [voltage for voltage in voltages[-FLIGHT_STEPS // 10 :] if 14.0 < voltage < 16.0]
+    assert len(sagging) > 5, "the PID must have flown by packs that sag"
 
 
 class BoardObservation:

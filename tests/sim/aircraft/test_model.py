@@ -407,6 +407,7 @@ roll = [1, 1, 0]
 pitch = [1, 1, 0]
 yaw = [1, 1, 0]
 derivative_cutoff_hz = 80
+nominal_voltage_v = 15
 [pid.NAME.mixer]
 roll = [-1, -1, 1, 1]
 pitch = [1, -1, 1, -1]

@@ -1,5 +1,6 @@
 """A PID's settings into aircraft files as people write them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,14 @@ def test_table_is_replaced_where_it_stands_when_it_is_there(tmp_path: Path) -> N
     other = PidSettings(((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)), None, 0.0)
     assert written(tmp_path, written(tmp_path, first, other)) == first
     assert load_aircraft(tmp_path / "target.toml").pids[0][1] == SETTINGS
+
+
+def test_attenuation_and_nominal_voltage_are_written_when_they_are_known(tmp_path: Path) -> None:
+    settings = replace(SETTINGS, tpa_rate=0.2, tpa_breakpoint=0.5, nominal_voltage=14.8)
+    assert "tpa_rate = 0.2\ntpa_breakpoint = 0.5\nnominal_voltage_v = 14.8\n" in written(
+        tmp_path, BARE, settings
+    )
+    assert load_aircraft(tmp_path / "target.toml").pids[0][1] == settings
 
 
 def test_comment_of_a_person_stays_when_the_table_below_it_is_replaced(tmp_path: Path) -> None:

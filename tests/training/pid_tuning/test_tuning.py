@@ -148,7 +148,8 @@ def test_command_writes_the_settings_of_the_same_search(
     assert document["candidates"] == POPULATION
     first = [tuning.start, *tuning.trials[:POPULATION]]
     settings = pid_settings(load_aircraft(target), "mine")
-    assert settings == min(first, key=lambda trial: trial.cost).settings
+    found = min(first, key=lambda trial: trial.cost).settings
+    assert settings == dataclasses.replace(found, nominal_voltage=NF1.propulsion.supply_voltage)
     assert [document["settings"][axis] for axis in AXES] == [list(gains) for gains in settings.gains]
     assert "neuroflight tune-pid --aircraft nf1 --seed 3 --commands 2 --budget 16" in target.read_text()
     assert plot.read_bytes().startswith(b"\x89PNG")

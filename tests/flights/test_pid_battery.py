@@ -1,0 +1,101 @@
+"""The firmware's PID on a battery: it measures the pack of the twin, and its outputs follow the voltage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.analysis.metrics import Figures, figures
+from sim.control.pid import pid_settings
+from sim.flight.loop import fly
+from sim.flight.scenario import load_scenario
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.ports.port import Reply, Sample
+
+NF1 = load_aircraft("nf1")
+IDLE = pid_settings(NF1).idle
+COUNT, THROTTLE, RATE_HZ = 8, 0.8, 1000
+
+
+class PowerPort(ReferencePort):
+    """The library that is told a voltage before each sample, as the host program over its socket."""
+
+    def __init__(self, library: Path, twin: Twin, volts: float | None, *, breaks: bool) -> None:
+        """volts: told at every sample; None: the twin's pack; breaks: nothing is measured once armed."""
+        super().__init__(library, RATE_HZ, {"battery_cells": 4})
+        self._twin, self._volts, self._breaks = twin, volts, breaks
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort."""
+        volts = float(self._twin.pack_voltage[0]) if self._volts is None else self._volts
+        self.reference.power(volts, 0.0)
+        reply = super().exchange(sample, channels_us)
+        if self._breaks and reply.armed:
+            self._volts = math.nan
+        return reply
+
+
+def flown(
+    library: Path, rest_voltage: float | None, told: float | str | None, *, breaks: bool = False
+) -> Trace:
+    """Pulses under the PID at a high throttle.
+
+    rest_voltage: of a full pack, None: the bench supply; told: voltage [V], "pack" for the twin's, None: no
+    word.
+    """
+    aircraft: Aircraft = NF1
+    if rest_voltage is not None:
+        assert NF1.battery is not None
+        aircraft = replace(NF1, battery=replace(NF1.battery, rest_voltage=rest_voltage))
+    scenario = load_scenario("pulses", 20_002, count=COUNT).under_pid()
+    segments = tuple(replace(segment, throttle=THROTTLE) for segment in scenario.segments)
+    charge = None if rest_voltage is None else 1.0
+    twin = Twin(aircraft, rate_hz=RATE_HZ, charge=charge, rng=np.random.default_rng(4))
+    if told is None:
+        port = ReferencePort(library, RATE_HZ, {"battery_cells": 4})
+    else:
+        port = PowerPort(library, twin, None if told == "pack" else float(told), breaks=breaks)
+    with closing(port), closing(twin):
+        return fly(twin, port, replace(scenario, segments=segments))
+
+
+def figures_of(trace: Trace) -> Figures:
+    return figures(trace, COUNT, IDLE)
+
+
+def test_the_pid_flies_an_empty_pack_as_the_nominal_one_when_it_measures_it(reference_library: Path) -> None:
+    nominal = figures_of(flown(reference_library, None, None))
+    unaware = figures_of(flown(reference_library, 13.2, None))
+    aware = figures_of(flown(reference_library, 13.2, "pack"))
+    errors = [float(each.tracking.mae.mean()) for each in (nominal, unaware, aware)]
+    print("MAE deg/s nominal, sagging unaware, sagging aware:", np.round(errors, 3))
+    assert errors[1] > 1.1 * errors[0], "the pack must matter"
+    assert errors[2] < 1.05 * errors[0]
+    assert aware.effort.change < 1.35 * nominal.effort.change
+
+
+@pytest.mark.parametrize("volts", [16.05, 16.8, 17.4])
+def test_the_pid_flies_the_same_bits_when_the_pack_is_full(reference_library: Path, volts: float) -> None:
+    silent = flown(reference_library, None, None)
+    told = flown(reference_library, None, volts)
+    assert told.dshot.tobytes() == silent.dshot.tobytes()
+
+
+def test_the_pid_flies_its_own_gains_when_the_battery_is_not_measured_any_more(
+    reference_library: Path,
+) -> None:
+    changes = [
+        figures_of(flown(reference_library, None, volts, breaks=breaks)).effort.change
+        for volts, breaks in ((None, False), (13.0, False), (13.0, True))
+    ]
+    assert changes[1] == pytest.approx(1.3 * changes[0], rel=0.03), "a voltage that is read wrong is limited"
+    assert changes[2] == pytest.approx(changes[0], rel=0.03)
