@@ -2,10 +2,26 @@
 #ifndef HOST_FLASH_FILE_H
 #define HOST_FLASH_FILE_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
-/* NF_FLASH_BYTES of flash in the file `path`, which is made, erased, if there is none; what is written to them is in
- * the file at once. `path` NULL: erased memory. Returns NULL after one line on stderr if that fails. */
-uint8_t *flash_file_open(const char *path);
+#include "storage/flash.h"
+
+struct flash_file {
+	const char *path;
+	int file;           /* locked while the program runs; -1: memory alone */
+	bool behind;        /* the file lacks bytes of the memory: the next change writes all of them */
+	bool complained;    /* of a change that did not reach the file */
+	uint8_t *bytes;     /* NF_FLASH_BYTES */
+	struct flash model; /* over `bytes` */
+};
+
+/* NF_FLASH_BYTES of flash at `bytes`, read from the file `path`, which is made, erased, if there is none. The file is
+ * this program's alone until it ends. `path` NULL: erased memory. Returns false after one line on stderr. */
+bool flash_file_open(struct flash_file *flash, const char *path);
+
+/* `model`, a flash model over `bytes`, for the core: what it changes is in the file at once. Where the file does not
+ * take it, erasing and programming fail. `flash` must outlive what it is handed to. */
+struct flash flash_file_interface(struct flash_file *flash, const struct flash *model);
 
 #endif

@@ -24,6 +24,7 @@ static struct host {
 	struct options options;
 	struct link link;
 	struct msp_tcp tcp;
+	struct flash_file flash;
 	struct host_board board;
 	struct hal hal;              /* of the board */
 	double time_s;               /* of the last state packet; NaN: there was none */
@@ -100,11 +101,11 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	host_hold_signals();
 	if (host.options.with_parent)
 		prctl(PR_SET_PDEATHSIG, SIGTERM);
-	uint8_t *flash = flash_file_open(host.options.settings);
-	if (!flash)
+	if (!flash_file_open(&host.flash, host.options.settings))
 		return 1;
-	host_board_init(&host.board, flash);
+	host_board_init(&host.board, host.flash.bytes);
 	host.hal = host_board_hal(&host.board);
+	host.hal.flash = flash_file_interface(&host.flash, &host.hal.flash);
 	host.hal.trace_write = host_trace_write;
 	host.hal.cycles = host_cycles;
 	host.hal.reset = host_reset;
@@ -187,11 +188,16 @@ static void host_spin(const struct hal_handlers *handlers)
 	}
 }
 
-static void host_print_ready(void)
+/* Returns whether whoever started the program can read it. */
+static bool host_print_ready(void)
 {
 	printf("ready state=%u receiver=%u power=%u msp=%u\n", link_port(host.link.state),
 	       link_port(host.link.receiver), link_port(host.link.power), link_port(host.tcp.listener));
-	fflush(stdout);
+	if (fflush(stdout) == 0)
+		return true;
+	fprintf(stderr, "neuroflight: cannot write to stdout: %s; give it a place for the line \"ready\"\n",
+		strerror(errno));
+	return false;
 }
 
 static void host_print_problems(void)
@@ -205,10 +211,9 @@ static void host_print_problems(void)
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
 	(void)settings;
-	int code = 0;
+	int code = host_print_ready() ? 0 : 1;
 
-	host_print_ready();
-	while (!ended) {
+	while (!ended && code == 0) {
 		const struct timespec now = { 0 };
 		struct pollfd wait[] = {
 			{ .fd = host.link.state, .events = POLLIN },
