@@ -35,6 +35,10 @@ class TrainingError(NeuroflightError):
     """A training configuration that cannot be run."""
 
 
+class InUseError(NeuroflightError):
+    """Something that another process uses at the moment."""
+
+
 class TraceError(NeuroflightError):
     """A recorded flight that is damaged or not one."""
 
