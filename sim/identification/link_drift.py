@@ -21,11 +21,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft.mass import MassProperties, mass_properties, principal
 from sim.aircraft.model import Aircraft
+from sim.physics.bullet import pybullet
 from sim.physics.rotation import quaternion, roll_pitch_yaw
 from sim.physics.rotor import speeds_along, target_speed, thrust_and_torque
 from toolchain.contract import GYRO_FULL_SCALE_DEG_S

@@ -6,10 +6,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
+from sim.physics.bullet import pybullet
 from sim.physics.rotation import quaternion, roll_pitch_yaw
 
 Array = NDArray[np.float64]

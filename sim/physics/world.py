@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
 from sim.physics.bodies import AIRCRAFT, GROUND, create_box, create_ground, load_rig, resting_height
+from sim.physics.bullet import pybullet
 from sim.physics.library import assign, library, pointer, struct
 from sim.physics.rotation import cross_matrix, quaternion
 from toolchain.contract import GRAVITY
