@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from toolchain import contract
 from toolchain.errors import PolicyError
+from toolchain.files import file_size
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
@@ -57,13 +58,17 @@ def freeze(checkpoint: Path, out: Path) -> None:
         data = to_onnx(config, state, progress)
     except PolicyError as error:
         raise PolicyError(f"{checkpoint}: {error}") from error
+    except RecursionError as error:
+        raise PolicyError(
+            f"{checkpoint} is a damaged checkpoint: its configuration is nested too deeply"
+        ) from error
     write_bytes(out, data)
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
     """Configuration, policy weights and progress of a checkpoint. Loads plain data only, never code."""
     try:
-        if (size := path.stat().st_size) > contract.CHECKPOINT_FILE_BYTES_MAX:
+        if (size := file_size(path)) > contract.CHECKPOINT_FILE_BYTES_MAX:
             raise PolicyError(
                 f"{path} is {size} bytes, expected at most {contract.CHECKPOINT_FILE_BYTES_MAX}"
             )
@@ -79,15 +84,20 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]
         config, state = json.loads(content["config"]), dict(content["state_dict"])
         arrays = {str(name): np.asarray(tensor.detach().cpu()) for name, tensor in state.items()}
         return dict(config), arrays, dict(content.get("progress", {}))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        # RuntimeError: lists within lists without end, or tensors that torch has no values of
         raise PolicyError(f"{path} is a damaged checkpoint: {type(error).__name__} {error}") from error
 
 
 def _unpickle(file: BinaryIO, path: Path) -> Any:  # noqa: ANN401
+    import warnings
+
     import torch
 
     try:
-        return torch.load(file, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
+            return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch documents no set of errors for a file that is not its own
         raise PolicyError(f"{path} is no checkpoint: torch cannot load it as plain data") from error
 
@@ -168,7 +178,7 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
         blocks = contract.observation_blocks(frozen.observation)
     except KeyError as error:
         raise PolicyError(f"the checkpoint's configuration lacks {error.args[0]!r}") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:  # OverflowError: an infinite whole number
         raise PolicyError(f"the checkpoint's configuration is damaged: {error}") from error
     if frozen.activation not in ACTIVATIONS:
         raise PolicyError(f"activation is {frozen.activation!r}, expected {' or '.join(ACTIVATIONS)}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from toolchain import contract
 from toolchain.errors import PolicyError
-from toolchain.files import write_bytes
+from toolchain.files import file_size, write_bytes
 from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
 from toolchain.reader.checks import check_parts
 from toolchain.reader.external import embed_weights
@@ -43,6 +43,7 @@ class PolicyClaims:
 def is_checkpoint(path: Path) -> bool:
     """Whether the file is torch's rather than an ONNX model. Raises PolicyError when it is neither."""
     try:
+        file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
             if file.read(2).startswith(CHECKPOINT_STARTS):
                 return True

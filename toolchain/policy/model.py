@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 from toolchain import contract
 from toolchain.contract import ObservationTerm
 from toolchain.errors import PolicyError
+from toolchain.files import file_size
 from toolchain.ir.network import Network
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def read_policy(path: Path) -> PolicyModel:
 def read_file(path: Path) -> bytes:
     """The bytes of an ONNX file. Raises PolicyError when it is missing or larger than any policy."""
     try:
-        if (size := path.stat().st_size) > contract.POLICY_FILE_BYTES_MAX:
+        if (size := file_size(path)) > contract.POLICY_FILE_BYTES_MAX:
             raise PolicyError(
                 f"{path} is {size} bytes, expected at most {contract.POLICY_FILE_BYTES_MAX}; is it a policy?"
             )

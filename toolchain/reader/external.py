@@ -9,6 +9,7 @@ from onnx import TensorProto
 
 from toolchain.contract import POLICY_FILE_BYTES_MAX
 from toolchain.errors import PolicyError
+from toolchain.files import file_size
 from toolchain.reader.values import shown
 
 
@@ -18,6 +19,7 @@ def embed_weights(model: onnx.ModelProto, folder: Path) -> list[str]:
     Raises PolicyError for a file elsewhere, a missing or a large one, and for weights beyond its end.
     """
     files: dict[str, bytes] = {}
+    left = POLICY_FILE_BYTES_MAX  # bytes: many tensors may name the same ones, and each gets a copy
     for tensor in model.graph.initializer:
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
@@ -25,18 +27,26 @@ def embed_weights(model: onnx.ModelProto, folder: Path) -> list[str]:
         name = entries.get("location", "")
         if name not in files:
             files[name] = _read(folder, name, POLICY_FILE_BYTES_MAX - sum(map(len, files.values())))
-        tensor.raw_data = _part(files[name], entries, tensor.name)
+        part = _part(files[name], entries, tensor.name)
+        left -= len(part)
+        if left < 0:
+            raise PolicyError(
+                f"the initializers up to {shown(tensor.name)} take more than {POLICY_FILE_BYTES_MAX} bytes "
+                f"of {', '.join(map(shown, files))}; is it a policy?"
+            )
+        tensor.raw_data = part
         tensor.data_location = TensorProto.DEFAULT
         del tensor.external_data[:]
     return list(files)
 
 
 def _read(folder: Path, name: str, limit: int) -> bytes:
-    path = folder / name
-    if not isinstance(name, str) or not name.isprintable() or path.name != name:
+    # protobuf gives bytes instead of str for what is not UTF-8
+    if not isinstance(name, str) or not name or not name.isprintable() or Path(name).name != name:
         raise PolicyError(f"the model keeps weights in {shown(str(name))}, expected a file beside it")
+    path = folder / name
     try:
-        if (size := path.stat().st_size) > limit:
+        if (size := file_size(path)) > limit:
             raise PolicyError(f"{path} is {size} bytes, expected at most {limit}; is it a policy?")
         return path.read_bytes()
     except OSError as error:

@@ -27,6 +27,8 @@ from toolchain.reader.values import (
     shown,
 )
 
+FOLDED_BYTES_MAX = 256 << 20  # of all constants that nodes compute: memory, not a board's limit
+
 
 def read_network(model: onnx.ModelProto) -> Network:
     """The network of `model`; it ends with a Clip within [0, 1]. Raises PolicyError."""
@@ -41,9 +43,13 @@ def read_network(model: onnx.ModelProto) -> Network:
         tensor.name: array(tensor, f"initializer {shown(tensor.name)}") for tensor in graph.initializer
     }
     values[POLICY_INPUT] = Row(0, (1, width))
+    folded = 0  # bytes of what nodes compute from constants
     for node in graph.node:
         call = _call(node, values)
         results = _read(build, call)
+        folded += sum(result.nbytes for result in results if isinstance(result, np.ndarray))
+        if folded > FOLDED_BYTES_MAX:
+            raise call.error(f"makes it more than {FOLDED_BYTES_MAX} bytes of constants; is it a policy?")
         if len(results) < len(node.output):
             raise call.error(f"has {len(node.output)} outputs, expected {len(results)}")
         values.update((name, result) for name, result in zip(node.output, results, strict=False) if name)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import torch
 
 from toolchain.contract import CHECKPOINT_FILE_BYTES_MAX, CHECKPOINT_FORMAT, CHECKPOINT_VERSION
 from toolchain.errors import TrainingError
-from toolchain.files import write_bytes
+from toolchain.files import file_size, write_bytes
 from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
@@ -104,10 +105,12 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
     """The run to resume. Raises TrainingError if there is none, or it has another configuration."""
     if not path.is_file():
         raise TrainingError(f"nothing to resume: {path} does not exist; start without --resume")
-    if (size := path.stat().st_size) > CHECKPOINT_FILE_BYTES_MAX:
+    if (size := file_size(path)) > CHECKPOINT_FILE_BYTES_MAX:
         raise TrainingError(f"{path} is {size} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
+            content = torch.load(path, map_location="cpu", weights_only=True)
         form = content["format"], content["version"]
         config = json.loads(content["config"])
         progress = content["progress"]

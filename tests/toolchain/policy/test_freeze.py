@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,7 @@ BAD_CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "lacks the tensor 'mlp_extractor.policy_net.4.weight'": {"hidden": [64, 64, 64]},
     "neuroflight.aircraft is 'n f/1'": {"aircraft": {"name": "n f/1", "sha256": "ab" * 32}},
     "configuration is damaged": {"motors": "four"},
+    "configuration is damaged: cannot convert float infinity": {"control_rate_hz": float("inf")},
     "neuroflight.idle is '0.75', expected a motor fraction of 0 to 0.5": {"idle": 0.75},
     "unknown observation block 'rate error'": {"observation": "rate error"},
     "weights of layer 0 hold NaN or infinite values": {"observation_scale": [1e300] * 6},
@@ -250,3 +252,34 @@ def test_old_policy_stays_when_its_successor_is_refused(tmp_path: Path) -> None:
         freeze(tmp_path / "checkpoint.pt", out)
     assert out.read_bytes() == before
     assert parse_policy(before).action_count == 4
+
+
+BOTTOMLESS = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"config": BOTTOMLESS},
+        {"config": f'{{"filters": {BOTTOMLESS}}}'},
+        {"state_dict": {"action_net.bias": torch.empty(4, device="meta")}},
+    ],
+    ids=["nested", "nested entry", "tensor without values"],
+)
+def test_checkpoint_is_refused_in_one_line_when_its_content_cannot_be_used(
+    tmp_path: Path, state: dict[str, torch.Tensor], changes: dict[str, object]
+) -> None:
+    path = save(tmp_path / "checkpoint.pt", configuration(), state, changes)
+    with pytest.raises(PolicyError, match="is a damaged checkpoint") as caught:
+        freeze(path, tmp_path / "policy.onnx")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "policy.onnx").exists()
+
+
+def test_nothing_but_the_error_is_told_when_torch_has_a_warning_for_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "script.pt"
+    torch.jit.save(torch.jit.script(torch.nn.Linear(2, 2)), path)  # type: ignore[no-untyped-call]
+    with warnings.catch_warnings(record=True) as heard, pytest.raises(PolicyError, match="is no checkpoint"):
+        warnings.simplefilter("always")
+        freeze(path, tmp_path / "policy.onnx")
+    assert heard == []

@@ -13,10 +13,12 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
+from toolchain.contract import POLICY_FILE_BYTES_MAX
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
 from toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
 from toolchain.policy.model import parse_policy, read_policy
+from toolchain.reader.external import embed_weights
 
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
@@ -297,3 +299,27 @@ def test_freeze_never_crashes_when_bytes_are_damaged(kit: Kit) -> None:
             assert "\n" not in str(error)
             refused += 1
     assert refused > 50
+
+
+def test_weights_are_refused_when_many_tensors_name_the_same_bytes(kit: Kit, tmp_path: Path) -> None:
+    path = with_data_beside(kit, tmp_path)
+    (tmp_path / "weights.data").write_bytes(bytes(POLICY_FILE_BYTES_MAX // 2))
+    model = onnx.load(path, load_external_data=False)
+    del model.graph.initializer[:]
+    for number in range(4):
+        tensor = model.graph.initializer.add(
+            name=f"w{number}", dims=[POLICY_FILE_BYTES_MAX // 8], data_type=1
+        )
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        tensor.external_data.add(key="location", value="weights.data")
+    with pytest.raises(PolicyError, match="up to 'w2' take more than"):
+        embed_weights(model, tmp_path)
+    assert sum(len(tensor.raw_data) for tensor in model.graph.initializer) == POLICY_FILE_BYTES_MAX
+
+
+def test_weights_are_refused_when_the_name_of_their_file_is_not_utf_8(kit: Kit, tmp_path: Path) -> None:
+    path = with_data_beside(kit, tmp_path)
+    path.write_bytes(path.read_bytes().replace(b"weights.data", b"\xff\xfeights.data"))
+    with pytest.raises(PolicyError, match=r"keeps weights in .*, expected a file beside it"):
+        import_onnx(path, tmp_path / "policy.onnx", CLAIMS, clip=False)
+    assert not (tmp_path / "policy.onnx").exists()

@@ -47,6 +47,7 @@ CONSTANTS: Mapping[str, NDArray[np.generic]] = {
     "odd": np.array([1, 5], np.int64),
     "huge": np.array([1, 1 << 20, 6], np.int64),
     "negative": np.array([-3, 6], np.int64),
+    "megabyte": np.array([1 << 18], np.int64),
 }
 END = " a = Gemm<transB=1>(x, w) action = Clip(a, zero, one)"  # of a body that computes x
 OUT = " action = Clip(a, zero, one)"  # of a body that computes a, the four motors
@@ -113,6 +114,12 @@ REFUSED = [
     # shapes
     ("x = Reshape(observation, odd)", "node 'x' (Reshape) does not fit the values it takes: cannot reshape"),
     ("x = Reshape(observation, negative)", "(Reshape) does not fit the values it takes: shape [-3, 6]"),
+    (
+        "c0 = ConstantOfShape(megabyte) "
+        + " ".join(f"c{n + 1} = Neg(c{n})" for n in range(300))
+        + " x = Identity(observation)",
+        "makes it more than 268435456 bytes of constants",
+    ),
     ("x = Expand(observation, huge)", "(Expand) does not fit the values it takes: shape [1, 1048576, 6]"),
     (
         "x, y = Split<axis=1, num_outputs=3>(observation)",
