@@ -12,6 +12,7 @@ from toolchain.contract import SETTINGS, Msp, Setting
 from toolchain.errors import LinkError
 
 _STYLE = "rates_style"
+VALUE_MAX = 2.0**32  # of any setting: a larger one fits neither of their types
 _BY_NAME = {setting.name: (index, setting) for index, setting in enumerate(SETTINGS)}
 
 
@@ -31,6 +32,10 @@ def parse_change(text: str) -> tuple[str, float]:
     except ValueError:
         expected = f"one of {', '.join(setting.choices)}" if setting.choices else "a number"
         raise LinkError(f"setting {name} got {value!r}, expected {expected}") from None
+    if not abs(number) <= VALUE_MAX:  # NaN included
+        raise LinkError(
+            f"setting {name} got {value!r}, expected a number within its limits; see docs/settings.md"
+        )
     return name, number
 
 

@@ -32,6 +32,9 @@ def test_a_change_is_read_when_it_is_written_as_a_number_or_a_choice(
         ("roll_expo=much", "setting roll_expo got 'much', expected a number"),
         ("motor_stop=maybe", "setting motor_stop got 'maybe', expected one of off, on"),
         ("roll_expo=", "setting roll_expo got '', expected a number"),
+        ("battery_scale=nan", "setting battery_scale got 'nan', expected a number within its limits"),
+        ("battery_scale=-inf", "setting battery_scale got '-inf', expected a number within its limits"),
+        ("battery_scale=1e300", "setting battery_scale got '1e300', expected a number within its limits"),
     ],
 )
 def test_a_change_is_refused_with_the_reason_when_it_makes_no_sense(text: str, words: str) -> None:

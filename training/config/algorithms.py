@@ -10,6 +10,11 @@ from typing import ClassVar, Protocol
 from sim.physics.world import COUNT_MAX
 from training.config.pathwise_config import PathwiseConfig
 
+REPEATS_MAX = 10_000  # of what an update repeats: more would not end within a day
+LEG_MAX = 1_000_000  # of what a segment repeats
+BUFFER_MAX = 10_000_000  # control steps: more are larger than any checkpoint
+MOST = {"leg": LEG_MAX, "minibatch": BUFFER_MAX, "horizon": BUFFER_MAX}  # their own errors say more
+
 
 class Algorithm(Protocol):
     """Hyperparameters of one algorithm, with a name in `ALGORITHMS`."""
@@ -137,6 +142,8 @@ class OffPolicyConfig:
         yield from _share_errors(self, ("discount", "tau"))
         if not max(self.minibatch, self.aircraft) <= self.buffer:
             yield f"buffer {self.buffer}, expected at least the minibatch and the number of aircraft"
+        if self.buffer > BUFFER_MAX:
+            yield f"buffer {self.buffer}, expected at most {BUFFER_MAX}"
 
 
 @dataclass(frozen=True)
@@ -201,8 +208,9 @@ def _rollout_errors(aircraft: int, horizon: int, minibatch: int, episode_steps: 
 
 def _count_errors(config: object, names: tuple[str, ...]) -> Iterator[str]:
     for name in names:
-        if getattr(config, name) < 1:
-            yield f"{name} {getattr(config, name)}, expected at least 1"
+        most = MOST.get(name, REPEATS_MAX)
+        if not 1 <= getattr(config, name) <= most:
+            yield f"{name} {getattr(config, name)}, expected at least 1 and at most {most}"
 
 
 def _number_errors(

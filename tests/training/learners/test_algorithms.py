@@ -192,6 +192,13 @@ def test_replay_buffer_holds_an_episodes_last_observation_when_its_time_is_over(
         (TrpoConfig(minibatch=1000), "minibatch 1000 does not divide the 16384 steps"),
         (TrpoConfig(target_kl=0.0), "target_kl 0.0, expected more than 0"),
         (PpoConfig(epochs=0), "epochs 0, expected at least 1"),
+        (PpoConfig(epochs=10**12), "epochs 1000000000000, expected at least 1 and at most 10000"),
+        (PpoConfig(leg=10**12), "leg 1000000000000, expected at least 1 and at most 1000000"),
+        (
+            TrpoConfig(cg_max_steps=10**12),
+            "cg_max_steps 1000000000000, expected at least 1 and at most 10000",
+        ),
+        (SacConfig(buffer=10**12), "buffer 1000000000000, expected at most 10000000"),
         (PpoConfig(discount=1.01), "discount 1.01, expected 0 to 1"),
         (PpoConfig(smoothness_temporal=-1.0), "smoothness_temporal -1.0, expected at least 0"),
         (PpoConfig(learning_rate=0.0), "learning_rate 0.0, expected more than 0"),
