@@ -7,6 +7,8 @@ It imports its room inside `run`, so that `--help` stays quick.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import importlib
 import importlib.util
 import os
@@ -56,6 +58,25 @@ ROOM_EXTRAS = {"training": "train"}  # what every command of a room needs at lea
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+MENDS = {  # an operating system's error: what the user does about it
+    errno.ENOSPC: "make room there, or choose another place",
+    errno.EDQUOT: "make room there, or choose another place",
+    errno.EFBIG: "raise the limit of file sizes (ulimit -f), or choose another place",
+    errno.EROFS: "choose a place that can be written, or make this one writable",
+    errno.EACCES: "choose a place that you may use, or change its permissions",
+    errno.EPERM: "choose a place that you may use, or change its permissions",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENOTDIR: "choose another place",
+    errno.EISDIR: "name a file",
+    errno.ENOENT: "check the name",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+    errno.ENOMEM: "close other programs, or ask for less at once",
+    errno.EIO: "check the disk",
+}
+OF_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+NAME_SHOWN = 200  # characters of a file's name
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = argparse.ArgumentParser(prog="neuroflight", description=SUMMARY)
@@ -73,20 +94,72 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Returns 0, or 1 after one line on stderr about a mistake of the user's."""
     for name in THREADS:  # numpy and torch read them when they are first imported, in a command's run
         os.environ.setdefault(name, "1")
-    args = parser().parse_args(argv)
+    _open_standard_streams()
     try:
+        args = parser().parse_args(argv)
+        _check_stdout()
         code = run_command(args)
         sys.stdout.flush()
         return code
     except NeuroflightError as error:
-        print(f"neuroflight: {error}", file=sys.stderr)
-        return 1
+        return _fail(f"{error}")
     except KeyboardInterrupt:
-        print("neuroflight: interrupted; what was finished is kept", file=sys.stderr)
+        _fail("interrupted; what was finished is kept")
         return 130
     except BrokenPipeError:  # the reader, `head` say, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence_stdout()
         return 1
+    except OSError as error:
+        return _fail(os_error_line(error))
+
+
+def os_error_line(error: OSError) -> str:
+    """What the operating system refused, where, and what the user does about it."""
+    what = error.strerror or str(error) or type(error).__name__
+    where = _where(error)
+    mend = MENDS.get(error.errno or 0)
+    return f"{where}{': ' if where else ''}{what}{'; ' if mend else ''}{mend or ''}"
+
+
+def _where(error: OSError) -> str:
+    """The file of an error. Whoever writes a file names it: an error without one is of other outputs."""
+    if error.filename is not None:
+        name = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename)
+        return name if len(name) <= NAME_SHOWN else f"{name[:NAME_SHOWN]}... ({len(name)} characters)"
+    return "stdout or a temporary file" if error.errno in OF_WRITING else ""
+
+
+def _fail(line: str) -> int:
+    """Print one line on stderr; what stdout still holds is written before it, or never. Returns 1."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        _silence_stdout()
+    with contextlib.suppress(OSError):
+        print(f"neuroflight: {line}", file=sys.stderr)
+    return 1
+
+
+def _silence_stdout() -> None:
+    """What stdout still holds goes nowhere: else the interpreter tries again as it ends, and complains."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _open_standard_streams() -> None:
+    """Numbers 0 to 2 that are closed lead nowhere: the next file that is opened would get one of them."""
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(handle, True)
+    os.close(handle)
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115 - open until the end
+
+
+def _check_stdout() -> None:
+    """Raise NeuroflightError if nobody could read the result of the work."""
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115 - open until the end
+        raise NeuroflightError("stdout is closed; give it a place, such as >/dev/null")
 
 
 def run_command(args: argparse.Namespace) -> int:

@@ -7,12 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from toolchain.errors import NeuroflightError
+from toolchain.files import check_writable
 
 
 def check_output(path: Path | None, suffix: str) -> None:
     """Reject a file that could not be written after the work."""
     if path is None:
         return
+    if "\0" in str(path):
+        raise NeuroflightError(f"{str(path)!r}: no file can have that name; choose another")
     if path.suffix != suffix:
         raise NeuroflightError(f"{path}: expected a name that ends in {suffix}")
     if path.is_dir():
@@ -22,6 +25,16 @@ def check_output(path: Path | None, suffix: str) -> None:
         raise NeuroflightError(f"{path}: {parent} is no directory; choose another place")
     if not os.access(parent, os.W_OK):
         raise NeuroflightError(f"{path}: may not be written in {parent}; choose another place")
+    check_writable(path)
+
+
+def check_folder(path: Path | None, option: str) -> None:
+    """Reject a folder for outputs in which none could be written after the work."""
+    if path is None:
+        return
+    if path.exists() and not path.is_dir():
+        raise NeuroflightError(f"{option} {path} is no folder; give the name of one, new or old")
+    check_writable(path / "output")
 
 
 def command_line(command: str, *words: str, **options: object) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
 from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
 from toolchain.errors import NeuroflightError
+from toolchain.files import file_size
 
 if TYPE_CHECKING:
     from sim.board.debug.gdb import GdbServer
@@ -148,7 +149,7 @@ def _kept(path: Path | None) -> bytes | None:
     if path is None or not path.exists():
         return None
     try:
-        size = path.stat().st_size
+        size = file_size(path)
         data = path.read_bytes() if size == FLASH_BYTES else b""
     except OSError as error:
         raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be read") from None

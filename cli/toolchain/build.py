@@ -34,12 +34,16 @@ def run(args: argparse.Namespace) -> int:
     """Build and print the report; what the compiler said is shown only when it failed."""
     from rich.console import Console
 
+    from cli.output import check_folder
     from sim.control.pid_table import named_pid_table, shipped_pid_table
     from toolchain.image.build import MakeError, build, find_target
     from toolchain.image.report import print_report
     from toolchain.policy.model import read_policy
 
     find_target(args.target)
+    check_folder(args.out or ROOT / "build", "--out")
+    if args.out is None:
+        check_folder(ROOT / "firmware" / "generated", "--out")
     if args.aircraft is None:
         pid = shipped_pid_table(read_policy(args.policy).aircraft)
     else:

@@ -44,8 +44,9 @@ def run(args: argparse.Namespace) -> int:
     """Do the runs with a progress bar, print the tables. Returns 0; 1 if a run failed."""
     from rich.console import Console
 
-    from cli.output import command_line
+    from cli.output import check_folder, command_line
     from toolchain.errors import TrainingError
+    from toolchain.files import claimed
     from training.sweeps.config import load_sweep
     from training.sweeps.ray_workers import check_ray
     from training.sweeps.run import RECORD, run_sweep
@@ -54,12 +55,11 @@ def run(args: argparse.Namespace) -> int:
     cpus = args.cpus if args.cpus is not None else len(os.sched_getaffinity(0))
     if not 1 <= cpus <= CPUS_MAX:
         raise TrainingError(f"--cpus {cpus}, expected 1 to {CPUS_MAX}")
-    if args.out.exists() and not args.out.is_dir():
-        raise TrainingError(f"--out {args.out} is no folder; give the name of one, new or old")
+    check_folder(args.out, "--out")
     check_ray()
     sweep = load_sweep(args.file)
     command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus)
-    with _progress_bars(sweep, args.out) as callback:
+    with claimed(args.out, "sweep"), _progress_bars(sweep, args.out) as callback:
         runs = run_sweep(
             sweep,
             args.out,

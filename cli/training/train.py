@@ -60,15 +60,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train with a progress display, then print the result."""
     from sim.aircraft.model import load_aircraft
+    from toolchain.files import claimed
 
     aircraft = load_aircraft(args.aircraft)
     config = _config(args, aircraft)
     _check_folder(args.out)
+    with ExitStack() as claims:
+        claims.enter_context(claimed(args.out, "training"))
+        return _train_all(args, aircraft, config, claims)
 
+
+def _train_all(
+    args: argparse.Namespace, aircraft: Aircraft, config: TrainingConfig, claims: ExitStack
+) -> int:
+    """Train every seed in --out, which is this process's own. claims: gets the folders of several seeds."""
+    from toolchain.files import claimed
     from training.runs.seeds import keep_best, plan  # torch, which takes seconds
     from training.runs.train import read_record
 
     planned = plan(aircraft, config, args.out, args.seeds, resume=args.resume, force=args.force)
+    for item in planned:
+        if item.out != args.out:
+            claims.enter_context(claimed(item.out, "training"))
     if args.force:
         _remove_events(planned)
     best = planned[0].config.seed
@@ -111,11 +124,9 @@ def _source(args: argparse.Namespace, aircraft: Aircraft) -> str | None:
 
 def _check_folder(out: Path) -> None:
     """Reject a folder that could not be written after the training."""
-    from cli.output import check_output
-    from toolchain.errors import TrainingError
+    from cli.output import check_folder, check_output
 
-    if out.exists() and not out.is_dir():
-        raise TrainingError(f"--out {out} is no folder; give the name of one, new or old")
+    check_folder(out, "--out")
     check_output(out / "training.json", ".json")
 
 

@@ -19,6 +19,7 @@ from sim.aircraft.mass import Part, Tensor, Vector, principal
 from sim.aircraft.mesh import Solid
 from sim.strict_toml import StrictTable
 from toolchain.contract import MOTOR_COUNT_MAX
+from toolchain.files import file_size
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 PARTS_MAX = 1000
@@ -67,7 +68,7 @@ class Meshes:
                 raise ValueError("lies outside the folder of the aircraft file; put the mesh beside the file")
             if not path.is_file():
                 raise ValueError(f"is no file in {folder}; put the mesh there or mend the name")
-            size = path.stat().st_size
+            size = file_size(path)
             data = path.read_bytes() if size <= mesh.BYTES_MAX else b""
         except (OSError, RuntimeError) as error:  # RuntimeError: links that lead in a circle
             raise ValueError(f"cannot be read: {error}") from error

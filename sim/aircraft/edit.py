@@ -11,7 +11,7 @@ from typing import Any
 
 from sim.aircraft.model import FILE_BYTES_MAX, parse_aircraft
 from toolchain.errors import AircraftError
-from toolchain.files import write_bytes
+from toolchain.files import file_size, write_bytes
 
 Value = str | float | tuple[float, ...]
 Changes = Mapping[str, Mapping[str, Value]]  # table ("gyro", "propulsion.response"), key, value
@@ -34,8 +34,8 @@ def edit_aircraft(path: Path, changes: Changes) -> None:
     where = f"aircraft file {path}"
     if not path.is_file():
         raise AircraftError(f"{where}: no such file; copy one of sim/aircraft/ there and make it yours")
-    if path.stat().st_size > FILE_BYTES_MAX:
-        raise AircraftError(f"{where}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+    if file_size(path) > FILE_BYTES_MAX:
+        raise AircraftError(f"{where}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
     data = path.read_bytes()
     try:
         before = tomllib.loads(data.decode())

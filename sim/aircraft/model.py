@@ -21,6 +21,7 @@ from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from sim.strict_toml import StrictTable
 from toolchain.contract import AXES, GRAVITY
 from toolchain.errors import AircraftError
+from toolchain.files import file_size
 
 FOLDER = Path(__file__).parent
 FILE_BYTES_MAX = 256 << 10
@@ -190,7 +191,7 @@ def load_aircraft(name: str | Path) -> Aircraft:
             f"aircraft {str(name)!r}: no such file; give the path of a .toml file or one of: {known}"
         )
     try:
-        size = path.stat().st_size
+        size = file_size(path)
         data = path.read_bytes() if size <= FILE_BYTES_MAX else b""
     except OSError as error:
         raise AircraftError(f"aircraft file {path}: cannot be read: {error.strerror}") from error

@@ -27,6 +27,7 @@ from sim.physics.world import Mount
 from sim.strict_toml import StrictTable
 from toolchain.contract import RATE_FULL_STICK_DEG_S
 from toolchain.errors import ScenarioError
+from toolchain.files import file_size
 
 Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
 STILL: Rates = (0.0, 0.0, 0.0)
@@ -138,7 +139,7 @@ def _read(path: Path) -> Scenario:
             f"scenario {str(path)!r}: no such file; give the path of a .toml file or one of: "
             f"{', '.join(BUILDERS)}"
         )
-    size = path.stat().st_size
+    size = file_size(path)
     if size > FILE_BYTES_MAX:
         raise ScenarioError(f"scenario file {path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
     return parse_scenario(path.read_bytes(), f"scenario file {path}", path.stem)

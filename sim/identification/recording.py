@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sim.flight.trace import load_trace
 from toolchain.contract import GRAVITY
 from toolchain.errors import TraceError
+from toolchain.files import file_size
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def _read_csv(path: Path, unit_deg_s: float) -> tuple[Array, Array, Array | None
     if not path.is_file():
         raise TraceError(f"log {path}: no such file")
     try:
-        size = path.stat().st_size
+        size = file_size(path)
         if size > BYTES_MAX:
             raise TraceError(
                 f"log {path}: {size} bytes, expected at most {BYTES_MAX}; cut a minute at rest out of it"

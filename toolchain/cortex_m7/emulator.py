@@ -54,6 +54,7 @@ from unicorn.arm_const import (
 
 from toolchain.contract import Region
 from toolchain.errors import BuildError, NeuroflightError
+from toolchain.files import file_size
 
 ELF_BYTES_MAX = 64 << 20
 INSTRUCTIONS_MAX = 10_000_000  # of one call: what runs longer will not come back
@@ -132,10 +133,8 @@ class Program:
 def load_program(path: Path) -> Program:
     """The program in the ELF file `path`. Raises BuildError when it is none for this core."""
     try:
-        if path.stat().st_size > ELF_BYTES_MAX:
-            raise BuildError(
-                f"{path}: {path.stat().st_size} bytes, expected an ELF of at most {ELF_BYTES_MAX}"
-            )
+        if file_size(path) > ELF_BYTES_MAX:
+            raise BuildError(f"{path}: {file_size(path)} bytes, expected an ELF of at most {ELF_BYTES_MAX}")
         with path.open("rb") as file:
             elf = ELFFile(file)
             if elf.get_machine_arch() != "ARM":

@@ -13,6 +13,7 @@ from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, Region
 from toolchain.errors import BuildError
+from toolchain.files import file_size
 
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 RAM = (ITCM, DTCM, SRAM1, SRAM2)
@@ -27,7 +28,7 @@ VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM I
 def read_flashable(path: Path) -> bytes:
     """Content of a .bin, at most what the flash holds. Raises BuildError where it is not."""
     try:
-        size = path.stat().st_size
+        size = file_size(path)
         if not 0 < size <= FLASH_BYTES:
             raise BuildError(
                 f"{path}: {size} bytes, expected an image of 1 to {FLASH_BYTES}; build it with "
@@ -87,6 +88,7 @@ class Image:
 def read_image(path: Path) -> Image:
     """The facts of the ELF file `path`. Raises BuildError when it is none."""
     try:
+        file_size(path)  # raises for a pipe or a device, which would not end
         with path.open("rb") as file:
             elf = ELFFile(file)
             return Image(

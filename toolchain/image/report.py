@@ -13,6 +13,7 @@ from toolchain.contract import IDLE_MAX
 from toolchain.cortex_m7.cycles import CORE_HZ
 from toolchain.cortex_m7.stack_use import StackUse
 from toolchain.errors import BuildError
+from toolchain.files import file_size
 from toolchain.image.elf import MemoryUse, Section
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def built(product: Path) -> Built:
     """
     path = product.with_name("report.json")
     try:
-        if (size := path.stat().st_size) > REPORT_BYTES_MAX:
+        if (size := file_size(path)) > REPORT_BYTES_MAX:
             raise BuildError(f"{path} is {size} bytes, expected at most {REPORT_BYTES_MAX}; build it anew")
         report = json.loads(path.read_bytes())
         known = {str(file["sha256"]) for file in report["files"]}

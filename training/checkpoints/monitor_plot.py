@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from sim.plotting import FLIGHT_COLOURS, INK, MOTOR_COLOURS, dress, plain_numbers, titled_figure
 from toolchain.errors import TrainingError
+from toolchain.files import file_size
 from training.checkpoints.metrics import CheckpointMetrics
 
 FILE_BYTES_MAX = 4 << 20
@@ -35,7 +36,7 @@ class Monitored:
 def read_monitor(path: Path) -> Monitored:
     """A run's monitor.json. Raises TrainingError if it is none."""
     try:
-        if (size := path.stat().st_size) > FILE_BYTES_MAX:
+        if (size := file_size(path)) > FILE_BYTES_MAX:
             raise TrainingError(f"{path}: {size} bytes, expected at most {FILE_BYTES_MAX}")
         document = json.loads(path.read_text())
         return Monitored(

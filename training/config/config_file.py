@@ -19,6 +19,7 @@ from typing import Any
 from sim.strict_toml import shown
 from toolchain.contract import MOTOR_COUNT_MAX
 from toolchain.errors import TrainingError
+from toolchain.files import file_size
 from training.config.config_table import NAME, ConfigReader
 from training.config.training_config import TrainingConfig
 
@@ -81,7 +82,7 @@ def _read(source: str | Path | None) -> tuple[str, dict[str, Any]]:
             )
         if path.suffix not in SUFFIXES:
             raise TrainingError(f"{where}: expected a name that ends in {' or '.join(SUFFIXES)}")
-        if (size := path.stat().st_size) > FILE_BYTES_MAX:
+        if (size := file_size(path)) > FILE_BYTES_MAX:
             raise TrainingError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
         data = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from toolchain.errors import NeuroflightError
+from toolchain.files import file_size
 from training.results_page.dissertation import Axes
 
 FILE_BYTES_MAX = 4 << 20
@@ -96,8 +97,8 @@ def read_results(folder: Path) -> list[Stored]:
         )
     results = []
     for path in paths:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+        if file_size(path) > FILE_BYTES_MAX:
+            raise ResultsError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
         try:
             document = json.loads(path.read_text())
         except (ValueError, RecursionError) as error:
@@ -119,8 +120,8 @@ def read_commands(folder: Path) -> dict[str, list[str]]:
         raise ResultsError(
             f"{path}: not there; write a line `NAME.json neuroflight COMMAND...` for each file"
         )
-    if path.stat().st_size > FILE_BYTES_MAX:
-        raise ResultsError(f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}")
+    if file_size(path) > FILE_BYTES_MAX:
+        raise ResultsError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
     found: dict[str, list[str]] = {}
     for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
         where = f"{path}: line {number}"

@@ -15,7 +15,7 @@ import torch
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
-from toolchain.files import write_text
+from toolchain.files import file_size, write_text
 from toolchain.policy.freeze import freeze
 from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.monitor import EPISODES, SEED, flown
@@ -244,7 +244,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     """The training.json of a run. Raises TrainingError if there is none."""
     path = folder / RECORD
     try:
-        if (size := path.stat().st_size) > RECORD_BYTES_MAX:
+        if (size := file_size(path)) > RECORD_BYTES_MAX:
             raise TrainingError(f"{path} is {size} bytes, expected at most {RECORD_BYTES_MAX}")
         return dict(json.loads(path.read_text()))
     except (OSError, ValueError, TypeError, RecursionError) as error:

@@ -40,6 +40,7 @@ from sim.aircraft.model import Aircraft, load_aircraft, shipped
 from sim.physics.world import COUNT_MAX
 from sim.strict_toml import StrictTable
 from toolchain.errors import TrainingError
+from toolchain.files import file_size
 from training.config.config_file import load_config, recipes
 from training.config.training_config import SEED_MAX, TrainingConfig
 from training.tasks.registry import TASKS
@@ -168,7 +169,7 @@ def _read(path: Path, where: str) -> dict[str, Any]:
     try:
         if not path.is_file():
             raise TrainingError(f"{where}: {path} is no file; give the path of a sweep in TOML")
-        if (size := path.stat().st_size) > FILE_BYTES_MAX:
+        if (size := file_size(path)) > FILE_BYTES_MAX:
             raise TrainingError(f"{where}: {size} bytes, expected at most {FILE_BYTES_MAX}")
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:

@@ -21,7 +21,7 @@ from sim.control.controller import PolicyController
 from toolchain.codegen.compiler import compile_policy
 from toolchain.cortex_m7.timing import mixed_observations, time_policy
 from toolchain.errors import BuildError, TrainingError
-from toolchain.files import write_text
+from toolchain.files import file_size, write_text
 from toolchain.policy.model import read_policy
 from training.checkpoints.monitor_process import Monitor
 from training.evaluation.evaluation import Scores, mean_over, record, scores
@@ -107,7 +107,7 @@ def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Val
     if not path.is_file():
         return None
     try:
-        if path.stat().st_size > RESULT_BYTES_MAX:
+        if file_size(path) > RESULT_BYTES_MAX:
             raise ValueError(f"more than {RESULT_BYTES_MAX} bytes")
         document = json.loads(path.read_text())
         outcome = _outcome(document["outcome"])

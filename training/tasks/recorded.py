@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim.flight.trace import load_trace
 from toolchain.errors import TraceError, TrainingError
+from toolchain.files import file_size
 from training.tasks.limits import check_limits
 from training.tasks.task import FULL_STICK_DEG_S, LENGTH_MAX_S, Setpoints
 
@@ -93,7 +94,7 @@ def _read(path: Path) -> tuple[PilotRecording, str]:
             )
         if path.suffix not in limits:
             raise TrainingError(f"recording {path}: expected a trace (.npz) or a table (.csv)")
-        if (size := path.stat().st_size) > limits[path.suffix]:
+        if (size := file_size(path)) > limits[path.suffix]:
             raise TrainingError(
                 f"recording {path}: {size} bytes, expected at most {limits[path.suffix]}; cut it"
             )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import RPM
 from toolchain.errors import DynoError
-from toolchain.files import write_text
+from toolchain.files import file_size, write_text
 
 Array = NDArray[np.float64]
 
@@ -82,9 +82,9 @@ def _read(path: Path) -> Array:
     """Columns of one file in the order of COLUMNS, (n, 5)."""
     if not path.is_file():
         raise DynoError(f"{path}: no such file; `neuroflight dyno run --out {path}` makes one")
-    if path.stat().st_size > FILE_BYTES_MAX:
+    if file_size(path) > FILE_BYTES_MAX:
         raise DynoError(
-            f"{path}: {path.stat().st_size} bytes, expected at most {FILE_BYTES_MAX}; log slower or cut it"
+            f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}; log slower or cut it"
         )
     try:
         text = path.read_bytes().decode("utf-8-sig")

@@ -39,7 +39,7 @@ def gyro_rate(client: Client) -> float:
 
 def refusal_of(build: Path, flash: Path, preexec_fn: Callable[[], None] | None = None) -> str:
     """The one line of a program that does not start."""
-    command = [build / "neuroflight", f"--settings={flash}", *PORTS]
+    command = [str(build / "neuroflight"), f"--settings={flash}", *PORTS]
     done = subprocess.run(command, capture_output=True, text=True, preexec_fn=preexec_fn, timeout=END_S)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
@@ -147,7 +147,7 @@ def test_saving_is_refused_and_the_file_whole_when_it_may_not_grow_back(start: S
 
 def test_the_program_says_so_when_nobody_can_read_its_ports(scripted_build: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        command = [scripted_build / "neuroflight", *PORTS]
+        command = [str(scripted_build / "neuroflight"), *PORTS]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=END_S)
     assert done.returncode == 1
     assert done.stderr.startswith("neuroflight: cannot write to stdout: No space left on device")

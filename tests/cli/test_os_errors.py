@@ -1,0 +1,163 @@
+"""What the operating system refuses reaches the user as one line, and leaves nothing half written."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import cli.training.train
+from cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+Capture = pytest.CaptureFixture[str]
+TINY = [
+    *(
+        "--set",
+        "task=episodic",
+        "task.hold_s=0.05",
+        "hidden=[8,8]",
+        "algorithm.aircraft=8",
+        "algorithm.leg=1",
+    ),
+    *("algorithm.horizon=16", "algorithm.minibatch=64", "--algorithm", "ppo", "--steps", "128"),
+]
+SLOW = 120  # s; a command ends in a few, unless it waits for ever
+
+
+def command(
+    *words: str | Path, stdout: object = subprocess.PIPE, **how: object
+) -> subprocess.CompletedProcess[str]:
+    """A `neuroflight` of its own: limits and standard streams are those of a process."""
+    line = [sys.executable, "-m", "cli.main", *map(str, words)]
+    return subprocess.run(  # type: ignore[call-overload, no-any-return]
+        line, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=SLOW, **how
+    )
+
+
+def one_line(done: subprocess.CompletedProcess[str]) -> str:
+    """What a command that failed said."""
+    assert done.returncode == 1
+    assert done.stderr.startswith("neuroflight: ")
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+def no_large_files(size: int) -> Callable[[], None]:
+    """To a command the same as a full disk."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def test_the_command_says_so_when_stdout_is_full() -> None:
+    with Path("/dev/full").open("w") as full:
+        line = one_line(command("aircraft", "check", "nf1", stdout=full))
+    assert "No space left on device; make room there" in line
+
+
+def test_the_command_says_so_before_the_work_when_stdout_is_closed() -> None:
+    line = one_line(command("aircraft", "check", "nf1", stdout=None, preexec_fn=lambda: os.close(1)))
+    assert "stdout is closed" in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["dyno", "run", "--out", "{out}.csv"],
+        ["fly", "--trace", "{out}.npz"],
+        ["fly", "--report", "{out}.html"],
+        ["train", "--out", "{out}", *TINY],
+        ["build", "--target", "HOST", "--out", "{out}"],
+        ["compile", "training/policies/nf1/policy.onnx", "--out", "{out}"],
+        ["freeze", "training/policies/nf1/checkpoint.pt", "--out", "{out}.onnx"],
+    ],
+)
+@pytest.mark.parametrize("why", ["no room", "long name"])
+def test_a_place_that_takes_no_file_is_told_before_the_work(
+    words: list[str], why: str, tmp_path: Path
+) -> None:
+    out = tmp_path / ("x" * 5000 if why == "long name" else "result")
+    limit = no_large_files(4096) if why == "no room" else None
+    line = one_line(command(*(word.format(out=out) for word in words), preexec_fn=limit))
+    assert ("File too large" if limit else "File name too long; choose a shorter name") in line
+    assert str(tmp_path) in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_left_when_the_room_ends_while_a_file_is_written(tmp_path: Path) -> None:
+    out = tmp_path / "data.csv"
+    line = one_line(command("dyno", "run", "--out", out, preexec_fn=no_large_files(100_000)))
+    assert line.startswith(f"neuroflight: {out}: File too large; ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "{pipe}"],
+        ["compile", "{pipe}", "--explain"],
+        ["freeze", "{pipe}", "--out", "policy.onnx"],
+        ["timing", "{pipe}"],
+        ["build", "--target", "HOST", "--policy", "{pipe}", "--out", "build-of-a-pipe"],
+        ["board", "--image", "{pipe}"],
+        ["board", "--flash", "{pipe}"],
+        ["evaluate", "{pipe}"],
+        ["aircraft", "check", "{pipe}"],
+        ["dyno", "fit", "{pipe}"],
+        ["twin", "noise", "{pipe}"],
+        ["train", "--config", "{pipe}", "--out", "out-of-a-pipe"],
+        ["fly", "--scenario", "{pipe}"],
+    ],
+)
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_command_ends_at_once_when_its_input_never_does(
+    words: list[str], kind: str, tmp_path: Path
+) -> None:
+    pipe = Path("/dev/zero")
+    if kind == "pipe":
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+    one_line(command(*(word.format(pipe=pipe) for word in words)))
+
+
+def test_a_second_training_is_refused_when_the_first_runs(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second begins where the first has planned and not yet written anything."""
+    words = ["train", "--out", str(tmp_path / "out"), *TINY]
+    train = cli.training.train._train
+    codes: list[int | None] = []
+
+    def interrupted_by_another(*args: object) -> object:
+        if not codes:
+            codes.append(None)
+            codes[0] = main(words)
+        return train(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(cli.training.train, "_train", interrupted_by_another)
+    assert main(words) == 0
+    assert codes == [1]
+    error = capsys.readouterr().err
+    assert f"neuroflight: {tmp_path / 'out'} is in use by another training; wait" in error
+
+
+@pytest.fixture
+def read_only(tmp_path: Path) -> Path:
+    """A folder that nobody may write in, not even the superuser."""
+    folder = tmp_path / "read-only"
+    folder.mkdir()
+    folder.chmod(0o555)
+    with contextlib.suppress(PermissionError):
+        (folder / "probe").touch()
+        pytest.skip("the superuser writes anywhere")
+    return folder
+
+
+def test_a_read_only_place_is_told_before_the_work(read_only: Path) -> None:
+    line = one_line(command("dyno", "run", "--out", read_only / "data.csv"))
+    assert "choose another place" in line
