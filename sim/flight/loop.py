@@ -6,7 +6,7 @@ closes the throttle and switches off, and the motors must stop. Receiver frames 
 control step they belong to: when the sticks changed, but no closer than SBUS can send them, and every 10 ms
 in any case. Receiver frames are decided 4 ms (FRAME_SPACING_S) ahead of their control step, further at low
 gyro rates, because a frame takes that long on a serial line: on every port alike, and a port that simulates
-the line gets the frame at once.
+the line gets the frame at once. A battery that the twin flies on is told to the port at each control step.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim.control.motors import each_fraction, motor_fractions
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
-from sim.ports.port import FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
+from sim.ports.port import BatteryPort, FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
 from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
 from toolchain.errors import LinkError
 
@@ -175,6 +175,8 @@ class _Lockstep:
         self._twin, self._port, self.pilot = twin, port, pilot
         self._outputs = [order.index(motor) for motor in range(motors)]  # that drive each motor
         self._serial = port if isinstance(port, SerialReceiverPort) else None
+        self._battery = twin.battery
+        self._measures = port if self._battery is not None and isinstance(port, BatteryPort) else None
         self._divider = control_divider(port.gyro_rate_hz, port.control_rate_hz)
         self._spacing = round(FRAME_SPACING_S * port.control_rate_hz)
         self._period = round(FRAME_PERIOD_S * port.control_rate_hz)
@@ -198,6 +200,8 @@ class _Lockstep:
     def control_step(self) -> Reply:
         """Run one control period; returns the reply to its first sample."""
         self.rate[:] = self._twin.live.rate[0]
+        if self._measures is not None and self._battery is not None:
+            self._measures.set_battery(self._battery.voltage.item(), self._battery.current.item())
         reply = self._exchange(self._planned.pop(self.step, None))
         self.armed = reply.armed
         if reply.armed and self._armed_at is None:

@@ -74,6 +74,11 @@ class Supply:
             return np.full(self._count, math.nan)
         return np.where(self._bench, math.nan, self._battery.voltage[:, 0])
 
+    @property
+    def battery(self) -> BatteryState | None:
+        """The packs themselves, those of aircraft on the bench supply included; None: nobody has one."""
+        return None if self._bench.all() else self._battery
+
     def telemetry(self, speed: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown."""
         power, at = np.empty(self._count), pointer(speed)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import Aircraft
 from sim.physics.air import AIR_DENSITY, Wind
+from sim.physics.battery import BatteryState
 from sim.physics.delay import CommandDelay, bad_command
 from sim.physics.esc import Telemetry
 from sim.physics.imu import AccelerometerModel, GyroModel
@@ -239,6 +240,11 @@ class Twin:
     def pack_voltage(self) -> Array:
         """Voltage of each battery under load [V], (N,), unrounded; NaN on the bench supply."""
         return self._supply.pack_voltage
+
+    @property
+    def battery(self) -> BatteryState | None:
+        """The packs that the aircraft fly on, as they are: they change with each step; None: bench supply."""
+        return self._supply.battery
 
     @property
     def variation(self) -> Variation | None:

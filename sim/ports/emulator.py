@@ -217,6 +217,10 @@ class EmulatedPort:
             reply = self._reply = self._told(values)
         return reply
 
+    def set_battery(self, volts: float, amps: float) -> None:
+        """See BatteryPort: the converter's pins, behind the board's divider and current sensor."""
+        self.board.hardware.adc.set_battery(volts, amps)
+
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort."""
         return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()

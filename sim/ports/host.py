@@ -37,6 +37,8 @@ from toolchain.contract import (
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
     SIM_MOTOR_FORMAT,
+    SIM_POWER_FORMAT,
+    SIM_POWER_MAGIC,
     SIM_TRACE_FLAG_ARMED,
     SIM_TRACE_FORMAT,
     SIM_TRACE_MAGIC,
@@ -53,6 +55,7 @@ SPIN_NS = 50_000  # to look for an answer before the thread sleeps, while answer
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
 
 _MOTOR = struct.Struct(SIM_MOTOR_FORMAT)
+_POWER = struct.Struct(SIM_POWER_FORMAT)
 _TRACE = struct.Struct(SIM_TRACE_FORMAT)
 _TRACE_HEAD = struct.Struct("<II24sfBB")  # setpoint and gyro in one; then _TRACE has DShot values
 _TRACE_DSHOT = _TRACE.size - 2 * MOTOR_COUNT_MAX  # where they begin
@@ -86,7 +89,7 @@ class HostPort:
             }
             changes = setting_changes(settings or {})
             self._child = undo.enter_context(_Child(program, options, changes))
-            self._state, self._receiver = (undo.enter_context(udp_socket()) for _ in range(2))
+            self._state, self._receiver, self._power = (undo.enter_context(udp_socket()) for _ in range(3))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
             self._receiver.connect((LOOPBACK, self._child.ports["receiver"]))
             with self._msp() as msp:
@@ -118,6 +121,14 @@ class HostPort:
         self._samples += 1
         assert self._reply is not None  # the first sample is a control step
         return self._reply
+
+    def set_battery(self, volts: float, amps: float) -> None:
+        """See BatteryPort."""
+        packet = _POWER.pack(SIM_POWER_MAGIC, self._samples / self.gyro_rate_hz, volts, amps, 0.0)
+        try:
+            self._power.sendto(packet, (LOOPBACK, self._child.ports["power"]))
+        except OSError as error:
+            raise self._child.lost(str(error)) from error
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; asked over MSP."""

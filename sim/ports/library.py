@@ -164,6 +164,10 @@ class ReferencePort:
         self._until_control = (self._until_control or self._divider) - 1
         return self._reply
 
+    def set_battery(self, volts: float, amps: float) -> None:
+        """See BatteryPort."""
+        self.reference.power(volts, amps)
+
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; asked over MSP."""
         status = messages.status_ex(Client(self.reference).request(Msp.STATUS_EX))

@@ -102,6 +102,15 @@ class SerialReceiverPort(FirmwarePort, Protocol):
         ...
 
 
+@runtime_checkable
+class BatteryPort(FirmwarePort, Protocol):
+    """A port whose firmware measures a battery: a full one at rest, until the port is told of another."""
+
+    def set_battery(self, volts: float, amps: float) -> None:
+        """What the pack gives from now on: the voltage at its terminals [V] and the current out of it [A]."""
+        ...
+
+
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
     """Firmware settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
