@@ -10,7 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.fly_emulator import add_emulator_arguments, check_emulator, emulator_words, exit_code
+from cli.sim.fly_emulator import (
+    add_emulator_arguments,
+    check_emulator,
+    emulator_words,
+    exit_code,
+    keep,
+    say,
+)
 from cli.sim.fly_jobs import Crew, Show, usable_cores
 from cli.sim.fly_output import Flown, conditions, document, print_flight, print_several
 from cli.sim.fly_ports import Entry, open_firmware, open_pid, prepare, quiet
@@ -22,6 +29,7 @@ if TYPE_CHECKING:
 
     from sim.aircraft.model import Aircraft
     from sim.flight.scenario import Scenario
+    from sim.flight.trace import Trace
 
 MOUNTS = ("centre", "rig", "free")
 FIRMWARES = ("reference", "host", "emulator", "betaflight")
@@ -276,9 +284,22 @@ def _fly(
     from sim.analysis.flight_report import Flight
     from sim.analysis.metrics import figures
     from sim.flight.loop import fly
+    from sim.flight.trace import save_trace
     from sim.physics.twin import Twin
 
     rng = np.random.default_rng((args.seed, 1))  # another stream than the scenario's commands
+
+    def broken_off(trace: Trace) -> None:
+        """Write the trace up to an error, if it was asked for."""
+
+        def write() -> None:
+            save_trace(args.trace, trace)
+            length = len(trace.t) / entry.port.control_rate_hz
+            say(f"{args.trace}: {length:.3f} of {scenario.duration_s:g} s, up to the error")
+
+        if args.trace is not None and entry.kept:
+            keep("trace", write)
+
     with closing(entry):
         twin = Twin(
             aircraft,
@@ -291,7 +312,11 @@ def _fly(
             rng=rng,
         )
         with closing(twin):
-            trace = fly(twin, entry.port, scenario, progress=progress)
+            try:
+                trace = fly(twin, entry.port, scenario, progress=progress, broken_off=broken_off)
+            except BaseException:  # an interruption by the user as well
+                entry.on_error()
+                raise
         report = None if entry.report is None else entry.report(scenario.duration_s)
     progress(1.0)
     # Another mixer than ours cannot be undone: its output is then taken as the motors' whole command.

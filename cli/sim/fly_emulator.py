@@ -83,6 +83,7 @@ def open_image(
         faults=[parse_fault(text) for text in args.fault],
         profile=args.profile is not None,
         attach=lambda board: attached(args, board, image, ends),
+        on_failure=lambda board: keep_profile(args, board),
     )
 
 
@@ -184,6 +185,20 @@ def save_profile(directory: Path, board: Board) -> None:
 
     names = write_profile(directory, board)
     print(f"{directory}: {', '.join(names)}", file=sys.stderr)
+
+
+def keep_profile(args: argparse.Namespace, board: Board) -> None:
+    """Write the profile of a flight that ends in an error, if one was asked for."""
+    if args.profile is not None:
+        keep("profile", lambda: save_profile(args.profile, board))
+
+
+def keep(what: str, write: Callable[[], None]) -> None:
+    """Write what there is of a flight that ends in an error, which stays the error that the user is told."""
+    try:
+        write()
+    except (NeuroflightError, OSError) as error:
+        say(f"the {what} of the flight up to its end is not kept: {error}")
 
 
 def say(words: str) -> None:

@@ -8,10 +8,11 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.fly_emulator import BY_OPTION, open_image, save_profile
+from cli.sim.fly_emulator import BY_OPTION, keep_profile, open_image, save_profile
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Entry:
     idle: float  # motor fraction of its armed motors at zero thrust
     own_mixer: bool = False  # it mixes the throttle by another rule than ours
     report: Callable[[float], EmulatedReport] | None = None  # of the flight of so many seconds that is over
+    on_error: Callable[[], None] = lambda: None  # before it is closed after a flight that ended in an error
+    kept: bool = True  # its trace is what --trace asks for
     ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
 
     def close(self) -> None:
@@ -75,7 +78,7 @@ def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int)
     idle = pid_settings(aircraft).idle
     pid = aircraft_pid(aircraft, 1, control_rate_hz)
     port = ControllerPort(pid, aircraft.motor_count, args.gyro_hz, control_rate_hz, idle)
-    return Entry("PID", port, idle)
+    return Entry("PID", port, idle, kept=False)
 
 
 def quiet(args: argparse.Namespace) -> bool:
@@ -103,7 +106,8 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entr
 
         idle = built_idle(image, pid=args.controller == "pid")
         undo.pop_all()
-        return Entry("firmware", port, idle, report=report, ends=ends)
+        told = partial(keep_profile, args, port.board)
+        return Entry("firmware", port, idle, report=report, on_error=told, ends=ends)
 
 
 def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:

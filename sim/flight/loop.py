@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +26,7 @@ from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.ports.port import BatteryPort, FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
 from toolchain.contract import BOOT_GRACE_MS, CALIBRATION_MS, CHANNEL_ARM, CHANNEL_THROTTLE
-from toolchain.errors import LinkError
+from toolchain.errors import LinkError, TraceError
 
 FRAME_S = 0.003  # an SBUS frame is 25 x 12 bits at 100 kbaud
 FRAME_SPACING_S = 0.004  # a frame and a gap
@@ -46,13 +47,15 @@ def fly(
     *,
     motor_order: Sequence[int] | None = None,
     progress: Progress | None = None,
+    broken_off: Callable[[Trace], None] = lambda trace: None,
 ) -> Trace:
     """Boot and arm the firmware, fly `scenario` and disarm; row 0 is the first armed control step.
 
     Arming and disarming are flown but not recorded.
 
     twin: one aircraft at rest, at the port's gyro rate. port: freshly booted. motor_order: output i of the
-    firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests.
+    firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests. broken_off: gets the trace up to
+    there when an error ends the flight after it was armed; the error goes on.
     Raises LinkError when the firmware does not arm or disarm or the link fails, ScenarioError on impossible
     sticks.
     """
@@ -60,41 +63,56 @@ def fly(
     link = _Lockstep(twin, port, pilot, motor_order)
     steps = pilot.steps
     rows = _Rows(steps, port.motor_count)
-    rows.put(0, _arm(link, scenario), link.rate)
     every = max(1, round(PROGRESS_S * port.control_rate_hz))
-    for k in range(1, steps):
-        rows.put(k, link.control_step(), link.rate)
-        if progress is not None and k % every == 0:
-            progress(k / steps)
-    _disarm(link)
-    return Trace(
-        t=np.arange(steps) / port.control_rate_hz,
-        setpoint=rows.setpoint,
-        rate=rows.rate,
-        gyro=rows.gyro,
-        motors=motor_fractions(rows.dshot),
-        dshot=rows.dshot,
-        throttle=rows.throttle,
-    )
+    try:
+        rows.put(_arm(link, scenario), link.rate)
+        for k in range(1, steps):
+            rows.put(link.control_step(), link.rate)
+            if progress is not None and k % every == 0:
+                progress(k / steps)
+        _disarm(link)
+    except BaseException:  # an interruption by the user as well
+        if rows.count:
+            with suppress(TraceError):  # what ended the flight may be a number that is none
+                broken_off(rows.trace(port.control_rate_hz))
+        raise
+    return rows.trace(port.control_rate_hz)
 
 
 class _Rows:
-    """What is kept of N control steps."""
+    """What is kept of up to N control steps."""
 
     def __init__(self, steps: int, motors: int) -> None:
-        self.setpoint = np.zeros((steps, 3), np.float32)
-        self.rate = np.zeros((steps, 3))
-        self.gyro = np.zeros((steps, 3), np.float32)
-        self.dshot = np.zeros((steps, motors), np.uint16)
-        self.throttle = np.zeros(steps, np.float32)
+        self.count = 0  # so far
+        self._setpoint = np.zeros((steps, 3), np.float32)
+        self._rate = np.zeros((steps, 3))
+        self._gyro = np.zeros((steps, 3), np.float32)
+        self._dshot = np.zeros((steps, motors), np.uint16)
+        self._throttle = np.zeros(steps, np.float32)
 
-    def put(self, step: int, reply: Reply, rate: NDArray[np.float64]) -> None:
-        """Keep the reply and the true rate (3,) [rad/s] of control step number `step`."""
-        self.setpoint[step] = reply.setpoint
-        self.rate[step] = rate
-        self.gyro[step] = reply.gyro
-        self.dshot[step] = reply.dshot
-        self.throttle[step] = reply.throttle
+    def put(self, reply: Reply, rate: NDArray[np.float64]) -> None:
+        """Keep the reply and the true rate (3,) [rad/s] of the next control step."""
+        step = self.count
+        self._setpoint[step] = reply.setpoint
+        self._rate[step] = rate
+        self._gyro[step] = reply.gyro
+        self._dshot[step] = reply.dshot
+        self._throttle[step] = reply.throttle
+        self.count = step + 1
+
+    def trace(self, control_rate_hz: int) -> Trace:
+        """All steps up to now."""
+        count = self.count
+        dshot = self._dshot[:count]
+        return Trace(
+            t=np.arange(count) / control_rate_hz,
+            setpoint=self._setpoint[:count],
+            rate=self._rate[:count],
+            gyro=self._gyro[:count],
+            motors=motor_fractions(dshot),
+            dshot=dshot,
+            throttle=self._throttle[:count],
+        )
 
 
 Frame = tuple[int, ...]  # channels [us]; equal ones of a pilot are one object

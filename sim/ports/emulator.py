@@ -107,12 +107,14 @@ class EmulatedPort:
         faults: Sequence[Fault] = (),
         profile: bool = False,
         attach: Callable[[Board], RunTo] = lambda board: board.run_to,
+        on_failure: Callable[[Board], None] = lambda board: None,
     ) -> None:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
         settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
         itself before, as `configured` does. receiver: of RECEIVERS. profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
+        on_failure: gets a board whose image does not boot, before it is closed.
         Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
         read its gyro at that rate, BuildError when image or ELF is none of ours, BoardError for what the
         image does wrong.
@@ -149,6 +151,7 @@ class EmulatedPort:
                     f"do not set gyro_rate_hz beside"
                 )
         except BaseException:
+            on_failure(self.board)
             self.board.close()
             raise
         self._divider = int(self._read(_DIVIDER))

@@ -25,8 +25,12 @@ from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.board.board import Board
-from sim.flight.trace import load_trace
-from toolchain.contract import MSP_VARIANT, Msp
+from sim.board.core.source_places import Places
+from sim.flight.trace import COLUMNS, load_trace
+from tests.sim.board.mutants.conftest import build_mutant as build_mutant
+from tests.sim.board.mutants.conftest import workshop as workshop
+from tests.sim.board.mutants.mutant import Mutant
+from toolchain.contract import FLASH_BASE, MSP_VARIANT, Msp
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -128,6 +132,89 @@ def test_what_the_board_does_not_forgive_is_one_line_when_the_image_does_it(
     code, out, err = fly("--build", str(tmp_path))
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert err.startswith("neuroflight: ") and "0x08070000" in err
+
+
+@pytest.fixture
+def starving(build_mutant: Callable[[Mutant], Path], board_image: Path) -> Path:
+    """A build whose image no longer feeds the watchdog once it is armed."""
+    elf = build_mutant(
+        Mutant(
+            name="watchdog not fed in flight",
+            file="src/program.c",
+            old="if (now != program->fed_at) {",
+            new="if (now != program->fed_at && !firmware_trace(program->firmware)->armed) {",
+            message="",
+        )
+    )
+    shipped, mutant = (
+        hashlib.sha256(image.with_suffix(".bin").read_bytes()).hexdigest() for image in (board_image, elf)
+    )
+    report = (board_image.parent / "report.json").read_text()
+    (elf.parent / "report.json").write_text(report.replace(shipped, mutant))
+    return elf.parent
+
+
+@pytest.fixture
+def second(tmp_path: Path) -> Path:
+    """A scenario of a second."""
+    path = tmp_path / "second.toml"
+    path.write_text("[[segment]]\nduration_s = 1.0\nsetpoint_deg_s = [50, 0, 0]\n")
+    return path
+
+
+def test_trace_and_profile_keep_what_was_flown_when_the_flight_ends_in_an_error(
+    fly: Command, starving: Path, second: Path, board_image: Path, tmp_path: Path
+) -> None:
+    broken, whole, profile = tmp_path / "broken.npz", tmp_path / "whole.npz", tmp_path / "profile"
+    arguments = ("--scenario", str(second), "--trace")
+    code, out, err = fly(*arguments, str(broken), "--profile", str(profile), "--build", str(starving))
+    assert (code, out) == (1, "")
+    assert "the watchdog was not fed for" in err.splitlines()[-1]
+    assert fly(*arguments, str(whole))[0] == 0
+    kept, complete = load_trace(broken), load_trace(whole)
+    steps = len(kept.t)
+    assert 300 < steps < len(complete.t) == 1000
+    assert f"{broken}: {steps / 1000:.3f} of 1 s, up to the error" in err
+    for name in COLUMNS:
+        assert getattr(kept, name).tobytes() == getattr(complete, name)[:steps].tobytes()
+    assert "policy_step" in (profile / "functions.txt").read_text()
+    assert f"{profile}: tasks.txt" in err
+
+
+def test_the_profile_of_the_boot_is_kept_when_the_image_does_not_boot(
+    fly: Command, board_image: Path, tmp_path: Path
+) -> None:
+    image = bytearray(board_image.with_suffix(".bin").read_bytes())
+    place = next(s.address for s in Places(board_image).functions if s.name == "gyro_start")
+    offset = place - FLASH_BASE
+    assert 0 < offset < len(image)
+    image[offset : offset + 2] = (0xDE00).to_bytes(2, "little")  # an instruction that there is not
+    for name in ("neuroflight.elf", "report.json"):
+        (tmp_path / name).write_bytes((board_image.parent / name).read_bytes())
+    (tmp_path / "neuroflight.bin").write_bytes(image)
+    profile, trace = tmp_path / "profile", tmp_path / "none.npz"
+    code, out, err = fly("--build", str(tmp_path), "--profile", str(profile), "--trace", str(trace))
+    assert (code, out) == (1, "")
+    assert "gyro_start" in err.splitlines()[-1]
+    assert "clock_start" in (profile / "functions.txt").read_text()
+    assert not trace.exists(), "nothing was flown"
+
+
+def test_the_error_stays_the_error_when_the_trace_cannot_be_written(
+    fly: Command, starving: Path, second: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("sim.flight.trace.save_trace", full)
+    trace = tmp_path / "a.npz"
+    code, _, err = fly("--scenario", str(second), "--trace", str(trace), "--build", str(starving))
+    assert code == 1 and not trace.exists()
+    assert [line.partition(":")[0] for line in err.splitlines()] == [
+        "the trace of the flight up to its end is not kept",
+        "neuroflight",
+    ]
+    assert "watchdog" in err.splitlines()[-1]
 
 
 def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_told_to(
