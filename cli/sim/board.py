@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
+from cli.sim.board_serial import Interrupt, add_gyro_argument, check_gdb, open_end, parse_serial
 from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
 from toolchain.errors import NeuroflightError
 from toolchain.files import file_size
@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="keep settings, policies and fault log here between two runs; the image is always the one given",
     )
+    add_gyro_argument(parser)
     parser.add_argument(
         "--volts",
         type=float,
@@ -71,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     image = args.image or (args.build or BUILD) / "neuroflight.bin"
 
     from sim.board.debug.gdb import GdbServer
+    from sim.board.matekf722 import GYROS
     from sim.board.peripherals.usart import Format
     from sim.board.serial.bridge import Bridge, UartLine
     from sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
@@ -81,7 +83,12 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as ends:
         end = open_end(serial)
         ends.callback(end.close)
-        idle = IdleBoard(with_image(flashed, kept), elf=elf if elf.is_file() else None, volts=args.volts)
+        idle = IdleBoard(
+            with_image(flashed, kept),
+            elf=elf if elf.is_file() else None,
+            volts=args.volts,
+            gyro=GYROS[args.gyro],
+        )
         ends.callback(idle.close)
         keeper = Keeper(idle, lambda content: _keep(args.flash, content))
         if args.flash is not None and kept is None:

@@ -1,7 +1,8 @@
-"""Shared by commands on the emulated board: serial ports for other programs, gdb, and Ctrl-C."""
+"""Shared by commands on the emulated board: gyro chip, serial ports for other programs, gdb, Ctrl-C."""
 
 from __future__ import annotations
 
+import argparse
 import re
 import signal
 from typing import TYPE_CHECKING
@@ -13,7 +14,18 @@ if TYPE_CHECKING:
     from sim.board.serial.bridge import End
 
 PORT_MAX = 65535
+GYROS = ("mpu6500", "icm20689")  # of sim.board.matekf722
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def add_gyro_argument(parser: argparse._ActionsContainer) -> None:
+    """Declare which gyro chip is fitted."""
+    parser.add_argument(
+        "--gyro",
+        choices=GYROS,
+        default=GYROS[0],
+        help=f"the chip that is fitted; default {GYROS[0]}",
+    )
 
 
 def parse_serial(text: str) -> tuple[str, int]:

@@ -10,7 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.sim.board_serial import Interrupt, check_gdb, open_end, parse_serial
+from cli.sim.board_serial import GYROS as CHIPS
+from cli.sim.board_serial import Interrupt, add_gyro_argument, check_gdb, open_end, parse_serial
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ STOPPED = 3  # exit code of a flight with faults in which the firmware stopped t
 RECEIVERS = ("sbus", "crsf")
 OPTIONS: dict[str, object] = {  # and their defaults
     "receiver": "sbus",
+    "gyro": CHIPS[0],
     "fault": [],
     "serial": None,
     "gdb": None,
@@ -37,6 +39,7 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
     )
+    add_gyro_argument(group)
     group.add_argument(
         "--fault",
         action="append",
@@ -73,6 +76,7 @@ def open_image(
 ) -> EmulatedPort:
     """The image on a board of its own; what was attached to it ends with `ends`."""
     from sim.board.debug.fault_injection import parse_fault
+    from sim.board.matekf722 import GYROS
     from sim.ports.emulator import EmulatedPort
 
     return EmulatedPort(
@@ -80,6 +84,7 @@ def open_image(
         args.gyro_hz,
         settings,
         receiver=args.receiver,
+        gyro=GYROS[args.gyro],
         faults=[parse_fault(text) for text in args.fault],
         profile=args.profile is not None,
         attach=lambda board: attached(args, board, image, ends),

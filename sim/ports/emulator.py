@@ -27,9 +27,9 @@ from sim.board.core.context import TIME_HZ
 from sim.board.debug.fault_injection import Fault, FaultPlan
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.debug.variables import read_variables
-from sim.board.devices.gyro_chip import MPU6500, READY
+from sim.board.devices.gyro_chip import READY
 from sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
+from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.serial.idle_board import configured
 from sim.ports.port import Reply, Sample, control_divider
 from sim.ports.receiver_frames import RECEIVERS
@@ -104,6 +104,7 @@ class EmulatedPort:
         settings: Mapping[str, float] | None = None,
         *,
         receiver: str = "sbus",
+        gyro: Gyro = GYRO,
         faults: Sequence[Fault] = (),
         profile: bool = False,
         attach: Callable[[Board], RunTo] = lambda board: board.run_to,
@@ -112,7 +113,8 @@ class EmulatedPort:
         """Power a board with `image` in its flash, and boot it; its ELF lies beside it.
 
         settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
-        itself before, as `configured` does. receiver: of RECEIVERS. profile: keep the tree of calls.
+        itself before, as `configured` does. receiver: of RECEIVERS. gyro: what is fitted.
+        profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
         on_failure: gets a board whose image does not boot, before it is closed.
         Raises LinkError when a file is missing, the image refuses a setting, or the firmware does not come to
@@ -126,13 +128,14 @@ class EmulatedPort:
         names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
         self._receiver = RECEIVERS[receiver]
+        self._alignment = gyro.alignment
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
         wanted = _stored(settings or {}, gyro_rate_hz, receiver)
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
-        flash = configured(flashed, elf, wanted) if wanted else flashed
-        self.board = Board(flash, elf=elf, chip=MPU6500, profile=profile, watchdog_resets=bool(faults))
+        flash = configured(flashed, elf, wanted, gyro) if wanted else flashed
+        self.board = Board(flash, elf=elf, chip=gyro.chip, profile=profile, watchdog_resets=bool(faults))
         try:
             self._gyro = self.board.hardware.gyro
             self._taken = self._seen(_SAMPLES)
@@ -200,7 +203,8 @@ class EmulatedPort:
             raise LinkError(f"gyro {sample.gyro}, force {sample.specific_force}: no chip measures that")
         if self._plan.due:
             self._inject()
-        self._gyro.measure(accel_counts(force, ALIGNMENT), 0, gyro_counts(gyro, ALIGNMENT))
+        turned = self._alignment
+        self._gyro.measure(accel_counts(force, turned), 0, gyro_counts(gyro, turned))
         self._edge += self._period
         self._run_to(self._edge - 1)
         self._samples += 1

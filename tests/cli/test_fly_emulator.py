@@ -26,7 +26,7 @@ from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.board.board import Board
 from sim.board.core.source_places import Places
-from sim.flight.trace import COLUMNS, load_trace
+from sim.flight.trace import COLUMNS, Trace, load_trace
 from tests.sim.board.mutants.conftest import build_mutant as build_mutant
 from tests.sim.board.mutants.conftest import workshop as workshop
 from tests.sim.board.mutants.mutant import Mutant
@@ -108,6 +108,15 @@ def test_it_tells_of_the_image_and_writes_trace_and_profile_when_all_is_well(
     assert sum(int(line.rsplit(" ", 1)[1]) for line in stacks.splitlines()) == told["instructions"]
     assert any(line.startswith("policy_step ") and "100.0%" in line for line in coverage.splitlines())
     assert "gyro_sample_handler" in flame and flame.startswith("<svg")
+
+
+def test_it_flies_an_icm20689_when_one_is_fitted(fly: Command, tmp_path: Path) -> None:
+    traces: list[Trace] = []
+    for options in (("--gyro", "icm20689", "--set", "gyro_alignment=cw90"), ()):
+        path = tmp_path / f"{len(traces)}.npz"
+        assert fly(*options, "--trace", str(path))[0] == 0
+        traces.append(load_trace(path))
+    assert traces[0].same(traces[1])
 
 
 def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_stops_it(fly: Command) -> None:
@@ -306,6 +315,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--gyro", "icm20689"], "--gyro: only on the emulated board; add --on emulator"),
         (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
         (["--receiver", "crsf"], "--receiver: only on the emulated board"),
         (["--profile", "d"], "--profile: only on the emulated board"),

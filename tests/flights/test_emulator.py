@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flash.settings import parse_change
 from sim.board.debug.variables import read_variables
+from sim.board.devices.gyro_chip import ICM20689
+from sim.board.matekf722 import GYROS
 from sim.control import sticks
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
@@ -73,3 +76,22 @@ def test_variables_are_found_by_name_or_named_when_they_are_not_there(board_imag
         read_variables(board_image, "firmware.status.trace.stap")
     with pytest.raises(BuildError, match="0 variables named firmwar,"):
         read_variables(board_image, "firmwar.status")
+
+
+def test_an_icm20689_flies_the_same_bits_when_the_pilot_has_said_how_it_is_turned(
+    image: Path, reference_library: Path, flown: Flown
+) -> None:
+    port = EmulatedPort(image, gyro=GYROS["icm20689"], settings=dict([parse_change("gyro_alignment=cw90")]))
+    assert port.board.hardware.gyro.kind is ICM20689
+    on_board = flown(port, BUSY)
+    assert flown(ReferencePort(reference_library), BUSY).same(on_board)
+
+
+def test_an_icm20689_ends_the_flight_when_the_pilot_has_said_another_way(image: Path, flown: Flown) -> None:
+    port = EmulatedPort(image, gyro=GYROS["icm20689"], settings=dict([parse_change("gyro_alignment=cw180")]))
+    trace = flown(port, BUSY)
+    assert any(event.stops and event.at_s < BUSY.duration_s for event in port.events)
+    # The chip's x axis is taken for pitch and its y axis for roll: the policy turns the aircraft over.
+    turning = trace.dshot[:, 0] > 0
+    assert turning[0] and not turning[-1]
+    assert np.abs(trace.rate[turning]).max() > 2 * np.abs(trace.setpoint).max()

@@ -34,7 +34,7 @@ PULSE = TIME_HZ // 20_000  # data-ready line: 50 us
 REGISTER_HZ = 1_000_000  # SCK at most, all registers
 FULL_SCALE = 3  # GYRO_CONFIG FS_SEL and ACCEL_CONFIG AFS_SEL of the counts that the loop sets
 
-# Registers that the image may write, and the bits of each that the model knows.
+# Registers that the image may write, and the bits of each that the model knows; a `GyroKind` has the rest.
 _WRITABLE = {
     SMPLRT_DIV: 0xFF,
     CONFIG: 0x07,
@@ -43,12 +43,11 @@ _WRITABLE = {
     ACCEL_CONFIG2: 0x0F,
     INT_PIN_CFG: 0x10,
     INT_ENABLE: 0x01,
-    SIGNAL_PATH_RESET: 0x07,
     USER_CTRL: 0x11,
     PWR_MGMT_1: 0xC7,
     PWR_MGMT_2: 0x3F,
 }
-_READABLE = {*_WRITABLE, INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
+_READABLE = {*_WRITABLE, SIGNAL_PATH_RESET, INT_STATUS, WHO_AM_I, *range(DATA, DATA + DATA_BYTES)}
 
 
 @dataclass(frozen=True)
@@ -59,12 +58,37 @@ class GyroKind:
     who_am_i: int
     data_hz: int  # SCK at most while data and interrupt registers are read
     power_management: int  # PWR_MGMT_1 after reset
+    signal_paths: int  # SIGNAL_PATH_RESET: those that there are
+    counts_per_degree: float  # of the thermometer
+    zero_deg_c: float  # where it counts 0
     start_ms: int  # from power to answers, at most (specification: 11 typical)
     reset_ms: int = 100  # from DEVICE_RESET to answers (register map, PWR_MGMT_1)
 
+    def temperature(self, deg_c: float) -> int:
+        """Counts of TEMP_OUT."""
+        return round((deg_c - self.zero_deg_c) * self.counts_per_degree)
 
-MPU6500 = GyroKind("MPU6500", 0x70, 20_000_000, 0x01, 100)
-ICM20689 = GyroKind("ICM20689", 0x98, 8_000_000, 0x41, 100)
+
+MPU6500 = GyroKind(
+    name="MPU6500",
+    who_am_i=0x70,
+    data_hz=20_000_000,
+    power_management=0x01,
+    signal_paths=0x07,
+    counts_per_degree=333.87,
+    zero_deg_c=21.0,
+    start_ms=100,
+)
+ICM20689 = GyroKind(
+    name="ICM20689",
+    who_am_i=0x98,
+    data_hz=8_000_000,
+    power_management=0x41,  # asleep
+    signal_paths=0x03,  # the gyro's is reserved
+    counts_per_degree=326.8,
+    zero_deg_c=25.0,
+    start_ms=100,
+)
 
 
 class GyroChip:
@@ -119,7 +143,8 @@ class GyroChip:
         self._clear()
 
     def _clear(self) -> None:
-        self._registers = dict.fromkeys(_WRITABLE, 0)
+        self._known = {**_WRITABLE, SIGNAL_PATH_RESET: self.kind.signal_paths}
+        self._registers = dict.fromkeys(self._known, 0)
         self._registers[PWR_MGMT_1] = self.kind.power_management
         self._in_c.data = bytes(DATA_BYTES)
         self._in_c.interrupt = False
@@ -243,7 +268,7 @@ class GyroChip:
         return self._registers[address]
 
     def _write(self, address: int, value: int) -> None:
-        known = _WRITABLE.get(address)
+        known = self._known.get(address)
         if known is None or value & ~known:
             self.context.fail(
                 f"register 0x{address:02X} of the {self.kind.name} = 0x{value:02X}: the model knows "

@@ -17,9 +17,8 @@ from flash.client import Client
 from flash.settings import Settings, as_stored, in_order
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
-from sim.board.devices.gyro_chip import MPU6500
 from sim.board.devices.gyro_mount import accel_counts, gyro_counts
-from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
+from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
 from toolchain.contract import (
@@ -35,7 +34,7 @@ from toolchain.errors import LinkError
 STEP = TIME_HZ // 1000  # cycles between two measurements, and two exchanges with programs: 1 ms
 # At rest: MPU-6500 product specification, 3.1 and 3.2 (0.01 deg/s/rtHz and 300 ug/rtHz over 250 Hz).
 GYRO_NOISE, ACCEL_NOISE = np.radians(0.16), 0.005 * GRAVITY  # standard deviations [rad/s], [m/s^2]
-TEMPERATURE = round((25.0 - 21.0) * 333.87)  # 25 deg C [counts]
+TEMPERATURE_DEG_C = 26.0  # of the gyro chip
 NOISE_STEPS = 1000  # drawn at once
 BOOT_S = 2.0  # within which an image is up, if it ever is
 LAG_MAX_S = 0.1  # behind the clock on the wall; what is more is not made up for
@@ -46,13 +45,20 @@ class IdleBoard:
     """A board of its own that lies still. Repeatable to the bit while no program talks to it."""
 
     def __init__(
-        self, flash: bytes, *, elf: Path | None = None, volts: float = FULL_VOLTS, seed: int = 0
+        self,
+        flash: bytes,
+        *,
+        elf: Path | None = None,
+        volts: float = FULL_VOLTS,
+        gyro: Gyro = GYRO,
+        seed: int = 0,
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
-        self.board = Board(flash, elf=elf, chip=MPU6500)
+        self.board = Board(flash, elf=elf, chip=gyro.chip)
+        self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
         self._rng = np.random.default_rng(seed)
@@ -93,7 +99,9 @@ class IdleBoard:
             self._noise = self._rng.normal(0.0, scale, (NOISE_STEPS, 6))
         (*rate, x, y, z), self._noise = self._noise[0].tolist(), self._noise[1:]
         self.board.hardware.gyro.measure(
-            accel_counts((x, y, z + GRAVITY), ALIGNMENT), TEMPERATURE, gyro_counts(rate, ALIGNMENT)
+            accel_counts((x, y, z + GRAVITY), self._alignment),
+            self._temperature,
+            gyro_counts(rate, self._alignment),
         )
 
 
@@ -162,13 +170,13 @@ def with_image(image: bytes, kept: bytes | None) -> bytes:
     return bytes(flash)
 
 
-def configured(image: bytes, elf: Path, settings: Mapping[str, float]) -> bytes:
+def configured(image: bytes, elf: Path, settings: Mapping[str, float], gyro: Gyro = GYRO) -> bytes:
     """Flash with `image` and `settings`, stored by the image itself; elf: the image's, for names and lines.
 
     A board boots, is told each over MSP, stores them, loses power, boots again and is asked for them.
     Returns the whole flash. Raises LinkError for a setting that the image refuses, BoardError.
     """
-    idle = IdleBoard(image, elf=elf)
+    idle = IdleBoard(image, elf=elf, gyro=gyro)
     try:
         idle.boot()
         asked = Settings(idle.client())

@@ -92,6 +92,25 @@ def test_chip_says_who_it_is_when_asked(make_bench: type[Bench], chip: gyro_chip
     assert exchange(bench, gyro_chip.WHO_AM_I | 0x80, 0)[1] == chip.who_am_i
 
 
+def test_an_icm20689_sleeps_when_it_is_reset_and_its_gyro_path_is_refused(make_bench: type[Bench]) -> None:
+    bench = make_bench(chip=ICM20689)
+    bench.full_speed()
+    start_chip(bench)
+    assert bench.hardware.gyro.next_sample is not None
+    exchange(bench, gyro_chip.PWR_MGMT_1, 0x80)
+    bench.context.run(100_001)
+    assert exchange(bench, gyro_chip.PWR_MGMT_1 | 0x80, 0)[1] == 0x41
+    assert bench.hardware.gyro.next_sample is None
+    exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x03)
+    with pytest.raises(BoardError, match=r"0x68 of the ICM20689 = 0x07: the model knows bits 0x03"):
+        exchange(bench, gyro_chip.SIGNAL_PATH_RESET, 0x07)
+
+
+@pytest.mark.parametrize(("chip", "counts"), [(MPU6500, 3005), (ICM20689, 1634)])
+def test_the_thermometer_counts_by_its_data_sheet(chip: gyro_chip.GyroKind, counts: int) -> None:
+    assert chip.temperature(30.0) == counts
+
+
 def test_byte_takes_its_clocks_when_polled(fast: Bench) -> None:
     configure(fast)
     fast.write("SPI1_DR", 0x55, 1)

@@ -8,16 +8,25 @@ from pathlib import Path
 import pytest
 import serial
 
-from flash import messages
+from flash import messages, records
 from flash.client import read_info
 from flash.msp import encode, request
 from flash.settings import Settings
 from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.matekf722 import GYROS, Gyro
 from sim.board.serial import idle_board as idle_board
 from sim.board.serial.bridge import Bridge, PtyEnd, UartLine
-from sim.board.serial.idle_board import IdleBoard, Keeper, configured, serve, with_image
-from toolchain.contract import FLASH_BANK_A, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_SETTINGS, Msp
+from sim.board.serial.idle_board import TEMPERATURE_DEG_C, IdleBoard, Keeper, configured, serve, with_image
+from toolchain.contract import (
+    FLASH_BANK_A,
+    FLASH_BASE,
+    FLASH_BOOT,
+    FLASH_BYTES,
+    FLASH_SETTINGS,
+    GyroHealth,
+    Msp,
+)
 from toolchain.errors import LinkError
 
 MILLISECOND = TIME_HZ // 1000
@@ -53,6 +62,19 @@ def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) ->
     assert info.arming_reasons == ("RECEIVER_LOST", "SWITCH_NOT_CYCLED")
     assert (battery.cells, battery.level) == (4, messages.BatteryLevel.GOOD)
     idle.close()
+
+
+@pytest.mark.parametrize("gyro", GYROS.values(), ids=GYROS)
+def test_the_chips_temperature_is_read_by_its_own_formula_when_another_one_is_fitted(
+    image: Path, gyro: Gyro
+) -> None:
+    idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"), gyro=gyro)
+    idle.run_to(TIME_HZ)
+    with idle.client() as client:
+        safety = records.safety(client.request(Msp.SAFETY))
+    idle.close()
+    assert safety.temperature_deg_c == pytest.approx(TEMPERATURE_DEG_C, abs=0.01)
+    assert safety.gyro_health is GyroHealth.GOOD
 
 
 def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> None:
