@@ -11,8 +11,8 @@ from toolchain.ir.float32 import Float32
 from toolchain.ir.interpreter import replay
 from toolchain.ir.network import Network
 
-# Every value of one observation: zero, the smallest magnitudes of float32, rates beyond a gyro's range and far
-# beyond; random ones of growing scale follow. All actions are numbers: who replays them may compare bits.
+# Every value of one observation: zero, the smallest magnitudes of float32, rates beyond a gyro's range, and
+# far beyond; random ones of growing scale follow. All actions are numbers: their bits may be compared.
 EXTREMES = (0.0, 1e-45, 1.1754944e-38, 1e-6, 1e3, -1e3, 1e6, -1e6, 1e9, -1e9)
 SCALES = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 15.0, 40.0)
 

@@ -54,8 +54,8 @@ class ActivationTable:
 def apply(table: ActivationTable, x: Float32) -> Float32:
     """The tabulated function of each float32 value of `x`, rounded at each step as the compiled C is.
 
-    NaN takes the row of `high`, as it does by the processor's own minimum; 0 x makes the result NaN, as it does
-    of an infinity.
+    NaN takes the row of `high`, as it does by the processor's own minimum; 0 x makes the result NaN, as of an
+    infinity.
     """
     f = np.float32
     with np.errstate(invalid="ignore", under="ignore"):

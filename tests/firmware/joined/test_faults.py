@@ -219,8 +219,9 @@ def too_fast(p: Pilot, ms: int) -> list[tuple[float, ...]]:
 
 
 def test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts(pilot: Callable[..., Pilot]) -> None:
-    # Or the crash detection would stop an aircraft that turns away at 2000 deg/s from sticks in their middle.
-    p = pilot("--set=crash_detection=0", "--set=runaway_detection=0", "--set=level_limit_deg=0")
+    # Or these would stop an aircraft that turns at 2000 deg/s with the sticks in their middle.
+    off = ("crash_detection", "runaway_detection", "plausibility_detection", "level_limit_deg")
+    p = pilot(*(f"--set={name}=0" for name in off))
     p.take_off()
     for _ in range(3):
         assert all(min(row) > 0 for row in too_fast(p, GYRO_SATURATED_MS - 20))
@@ -528,7 +529,7 @@ def test_a_full_log_begins_anew_some_seconds_after_the_boot_and_only_while_disar
     flash = tmp_path / "flash.bin"
     log = slice(FLASH_FAULT_RECORD.address - FLASH_BASE, FLASH_FAULT_RECORD.address - FLASH_BASE + 0x4000)
     content = bytearray(b"\xff" * FLASH_BYTES)
-    content[log] = bytes(FLASH_FAULT_RECORD.size)  # written all over
+    content[log] = b"\x55" * FLASH_FAULT_RECORD.size  # written all over
     flash.write_bytes(content)
     p = pilot(f"--settings={flash}")
     p.take_off()
