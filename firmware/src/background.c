@@ -4,6 +4,7 @@
 
 #define ALERT_RATE_HZ 50
 #define STORAGE_RATE_HZ 10
+#define WEIGHTS_AT_ONCE ((size_t)POLICY_WEIGHT_COUNT / 8 + 1) /* all of them in less than a second */
 #define FAULT_LOG_RENEW_MS 5000u
 #define FRACTION_PER_US 0.001f
 #define TOOK_OVER_MS 3000u /* so long beeper and LED tell nothing but that the PID took over */
@@ -275,6 +276,36 @@ static void background_renew_fault_log(struct background *background)
 	(void)background_storing(background, false);
 }
 
+/* Bad weights are made anew from flash while nothing can arm. */
+static void background_restore_weights(struct background *background)
+{
+	const struct background_config *config = &background->config;
+
+	if (background->weights_lost || background_storing(background, true) != NF_REFUSAL_NONE)
+		return;
+	background->weights_lost = !policy_slots_restore(&background->slots, &config->firmware->control.policy,
+							 config->weights);
+	background->weights_bad = background->weights_lost;
+	firmware_weights(config->firmware, !background->weights_bad);
+	(void)background_storing(background, false);
+}
+
+/* Compares some weights with those in flash, by turns, armed or not. */
+static void background_check_weights(struct background *background)
+{
+	const size_t first = background->weights_checked, left = (size_t)POLICY_WEIGHT_COUNT - first;
+	const size_t count = left < WEIGHTS_AT_ONCE ? left : WEIGHTS_AT_ONCE;
+
+	background->weights_checked = count == left ? 0 : first + count;
+	if (!background->weights_bad &&
+	    !policy_slots_intact(&background->slots, background->config.weights, first, count)) {
+		background->weights_bad = true;
+		firmware_weights(background->config.firmware, false);
+	}
+	if (background->weights_bad)
+		background_restore_weights(background);
+}
+
 /* A fault that was acknowledged forbids nothing any more. */
 static void background_run_storage(void *context)
 {
@@ -282,6 +313,7 @@ static void background_run_storage(void *context)
 
 	background_watch_gesture(background);
 	background_renew_fault_log(background);
+	background_check_weights(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 

@@ -44,6 +44,9 @@ struct background {
 	struct nf_settings settings; /* as flown: of this boot */
 	struct nf_settings edited; /* as stored, with changes that may not be saved yet */
 	struct policy_slots slots;
+	size_t weights_checked; /* those before this one, since the check last began at the first */
+	bool weights_bad; /* not what flash has */
+	bool weights_lost; /* flash has no good ones either */
 	struct fault_log faults;
 	struct scheduler scheduler;
 	struct battery battery;

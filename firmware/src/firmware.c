@@ -8,6 +8,8 @@
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
 #define ANY_TILT (-2.0f)          /* below every cosine */
+/* The thrust of the highest throttle stick that arms. */
+#define THROTTLE_LOW ((float)(NF_THROTTLE_LOW_US - NF_CHANNEL_MIN_US) / (float)(NF_CHANNEL_MAX_US - NF_CHANNEL_MIN_US))
 
 _Static_assert(POLICY_ACTION_COUNT <= NF_MOTOR_COUNT_MAX, "too many motors");
 _Static_assert(POLICY_OBSERVATION_COUNT <= NF_OBSERVATION_COUNT_MAX, "too many observations");
@@ -57,17 +59,28 @@ static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t ch
 	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
 }
 
+/* Which controller the pilot wants. A lost receiver's switches are ignored: the last choice stays, except that nobody holds
+ * the switch of a trial then. */
+static bool firmware_choose_pid(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	const enum receiver_link link = receiver_link(&fw->receiver);
+
+	if (fw->trial && (link != RECEIVER_GOOD || channels_us[NF_CHANNEL_TRIAL] < NF_TRIAL_ON_US))
+		return true;
+	return link == RECEIVER_LOST ? fw->pid_wanted : channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
+}
+
 /* Updates safety with all conditions that hold now, and `found`. */
 static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
 	uint16_t channels_us[NF_CHANNEL_COUNT];
 
 	receiver_channels(&fw->receiver, channels_us);
-	/* A lost receiver's switches are ignored: the pilot's last choice of controller stays. */
-	if (receiver_link(&fw->receiver) != RECEIVER_LOST)
-		fw->pid_wanted = channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
+	fw->pid_wanted = firmware_choose_pid(fw, channels_us);
 	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
 		control_reset(&fw->control);
+		turning_reset(&fw->turning);
+		plausibility_reset(&fw->plausibility);
 		crash_reset(&fw->crash);
 	}
 }
@@ -118,6 +131,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) :
 							      ANY_TILT;
 	fw->failsafe_throttle = settings->failsafe_throttle;
+	fw->doubts = settings->plausibility_detection != 0;
+	fw->trial = settings->policy_trial != 0;
 	fw->forbidden = SAFETY_REASON(BATTERY_UNKNOWN);
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
@@ -130,6 +145,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
 	rates_init(&fw->rates, settings);
 	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
+	turning_init(&fw->turning, POLICY_CONTROL_RATE_HZ);
+	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
 	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
 	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT);
@@ -205,6 +222,23 @@ static void firmware_command(struct firmware *fw)
 	trace->throttle = fw->failsafe_throttle;
 }
 
+/* Are the outputs that were flown plausible? If not, the PID takes over. Returns the conditions for safety where that has
+ * been done and does not help, or no PID is built in. */
+static uint32_t firmware_doubt(struct firmware *fw, const struct plausibility_input *input)
+{
+	const bool watched = fw->control.flying == CONTROLLER_POLICY || fw->control.latched;
+
+	if (!fw->doubts || !watched)
+		return 0; /* off, or the pilot chose the PID */
+	const enum nf_fallback_cause cause = plausibility_step(&fw->plausibility, input);
+	if (cause == NF_FALLBACK_NONE)
+		return 0;
+	plausibility_reset(&fw->plausibility);
+	if (control_distrust(&fw->control, cause) || cause == NF_FALLBACK_OSCILLATION)
+		return 0;
+	return crash_watches(&fw->crash) ? SAFETY_CRASH : 0u;
+}
+
 /* Gyro and setpoint to motor outputs. Returns 0, or the conditions for safety for which `output` must not be flown. */
 static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COUNT])
 {
@@ -223,7 +257,24 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 
 	if (!control_step(&fw->control, &input, output))
 		return SAFETY_NO_CONTROLLER;
-	return verdicts[crash_step(&fw->crash, trace->setpoint, trace->gyro, control_spread(&fw->control))];
+	turning_step(&fw->turning, trace->gyro);
+	const struct crash_input crash = {
+		.setpoint = trace->setpoint,
+		.rate = trace->gyro,
+		.turning = &fw->turning,
+		.spread = control_spread(&fw->control),
+		.thrust = trace->throttle > THROTTLE_LOW,
+	};
+	float demand[3];
+	const struct plausibility_input outputs = {
+		.setpoint = trace->setpoint,
+		.rate = trace->gyro,
+		.demand = control_demand(&fw->control, demand) ? demand : NULL,
+		.turning = &fw->turning,
+		.thrust = crash.thrust,
+	};
+
+	return firmware_doubt(fw, &outputs) | verdicts[crash_step(&fw->crash, &crash)];
 }
 
 /* The motors' values of a control step whose outputs are `output`. */
@@ -247,6 +298,15 @@ static void firmware_publish(struct firmware *fw)
 	++fw->published;
 }
 
+/* The policy is bad. If it flies, the PID takes over with this control step. Without one it flies on, watched for
+ * plausibility: one wrong weight is better than none. */
+static void firmware_lose_weights(struct firmware *fw)
+{
+	if (safety_motors(&fw->safety))
+		(void)control_distrust(&fw->control, NF_FALLBACK_WEIGHTS);
+	control_policy_good(&fw->control, false);
+}
+
 static void firmware_control_step(struct firmware *fw, const float rate[3])
 {
 	struct control_trace *trace = &fw->status.trace;
@@ -266,6 +326,8 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 		firmware_update_safety(fw, 0);
 	fw->heard = false;
 	firmware_command(fw);
+	if (fw->weights_bad)
+		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {
 		const uint32_t found = firmware_fly(fw, output);
 		if (found)
@@ -350,6 +412,14 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 void firmware_acknowledge(struct firmware *fw)
 {
 	fw->acknowledged = true;
+	fence();
+}
+
+void firmware_weights(struct firmware *fw, bool good)
+{
+	fw->weights_bad = !good;
+	if (good)
+		control_policy_good(&fw->control, true);
 	fence();
 }
 

@@ -20,7 +20,9 @@
 #include "receiver/rates.h"
 #include "receiver/receiver.h"
 #include "safety/crash.h"
+#include "safety/plausibility.h"
 #include "safety/safety.h"
+#include "safety/turning.h"
 #include "sensing/attitude.h"
 #include "sensing/filters.h"
 #include "sensing/gyro.h"
@@ -43,6 +45,8 @@ struct firmware {
 	struct receiver receiver;
 	struct rates rates;
 	struct safety safety;
+	struct turning turning;
+	struct plausibility plausibility;
 	struct crash crash;
 	struct control control;
 	struct motor_test motor_test;        /* the background asks it for tests */
@@ -55,11 +59,14 @@ struct firmware {
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
 	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
 	float failsafe_throttle;        /* 0..1 */
-	bool pid_wanted;                /* by the switch, as last heard */
+	bool doubts;                    /* the policy's outputs must be plausible */
+	bool trial;                     /* the policy flies only while the switch of its trial is held */
+	bool pid_wanted;                /* by the switches, as last heard */
 	enum nf_gyro_health health;     /* of the last sample */
 	volatile uint32_t forbidden;    /* arming reasons that the background knows */
 	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
 	volatile bool posted;           /* they wait to be taken up */
+	volatile bool weights_bad;      /* flash has others, says the background */
 	volatile bool acknowledged;     /* by the pilot, for the next control step */
 	bool heard;                     /* a receiver frame waits to be evaluated */
 	struct firmware_status status;  /* written at control steps only */
@@ -98,6 +105,10 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 /* From the background: the pilot knows why the policy was refused in flight. It may fly again, unless the next control
  * step finds the motors armed: then nothing happens. */
 void firmware_acknowledge(struct firmware *fw);
+
+/* From the background: are the policy's weights what flash has? If not, the PID takes over at the next control step, and the
+ * policy is bad until they are again; only while nothing can arm. */
+void firmware_weights(struct firmware *fw, bool good);
 
 /* From the background: the battery's voltage, filtered [V], 0 where it is not known. The PID flies by it. */
 void firmware_power(struct firmware *fw, float voltage);

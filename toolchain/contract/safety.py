@@ -17,14 +17,30 @@ GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in
 # so long, without one sample below, is out of control, or its gyro is dead: no stick asks for such a rate.
 GYRO_SATURATED_MS = 500
 DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
-# A crash: for so long an axis is this far from what was asked for, while the controller gives one motor so
-# much more than another. The hardest of our own flights, a flip at 720 deg/s, is that far off for 50 ms.
+# An axis turns towards its setpoint if its rate, behind these two low-passes, changes that way by more than
+# so much. Gyro noise of three times the NF1's makes 150 deg/s^2 of it; the yaw of a heavy aircraft, the
+# weakest axis that flies, reaches 500.
+TURNING_DEG_S2 = 250.0
+TURNING_NEAR_HZ, TURNING_FAR_HZ = 32.0, 16.0
+TURNING_LIMIT_DEG_S = 150.0  # as fast as this the asked way, but not turning faster: the axis is at its limit
+# Implausible outputs. In 1,000 pulses, 200 aircraft drawn at random, roll, flip and Split-S the outputs of a
+# sound policy leave a large error unanswered for 2 ms, and the error swings five times in a row
+# (tests/flights/test_plausibility.py).
+WRONG_WAY_ERROR_DEG_S, WRONG_WAY_MS = 60.0, 20  # so far off, and the outputs do not answer for so long
+NO_RESPONSE_ERROR_DEG_S, NO_RESPONSE_MS = 200.0, 200  # so far off, and the axis does not turn for so long
+OSCILLATION_ERROR_DEG_S = 10.0  # to either side of the setpoint by turns, behind a low-pass at
+OSCILLATION_HZ = 40.0
+OSCILLATION_HALF_MS = 60  # from one side to the other at most: no stick moves so fast
+OSCILLATION_SWINGS = 12
+# A crash: for so long an axis is this far from what was asked for and does not turn towards it, while the
+# controller gives one motor so much more than another. The hardest of our own flights, a flip at 720 deg/s,
+# is that far off for 50 ms.
 CRASH_ERROR_DEG_S = 500.0
 CRASH_SPREAD = 0.5  # of the controller's answer, before the throttle
 CRASH_MS = 250
 # A runaway, as of a motor or propeller in the wrong place: for so long an axis is as far off, turns away from
 # what was asked for, and faster at the end. A pilot who turns round sees the rate fall within 30 ms.
-RUNAWAY_WINDOW_MS = 1000  # after arming
+RUNAWAY_WINDOW_MS = 1000  # after the throttle was raised for the first time, and before
 RUNAWAY_MS = 50
 HANDOVER_MS = 50  # in which a change of controller passes from the old outputs to the new
 
@@ -90,6 +106,10 @@ class FallbackCause(IntEnum):
     SWITCH = 1  # the pilot's
     POLICY_OUTPUT = 2  # NaN or out of range
     DEADLINE = 3
+    WRONG_WAY = 4  # its outputs did not turn an axis towards its setpoint
+    NO_RESPONSE = 5  # a distant axis did not turn towards its setpoint
+    OSCILLATION = 6
+    WEIGHTS = 7  # a weight in memory was not what flash has
 
 
 class GyroHealth(IntEnum):

@@ -15,6 +15,7 @@ from toolchain.contract.receiver import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
+    CHANNEL_TRIAL,
     CHANNEL_YAW,
 )
 from toolchain.contract.safety import GYRO_BAD_MS
@@ -104,6 +105,7 @@ SETTINGS = (
             ("arm", CHANNEL_ARM),
             ("pid", CHANNEL_PID),
             ("beeper", CHANNEL_BEEPER),
+            ("trial", CHANNEL_TRIAL),
         )
     ),
     _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
@@ -141,4 +143,6 @@ SETTINGS = (
     _number("battery_low_v", 2.5, 4.4, 3.3, "V", "a cell: land now"),
     _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
+    _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),
+    _choice("policy_trial", "off", _SWITCH, "the policy flies only while the switch of map_trial is held"),
 )

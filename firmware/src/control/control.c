@@ -185,6 +185,31 @@ void control_deadline(struct control *control, bool missed)
 		control_fall_back(control, NF_FALLBACK_DEADLINE);
 }
 
+bool control_distrust(struct control *control, enum nf_fallback_cause cause)
+{
+	if (control->flying != CONTROLLER_POLICY)
+		return false;
+	control_fall_back(control, cause);
+	return control->latched;
+}
+
+void control_policy_good(struct control *control, bool good)
+{
+	control->good[CONTROLLER_POLICY] = good;
+}
+
+bool control_demand(const struct control *control, float demand[3])
+{
+	const struct pid_gains *gains = control->pid.gains;
+
+	for (int i = 0; i < 3; ++i) {
+		demand[i] = 0.0f;
+		for (uint32_t m = 0; m < gains->motor_count; ++m)
+			demand[i] += gains->mixer[m][i] * control->action[m];
+	}
+	return gains->motor_count > 0;
+}
+
 float control_spread(const struct control *control)
 {
 	float least = control->action[0], most = control->action[0];

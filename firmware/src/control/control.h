@@ -79,6 +79,16 @@ bool control_step(struct control *control, const struct control_input *input, fl
  * is one, and the policy is refused until it is acknowledged. */
 void control_deadline(struct control *control, bool missed);
 
+/* The outputs were legal but not plausible, or the policy's weights are wrong: where the policy flies, the PID takes over if
+ * there is one, and the policy is refused until it is acknowledged. Returns whether that happened. */
+bool control_distrust(struct control *control, enum nf_fallback_cause cause);
+
+/* The policy may not fly from the next control step on, or may again, its weights having passed their self-test. */
+void control_policy_good(struct control *control, bool good);
+
+/* What the last outputs ask of each axis, by the PID's mixer; its sign counts. Returns false where no PID is built in. */
+bool control_demand(const struct control *control, float demand[3]);
+
 /* Largest minus smallest motor of the controller's last output, 0..1. */
 float control_spread(const struct control *control);
 

@@ -6,7 +6,7 @@
 #define LINE_GAP_MS 2u
 
 static const uint8_t sticks[RECEIVER_STICKS] = { NF_CHANNEL_ROLL, NF_CHANNEL_PITCH, NF_CHANNEL_YAW };
-_Static_assert(NF_CHANNEL_BEEPER == RECEIVER_MAPPED - 1, "the mapped channels are the first ones");
+_Static_assert(NF_CHANNEL_TRIAL == RECEIVER_MAPPED - 1, "the mapped channels are the first ones");
 
 static void receiver_lose(struct receiver *receiver)
 {
@@ -27,6 +27,7 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 			[NF_CHANNEL_ARM] = (uint8_t)settings->map_arm,
 			[NF_CHANNEL_PID] = (uint8_t)settings->map_pid,
 			[NF_CHANNEL_BEEPER] = (uint8_t)settings->map_beeper,
+			[NF_CHANNEL_TRIAL] = (uint8_t)settings->map_trial,
 		},
 		.interpolates = settings->interpolation != 0,
 		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,

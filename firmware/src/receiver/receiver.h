@@ -20,7 +20,7 @@ enum receiver_link {
 };
 
 #define RECEIVER_STICKS 3 /* that turn the aircraft: roll, pitch, yaw */
-#define RECEIVER_MAPPED 7 /* channels with a setting map_... of their own, the first ones */
+#define RECEIVER_MAPPED 8 /* channels with a setting map_... of their own, the first ones */
 
 struct receiver {
 	union {

@@ -20,6 +20,11 @@ void crash_reset(struct crash *crash)
 	crash->away = 0;
 }
 
+bool crash_watches(const struct crash *crash)
+{
+	return crash->crash_after > 0;
+}
+
 static float crash_size(float value)
 {
 	return value < 0.0f ? -value : value;
@@ -55,20 +60,27 @@ static bool crash_runs_away(struct crash *crash, int axis, float error, float ra
 	       crash_size(rate) > crash->first_rate;
 }
 
-enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread)
+/* Does the controller act on the large error of `axis` in vain? */
+static bool crash_helpless(const struct crash_input *input, int axis, float error)
 {
-	const int axis = crash_furthest(setpoint, rate);
-	const float error = setpoint[axis] - rate[axis];
+	return input->spread >= NF_CRASH_SPREAD && !turning_towards(input->turning, axis, error) &&
+	       !turning_at_limit(input->rate[axis], error);
+}
 
-	if (crash->flown < crash->window)
+enum crash_verdict crash_step(struct crash *crash, const struct crash_input *input)
+{
+	const int axis = crash_furthest(input->setpoint, input->rate);
+	const float error = input->setpoint[axis] - input->rate[axis];
+
+	if ((input->thrust || crash->flown > 0) && crash->flown < crash->window)
 		++crash->flown;
 	if (!(crash_size(error) > ERROR_LIMIT)) {
 		crash->helpless = 0;
 		crash->away = 0;
 		return CRASH_NONE;
 	}
-	crash->helpless = spread >= NF_CRASH_SPREAD ? crash->helpless + 1u : 0u;
-	if (crash_runs_away(crash, axis, error, rate[axis]))
+	crash->helpless = crash_helpless(input, axis, error) ? crash->helpless + 1u : 0u;
+	if (crash_runs_away(crash, axis, error, input->rate[axis]))
 		return CRASH_RUNAWAY;
 	return crash_lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
 }

@@ -6,18 +6,19 @@
 #include <stdint.h>
 
 #include "nf_contract.h"
+#include "safety/turning.h"
 
 enum crash_verdict {
 	CRASH_NONE,
-	CRASH_HAPPENED, /* large error for NF_CRASH_MS although the controller acts */
-	CRASH_RUNAWAY,  /* error that grows for NF_RUNAWAY_MS, just after arming */
+	CRASH_HAPPENED, /* large error for NF_CRASH_MS that does not fall although the controller acts */
+	CRASH_RUNAWAY,  /* error that grows for NF_RUNAWAY_MS, until just after the throttle was first raised */
 };
 
 /* All times in control steps; 0 as a limit: never. */
 struct crash {
 	uint32_t crash_after, runaway_after, window;
-	uint32_t flown;    /* since arming, at most window */
-	uint32_t helpless; /* consecutive steps with a large error although the controller acts */
+	uint32_t flown;    /* since the throttle was first raised, at most window */
+	uint32_t helpless; /* consecutive steps with a large error that does not fall although the controller acts */
 	uint32_t away;     /* consecutive steps in which the error grows */
 	int axis;          /* which one */
 	float first_rate;  /* rad/s, its rate at the first of them, without its sign */
@@ -28,8 +29,18 @@ void crash_init(struct crash *crash, const struct nf_settings *settings, unsigne
 /* A flight begins. */
 void crash_reset(struct crash *crash);
 
-/* One control step. setpoint, rate: rad/s, body axes; spread: between the largest and the smallest motor fraction of
- * the controller's answer. The axis with the largest error counts; an error is large above NF_CRASH_ERROR_DEG_S. */
-enum crash_verdict crash_step(struct crash *crash, const float setpoint[3], const float rate[3], float spread);
+/* Is crash detection on? */
+bool crash_watches(const struct crash *crash);
+
+struct crash_input {
+	const float *setpoint, *rate;  /* [3] rad/s, body */
+	const struct turning *turning; /* after this control step */
+	float spread; /* between the largest and the smallest motor fraction of the controller's answer */
+	bool thrust; /* the throttle is raised */
+};
+
+/* One control step. The axis with the largest error counts; an error is large above NF_CRASH_ERROR_DEG_S. An axis that turns
+ * towards its setpoint, or turns that way as fast as the aircraft can, has not crashed. */
+enum crash_verdict crash_step(struct crash *crash, const struct crash_input *input);
 
 #endif

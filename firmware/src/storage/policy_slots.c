@@ -131,6 +131,32 @@ enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *
 	return NF_ERR_POLICY;
 }
 
+bool policy_slots_intact(const struct policy_slots *slots, const float weights[POLICY_WEIGHT_COUNT], size_t first,
+			 size_t count)
+{
+	if (slots->flown == POLICY_SOURCE_COUNT)
+		return true;
+	const uint8_t *blob = policy_slots_blob_of(slots, slots->flown);
+	const uint8_t *kept = blob + NF_POLICY_BLOB_HEADER_BYTES + first * sizeof weights[0];
+
+	return memcmp(weights + first, kept, count * sizeof weights[0]) == 0;
+}
+
+bool policy_slots_restore(struct policy_slots *slots, struct policy *policy, float weights[POLICY_WEIGHT_COUNT])
+{
+	const enum policy_source source = slots->flown;
+
+	if (source == POLICY_SOURCE_COUNT)
+		return false;
+	slots->found[source] = policy_slots_check(slots, source);
+	if (slots->found[source] != NF_OK)
+		return false;
+	if (policy_slots_use(slots, source, policy, weights))
+		return true;
+	slots->found[source] = NF_ERR_POLICY;
+	return false;
+}
+
 bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob_header *header)
 {
 	if (slots->flown == POLICY_SOURCE_COUNT)

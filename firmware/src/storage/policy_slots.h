@@ -57,6 +57,14 @@ enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *
 /* Header of the flown blob. Returns false, `header` unset, if none is flown. */
 bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob_header *header);
 
+/* Are `count` of `weights`, from number `first` on, bit for bit those of the flown blob in flash? True where none is flown. */
+bool policy_slots_intact(const struct policy_slots *slots, const float weights[POLICY_WEIGHT_COUNT], size_t first,
+			 size_t count);
+
+/* Makes the flown blob's weights anew in `weights`, and `policy` initialized with them, if the blob still passes all checks
+ * and its self-test. Returns whether it does. */
+bool policy_slots_restore(struct policy_slots *slots, struct policy *policy, float weights[POLICY_WEIGHT_COUNT]);
+
 /* Begins an update with a blob of `total` bytes: erases the slot that is not flown; if none is, one that does not hold
  * the best policy. Waits for the flash, as the next two do; only while nothing can arm.
  * NF_REFUSAL_PAYLOAD: no blob has that size. NF_REFUSAL_FLASH. */

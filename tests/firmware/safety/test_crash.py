@@ -13,7 +13,15 @@ import pytest
 
 from sim.flight.scenario import Scenario, load_scenario
 from sim.flight.trace import Trace
-from toolchain.contract import CRASH_ERROR_DEG_S, CRASH_MS, CRASH_SPREAD, RUNAWAY_MS, RUNAWAY_WINDOW_MS
+from toolchain.contract import (
+    CRASH_ERROR_DEG_S,
+    CRASH_MS,
+    CRASH_SPREAD,
+    RUNAWAY_MS,
+    RUNAWAY_WINDOW_MS,
+    TURNING_DEG_S2,
+    TURNING_LIMIT_DEG_S,
+)
 
 NONE, HAPPENED, RUNAWAY = range(3)
 OFF = math.radians(CRASH_ERROR_DEG_S + 1)
@@ -28,17 +36,20 @@ class Watch:
         core.lib.settings_default(settings)
         settings.crash_detection, settings.runaway_detection = crash, runaway
         self._core, self._crash = core, core.new("struct crash *")
+        self._turning = core.new("struct turning *")
+        self.thrust = True
         core.lib.crash_init(self._crash, settings, rate_hz)
         core.lib.crash_reset(self._crash)
+        core.lib.turning_init(self._turning, rate_hz)
+        core.lib.turning_reset(self._turning)
 
     def step(self, setpoint: float, rate: float, spread: float = FULL, axis: int = 0) -> int:
         setpoints, rates = [0.0] * 3, [0.0] * 3
         setpoints[axis], rates[axis] = setpoint, rate
-        new = self._core.new
-        verdict = self._core.lib.crash_step(
-            self._crash, new("float[3]", setpoints), new("float[3]", rates), spread
-        )
-        return int(verdict)
+        asked, turned = (self._core.new("float[3]", values) for values in (setpoints, rates))
+        self._core.lib.turning_step(self._turning, turned)
+        seen = (asked, turned, self._turning, spread, self.thrust)
+        return int(self._core.lib.crash_step(self._crash, self._core.new("struct crash_input *", seen)))
 
     def held(self, steps: int, error: float = OFF, spread: float = FULL, axis: int = 0) -> list[int]:
         """An aircraft that does not turn at all, whatever is asked for."""
@@ -80,6 +91,42 @@ def test_a_runaway_is_seen_when_it_turns_away_ever_faster_just_after_arming(
     assert set(late.spun(growing, axis)) == {NONE}
 
 
+def test_the_runaway_window_begins_with_the_first_throttle(scripted: Any) -> None:
+    growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
+    watch = Watch(scripted)
+    watch.thrust = False
+    watch.fly(5 * RUNAWAY_WINDOW_MS)
+    assert watch.spun(growing)[-1] == RUNAWAY, "it waits for the throttle"
+    watch.thrust = True
+    watch.fly(RUNAWAY_WINDOW_MS // 2)
+    watch.thrust = False
+    watch.fly(RUNAWAY_WINDOW_MS // 2)
+    assert set(watch.spun(growing)) == {NONE}, "and runs on when the throttle is closed again"
+
+
+def test_no_crash_is_seen_while_the_axis_turns_towards_its_setpoint(scripted: Any) -> None:
+    far = math.radians(1900)
+    slow = math.radians(TURNING_DEG_S2) / 1000  # rad/s a step
+    for share, verdicts in ((1.5, {NONE}), (0.5, {NONE, HAPPENED})):
+        for sign in (1, -1):
+            watch = Watch(scripted)
+            rates = [sign * share * slow * step for step in range(4 * CRASH_MS)]
+            assert math.degrees(abs(rates[-1])) < 2 * TURNING_LIMIT_DEG_S * share
+            limit = math.radians(TURNING_LIMIT_DEG_S)
+            seen = [watch.step(sign * far, rate) for rate in rates if abs(rate) < limit]
+            assert set(seen) == verdicts
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_no_crash_is_seen_when_the_axis_turns_as_fast_as_it_can(scripted: Any, sign: int) -> None:
+    asked, limit = sign * math.radians(1900), sign * math.radians(TURNING_LIMIT_DEG_S)
+    watch = Watch(scripted)
+    assert {watch.step(asked, 1.01 * limit) for _ in range(5000)} == {NONE}
+    for rate in (0.99 * limit, -2 * limit):
+        watch = Watch(scripted)
+        assert HAPPENED in [watch.step(asked, rate) for _ in range(CRASH_MS + 1)], "blocked, or turning away"
+
+
 def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should(scripted: Any) -> None:
     growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS - 1).tolist()
     watch = Watch(scripted)
@@ -102,6 +149,12 @@ def test_no_crash_is_seen_when_the_error_is_small_or_the_controller_does_little(
 def test_the_time_begins_anew_when_one_step_is_good(scripted: Any) -> None:
     watch = Watch(scripted)
     assert set(watch.held(CRASH_MS - 1) + watch.held(1, 0.0) + watch.held(CRASH_MS - 1)) == {NONE}
+
+
+def test_the_time_begins_anew_when_the_controller_does_little_for_a_step(scripted: Any) -> None:
+    watch = Watch(scripted)
+    seen = watch.held(CRASH_MS - 1) + watch.held(1, spread=CRASH_SPREAD - 0.01) + watch.held(CRASH_MS)
+    assert seen == [NONE] * (2 * CRASH_MS - 1) + [HAPPENED]
 
 
 def test_nothing_is_seen_when_it_is_switched_off(scripted: Any) -> None:

@@ -1,0 +1,92 @@
+#include "safety/plausibility.h"
+
+#include "common/nf_math.h"
+
+#define WRONG_WAY_ERROR (NF_WRONG_WAY_ERROR_DEG_S * NF_RAD_PER_DEG)
+#define NO_RESPONSE_ERROR (NF_NO_RESPONSE_ERROR_DEG_S * NF_RAD_PER_DEG)
+#define SWING (NF_OSCILLATION_ERROR_DEG_S * NF_RAD_PER_DEG)
+
+void plausibility_init(struct plausibility *plausibility, unsigned control_rate_hz)
+{
+	*plausibility = (struct plausibility){
+		.wrong_way_after = control_rate_hz * NF_WRONG_WAY_MS / 1000u,
+		.no_response_after = control_rate_hz * NF_NO_RESPONSE_MS / 1000u,
+		.half_longest = control_rate_hz * NF_OSCILLATION_HALF_MS / 1000u,
+		.smoothing = nf_one_minus_exp(NF_TAU * NF_OSCILLATION_HZ / (float)control_rate_hz),
+	};
+}
+
+void plausibility_reset(struct plausibility *plausibility)
+{
+	for (int i = 0; i < 3; ++i) {
+		plausibility->wrong_way[i] = 0;
+		plausibility->no_response[i] = 0;
+		plausibility->error[i] = 0.0f;
+		plausibility->side[i] = 0;
+		plausibility->since[i] = 0;
+		plausibility->swings[i] = 0;
+	}
+}
+
+/* Counts a step in which `holds`. Returns whether it held for `limit` steps in a row. */
+static bool plausibility_lasts(uint32_t *steps, bool holds, uint32_t limit)
+{
+	*steps = holds ? *steps + 1u : 0u;
+	return *steps >= limit;
+}
+
+/* Does the error of axis i swing to and fro, faster than a pilot's sticks? */
+static bool plausibility_swings(struct plausibility *p, int i, float error)
+{
+	p->error[i] += p->smoothing * (error - p->error[i]);
+	const int side = p->error[i] > SWING ? 1 : p->error[i] < -SWING ? -1 : p->side[i];
+
+	if (++p->since[i] > p->half_longest)
+		p->swings[i] = 0;
+	if (side == p->side[i])
+		return false;
+	p->side[i] = side;
+	p->since[i] = 0;
+	return ++p->swings[i] >= NF_OSCILLATION_SWINGS;
+}
+
+static float plausibility_size(float value)
+{
+	return value < 0.0f ? -value : value;
+}
+
+/* `largest`: the largest error of the three. Beside an axis with more than twice its error one may stray for a while: motors
+ * are at their ends then, and a network that was never so far off couples the axes. */
+static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, const struct plausibility_input *input,
+						float largest)
+{
+	const float rate = input->rate[i];
+	const float error = input->setpoint[i] - rate;
+	const float size = plausibility_size(error);
+	const bool turns = turning_towards(input->turning, i, error);
+	const bool strays = 2.0f * size >= largest && !turns;
+	const bool away = strays && size > WRONG_WAY_ERROR && input->demand && input->demand[i] * error <= 0.0f;
+	const bool idle = strays && size > NO_RESPONSE_ERROR && input->thrust && !turning_at_limit(rate, error);
+
+	if (plausibility_lasts(&p->wrong_way[i], away, p->wrong_way_after))
+		return NF_FALLBACK_WRONG_WAY;
+	if (plausibility_lasts(&p->no_response[i], idle, p->no_response_after))
+		return NF_FALLBACK_NO_RESPONSE;
+	return plausibility_swings(p, i, error) ? NF_FALLBACK_OSCILLATION : NF_FALLBACK_NONE;
+}
+
+enum nf_fallback_cause plausibility_step(struct plausibility *plausibility, const struct plausibility_input *input)
+{
+	enum nf_fallback_cause found = NF_FALLBACK_NONE;
+	float largest = 0.0f;
+
+	for (int i = 0; i < 3; ++i) {
+		const float size = plausibility_size(input->setpoint[i] - input->rate[i]);
+		largest = size > largest ? size : largest;
+	}
+	for (int i = 0; i < 3; ++i) {
+		const enum nf_fallback_cause cause = plausibility_axis(plausibility, i, input, largest);
+		found = found == NF_FALLBACK_NONE ? cause : found;
+	}
+	return found;
+}

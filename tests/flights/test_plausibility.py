@@ -1,0 +1,219 @@
+"""Wrong policies in flight are told, and the PID takes over; right ones are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment, load_scenario, pulses
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.physics.variation import Variation
+from sim.ports.library import ReferencePort
+from tests.flights.weights import Change, ChangedPort, Weights
+from toolchain.contract import CHANNEL_PID, CHANNEL_TRIAL, FallbackCause, StopCause
+from training.evaluation.robustness import EXTREMES
+
+GYRO_RATE_HZ = 4000
+INPUTS, UNITS, MOTORS = 19, 64, 4  # of the shipped policy
+LAST = (1 + UNITS) * MOTORS  # floats of its last layer: biases, then a row of each input
+FIRST = (UNITS // 8, 1 + INPUTS, 8)  # of its first layer: blocks of eight units
+OF_AN_AXIS = 15  # error, integral, rate, filtered rate and delta of roll, pitch, yaw by turns; then actions
+ALONE, TAKEN_OVER = FallbackCause.NONE, frozenset({FallbackCause.WRONG_WAY, FallbackCause.NO_RESPONSE})
+Fly = Callable[..., tuple[Trace, ChangedPort]]
+
+
+def last_layer(weights: Weights) -> Weights:
+    return weights[-LAST:].reshape(1 + UNITS, MOTORS)
+
+
+def first_layer(weights: Weights) -> Weights:
+    begin = weights.size - LAST - UNITS * (1 + UNITS) - UNITS * (1 + INPUTS)
+    return weights[begin : begin + UNITS * (1 + INPUTS)].reshape(FIRST)
+
+
+def swapped(one: int, other: int) -> Change:
+    """Two motors' outputs for each other."""
+
+    def change(weights: Weights) -> None:
+        layer = last_layer(weights)
+        layer[:, [one, other]] = layer[:, [other, one]]
+
+    return change
+
+
+def mirrored(axis: int) -> Change:
+    """All that is observed of an axis with the wrong sign."""
+
+    def change(weights: Weights) -> None:
+        first_layer(weights)[:, 1 + axis : 1 + OF_AN_AXIS : 3] *= -1
+
+    return change
+
+
+def frozen(weights: Weights) -> None:
+    """Outputs that nothing moves."""
+    last_layer(weights)[1:] = 0
+    last_layer(weights)[0] = 0.05
+
+
+def half_as_much_again(weights: Weights) -> None:
+    """A gain error of 50 %."""
+    last_layer(weights)[:] *= 1.5
+
+
+def unchanged(weights: Weights) -> None:
+    """The shipped policy."""
+
+
+@pytest.fixture
+def fly_changed(reference_library: Path) -> Fly:
+    """Flies a policy that is changed in flight; returns the trace, and the port to be asked."""
+
+    def run(
+        scenario: Scenario,
+        change: Change = unchanged,
+        *,
+        at_s: float = 0.0,
+        seed: int = 1,
+        variation: Variation | None = None,
+        settings: Mapping[str, float] | None = None,
+    ) -> tuple[Trace, ChangedPort]:
+        inner = ReferencePort(reference_library, GYRO_RATE_HZ, settings)
+        port = ChangedPort(inner, change, round(at_s * GYRO_RATE_HZ), hidden=True)
+        rng = np.random.default_rng((seed, 1))
+        aircraft = load_aircraft("nf1")
+        twin = Twin(aircraft, rate_hz=GYRO_RATE_HZ, mount=scenario.mount, rng=rng, variation=variation)
+        with closing(twin), closing(port):
+            return fly(twin, port, scenario), port
+
+    return run
+
+
+def drawn(seed: int) -> Variation:
+    """An NF1 whose parameters are drawn from the ranges of the robustness table."""
+    rng = np.random.default_rng((77, seed))
+    return replace(EXTREMES, charge=None).draw(1, rng, 0.0)
+
+
+def tail_error_deg_s(trace: Trace) -> float:
+    """Mean absolute error of the last 1.5 s."""
+    return float(np.rad2deg(np.abs(trace.setpoint - trace.rate)[-1500:]).mean())
+
+
+@pytest.mark.parametrize("at_s", [0.0, 0.7], ids=["from the start", "in flight"])
+@pytest.mark.parametrize(
+    ("change", "causes"),
+    [
+        (swapped(0, 1), TAKEN_OVER),
+        (swapped(1, 2), TAKEN_OVER),
+        (swapped(0, 3), TAKEN_OVER),
+        (mirrored(0), TAKEN_OVER),
+        (mirrored(1), TAKEN_OVER),
+        (mirrored(2), TAKEN_OVER),
+        (frozen, TAKEN_OVER),
+        (half_as_much_again, {FallbackCause.OSCILLATION}),
+    ],
+    ids=["swap 1 2", "swap 2 3", "swap 1 4", "roll sign", "pitch sign", "yaw sign", "frozen", "gain 1.5"],
+)
+def test_a_wrong_policy_is_told_and_the_pid_brings_it_back(
+    fly_changed: Fly, change: Change, causes: set[FallbackCause], at_s: float
+) -> None:
+    trace, port = fly_changed(pulses(50, 2), change, at_s=at_s)
+    safety = port.safety()
+    assert safety.fallback_cause in causes
+    assert safety.refused_cause == safety.fallback_cause, "until it is acknowledged"
+    assert (trace.dshot > 0).all(), "the motors never stop"
+    assert safety.stop_cause == StopCause.SWITCH
+    worst = np.rad2deg(np.abs(trace.rate)).max()
+    print(
+        f"{safety.fallback_cause.name}, worst rate {worst:.0f} deg/s, then {tail_error_deg_s(trace):.2f} deg/s"
+    )
+    assert worst < 700
+    assert tail_error_deg_s(trace) < 1
+
+
+@pytest.mark.parametrize("name", ["roll", "flip", "sim/scenarios/split_s.toml"])
+def test_the_shipped_policy_is_left_alone_when_it_turns_over(fly_changed: Fly, name: str) -> None:
+    assert fly_changed(load_scenario(name, 1))[1].safety().fallback_cause == ALONE
+
+
+@pytest.mark.parametrize("count", [15, pytest.param(1000, marks=pytest.mark.slow)])
+def test_the_shipped_policy_is_left_alone_in_pulses(fly_changed: Fly, count: int) -> None:
+    assert fly_changed(pulses(1, count))[1].safety().fallback_cause == ALONE
+
+
+@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(200), marks=pytest.mark.slow)], ids=len)
+def test_the_shipped_policy_is_left_alone_when_the_aircraft_differs_from_its_file(
+    fly_changed: Fly, seeds: range
+) -> None:
+    alarms = {
+        seed: port.safety().fallback_cause.name
+        for seed in seeds
+        for _, port in [fly_changed(pulses(1000 + seed, 1), seed=seed, variation=drawn(seed))]
+        if port.safety().fallback_cause != ALONE
+    }
+    assert not alarms
+
+
+@pytest.mark.parametrize("throttle", [0.0, 0.4])
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("limit", [1000, 1300, 1950])
+def test_a_full_stick_is_flown_whatever_the_aircraft_can_reach(
+    fly_changed: Fly, axis: int, limit: int, throttle: float
+) -> None:
+    """The NF1 yaws at 780 deg/s at most: from 1300 on, more is asked than it can give."""
+    name, rates = ("roll", "pitch", "yaw")[axis], [0.0] * 3
+    rates[axis] = 1000.0
+    still = Segment(0.5, throttle=throttle)
+    full = Segment(1.0, (rates[0], rates[1], rates[2]), throttle)
+    settings = {f"{name}_max": limit}
+    trace, port = fly_changed(Scenario("full", (still, full, still)), settings=settings)
+    assert (trace.dshot > 0).all()
+    assert (port.safety().stop_cause, port.safety().fallback_cause) == (StopCause.SWITCH, ALONE)
+    assert np.rad2deg(trace.rate[:, axis].max()) > 600
+
+
+def test_a_weak_yaw_is_no_crash_when_the_stick_is_full(fly_changed: Fly) -> None:
+    nominal = Variation.nominal(1, 0.0)
+    weak = replace(nominal, torque=np.array([0.3]))
+    stick = Scenario("weak", (Segment(0.5), Segment(1.5, (0.0, 0.0, 1000.0)), Segment(1.0)))
+    trace, port = fly_changed(stick, variation=weak)
+    assert np.rad2deg(trace.rate[:, 2].max()) < 500, "it cannot turn so fast"
+    assert (trace.dshot > 0).all()
+    assert port.safety().stop_cause == StopCause.SWITCH
+
+
+def test_the_policy_of_a_trial_flies_only_while_its_switch_is_held(fly_changed: Fly) -> None:
+    """The scenario's switch of the PID is mapped to the trial's."""
+    settings = {"policy_trial": 1, "map_trial": CHANNEL_PID, "map_pid": CHANNEL_TRIAL}
+    flights = {}
+    for name, held in (
+        ("never", (False,) * 4),
+        ("held", (True,) * 4),
+        ("released", (True, True, False, False)),
+    ):
+        parts = tuple(Segment(0.3, (100.0, 0.0, 0.0), pid=now) for now in held)
+        trace, port = fly_changed(Scenario(name, parts), settings=settings)
+        flights[name] = trace.dshot
+        assert port.safety().fallback_cause == (ALONE if all(held) else FallbackCause.SWITCH)
+        assert port.safety().refused_cause == ALONE, "the pilot's own choice refuses nothing"
+    assert (flights["held"] != flights["never"]).any()
+    np.testing.assert_array_equal(flights["released"][:600], flights["held"][:600])
+    assert (flights["released"][700:] != flights["held"][700:]).any()
+
+
+def test_the_pid_takes_over_from_a_trial_when_the_receiver_falls_silent(fly_changed: Fly) -> None:
+    settings = {"policy_trial": 1, "map_trial": CHANNEL_PID, "map_pid": CHANNEL_TRIAL}
+    held = Segment(0.5, pid=True)
+    for silent_s, cause in ((0.05, ALONE), (0.3, FallbackCause.SWITCH)):
+        gap = Segment(silent_s, pid=True, receiver=False)
+        _, port = fly_changed(Scenario("gap", (held, gap)), settings=settings)
+        assert port.safety().fallback_cause == cause, "nobody holds the switch of a silent receiver"
