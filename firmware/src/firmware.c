@@ -127,7 +127,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->gyro_rate_hz = config->gyro_rate_hz;
 	fw->gyro_chip = config->gyro_chip;
 	fw->control_divider = config->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
-	fw->grace_left = config->gyro_rate_hz * NF_BOOT_GRACE_MS / 1000u;
+	fw->grace_left = config->gyro_rate_hz * settings->arming_delay_ms / 1000u;
 	fw->level_cosine = settings->level_limit_deg > 0.0f ? nf_cos_turns(settings->level_limit_deg / 360.0f) :
 							      ANY_TILT;
 	fw->failsafe_throttle = settings->failsafe_throttle;

@@ -31,7 +31,7 @@ from sim.board.devices.gyro_chip import READY
 from sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.serial.idle_board import configured
-from sim.ports.port import Reply, Sample, control_divider
+from sim.ports.port import Reply, Sample, control_divider, flight_settings
 from sim.ports.receiver_frames import RECEIVERS
 from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
@@ -131,10 +131,10 @@ class EmulatedPort:
         self._alignment = gyro.alignment
         self._plan = FaultPlan(faults, gyro_rate_hz)
         self._begin()
-        wanted = _stored(settings or {}, gyro_rate_hz, receiver)
+        wanted = _stored(settings, gyro_rate_hz, receiver)
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
-        flash = configured(flashed, elf, wanted, gyro) if wanted else flashed
+        flash = configured(flashed, elf, wanted, gyro)
         self.board = Board(flash, elf=elf, chip=gyro.chip, profile=profile, watchdog_resets=bool(faults))
         try:
             self._gyro = self.board.hardware.gyro
@@ -369,9 +369,9 @@ def _same(values: NDArray[np.uint16], before: NDArray[np.uint16]) -> bool:
     return values is before or values.tobytes() == before.tobytes()
 
 
-def _stored(settings: Mapping[str, float], gyro_rate_hz: int, receiver: str) -> dict[str, float]:
+def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int, receiver: str) -> dict[str, float]:
     """Settings that the image must have stored to fly so."""
-    wanted = dict(settings)
+    wanted = flight_settings(settings)
     if gyro_rate_hz != GYRO_RATE_DEFAULT_HZ:
         wanted["gyro_rate_hz"] = gyro_rate_hz
     if receiver != "sbus":

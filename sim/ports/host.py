@@ -24,7 +24,7 @@ from flash import messages
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.control.motors import each_fraction
-from sim.ports.port import Reply, Sample, control_divider, setting_changes
+from sim.ports.port import Reply, Sample, control_divider, flight_settings, setting_changes
 from sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
@@ -87,7 +87,7 @@ class HostPort:
                 "servo-port": _port(self._servo),
                 "trace-port": _port(self._trace),
             }
-            changes = setting_changes(settings or {})
+            changes = setting_changes(flight_settings(settings))
             self._child = undo.enter_context(_Child(program, options, changes))
             self._state, self._receiver, self._power = (undo.enter_context(udp_socket()) for _ in range(3))
             self._state.connect((LOOPBACK, self._child.ports["state"]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flash import messages
 from flash.client import Client
-from sim.ports.port import Reply, Sample, control_divider, setting_changes
+from sim.ports.port import Reply, Sample, control_divider, flight_settings, setting_changes
 from toolchain.contract import CHANNEL_COUNT, GYRO_RATE_DEFAULT_HZ, MOTOR_COUNT_MAX, MSP_PAYLOAD_MAX, Msp
 from toolchain.errors import LinkError
 
@@ -141,7 +141,7 @@ class ReferencePort:
         settings: Mapping[str, float] | None = None,
     ) -> None:
         """Boot a fresh firmware. Raises LinkError as Reference does."""
-        self.reference = Reference(library, gyro_rate_hz, settings)
+        self.reference = Reference(library, gyro_rate_hz, flight_settings(settings))
         policy = messages.policy_info(Client(self.reference).request(Msp.POLICY_INFO))
         self.motor_count = policy.action_count
         self.gyro_rate_hz = gyro_rate_hz

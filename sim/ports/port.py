@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
+from toolchain.contract import BOOT_GRACE_MS
 from toolchain.errors import LinkError
 
 
@@ -114,6 +115,14 @@ class BatteryPort(FirmwarePort, Protocol):
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
     """Firmware settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
+
+
+def flight_settings(settings: Mapping[str, float] | None) -> dict[str, float]:
+    """Settings of a simulated flight: as given, and no longer wait for arming than the firmware itself needs.
+
+    Simulated ESCs play no start-up tune, which is what a board waits for.
+    """
+    return {"arming_delay_ms": BOOT_GRACE_MS, **(settings or {})}
 
 
 def setting_changes(settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 Gyro counts and their conversion, sticks, throttle mix, idle and DShot values are the firmware's, in
 float32. Arming is reduced to what makes flights comparable: after a second of gyro averaging (its mean is the
 bias; motion is not looked for) the switch going on with the throttle low arms, the switch going off or a
-receiver lost for 400 ms disarms, and after 100 ms of silence the sticks count as centred.
+receiver lost for 1 s disarms, and after 100 ms of silence the sticks count as centred.
 """
 
 from __future__ import annotations

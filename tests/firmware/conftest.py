@@ -245,6 +245,7 @@ class Bench:
         self.fw = core.new("struct firmware *")
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
+        self.settings.arming_delay_ms = contract.BOOT_GRACE_MS
         for name, value in settings.items():
             setattr(self.settings, name, value)
         self.pid = core.new("struct pid_gains *") if pid is None else pid
@@ -410,6 +411,7 @@ class Program:
             str(build / "neuroflight"),
             *(f"--{name}-port={sock.getsockname()[1]}" for name, sock in ports.items()),
             *(f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")),
+            f"--set=arming_delay_ms={contract.BOOT_GRACE_MS}",
             *options,
         ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

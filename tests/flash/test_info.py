@@ -55,7 +55,15 @@ class Host:
         process = undo.enter_context(
             # This gyro has no noise: without it a stuck one and a still one look alike.
             subprocess.Popen(
-                [program, *arguments, "--set", "gyro_stuck_ms=0", "--with-parent"],
+                [
+                    program,
+                    *arguments,
+                    "--set",
+                    "gyro_stuck_ms=0",
+                    "--set",
+                    f"arming_delay_ms={BOOT_GRACE_MS}",
+                    "--with-parent",
+                ],
                 stdout=subprocess.PIPE,
                 text=True,
             )

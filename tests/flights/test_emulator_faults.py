@@ -155,7 +155,7 @@ def test_it_halts_and_the_escs_stop_when_the_crystal_fails(drill: Drill, started
 
 
 def test_the_failsafe_acts_when_every_receiver_frame_is_broken(drill: Drill) -> None:
-    replies, (hold, drop) = drill("receiver-broken@0.06", seconds=0.5)
+    replies, (hold, drop) = drill("receiver-broken@0.06", seconds=1.1)
     assert (hold.what, drop.what) == ("FAILSAFE_HOLD", "FAILSAFE_DROP: RECEIVER")
     # Two frames may have been on their way: one in the loop's hands, one just heard.
     late = FRAME / RATE

@@ -14,6 +14,7 @@ from sim.flight.trace import Trace
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.python_controller import ControllerPort
+from toolchain.contract import RECEIVER_LOST_MS
 from toolchain.policy.model import read_policy
 
 Flown = Callable[..., Trace]
@@ -92,12 +93,12 @@ def test_the_firmware_centres_then_stays_stopped_when_the_receiver_falls_silent_
     reference: ReferencePort, flown: Flown
 ) -> None:
     turning = Segment(0.3, (90.0, 0.0, 0.0))
-    trace = flown(reference, Scenario("lost", (turning, Segment(0.6, receiver=False), turning)))
+    trace = flown(reference, Scenario("lost", (turning, Segment(1.2, receiver=False), turning)))
     armed = (trace.dshot > 0).all(axis=1)
     stopped = int(np.argmin(armed))
     centred = int(np.argmax(trace.setpoint[:, 0] == 0))
     # The last frame went out at most 10 ms before the silence began.
     assert 300 + 90 <= centred <= 300 + 100
-    assert 300 + 390 <= stopped <= 300 + 400
+    assert 300 + RECEIVER_LOST_MS - 10 <= stopped <= 300 + RECEIVER_LOST_MS
     assert not trace.dshot[stopped:].any()  # the switch is still on when the frames return: locked
     assert not trace.motors[stopped:].any()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from enum import IntEnum
 
 # Times are in milliseconds of gyro samples.
-BOOT_GRACE_MS = 1000  # no arming before this
+BOOT_GRACE_MS = 1000  # no arming before this, whatever is set
+ARMING_DELAY_MS = 3000  # as set by default; ESCs have played their start-up tunes by then
 CALIBRATION_MS = 1000  # length of the still gyro average
 CALIBRATION_MOTION_DEG_S = 5.0  # a standard deviation above this is motion: start again
 CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
 RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
-RECEIVER_LOST_MS = 400  # silence after which the configured failsafe stage begins
+RECEIVER_LOST_MS = 1000  # silence after which the configured failsafe stage begins, as set by default
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
 GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in, then motors stop
 # An axis at the end of its range is flown as that. An aircraft that turns faster than its gyro can tell for

@@ -18,7 +18,13 @@ from toolchain.contract.receiver import (
     CHANNEL_TRIAL,
     CHANNEL_YAW,
 )
-from toolchain.contract.safety import GYRO_BAD_MS
+from toolchain.contract.safety import (
+    ARMING_DELAY_MS,
+    BOOT_GRACE_MS,
+    GYRO_BAD_MS,
+    RECEIVER_HOLD_MS,
+    RECEIVER_LOST_MS,
+)
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,8 @@ _MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
+_DELAY_MEANING = f"silence of the receiver until the stage begins; held from {RECEIVER_HOLD_MS} ms on"
+_ARMING_DELAY_MEANING = "from power-up until arming is allowed: longer than the ESCs' start-up tunes"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
     _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
@@ -132,7 +140,9 @@ SETTINGS = (
     _choice("failsafe_stage", "drop", ("drop", "descend"), "after the hold"),
     _number("failsafe_throttle", 0.0, 1.0, 0.2, "1", "while descending"),
     _whole("failsafe_descend_ms", 0, 60_000, 3000, "ms", "then the motors stop"),
+    _whole("failsafe_delay_ms", 200, 20_000, RECEIVER_LOST_MS, "ms", _DELAY_MEANING),
     _number("level_limit_deg", 0.0, 180.0, 25.0, "deg", "tilt that arming allows; 0: any, known or not"),
+    _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),
     _number("motor_limit", 0.1, 1.0, 1.0, "1", "largest motor fraction"),
     _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
     _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),

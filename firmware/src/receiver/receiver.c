@@ -31,7 +31,7 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 		},
 		.interpolates = settings->interpolation != 0,
 		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,
-		.lost_after = gyro_rate_hz * NF_RECEIVER_LOST_MS / 1000u,
+		.lost_after = gyro_rate_hz * settings->failsafe_delay_ms / 1000u,
 		.recovery = gyro_rate_hz * NF_RECEIVER_RECOVERY_MS / 1000u + 1u, /* the last one is a frame's */
 		.gap_after = gyro_rate_hz * LINE_GAP_MS / 1000u,
 	};

@@ -13,8 +13,8 @@
 #include "receiver/sbus.h"
 
 enum receiver_link {
-	RECEIVER_LOST, /* never heard, silent for NF_RECEIVER_LOST_MS or in failsafe, and until frames have come for
-			* NF_RECEIVER_RECOVERY_MS again */
+	RECEIVER_LOST, /* never heard, silent for the setting failsafe_delay_ms or in failsafe, and until frames have
+			* come for NF_RECEIVER_RECOVERY_MS again */
 	RECEIVER_HOLD, /* silent for NF_RECEIVER_HOLD_MS: rates centred, throttle kept */
 	RECEIVER_GOOD,
 };

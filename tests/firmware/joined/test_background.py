@@ -17,8 +17,11 @@ from flash.settings import Settings
 from sim.control import sticks
 from sim.ports.library import Reference
 from toolchain.contract import (
+    ARMING_DELAY_MS,
+    BOOT_GRACE_MS,
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_TIMEOUT_MS,
+    RECEIVER_LOST_MS,
     DshotCommand,
     FlightState,
     GyroHealth,
@@ -35,7 +38,7 @@ class Board:
     """The whole firmware as a library, a millisecond a step."""
 
     def __init__(self, library: Path, **settings: float) -> None:
-        self.core = Reference(library, 1000, settings)
+        self.core = Reference(library, 1000, {"arming_delay_ms": BOOT_GRACE_MS, **settings})
         self.client = Client(self.core)
         self.ms, self.arm, self.heard, self.values = 0, False, True, b""
 
@@ -222,7 +225,7 @@ def test_the_link_is_lost_and_the_motors_descend_when_that_is_the_stage(board: M
     b = board(failsafe_stage=1, failsafe_descend_ms=200, failsafe_throttle=0.5)
     b.fly()
     b.heard = False
-    assert b.run(390) == [48] * 4
+    assert b.run(RECEIVER_LOST_MS - 10) == [48] * 4
     assert b.run(100) == [1048] * 4
     assert b.safety.state == FlightState.FAILSAFE_DROP
     assert b.run(200) == [0] * 4
@@ -274,3 +277,32 @@ def test_limits_are_those_of_the_style_when_settings_are_changed_by_name(board: 
     settings.save()
     settings.set("rates_style", 0.0)
     settings.set("roll_rate", 500.0)
+
+
+@pytest.mark.parametrize("delay_ms", [BOOT_GRACE_MS, 2000, ARMING_DELAY_MS])
+def test_nothing_arms_before_the_delay_that_is_set_is_over(board: Make, delay_ms: int) -> None:
+    b = board(arming_delay_ms=delay_ms)
+    b.run(delay_ms - 40)
+    assert b.reasons & {"BOOT_GRACE"} == {"BOOT_GRACE"}
+    b.run(50)
+    assert b.reasons == set()
+
+
+def test_a_users_board_waits_for_its_escs_tunes_when_nothing_is_set(
+    scripted_build: Path, scripted: Any
+) -> None:
+    core = Reference(scripted_build / "libneuroflight.so", 1000)
+    told = Settings(Client(core))
+    assert (told.get("arming_delay_ms"), ARMING_DELAY_MS) == (3000, 3000)
+    assert told.info("arming_delay_ms").low == BOOT_GRACE_MS
+    frame = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False).tolist()
+
+    def reasons(ms: int) -> set[str]:
+        for k in range(ms):
+            core.receiver(frame)
+            core.sample(np.zeros(3), np.array([0.0, 0.0, G + 0.01 * (k % 2)]))
+        status = messages.status_ex(Client(core).request(Msp.STATUS_EX))
+        return set(messages.arming_reasons(status.arming_flags))
+
+    assert reasons(ARMING_DELAY_MS - 1) == {"BOOT_GRACE"}
+    assert reasons(2) == set()

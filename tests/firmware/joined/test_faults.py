@@ -182,6 +182,32 @@ def test_it_holds_and_flies_on_when_the_receiver_is_back_within_the_hold(pilot: 
     assert p.state() == FlightState.ARMED
 
 
+@pytest.mark.parametrize(("delay_ms", "silence_ms"), [(None, 900), (2000, 1900), (20_000, 5000)])
+def test_it_flies_on_when_frames_come_again_within_the_failsafe_delay(
+    pilot: Callable[..., Pilot], delay_ms: int | None, silence_ms: int
+) -> None:
+    p = pilot() if delay_ms is None else pilot(f"--set=failsafe_delay_ms={delay_ms}")
+    p.take_off()
+    p.heard = False
+    assert min(map(min, p.run(silence_ms))) > 0
+    assert p.state() == FlightState.FAILSAFE_HOLD
+    p.heard = True
+    p.run(2 * FRAME_MS)
+    assert p.state() == FlightState.ARMED
+
+
+@pytest.mark.parametrize("delay_ms", [200, 3000])
+def test_the_stage_begins_when_silence_has_lasted_as_long_as_is_set(
+    pilot: Callable[..., Pilot], delay_ms: int
+) -> None:
+    p = pilot(f"--set=failsafe_delay_ms={delay_ms}")
+    p.take_off()
+    p.heard = False
+    since_frame = (p.ms - 1) % FRAME_MS + 1
+    assert stops_after(p.run(delay_ms + 50)) + since_frame == delay_ms + 1
+    assert p.safety.stop_cause == StopCause.RECEIVER
+
+
 def test_it_descends_and_then_stops_when_that_is_the_set_stage(pilot: Callable[..., Pilot]) -> None:
     p = pilot("--set=failsafe_stage=1", "--set=failsafe_descend_ms=300", "--set=failsafe_throttle=0.5")
     p.take_off()

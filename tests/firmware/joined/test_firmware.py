@@ -12,6 +12,7 @@ from toolchain.contract import (
     CHANNEL_ROLL,
     CHANNEL_YAW,
     GYRO_BAD_MS,
+    RECEIVER_LOST_MS,
     ArmingReason,
     DshotCommand,
     FlightState,
@@ -203,7 +204,7 @@ def test_a_silent_gyro_lets_the_receiver_age_when_nothing_flies(bench: Make, scr
     b = bench(1000)
     b.run(1100)
     values = scripted.new("uint16_t[4]")
-    for _ in range(50):
+    for _ in range(RECEIVER_LOST_MS // GYRO_BAD_MS):
         scripted.lib.firmware_gyro_silent(b.fw, values)
     assert b.reasons & 1 << ArmingReason.RECEIVER_LOST
     assert b.reasons & 1 << ArmingReason.GYRO_BAD

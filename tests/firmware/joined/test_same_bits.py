@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sim.control.observation import Observer
 from toolchain.contract import (
+    BOOT_GRACE_MS,
     DTCM,
     FLASH_BASE,
     FLASH_BYTES,
@@ -91,6 +92,7 @@ class Host:
         self.firmware = core.new("struct firmware *")
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
+        self.settings.arming_delay_ms = BOOT_GRACE_MS
         lib, self._pid = core.lib, core.ffi.addressof(core.lib, "pid_gains_built_in")
         self.idle = lib.policy_blob.header.idle
         config = core.new(

@@ -89,9 +89,13 @@ Make = Callable[..., Receiver]
 
 # --- The link ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate_hz", [1000, 2000, 4000, 8000])
-def test_link_is_held_and_then_lost_when_silence_lasts(make: Make, scripted: Any, rate_hz: int) -> None:
-    lib, receiver = scripted.lib, make(rate_hz)
-    hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, RECEIVER_LOST_MS))
+@pytest.mark.parametrize("delay_ms", [None, 200, 400, 20_000])
+def test_link_is_held_and_then_lost_when_silence_lasts_as_long_as_is_set(
+    make: Make, scripted: Any, rate_hz: int, delay_ms: int | None
+) -> None:
+    lib = scripted.lib
+    receiver = make(rate_hz) if delay_ms is None else make(rate_hz, failsafe_delay_ms=delay_ms)
+    hold, lost = (ms * rate_hz // 1000 for ms in (RECEIVER_HOLD_MS, delay_ms or RECEIVER_LOST_MS))
     receiver.recover()
     receiver.tick(hold - 1)
     assert (receiver.link(), receiver.channels()) == (lib.RECEIVER_GOOD, FLOWN)
@@ -416,9 +420,11 @@ def test_quality_is_exact_when_frames_are_few(make: Make) -> None:
 def test_quality_falls_within_a_second_and_is_none_when_the_link_is_lost(make: Make) -> None:
     receiver = make()
     receiver.run(2000)
-    receiver.tick(RECEIVER_LOST_MS - 20)
+    receiver.tick(400)
     assert 55 <= receiver.quality() <= 75
-    receiver.tick(10)
+    receiver.tick(RECEIVER_LOST_MS - 400 - 1)
+    assert 0 <= receiver.quality() <= 10
+    receiver.tick(1)
     assert receiver.quality() == 0
 
 

@@ -11,6 +11,7 @@ from sim.control import sticks
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
 from sim.ports.python_controller import ControllerPort
+from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 
 Array = NDArray[np.float32]
 RATE_HZ = 1000  # gyro and control alike, for short tests
@@ -111,10 +112,10 @@ def test_sticks_centre_and_then_motors_stop_when_the_receiver_is_lost() -> None:
     port = armed_port(Echo())
     turning = sticks.channels((100.0, 0.0, 0.0), 0.0, armed=True).tolist()
     port.exchange(sample(), turning)
-    for silence in range(1, 450):
+    for silence in range(1, RECEIVER_LOST_MS + 50):
         reply = port.exchange(sample(), None)
-        assert bool(reply.setpoint.any()) == (silence < 100)
-        assert reply.armed == (silence < 400)
+        assert bool(reply.setpoint.any()) == (silence < RECEIVER_HOLD_MS)
+        assert reply.armed == (silence < RECEIVER_LOST_MS)
 
 
 def test_the_controller_starts_afresh_when_armed_again() -> None:
