@@ -22,6 +22,12 @@ RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.
 SBUS_FRAME_BYTES = 25
 SBUS_HEADER, SBUS_FOOTER = 0x0F, 0x00
+SBUS2_FOOTERS = (
+    0x04,
+    0x14,
+    0x24,
+    0x34,
+)  # S.BUS2 numbers its frames, after which sensors speak in their slots
 SBUS_FLAG_FRAME_LOST, SBUS_FLAG_FAILSAFE = 0x04, 0x08
 
 # CRSF: sync, length of what follows, type, payload, CRC-8/DVB-S2 over type and payload; channels as in SBUS.

@@ -13,6 +13,7 @@ CALIBRATION_BIAS_DEG_S = 20.0  # a mean above this is motion: start again
 RECEIVER_HOLD_MS = 100  # silence after which the sticks are taken as centred, throttle kept
 RECEIVER_LOST_MS = 1000  # silence after which the configured failsafe stage begins, as set by default
 RECEIVER_RECOVERY_MS = 200  # frames must come this long before a lost link counts as good again
+RECEIVER_OFF_FRAMES = 2  # in a row must say that the switch is off, or that the transmitter is lost
 GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in, then motors stop
 # An axis at the end of its range is flown as that. An aircraft that turns faster than its gyro can tell for
 # so long, without one sample below, is out of control, or its gyro is dead: no stick asks for such a rate.

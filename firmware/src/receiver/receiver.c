@@ -49,8 +49,19 @@ static void receiver_frame_heard(struct receiver *receiver, bool good)
 	link_quality_frame(&receiver->quality, good);
 }
 
+/* The arm switch as it counts, for what a good frame says of it. */
+static uint16_t receiver_switch(struct receiver *receiver, uint16_t told_us)
+{
+	const uint16_t counts_us = receiver->channels_us[NF_CHANNEL_ARM];
+	const bool goes_off = counts_us >= NF_ARM_ON_US && told_us < NF_ARM_ON_US;
+
+	receiver->offs = goes_off ? (uint8_t)(receiver->offs + 1u) : 0u;
+	return goes_off && receiver->offs < NF_RECEIVER_OFF_FRAMES ? counts_us : told_us;
+}
+
 static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_COUNT])
 {
+	const uint16_t switch_us = receiver_switch(receiver, wire_us[receiver->map[NF_CHANNEL_ARM]]);
 	uint16_t flown_us[NF_CHANNEL_COUNT];
 
 	if (receiver->interpolates) {
@@ -61,22 +72,38 @@ static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_C
 	memcpy(receiver->channels_us, wire_us, sizeof receiver->channels_us);
 	for (int i = 0; i < RECEIVER_MAPPED; ++i)
 		receiver->channels_us[i] = wire_us[receiver->map[i]];
+	receiver->channels_us[NF_CHANNEL_ARM] = switch_us;
 	receiver->age = 0;
 	if (receiver->recovering == 1)
 		receiver->recovering = 0;
 	receiver_frame_heard(receiver, true);
 }
 
-/* Repeated channels (frame_lost) keep their age; failsafe loses the link at once. */
+/* A frame says that the transmitter is lost. A link that is lost anyhow stays so. */
+static void receiver_hear_failsafe(struct receiver *receiver)
+{
+	++receiver->failsafes;
+	if (receiver->failsafes < NF_RECEIVER_OFF_FRAMES && receiver->recovering == 0) {
+		receiver_frame_heard(receiver, false);
+		return;
+	}
+	receiver->failsafes = 0;
+	receiver_lose(receiver);
+}
+
+/* Repeated channels (frame_lost) keep their age, and so do those of a frame in failsafe. */
 static bool receiver_push_sbus(struct receiver *receiver, uint8_t byte)
 {
 	struct sbus_frame frame;
 
 	if (!sbus_push(&receiver->line.sbus, byte, &frame))
 		return false;
-	if (frame.failsafe)
-		receiver_lose(receiver);
-	else if (frame.frame_lost)
+	if (frame.failsafe) {
+		receiver_hear_failsafe(receiver);
+		return true;
+	}
+	receiver->failsafes = 0;
+	if (frame.frame_lost)
 		receiver_frame_heard(receiver, false);
 	else
 		receiver_take(receiver, frame.channels_us);

@@ -1,5 +1,11 @@
 /* Receiver: bytes of any protocol to the channels that are flown, how old they are in gyro samples, and what is
- * flown when they stay away. */
+ * flown when they stay away.
+ *
+ * No single frame ends a flight. A frame may be wrong and yet pass: SBUS has parity bits only, which miss two flipped
+ * bits of one byte; CRSF's CRC-8 misses two bits that lie 93 apart (the order of x modulo its polynomial), for which its
+ * frames of 192 bits have room; MSP's sum is weaker still. So on each protocol NF_RECEIVER_OFF_FRAMES good frames in
+ * a row must say that the arm switch is off, or that the transmitter is lost. That costs the time of one frame: 4 ms of
+ * CRSF at 250 Hz, 7 to 14 ms of SBUS. "On" counts at once, but only after an "off" that counted: on, off, on never arms. */
 #ifndef NF_RECEIVER_H
 #define NF_RECEIVER_H
 
@@ -30,13 +36,15 @@ struct receiver {
 	uint8_t protocol;                       /* NF_RECEIVER_PROTOCOL_... */
 	uint8_t map[RECEIVER_MAPPED];           /* which of the wire's channels is this one */
 	bool interpolates;
-	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped */
+	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped; the arm switch as it counts */
 	uint16_t from_us[RECEIVER_STICKS];      /* sticks as they were flown when it came */
 	uint32_t interval;                      /* gyro samples between two frames, 0: not known */
 	uint32_t since;                         /* gyro samples since the last frame, at most hold_after */
 	uint32_t age;                           /* gyro samples since the last good frame, at most lost_after */
 	uint32_t recovering;                    /* gyro samples until a frame may make the link good again; 1: the
 						 * next one does; 0: the link is not lost */
+	uint8_t offs;                           /* frames in a row that say off while the switch counts as on */
+	uint8_t failsafes;                      /* frames in a row that say failsafe while the link is not lost */
 	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
 	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
 	struct link_quality quality;

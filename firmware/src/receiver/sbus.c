@@ -21,10 +21,20 @@ static void sbus_decode(const uint8_t bytes[NF_SBUS_FRAME_BYTES], struct sbus_fr
 	frame->failsafe = bytes[FLAGS] & NF_SBUS_FLAG_FAILSAFE;
 }
 
+static bool sbus_ends(uint8_t footer)
+{
+	static const uint8_t numbered[NF_SBUS2_FOOTERS_COUNT] = NF_SBUS2_FOOTERS;
+	bool found = footer == NF_SBUS_FOOTER;
+
+	for (size_t i = 0; i < NF_SBUS2_FOOTERS_COUNT; ++i)
+		found |= footer == numbered[i];
+	return found;
+}
+
 /* The format has no checksum. The unused flags reveal most frames that begin a byte early or late. */
 static bool sbus_framed(const uint8_t bytes[NF_SBUS_FRAME_BYTES])
 {
-	return bytes[FOOTER] == NF_SBUS_FOOTER && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
+	return sbus_ends(bytes[FOOTER]) && (bytes[FLAGS] & FLAGS_UNUSED) == 0;
 }
 
 /* Drops the first byte and all others before the next that can begin a frame. */

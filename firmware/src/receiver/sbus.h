@@ -1,4 +1,4 @@
-/* SBUS: bytes in, frames out. Survives any bytes. */
+/* SBUS and S.BUS2: bytes in, frames out. Survives any bytes. */
 #ifndef NF_SBUS_H
 #define NF_SBUS_H
 

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, RECEIVER_RECOVERY_MS, ArmingReason
+from toolchain.contract import (
+    RECEIVER_HOLD_MS,
+    RECEIVER_LOST_MS,
+    RECEIVER_OFF_FRAMES,
+    RECEIVER_RECOVERY_MS,
+    ArmingReason,
+)
 
 Make = Callable[..., Any]
 Frame = Callable[..., bytes]
@@ -100,11 +106,13 @@ def test_it_stays_disarmed_when_the_gyro_never_came_to_rest(bench: Make) -> None
 
 
 # --- Disarming --------------------------------------------------------------------------------
-def test_motors_stop_within_the_step_whose_frame_says_off(bench: Make, scripted: Any) -> None:
+def test_motors_stop_within_the_step_of_the_second_frame_that_says_off(bench: Make, scripted: Any) -> None:
     b = bench(1000)
     b.arm()
     scripted.lib.scripted_action = [0.5] * 4
     assert min(b.run(100, arm=2000, throttle=1500)) > 48
+    b.stick(arm=1000, throttle=1500)
+    assert min(b.sample()) > 48
     b.stick(arm=1000, throttle=1500)
     assert b.sample() == STOPPED
 
@@ -113,7 +121,7 @@ def test_an_off_is_not_overlooked_when_an_on_follows_in_the_same_step(bench: Mak
     b = bench(1000)
     b.arm()
     b.run(50, arm=2000, throttle=1500)
-    b.send(frame(arm=1000, throttle=1500) + frame(arm=2000, throttle=1500))
+    b.send(2 * frame(arm=1000, throttle=1500) + frame(arm=2000, throttle=1500))
     assert b.sample() == STOPPED
     assert b.run(200, arm=2000, throttle=1000) == STOPPED
 
@@ -124,6 +132,8 @@ def test_a_failsafe_is_not_overlooked_when_a_good_frame_follows_in_the_same_step
     b = bench(1000)
     b.arm()
     b.send(frame(arm=2000, failsafe=True) + frame(arm=2000))
+    assert min(b.sample()) >= 48, "one frame may be wrong"
+    b.send(2 * frame(arm=2000, failsafe=True) + frame(arm=2000))
     assert b.sample() == STOPPED
     assert b.run(500, arm=2000) == STOPPED
 
@@ -173,8 +183,9 @@ def test_motors_stop_and_stay_stopped_when_the_receiver_is_lost_at_a_random_mome
     if rng.random() < 0.5:
         b.run(RECEIVER_LOST_MS + 1, every_ms=None)
     else:
-        b.stick(arm=2000, failsafe=True)
-        b.sample()
+        for _ in range(2):
+            b.stick(arm=2000, failsafe=True)
+            b.sample()
     assert not b.armed
     assert b.reasons & reasons(ArmingReason.RECEIVER_LOST)
     assert b.run(RECEIVER_RECOVERY_MS + int(rng.integers(20, 500)), arm=2000) == STOPPED
@@ -261,6 +272,7 @@ def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_rand
     scripted.lib.scripted_action = [0.5] * 4
     b.run(1001)
     off_seen, was_armed, armed_steps, silent = True, False, 0, 0
+    counts_on, offs, failsafes, failsafe = False, 0, 0, False  # as the receiver counts them
     throttle, switch = 1000, 1000
     for step in range(24000):
         if rng.random() < 0.02:
@@ -268,16 +280,24 @@ def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_rand
         if rng.random() < 0.02:
             throttle = int(rng.choice([1000, 1050, 1051, 1600]))
         silent_now = step % 2500 > 1000 and seed > 0
-        failsafe = not silent_now and rng.random() < 0.001
+        failsafe = not silent_now and rng.random() < (0.5 if failsafe else 0.001)
+        # A single frame that says something else: a wrong one.
+        wrong = not silent_now and not failsafe and rng.random() < 0.02
+        told = (1000 if switch >= 1700 else 2000) if wrong else switch
+        good = not silent_now and not failsafe
         if silent_now:
             b.send(b"")
             silent += 1
         else:
-            b.stick(arm=switch, throttle=throttle, failsafe=failsafe)
+            b.stick(arm=told, throttle=throttle, failsafe=failsafe)
             silent = 0
+            failsafes = failsafes + 1 if failsafe else 0
+        if good:
+            offs = offs + 1 if told < 1700 else 0
+            counts_on = told >= 1700 or (counts_on and offs < RECEIVER_OFF_FRAMES)
         running = b.sample() != STOPPED
-        lost = failsafe or silent >= RECEIVER_LOST_MS
-        if not silent_now and not failsafe and switch < 1700:
+        lost = failsafes >= RECEIVER_OFF_FRAMES or silent >= RECEIVER_LOST_MS
+        if good and not counts_on:
             off_seen = True
             assert not running
         if lost:
@@ -288,7 +308,7 @@ def test_motors_never_turn_without_a_witnessed_off_to_on_when_everything_is_rand
             off_seen = False
         elif running:
             armed_steps += 1
-        elif switch >= 1700 and not silent_now:
+        elif good and counts_on:
             off_seen = False
         was_armed = running
     assert armed_steps > 500, "the test must have flown to mean anything"

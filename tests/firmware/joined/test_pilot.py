@@ -58,7 +58,7 @@ def pilot(request: pytest.FixtureRequest, bench: Make, frame: Frame, crsf: Frame
 
 # --- The last byte ----------------------------------------------------------------------------
 @pytest.mark.parametrize("gyro_hz", [1000, 8000])
-def test_motors_stop_in_the_step_of_the_last_byte_when_an_off_comes_in_pieces(
+def test_motors_stop_in_the_step_of_the_last_byte_when_the_second_off_comes_in_pieces(
     pilot: Any, scripted: Any, gyro_hz: int
 ) -> None:
     rng = np.random.default_rng(gyro_hz)
@@ -69,6 +69,8 @@ def test_motors_stop_in_the_step_of_the_last_byte_when_an_off_comes_in_pieces(
         p.fly(int(rng.integers(7, 40)), arm=2000, throttle=1500)
         off = p.frame(arm=1000, throttle=1500)
         cut = int(rng.integers(1, len(off)))
+        assert min(p.step(off)) > 48, "one frame may be wrong"
+        assert min(p.step()) > 48
         assert min(p.step(off[:cut])) > 48
         assert p.step(off[cut:]) == STOPPED
         assert p.fly(20) == STOPPED
@@ -76,13 +78,38 @@ def test_motors_stop_in_the_step_of_the_last_byte_when_an_off_comes_in_pieces(
         assert p.bench.armed
 
 
-def test_an_off_between_two_ons_stops_the_motors_when_all_come_in_one_step(pilot: Any) -> None:
+@pytest.mark.parametrize("period_ms", [4, 9, 14])
+def test_an_off_costs_one_frame_when_frames_come_at_their_rate(pilot: Any, period_ms: int) -> None:
+    """The time that the second frame costs: 4 ms of CRSF at 250 Hz, 9 or 14 ms of SBUS."""
+    p = pilot()
+    p.arm()
+    p.fly(10 * period_ms, every=period_ms, arm=2000, throttle=1500)
+    off = p.frame(arm=1000, throttle=1500)
+    steps = [p.step(off if step % period_ms == 0 else b"") == STOPPED for step in range(3 * period_ms)]
+    assert steps.index(True) == period_ms
+    assert all(steps[period_ms:])
+
+
+def test_two_offs_between_two_ons_stop_the_motors_when_all_come_in_one_step(pilot: Any) -> None:
     p = pilot()
     p.arm()
     p.fly(7, arm=2000, throttle=1500)
     on, off = p.frame(arm=2000, throttle=1500), p.frame(arm=1000, throttle=1500)
-    assert p.step(on + off + on) == STOPPED
+    assert min(p.step(on + off + on)) >= 48, "one of them may be wrong"
+    assert p.step(on + off + off + on) == STOPPED
     assert p.fly(300, arm=2000) == STOPPED
+
+
+def test_nothing_arms_when_one_off_stands_between_two_ons(pilot: Any) -> None:
+    p = pilot()
+    p.fly(1100, arm=2000)
+    on, off = p.frame(arm=2000), p.frame(arm=1000)
+    for _ in range(50):
+        assert p.step(on + off + on) == p.step(off) == p.step(on) == STOPPED
+    assert p.bench.reasons == 1 << ArmingReason.SWITCH_NOT_CYCLED
+    assert p.step(off + off) == STOPPED
+    p.step(on)
+    assert p.bench.armed
 
 
 def test_an_off_stops_the_motors_when_noise_stands_before_and_behind_it(pilot: Any) -> None:
@@ -91,6 +118,7 @@ def test_an_off_stops_the_motors_when_noise_stands_before_and_behind_it(pilot: A
     p.arm()
     for _ in range(20):
         noise = rng.integers(0x10, 0xC8, 8, np.uint8).tobytes()  # begins no frame
+        assert min(p.step(noise + p.frame(arm=1000) + noise)) >= 48
         assert p.step(noise + p.frame(arm=1000) + noise) == STOPPED
         p.fly(20)
         p.fly(7, arm=2000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,7 @@ def test_a_lost_link_is_good_when_frames_have_come_for_as_long_as_it_takes(
         receiver.tick(RECEIVER_LOST_MS * rate_hz // 1000)
     if before == "failsafe":
         receiver.frame(failsafe=True)
+        receiver.frame(failsafe=True)
     receiver.run(RECEIVER_RECOVERY_MS - 1)
     receiver.tick(rate_hz // 1000 - 1)
     receiver.frame()
@@ -170,11 +172,121 @@ def test_link_is_lost_when_nothing_was_ever_heard(make: Make, scripted: Any) -> 
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
 
 
-def test_link_is_lost_at_once_when_the_receiver_is_in_failsafe(make: Make, scripted: Any) -> None:
+def test_link_is_lost_when_two_frames_in_a_row_say_failsafe(make: Make, scripted: Any) -> None:
     receiver = make()
     receiver.recover()
+    for frame_lost in (False, True):
+        receiver.frame([2000] * CHANNEL_COUNT, failsafe=True)
+        assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
+        receiver.frame(frame_lost=frame_lost)
+        assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_GOOD, FLOWN)
+    receiver.frame(failsafe=True)
     receiver.frame(failsafe=True)
     assert (receiver.link(), receiver.channels()) == (scripted.lib.RECEIVER_LOST, LOST)
+
+
+def test_a_frame_in_failsafe_is_no_news_when_it_comes_alone(make: Make, scripted: Any) -> None:
+    receiver = make()
+    receiver.recover()
+    receiver.tick(RECEIVER_HOLD_MS - 1)
+    receiver.frame(failsafe=True)
+    receiver.tick(1)
+    assert receiver.link() == scripted.lib.RECEIVER_HOLD
+
+
+def test_the_switch_is_off_when_two_good_frames_in_a_row_say_so(make: Make) -> None:
+    receiver, on = make(), [1500] * 4 + [2000] * 12
+    off = [*on[:CHANNEL_ARM], 1000, *on[CHANNEL_ARM + 1 :]]
+
+    def switch(channels: list[int], **frame: bool) -> int:
+        receiver.frame(channels, **frame)
+        return receiver.channels()[CHANNEL_ARM]
+
+    receiver.run(RECEIVER_RECOVERY_MS, channels=on)
+    assert switch(on) == 2000
+    for _ in range(3):
+        assert [switch(off), switch(on), switch(off), switch(on)] == [2000] * 4
+    assert switch(off) == 2000
+    receiver.tick(RECEIVER_HOLD_MS + 10)  # in a row, however long it takes
+    assert switch(on, frame_lost=True) == 2000
+    assert switch(off) == 1000
+    assert [switch(off), switch(on), switch(off)] == [1000, 2000, 2000], "on counts at once"
+
+
+# --- Flipped bits that a frame does not show ---------------------------------------------------
+ON_VALUES = [992, 992, 700, 992, 1792, *[192] * 11]
+
+
+def flipped(data: bytes, *bits: int) -> bytes:
+    """`data` with these bits turned over, bit 0 the first one's lowest."""
+    number = int.from_bytes(data, "little")
+    for bit in bits:
+        number ^= 1 << bit
+    return number.to_bytes(len(data), "little")
+
+
+def flown_through(receiver: Receiver, wrong: bytes, good: bytes) -> tuple[int, int]:
+    """How many frames came out of `wrong`, whether they were a flight's end or not, then of a good one."""
+    seen = len(receiver.push(wrong))
+    receiver.tick(5)
+    assert receiver.link() == receiver.lib.RECEIVER_GOOD
+    assert receiver.channels()[CHANNEL_ARM] >= 1700
+    assert len(receiver.push(good)) >= 1
+    receiver.tick(5)
+    return seen, receiver.channels()[CHANNEL_ARM]
+
+
+def test_no_two_flipped_bits_of_one_sbus_frame_end_a_flight(make: Make, scripted: Any, sbus: Frame) -> None:
+    receiver, good = make(), sbus(ON_VALUES)
+    for _ in range(RECEIVER_RECOVERY_MS // 5 + 1):
+        receiver.push(good)
+        receiver.tick(5)
+    parser, frame = scripted.new("struct sbus *"), scripted.new("struct sbus_frame *")
+    ends = 0
+    for first, second in combinations(range(8 * len(good)), 2):
+        wrong = flipped(good, first, second)
+        scripted.lib.sbus_reset(parser)
+        if [scripted.lib.sbus_push(parser, byte, frame) for byte in wrong][-1]:
+            ends += frame.failsafe or (frame.channels_us[CHANNEL_ARM] < 1700 and not frame.frame_lost)
+        flown_through(receiver, wrong, good)
+    print(f"{ends} pairs of bits make a frame that would have ended the flight")
+    assert ends > 300
+
+
+def test_the_crc_of_crsf_misses_two_flipped_bits_when_they_lie_93_apart_and_yet_no_flight_ends(
+    make: Make, scripted: Any, sbus: Frame, crsf: Frame
+) -> None:
+    """Why two frames must say off with CRSF too: all pairs of bits of a frame of channels."""
+    receiver, good = make(receiver_protocol=CRSF), crsf(0x16, sbus(ON_VALUES)[1:23])
+    for _ in range(RECEIVER_RECOVERY_MS // 5 + 1):
+        assert len(receiver.push(good)) == 1
+        receiver.tick(5)
+    covered = range(16, 8 * len(good))  # type, payload and CRC
+    assert len(covered) == 192
+    for bit in covered:
+        assert flown_through(receiver, flipped(good, bit), good)[0] == 0, "one flipped bit is always seen"
+
+    def order(bit: int) -> int:
+        """Place in the CRC's order, which takes the highest bit of a byte first."""
+        return bit // 8 * 8 + 7 - bit % 8
+
+    missed = [
+        (first, second)
+        for first, second in combinations(covered, 2)
+        if flown_through(receiver, flipped(good, first, second), good)[0] > 0
+    ]
+    assert {abs(order(first) - order(second)) for first, second in missed} == {93}
+    assert len(missed) == 192 - 93 - 8, "all such pairs, but for those that make another type of frame of it"
+    parser, frame = scripted.new("struct crsf *"), scripted.new("struct crsf_frame *")
+    ends = 0
+    for pair in missed:
+        scripted.lib.crsf_reset(parser)
+        at, wrong = 0, flipped(good, *pair)
+        while at < len(wrong):
+            at += scripted.lib.crsf_put(parser, wrong[at:], len(wrong) - at)
+            if scripted.lib.crsf_take(parser, frame):
+                ends += frame.channels_us[CHANNEL_ARM] < 1700
+    assert ends > 0, "some of them say off"
 
 
 def test_a_repeated_frame_is_no_news_when_the_receiver_says_frame_lost(make: Make, scripted: Any) -> None:
@@ -194,10 +306,10 @@ def test_every_frame_is_seen_when_several_come_at_once(make: Make, sbus: Frame) 
     receiver = make()
     receiver.recover()
     values = [[992] * CHANNEL_COUNT for _ in range(3)]
-    for index, arm in enumerate((1792, 192, 1792)):
-        values[index][CHANNEL_ARM] = arm
+    for index, throttle in enumerate((1792, 192, 1792)):
+        values[index][CHANNEL_THROTTLE] = throttle
     seen = receiver.push(b"\x55".join(map(sbus, values)))
-    assert [channels[CHANNEL_ARM] for channels in seen] == [2000, 1000, 2000]
+    assert [channels[CHANNEL_THROTTLE] for channels in seen] == [2000, 1000, 2000]
 
 
 def test_half_a_frame_is_forgotten_when_the_line_falls_silent(make: Make, sbus: Frame) -> None:
@@ -231,10 +343,10 @@ def test_every_frame_is_seen_when_one_byte_completes_several(make: Make, sbus: F
     for _ in range(RECEIVER_RECOVERY_MS + 1):
         receiver.push(crsf_sticks(sbus, crsf, 2000))
         receiver.tick(1)
-    off, on = crsf_sticks(sbus, crsf, 1000), crsf_sticks(sbus, crsf, 2000)
-    false = bytes([0xC8, 62, 0x7A]) + off + on
+    low, high = crsf_sticks(sbus, crsf, 1000), crsf_sticks(sbus, crsf, 2000)
+    false = bytes([0xC8, 62, 0x7A]) + low + high
     assert receiver.push(false + bytes(63 - len(false))) == []
-    assert [channels[CHANNEL_ARM] for channels in receiver.push(b"\x00" + off)] == [1000, 2000, 1000]
+    assert [channels[CHANNEL_THROTTLE] for channels in receiver.push(b"\x00" + low)] == [1000, 2000, 1000]
 
 
 def test_half_a_crsf_frame_is_forgotten_when_the_line_falls_silent(

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from toolchain.contract import SBUS2_FOOTERS
+
 Encode = Callable[..., bytes]
 VALUES = [172 + 103 * index for index in range(16)]  # no 0x0F and no 0x00 among their bytes
 
@@ -51,6 +53,18 @@ def test_nothing_comes_out_when_header_or_footer_is_wrong(push: Any, sbus: Encod
     assert push(sbus(VALUES, footer=0x20)) == []
     assert push(good[:23] + b"\x10" + good[24:]) == []  # a flag that no receiver sets
     assert push(good) == [(microseconds(VALUES), False, False)]
+
+
+@pytest.mark.parametrize("footer", range(256))
+def test_a_frame_comes_out_when_its_footer_is_sbuss_or_sbus2s(push: Any, sbus: Encode, footer: int) -> None:
+    frames = push(sbus(VALUES, footer=footer))
+    assert frames == ([(microseconds(VALUES), False, False)] if footer in {0, *SBUS2_FOOTERS} else [])
+
+
+def test_sbus2_frames_come_out_when_sensors_speak_between_them(push: Any, sbus: Encode) -> None:
+    """A receiver numbers its frames; slots of three bytes follow each, none of which begins a frame here."""
+    data = b"".join(sbus(VALUES, footer=footer) + bytes([3, 0x40, 0x81]) * 8 for footer in SBUS2_FOOTERS)
+    assert push(data) == [(microseconds(VALUES), False, False)] * len(SBUS2_FOOTERS)
 
 
 def test_nothing_comes_out_when_a_byte_is_missing_but_the_next_frame_does(push: Any, sbus: Encode) -> None:
