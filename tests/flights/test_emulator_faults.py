@@ -15,7 +15,7 @@ from sim.board.devices.esc import SILENT_S
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
 from sim.ports.port import Reply, Sample
-from toolchain.contract import GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
+from toolchain.contract import GESTURE_MS, GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
 from toolchain.errors import LinkError, ScenarioError
 
 RATE = 4000  # of gyro samples
@@ -35,10 +35,15 @@ class Still:
         self._rng = np.random.default_rng(1)
 
     def fly(
-        self, seconds: float, *, armed: bool = True, until: Callable[[Reply], bool] | None = None
+        self,
+        seconds: float,
+        *,
+        armed: bool = True,
+        until: Callable[[Reply], bool] | None = None,
+        rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> list[Reply]:
         """The replies to so many samples, or up to the one that is waited for."""
-        channels = sticks.channels((0.0, 0.0, 0.0), 0.3 if until is None and armed else 0.0, armed=armed)
+        channels = sticks.channels(rates, 0.3 if until is None and armed else 0.0, armed=armed)
         replies = []
         for _ in range(round(seconds * RATE)):
             if self._number % FRAME == 0:
@@ -136,6 +141,23 @@ def test_it_boots_disarmed_and_remembers_when_the_supply_dips(
     assert turning(replies) <= reset.at_s - START_S + STOP_FRAMES_S
     assert not any(reply.armed for reply in replies[round(0.02 * RATE) :])
     assert {"FAULT", "SWITCH_NOT_CYCLED"} <= set(started[0].port.arming_reasons())
+
+
+def test_it_arms_again_in_the_field_when_the_pilot_acknowledges_the_fault_by_sticks(
+    drill: Drill, started: tuple[Still, Any]
+) -> None:
+    still = started[0]
+    drill("brown-out@0.06", seconds=0.45)
+    still.fly(1.7, armed=False)
+    assert still.port.arming_reasons() == ("FAULT",)
+    still.fly(0.1)
+    still.fly(0.1, armed=False)
+    assert still.port.arming_reasons() == ("FAULT",)
+    both_sticks_down_and_apart = (1000.0, -1000.0, 1000.0)  # roll right, pitch back, yaw left
+    still.fly(GESTURE_MS / 1000 + 0.3, armed=False, rates=both_sticks_down_and_apart)
+    still.fly(0.1, armed=False)
+    assert still.port.arming_reasons() == ()
+    assert still.fly(0.2, until=lambda reply: reply.armed)[-1].armed
 
 
 def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) -> None:
