@@ -25,8 +25,8 @@ from toolchain.image.build import find_target, run_make
 TARGET = find_target("MATEKF722")
 MSP = Format(115_200)
 MOTORS = 4
-STEP_S = 0.01
-HEARD_S, ARM_S, THROTTLE_S, PID_S = 0.4, 1.45, 1.5, 1.55  # receiver on, armed, throttle and roll, PID
+STEP_S = 0.0097  # no multiple of the control period: frames come at every phase of it
+HEARD_S, ARM_S, THROTTLE_S, PID_S = 0.4, 3.45, 3.5, 3.55  # receiver on, armed, throttle and roll, PID
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def test_mistake_is_named_when_the_firmware_makes_it(fly_mutant: Fly, mutant: Mu
 
 
 def test_firmware_flies_when_it_is_built_and_flown_as_mutants_are(fly_mutant: Fly) -> None:
-    flight = fly_mutant(replace(UNCHANGED, seconds=1.8, flown=True))
+    flight = fly_mutant(replace(UNCHANGED, seconds=3.8, flown=True))
     assert flight.report.resets == ("power",)
     assert min(flight.values) >= DSHOT_MIN
 
@@ -66,7 +66,7 @@ def test_line_is_noted_when_the_firmware_listens_at_another_baud(fly_mutant: Fly
         old=".baud = 100000,",
         new=".baud = 115200,",
         message="",
-        seconds=1.8,
+        seconds=3.8,
         flown=True,
     )
     flight = fly_mutant(wrong)

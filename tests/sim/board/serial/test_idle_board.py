@@ -19,6 +19,7 @@ from sim.board.serial import idle_board as idle_board
 from sim.board.serial.bridge import Bridge, PtyEnd, UartLine
 from sim.board.serial.idle_board import TEMPERATURE_DEG_C, IdleBoard, Keeper, configured, serve, with_image
 from toolchain.contract import (
+    ARMING_DELAY_MS,
     FLASH_BANK_A,
     FLASH_BASE,
     FLASH_BOOT,
@@ -55,7 +56,7 @@ def idle(booted: tuple[IdleBoard, Snapshot]) -> IdleBoard:
 
 def test_only_the_pilot_is_missing_when_the_board_has_lain_still(image: Path) -> None:
     idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
-    idle.run_to(2 * TIME_HZ)
+    idle.run_to((ARMING_DELAY_MS + 500) * TIME_HZ // 1000)
     with idle.client() as client:
         info = read_info(client)
         battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
