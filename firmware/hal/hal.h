@@ -68,11 +68,13 @@ struct hal_info {
 	size_t change_count;
 	struct msp_identity identity; /* its strings live as long as the program */
 	uint32_t cycles_hz; /* what struct hal's `cycles` counts in a second */
+	bool real_time; /* samples come whether the processor is ready or not: a load above 100 % loses some */
 };
 
 struct hal_handlers {
 	void *context;
-	/* Each gyro sample, chip axes, in order, none twice. Board: from the gyro interrupt, which nothing
+	/* Each gyro sample, chip axes, in order, none twice; `lost` of it says how many the processor was not ready
+	 * for. Board: from the gyro interrupt, which nothing
 	 * of the core preempts. Calls the functions of struct hal that say so before it returns. */
 	void (*sample)(void *context, const struct imu_sample *sample);
 	/* No sample came for NF_GYRO_BAD_MS. Same context as `sample`; called again each time as long passes. */

@@ -306,6 +306,30 @@ static void background_check_weights(struct background *background)
 		background_restore_weights(background);
 }
 
+/* Cycles as a share of the gyro period. */
+static uint32_t background_percent(const struct background *background, uint32_t cycles)
+{
+	return cycles / (background->config.cycles_hz / background->settings.gyro_rate_hz / 100u);
+}
+
+/* Where samples do not wait for the processor, one that takes longer than its period delays those behind it. */
+static void background_watch_load(struct background *background)
+{
+	static const enum nf_task watched[] = { NF_TASK_GYRO, NF_TASK_CONTROL };
+
+	if (!background->config.real_time)
+		return;
+	if (background->overloaded > 0)
+		--background->overloaded;
+	for (size_t i = 0; i < sizeof watched / sizeof watched[0]; ++i) {
+		struct task_stats *stats = &background->config.stats[watched[i]];
+		if (background_percent(background, stats->recent) > 100)
+			background->overloaded = NF_LOAD_CALM_MS * STORAGE_RATE_HZ / 1000u;
+		stats->recent = 0;
+	}
+	firmware_forbid(background->config.firmware, NF_ARMING_REASON_LOAD, background->overloaded > 0);
+}
+
 /* A fault that was acknowledged forbids nothing any more. */
 static void background_run_storage(void *context)
 {
@@ -314,6 +338,7 @@ static void background_run_storage(void *context)
 	background_watch_gesture(background);
 	background_renew_fault_log(background);
 	background_check_weights(background);
+	background_watch_load(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 
@@ -357,7 +382,7 @@ static uint16_t background_load_percent(const struct background *background)
 	const struct task_stats *stats = background->config.stats;
 	const uint32_t gyro = stats[NF_TASK_GYRO].worst, control = stats[NF_TASK_CONTROL].worst;
 	const uint32_t longest = gyro > control ? gyro : control;
-	const uint32_t percent = longest / (background->config.cycles_hz / background->settings.gyro_rate_hz / 100u);
+	const uint32_t percent = background_percent(background, longest);
 
 	return (uint16_t)(percent < UINT16_MAX ? percent : UINT16_MAX);
 }

@@ -37,6 +37,7 @@ struct background_config {
 	size_t change_count;
 	unsigned gyro_rate_hz; /* of this start; 0: as set */
 	uint32_t cycles_hz; /* of hal->cycles */
+	bool real_time; /* as in struct hal_info */
 };
 
 struct background {
@@ -52,6 +53,7 @@ struct background {
 	struct battery battery;
 	struct alert alert;
 	struct gesture gesture;
+	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
 	bool heard; /* the receiver, since boot */
 	bool refused; /* a policy, when alerts were last looked at */
 	uint32_t refused_since_ms;

@@ -359,6 +359,27 @@ static void firmware_tick(struct firmware *fw)
 	receiver_tick(&fw->receiver);
 }
 
+/* A lost sample in which a control step was due, or has been overdue. */
+static void firmware_fall_behind(struct firmware *fw)
+{
+	if (++fw->overdue < fw->control_divider)
+		return;
+	fw->overdue = 0; /* that step is lost too: the next one is due */
+	++fw->control_steps;
+	safety_tick(&fw->safety);
+}
+
+void firmware_lost(struct firmware *fw, uint32_t count)
+{
+	for (; count > 0; --count) {
+		if (fw->until_control == 0)
+			firmware_fall_behind(fw);
+		else
+			--fw->until_control;
+		firmware_tick(fw);
+	}
+}
+
 bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT])
 {
 	float rate[3];
@@ -369,7 +390,11 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 		firmware_control_step(fw, rate);
 	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
 		dshot[i] = fw->status.trace.dshot[i];
-	fw->until_control = (fw->until_control == 0 ? fw->control_divider : fw->until_control) - 1;
+	if (fw->until_control == 0) {
+		fw->until_control = fw->control_divider - fw->overdue;
+		fw->overdue = 0;
+	}
+	--fw->until_control;
 	firmware_tick(fw);
 	return dshot_command_step(&fw->dshot_command, firmware_motors_stopped(fw), dshot);
 }

@@ -55,6 +55,7 @@ struct firmware {
 	uint32_t gyro_rate_hz;
 	uint32_t control_divider;       /* gyro samples a control step */
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */
+	uint32_t overdue;               /* lost samples since it was due, less than control_divider */
 	uint32_t control_steps;         /* since boot */
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
 	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
@@ -71,7 +72,7 @@ struct firmware {
 	bool heard;                     /* a receiver frame waits to be evaluated */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
-	volatile uint32_t samples;      /* gyro samples since boot, including the time of silences */
+	volatile uint32_t samples;      /* gyro samples since boot, lost ones and the time of silences included */
 };
 
 /* Starts disarmed, the battery not known. NF_ERR_GYRO_RATE, NF_ERR_ALIGNMENT, NF_ERR_IDLE, NF_ERR_OBSERVATION: do
@@ -80,6 +81,11 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 
 /* Is the next sample a control step? The first one is. */
 bool firmware_control_due(const struct firmware *fw);
+
+/* The chip had `count` samples, up to 65,535, that nobody took: as much time has passed. Called before
+ * firmware_control_due of the sample that was taken after them. A control step that was due among them is made up for
+ * by that sample; the steps after it keep their times. */
+void firmware_lost(struct firmware *fw, uint32_t count);
 
 /* Receiver bytes, any number of any value; called once before each control step's sample, with count 0 when the line
  * was silent. */
@@ -92,7 +98,7 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 /* No sample came for NF_GYRO_BAD_MS: as much time has passed. Writes the DShot values as firmware_sample does. */
 void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT]);
 
-/* Did the last control step end after its deadline? Called after each. */
+/* Did the last control step end after its deadline, or were samples lost since the one before? Called after each. */
 void firmware_deadline(struct firmware *fw, bool missed);
 
 /* The last control step. */
@@ -120,7 +126,7 @@ bool firmware_stopped(const struct firmware *fw);
  * not been taken yet. NF_REFUSAL_ABSENT: the receiver is not MSP. */
 enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
-/* From the background: gyro samples since boot, those that silence swallowed included. Wraps. */
+/* From the background: gyro samples since boot, lost ones and those that silence swallowed included. Wraps. */
 uint32_t firmware_samples(const struct firmware *fw);
 
 /* From the background: a consistent copy of the status, also when a gyro interrupt falls into the copying. */

@@ -34,6 +34,7 @@ static enum nf_err boot(void)
 		.change_count = info.change_count,
 		.gyro_rate_hz = info.gyro_rate_hz,
 		.cycles_hz = info.cycles_hz,
+		.real_time = info.real_time,
 	};
 	const enum nf_err err = background_start(&background, &config);
 

@@ -1,11 +1,22 @@
 #include "program.h"
 
+/* The processor was not ready for them: they count as misses, and so does the control step that follows. */
+static __attribute__((noinline)) void program_lose(struct program *program, uint32_t count)
+{
+	program->lost += count;
+	program->stats[NF_TASK_GYRO].misses += count;
+	firmware_lost(program->firmware, count);
+}
+
 void program_sample(void *context, const struct imu_sample *sample)
 {
-	const struct program *program = context;
+	struct program *program = context;
 	const struct hal *hal = program->hal;
 	const uint32_t start = hal->cycles(hal->context);
 	struct firmware *fw = program->firmware;
+
+	if (sample->lost > 0)
+		program_lose(program, sample->lost);
 	const bool control_step = firmware_control_due(fw);
 	uint16_t dshot[POLICY_ACTION_COUNT];
 
@@ -19,9 +30,11 @@ void program_sample(void *context, const struct imu_sample *sample)
 		hal->trace_write(hal->context, firmware_trace(fw));
 
 	const uint32_t cycles = hal->cycles(hal->context) - start;
-	const bool missed = control_step && hal->deadline_missed(hal->context, cycles);
-	if (control_step)
+	const bool missed = control_step && (hal->deadline_missed(hal->context, cycles) || program->lost > 0);
+	if (control_step) {
 		firmware_deadline(fw, missed);
+		program->lost = 0;
+	}
 	task_stats_add(&program->stats[control_step ? NF_TASK_CONTROL : NF_TASK_GYRO], cycles, missed);
 }
 

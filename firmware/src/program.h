@@ -18,6 +18,7 @@ struct program {
 	struct firmware *firmware;
 	struct task_stats *stats;      /* [TASK_COUNT], by enum nf_task */
 	struct background *background;
+	uint32_t lost;                 /* gyro samples since the last control step, that were not taken */
 	uint32_t fed_at;               /* gyro sample at which the watchdog was fed last */
 };
 

@@ -11,11 +11,22 @@ import numpy as np
 import pytest
 
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
+from sim.board.debug.variables import read_variables
 from sim.board.devices.esc import SILENT_S
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
 from sim.ports.port import Reply, Sample
-from toolchain.contract import GESTURE_MS, GRAVITY, GYRO_BAD_MS, RECEIVER_HOLD_MS, RECEIVER_LOST_MS
+from toolchain.contract import (
+    DEADLINE_MISSES_MAX,
+    GESTURE_MS,
+    GRAVITY,
+    GYRO_BAD_MS,
+    LOAD_CALM_MS,
+    RECEIVER_HOLD_MS,
+    RECEIVER_LOST_MS,
+    FallbackCause,
+    Task,
+)
 from toolchain.errors import LinkError, ScenarioError
 
 RATE = 4000  # of gyro samples
@@ -191,6 +202,55 @@ def test_it_flies_on_when_some_receiver_frames_are_broken(drill: Drill) -> None:
     replies, events = drill("receiver-broken=0.5@0.06", seconds=0.2)
     assert not events
     assert all(reply.armed for reply in replies)
+
+
+def read(port: EmulatedPort, elf: Path, name: str) -> Any:
+    """A variable of the image, as it is now."""
+    (variable,) = read_variables(elf, name)
+    return np.frombuffer(port.board.engine.memory(variable.address, variable.size), variable.dtype)[0]
+
+
+OVERLOAD_S = 0.0006  # of each control step: with it a sample takes 2.8 times its period
+
+
+def test_lost_samples_are_missed_deadlines_and_time_goes_on_when_the_processor_is_overloaded(
+    drill: Drill, started: tuple[Still, Any], board_image: Path
+) -> None:
+    replies, events = drill(f"overload={OVERLOAD_S}@0.06", seconds=0.5)
+    port = started[0].port
+    assert not events  # it flies on, late as the steps are
+    assert all(reply.armed and reply.dshot.all() for reply in replies)
+    assert replies[-1].step - replies[0].step == pytest.approx(len(replies) / 4, abs=2)
+    status, stats = (read(port, board_image, name) for name in ("firmware.status", "stats"))
+    assert (bool(status["pid_flies"]), int(status["fallback_cause"])) == (True, FallbackCause.DEADLINE)
+    steps = 0.5 - 0.01 - DEADLINE_MISSES_MAX / 1000
+    assert stats[Task.CONTROL]["misses"] >= 1000 * steps
+    assert stats[Task.GYRO]["misses"] >= 1000 * steps
+
+
+def test_the_receiver_is_lost_in_its_time_when_the_processor_is_overloaded(drill: Drill) -> None:
+    _, (hold, drop) = drill(f"overload={OVERLOAD_S}@0.06", "receiver-broken@0.06", seconds=0.5)
+    assert (hold.what, drop.what) == ("FAILSAFE_HOLD", "FAILSAFE_DROP: RECEIVER")
+    assert hold.at_s - 0.06 == pytest.approx(RECEIVER_HOLD_MS / 1000, abs=FRAME / RATE)
+    assert drop.at_s - hold.at_s == pytest.approx((RECEIVER_LOST_MS - RECEIVER_HOLD_MS) / 1000, abs=0.002)
+
+
+def test_an_overloaded_board_does_not_arm_and_says_why(started: tuple[Still, Any]) -> None:
+    still, moment = started
+    port, calls = still.port, still.port.board.symbols["functions"]
+    still.restore(moment)
+    normal = port.board.engine.memory(calls, 64)
+    still.restore(moment, f"overload={OVERLOAD_S}@0.06")
+    still.fly(0.1)
+    still.fly(0.3, armed=False)
+    assert port.arming_reasons() == ("LOAD",)
+    assert not any(reply.armed for reply in still.fly(0.1))
+    port.board.engine.poke(calls, normal)
+    still.fly(LOAD_CALM_MS / 1000, armed=False)
+    assert port.arming_reasons() == ("LOAD",)
+    still.fly(0.2, armed=False)
+    assert port.arming_reasons() == ()
+    still.fly(0.05, until=lambda reply: reply.armed)
 
 
 def test_a_flight_continues_bit_for_bit_when_a_snapshot_is_restored(drill: Drill) -> None:

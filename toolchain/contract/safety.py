@@ -18,7 +18,9 @@ GYRO_BAD_MS = 10  # bad, stuck or silent: so long the last good sample stands in
 # An axis at the end of its range is flown as that. An aircraft that turns faster than its gyro can tell for
 # so long, without one sample below, is out of control, or its gyro is dead: no stick asks for such a rate.
 GYRO_SATURATED_MS = 500
-DEADLINE_MISSES_MAX = 3  # control steps in a row that came late: the PID flies
+# Control steps in a row that ended late, or before which gyro samples were lost: the PID flies.
+DEADLINE_MISSES_MAX = 3
+LOAD_CALM_MS = 1000  # no arming before all gyro samples have kept within their period for so long
 # An axis turns towards its setpoint if its rate, behind these two low-passes, changes that way by more than
 # so much. Gyro noise of three times the NF1's makes 150 deg/s^2 of it; the yaw of a heavy aircraft, the
 # weakest axis that flies, reaches 500.
@@ -78,9 +80,7 @@ class ArmingReason(IntEnum):
     STORING = 12  # flash is being erased or written, or the board is about to start anew
     PID_MISSING = 13  # the switch chooses a PID that is not built in
     POLICY_REFUSED = 14  # it fell back in flight, nobody acknowledged that, and the switch chooses it
-
-
-ARMING_REASON_COUNT = len(ArmingReason)
+    LOAD = 17  # a gyro sample took longer than its period, within the last second
 
 
 ARMING_REASON_COUNT = max(ArmingReason) + 1  # bits that a field of reasons takes

@@ -55,7 +55,9 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	memset(r->flash_bytes, 0xFF, sizeof r->flash_bytes);
 	host_board_init(&r->board, r->flash_bytes);
 	r->hal = host_board_hal(&r->board);
-	r->program = (struct program){ &r->hal, &r->firmware, r->stats, &r->background, 0 };
+	r->program = (struct program){
+		.hal = &r->hal, .firmware = &r->firmware, .stats = r->stats, .background = &r->background
+	};
 	return background_start(&r->background, &config);
 }
 

@@ -151,6 +151,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	info->hal = &functions;
 	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
+	info->real_time = true;
 	info->identity = (struct msp_identity){
 		.board = BOARD_ID,
 		.target = BOARD_TARGET,

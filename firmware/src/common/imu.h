@@ -26,6 +26,7 @@ struct imu_sample {
 	int16_t accel[3];    /* +-16 g over int16; all zero: not measured */
 	int16_t temperature; /* the chip's own scale; 0: not measured */
 	bool valid;          /* the transfer succeeded and no number is NaN */
+	uint16_t lost; /* samples that the chip had before this one and that were not taken, since the last one */
 };
 
 #endif

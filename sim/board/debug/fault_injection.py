@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
+from sim.board.core.engine import CPI
 from sim.board.peripherals.usart import Format
 from toolchain.errors import ScenarioError
 
@@ -46,6 +49,22 @@ def _cut(board: Board, number: float) -> None:
     flash.cut_at = flash.operations + int(number) - 1
 
 
+def _overload(board: Board, seconds: float) -> None:
+    """Lead the program's call of `trace_write`, one a control step, through a loop behind its code in ITCM.
+
+    The table of such calls lies in RAM, so that a reset ends it.
+    """
+    symbols, engine = board.symbols, board.engine
+    table, function, stub = symbols["functions"], symbols["hal_trace_write"] | 1, symbols["itcm_end"] + 3 & ~3
+    calls = list(struct.unpack("<16I", engine.memory(table, 64)))
+    if function not in calls:
+        return  # the loop is there already
+    rounds = round(seconds * TIME_HZ / (2 * CPI))
+    loop = (0x4A02, 0x3A01, 0xD1FD, 0x4A02, 0x4710, 0xBF00)  # ldr r2; subs r2, #1; bne; ldr r2; bx r2; nop
+    engine.poke(stub, struct.pack("<6H2I", *loop, rounds, function))
+    engine.poke(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
+
+
 FAULTS = {
     "gyro-silent": FaultKind(
         "the gyro chip gives no samples any more",
@@ -77,6 +96,14 @@ FAULTS = {
         begin=_cut,
     ),
     "crystal": FaultKind("the crystal stops", begin=lambda board, value: board.hardware.rcc.fail_crystal()),
+    "overload": FaultKind(
+        "each control step takes longer, until a reset",
+        "by so many seconds; default 0.0006",
+        0.0006,
+        1e-6,
+        0.1,
+        begin=_overload,
+    ),
     # The receiver is not the board's: `FaultPlan.damaged` takes its frames.
     "receiver-broken": FaultKind(
         "a bit of each receiver frame is turned over",

@@ -245,3 +245,38 @@ def test_reasons_of_the_background_forbid_arming_when_they_hold(bench: Make, scr
         scripted.lib.firmware_forbid(b.fw, reason, False)
         b.run(20)
         assert b.reasons == 0
+
+
+# --- Samples that nobody took --------------------------------------------------------------------
+@pytest.mark.parametrize("gyro_hz", [1000, 2000, 4000, 8000])
+def test_time_goes_on_and_control_steps_keep_their_times_when_samples_are_lost(
+    bench: Make, gyro_hz: int
+) -> None:
+    b, rng, divider = bench(gyro_hz), np.random.default_rng(gyro_hz), gyro_hz // 1000
+    at, due = 0, 0  # sample that comes, and that of the next control step
+    for _ in range(4000):
+        lost = int(rng.integers(0, 3 * divider)) if rng.random() < 0.1 else 0
+        b.core.lib.firmware_lost(b.fw, lost)
+        at += lost
+        while due + divider <= at:  # more than a control period late: that step is lost
+            due += divider
+        assert bool(b.core.lib.firmware_control_due(b.fw)) is (at >= due)
+        b.sample()
+        if at >= due:
+            assert b.trace.step == due // divider
+            due += divider
+        at += 1
+        assert b.fw.samples == at
+        assert (b.fw.grace_left > 0) is (at < gyro_hz)
+
+
+def test_a_silent_receiver_is_lost_in_its_time_when_samples_are_lost(bench: Make) -> None:
+    b = bench(4000)
+    b.arm()
+    for _ in range(RECEIVER_LOST_MS - 1):
+        b.core.lib.firmware_lost(b.fw, 2)
+        b.run(0.5, every_ms=None)
+        assert b.armed
+    b.core.lib.firmware_lost(b.fw, 6)
+    b.run(1, every_ms=None)
+    assert not b.armed

@@ -81,6 +81,9 @@ static struct {
 	const struct hal_handlers *handlers; /* NULL before gyro_run */
 	uint32_t divider;        /* edges a sample */
 	uint32_t until_read;     /* edges until the next read; the edge handler's alone */
+	volatile uint32_t due;   /* reads since gyro_run, made or not; the edge handler's alone */
+	volatile uint32_t read;  /* `due` of the read that is under way; likewise */
+	uint32_t taken;          /* `due` of the last sample; sample handler and tick */
 	uint32_t silent_ms;      /* since the last sample; sample handler and tick, which share a priority */
 	volatile uint32_t samples; /* taken; written by the sample handler alone */
 	volatile bool reading;   /* a transfer was started and not yet taken */
@@ -195,6 +198,7 @@ void gyro_tick(void)
 	if (gyro.handlers == NULL || ++gyro.silent_ms < NF_GYRO_BAD_MS)
 		return;
 	gyro.silent_ms = 0;
+	gyro.taken = gyro.due; /* the silence counts for the reads that failed in it */
 	gyro.handlers->gyro_silent(gyro.handlers->context);
 }
 
@@ -208,6 +212,7 @@ static void gyro_end_transfer(void)
 static void gyro_start_transfer(void)
 {
 	gyro.reading = true;
+	gyro.read = gyro.due;
 	gpio_write(BOARD_GYRO_CS, false);
 	if (!spi_start(gyro_request, gyro_response, TRANSFER_BYTES))
 		gyro_end_transfer();
@@ -222,6 +227,7 @@ void gyro_edge_handler(void)
 	if (--gyro.until_read != 0u)
 		return;
 	gyro.until_read = gyro.divider;
+	++gyro.due;
 	if (gyro.reading && dma_complete(DMA_GYRO_RX))
 		return; /* read but not yet taken: the control path is late, and this sample is lost */
 	if (gyro.reading)
@@ -241,6 +247,9 @@ void gyro_sample_handler(void)
 	/* The edge handler may not come between: it would take the half-ended transfer for a stuck one. */
 	interrupts_disable();
 	sample.valid = dma_complete(DMA_GYRO_RX); /* or it ended in an error of the bus */
+	const uint32_t lost = gyro.read - gyro.taken - 1u;
+
+	gyro.taken = gyro.read;
 	gyro_end_transfer();
 	for (uint32_t axis = 0; axis < AXES; ++axis) {
 		sample.accel[axis] = gyro_big_endian(gyro_response + ACCEL_OFFSET + 2u * axis);
@@ -248,6 +257,8 @@ void gyro_sample_handler(void)
 	}
 	sample.temperature = gyro_big_endian(gyro_response + TEMPERATURE_OFFSET);
 	interrupts_enable();
+	/* A read that was under way in a silence has been counted by it: then this is -1. */
+	sample.lost = lost < NF_GYRO_EDGE_RATE_HZ ? (uint16_t)lost : 0u;
 	gyro.silent_ms = 0;
 	++gyro.samples;
 	gyro.handlers->sample(gyro.handlers->context, &sample);
