@@ -68,6 +68,8 @@ struct hal_info {
 	size_t change_count;
 	struct msp_identity identity; /* its strings live as long as the program */
 	uint32_t cycles_hz; /* what struct hal's `cycles` counts in a second */
+	bool clock_inexact; /* no crystal makes it: the board may talk, but not arm */
+	bool alignment_disputed; /* `alignment` is one of several that are said: arming asks for the pilot's setting */
 	bool real_time; /* samples come whether the processor is ready or not: a load above 100 % loses some */
 };
 

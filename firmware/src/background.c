@@ -348,6 +348,16 @@ static const struct task tasks[] = {
 	{ NF_TASK_STORAGE, STORAGE_RATE_HZ, background_run_storage },
 };
 
+/* What of the board forbids arming until the next boot. */
+static void background_judge_board(const struct background *background)
+{
+	const struct background_config *config = &background->config;
+
+	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->clock_inexact);
+	firmware_forbid(config->firmware, NF_ARMING_REASON_GYRO_ALIGNMENT,
+			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
+}
+
 enum nf_err background_start(struct background *background, const struct background_config *config)
 {
 	enum nf_err err;
@@ -358,6 +368,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 		return err;
 	fault_log_boot(&background->faults, &background->config.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
+	background_judge_board(background);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert);
 	gesture_init(&background->gesture);

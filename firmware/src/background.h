@@ -37,7 +37,7 @@ struct background_config {
 	size_t change_count;
 	unsigned gyro_rate_hz; /* of this start; 0: as set */
 	uint32_t cycles_hz; /* of hal->cycles */
-	bool real_time; /* as in struct hal_info */
+	bool clock_inexact, alignment_disputed, real_time; /* as in struct hal_info */
 };
 
 struct background {

@@ -34,6 +34,8 @@ static enum nf_err boot(void)
 		.change_count = info.change_count,
 		.gyro_rate_hz = info.gyro_rate_hz,
 		.cycles_hz = info.cycles_hz,
+		.clock_inexact = info.clock_inexact,
+		.alignment_disputed = info.alignment_disputed,
 		.real_time = info.real_time,
 	};
 	const enum nf_err err = background_start(&background, &config);

@@ -114,6 +114,7 @@ class Hardware:
         rcc, pwr = self.rcc, self.pwr
         rcc.govern(self.registers.devices)
         rcc.latency, rcc.scale = self.flash.latency, lambda: pwr.scale
+        rcc.detects_brown_out = lambda: self.flash.options.detects_brown_out
         self.flash.on_latency = pwr.on_change = rcc.check
         self.flash.on_begin = self._reject_in_flight
         pwr.pll = lambda: (bool(rcc.get("CR", "PLLON")), rcc.get("CFGR", "SWS") == 2)

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flash import messages
+from flash.client import Client
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from sim.board.debug.variables import read_variables
-from sim.board.devices.esc import SILENT_S
+from sim.board.serial.bridge import LineTransport, UartLine
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
 from sim.ports.port import Reply, Sample
@@ -25,6 +27,7 @@ from toolchain.contract import (
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     FallbackCause,
+    Msp,
     Task,
 )
 from toolchain.errors import LinkError, ScenarioError
@@ -180,11 +183,23 @@ def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) 
     ]
 
 
-def test_it_halts_and_the_escs_stop_when_the_crystal_fails(drill: Drill, started: tuple[Still, Any]) -> None:
-    replies, (reset,) = drill("crystal@0.06", seconds=0.6)
+def test_it_starts_anew_without_its_crystal_and_does_not_arm_when_the_crystal_fails(
+    drill: Drill, started: tuple[Still, Any]
+) -> None:
+    replies, (reset, boot, _) = drill("crystal@0.06", seconds=0.6)
     assert reset == Event(0.06, "reset: software", stops=True)
-    assert turning(replies) == pytest.approx(0.06 - START_S + SILENT_S, abs=0.002)
-    assert not started[0].port.running
+    assert turning(replies) <= 0.06 - START_S + STOP_FRAMES_S
+    assert 0.2 < boot.at_s - reset.at_s < 0.4
+    assert {"CLOCK", "FAULT"} <= set(started[0].port.arming_reasons())
+
+
+def test_no_fault_is_told_when_the_supply_dips_with_the_motors_stopped(started: tuple[Still, Any]) -> None:
+    still, moment = started
+    still.restore(moment, "brown-out@0.3")  # the detector is off, as the chip is delivered
+    still.fly(0.2, armed=False)
+    still.fly(0.5, armed=False)
+    assert [event.what for event in still.port.events if "reset" in event.what] == ["reset: brown-out"]
+    assert "FAULT" not in still.port.arming_reasons()
 
 
 def test_the_failsafe_acts_when_every_receiver_frame_is_broken(drill: Drill) -> None:
@@ -265,9 +280,21 @@ def test_it_boots_when_power_goes_at_a_flash_operation_of_the_boot(image: Path) 
     port.close()
 
 
+def test_it_boots_on_the_internal_oscillator_and_talks_when_the_crystal_does_not_start(image: Path) -> None:
+    still = Still(EmulatedPort(image, faults=[parse_fault("crystal@boot")]))
+    still.fly(1.1, armed=False)
+    assert still.port.arming_reasons() == ("CLOCK",)
+    assert not any(reply.armed for reply in still.fly(0.1))
+    line = LineTransport(UartLine(still.port.board), still.port.board.run_to)
+    client = Client(line, line.clock)
+    assert "CLOCK" in messages.arming_reasons(messages.status_ex(client.request(Msp.STATUS_EX)).arming_flags)
+    still.port.close()
+
+
 def test_it_says_so_when_a_fault_lets_the_firmware_never_boot(image: Path) -> None:
-    with pytest.raises(LinkError, match=r"reads no gyro sample within 5 s of its boot: .*fault crystal@boot"):
-        EmulatedPort(image, faults=[parse_fault("crystal@boot")])
+    fault = "spi-bit-errors=1@boot"  # no chip is found behind such a bus
+    with pytest.raises(LinkError, match=rf"reads no gyro sample within 5 s of its boot: .*fault {fault}"):
+        EmulatedPort(image, faults=[parse_fault(fault)])
 
 
 def test_a_fault_prints_as_it_was_written_when_parsed() -> None:

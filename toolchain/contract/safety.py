@@ -80,6 +80,8 @@ class ArmingReason(IntEnum):
     STORING = 12  # flash is being erased or written, or the board is about to start anew
     PID_MISSING = 13  # the switch chooses a PID that is not built in
     POLICY_REFUSED = 14  # it fell back in flight, nobody acknowledged that, and the switch chooses it
+    GYRO_ALIGNMENT = 15  # sources disagree on how this gyro is turned: the setting gyro_alignment must say it
+    CLOCK = 16  # the crystal did not start: the internal oscillator makes the clock
     LOAD = 17  # a gyro sample took longer than its period, within the last second
 
 

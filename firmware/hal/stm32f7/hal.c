@@ -39,7 +39,7 @@ static volatile bool program_runs;
 static void hal_trace_write(void *context, const struct control_trace *trace)
 {
 	(void)context;
-	fault_note_steps(trace->step);
+	fault_note_steps(trace->step, trace->armed != 0u);
 }
 
 static uint32_t hal_cycles(void *context)
@@ -144,6 +144,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	gpio_output(BOARD_LED0, false); /* active low: lit */
 	gpio_output(BOARD_BEEPER, false);
 	power_start();
+	info->gyro_chip = GYRO_MPU6500;
 	info->alignment = BOARD_MPU6500_ALIGNMENT; /* without a chip it does not matter */
 	(void)gyro_start(&info->alignment, &info->gyro_chip); /* the core hears of its silence */
 	watchdog_feed();
@@ -151,6 +152,8 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	info->hal = &functions;
 	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
+	info->clock_inexact = !clock_is_exact();
+	info->alignment_disputed = BOARD_ALIGNMENT_DISPUTED(info->gyro_chip);
 	info->real_time = true;
 	info->identity = (struct msp_identity){
 		.board = BOARD_ID,

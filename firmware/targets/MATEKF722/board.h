@@ -10,7 +10,8 @@
 
 #define BOARD_HSE_HZ 8000000u
 #define BOARD_MPU6500_ALIGNMENT ALIGN_CW180
-#define BOARD_ICM20689_ALIGNMENT ALIGN_CW90 /* sources disagree, CW180 is said too: the pilot's setting decides */
+#define BOARD_ICM20689_ALIGNMENT ALIGN_CW90 /* sources disagree, CW180 is said too: */
+#define BOARD_ALIGNMENT_DISPUTED(chip) ((chip) == GYRO_ICM20689) /* the pilot's setting decides */
 
 /* RCC enable bits of the ports, timers and UARTs below. */
 #define BOARD_PORT_CLOCKS (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN)

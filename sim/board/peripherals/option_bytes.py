@@ -39,6 +39,11 @@ class OptionBytes:
         """Whether IWDG runs from reset on (IWDG_SW 0)."""
         return not self.optcr >> 5 & 1
 
+    @property
+    def detects_brown_out(self) -> bool:
+        """Whether BOR_LEV is a threshold; else only the power-on reset sees a dip."""
+        return self.optcr >> 2 & 3 != 3
+
     def protects(self, sector: int) -> bool:
         """Whether nWRP keeps `sector` from being written."""
         return not self.optcr >> 16 + sector & 1

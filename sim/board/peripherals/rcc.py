@@ -64,6 +64,7 @@ class Rcc(Device):
         super().__init__(context, "RCC")
         self.latency: Callable[[], int] = lambda: 15  # flash wait states
         self.scale: Callable[[], tuple[int, bool]] = lambda: (1, True)  # regulator scale, over-drive switched
+        self.detects_brown_out: Callable[[], bool] = lambda: True  # by a threshold in the option bytes
         self.on_clocks: list[Callable[[Clocks], None]] = []
         self.after_reset: list[Callable[[], None]] = []  # chips beside the processor, whose alarms are gone
         self.crystal_dead = False
@@ -241,6 +242,8 @@ class Rcc(Device):
         self._spread_enables()
 
     def _note_cause(self, cause: str) -> None:
+        if cause == "brown-out" and not self.detects_brown_out():
+            cause = "power"
         if cause == "power":
             self.words["CSR"] = 0
         self.words["CSR"] |= self.mask("CSR", *_FLAGS[cause])

@@ -165,6 +165,37 @@ def test_the_chips_own_reset_is_told_with_the_step_it_came_at(flags: int, kind: 
     assert board.take() is None
 
 
+TRACE = "<I7fBB"  # struct control_trace: step, setpoint, gyro, throttle, armed, motor_count
+
+
+@pytest.mark.parametrize(("armed", "kind"), [(1, BROWN_OUT), (0, None)])
+def test_a_dip_of_the_supply_is_told_when_memory_says_that_the_motors_were_armed(
+    armed: int, kind: int | None, board: Board
+) -> None:
+    """With the brown-out detector off, as the chip is delivered: the flags are those of power-on."""
+    board.sketch.uc.mem_write(SCRATCH, struct.pack(TRACE, 4711, *[0.0] * 7, armed, 4))
+    board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)
+    place, board_was = board.symbols["last"], board.sketch.peek(board.symbols["last"])
+    assert board_was == 4711
+    board.boot(POWER_ON)
+    record = board.take()
+    assert (record and (record.kind, record.uptime_steps)) == (kind and (kind, 4711))
+    board.sketch.call_with(board.symbols["hal_fault_clear"])
+    board.boot(POWER_ON)
+    assert board.take() is None, "told once"
+    assert board.sketch.peek(place) == 0
+
+
+@pytest.mark.parametrize("bit", [0, 13, 31, 32, 47, 63])
+def test_a_loss_of_power_is_no_dip_when_memory_did_not_outlive_it(bit: int, board: Board) -> None:
+    board.sketch.uc.mem_write(SCRATCH, struct.pack(TRACE, 4711, *[0.0] * 7, 1, 4))
+    board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)
+    at = board.symbols["last"] + bit // 32 * 4
+    board.sketch.poke(at, board.sketch.peek(at) ^ 1 << bit % 32)
+    board.boot(POWER_ON)
+    assert board.take() is None
+
+
 def test_a_record_is_not_believed_when_memory_lost_power(board: Board, symbols: dict[str, int]) -> None:
     board.fault()
     place = symbols["note"]

@@ -6,13 +6,16 @@
 #include "hal/stm32f7/core/time.h"
 
 /* VCO input 2 MHz (the manual's choice against jitter), VCO 432 MHz, USB clock 432 / 9 = 48 MHz. */
-#define PLL_M 4u
+#define PLL_M (BOARD_HSE_HZ / PLL_INPUT_HZ)
+#define PLL_M_INTERNAL (CLOCK_RESET_HZ / PLL_INPUT_HZ)
+#define PLL_INPUT_HZ 2000000u
 #define PLL_N 216u
 #define PLL_P 2u
 #define PLL_Q 9u
-_Static_assert(BOARD_HSE_HZ / PLL_M == 2000000u, "VCO input is 2 MHz");
-_Static_assert(BOARD_HSE_HZ / PLL_M * PLL_N / PLL_P == CLOCK_CORE_HZ, "the PLL makes the core clock");
-_Static_assert(BOARD_HSE_HZ / PLL_M * PLL_N / PLL_Q == 48000000u, "USB needs 48 MHz");
+_Static_assert(BOARD_HSE_HZ % PLL_INPUT_HZ == 0u && CLOCK_RESET_HZ % PLL_INPUT_HZ == 0u,
+	       "either makes the VCO's input");
+_Static_assert(PLL_N / PLL_P * PLL_INPUT_HZ == CLOCK_CORE_HZ, "the PLL makes the core clock");
+_Static_assert(PLL_N / PLL_Q * PLL_INPUT_HZ == 48000000u, "USB needs 48 MHz");
 
 enum { SOURCE_HSI = 0, SOURCE_PLL = 2 };      /* RCC_CFGR SW and SWS */
 enum { DIVIDE_BY_2 = 4, DIVIDE_BY_4 = 5 };    /* RCC_CFGR PPRE1 and PPRE2 */
@@ -20,7 +23,8 @@ enum { REGULATOR_SCALE_1 = 3 };               /* PWR_CR1 VOS */
 enum { WAIT_STATES = 7 };                     /* 216 MHz at 2.7..3.6 V (RM0431 3.3, table of wait states) */
 
 /* All waits run from HSI or, after the switch, a clock that is already up. */
-#define LIMIT_OSCILLATOR (CLOCK_RESET_HZ / 10u)   /* 100 ms: a crystal starts within some ms */
+/* 8 ms, four times what a crystal takes (data sheet, HSE start-up time): motors wait for stop frames meanwhile. */
+#define LIMIT_OSCILLATOR (CLOCK_RESET_HZ / 125u)
 #define LIMIT_READY (CLOCK_RESET_HZ / 500u)       /* 2 ms: PLL lock 0.3 ms, over-drive 0.1 ms */
 
 static void clock_replace(volatile uint32_t *reg, uint32_t mask, uint32_t bits)
@@ -41,25 +45,29 @@ static bool clock_fall_back_to_hsi(void)
 	return time_wait(&RCC_CR, RCC_CR_PLLRDY, 0, LIMIT_READY);
 }
 
+/* Returns whether it swings. One that comes late is left off: it may stop again. */
 static bool clock_start_crystal(void)
 {
 	RCC_CR |= RCC_CR_HSEON;
-	if (!time_wait(&RCC_CR, RCC_CR_HSERDY, RCC_CR_HSERDY, LIMIT_OSCILLATOR))
+	if (!time_wait(&RCC_CR, RCC_CR_HSERDY, RCC_CR_HSERDY, LIMIT_OSCILLATOR)) {
+		RCC_CR &= ~RCC_CR_HSEON;
 		return false;
+	}
 	RCC_CR |= RCC_CR_CSSON;
 	return true;
 }
 
 /* RM0431 4.1.4: PLL first, then over-drive, then its switch; only then may the PLL become the clock. */
-static bool clock_start_pll(void)
+static bool clock_start_pll(bool crystal)
 {
 	RCC_APB1ENR |= RCC_APB1ENR_PWREN;
 	(void)RCC_APB1ENR; /* a peripheral answers two cycles after its clock bit (RM0431 5.2.12) */
 	clock_replace(&PWR_CR1, PWR_CR1_VOS, FIELD(PWR_CR1_VOS, REGULATOR_SCALE_1));
-	clock_replace(&RCC_PLLCFGR, RCC_PLLCFGR_PLLM | RCC_PLLCFGR_PLLN | RCC_PLLCFGR_PLLP | RCC_PLLCFGR_PLLQ,
-		      FIELD(RCC_PLLCFGR_PLLM, PLL_M) | FIELD(RCC_PLLCFGR_PLLN, PLL_N) |
+	clock_replace(&RCC_PLLCFGR,
+		      RCC_PLLCFGR_PLLM | RCC_PLLCFGR_PLLN | RCC_PLLCFGR_PLLP | RCC_PLLCFGR_PLLQ | RCC_PLLCFGR_PLLSRC,
+		      FIELD(RCC_PLLCFGR_PLLM, crystal ? PLL_M : PLL_M_INTERNAL) | FIELD(RCC_PLLCFGR_PLLN, PLL_N) |
 			      FIELD(RCC_PLLCFGR_PLLP, PLL_P / 2u - 1u) | FIELD(RCC_PLLCFGR_PLLQ, PLL_Q) |
-			      RCC_PLLCFGR_PLLSRC);
+			      (crystal ? RCC_PLLCFGR_PLLSRC : 0u));
 	RCC_CR |= RCC_CR_PLLON;
 	PWR_CR1 |= PWR_CR1_ODEN;
 	if (!time_wait(&PWR_CSR1, PWR_CSR1_ODRDY, PWR_CSR1_ODRDY, LIMIT_READY))
@@ -87,7 +95,7 @@ static bool clock_switch_to_pll(void)
 
 bool clock_start(void)
 {
-	return clock_fall_back_to_hsi() && clock_start_crystal() && clock_start_pll() && clock_slow_flash() &&
+	return clock_fall_back_to_hsi() && clock_start_pll(clock_start_crystal()) && clock_slow_flash() &&
 	       clock_switch_to_pll();
 }
 
@@ -98,6 +106,11 @@ void clock_peripherals(void)
 	RCC_APB2ENR |= BOARD_APB2_CLOCKS | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_SPI1EN | RCC_APB2ENR_SYSCFGEN;
 	(void)RCC_APB2ENR;
 	barrier();
+}
+
+bool clock_is_exact(void)
+{
+	return (RCC_PLLCFGR & RCC_PLLCFGR_PLLSRC) != 0u;
 }
 
 bool clock_is_full_speed(void)

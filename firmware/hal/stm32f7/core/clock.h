@@ -1,4 +1,4 @@
-/* Clock tree: HSE 8 MHz -> PLL 216 MHz, AHB 216, APB1 54, APB2 108; timers of APB2 run at 216 MHz. */
+/* Clock tree: HSE 8 MHz, or HSI 16 MHz where the crystal does not start -> PLL 216 MHz, AHB 216, APB1 54, APB2 108; timers of APB2 run at 216 MHz. */
 #ifndef STM32F7_CLOCK_H
 #define STM32F7_CLOCK_H
 
@@ -11,9 +11,14 @@
 #define CLOCK_TIM8_HZ 216000000u /* TIM1's too: twice APB2, because APB2 is divided (RM0431 5.2) */
 #define CLOCK_TIM3_HZ 108000000u /* twice APB1, likewise */
 
-/* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the NMI). Needs
- * time_cycles_start. False: a step did not become ready, and the core runs from HSI. */
+/* Goes to 216 MHz with over-drive and 7 flash wait states, the crystal watched (its failure raises the NMI). A crystal
+ * that does not start is done without: then the internal oscillator makes the clock. Needs time_cycles_start. False: a
+ * step did not become ready, and the core runs from HSI at 16 MHz. */
 bool clock_start(void);
+
+/* Does the crystal make the clock? The internal oscillator is exact to 1 % at room temperature, and to some per cent
+ * from frost to heat (data sheet, HSI): enough for serial lines and DShot, not for flying. After clock_start. */
+bool clock_is_exact(void);
 
 /* Clocks of the peripherals in use. */
 void clock_peripherals(void);

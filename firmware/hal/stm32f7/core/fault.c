@@ -30,11 +30,17 @@ static struct note {
 	uint32_t checksum;
 } note __attribute__((section(".noinit")));
 
-static uint32_t last_steps __attribute__((section(".noinit"))); /* of the control path, this boot's or the last's */
+/* Of the control path, this boot's or the last's. RAM outlives a dip of the supply that is short. */
+static struct {
+	uint32_t steps;
+	uint32_t armed; /* ARMED_MARK plus `steps`: the motors were armed in that step */
+} last __attribute__((section(".noinit")));
+#define ARMED_MARK 0x444D5241u /* "ARMD" */
 
 /* Set by fault_start. */
 static uint32_t reset_flags;       /* RCC_CSR as it was */
 static uint32_t steps_before_reset;
+static bool armed_before_reset;
 
 /* Rotates before each word, so that exchanged or equal words change the sum. */
 static uint32_t fault_checksum(const struct note *n)
@@ -57,21 +63,29 @@ void fault_start(void)
 {
 	reset_flags = RCC_CSR;
 	RCC_CSR |= RCC_CSR_RMVF;
-	steps_before_reset = last_steps;
-	last_steps = 0;
+	steps_before_reset = last.steps;
+	armed_before_reset = last.armed == ARMED_MARK + last.steps;
+	last.steps = 0;
+	last.armed = 0;
 }
 
-void fault_note_steps(uint32_t steps)
+void fault_note_steps(uint32_t steps, bool armed)
 {
-	last_steps = steps;
+	last.steps = steps;
+	last.armed = armed ? ARMED_MARK + steps : 0u;
 }
 
-/* The cause of a reset that no software requested. Power-on sets all supply flags. */
+/* The cause of a reset that no software requested. BORRSTF without PORRSTF is the brown-out detector's, where the option
+ * bytes have it on; as the chip is delivered it is off, and a dip sets both, as power-on does (RM0431, RCC_CSR; STM32F7
+ * HAL: "POR/PDR or BOR reset"). Then memory tells a dip in flight: it still says that the motors were armed, which
+ * an aircraft that was switched off would not. */
 static uint32_t fault_kind_of_reset(void)
 {
 	if ((reset_flags & RCC_CSR_WDGRSTF) != 0u)
 		return FAULT_WATCHDOG;
 	if ((reset_flags & (RCC_CSR_BORRSTF | RCC_CSR_PORRSTF)) == RCC_CSR_BORRSTF)
+		return FAULT_BROWN_OUT;
+	if ((reset_flags & RCC_CSR_PORRSTF) != 0u && armed_before_reset)
 		return FAULT_BROWN_OUT;
 	return FAULT_NONE;
 }
@@ -118,7 +132,7 @@ static _Noreturn void fault_keep(struct fault_record *record)
 {
 	const uint32_t before = fault_noted() ? note.in_a_row : 0u;
 
-	record->uptime_steps = last_steps;
+	record->uptime_steps = last.steps;
 	note.magic = NOTE_MAGIC;
 	note.in_a_row = before + 1u;
 	note.record = *record;

@@ -28,8 +28,8 @@ void fault_start(void);
 bool fault_take(struct fault_record *record);
 void fault_clear(void);
 
-/* Control steps since boot, for the record. From the sample handler. */
-void fault_note_steps(uint32_t steps);
+/* Control steps since boot, and whether the motors are armed, for the record. From the sample handler. */
+void fault_note_steps(uint32_t steps, bool armed);
 
 /* Motors low, then the chip starts anew. */
 _Noreturn void fault_reset(void);

@@ -5,7 +5,7 @@
 /* Flashes of LED0 before each pause. */
 enum led_code {
 	LED_REFUSED = 3,  /* the core cannot fly with this board's configuration */
-	LED_NO_CLOCK = 4, /* crystal, PLL, over-drive or cycle counter did not come up */
+	LED_NO_CLOCK = 4, /* PLL, over-drive or cycle counter did not come up */
 	LED_FAULT = 5,    /* faults in a row, each before anybody took its record */
 };
 

@@ -45,8 +45,8 @@ CLOCK_MUTANTS = (
     Mutant(
         name="PLL beyond its range",
         file=CLOCK,
-        old="FIELD(RCC_PLLCFGR_PLLM, PLL_M)",
-        new="FIELD(RCC_PLLCFGR_PLLM, PLL_M - 1u)",
+        old="crystal ? PLL_M :",
+        new="crystal ? PLL_M - 1u :",
         message=r"the PLL's VCO input is 2.66667 MHz, expected 0.95 MHz to 2.1 MHz",
         place="clock_start",
         slow=True,
@@ -54,7 +54,8 @@ CLOCK_MUTANTS = (
     Mutant(
         name="PLL started before its crystal",
         file=CLOCK,
-        old="\tif (!time_wait(&RCC_CR, RCC_CR_HSERDY, RCC_CR_HSERDY, LIMIT_OSCILLATOR))\n\t\treturn false;\n",
+        old="\tif (!time_wait(&RCC_CR, RCC_CR_HSERDY, RCC_CR_HSERDY, LIMIT_OSCILLATOR)) {\n"
+        "\t\tRCC_CR &= ~RCC_CR_HSEON;\n\t\treturn false;\n\t}\n",
         new="",
         message=r"the PLL is switched on before its source HSE is ready",
         place="clock_start",

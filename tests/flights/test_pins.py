@@ -1,0 +1,129 @@
+"""Motors on the emulated pins: which line is which motor, and which of them answer a turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flash import requests
+from flash.client import Client
+from flash.messages import arming_reasons, status_ex
+from sim.aircraft.model import load_aircraft
+from sim.board.board import Board
+from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
+from sim.board.devices.gyro_mount import accel_counts
+from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
+from sim.board.serial.bridge import LineTransport, UartLine
+from sim.board.serial.idle_board import configured
+from sim.control import sticks
+from sim.ports.emulator import EmulatedPort, PortSnapshot
+from sim.ports.port import Sample
+from toolchain.contract import BOOT_GRACE_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
+from toolchain.image.elf import read_flashable
+
+MOTORS = 4
+LEVEL = np.array([0.0, 0.0, GRAVITY])
+TURN = 1.0  # rad/s
+
+
+class Bench:
+    """A board on the bench, spoken to over MSP."""
+
+    def __init__(self, flash: bytes, elf: Path, chip: GyroKind = MPU6500) -> None:
+        self.board = Board(flash, elf=elf, chip=chip)
+        self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
+        rng = np.random.default_rng(1)
+        gyro = self.board.hardware.gyro
+        gyro.before_sample = lambda number: gyro.measure(
+            accel_counts(LEVEL.tolist(), ALIGNMENT), 0, tuple(rng.integers(-9, 10, 3).tolist())
+        )
+        line = LineTransport(UartLine(self.board), self.board.run_to)
+        self.client = Client(line, line.clock)
+        self.board.run(BOOT_GRACE_MS / 1000 + 0.5)
+
+    def reasons(self) -> set[str]:
+        """What forbids arming."""
+        return set(arming_reasons(status_ex(self.client.request(Msp.STATUS_EX)).arming_flags))
+
+
+def test_a_motor_turns_on_its_own_line_when_it_is_asked_for(board_image: Path) -> None:
+    bench = Bench(read_flashable(board_image.with_suffix(".bin")), board_image)
+    try:
+        bench.client.request(Msp.MOTOR_TEST, requests.motor_test(MOTOR_TEST_MAGIC))
+        for motor in range(MOTORS):
+            asked = [1000] * MOTORS
+            asked[motor] = 1080
+            bench.client.request(Msp.SET_MOTOR, requests.set_motor(asked))
+            bench.board.run(0.01)
+            turning = bench.board.hardware.obeyed(MOTORS) > 0
+            assert turning.tolist() == [index == motor for index in range(MOTORS)]
+    finally:
+        bench.board.close()
+
+
+@pytest.mark.parametrize("said", [False, True])
+def test_a_disputed_gyro_arms_only_when_the_pilot_has_said_how_it_is_turned(
+    board_image: Path, said: bool
+) -> None:
+    flash = read_flashable(board_image.with_suffix(".bin"))
+    if said:
+        flash = configured(flash, board_image, {"gyro_alignment": 2.0})
+    for chip in (ICM20689, MPU6500):
+        bench = Bench(flash, board_image, chip)
+        held = bench.reasons() - {"RECEIVER_LOST", "SWITCH_NOT_CYCLED", "NOT_LEVEL"}
+        bench.board.close()
+        assert held == ({"GYRO_ALIGNMENT"} if chip is ICM20689 and not said else set())
+
+
+@pytest.fixture(scope="module")
+def flying(board_image: Path) -> Iterator[tuple[EmulatedPort, PortSnapshot]]:
+    """An armed board at half throttle, without a turn."""
+    port = EmulatedPort(board_image.with_suffix(".bin"))
+    samples = turned(port, 1.2, np.zeros(3), armed=False, throttle=0.0)
+    samples = turned(port, 0.1, np.zeros(3), armed=True, throttle=0.0, number=samples)
+    turned(port, 0.1, np.zeros(3), armed=True, throttle=0.5, number=samples)
+    yield port, port.save()
+    port.close()
+
+
+def turned(
+    port: EmulatedPort, seconds: float, rate: np.ndarray, *, armed: bool, throttle: float, number: int = 0
+) -> int:
+    """Flies on with that rate measured; returns the number of the next sample."""
+    rng = np.random.default_rng(number)
+    channels = sticks.channels((0.0, 0.0, 0.0), throttle, armed=armed).tolist()
+    for _ in range(round(seconds * port.gyro_rate_hz)):
+        if number % 40 == 0:
+            port.announce(channels, 16)
+        now = channels if number % 40 == 16 else None
+        gyro = rate + rng.normal(0.0, 0.01, 3)
+        port.exchange(Sample(0.0, gyro, np.eye(3), np.zeros(3), np.zeros(3), LEVEL), now)
+        number += 1
+    return number
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_motors_that_turn_it_back_speed_up_when_it_turns(
+    flying: tuple[EmulatedPort, PortSnapshot], axis: int, way: int
+) -> None:
+    """For a roll the motors on its side, for a falling nose those in front, for a yaw those that spin so."""
+    port, moment = flying
+    port.restore(moment)
+    rate = np.zeros(3)
+    rate[axis] = way * TURN
+    calm = port.board.hardware.obeyed(MOTORS).astype(float)
+    start = round((1.2 + 0.1 + 0.1) * port.gyro_rate_hz)
+    turned(port, 0.01, rate, armed=True, throttle=0.5, number=start)
+    change = port.board.hardware.obeyed(MOTORS) - calm
+    rotors = load_aircraft("nf1").rotors
+    sides = (
+        [-np.sign(rotor.position[1]) for rotor in rotors],
+        [np.sign(rotor.position[0]) for rotor in rotors],
+        [rotor.spin for rotor in rotors],
+    )[axis]
+    assert calm.min() > 0
+    assert way * float(change @ np.array(sides)) > 50
