@@ -253,7 +253,7 @@ class _Board:
         at = {name: program.symbol(name).address for name in program.symbols}
         self._response, self._ring = at["gyro_response"], at["receiver_ring_bytes"]
         self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
-        self._firmware = at["firmware"]
+        self._program = at["program"]
         self._head = 0
         counts = round(PACK_MV / 3300 * 4095)
         self.core.write(self._conversions, struct.pack("<64H", *[counts, 0] * 32))
@@ -276,7 +276,7 @@ class _Board:
     def background(self) -> None:
         """One round of it, the battery measured meanwhile."""
         self._poke(DMA2_LISR, ADC_DONE)
-        self.core.call("on_background", self._firmware)
+        self.core.call("program_background", self._program)
         self._poke(DMA2_LISR, 0)
 
     def device_accesses(self) -> int:

@@ -1,4 +1,5 @@
-/* Clock tree: HSE 8 MHz, or HSI 16 MHz where the crystal does not start -> PLL 216 MHz, AHB 216, APB1 54, APB2 108; timers of APB2 run at 216 MHz. */
+/* Clock tree: HSE 8 MHz, or HSI 16 MHz where the crystal does not start -> PLL 216 MHz, AHB 216, APB1 54, APB2 108;
+ * timers of APB2 run at 216 MHz. */
 #ifndef STM32F7_CLOCK_H
 #define STM32F7_CLOCK_H
 

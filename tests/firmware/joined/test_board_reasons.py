@@ -1,0 +1,103 @@
+"""background.c on a board that says of itself what forbids arming: clock, alignment, load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.firmware.conftest import G_COUNTS
+from toolchain.contract import LOAD_CALM_MS, ArmingReason, Task
+
+GYRO_HZ = 1000
+CYCLES_HZ = 216_000_000
+OTHERS = {ArmingReason.RECEIVER_LOST, ArmingReason.SWITCH_NOT_CYCLED}
+CW90 = 2  # of the setting gyro_alignment
+Make = Callable[..., "Board"]
+
+
+class Board:
+    """The core and its background around a hal that measures nothing."""
+
+    def __init__(self, core: Any, flash: Any, alignment: int = 0, **board: bool) -> None:
+        """alignment: the setting; board: of struct hal_info."""
+        self.core, ffi = core, core.ffi
+        self.cycles = ffi.callback("uint32_t(void *)", lambda context: 0)
+        self.power = ffi.callback("void(void *, struct power_sample *)", self._power)
+        self.switch = ffi.callback("void(void *, bool)", lambda context, on: None)
+        hal = {"cycles": self.cycles, "power_read": self.power, "beeper": self.switch, "led": self.switch}
+        self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
+        self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
+        self.pid, self.identity = core.new("struct pid_gains *"), core.new("struct msp_identity *")
+        self.weights = core.new("double[]", 8)
+        self.change = core.new("struct setting_change[1]")
+        self.change[0].index = core.lib.settings_find(b"gyro_alignment")
+        self.change[0].value.as_uint32_t = alignment
+        self.background = core.new("struct background *")
+        config = {
+            "hal": self.hal, "firmware": self.fw, "weights": ffi.cast("float *", self.weights),
+            "stats": self.stats, "pid": self.pid, "identity": self.identity, "changes": self.change,
+            "change_count": 1, "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
+        }  # fmt: skip
+        self.config = core.new("struct background_config *", config)
+        assert core.lib.background_start(self.background, self.config) == 0
+        self.dshot, self.number = core.new("uint16_t[8]"), 0
+
+    def _power(self, context: Any, power: Any) -> None:
+        power.volts_mv, power.amps_mv, power.valid = 1527, 0, True
+
+    def run(self, ms: int, load: float = 0.4) -> set[ArmingReason]:
+        """Still samples that take that share of their period; what forbids arming then."""
+        for _ in range(ms):
+            self.number += 1
+            accel = (0, 0, G_COUNTS + self.number % 2)
+            sample = self.core.new("struct imu_sample *", ((0, 0, 0), accel, 0, True))
+            self.core.lib.firmware_sample(self.fw, sample, self.dshot)
+            self.core.lib.task_stats_add(self.stats + Task.CONTROL, int(load * CYCLES_HZ / GYRO_HZ), False)
+            for _ in Task:
+                self.core.lib.background_step(self.background)
+        status = self.core.new("struct firmware_status *")
+        self.core.lib.firmware_status(self.fw, status)
+        return {reason for reason in ArmingReason if status.arming_reasons >> reason & 1} - OTHERS
+
+
+@pytest.fixture
+def board(scripted: Any, chip: Callable[..., Any]) -> Make:
+    scripted.lib.scripted_action = [0.0] * 4
+
+    def make(**options: Any) -> Board:
+        made = chip()
+        built = Board(scripted, made.flash, **options)
+        built.made_of = made  # type: ignore[attr-defined]
+        return built
+
+    return make
+
+
+def test_nothing_is_held_when_the_board_is_as_it_should_be(board: Make) -> None:
+    assert board(real_time=True).run(1200) == set()
+
+
+def test_it_does_not_arm_when_no_crystal_makes_the_clock(board: Make) -> None:
+    assert board(clock_inexact=True, real_time=True).run(1200) == {ArmingReason.CLOCK}
+
+
+@pytest.mark.parametrize(("alignment", "held"), [(0, {ArmingReason.GYRO_ALIGNMENT}), (CW90, set())])
+def test_it_arms_with_a_disputed_alignment_only_when_the_pilot_has_said_it(
+    board: Make, alignment: int, held: set[ArmingReason]
+) -> None:
+    assert board(alignment=alignment, alignment_disputed=True).run(1200) == held
+
+
+def test_it_does_not_arm_until_a_second_has_passed_without_an_overload(board: Make) -> None:
+    b = board(real_time=True)
+    assert b.run(1200) == set()
+    assert b.run(110, load=0.99) == set()
+    assert b.run(110, load=1.02) == {ArmingReason.LOAD}
+    assert b.run(LOAD_CALM_MS - 110) == {ArmingReason.LOAD}
+    assert b.run(220) == set()
+
+
+def test_a_load_is_no_reason_when_samples_wait_for_the_processor(board: Make) -> None:
+    assert board(real_time=False).run(1200, load=3.0) == set()
