@@ -45,8 +45,9 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=VALUE]@SECONDS",
-        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal, overload "
-        f"or receiver-broken; @boot: from power on. Exit code {STOPPED} if the motors stop before the end",
+        help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal, hang, "
+        "processor-fault, overload or receiver-broken; @boot: from power on. "
+        f"Exit code {STOPPED} if the motors stop before the end",
     )
     group.add_argument(
         "--serial", metavar="pty|tcp[:PORT]", help="lead USART1, where MSP is spoken, to other programs"

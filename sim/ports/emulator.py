@@ -135,7 +135,10 @@ class EmulatedPort:
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         flash = configured(flashed, elf, wanted, gyro)
-        self.board = Board(flash, elf=elf, chip=gyro.chip, profile=profile, watchdog_resets=bool(faults))
+        strict = all(fault.name != "processor-fault" for fault in faults)
+        self.board = Board(
+            flash, elf=elf, chip=gyro.chip, profile=profile, strict=strict, watchdog_resets=bool(faults)
+        )
         try:
             self._gyro = self.board.hardware.gyro
             self._taken = self._seen(_SAMPLES)

@@ -14,6 +14,7 @@ from flash import messages
 from flash.client import Client
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from sim.board.debug.variables import read_variables
+from sim.board.devices.esc import SILENT_S
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
@@ -172,6 +173,25 @@ def test_it_arms_again_in_the_field_when_the_pilot_acknowledges_the_fault_by_sti
     still.fly(0.1, armed=False)
     assert still.port.arming_reasons() == ()
     assert still.fly(0.2, until=lambda reply: reply.armed)[-1].armed
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause", "noticed_s"), [("hang", "iwdg", SILENT_S), ("processor-fault", "software", 0.001)]
+)
+def test_stop_frames_follow_the_reset_when_the_program_ends(
+    image: Path, fault: str, cause: str, noticed_s: float
+) -> None:
+    still = Still(EmulatedPort(image, faults=[parse_fault(f"{fault}@0.01")]))
+    still.fly(1.1, armed=False)
+    still.fly(0.2, until=lambda reply: reply.armed)
+    replies = still.fly(1.0)
+    _, _, reset, boot, *_ = still.port.events
+    assert (reset.what, reset.stops) == (f"reset: {cause}", True)
+    assert turning(replies) <= 0.01 + noticed_s + STOP_FRAMES_S
+    assert not any(reply.dshot.any() for reply in replies[round((reset.at_s + STOP_FRAMES_S) * RATE) :])
+    assert boot.what == "the firmware has booted and reads its gyro"
+    assert "FAULT" in still.port.arming_reasons()
+    still.port.close()
 
 
 def test_it_boots_again_when_power_goes_while_the_fault_is_logged(drill: Drill) -> None:

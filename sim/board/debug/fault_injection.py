@@ -20,6 +20,7 @@ from toolchain.errors import ScenarioError
 
 BOOT = "boot"
 SECONDS_MAX = 3600.0
+NOWHERE = 0x60000000  # external memory, which this board has none of
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,18 @@ def _overload(board: Board, seconds: float) -> None:
     engine.poke(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
 
 
+def _hang(board: Board) -> None:
+    """The core comes to a loop with interrupts masked, behind the code in ITCM."""
+    stub = board.symbols["itcm_end"] + 3 & ~3
+    board.engine.poke(stub, struct.pack("<2H", 0xB672, 0xE7FE))  # cpsid i; b .
+    board.engine.pc = stub
+
+
+def _fault(board: Board) -> None:
+    """The core comes to where no memory is."""
+    board.engine.pc = NOWHERE
+
+
 FAULTS = {
     "gyro-silent": FaultKind(
         "the gyro chip gives no samples any more",
@@ -96,6 +109,12 @@ FAULTS = {
         begin=_cut,
     ),
     "crystal": FaultKind("the crystal stops", begin=lambda board, value: board.hardware.rcc.fail_crystal()),
+    "hang": FaultKind(
+        "the program hangs: the watchdog resets the board", begin=lambda board, value: _hang(board)
+    ),
+    "processor-fault": FaultKind(
+        "the program jumps to nowhere: a processor fault", begin=lambda board, value: _fault(board)
+    ),
     "overload": FaultKind(
         "each control step takes longer, until a reset",
         "by so many seconds; default 0.0006",
