@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from unicorn.arm_const import UC_ARM_REG_R1
 
+from toolchain.contract import GYRO_BAD_MS, GYRO_EDGE_RATE_HZ
+
 TRANSFER_BYTES = 15  # address byte, accelerometer, temperature, gyro
 ACCEL_XOUT_H, READ = 0x3B, 0x80
 ZERO, ONE = 135, 270  # ticks that a DShot bit is high, of 360
@@ -23,6 +25,7 @@ class Flight:
         self.sketch, self.symbols, self.chip = sketch, symbols, chip
         sketch.run(symbols["msp_uart_serve"])
         self.samples: list[tuple[Any, ...]] = []
+        self.lost: list[int] = []  # before each sample
         self.silences = 0
         sketch.on_code = self._on_code
 
@@ -65,8 +68,9 @@ class Flight:
     def _on_code(self, address: int) -> None:
         if address == self.symbols["program_sample"] & ~1:
             at = self.sketch.uc.reg_read(UC_ARM_REG_R1)
-            words = struct.unpack("<7h?", self.sketch.uc.mem_read(at, 15))  # struct imu_sample
+            words = struct.unpack("<7h?xH", self.sketch.uc.mem_read(at, 18))  # struct imu_sample
             self.samples.append((words[:3], words[3:6], words[6], words[7]))
+            self.lost.append(words[8])
         if address == self.symbols["program_gyro_silent"] & ~1:
             self.silences += 1
 
@@ -227,6 +231,29 @@ def test_a_read_not_yet_taken_is_left_alone_when_the_control_path_is_late(flight
     assert not flight.edge() and not flight.edge()  # the second would have been due
     flight.take_sample()
     assert flight.counts == [(7, 8, 9)]
+
+
+def test_samples_that_were_due_and_not_read_are_told_with_the_next_one(flight: Flight) -> None:
+    for lost in (0, 1, 0, 5, 0):
+        while not flight.edge():
+            pass
+        flight.finish_read((1, 1, 1))
+        for _ in range(2 * lost):  # the control path is late meanwhile; every second edge is due
+            assert not flight.edge()
+        flight.take_sample()
+    assert flight.lost == [0, 0, 1, 0, 5]
+
+
+def test_a_silence_has_counted_the_reads_that_failed_in_it(flight: Flight) -> None:
+    assert flight.edge()
+    for _ in range(2 * GYRO_BAD_MS):
+        for _ in range(GYRO_EDGE_RATE_HZ // 1000):
+            flight.edge()  # due ones begin reads that never end
+        flight.sketch.call(flight.symbols["tick_handler"])
+    assert flight.silences == 2
+    flight.finish_read((2, 2, 2))
+    flight.take_sample()
+    assert flight.lost == [0]
 
 
 def test_a_stuck_read_is_ended_and_begun_again_when_the_next_edge_is_due(flight: Flight) -> None:
