@@ -24,33 +24,43 @@ from sim.ports.port import Reply, Sample
 NF1 = load_aircraft("nf1")
 IDLE = pid_settings(NF1).idle
 COUNT, THROTTLE, RATE_HZ = 8, 0.8, 1000
+FULL_V = 16.8
 
 
 class PowerPort(ReferencePort):
-    """The library that is told a voltage before each sample, as the host program over its socket."""
+    """The library whose battery measures another voltage than the twin's."""
 
-    def __init__(self, library: Path, twin: Twin, volts: float | None, *, breaks: bool) -> None:
-        """volts: told at every sample; None: the twin's pack; breaks: nothing is measured once armed."""
+    def __init__(self, library: Path, volts: float | None, *, breaks: bool) -> None:
+        """volts: measured always; None: the twin's; breaks: nothing is measured once armed."""
         super().__init__(library, RATE_HZ, {"battery_cells": 4})
-        self._twin, self._volts, self._breaks = twin, volts, breaks
+        self._volts, self._breaks = volts, breaks
+        self._tell()
+
+    def set_battery(self, volts: float, amps: float) -> None:
+        """What the twin's pack gives, unless another voltage is measured."""
+        if self._volts is None:
+            super().set_battery(volts, amps)
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
-        volts = float(self._twin.pack_voltage[0]) if self._volts is None else self._volts
-        self.reference.power(volts, 0.0)
         reply = super().exchange(sample, channels_us)
         if self._breaks and reply.armed:
-            self._volts = math.nan
+            self._volts, self._breaks = math.nan, False
+            self._tell()
         return reply
+
+    def _tell(self) -> None:
+        if self._volts is not None:
+            self.reference.power(self._volts, 0.0)
 
 
 def flown(
-    library: Path, rest_voltage: float | None, told: float | str | None, *, breaks: bool = False
+    library: Path, rest_voltage: float | None, measured: float | None = None, *, breaks: bool = False
 ) -> Trace:
     """Pulses under the PID at a high throttle.
 
-    rest_voltage: of a full pack, None: the bench supply; told: voltage [V], "pack" for the twin's, None: no
-    word.
+    rest_voltage: of a full pack, None: the bench supply; measured: voltage that the firmware sees [V], None:
+    the pack's, or a full one's on the bench supply.
     """
     aircraft: Aircraft = NF1
     if rest_voltage is not None:
@@ -60,10 +70,7 @@ def flown(
     segments = tuple(replace(segment, throttle=THROTTLE) for segment in scenario.segments)
     charge = None if rest_voltage is None else 1.0
     twin = Twin(aircraft, rate_hz=RATE_HZ, charge=charge, rng=np.random.default_rng(4))
-    if told is None:
-        port = ReferencePort(library, RATE_HZ, {"battery_cells": 4})
-    else:
-        port = PowerPort(library, twin, None if told == "pack" else float(told), breaks=breaks)
+    port = PowerPort(library, measured, breaks=breaks)
     with closing(port), closing(twin):
         return fly(twin, port, replace(scenario, segments=segments))
 
@@ -73,9 +80,9 @@ def figures_of(trace: Trace) -> Figures:
 
 
 def test_the_pid_flies_an_empty_pack_as_the_nominal_one_when_it_measures_it(reference_library: Path) -> None:
-    nominal = figures_of(flown(reference_library, None, None))
-    unaware = figures_of(flown(reference_library, 13.2, None))
-    aware = figures_of(flown(reference_library, 13.2, "pack"))
+    nominal = figures_of(flown(reference_library, None))
+    unaware = figures_of(flown(reference_library, 13.2, FULL_V))
+    aware = figures_of(flown(reference_library, 13.2))
     errors = [float(each.tracking.mae.mean()) for each in (nominal, unaware, aware)]
     print("MAE deg/s nominal, sagging unaware, sagging aware:", np.round(errors, 3))
     assert errors[1] > 1.1 * errors[0], "the pack must matter"
@@ -85,7 +92,7 @@ def test_the_pid_flies_an_empty_pack_as_the_nominal_one_when_it_measures_it(refe
 
 @pytest.mark.parametrize("volts", [16.05, 16.8, 17.4])
 def test_the_pid_flies_the_same_bits_when_the_pack_is_full(reference_library: Path, volts: float) -> None:
-    silent = flown(reference_library, None, None)
+    silent = flown(reference_library, None)
     told = flown(reference_library, None, volts)
     assert told.dshot.tobytes() == silent.dshot.tobytes()
 
