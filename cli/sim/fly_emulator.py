@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 
 STOPPED = 3  # exit code of a flight with faults in which the firmware stopped the motors before the end
 RECEIVERS = ("sbus", "crsf")
+ESCS = {"dshot300": 300, "dshot600": 600}
 OPTIONS: dict[str, object] = {  # and their defaults
     "receiver": "sbus",
     "gyro": CHIPS[0],
+    "esc": None,
     "fault": [],
     "serial": None,
     "gdb": None,
@@ -40,6 +42,11 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
     )
     add_gyro_argument(group)
+    group.add_argument(
+        "--esc",
+        choices=ESCS,
+        help="the speed that the ESCs are set to; default: what the setting motor_protocol says",
+    )
     group.add_argument(
         "--fault",
         action="append",
@@ -86,6 +93,7 @@ def open_image(
         settings,
         receiver=args.receiver,
         gyro=GYROS[args.gyro],
+        dshot=None if args.esc is None else ESCS[args.esc],
         faults=[parse_fault(text) for text in args.fault],
         profile=args.profile is not None,
         attach=lambda board: attached(args, board, image, ends),

@@ -234,11 +234,13 @@ class Board:
         options: OptionBytes | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
+        dshot: int | None = None,
     ) -> None:
         """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        dshot: the speed that the ESCs are set to, 300 or 600; None: they take what comes first.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
         self.engine = Engine(
@@ -247,6 +249,8 @@ class Board:
         self.hardware = Hardware(
             self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
         )
+        for esc in self.hardware.escs:
+            esc.fitted = dshot
         self.engine.vectors = self.hardware.flash.options.boot_address
         self.engine.power_cycle()
         self.engine.resets.clear()

@@ -55,7 +55,10 @@ _NO_RATES = np.zeros(3, np.float32)
 RunTo = Callable[[int], None]  # lets a board run to a cycle
 
 
-RECEIVER_SETTING = next(setting for setting in SETTINGS if setting.name == "receiver_protocol")
+RECEIVER_SETTING, MOTOR_SETTING = (
+    next(setting for setting in SETTINGS if setting.name == name)
+    for name in ("receiver_protocol", "motor_protocol")
+)
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,7 @@ class EmulatedPort:
         *,
         receiver: str = "sbus",
         gyro: Gyro = GYRO,
+        dshot: int | None = None,
         faults: Sequence[Fault] = (),
         profile: bool = False,
         attach: Callable[[Board], RunTo] = lambda board: board.run_to,
@@ -114,6 +118,7 @@ class EmulatedPort:
 
         settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
         itself before, as `configured` does. receiver: of RECEIVERS. gyro: what is fitted.
+        dshot: the speed that the ESCs are set to, 300 or 600; None: as the setting motor_protocol says.
         profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
         on_failure: gets a board whose image does not boot, before it is closed.
@@ -135,9 +140,14 @@ class EmulatedPort:
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
         flash = configured(flashed, elf, wanted, gyro)
-        strict = all(fault.name != "processor-fault" for fault in faults)
         self.board = Board(
-            flash, elf=elf, chip=gyro.chip, profile=profile, strict=strict, watchdog_resets=bool(faults)
+            flash,
+            elf=elf,
+            chip=gyro.chip,
+            profile=profile,
+            strict=all(fault.name != "processor-fault" for fault in faults),
+            watchdog_resets=bool(faults),
+            dshot=dshot or _dshot(settings or {}),
         )
         try:
             self._gyro = self.board.hardware.gyro
@@ -380,3 +390,9 @@ def _stored(settings: Mapping[str, float] | None, gyro_rate_hz: int, receiver: s
     if receiver != "sbus":
         wanted["receiver_protocol"] = RECEIVER_SETTING.choices.index(receiver)
     return wanted
+
+
+def _dshot(settings: Mapping[str, float]) -> int:
+    """The speed that these settings ask for: "dshot600" is 600."""
+    choice = MOTOR_SETTING.choices[int(settings.get(MOTOR_SETTING.name, MOTOR_SETTING.default))]
+    return int(choice.removeprefix("dshot"))

@@ -119,6 +119,15 @@ def test_it_flies_an_icm20689_when_one_is_fitted(fly: Command, tmp_path: Path) -
     assert traces[0].same(traces[1])
 
 
+def test_the_escs_name_dshot_at_another_speed_than_they_are_set_to(fly: Command) -> None:
+    assert fly("--set", "motor_protocol=dshot300")[0] == 0
+    assert fly("--esc", "dshot600")[0] == 0
+    for options in (("--esc", "dshot600", "--set", "motor_protocol=dshot300"), ("--esc", "dshot300")):
+        code, out, err = fly(*options)
+        assert (code, out, err.count("\n")) == (1, "", 1)
+        assert f"expected {options[1].replace('dshot', 'DShot')}, which its ESC is set to" in err
+
+
 def test_it_says_what_the_firmware_did_and_returns_another_code_when_a_fault_stops_it(fly: Command) -> None:
     code, out, _ = fly("--gyro-hz", "1000", "--fault", "gyro-silent@0.05", "--fault", "brown-out@9")
     assert code == STOPPED == 3
@@ -316,6 +325,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
     ("arguments", "message"),
     [
         (["--gyro", "icm20689"], "--gyro: only on the emulated board; add --on emulator"),
+        (["--esc", "dshot600"], "--esc: only on the emulated board; add --on emulator"),
         (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
         (["--receiver", "crsf"], "--receiver: only on the emulated board"),
         (["--profile", "d"], "--profile: only on the emulated board"),

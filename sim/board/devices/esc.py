@@ -14,6 +14,8 @@ ours: what a good controller keeps to, and an ESC takes however its oscillator s
 An ESC whose line is silent stops its motor: AM32 half a second after the last frame (Src/main.c, signal
 timeout when armed), BLHeli_S and Bluejay 160 ms after it (ten overflows of timer 2 at 16 ms). `SILENT_S` is
 the longer: what an aircraft has to live with.
+
+AM32 and Bluejay find the speed out when they start; others are set to one. `Esc.fitted` says which.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ class Esc:
         """in_c: its state, which C changes with each plain frame."""
         self._in_c, self._fail = in_c, fail
         self.motor = in_c.motor + 1
+        self.fitted: int | None = None  # the protocol that it is set to; None: it takes what comes first
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self._bits: tuple[int, ...] = ()  # high times [cycles] of a frame that is not complete yet
         self._length = 0  # of its bits [cycles]
@@ -145,6 +148,11 @@ class Esc:
         wanted = [self.protocol] if self.protocol else list(PROTOCOLS)
         for name in wanted:
             if abs(length * PROTOCOLS[name] / TIME_HZ - 1.0) <= TOLERANCE:
+                if self.fitted not in (None, name):
+                    self._fail(
+                        f"motor {self.motor}: DShot{name}, expected DShot{self.fitted}, which its ESC is set "
+                        f"to; give both the same (setting motor_protocol)"
+                    )
                 self.protocol = name
                 return
         nominal = " or ".join(f"{1e6 / PROTOCOLS[n]:.3f} us (DShot{n})" for n in wanted)

@@ -158,6 +158,14 @@ BUS_MUTANTS = (
         seconds=0.4,
     ),
     Mutant(
+        name="DShot at another speed than the ESCs'",
+        file=MOTORS,
+        old="[NF_MOTOR_PROTOCOL_DSHOT600] = 600000,",
+        new="[NF_MOTOR_PROTOCOL_DSHOT600] = 300000,",
+        message=r"motor 1: DShot300, expected DShot600, which its ESC is set to",
+        seconds=0.4,
+    ),
+    Mutant(
         name="DShot pulse too long",
         file=MOTORS,
         old="ticks * 3u / 8u",

@@ -92,7 +92,7 @@ def mutate(source: Path, mutant: Mutant) -> None:
 
 def fly(elf: Path, mutant: Mutant) -> Flight:
     """What the image did in `mutant.seconds`, on a board that is held in the hand: nearly still."""
-    with closing(Board(elf.with_suffix(".bin").read_bytes(), elf=elf)) as board:
+    with closing(Board(elf.with_suffix(".bin").read_bytes(), elf=elf, dshot=600)) as board:
         gyro = board.hardware.gyro
         gyro.before_sample = lambda n: gyro.measure((0, 0, 2048), 333, (n // 2 % 3 - 1, 0, -(n // 2 % 2)))
         board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
