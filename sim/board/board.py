@@ -81,7 +81,8 @@ class Hardware:
             self.registers.accompany(self.spi, companion)
         self.registers.attach(engine)
         edge = f"EXTI{int(READY[2:])}"
-        engine.bound_entry(load_table().interrupt(edge), ENTRY_BOUND, f"the gyro's data-ready edge ({edge})")
+        irq, name = load_table().interrupt(edge), f"the gyro's data-ready edge ({edge})"
+        engine.bound_entry(irq, ENTRY_BOUND, name, urgent=True)
         native.place(self.registers)
         self.iwdg.place(engine.windows[self.registers.window_name(self.iwdg)])
         self._wire(watchdog_resets)

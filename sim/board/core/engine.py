@@ -274,13 +274,14 @@ class Engine:
         if self.library.engine_set_breakpoints(self.handle, wanted, len(wanted)):
             raise ValueError(f"{len(wanted)} breakpoints, at most 64")
 
-    def bound_entry(self, irq: int, cycles: int, name: str = "") -> None:
+    def bound_entry(self, irq: int, cycles: int, name: str = "", *, urgent: bool = False) -> None:
         """From now on it is an error when `irq` waits more than `cycles` for its handler; 0: none.
 
         Unless code outside flash holds it back while flash is erased or programmed. name: what raises it.
+        urgent: it is one too when another interrupt is enabled that `irq` cannot interrupt.
         """
         self._bound[irq] = self.ffi.new("char[]", (name or f"interrupt {irq}").encode())
-        self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq])
+        self.library.engine_bound_entry(self.handle, 16 + irq, cycles, self._bound[irq], urgent)
 
     def skip_breakpoint(self) -> None:
         """The next `run` does not stop where it stands."""

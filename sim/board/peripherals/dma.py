@@ -39,6 +39,7 @@ class Dma(NativeDevice):
             lib.QUERY_FROZEN: lambda stream, word: self.reject_frozen(stream, _WORDS[(word - 4) % 6]),
             lib.QUERY_TWICE: lambda stream, source: self.reject_twice(stream, system.names[source]),
             lib.QUERY_CACHED: self.reject_cached,
+            lib.QUERY_BARRIER: lambda stream, _: self.reject_unordered(stream),
             lib.QUERY_ASLEEP: lambda stream, _: self.reject_asleep(stream),
         }
 
@@ -63,6 +64,13 @@ class Dma(NativeDevice):
         self.context.fail(
             f"{self.name} stream {stream} reads DTCM (0x{self.words[f'S{stream}M0AR']:08X}) while the core "
             f"sleeps, which gives nothing; expected its buffer in SRAM1 or SRAM2, or no WFI meanwhile"
+        )
+
+    def reject_unordered(self, stream: int) -> NoReturn:
+        """A stream is enabled while stores before may still wait in the core (ARMv7-M A3.7.3, B2.3)."""
+        self.context.fail(
+            f"{self.name} stream {stream} is enabled without a barrier after the program's last store: "
+            f"DMA may overtake what was stored, expected a DSB or DMB between them"
         )
 
     def reject_twice(self, stream: int, source: str) -> NoReturn:

@@ -22,6 +22,11 @@ static u8 ring[64];
 static volatile u32 edges;
 volatile u32 samples, received;
 
+static void barrier(void)
+{
+	__asm volatile("dsb" ::: "memory");
+}
+
 static void until(u32 address, u32 mask, u32 value)
 {
 	while ((R(address) & mask) != value)
@@ -107,6 +112,7 @@ static void gyro(void)
 	R(STREAM(DMA2, 3) + 8) = SPI1 + 0x0C;
 	R(STREAM(DMA2, 2) + 12) = (u32)response;
 	R(STREAM(DMA2, 3) + 12) = (u32)request;
+	R8(0xE000E400 + 58) = 0x20; /* below the edge */
 	R(0xE000E100) = 1u << 9;
 	R(0xE000E104) = 1u << 26; /* interrupt 58 */
 }
@@ -135,6 +141,7 @@ static void receiver(void)
 	R(STREAM(DMA1, 5) + 12) = (u32)ring;
 	R(STREAM(DMA1, 5) + 4) = sizeof ring;
 	R(STREAM(DMA1, 5)) = 4u << 25 | 1u << 10 | 1u << 8;
+	barrier();
 	R(STREAM(DMA1, 5)) |= 1;
 	R(USART2 + 0x0C) = 540;
 	R(USART2 + 4) = 2u << 12 | 1u << 16;
@@ -157,6 +164,7 @@ static void send(const u16 values[4])
 	R(DMA2 + 8) = 0x3Du << 6;
 	R(STREAM(DMA2, 1) + 4) = 72;
 	R(STREAM(DMA2, 1)) = 7u << 25 | 2u << 13 | 2u << 11 | 1u << 10 | 1u << 6;
+	barrier();
 	R(STREAM(DMA2, 1)) |= 1;
 	R(TIM8 + 0x0C) = 1u << 8;
 }
@@ -171,6 +179,7 @@ void edge(void)
 	R(STREAM(DMA2, 2) + 4) = R(STREAM(DMA2, 3) + 4) = 15;
 	R(STREAM(DMA2, 2)) = 3u << 25 | 1u << 10 | 1u << 4;
 	R(STREAM(DMA2, 3)) = 3u << 25 | 1u << 10 | 1u << 6;
+	barrier();
 	R(STREAM(DMA2, 2)) |= 1;
 	R(STREAM(DMA2, 3)) |= 1;
 	R(SPI1 + 4) |= 2;

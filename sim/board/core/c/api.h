@@ -101,9 +101,12 @@ uint64_t engine_instructions(const struct engine *e);
 uint64_t engine_hash(const struct engine *e);
 /* Whether the data cache is on and holds what lies at `address`. */
 bool engine_cached(const struct engine *e, uint32_t address);
+/* Whether the program has stored to memory since its last barrier (DSB, DMB), in the handler or thread that runs; false
+ * between two instructions. */
+bool engine_stored(struct engine *e);
 /* A request of `exception`, called `name`, that waits longer than `cycles` (of 216 MHz) is an error; 0: it may wait.
- * The caller keeps `name`. */
-void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name);
+ * The caller keeps `name`. urgent: so is another interrupt that it may not interrupt. */
+void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name, bool urgent);
 uint32_t engine_depth(const struct engine *e);
 /* Begins, or ends, to measure where this machine's time goes. */
 void engine_clock(struct engine *e, bool on);

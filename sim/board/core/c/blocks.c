@@ -39,6 +39,12 @@ void blocks_forget(struct engine *e)
 	uc_ctl_flush_tlb(e->uc);
 }
 
+void blocks_order(struct engine *e, struct block *block)
+{
+	block->order = (uint8_t)block_order(host(e, block->start, block->size), block->size, e->to_device + block->code);
+	block->device_stores = e->device_stores;
+}
+
 struct block *blocks_search(struct engine *e, struct block *before, uint32_t start, uint32_t size, uint32_t opening)
 {
 	const uint32_t row = row_of(start);
@@ -55,6 +61,7 @@ struct block *blocks_search(struct engine *e, struct block *before, uint32_t sta
 			return NULL;
 		found->start = start;
 		found->code = row;
+		blocks_order(e, found);
 		found->other = e->blocks[row];
 		e->blocks[row] = found;
 		if (row >= e->block_rows)

@@ -20,6 +20,23 @@ static inline struct block *blocks_find(struct engine *e, struct block *before, 
 	return blocks_search(e, before, start, size, opening);
 }
 
+void blocks_order(struct engine *e, struct block *block);
+
+/* The instruction at hand stores to a register. */
+static inline void blocks_note_device_store(struct engine *e)
+{
+	struct block *const block = e->block;
+
+	if (block == NULL)
+		return; /* a bus master */
+	bool *const known = &e->to_device[block->code + (e->at - e->start) / 2u];
+
+	e->device_stores += !*known;
+	*known = true;
+	if (block->device_stores != e->device_stores)
+		blocks_order(e, block);
+}
+
 void blocks_count(struct engine *e); /* counts of blocks in use, into enters and leaves */
 void blocks_drop(struct engine *e, uint32_t row);
 void blocks_forget(struct engine *e); /* code was changed from outside; not while unicorn runs */

@@ -30,6 +30,7 @@ struct engine *engine_new(uint64_t cpi, bool strict, bool profiling, const uint1
 	e->blocks = calloc(CODE_HALFWORDS, sizeof *e->blocks);
 	e->enters = calloc(CODE_HALFWORDS + 1u, sizeof *e->enters);
 	e->leaves = calloc(CODE_HALFWORDS + 1u, sizeof *e->leaves);
+	e->to_device = calloc(CODE_HALFWORDS, sizeof *e->to_device);
 	memset(e->flash, 0xFF, FLASH_BYTES);
 	memset(e->system, 0xFF, SYSTEM_BYTES);
 	memset(e->apb, 0xFF, sizeof e->apb);
@@ -62,6 +63,7 @@ void engine_free(struct engine *e)
 	free(e->blocks);
 	free(e->enters);
 	free(e->leaves);
+	free(e->to_device);
 	free(e->nodes);
 	free(e);
 }

@@ -71,6 +71,11 @@ static void systick_go(struct engine *e, uint32_t value)
 	clock_alarms_changed(e);
 }
 
+bool systick_interrupts(const struct engine *e)
+{
+	return (e->s.syst_csr & (SYST_ENABLE | SYST_TICKINT)) == (SYST_ENABLE | SYST_TICKINT);
+}
+
 uint32_t systick_read(struct engine *e, uint32_t offset)
 {
 	const uint32_t csr = e->s.syst_csr;

@@ -6,6 +6,7 @@
 
 void counters_reset(struct engine *e);
 void systick_fire(struct engine *e);
+bool systick_interrupts(const struct engine *e); /* whether it will, at its end */
 uint32_t systick_read(struct engine *e, uint32_t offset); /* from 0xE000E000 */
 void systick_write(struct engine *e, uint32_t offset, uint32_t value);
 void demcr_write(struct engine *e, uint32_t value);

@@ -89,6 +89,10 @@ struct special {
 	int16_t immediate;
 };
 
+/* What was last of a store to memory and a barrier (DSB, DMB). Stores against the stack pointer do not count, they are the
+ * compiler's; nor do stores to registers, which an instruction that has made one is taken to make always. */
+enum order { ORDER_NONE, ORDER_STORE, ORDER_BARRIER };
+
 /* A run of instructions that unicorn translated as one. */
 struct block {
 	uint32_t start;          /* address */
@@ -99,6 +103,8 @@ struct block {
 	uint16_t opening;        /* instructions at its start that an IT before it covers */
 	uint16_t open;           /* instructions after its end that its last IT covers */
 	bool calls;              /* ends in BL or BLX */
+	uint8_t order;           /* enum order */
+	uint32_t device_stores;  /* of the engine, when `order` was found */
 	uint32_t code;           /* row in `enters` that it begins at */
 	uint64_t times;          /* executed to its end, and not yet in `enters` */
 	uint16_t *offsets;       /* of each instruction; bit 0: inside an IT, where nothing stops */
@@ -113,6 +119,8 @@ struct activation {
 	uint64_t entered;     /* instructions executed when it began */
 	uint64_t preempted;   /* instructions of what interrupted it */
 	uint64_t time;        /* at entry */
+	bool stored;          /* to memory, and no barrier since then; but for what is left of a block: */
+	uint32_t part, part_bytes; /* address and size of what was executed of it; 0 bytes: nothing is left to look at */
 };
 
 /* One bit for each exception. */
@@ -226,6 +234,7 @@ struct engine {
 
 	uint64_t entry_bound[EXCEPTION_COUNT]; /* time that a request may wait; 0: any */
 	const char *bound_name[EXCEPTION_COUNT]; /* what such a request is called */
+	bool urgent[EXCEPTION_COUNT];          /* and whether it must be able to interrupt all others */
 	bool strict;                 /* a fault is an error of the image, not an exception to take */
 	bool failed, reset_wanted;
 	char message[MESSAGE_BYTES];
@@ -236,6 +245,8 @@ struct engine {
 	struct block **blocks;       /* CODE_HALFWORDS, by where they begin */
 	uint32_t block_rows;         /* of them, the first ones, that may hold any */
 	uint64_t *enters, *leaves;   /* CODE_HALFWORDS + 1: counts by differences */
+	bool *to_device;             /* CODE_HALFWORDS: whether a store there went to a register */
+	uint32_t device_stores;      /* such instructions so far */
 
 	struct region regions[3];    /* of peripherals: APB and AHB1, AHB2, the core's own */
 	struct window windows[WINDOW_MAX];

@@ -66,6 +66,11 @@ static int exceptions_group_priority(const struct engine *e, uint32_t exception)
 	return own < 0 ? own : exceptions_group(e, (uint32_t)own);
 }
 
+bool exceptions_preempts(const struct engine *e, uint32_t exception, uint32_t other)
+{
+	return exceptions_group_priority(e, exception) < exceptions_group_priority(e, other);
+}
+
 /* B1.5.4; `with_primask` false: as WFI sees it. */
 int exceptions_priority(struct engine *e, bool with_primask)
 {

@@ -13,6 +13,7 @@ bool exceptions_wake(struct engine *e);            /* out of WFI */
 void exceptions_enter(struct engine *e, uint32_t exception);
 void exceptions_return(struct engine *e, uint32_t exc_return);
 void exceptions_raise(struct engine *e, const struct fault *fault);
+bool exceptions_preempts(const struct engine *e, uint32_t exception, uint32_t other);
 int exceptions_priority(struct engine *e, bool with_primask);
 
 #endif

@@ -19,6 +19,7 @@
 #include "exceptions.h"
 #include "hooks.h"
 #include "memory.h"
+#include "thumb.h"
 
 #define CCR_UNALIGN_TRP (1u << 3)
 #define CCR_DIV_0_TRP (1u << 4)
@@ -40,6 +41,42 @@ static inline void hooks_pass(struct engine *e, const struct block *b, uint32_t 
 	}
 }
 
+/* A run of instructions that does `last` last has been executed. */
+static inline void hooks_order(struct engine *e, enum order last)
+{
+	struct activation *const a = &e->s.active[e->s.depth];
+
+	if (last == ORDER_NONE)
+		return;
+	a->stored = last == ORDER_STORE;
+	a->part_bytes = 0;
+}
+
+static enum order hooks_order_of(struct engine *e, uint32_t start, uint32_t bytes)
+{
+	return block_order(host(e, start, bytes), bytes, e->to_device + row_of(start));
+}
+
+/* Whether a part of a block, of which there are many, has stored is found out when somebody asks: seldom. */
+static void hooks_order_part(struct engine *e)
+{
+	struct activation *const a = &e->s.active[e->s.depth];
+
+	if (a->part_bytes != 0u)
+		hooks_order(e, hooks_order_of(e, a->part, a->part_bytes));
+	a->part_bytes = 0;
+}
+
+bool engine_stored(struct engine *e)
+{
+	if (e->block == NULL)
+		return false; /* not the program */
+	const enum order last = e->at == e->start ? ORDER_NONE : hooks_order_of(e, e->start, e->at - e->start);
+
+	hooks_order_part(e);
+	return last == ORDER_NONE ? e->s.active[e->s.depth].stored : last == ORDER_STORE;
+}
+
 void hooks_account(struct engine *e, uint32_t count)
 {
 	struct block *const block = e->block;
@@ -48,10 +85,16 @@ void hooks_account(struct engine *e, uint32_t count)
 		e->block = NULL;
 	} else if (count == block->count) {
 		++block->times;
+		hooks_order(e, (enum order)block->order);
 		hooks_pass(e, block, count, block->size);
 	} else {
 		const uint32_t bytes = block->offsets[count] & ~1u;
 
+		if (block->order != ORDER_NONE) {
+			hooks_order_part(e);
+			e->s.active[e->s.depth].part = e->start;
+			e->s.active[e->s.depth].part_bytes = bytes;
+		}
 		++e->enters[block->code];
 		++e->leaves[block->code + bytes / 2u];
 		hooks_pass(e, block, count, bytes);
@@ -265,6 +308,7 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 		opening = e->start + before->size == start ? before->open : 0;
 		if (before->count != 0u) {
 			++before->times;
+			hooks_order(e, (enum order)before->order);
 			hooks_pass(e, before, before->count, before->size);
 		}
 	}

@@ -74,12 +74,13 @@ bool engine_cached(const struct engine *e, uint32_t address)
 	return mpu_caches(e, address);
 }
 
-void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name)
+void engine_bound_entry(struct engine *e, uint32_t exception, uint64_t cycles, const char *name, bool urgent)
 {
 	if (exception >= EXCEPTION_COUNT)
 		return;
 	e->entry_bound[exception] = cycles << FRACTION;
 	e->bound_name[exception] = name;
+	e->urgent[exception] = urgent;
 }
 
 uint32_t engine_depth(const struct engine *e)

@@ -1,5 +1,8 @@
 /* Interrupts' enables and priorities (ARMv7-M DDI 0403E B3.4) and the regions of the MPU (B3.5). */
+#include <stdio.h>
+
 #include "clock.h"
+#include "counters.h"
 #include "exceptions.h"
 #include "memory.h"
 #include "nvic.h"
@@ -130,6 +133,28 @@ uint32_t nvic_read(struct engine *e, uint32_t offset)
 	}
 }
 
+/* What must not wait must be able to interrupt everything else that is enabled: an equal priority is served in turn. */
+static void nvic_check_urgency(struct engine *e)
+{
+	for (uint32_t urgent = EXC_IRQ0; urgent < EXCEPTION_COUNT; ++urgent) {
+		if (!e->urgent[urgent] || !get(&e->s.enabled, urgent))
+			continue;
+		for (uint32_t i = EXC_SYSTICK; i < EXCEPTION_COUNT; ++i) {
+			const bool on = i == EXC_SYSTICK ? systick_interrupts(e) : get(&e->s.enabled, i);
+
+			if (i == urgent || !on || exceptions_preempts(e, urgent, i))
+				continue;
+			char name[32] = "SysTick";
+
+			if (i != EXC_SYSTICK)
+				snprintf(name, sizeof name, "interrupt %u", i - EXC_IRQ0);
+			fail(e, "%s has priority %u and %s has %u: it waits until that handler is done, expected a more urgent one (a lower number)",
+			     e->bound_name[urgent], e->s.priority[urgent] >> 4, name, e->s.priority[i] >> 4);
+			return;
+		}
+	}
+}
+
 void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
 {
 	const uint32_t word = offset >> 2 & 7u;
@@ -163,6 +188,8 @@ void nvic_write(struct engine *e, uint32_t offset, uint32_t value)
 			return;
 		}
 	}
+	if ((offset & 0xF80u) == 0x100u)
+		nvic_check_urgency(e);
 	clock_attend(e);
 }
 
@@ -171,6 +198,7 @@ void nvic_set_priorities(struct engine *e, uint32_t exception, uint32_t size, ui
 	for (uint32_t i = 0; i < size; ++i, value >>= 8)
 		if (exception + i < EXCEPTION_COUNT)
 			e->s.priority[exception + i] = value & PRIORITY_BITS;
+	nvic_check_urgency(e);
 	clock_attend(e);
 }
 

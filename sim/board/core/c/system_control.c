@@ -8,6 +8,7 @@
 #include "memory.h"
 #include "nvic.h"
 #include "system_control.h"
+#include "thumb.h"
 
 #define CPUID 0x411FC270u        /* Cortex-M7 r1p0 */
 #define CCR_RESET 0x00040200u    /* BP and STKALIGN read as one */
@@ -21,6 +22,7 @@
 #define FPCCR_RESET 0xC0000000u
 #define MPU_TYPE (MPU_REGIONS << 8)
 #define VECTKEY 0x05FAu
+#define SYNC_ROOM 32u            /* bytes of code in which a DSB must follow */
 
 void system_reset_registers(struct engine *e)
 {
@@ -154,6 +156,15 @@ static uint32_t *scb_stored(struct engine *e, uint32_t offset, uint32_t *allowed
 	}
 }
 
+/* Until a DSB has ended the store, an exception may still find its handler in the old table. */
+static void scb_check_vectors_sync(struct engine *e)
+{
+	const uint8_t *const code = e->block == NULL ? NULL : host(e, e->at, SYNC_ROOM);
+
+	if (code != NULL && !thumb_syncs_next(code, SYNC_ROOM))
+		fail(e, "SCB_VTOR is changed without a DSB right after it: an exception may still use the old table");
+}
+
 static uint32_t scs_read(struct engine *e, uint32_t offset)
 {
 	struct state *s = &e->s;
@@ -238,6 +249,8 @@ static void scs_write(struct engine *e, uint32_t offset, uint32_t value)
 	if (plain != NULL) {
 		if (value & ~allowed)
 			fail(e, "0x%08X to the core's register 0x%08X sets reserved bits", value, 0xE000E000u + offset);
+		if (offset == 0xD08u)
+			scb_check_vectors_sync(e);
 		*plain = value & allowed;
 		clock_attend(e);
 		return;

@@ -12,6 +12,7 @@ struct instruction {
 	uint32_t size;
 	uint32_t clobbers;  /* registers whose alignment it may change */
 	bool is_special, is_float, calls;
+	uint8_t order;      /* enum order */
 	uint32_t it;        /* instructions that it makes conditional */
 };
 
@@ -40,18 +41,21 @@ static void thumb_narrow(uint32_t w, struct instruction *i)
 		i->special = thumb_access(middle, 0, bytes[op], false);
 		i->special.index = (uint8_t)five & 7u;
 		i->is_special = true;
+		i->order = op < 3u ? ORDER_STORE : ORDER_NONE;
 		i->clobbers = op < 3u ? 0u : 1u << low;
 	} else if ((w & 0xE000u) == 0x6000u || (w & 0xF000u) == 0x8000u) {
 		const uint32_t bytes = (w & 0xF000u) == 0x8000u ? 2u : w & 0x1000u ? 1u : 4u;
 
 		i->special = thumb_access(middle, (int32_t)(five * bytes), bytes, false);
 		i->is_special = true;
+		i->order = w & 0x0800u ? ORDER_NONE : ORDER_STORE;
 		i->clobbers = w & 0x0800u ? 1u << low : 0u;
 	} else if ((w & 0xF000u) == 0x9000u) { /* against SP, which is always a multiple of 4 */
 		i->clobbers = w & 0x0800u ? 1u << (w >> 8 & 7u) : 0u;
 	} else if ((w & 0xF000u) == 0xC000u) {
 		i->special = thumb_access(w >> 8 & 7u, 0, 4, true);
 		i->is_special = true;
+		i->order = w & 0x0800u ? ORDER_NONE : ORDER_STORE;
 		i->clobbers = w & 0x0800u ? w & 0xFFu : 0u;
 	} else if ((w & 0xFF00u) == 0xBF00u) {
 		i->clobbers = 0;
@@ -87,6 +91,7 @@ static void thumb_wide_load_store(uint32_t a, uint32_t b, struct instruction *i)
 	const uint32_t target = b >> 12;
 
 	i->clobbers = load ? 1u << target : 0u;
+	i->order = load || base == SP ? ORDER_NONE : ORDER_STORE;
 	if (base == PC || (load && target == PC && bytes < 4u)) /* literal; PLD */
 		return;
 	if (a & 0x80u) {
@@ -105,6 +110,12 @@ static void thumb_wide_load_store(uint32_t a, uint32_t b, struct instruction *i)
 	i->is_special = base != SP || i->special.index != NONE || (i->special.immediate & (int32_t)(bytes - 1u)) != 0;
 }
 
+/* Of a load or store whose bit 20 says which it is. */
+static uint8_t thumb_wide_order(uint32_t a)
+{
+	return a & 0x10u || (a & 15u) == SP ? ORDER_NONE : ORDER_STORE;
+}
+
 static void thumb_wide(uint32_t a, uint32_t b, struct instruction *i)
 {
 	const uint32_t base = a & 15u;
@@ -113,16 +124,19 @@ static void thumb_wide(uint32_t a, uint32_t b, struct instruction *i)
 	if ((a & 0xFE40u) == 0xE800u) { /* LDM, STM */
 		i->special = thumb_access(base, 0, 4, true);
 		i->is_special = base != SP;
+		i->order = thumb_wide_order(a);
 		i->clobbers = a & 0x10u ? b : 0u;
 	} else if ((a & 0xFE40u) == 0xE840u && a & 0x120u) { /* LDRD, STRD */
 		const int32_t offset = (a & 0x80u ? 1 : -1) * (int32_t)(b & 0xFFu) * 4;
 
 		i->special = thumb_access(base, a & 0x100u ? offset : 0, 4, true);
 		i->is_special = base != SP && base != PC;
+		i->order = thumb_wide_order(a);
 		i->clobbers = a & 0x10u ? 1u << (b >> 12) | 1u << (b >> 8 & 15u) : 0u;
 	} else if ((a & 0xFFE0u) == 0xE840u) { /* LDREX, STREX */
 		i->special = thumb_access(base, (int32_t)(b & 0xFFu) * 4, 4, true);
 		i->is_special = base != SP;
+		i->order = thumb_wide_order(a);
 	} else if ((a & 0xFE00u) == 0xF800u) {
 		thumb_wide_load_store(a, b, i);
 	} else if ((a & 0xEC00u) == 0xEC00u && ((b >> 8 & 15u) == 10u || (b >> 8 & 15u) == 11u)) {
@@ -134,9 +148,13 @@ static void thumb_wide(uint32_t a, uint32_t b, struct instruction *i)
 
 			i->special = thumb_access(base, single || a & 0x100u ? offset : 0, 4, true);
 			i->is_special = base != SP && base != PC;
+			i->order = thumb_wide_order(a);
 		} else if (a & 0x10u) {
 			i->clobbers = 1u << (b >> 12) | 1u << base; /* VMOV, VMRS to the core */
 		}
+	} else if (a == 0xF3BFu && ((b & 0xFFF0u) == 0x8F40u || (b & 0xFFF0u) == 0x8F50u)) { /* DSB, DMB */
+		i->order = ORDER_BARRIER;
+		i->clobbers = 0;
 	} else if ((a & 0xFFE0u) == 0xF380u && (b & 0xD000u) == 0x8000u) { /* MSR */
 		i->special = thumb_plain(SPECIAL_MASKS);
 		i->is_special = true;
@@ -234,4 +252,47 @@ struct block *block_decode(const uint8_t *code, uint32_t size, uint32_t opening)
 	}
 	block->open = (uint16_t)covered;
 	return block;
+}
+
+enum order block_order(const uint8_t *code, uint32_t size, const bool *to_device)
+{
+	enum order last = ORDER_NONE;
+
+	for (uint32_t at = 0; at < size;) {
+		const struct instruction i = thumb_decode(code + at, size - at);
+
+		if (i.order == ORDER_BARRIER || (i.order == ORDER_STORE && !to_device[at / 2u]))
+			last = (enum order)i.order;
+		at += i.size;
+	}
+	return last;
+}
+
+/* A branch, or what may change whether an exception is taken and on which stack. */
+static bool thumb_parts(const uint8_t *code, const struct instruction *i)
+{
+	const uint32_t a = thumb_halfword(code), b = i->size == 4u ? thumb_halfword(code + 2) : 0u;
+
+	if (i->is_special && i->special.kind != SPECIAL_ACCESS && i->special.kind != SPECIAL_DIVIDE)
+		return true;
+	if (i->size == 2u)
+		return (a & 0xF000u) == 0xD000u || (a & 0xF800u) == 0xE000u || (a & 0xF500u) == 0xB100u ||
+		       (a & 0xFF00u) == 0x4700u || (a & 0xFF00u) == 0xBD00u;
+	return (a & 0xF800u) == 0xF000u && b & 0x8000u && a != 0xF3BFu && a != 0xF3EFu;
+}
+
+bool thumb_syncs_next(const uint8_t *code, uint32_t room)
+{
+	uint32_t at = thumb_decode(code, room).size;
+
+	while (at + 4u <= room) {
+		const struct instruction i = thumb_decode(code + at, room - at);
+
+		if (i.order == ORDER_BARRIER)
+			return (thumb_halfword(code + at + 2u) & 0xF0u) == 0x40u;
+		if (i.order == ORDER_STORE || thumb_parts(code + at, &i))
+			return false;
+		at += i.size;
+	}
+	return false;
 }

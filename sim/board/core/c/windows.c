@@ -1,4 +1,5 @@
 /* Which peripheral an access goes to, and the chip as unicorn sees it. */
+#include "blocks.h"
 #include "clock.h"
 #include "memory.h"
 #include "system_control.h"
@@ -61,6 +62,7 @@ static void windows_write_region(uc_engine *uc, uint64_t offset, unsigned size, 
 	const struct region *const r = user;
 
 	(void)uc;
+	blocks_note_device_store(r->engine);
 	windows_write(r->engine, r->base + (uint32_t)offset, size, (uint32_t)value);
 }
 

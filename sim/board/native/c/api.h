@@ -24,6 +24,7 @@ enum query {
 	QUERY_TWICE,    /* DMA; stream, source: another stream serves it */
 	QUERY_CACHED,   /* DMA; stream, address */
 	QUERY_ASLEEP,   /* DMA; stream: reads DTCM while the core sleeps */
+	QUERY_BARRIER,  /* DMA; stream: is enabled by a program that has stored since its last barrier */
 	QUERY_SEND,     /* SPI: is about to send */
 	QUERY_BUSY,     /* SPI: CR1 changed meanwhile */
 	QUERY_FULL,     /* SPI: DR written into a full FIFO */

@@ -269,6 +269,10 @@ static void dma_enable(struct native *n, uint32_t controller, uint32_t stream)
 	static const int32_t none[SHARED] = {-1, -1, -1};
 	const bool cached = w[3] >= SRAM_BASE && w[3] < SRAM_END && engine_cached(n->e, w[3]);
 
+	if (engine_stored(n->e)) {
+		native_query(n, QUERY_BARRIER, n->controllers[controller], stream, 0);
+		return;
+	}
 	if (cached || (flags & FLAGS) != 0u || s->epoch != n->s.epoch || s->cr != cr || s->par != w[2] || s->m0ar != w[3] ||
 	    s->ndtr != w[1]) {
 		memcpy(s->valid, none, sizeof none);

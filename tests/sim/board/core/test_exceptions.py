@@ -279,7 +279,7 @@ def test_vectors_in_ram_serve_when_vtor_points_there(boot: Boot, results: Result
     HANDLER handler(void) { RESULT[0] = 1; }
     HANDLER reset(void) { uint32_t *table = (uint32_t *)0x20004000;
         for (int i = 0; i < 120; ++i) table[i] = 0;
-        table[16] = (uint32_t)other; REG(0xE000ED08) = 0x20004000; ENABLE(0); PEND(0);
+        table[16] = (uint32_t)other; REG(0xE000ED08) = 0x20004000; __asm volatile("dsb"); ENABLE(0); PEND(0);
         __asm volatile("dsb\\n isb"); REST(); }
     VECTORS([16] = handler);
     """

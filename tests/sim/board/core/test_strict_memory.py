@@ -56,6 +56,14 @@ SINS = {
         "write of 0x1 (4 bytes) to 0x40000400, where no modelled",
     ),
     "no register of the core": ("RESULT[0] = REG(0xE000EF50 + zero);", "read of 0xE000EF50"),
+    "vectors moved without a barrier": (
+        "REG(0xE000ED08 + zero) = 0x20000000;",
+        "without a DSB right after it",
+    ),
+    "vectors moved before a lesser barrier": (
+        'REG(0xE000ED08 + zero) = 0x20000000; __asm volatile("dmb\\n isb");',
+        "without a DSB right after it",
+    ),
     "reserved bits of the core": ("REG(0xE000ED08 + zero) = 0x08000040;", "sets reserved bits"),
     "no key": ("REG(0xE000ED0C + zero) = 4;", "without its key"),
     "no such interrupt": ("ENABLE(104 + zero);", "interrupt 104 in the NVIC, the chip has 104"),

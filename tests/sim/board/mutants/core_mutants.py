@@ -13,6 +13,54 @@ BURN = "for (volatile uint32_t i = 0; i < 4000u; ++i)\n\t\t;"  # 180 us
 
 CORE_MUTANTS = (
     Mutant(
+        name="no barrier before DMA starts",
+        file="hal/stm32f7/peripherals/dma.h",
+        old="\tDMA_SNDTR(s.controller, s.stream) = count;\n\tbarrier();\n",
+        new="\tDMA_SNDTR(s.controller, s.stream) = count;\n",
+        message=r"DMA\d stream \d is enabled without a barrier after the program's last store: .* a DSB",
+        seconds=0.4,
+    ),
+    Mutant(
+        name="motors' frame stored behind the barrier",
+        file="hal/stm32f7/devices/motors.c",
+        old="\tdma_start(bank->stream, bank->slots, SLOTS * bank->width);\n",
+        new="\tdma_clear(bank->stream);\n"
+        "\tDMA_SM0AR(bank->stream.controller, bank->stream.stream) = (uint32_t)bank->slots;\n"
+        "\tDMA_SNDTR(bank->stream.controller, bank->stream.stream) = SLOTS * bank->width;\n\tbarrier();\n"
+        "\t*(volatile uint32_t *)bank->slots = pulses[0].zero;\n"
+        "\tDMA_SCR(bank->stream.controller, bank->stream.stream) |= DMA_SCR_EN;\n",
+        message=r"DMA2 stream 1 is enabled without a barrier after the program's last store",
+        place="motors_write|motors_send",
+        seconds=0.4,
+        slow=True,
+    ),
+    Mutant(
+        name="no barrier when the vectors move to the bank",
+        file="hal/stm32f7/startup/boot.c",
+        old='\t__asm volatile("dsb\\n\\t"\n\t\t       "isb\\n\\t"\n\t\t       "msr',
+        new='\t__asm volatile("isb\\n\\t"\n\t\t       "msr',
+        message=r"SCB_VTOR is changed without a DSB right after it",
+        place="boot_reset",
+    ),
+    Mutant(
+        name="no barrier when the vectors move to ITCM",
+        file="hal/stm32f7/startup/startup.c",
+        old="\tSCB_VTOR = (uint32_t)fast_vectors;\n\tbarrier_instructions();\n",
+        new="\tSCB_VTOR = (uint32_t)fast_vectors;\n",
+        message=r"SCB_VTOR is changed without a DSB right after it",
+        place="reset_handler",
+        slow=True,
+    ),
+    Mutant(
+        name="control path as urgent as the gyro's edge",
+        file="hal/stm32f7/core/core.h",
+        old="PRIORITY_SAMPLE = 2,",
+        new="PRIORITY_SAMPLE = PRIORITY_GYRO_EDGE,",
+        message=r"the gyro's data-ready edge \(EXTI3\) has priority 1 and (SysTick|interrupt 58) has 1",
+        place="interrupt_enable",
+        seconds=0.4,
+    ),
+    Mutant(
         name="floating-point unit not enabled",
         file="hal/stm32f7/startup/startup.c",
         old="\tSCB_CPACR |= SCB_CPACR_CP10 | SCB_CPACR_CP11; /* full access (ARMv7-M B3.2.20) */\n",

@@ -89,3 +89,18 @@ def test_image_is_the_same_when_it_is_built_as_mutants_are(
 def test_mistakes_have_their_places_in_the_sources_of_today() -> None:
     stale = [m.name for m in MUTANTS if (ROOT / "firmware" / m.file).read_text().count(m.old) != 1]
     assert not stale, "choose other places for these mistakes"
+
+
+@pytest.mark.slow
+def test_firmware_flies_when_its_barriers_order_memory_alone(fly_mutant: Fly) -> None:
+    """A DMB is enough before a DMA stream starts."""
+    lesser = Mutant(
+        name="DMB for DSB",
+        file="hal/stm32f7/core/core.h",
+        old='__asm volatile("dsb" :::',
+        new='__asm volatile("dmb" :::',
+        message="",
+        seconds=1.8,
+        flown=True,
+    )
+    assert min(fly_mutant(lesser).values) >= DSHOT_MIN
