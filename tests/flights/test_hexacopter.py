@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cli.main import main
 from sim.aircraft.model import load_aircraft
 from sim.control.pid_table import pid_table
 from sim.flight.scenario import Scenario, Segment
-from sim.flight.trace import Trace
+from sim.flight.trace import Trace, load_trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
@@ -59,6 +60,26 @@ def test_six_motors_get_equal_dshot_values_on_host_library_and_board(
     error = np.abs(host.setpoint - host.rate)
     settled = error.reshape(3, -1, 3)[:, 200:]  # the last 0.2 s of each command
     assert np.degrees(settled.mean()) < 10.0
+
+
+@pytest.mark.parametrize("speed", ["dshot300", "dshot600"])
+def test_the_command_flies_six_motors_on_the_board_at_either_speed_of_dshot(
+    built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: str
+) -> None:
+    scenario = tmp_path / "turn.toml"
+    scenario.write_text("[[segment]]\nduration_s = 0.3\nsetpoint_deg_s = [60, -40, 30]\nthrottle = 0.4\n")
+    traces = []
+    for firmware, target in (("emulator", "MATEKF722"), ("reference", "HOST")):
+        path = tmp_path / f"{firmware}.npz"
+        options = ("--aircraft", "hexa", "--build", str(built / target), "--scenario", str(scenario))
+        told = ("--set", f"motor_protocol={speed}", "--battery", "0.8", "--trace", str(path), "--json")
+        assert main(["fly", "--on", firmware, *options, *told]) == 0
+        document = json.loads(capsys.readouterr().out)
+        traces.append(load_trace(path))
+        if firmware == "emulator":
+            assert document["emulator"]["outcome"] == "flown, disarmed"
+    assert traces[0].dshot.shape[1] == MOTORS
+    assert traces[0].same(traces[1])
 
 
 def test_the_image_with_six_motors_keeps_its_memory_budgets(built: Path) -> None:
