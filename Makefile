@@ -15,7 +15,8 @@ JOBS     ?= auto
 ARGS     ?=
 
 VENV := .venv
-RUN  := $(VENV)/bin/neuroflight
+# By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
+RUN  := $(VENV)/bin/python -m cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
@@ -48,20 +49,20 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 	  fi; }
 
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
-	@$(RUN) build --target $(TARGET) --policy $(POLICY)
+	@$(RUN) build --target $(TARGET) --policy "$(POLICY)"
 
 host: $(READY) ## the same firmware as a program of this machine
-	@$(RUN) build --target HOST --policy $(POLICY)
+	@$(RUN) build --target HOST --policy "$(POLICY)"
 
 train: $(READY) ## a policy from the twin: AIRCRAFT=nf1 [ALGORITHM=ppo] [CONFIG=] [STEPS=] [SEED=] [OUT=]
-	@$(RUN) train --aircraft $(AIRCRAFT) $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
-	  --seed $(SEED) --out $(OUT) $(ARGS)
+	@$(RUN) train --aircraft "$(AIRCRAFT)" $(CONFIG:%=--config %) $(ALGORITHM:%=--algorithm %) $(STEPS:%=--steps %) \
+	  --seed $(SEED) --out "$(OUT)" $(ARGS)
 
 fly: host ## a firmware against the twin: [ON=host] [SCENARIO=pulses] [COUNT=10] [SEED=] [ARGS="--trace FILE.npz"]
-	@$(RUN) fly --on $(ON) --aircraft $(AIRCRAFT) --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
+	@$(RUN) fly --on $(ON) --aircraft "$(AIRCRAFT)" --scenario $(SCENARIO) --count $(COUNT) --seed $(SEED) $(ARGS)
 
 emulate: firmware ## the image to be flashed flies on an emulated board: roll, flip, Split-S, 60 s of commands
-	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft $(AIRCRAFT) --seed $(SEED) \
+	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft "$(AIRCRAFT)" --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
 
 test: firmware host ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
@@ -84,9 +85,9 @@ cppcheck: # the analyser of C, brought as the ARM compiler is
 	  else echo "cppcheck is missing; run: sudo apt-get install cppcheck" >&2; exit 1; fi; }
 
 lint: $(READY) cppcheck ## style and types; C warnings are errors in every build
-	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
+	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/python -m mypy
 	@find firmware -path firmware/generated -prune -o -name '*.[ch]' -print | xargs $(VENV)/bin/clang-format --dry-run -Werror
-	@$(VENV)/bin/python -m toolchain.image.cppcheck $(POLICY)
+	@$(VENV)/bin/python -m toolchain.image.cppcheck "$(POLICY)"
 
 clean: ## what builds leave behind; the environment and training runs stay
 	rm -rf build firmware/generated

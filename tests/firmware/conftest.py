@@ -7,6 +7,7 @@ it sample by sample, `sbus` is an encoder of their own.
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import signal
 import socket
@@ -136,7 +137,10 @@ def make_scripted(scratch: Path, motors: int) -> Path:
         text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
         (generated / name).write_text(text)
     (generated / "pid_table.c").write_text(render_pid_table(None, motors, 1000))
-    make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", f"GENERATED={generated}", f"BUILD={build}"]
+    # Relative: tests/coverage.py works inside the checkout, whose path may hold a space.
+    folders = (("GENERATED", generated), ("BUILD", build))
+    named = [f"{name}={os.path.relpath(path, FIRMWARE)}" for name, path in folders]
+    make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", *named]
     done = subprocess.run(make, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return build

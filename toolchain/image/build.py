@@ -13,8 +13,10 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +37,7 @@ from toolchain.rendering.pid_table import PidTable, render_pid_table
 TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
 BOARD_MEMORY = (*RAM, FLASH)
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
+PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
 NO_STACK = "the operating system gives this program its stack"
 NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
 
@@ -214,13 +217,40 @@ def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
 
     Objects and products go to out/make. Raises MakeError.
     """
-    command = ["make", "-C", str(root / "firmware"), f"-j{os.cpu_count() or 1}"]
-    command += [f"TARGET={target.name}", f"BUILD={out / 'make'}", f"GENERATED={generated.resolve()}"]
-    done = subprocess.run(command, capture_output=True, text=True, env=_environment(os.environ))
+    firmware = root / "firmware"
+    with _named_for_make({"BUILD": out / "make", "GENERATED": generated}, firmware) as names:
+        command = ["make", "-C", str(firmware), f"-j{os.cpu_count() or 1}", f"TARGET={target.name}", *names]
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", env=_environment(os.environ)
+        )
     if done.returncode != 0:
+        kept = (out / target.products[0]).is_file()
+        end = "the last good image is kept" if kept else "there is no image of an earlier build"
         words = done.stdout + done.stderr
-        raise MakeError(f"the firmware for {target.name} does not build; the last good image is kept", words)
+        raise MakeError(f"the firmware for {target.name} does not build; {end}", words)
     return sum(" -c " in line for line in done.stdout.splitlines())
+
+
+@contextmanager
+def _named_for_make(folders: Mapping[str, Path], firmware: Path) -> Iterator[list[str]]:
+    """NAME=PATH of folders as make takes them, which knows no names with a space and other characters.
+
+    A checkout in such a place still has plain paths relative to `firmware`, where make works. A folder
+    elsewhere is reached by a link of a plain name.
+    """
+    with ExitStack() as links:
+        named = []
+        for name, path in folders.items():
+            real = os.path.realpath(path)
+            ways = (real, os.path.relpath(real, os.path.realpath(firmware)))
+            plain = [way for way in ways if PLAIN.fullmatch(way)]
+            if not plain:
+                Path(real).mkdir(parents=True, exist_ok=True)
+                link = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="neuroflight-"))) / name
+                link.symlink_to(real, target_is_directory=True)
+                plain = [str(link)]
+            named.append(f"{name}={plain[0]}")
+        yield named
 
 
 def _environment(environment: Mapping[str, str]) -> dict[str, str]:

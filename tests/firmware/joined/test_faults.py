@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import struct
 import subprocess
@@ -404,8 +405,11 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
 }}
 """
     (generated / "policy.c").write_text(source.replace(call, "static void good_step(") + wrapper)
-    make = ["make", "-s", "-C", str(ROOT / "firmware"), "TARGET=HOST", f"GENERATED={generated}"]
-    subprocess.run([*make, f"BUILD={folder / 'HOST'}"], check=True, capture_output=True)
+    firmware = ROOT / "firmware"
+    make = ["make", "-s", "-C", str(firmware), "TARGET=HOST"]
+    make += [f"GENERATED={os.path.relpath(generated, firmware)}"]
+    make += [f"BUILD={os.path.relpath(folder / 'HOST', firmware)}"]
+    subprocess.run(make, check=True, capture_output=True)
     return folder / "HOST"
 
 

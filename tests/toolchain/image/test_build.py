@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ from toolchain.rendering.pid_table import PidTable
 if TYPE_CHECKING:
     from tests.toolchain.conftest import Chain, Kit
 
+ROOT = Path(__file__).resolve().parents[3]
 MAKEFILE = """
 all:
 \t@mkdir -p $(BUILD)
@@ -240,6 +242,27 @@ def test_last_good_products_stay_when_make_fails_halfway(tmp_path: Path, policy_
     project(root, word="three")
     build("HOST", policy_file, root)
     assert (out / "libneuroflight.so").read_text() == "three"
+
+
+def test_no_earlier_image_is_promised_when_the_first_build_fails(tmp_path: Path, policy_file: Path) -> None:
+    root = project(tmp_path / "root", last="exit 3")
+    with pytest.raises(MakeError, match="there is no image of an earlier build"):
+        build("HOST", policy_file, root)
+
+
+@pytest.mark.parametrize("where", ["checkout", "folder for outputs"])
+def test_the_firmware_is_built_when_a_path_has_what_make_takes_for_its_own(
+    tmp_path: Path, policy_file: Path, where: str
+) -> None:
+    place = tmp_path / "Flüge: it's #1 of 50 % (a=b) $HOME"
+    root, folder = (place, None) if where == "checkout" else (ROOT, place / "out")
+    if folder is None:
+        left_out = shutil.ignore_patterns("generated")
+        shutil.copytree(ROOT / "firmware", root / "firmware", ignore=left_out)
+    build("HOST", policy_file, root, folder)
+    program = (folder or root / "build") / "HOST" / "neuroflight"
+    done = subprocess.run([program, "--help"], capture_output=True, text=True)
+    assert done.stdout.startswith("usage: neuroflight")
 
 
 def test_outer_make_does_not_reach_the_inner_one_when_it_calls_the_build(
