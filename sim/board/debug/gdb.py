@@ -17,6 +17,7 @@ from toolchain.errors import LinkError
 
 SLICE = 2_160_000  # cycles between two checks for the debugger's Ctrl-C: 10 ms
 PACKET_BYTES = 0x1000
+BUFFER_BYTES = 4 * PACKET_BYTES  # of a packet that does not end
 TRAP, INTERRUPT, ABORT = 5, 2, 6  # signals that tell why the core stands
 # Registers that reading leaves alone: system control block, floating-point context (ARMv7-M B3.2, B4.6).
 READABLE = (*range(0xE000ED00, 0xE000ED40, 4), 0xE000EF34, 0xE000EF38, 0xE000EF3C)
@@ -135,6 +136,8 @@ class GdbServer:
         while True:
             found = re.search(rb"\$([^#]*)#([0-9a-fA-F]{2})", self._buffer)
             if found is None:
+                if len(self._buffer) > BUFFER_BYTES:
+                    self._buffer = b""  # that is no debugger
                 if not self._receive():
                     return None
                 continue
@@ -210,13 +213,19 @@ class GdbServer:
         }
 
     def _set_all(self, rest: str) -> str:
-        for i, value in enumerate(bytes.fromhex(rest)[k : k + 4] for k in range(0, 4 * REGISTERS, 4)):
-            self._engine.set_register(i, int.from_bytes(value, "little"))
+        data = bytes.fromhex(rest)
+        if len(data) != 4 * REGISTERS:
+            raise ValueError(f"{len(data)} bytes for {REGISTERS} registers")
+        for i in range(REGISTERS):
+            self._engine.set_register(i, int.from_bytes(data[4 * i : 4 * i + 4], "little"))
         return "OK"
 
     def _set_one(self, rest: str) -> str:
         number, _, value = rest.partition("=")
-        self._engine.set_register(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
+        data = bytes.fromhex(value)
+        if len(data) != 4:
+            raise ValueError(f"{len(data)} bytes for a register")
+        self._engine.set_register(int(number, 16), int.from_bytes(data, "little"))
         return "OK"
 
     def _read(self, rest: str) -> str:
@@ -227,8 +236,12 @@ class GdbServer:
         return self._engine.memory(address, min(size, PACKET_BYTES // 2)).hex()
 
     def _write(self, rest: str) -> str:
-        place, _, data = rest.partition(":")
-        self._engine.set_memory(int(place.split(",")[0], 16), bytes.fromhex(data))
+        place, _, text = rest.partition(":")
+        address, size = (int(part, 16) for part in place.split(","))
+        data = bytes.fromhex(text)
+        if len(data) != size:
+            raise ValueError(f"{len(data)} bytes for {size}")
+        self._engine.set_memory(address, data)
         return "OK"
 
     def _break_at(self, rest: str, *, on: bool) -> str:

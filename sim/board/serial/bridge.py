@@ -14,6 +14,7 @@ from __future__ import annotations
 import errno
 import os
 import pty
+import select
 import socket
 import tty
 from collections.abc import Callable
@@ -29,6 +30,8 @@ MSP_UART = "USART1"
 SLICE = TIME_HZ // 10_000  # cycles between two reads of what the board has sent: 100 us
 PENDING_MAX = 64 * 1024  # bytes kept for a program that does not read; what comes then is lost, as on wires
 READ_MAX = 4096
+AHEAD_MAX = 16 << 20  # bytes read to see whether a program has gone: more than a connection holds
+AHEAD_S = 0.02  # until the system has moved on what a program that has gone had sent
 
 
 class UartLine:
@@ -202,13 +205,18 @@ class PtyEnd:
 
 
 class TcpEnd:
-    """A TCP server on this computer only, for one program at a time; a second one is turned away."""
+    """A TCP server on this computer only, for one program at a time; a second one is turned away.
+
+    What a program sends waits in its connection, and its end behind that: minutes of a line's time. When the
+    next one calls, all of it is read; if the first has gone, READ_MAX bytes of it still go to the board.
+    """
 
     def __init__(self, port: int = 0) -> None:
         """port: 0 for any free one. Raises LinkError when it is taken."""
         self._listener = socket.socket()
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._client: socket.socket | None = None
+        self._ahead = bytearray()  # read and not taken yet
         try:
             self._listener.bind(("127.0.0.1", port))
             self._listener.listen()
@@ -228,6 +236,10 @@ class TcpEnd:
     def receive(self, count: int) -> bytes:
         """See End."""
         self._accept()
+        if self._ahead:
+            first = bytes(self._ahead[:count])
+            del self._ahead[:count]
+            return first
         if self._client is None:
             return b""
         try:
@@ -258,8 +270,12 @@ class TcpEnd:
         self._listener.close()
 
     def _accept(self) -> None:
-        """Let the next program in, or turn it away while one is there; unread bytes are read first."""
-        while not self._holds_unread():
+        """Let the next program in, or turn it away while one is there; unread bytes are taken first."""
+        while select.select([self._listener], [], [], 0)[0]:
+            if self._client is not None:
+                self._read_ahead()
+            if self._client is None and self._ahead:
+                return
             try:
                 peer, _ = self._listener.accept()
             except BlockingIOError:
@@ -275,19 +291,21 @@ class TcpEnd:
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = peer
 
-    def _holds_unread(self) -> bool:
-        """Whether the program has sent something that was not taken yet; notices that it has gone."""
-        if self._client is None:
-            return False
+    def _read_ahead(self) -> None:
+        """Read all that the program has sent; if its end comes behind it, most of that is dropped."""
+        assert self._client is not None
         try:
-            if self._client.recv(1, socket.MSG_PEEK):
-                return True
+            while data := self._client.recv(PENDING_MAX):
+                self._ahead += data
+                if len(self._ahead) > AHEAD_MAX:
+                    return
+                select.select([self._client], [], [], AHEAD_S)
         except BlockingIOError:
-            return False
+            return
         except OSError:
             pass
+        del self._ahead[READ_MAX:]
         self._leave()
-        return False
 
     def _leave(self) -> None:
         if self._client is not None:

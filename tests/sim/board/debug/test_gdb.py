@@ -99,6 +99,24 @@ def test_registers_and_memory_are_read_and_written_when_it_is_halted(session: Se
     assert client.ask("vMustReplyEmpty") == ""
 
 
+@pytest.mark.parametrize(
+    "packet", ["G" + "00" * 64, "G" + "00" * 72, "G", "P3=01", "P3=", "M20003000,4:01", "M20003000,1:0102"]
+)
+def test_nothing_changes_when_a_packet_holds_too_little_or_too_much(session: Session, packet: str) -> None:
+    client = session.client
+    before = client.ask("g"), client.ask("m20003000,8")
+    assert client.ask(packet) == "E01"
+    assert (client.ask("g"), client.ask("m20003000,8")) == before
+
+
+def test_all_registers_are_set_when_the_packet_holds_them(session: Session) -> None:
+    client = session.client
+    registers = bytearray.fromhex(client.ask("g"))
+    registers[12:16] = bytes.fromhex("78563412")
+    assert client.ask("G" + registers.hex()) == "OK"
+    assert client.ask("g") == registers.hex()
+
+
 def test_one_instruction_is_executed_when_it_steps(session: Session) -> None:
     before = session.engine.instructions
     for expected in range(1, 6):

@@ -17,7 +17,7 @@ from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.usart import Format
-from sim.board.serial.bridge import SLICE, Bridge, LineTransport, PtyEnd, TcpEnd, UartLine
+from sim.board.serial.bridge import READ_MAX, SLICE, Bridge, LineTransport, PtyEnd, TcpEnd, UartLine
 from toolchain.contract import MSP_VARIANT, Msp
 from toolchain.errors import LinkError
 
@@ -174,6 +174,24 @@ def test_the_next_program_is_served_when_the_one_before_went_unnoticed(board: Bo
         run(board, bridge, 0.01)
         assert second.recv(100).endswith(ANSWER)
     bridge.close()
+
+
+def test_the_next_program_is_served_soon_when_the_one_before_left_much_unread() -> None:
+    """What was sent and never taken would keep the line for minutes: 115200 baud carry 11 kB a second."""
+    end = TcpEnd()
+    with socket.create_connection(("127.0.0.1", end.port), 5.0) as first:
+        assert end.receive(1) == b""
+        first.setblocking(False)
+        sent = first.send(bytes(1 << 20))
+        assert sent > READ_MAX
+    with socket.create_connection(("127.0.0.1", end.port), 5.0) as second:
+        second.sendall(QUESTION)
+        taken = 0
+        while (data := end.receive(64)) != QUESTION:
+            taken += len(data)
+            assert set(data) == {0}
+    assert 0 < taken <= READ_MAX
+    end.close()
 
 
 def test_a_sender_has_to_wait_when_it_is_faster_than_the_line(board: Board) -> None:
