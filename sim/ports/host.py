@@ -14,6 +14,7 @@ import socket
 import struct
 import subprocess
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -50,6 +51,8 @@ START_S = 10.0  # from start to `ready`
 REPLY_S = 5.0  # an answer takes some 10 us; a busy machine may take its time
 END_S = 2.0  # from SIGTERM to SIGKILL
 LAST_WORDS_S = 0.1  # for the exit status of a program that fails
+READY_BYTES_MAX = 200  # of the line that says so
+PORT_MAX = 65535
 LISTENING = ("state-port", "receiver-port", "power-port", "msp-port")
 SPIN_NS = 50_000  # to look for an answer before the thread sleeps, while answers come as fast
 MOTOR_PACKET_TOLERANCE = 1e-3  # a microsecond of a servo packet's pulse width
@@ -280,15 +283,27 @@ class _Child:
             raise LinkError(
                 f"{self._program}: cannot be started ({error.strerror}); build it with `make host`"
             ) from error
-        stdout = self._process.stdout
-        assert stdout is not None
-        if not select.select([stdout], [], [], START_S)[0]:
-            raise self.lost(f"not ready within {START_S:g} s")
-        line = stdout.readline().decode(errors="replace")
-        said = dict(re.findall(r"(\w+)=(\d+)", line))
+        line = self._first_line()
+        said = {name: int(port) for name, port in re.findall(r"(\w+)=(\d{1,9})\b", line)}
         if not line.startswith("ready ") or not {"state", "receiver", "msp"} <= set(said):
             raise self.lost(f"it said {line.strip()!r}, expected its `ready` line")
-        self.ports = {name: int(port) for name, port in said.items()}
+        if wrong := [f"{name}={port}" for name, port in said.items() if not 1 <= port <= PORT_MAX]:
+            raise self.lost(f"it said {line.strip()!r}, expected ports of 1 to {PORT_MAX}, not {wrong[0]}")
+        self.ports = said
+
+    def _first_line(self) -> str:
+        """What it says first. Raises LinkError where that does not end in time, or not within a line."""
+        assert self._process is not None and self._process.stdout is not None
+        stdout, said, end = self._process.stdout.fileno(), b"", time.monotonic() + START_S
+        while b"\n" not in said and len(said) < READY_BYTES_MAX:
+            left = max(0.0, end - time.monotonic())
+            if not select.select([stdout], [], [], left)[0]:
+                words = f", it said {said.decode(errors='replace')!r}" if said else ""
+                raise self.lost(f"not ready within {START_S:g} s{words}")
+            if not (data := os.read(stdout, READY_BYTES_MAX - len(said))):
+                break
+            said += data
+        return said.partition(b"\n")[0].decode(errors="replace")
 
 
 def _port(sock: socket.socket) -> int:

@@ -131,6 +131,19 @@ def test_it_says_so_when_the_file_is_no_program(tmp_path: Path) -> None:
         ("import time; time.sleep(60)", "not ready within 1.5 s"),
         ("print('hello', flush=True); input()", "it said 'hello', expected its `ready` line"),
         ("print('ready state=1', flush=True); input()", "it said 'ready state=1'"),
+        (
+            "print('ready state=99999 receiver=1 msp=1', flush=True); input()",
+            "expected ports of 1 to 65535, not state=99999",
+        ),
+        (
+            "import time; print('ready state=1', end='', flush=True); time.sleep(60)",
+            "not ready within 1.5 s, it said 'ready state=1'",
+        ),
+        ("while True: print('x' * 1000, end='')", f"it said '{'x' * 200}', expected its `ready` line"),
+        (
+            "import time\nwhile True: print('x', end='', flush=True), time.sleep(0.1)",
+            "not ready within 1.5 s, it said 'xxxx",
+        ),
     ],
 )
 def test_it_gives_up_and_ends_the_program_when_it_is_not_the_firmware(
