@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 COLUMNS = ("time_s", "throttle", "rpm", "thrust_n", "torque_n_m")
 ALIASES = {"time": "time_s", "thrust": "thrust_n", "torque": "torque_n_m"}
 FILE_BYTES_MAX = 128 << 20
+LIMITS = {"rpm": 500_000.0, "thrust_n": 10_000.0, "torque_n_m": 1_000.0}  # beyond any rotor of an aircraft
 ROWS_MIN, ROWS_MAX = 50, 1_000_000
 PAUSE_S = 0.5
 PAUSE_PERIODS = 20  # and no pause is shorter than this many of the usual periods
@@ -159,3 +160,11 @@ def _check(values: Array, lines: list[int], path: Path) -> None:
         if 900.0 < high <= 2100.0:
             mend = "; is it in microseconds? take (x - 1000)/1000"
         raise DynoError(f"{path}: throttle reaches from {low:g} to {high:g}, expected 0 to 1{mend}")
+    high_half = throttle >= np.median(throttle)
+    for name, most in LIMITS.items():
+        typical = float(np.median(np.abs(values[high_half, COLUMNS.index(name)])))
+        if typical > most:
+            raise DynoError(
+                f"{path}: {name} is {typical:g} in the upper half of the throttle, expected at most "
+                f"{most:g}; is it in another unit?"
+            )

@@ -73,6 +73,7 @@ def test_runs_stand_one_after_the_other_when_there_are_files_and_pauses(tmp_path
         (HEADING, [row.replace("0.5,", "50,") for row in rows()], "is it in percent? divide it by 100"),
         (HEADING, [row.replace("0.5,", "1500,") for row in rows()], "is it in microseconds?"),
         (HEADING, [row.replace("0.5,", "-0.2,") for row in rows()], "throttle reaches from -0.2 to -0.2"),
+        (HEADING, [f"{0.01 * k:.2f},0.5,1e11,2.5,0.02" for k in range(60)], "rpm is 1e+11 in the upper half"),
         (HEADING, rows(49), "49 rows, expected at least 50"),
         ("", [], "0 rows, expected at least 50"),
         (HEADING, [*rows(), '"' + "9" * 200_000], "line 102: not CSV"),
