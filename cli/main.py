@@ -74,6 +74,7 @@ MENDS = {  # an operating system's error: what the user does about it
     errno.EIO: "check the disk",
 }
 OF_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+LINE_MAX = 2000  # characters of an error; what is longer quotes something of the user's at length
 NAME_SHOWN = 200  # characters of a file's name
 
 
@@ -135,6 +136,8 @@ def _fail(line: str) -> int:
         sys.stdout.flush()
     except (OSError, ValueError):
         _silence_stdout()
+    if len(line) > LINE_MAX:
+        line = f"{line[: LINE_MAX // 2]} ... {line[-LINE_MAX // 2 :]}"
     with contextlib.suppress(OSError):
         print(f"neuroflight: {line}", file=sys.stderr)
     return 1

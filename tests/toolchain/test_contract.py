@@ -57,6 +57,7 @@ def test_a_gain_is_a_float32_between_0_and_1_when_there_is_a_low_pass() -> None:
         ("speed", "unknown observation block 'speed', known are rate, "),
         ("speed@1", "unknown observation block 'speed', known are rate, "),
         ("", "unknown observation block ''"),
+        ("x" * 100_000, f"unknown observation block '{'x' * 57}...', known are rate, "),
         ("rate,", "unknown observation block ''"),
         ("rate@", "'rate@', expected NAME, NAME~fHz, NAME@k or NAME~fHz@k"),
         ("rate~15", "'rate~15', expected NAME"),

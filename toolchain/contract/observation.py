@@ -99,6 +99,7 @@ class ObservationTerm:
         return float(gain)
 
 
+SHOWN_MAX = 60  # characters of what a user wrote, in a message
 _TERM = re.compile(
     r"(?P<name>[a-z_]+)(?:~(?P<cutoff>[0-9]{1,4}(?:\.[0-9]{1,3})?)Hz)?(?:@(?P<age>[0-9]{1,3}))?"
 )
@@ -109,15 +110,20 @@ def observation_blocks(text: str) -> tuple[ObservationTerm, ...]:
     return tuple(_observation_term(term) for term in text.split(","))
 
 
+def _shown(text: str) -> str:
+    """What a user wrote, as a message quotes it: one line, not too long."""
+    return repr(text if len(text) <= SHOWN_MAX else f"{text[: SHOWN_MAX - 3]}...")
+
+
 def _observation_term(text: str) -> ObservationTerm:
     known = {block.name: block for block in OBSERVATION_BLOCKS}
     found = _TERM.fullmatch(text)
     name = found["name"] if found else re.split("[~@]", text)[0]
     if name not in known:
-        raise ValueError(f"unknown observation block {name!r}, known are {', '.join(known)}")
+        raise ValueError(f"unknown observation block {_shown(name)}, known are {', '.join(known)}")
     if not found:
         raise ValueError(
-            f"observation {text!r}, expected NAME, NAME~fHz, NAME@k or NAME~fHz@k, e.g. rate~15Hz@1"
+            f"observation {_shown(text)}, expected NAME, NAME~fHz, NAME@k or NAME~fHz@k, e.g. rate~15Hz@1"
         )
     cutoff, age = found["cutoff"], found["age"]
     if cutoff is not None and float(cutoff) == 0.0:
