@@ -34,7 +34,10 @@ def check_folder(path: Path | None, option: str) -> None:
         return
     if path.exists() and not path.is_dir():
         raise NeuroflightError(f"{option} {path} is no folder; give the name of one, new or old")
-    check_writable(path / "output")
+    try:
+        check_writable(path / "output")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def command_line(command: str, *words: str, **options: object) -> str:

@@ -85,31 +85,47 @@ def claimed(folder: Path, what: str) -> Iterator[None]:
     """
     made = [parent for parent in (folder, *folder.absolute().parents) if not _exists(parent)]
     folder.mkdir(parents=True, exist_ok=True)
-    handle = _claim(folder, what)
     try:
-        yield
+        with _holding(
+            folder / LOCK, f"{folder} is in use by another {what}; wait for its end, or choose another"
+        ):
+            yield
     finally:
-        (folder / LOCK).unlink(missing_ok=True)
-        os.close(handle)
         with contextlib.suppress(OSError):  # it holds results
             for parent in made:
                 parent.rmdir()
 
 
-def _claim(folder: Path, what: str) -> int:
-    """The open lock file of `folder`."""
-    path = folder / LOCK
+@contextmanager
+def claimed_file(path: Path, what: str) -> Iterator[None]:
+    """Keep the file `path`, which may be made and replaced meanwhile, for this process, as `claimed` does."""
+    refusal = f"{path} is in use by another {what}; wait for its end, or name another"
+    _exists(path)  # raises for a name that no file can have
+    with _naming(path), _holding(path.with_name(f"{_prefix(path)}lock"), refusal):
+        yield
+
+
+@contextmanager
+def _holding(lock: Path, refusal: str) -> Iterator[None]:
+    """Hold the file `lock`, which is there only meanwhile. Raises InUseError where another process does."""
+    handle = _hold(lock, refusal)
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _hold(lock: Path, refusal: str) -> int:
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(handle)
-            raise InUseError(
-                f"{folder} is in use by another {what}; wait for its end, or choose another folder"
-            ) from error
+            raise InUseError(refusal) from error
         with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(handle), path.stat()):
+            if os.path.samestat(os.fstat(handle), lock.stat()):
                 return handle
         os.close(handle)  # whoever had it before removed it between the two calls
 

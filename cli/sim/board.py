@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.sim.board_serial import Interrupt, add_gyro_argument, check_gdb, open_end, parse_serial
-from toolchain.contract import FLASH_BYTES, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
+from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
 from toolchain.errors import NeuroflightError
-from toolchain.files import file_size
+from toolchain.files import claimed_file, file_size
 
 if TYPE_CHECKING:
     from sim.board.debug.gdb import GdbServer
@@ -78,9 +78,11 @@ def run(args: argparse.Namespace) -> int:
     from sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
     from toolchain.image.elf import read_flashable
 
-    flashed, kept = read_flashable(image), _kept(args.flash)
+    flashed = read_flashable(image)
     elf = image.with_suffix(".elf")
     with ExitStack() as ends:
+        _claim(args.flash, ends)
+        kept = _kept(args.flash)
         end = open_end(serial)
         ends.callback(end.close)
         idle = IdleBoard(
@@ -151,6 +153,16 @@ def _check(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--seconds: got {args.seconds:g}, expected a number above 0")
 
 
+def _claim(path: Path | None, ends: ExitStack) -> None:
+    """Keep the file for this board until the end. Raises NeuroflightError where another one has it."""
+    if path is None or not path.parent.is_dir():
+        return
+    try:
+        ends.enter_context(claimed_file(path, "board"))
+    except OSError as error:
+        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
+
+
 def _kept(path: Path | None) -> bytes | None:
     """What the file holds; None: there is none yet."""
     if path is None or not path.exists():
@@ -165,6 +177,13 @@ def _kept(path: Path | None) -> bytes | None:
             f"--flash {path}: {size} bytes, expected the {FLASH_BYTES} of a flash that this command has "
             f"kept; it is left alone, name another one"
         )
+    for sector in FLASH_SECTORS:
+        start = sector.address - FLASH_BASE
+        if not any(data[start : start + sector.size]):
+            raise NeuroflightError(
+                f"--flash {path}: {sector.name} is all zeros, which flash never is: it was not written "
+                f"whole; remove it or name another one"
+            )
     return data
 
 

@@ -21,6 +21,7 @@ from flash.client import Client
 from flash.settings import Settings
 from flash.transport import open_transport
 from toolchain.contract import FLASH_BYTES, Msp
+from toolchain.files import claimed_file
 
 LIMIT_S = 60.0  # of a test that hangs
 
@@ -209,6 +210,7 @@ def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.Capt
             ["--flash=photo.jpg"],
             "photo.jpg: 5 bytes, expected the 524288 of a flash that this command has kept",
         ),
+        (["--flash=zeros.bin"], "--flash zeros.bin: sector 7 is all zeros"),
         (["--flash=no/photo.jpg/flash.bin"], "--flash no/photo.jpg/flash.bin: "),
     ],
 )
@@ -222,6 +224,7 @@ def test_it_says_what_is_wrong_when_the_user_errs(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "no").mkdir()
+    (tmp_path / "zeros.bin").write_bytes(b"\xff" * (FLASH_BYTES - 0x20000) + bytes(0x20000))
     (tmp_path / "large.bin").write_bytes(bytes(FLASH_BYTES + 1))
     for name in ("photo.jpg", "no/photo.jpg"):
         (tmp_path / name).write_bytes(b"photo")
@@ -231,3 +234,18 @@ def test_it_says_what_is_wrong_when_the_user_errs(
     assert words in errors
     assert errors.count("\n") == 1
     assert (tmp_path / "photo.jpg").read_bytes() == b"photo"
+
+
+def test_a_second_board_is_refused_when_the_first_keeps_the_same_flash(
+    image: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flash = tmp_path / "flash.bin"
+    words = ["board", "--image", str(image), f"--flash={flash}", "--seconds=0.001"]
+    with claimed_file(flash, "board"):
+        assert main(words) == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"neuroflight: {flash} is in use by another board; wait for its end")
+    assert errors.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+    assert main(words) == 0
+    assert [item.name for item in tmp_path.iterdir()] == ["flash.bin"]

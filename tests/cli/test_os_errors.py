@@ -161,3 +161,35 @@ def read_only(tmp_path: Path) -> Path:
 def test_a_read_only_place_is_told_before_the_work(read_only: Path) -> None:
     line = one_line(command("dyno", "run", "--out", read_only / "data.csv"))
     assert "choose another place" in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["aircraft", "check", "nf1", "--draw", "a\0b.png"],
+        ["fly", "--trace", "a\0b.npz"],
+        ["build", "--policy", "a\0b"],
+        ["build", "--target", "HOST", "--out", "a\0b"],
+        ["compile", "training/policies/nf1/policy.onnx", "--out", "a\0b"],
+        ["freeze", "training/policies/nf1/checkpoint.pt", "--out", "a\0b.onnx"],
+        ["freeze", "a\0b", "--out", "policy.onnx"],
+        ["verify", "a\0b"],
+        ["timing", "a\0b"],
+        ["train", "--out", "a\0b"],
+        ["board", "--flash", "a\0b"],
+    ],
+)
+def test_a_name_that_no_file_can_have_is_one_line(words: list[str], capsys: Capture) -> None:
+    assert main(words) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("neuroflight: ")
+    assert error.count("\n") == 1
+
+
+def test_an_error_is_cut_when_it_quotes_at_length(capsys: Capture) -> None:
+    model = str(ROOT / "training/policies/nf1/policy.onnx")
+    claims = ["--observation", "x" * 100_000, "--rate", "1000", "--aircraft", "nf1"]
+    assert main(["freeze", model, *claims, "--out", "unused.onnx"]) == 1
+    error = capsys.readouterr().err
+    assert "unknown observation block 'xxx" in error
+    assert len(error) < 3000

@@ -7,6 +7,7 @@ interrupted leaves the last good image in place.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -227,6 +228,8 @@ def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
         kept = (out / target.products[0]).is_file()
         end = "the last good image is kept" if kept else "there is no image of an earlier build"
         words = done.stdout + done.stderr
+        if (full := os.strerror(errno.ENOSPC)) in words:
+            raise OSError(errno.ENOSPC, full, str(out))
         raise MakeError(f"the firmware for {target.name} does not build; {end}", words)
     return sum(" -c " in line for line in done.stdout.splitlines())
 
