@@ -87,7 +87,7 @@ def claimed(folder: Path, what: str) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with _holding(
-            folder / LOCK, f"{folder} is in use by another {what}; wait for its end, or choose another"
+            folder / LOCK, f"{folder} is in use by another {what}; wait for its end, or choose another folder"
         ):
             yield
     finally:
