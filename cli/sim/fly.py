@@ -140,16 +140,18 @@ def run(args: argparse.Namespace) -> int:
     flights = [one.flight for one in flown]
     title = f"{aircraft.name}: {scenario.name}, seed {args.seed}"
     note = ", ".join(conditions(args, scenario))
-    if args.trace:
-        save_trace(args.trace, flights[0].trace)
-    if args.plot:
-        save_plot(args.plot, flights, title)
-    if args.report:
-        save_report(args.report, flights, title, note + emulator_words(flown[0].report))
-    if args.json:
-        print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
-    else:
-        print_flight(title, note, flown)
+    try:
+        if args.trace:
+            save_trace(args.trace, flights[0].trace)
+        if args.plot:
+            save_plot(args.plot, flights, title)
+        if args.report:
+            save_report(args.report, flights, title, note + emulator_words(flown[0].report))
+    finally:  # the figures of a flight are not lost with a file that its disk does not take
+        if args.json:
+            print(json.dumps(document(args, aircraft, scenario, flown), indent=2))
+        else:
+            print_flight(title, note, flown)
     return exit_code(args, flown[0].report)
 
 
