@@ -15,13 +15,13 @@ from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
 from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
 from sim.board.devices.gyro_mount import accel_counts
-from sim.board.matekf722 import ALIGNMENT, FULL_VOLTS
+from sim.board.matekf722 import FULL_VOLTS, GYRO
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.board.serial.idle_board import configured
 from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, PortSnapshot
 from sim.ports.port import Sample
-from toolchain.contract import BOOT_GRACE_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
+from toolchain.contract import ARMING_DELAY_MS, GRAVITY, MOTOR_TEST_MAGIC, Msp
 from toolchain.image.elf import read_flashable
 
 MOTORS = 4
@@ -38,11 +38,11 @@ class Bench:
         rng = np.random.default_rng(1)
         gyro = self.board.hardware.gyro
         gyro.before_sample = lambda number: gyro.measure(
-            accel_counts(LEVEL.tolist(), ALIGNMENT), 0, tuple(rng.integers(-9, 10, 3).tolist())
+            accel_counts(LEVEL.tolist(), GYRO.alignment), 0, tuple(rng.integers(-9, 10, 3).tolist())
         )
         line = LineTransport(UartLine(self.board), self.board.run_to)
         self.client = Client(line, line.clock)
-        self.board.run(BOOT_GRACE_MS / 1000 + 0.5)
+        self.board.run(ARMING_DELAY_MS / 1000 + 0.5)
 
     def reasons(self) -> set[str]:
         """What forbids arming."""

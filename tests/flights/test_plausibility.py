@@ -133,9 +133,7 @@ def test_a_wrong_policy_is_told_and_the_pid_brings_it_back(
     assert (trace.dshot > 0).all(), "the motors never stop"
     assert safety.stop_cause == StopCause.SWITCH
     worst = np.rad2deg(np.abs(trace.rate)).max()
-    print(
-        f"{safety.fallback_cause.name}, worst rate {worst:.0f} deg/s, then {tail_error_deg_s(trace):.2f} deg/s"
-    )
+    print(f"{safety.fallback_cause.name}: {worst:.0f} deg/s, then {tail_error_deg_s(trace):.2f} off")
     assert worst < 700
     assert tail_error_deg_s(trace) < 1
 
