@@ -78,6 +78,9 @@ class FilterKind(IntEnum):
 _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
+# Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 4.5 ms on
+# behind a biquad, from 6 ms on behind the others.
+FILTER_DELAY_MAX_MS = 4.0
 _MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
@@ -93,7 +96,7 @@ SETTINGS = (
         for stage in range(1, FILTER_STAGES + 1)
         for setting in (
             _choice(f"filter{stage}_kind", "none", _FILTERS, "of the gyro's filter chain, in order"),
-            _number(f"filter{stage}_hz", 1.0, 4000.0, 100.0, "Hz", "cutoff, or centre of the notch"),
+            _number(f"filter{stage}_hz", 30.0, 4000.0, 100.0, "Hz", "cutoff, or centre of the notch"),
             _number(f"filter{stage}_q", 0.1, 100.0, 0.70710678, "1", "quality of biquad and notch"),
         )
     ),
@@ -143,7 +146,8 @@ SETTINGS = (
     _whole("failsafe_delay_ms", 200, 20_000, RECEIVER_LOST_MS, "ms", _DELAY_MEANING),
     _number("level_limit_deg", 0.0, 180.0, 25.0, "deg", "tilt that arming allows; 0: any, known or not"),
     _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),
-    _number("motor_limit", 0.1, 1.0, 1.0, "1", "largest motor fraction"),
+    # Less leaves the motors too little room above their idle: the NF1 needs more than a second to stop.
+    _number("motor_limit", 0.4, 1.0, 1.0, "1", "largest motor fraction"),
     _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
     _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
     _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),

@@ -150,6 +150,45 @@ static bool settings_dynamic_notch_fits(const struct nf_settings *settings, unsi
 		settings_below_nyquist(settings, settings->dynamic_notch_high_hz));
 }
 
+#define TURN 6.2831853f /* rad */
+
+/* Delay of a first-order low-pass of 1 rad/s in seconds, times that of a stage of quality q; for slow motion, but of a
+ * low-pass that rings, at its cutoff. PT2 and PT3 have the cutoff that filters.c corrects. */
+static float settings_slowness(uint32_t kind, float q)
+{
+	switch (kind) {
+	case NF_FILTER_PT1:
+		return 1.0f;
+	case NF_FILTER_PT2:
+		return 2.0f / 1.55377397f;
+	case NF_FILTER_PT3:
+		return 3.0f / 1.96145918f;
+	case NF_FILTER_BIQUAD:
+		return 2.0f * q > 1.0f / q ? 2.0f * q : 1.0f / q;
+	case NF_FILTER_NOTCH:
+		return 1.0f / q;
+	default:
+		return 0.0f;
+	}
+}
+
+/* Is the chain fast enough for the PID that stands by? */
+static bool settings_filter_delay_fits(const struct nf_settings *settings, unsigned first)
+{
+	float delay_s = (float)settings->dynamic_notch_count /
+			(TURN * settings->dynamic_notch_low_hz * settings->dynamic_notch_q);
+
+	for (unsigned stage = first; stage < SETTING_AT_dynamic_notch_count; stage += 3) {
+		union setting_value kind, hz, q;
+		settings_get(settings, stage, &kind);
+		settings_get(settings, stage + 1, &hz);
+		settings_get(settings, stage + 2, &q);
+		delay_s += settings_slowness(kind.as_uint32_t, q.as_float) / (TURN * hz.as_float);
+	}
+	return delay_s <= 0.001f * NF_FILTER_DELAY_MAX_MS;
+}
+_Static_assert(SETTING_AT_dynamic_notch_count - SETTING_AT_filter1_kind == 3 * NF_FILTER_STAGES, "three each");
+
 /* Each channel of the receiver may be mapped once: one bit for each channel seen. */
 static bool settings_map_fits(const struct nf_settings *settings, unsigned first)
 {
@@ -196,6 +235,7 @@ static const struct rule {
 	{ settings_filter_fits, SETTING_AT_filter3_kind, SETTING_AT_filter3_q },
 	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
 	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
+	{ settings_filter_delay_fits, SETTING_AT_filter1_kind, SETTING_AT_dynamic_notch_q },
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_trial },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },

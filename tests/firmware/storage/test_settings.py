@@ -133,6 +133,31 @@ CONFLICTS = {
         "dynamic_notch_count",
         {"dynamic_notch_count", "dynamic_notch_high_hz"},
     ),
+    "one filter too slow": (
+        {"filter2_kind": 1, "filter2_hz": 39.0},
+        "filter1_kind",
+        {"filter2_kind", "filter2_hz"},
+    ),
+    "filters too slow together": (
+        {"filter1_kind": 3, "filter3_kind": 4, "dynamic_notch_low_hz": 90.0},
+        "filter1_kind",
+        {"filter1_kind", "filter3_kind", "dynamic_notch_low_hz"},
+    ),
+    "a low-pass that rings": (
+        {"filter4_kind": 4, "filter4_q": 1.3},
+        "filter1_kind",
+        {"filter4_kind", "filter4_q"},
+    ),
+    "notch too wide": (
+        {"filter1_kind": 5, "filter1_q": 0.39},
+        "filter1_kind",
+        {"filter1_kind", "filter1_q"},
+    ),
+    "dynamic notches too wide": (
+        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.1},
+        "filter1_kind",
+        {"dynamic_notch_count", "dynamic_notch_q"},
+    ),
     "map": ({"map_roll": 1, "map_arm": 9}, "map_roll", {"map_roll", "map_arm"}),
     "map's ends": ({"map_beeper": 0}, "map_roll", {"map_beeper"}),
     "baud of no UART": ({"msp_baud": 100_000}, "msp_baud", {"msp_baud"}),
@@ -173,6 +198,14 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"filter1_hz": 4000.0},  # of no kind: not flown
         {"filter1_kind": 1, "filter1_hz": 1999.0},
         {"dynamic_notch_high_hz": 2000.0},  # none is flown
+        {"filter2_kind": 1, "filter2_hz": 41.0},
+        {"filter2_kind": 2, "filter2_hz": 53.0},
+        {"filter2_kind": 3, "filter2_hz": 62.0},
+        {"filter4_kind": 4, "filter4_q": 1.2},
+        {"filter4_kind": 4, "filter4_q": 0.41},
+        {"filter1_kind": 5, "filter1_q": 0.41},
+        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.3},
+        {"dynamic_notch_low_hz": 30.0, "dynamic_notch_q": 0.5},  # none is flown
         {"map_roll": 15, "map_beeper": 0},
         {"battery_low_v": 3.4999},
     ],
