@@ -1,0 +1,327 @@
+"""No legal settings make a healthy aircraft tumble, stop or fall back: flown in the loop with the twin.
+
+Each setting alone at either end of its range, and random sets of many. A flight hovers with the sticks a hair
+off their centres, answers a command on all axes, then full stick on each axis, and comes to rest after each.
+
+An aircraft tumbles if it turns more than TUMBLE_DEG otherwise than it was asked to while the sticks hardly
+move; if it still turns by more than REST_DEG_S a second after the sticks were centred; or if an axis with
+full stick does not turn the way of the stick. How fast it must turn then is not asked: physics may allow
+less than the stick wants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from flash import records
+from flash.client import Client
+from sim.aircraft.model import load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.ports.port import Reply, Sample
+from toolchain.contract import (
+    AXES,
+    CHANNEL_ARM,
+    CHANNEL_BEEPER,
+    CHANNEL_COUNT,
+    CHANNEL_PID,
+    CHANNEL_PITCH,
+    CHANNEL_ROLL,
+    CHANNEL_THROTTLE,
+    CHANNEL_YAW,
+    GYRO_RATES_HZ,
+    RATE_FULL_STICK_DEG_S,
+    SETTINGS,
+    FallbackCause,
+    Msp,
+    Setting,
+    StopCause,
+)
+from toolchain.errors import LinkError
+
+TUMBLE_DEG = 60.0
+REST_DEG_S = 60.0
+HAIR_DEG_S = 30.0  # what sticks may ask for that stand a hair off their centres; less is no turn
+HOVER_S, PULSE_S, HELD_S, REST_S, END_S = 0.4, 0.5, 0.7, 1.0, 0.2
+HAIR = 2 / 500  # two microseconds
+THROTTLE = 0.3
+FULL = RATE_FULL_STICK_DEG_S
+
+# What says how the aircraft is built and wired, not how it flies: another value is another aircraft.
+WIRED = frozenset({"gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "msp_baud"})
+MAP = {
+    "map_roll": CHANNEL_ROLL,
+    "map_pitch": CHANNEL_PITCH,
+    "map_throttle": CHANNEL_THROTTLE,
+    "map_yaw": CHANNEL_YAW,
+    "map_arm": CHANNEL_ARM,
+    "map_pid": CHANNEL_PID,
+    "map_beeper": CHANNEL_BEEPER,
+}
+BETAFLIGHT = 1  # of rates_style
+Settings = dict[str, float]
+
+
+class MappedPort(ReferencePort):
+    """The library behind a transmitter whose channels lie as the settings say."""
+
+    def __init__(self, library: Path, changed: Mapping[str, float]) -> None:
+        rate = int(changed.get("gyro_rate_hz", 1000))
+        super().__init__(library, rate, {name: v for name, v in changed.items() if name != "gyro_rate_hz"})
+        wired = {channel: int(changed.get(name, channel)) for name, channel in MAP.items()}
+        free = (place for place in range(CHANNEL_COUNT) if place not in wired.values())
+        self._places = [wired[c] if c in wired else next(free) for c in range(CHANNEL_COUNT)]
+
+    def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
+        """See FirmwarePort."""
+        if channels_us is None:
+            return super().exchange(sample, None)
+        wire = [0] * CHANNEL_COUNT
+        for place, us in zip(self._places, channels_us, strict=True):
+            wire[place] = us
+        return super().exchange(sample, wire)
+
+
+def manoeuvres(*, pid: bool) -> Scenario:
+    """Hover, pulse, full stick on each axis."""
+    still = (0.0, 0.0, 0.0)
+    segments = [
+        Segment(HOVER_S, (HAIR * FULL, -HAIR * FULL, HAIR * FULL), THROTTLE, pid=pid),
+        Segment(PULSE_S, (0.2 * FULL, -0.2 * FULL, 0.2 * FULL), THROTTLE, pid=pid),
+        Segment(REST_S, still, THROTTLE, pid=pid),
+    ]
+    for axis in range(3):
+        rates = [0.0, 0.0, 0.0]
+        rates[axis] = FULL if axis != 1 else -FULL
+        segments.append(Segment(HELD_S, (rates[0], rates[1], rates[2]), THROTTLE, pid=pid))
+        segments.append(Segment(REST_S, still, THROTTLE, pid=pid))
+    return Scenario("extremes", tuple(segments))
+
+
+class RefusedError(Exception):
+    """The firmware does not start, or does not arm; the message says why."""
+
+
+def flown(library: Path, changed: Settings, *, pid: bool) -> tuple[Trace, records.Safety]:
+    """The manoeuvres under these settings. Raises RefusedError, LinkError when it stops in flight."""
+    try:
+        port = MappedPort(library, changed)
+    except LinkError as error:
+        raise RefusedError(str(error)) from error
+    twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, rng=np.random.default_rng(11))
+    with closing(port), closing(twin):
+        try:
+            trace = fly(twin, port, manoeuvres(pid=pid))
+        except LinkError as error:
+            if "did not arm" in str(error):
+                raise RefusedError(str(error).partition(": ")[2]) from error
+            raise
+        return trace, records.safety(Client(port.reference).request(Msp.SAFETY))
+
+
+def stopped(trace: Trace) -> list[str]:
+    """When the motors stood still with the switch on and the throttle not low, which motor_stop may use."""
+    rows = np.flatnonzero((trace.dshot == 0).all(axis=1) & (trace.throttle > 0.1))
+    return [f"motors stop at {trace.t[rows[0]]:.3f} s"] if len(rows) else []
+
+
+def while_hovering(setpoint: NDArray[np.float64], turned: NDArray[np.float64]) -> list[str]:
+    """setpoint: (N, 3) [deg/s] of the hover; turned: (3,) [deg], off what was asked for."""
+    found = [
+        f"{axis} stick {1000 * HAIR / 2:.0f} us off its centre asks for {wanted:.0f} deg/s"
+        for axis, wanted in zip(AXES, np.abs(setpoint).max(axis=0), strict=True)
+        if wanted > HAIR_DEG_S
+    ]
+    return found + [
+        f"{axis} turned by {angle:.0f} deg in a hover"
+        for axis, angle in zip(AXES, turned, strict=True)
+        if abs(angle) > TUMBLE_DEG
+    ]
+
+
+def tumbles(trace: Trace) -> list[str]:
+    """What a healthy aircraft must not do in the manoeuvres."""
+    step_s = float(trace.t[1] - trace.t[0])
+    setpoint, rate = (np.rad2deg(array.astype(np.float64)) for array in (trace.setpoint, trace.rate))
+    ends = np.rint(np.cumsum([segment.duration_s for segment in manoeuvres(pid=False).segments]) / step_s)
+    last = round(END_S / step_s)
+    hover = slice(0, int(ends[0]))
+    found = while_hovering(setpoint[hover], (rate - setpoint)[hover].sum(axis=0) * step_s)
+    for end, segment in zip(ends.astype(int)[1:], manoeuvres(pid=False).segments[1:], strict=True):
+        tail = rate[end - last : end]
+        asked = np.array(segment.setpoint_deg_s)
+        if not asked.any():
+            found += [
+                f"{axis} turns by {worst:.0f} deg/s {REST_S:g} s after the sticks were centred at "
+                f"{end * step_s - REST_S:.1f} s"
+                for axis, worst in zip(AXES, np.abs(tail).max(axis=0), strict=True)
+                if worst > REST_DEG_S
+            ]
+        elif np.abs(asked).max() == FULL:
+            axis = int(np.abs(asked).argmax())
+            wanted, got = setpoint[end - 1, axis], float(tail[:, axis].mean())
+            if abs(wanted) > HAIR_DEG_S and got * np.sign(wanted) < min(0.2 * abs(wanted), 100.0):
+                found.append(f"{AXES[axis]} turns by {got:.0f} deg/s where full stick asks for {wanted:.0f}")
+    return found
+
+
+def faults(library: Path, changed: Settings) -> tuple[list[str], int]:
+    """What is wrong with flights under these settings, and how many were flown.
+
+    The policy flies, unless it is refused behind filters that it was not trained with, and the PID. Nothing
+    is wrong where the firmware refuses by name.
+    """
+    found, flights = [], 0
+    for pid in (False, True):
+        try:
+            trace, safety = flown(library, changed, pid=pid)
+        except RefusedError as refusal:
+            assert_named(str(refusal))
+            continue
+        except LinkError as error:
+            found.append(str(error))
+            continue
+        flights += 1
+        wrong = stopped(trace) + tumbles(trace)
+        if safety.stop_cause != StopCause.SWITCH:
+            wrong.append(f"stopped by {safety.stop_cause.name}")
+        if safety.fallback_cause != (FallbackCause.SWITCH if pid else FallbackCause.NONE):
+            wrong.append(f"fell back: {safety.fallback_cause.name}")
+        found += [f"{'PID' if pid else 'policy'}: {text}" for text in wrong]
+    return found, flights
+
+
+# Why settings may keep a healthy aircraft from arming: other filters than the policy's, a tilt limit below
+# the accelerometer's noise, more cells than the pack has.
+EXPLAINED = {"POLICY_BAD", "NOT_LEVEL", "BATTERY_UNKNOWN", "SWITCH_NOT_CYCLED"}
+
+
+def assert_named(refusal: str) -> None:
+    """A refusal at boot names the settings, one at arming its reason."""
+    if "refuses the settings" not in refusal and "refuses a gyro rate" not in refusal:
+        assert set(refusal.split(", ")) <= EXPLAINED, refusal
+
+
+def ends_of(setting: Setting) -> list[float]:
+    """The least and the greatest value, each choice where there are few."""
+    if setting.name == "gyro_rate_hz":
+        return list(GYRO_RATES_HZ)
+    if setting.choices:
+        return list(range(len(setting.choices)))
+    whole = setting.kind == "uint32_t"
+    return [int(v) if whole else v for v in (setting.low, setting.high)]
+
+
+def of_style(setting: Setting, style: int) -> Setting:
+    """The setting with the limits that it has in a style of rates."""
+    span = setting.betaflight
+    if style != BETAFLIGHT or span is None:
+        return setting
+    return replace(setting, low=span.low, high=span.high, default=span.default)
+
+
+ALONE: list[Settings] = [
+    {setting.name: value}
+    for setting in SETTINGS
+    if setting.name not in WIRED
+    for value in ends_of(setting)
+    if value != setting.default
+]
+ALONE += [
+    {"rates_style": BETAFLIGHT, setting.name: value}
+    for setting in (of_style(setting, BETAFLIGHT) for setting in SETTINGS if setting.betaflight is not None)
+    for value in ends_of(setting)
+    if value != setting.default
+]
+
+
+@pytest.mark.parametrize(
+    "changed", ALONE, ids=lambda changed: ",".join(f"{k}={v:g}" for k, v in changed.items())
+)
+def test_nothing_tumbles_or_stops_when_one_setting_is_at_its_end(
+    reference_library: Path, changed: Settings
+) -> None:
+    found, _ = faults(reference_library, changed)
+    assert found == []
+
+
+def values_of(setting: Setting) -> st.SearchStrategy[float]:
+    """Legal values, the ends among them; frequencies by their logarithm."""
+    ends = st.sampled_from(ends_of(setting))
+    if setting.choices or setting.name == "gyro_rate_hz":
+        return ends
+    if setting.kind == "uint32_t":
+        return ends | st.integers(int(setting.low), int(setting.high))
+    if setting.low > 0.0 and setting.high / setting.low >= 10.0:
+        decades = st.floats(np.log10(setting.low), np.log10(setting.high))
+        drawn = decades.map(lambda power: float(np.clip(10.0**power, setting.low, setting.high)))
+    else:
+        drawn = st.floats(setting.low, setting.high)
+    return ends | drawn.map(lambda value: float(f"{value:.4g}"))
+
+
+FREE = {s.name: s for s in SETTINGS if s.name not in WIRED and s.name not in MAP}
+DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
+SEVERAL = st.lists(st.sampled_from(sorted(FREE)), min_size=1, max_size=12, unique=True)
+
+
+@st.composite
+def settings_sets(draw: st.DrawFn) -> Settings:
+    """Some settings at legal values; one set in four with the receiver's channels in another order."""
+    names = draw(SEVERAL)
+    changed: Settings = {}
+    if "rates_style" in names:  # before the rates, which it sets to its defaults
+        changed["rates_style"] = draw(values_of(FREE["rates_style"]))
+    style = int(changed.get("rates_style", 0))
+    changed |= {name: draw(values_of(of_style(FREE[name], style))) for name in names if name != "rates_style"}
+    for low, high in (("dynamic_notch_low_hz", "dynamic_notch_high_hz"), ("battery_low_v", "battery_warn_v")):
+        if not changed.get(low, DEFAULTS[low]) < changed.get(high, DEFAULTS[high]):
+            changed.pop(low, None)  # refused for sure: too many would be
+            changed.pop(high, None)
+    if draw(st.integers(0, 3)) == 0:
+        places = draw(st.permutations(range(CHANNEL_COUNT)))
+        changed |= dict(zip(MAP, places, strict=False))
+    return changed
+
+
+def fly_sets(library: Path, count: int) -> None:
+    """Fly `count` random legal sets, the same ones each time; most must take off."""
+    sets = refused = 0
+
+    @settings(
+        max_examples=count,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    @given(settings_sets())
+    def run(changed: Settings) -> None:
+        nonlocal sets, refused
+        found, flights = faults(library, changed)
+        sets, refused = sets + 1, refused + (flights == 0)
+        assert found == []
+
+    run()
+    assert refused < sets / 2, f"{refused} of {sets} sets were refused"
+
+
+def test_nothing_tumbles_or_stops_under_random_legal_settings(reference_library: Path) -> None:
+    fly_sets(reference_library, 25)
+
+
+@pytest.mark.slow
+def test_nothing_tumbles_or_stops_under_three_hundred_random_legal_settings(reference_library: Path) -> None:
+    fly_sets(reference_library, 300)
