@@ -32,6 +32,7 @@ void fault_log_boot(struct fault_log *log, const struct flash *flash, const stru
 
 /* Acknowledges all that is pending, the newest first, like fault_log_acknowledge. NF_REFUSAL_FLASH: the rest stays. */
 enum nf_refusal fault_log_acknowledge_all(struct fault_log *log);
+
 /* Begins a crowded log anew with this boot's number and the pending fault. Waits for the flash, up to a second, in which
  * motors get no frames; only while nothing can arm. Once a boot, whether flash takes it or not. */
 void fault_log_renew(struct fault_log *log);

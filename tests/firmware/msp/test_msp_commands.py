@@ -513,6 +513,8 @@ def test_what_is_stored_is_old_or_new_when_power_goes_in_session_after_session(
         s.boot()
         s.core.lib.settings_load(s.settings, s.chip.flash)
         s.core.lib.fault_log_boot(s.faults, s.chip.flash, s.core.ffi.NULL)
+        if s.faults.crowded:
+            s.core.lib.fault_log_renew(s.faults)
         told = s.reply(Msp.SETTING_GET, requests.setting_index(INDEX["deadband_us"]))
         found = (int(requests.setting_value(told)), messages.policy_info(s.reply(Msp.POLICY_INFO)).sequence)
         assert (
