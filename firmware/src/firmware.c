@@ -234,7 +234,11 @@ static uint32_t firmware_doubt(struct firmware *fw, const struct plausibility_in
 	if (cause == NF_FALLBACK_NONE)
 		return 0;
 	plausibility_reset(&fw->plausibility);
-	if (control_distrust(&fw->control, cause) || cause == NF_FALLBACK_OSCILLATION)
+	if (control_distrust(&fw->control, cause)) {
+		crash_relieve(&fw->crash);
+		return 0;
+	}
+	if (cause == NF_FALLBACK_OSCILLATION)
 		return 0;
 	return crash_watches(&fw->crash) ? SAFETY_CRASH : 0u;
 }
@@ -274,7 +278,8 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.thrust = crash.thrust,
 	};
 
-	return firmware_doubt(fw, &outputs) | verdicts[crash_step(&fw->crash, &crash)];
+	const uint32_t found = verdicts[crash_step(&fw->crash, &crash)];
+	return firmware_doubt(fw, &outputs) | found;
 }
 
 /* The motors' values of a control step whose outputs are `output`. */

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from flash.messages import arming_reasons
 from sim.board.board import Board
-from sim.board.core.context import TIME_HZ
+from sim.board.core.context import TIME_HZ, BoardError
 from sim.board.debug.fault_injection import Fault, FaultPlan
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.debug.variables import read_variables
@@ -139,7 +139,10 @@ class EmulatedPort:
         wanted = _stored(settings, gyro_rate_hz, receiver)
         flashed = read_flashable(image)
         self.image_sha256 = hashlib.sha256(flashed).hexdigest()
-        flash = configured(flashed, elf, wanted, gyro)
+        try:
+            flash = configured(flashed, elf, wanted, gyro)
+        except BoardError:
+            flash = flashed  # it does not boot: the boot below ends alike, and is profiled
         self.board = Board(
             flash,
             elf=elf,

@@ -18,7 +18,7 @@ from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.ports.library import ReferencePort
 from tests.flights.weights import Change, ChangedPort, Weights
-from toolchain.contract import CHANNEL_PID, CHANNEL_TRIAL, FallbackCause, StopCause
+from toolchain.contract import CHANNEL_PID, CHANNEL_TRIAL, RECEIVER_HOLD_MS, FallbackCause, StopCause
 from training.evaluation.robustness import EXTREMES
 
 GYRO_RATE_HZ = 4000
@@ -134,7 +134,7 @@ def test_a_wrong_policy_is_told_and_the_pid_brings_it_back(
     assert safety.stop_cause == StopCause.SWITCH
     worst = np.rad2deg(np.abs(trace.rate)).max()
     print(f"{safety.fallback_cause.name}: {worst:.0f} deg/s, then {tail_error_deg_s(trace):.2f} off")
-    assert worst < 700
+    assert worst < 800
     assert tail_error_deg_s(trace) < 1
 
 
@@ -210,8 +210,20 @@ def test_the_policy_of_a_trial_flies_only_while_its_switch_is_held(fly_changed: 
 
 def test_the_pid_takes_over_from_a_trial_when_the_receiver_falls_silent(fly_changed: Fly) -> None:
     settings = {"policy_trial": 1, "map_trial": CHANNEL_PID, "map_pid": CHANNEL_TRIAL}
-    held = Segment(0.5, pid=True)
-    for silent_s, cause in ((0.05, ALONE), (0.3, FallbackCause.SWITCH)):
-        gap = Segment(silent_s, pid=True, receiver=False)
-        _, port = fly_changed(Scenario("gap", (held, gap)), settings=settings)
-        assert port.safety().fallback_cause == cause, "nobody holds the switch of a silent receiver"
+    turning = (100.0, 0.0, 0.0)
+    flights = {}
+    for heard in (True, False):
+        parts = (
+            Segment(0.5, pid=True),
+            Segment(0.05, turning, pid=True),
+            Segment(0.3, turning, 0.0, heard, True),
+        )
+        flights[heard] = fly_changed(Scenario("gap", parts), settings=settings)[0]
+    silent_from, held_until = 550, 550 + RECEIVER_HOLD_MS - 10  # the last frame may be 10 ms old
+    same = (flights[True].dshot == flights[False].dshot).all(axis=1)
+    assert same[:held_until].all()
+    assert not same[silent_from + RECEIVER_HOLD_MS :].all()
+    _, port = fly_changed(
+        Scenario("end", (Segment(0.5, pid=True), Segment(0.3, pid=False))), settings=settings
+    )
+    assert port.safety().fallback_cause == FallbackCause.SWITCH

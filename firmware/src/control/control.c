@@ -169,9 +169,10 @@ bool control_step(struct control *control, const struct control_input *input, fl
 		control_answer(control, input);
 	}
 	mixer_step(&control->mixers[control->flying], control->action, input->throttle, output);
-	control_hand_over(control, control->flying != before && !control->first, output);
+	control_hand_over(control, control->flying != before && !control->first && !control->distrusted, output);
 	memcpy(control->output, output, sizeof control->output);
 	control->first = false;
+	control->distrusted = false;
 	return true;
 }
 
@@ -190,6 +191,7 @@ bool control_distrust(struct control *control, enum nf_fallback_cause cause)
 	if (control->flying != CONTROLLER_POLICY)
 		return false;
 	control_fall_back(control, cause);
+	control->distrusted = control->latched;
 	return control->latched;
 }
 

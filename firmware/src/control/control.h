@@ -47,6 +47,7 @@ struct control {
 	enum controller flying;              /* since the last step */
 	enum nf_fallback_cause fallback;     /* why the PID flies instead of the policy, or flew last */
 	bool latched;                        /* it flies until the next reset */
+	bool distrusted;                     /* since the last step: nothing of the old outputs is to be kept */
 	uint8_t misses;                      /* missed deadlines in a row, at most NF_DEADLINE_MISSES_MAX */
 	float action[POLICY_ACTION_COUNT];   /* the controller's last output, 0..1, before the throttle */
 	float output[POLICY_ACTION_COUNT];   /* what came of it */
@@ -80,7 +81,8 @@ bool control_step(struct control *control, const struct control_input *input, fl
 void control_deadline(struct control *control, bool missed);
 
 /* The outputs were legal but not plausible, or the policy's weights are wrong: where the policy flies, the PID takes over if
- * there is one, and the policy is refused until it is acknowledged. Returns whether that happened. */
+ * there is one, at once, without a hand-over, and the policy is refused until it is acknowledged. Returns whether that
+ * happened. */
 bool control_distrust(struct control *control, enum nf_fallback_cause cause);
 
 /* The policy may not fly from the next control step on, or may again, its weights having passed their self-test. */

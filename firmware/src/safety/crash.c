@@ -20,6 +20,12 @@ void crash_reset(struct crash *crash)
 	crash->away = 0;
 }
 
+void crash_relieve(struct crash *crash)
+{
+	crash->helpless = 0;
+	crash->away = 0;
+}
+
 bool crash_watches(const struct crash *crash)
 {
 	return crash->crash_after > 0;
@@ -46,9 +52,12 @@ static bool crash_lasts(uint32_t steps, uint32_t limit)
 }
 
 /* Counts steps in which the large error of `axis` grows. Returns whether that is a runaway. */
-static bool crash_runs_away(struct crash *crash, int axis, float error, float rate)
+static bool crash_runs_away(struct crash *crash, const struct crash_input *input, int axis, float error)
 {
-	if (rate * error >= 0.0f || (crash->away > 0 && axis != crash->axis)) {
+	const float rate = input->rate[axis];
+
+	if (rate * error >= 0.0f || turning_towards(input->turning, axis, error) ||
+	    (crash->away > 0 && axis != crash->axis)) {
 		crash->away = 0;
 		return false;
 	}
@@ -80,7 +89,7 @@ enum crash_verdict crash_step(struct crash *crash, const struct crash_input *inp
 		return CRASH_NONE;
 	}
 	crash->helpless = crash_helpless(input, axis, error) ? crash->helpless + 1u : 0u;
-	if (crash_runs_away(crash, axis, error, input->rate[axis]))
+	if (crash_runs_away(crash, input, axis, error))
 		return CRASH_RUNAWAY;
 	return crash_lasts(crash->helpless, crash->crash_after) ? CRASH_HAPPENED : CRASH_NONE;
 }

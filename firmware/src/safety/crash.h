@@ -29,6 +29,9 @@ void crash_init(struct crash *crash, const struct nf_settings *settings, unsigne
 /* A flight begins. */
 void crash_reset(struct crash *crash);
 
+/* Another controller takes over: what the last one could not correct does not count. */
+void crash_relieve(struct crash *crash);
+
 /* Is crash detection on? */
 bool crash_watches(const struct crash *crash);
 

@@ -3,6 +3,7 @@
 #include "common/nf_math.h"
 
 #define WRONG_WAY_ERROR (NF_WRONG_WAY_ERROR_DEG_S * NF_RAD_PER_DEG)
+#define WRONG_WAY_ANGLE (NF_WRONG_WAY_DEG * NF_RAD_PER_DEG)
 #define NO_RESPONSE_ERROR (NF_NO_RESPONSE_ERROR_DEG_S * NF_RAD_PER_DEG)
 #define SWING (NF_OSCILLATION_ERROR_DEG_S * NF_RAD_PER_DEG)
 
@@ -11,6 +12,7 @@ void plausibility_init(struct plausibility *plausibility, unsigned control_rate_
 	*plausibility = (struct plausibility){
 		.wrong_way_after = control_rate_hz * NF_WRONG_WAY_MS / 1000u,
 		.no_response_after = control_rate_hz * NF_NO_RESPONSE_MS / 1000u,
+		.period_s = 1.0f / (float)control_rate_hz,
 		.half_longest = control_rate_hz * NF_OSCILLATION_HALF_MS / 1000u,
 		.smoothing = nf_one_minus_exp(NF_TAU * NF_OSCILLATION_HZ / (float)control_rate_hz),
 	};
@@ -20,6 +22,7 @@ void plausibility_reset(struct plausibility *plausibility)
 {
 	for (int i = 0; i < 3; ++i) {
 		plausibility->wrong_way[i] = 0;
+		plausibility->astray[i] = 0.0f;
 		plausibility->no_response[i] = 0;
 		plausibility->error[i] = 0.0f;
 		plausibility->side[i] = 0;
@@ -33,6 +36,17 @@ static bool plausibility_lasts(uint32_t *steps, bool holds, uint32_t limit)
 {
 	*steps = holds ? *steps + 1u : 0u;
 	return *steps >= limit;
+}
+
+/* Counts a step in which the outputs leave an error of axis i, `size` large, unanswered, or not. Returns whether that lasts,
+ * or has turned the axis too far. */
+static bool plausibility_leads_astray(struct plausibility *p, int i, bool unanswered, bool grows, float size)
+{
+	if (!unanswered)
+		p->astray[i] = 0.0f;
+	else if (grows)
+		p->astray[i] += size * p->period_s;
+	return plausibility_lasts(&p->wrong_way[i], unanswered, p->wrong_way_after) || p->astray[i] > WRONG_WAY_ANGLE;
 }
 
 /* Does the error of axis i swing to and fro, faster than a pilot's sticks? */
@@ -65,10 +79,11 @@ static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, c
 	const float size = plausibility_size(error);
 	const bool turns = turning_towards(input->turning, i, error);
 	const bool strays = 2.0f * size >= largest && !turns;
-	const bool away = strays && size > WRONG_WAY_ERROR && input->demand && input->demand[i] * error <= 0.0f;
+	const bool unanswered = strays && size > WRONG_WAY_ERROR && input->demand && input->demand[i] * error <= 0.0f;
 	const bool idle = strays && size > NO_RESPONSE_ERROR && input->thrust && !turning_at_limit(rate, error);
+	const bool grows = turning_towards(input->turning, i, -error);
 
-	if (plausibility_lasts(&p->wrong_way[i], away, p->wrong_way_after))
+	if (plausibility_leads_astray(p, i, unanswered, grows, size))
 		return NF_FALLBACK_WRONG_WAY;
 	if (plausibility_lasts(&p->no_response[i], idle, p->no_response_after))
 		return NF_FALLBACK_NO_RESPONSE;

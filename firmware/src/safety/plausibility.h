@@ -20,7 +20,9 @@ struct plausibility_input {
 struct plausibility {
 	uint32_t wrong_way_after, no_response_after, half_longest; /* limits */
 	float smoothing;           /* part of the way that the swinging error's low-pass goes in a step */
+	float period_s;            /* of a control step */
 	uint32_t wrong_way[3];     /* steps in a row in which the outputs do not turn the axis towards its setpoint */
+	float astray[3];           /* rad, that it has turned too far in those of them in which the error grew */
 	uint32_t no_response[3];   /* steps in a row in which a distant axis does not turn towards it */
 	float error[3];            /* rad/s, low-passed */
 	int side[3];               /* of the setpoint that it last was on by a large error: -1, 1; 0: none yet */

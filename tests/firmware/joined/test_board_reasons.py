@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.firmware.conftest import G_COUNTS
-from toolchain.contract import LOAD_CALM_MS, ArmingReason, Task
+from toolchain.contract import BOOT_GRACE_MS, LOAD_CALM_MS, ArmingReason, Task
 
 GYRO_HZ = 1000
 CYCLES_HZ = 216_000_000
@@ -31,14 +31,15 @@ class Board:
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
         self.pid, self.identity = core.new("struct pid_gains *"), core.new("struct msp_identity *")
         self.weights = core.new("double[]", 8)
-        self.change = core.new("struct setting_change[1]")
-        self.change[0].index = core.lib.settings_find(b"gyro_alignment")
-        self.change[0].value.as_uint32_t = alignment
+        settings = {"gyro_alignment": alignment, "arming_delay_ms": BOOT_GRACE_MS}
+        self.change = core.new("struct setting_change[]", len(settings))
+        for change, (name, value) in zip(self.change, settings.items(), strict=True):
+            change.index, change.value.as_uint32_t = core.lib.settings_find(name.encode()), value
         self.background = core.new("struct background *")
         config = {
             "hal": self.hal, "firmware": self.fw, "weights": ffi.cast("float *", self.weights),
             "stats": self.stats, "pid": self.pid, "identity": self.identity, "changes": self.change,
-            "change_count": 1, "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
+            "change_count": len(settings), "gyro_rate_hz": GYRO_HZ, "cycles_hz": CYCLES_HZ, **board,
         }  # fmt: skip
         self.config = core.new("struct background_config *", config)
         assert core.lib.background_start(self.background, self.config) == 0

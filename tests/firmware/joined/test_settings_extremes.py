@@ -40,6 +40,7 @@ from toolchain.contract import (
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
+    CHANNEL_TRIAL,
     CHANNEL_YAW,
     GYRO_RATES_HZ,
     RATE_FULL_STICK_DEG_S,
@@ -47,6 +48,7 @@ from toolchain.contract import (
     FallbackCause,
     Msp,
     Setting,
+    TRIAL_ON_US,
     StopCause,
 )
 from toolchain.errors import LinkError
@@ -59,8 +61,11 @@ HAIR = 2 / 500  # two microseconds
 THROTTLE = 0.3
 FULL = RATE_FULL_STICK_DEG_S
 
-# What says how the aircraft is built and wired, not how it flies: another value is another aircraft.
-WIRED = frozenset({"gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "msp_baud"})
+# What says how the aircraft is built and wired, not how it flies: another value is another aircraft. And when it
+# may arm at the earliest.
+WIRED = frozenset(
+    {"gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "msp_baud", "arming_delay_ms"}
+)
 MAP = {
     "map_roll": CHANNEL_ROLL,
     "map_pitch": CHANNEL_PITCH,
@@ -69,13 +74,14 @@ MAP = {
     "map_arm": CHANNEL_ARM,
     "map_pid": CHANNEL_PID,
     "map_beeper": CHANNEL_BEEPER,
+    "map_trial": CHANNEL_TRIAL,
 }
 BETAFLIGHT = 1  # of rates_style
 Settings = dict[str, float]
 
 
 class MappedPort(ReferencePort):
-    """The library behind a transmitter whose channels lie as the settings say."""
+    """The library behind a transmitter whose channels lie as the settings say, a trial's switch held."""
 
     def __init__(self, library: Path, changed: Mapping[str, float]) -> None:
         rate = int(changed.get("gyro_rate_hz", 1000))
@@ -91,6 +97,7 @@ class MappedPort(ReferencePort):
         wire = [0] * CHANNEL_COUNT
         for place, us in zip(self._places, channels_us, strict=True):
             wire[place] = us
+        wire[self._places[CHANNEL_TRIAL]] = TRIAL_ON_US
         return super().exchange(sample, wire)
 
 

@@ -16,6 +16,7 @@ from toolchain.contract import (
     OSCILLATION_SWINGS,
     TURNING_DEG_S2,
     TURNING_LIMIT_DEG_S,
+    WRONG_WAY_DEG,
     WRONG_WAY_ERROR_DEG_S,
     WRONG_WAY_MS,
     FallbackCause,
@@ -106,9 +107,7 @@ def test_an_axis_does_not_turn_when_its_rate_stands_whatever_it_is(scripted: Any
 
 @axes
 @signs
-def test_outputs_that_turn_an_axis_away_are_told_after_their_time(
-    scripted: Any, axis: int, sign: int
-) -> None:
+def test_outputs_that_do_not_answer_are_told_after_their_time(scripted: Any, axis: int, sign: int) -> None:
     error = WRONG_WAY_ERROR_DEG_S + 1
     assert Watch(scripted, axis, sign).first(500, error, 0.0, -0.1) == (WRONG_WAY_MS, WRONG_WAY)
     assert Watch(scripted, axis, sign).first(500, error, 0.0, 0.1, thrust=False) == (500, NONE), "they answer"
@@ -133,6 +132,33 @@ def test_an_axis_beside_a_much_larger_error_may_stray(scripted: Any) -> None:
     error = WRONG_WAY_ERROR_DEG_S + 1
     assert Watch(scripted).first(500, error, 0.0, -0.1, beside=2.1 * error, thrust=False) == (500, NONE)
     assert Watch(scripted).first(500, error, 0.0, -0.1, beside=1.9 * error, thrust=False)[1] == WRONG_WAY
+
+
+@axes
+@signs
+def test_an_axis_that_its_outputs_turn_away_is_told_by_its_angle(scripted: Any, axis: int, sign: int) -> None:
+    """Ever faster from rest: long before the time that a steady error takes."""
+    for growth, told in ((5000.0, True), (0.9 * TURNING_DEG_S2, False)):
+        watch, rate, astray = Watch(scripted, axis, sign), -WRONG_WAY_ERROR_DEG_S, 0.0
+        found = NONE
+        for step in range(1, WRONG_WAY_MS):
+            rate -= growth / 1000
+            astray -= rate / 1000
+            if found := watch.step(0.0, rate, -0.5):
+                break
+        assert (found == WRONG_WAY) is told
+        if told:  # the low-passes take some milliseconds to see that it grows
+            assert WRONG_WAY_DEG < astray < WRONG_WAY_DEG + 0.02 * WRONG_WAY_ERROR_DEG_S
+            assert step < WRONG_WAY_MS / 2
+
+
+def test_the_angle_is_forgotten_when_the_outputs_answer_for_a_step(scripted: Any) -> None:
+    watch, rate = Watch(scripted), -WRONG_WAY_ERROR_DEG_S
+    for step in range(400):
+        rate -= 5.0
+        assert watch.step(0.0, rate, 0.5 if step % 10 == 0 and step else -0.5) == NONE or rate < -600
+        if rate < -600:
+            break
 
 
 @axes

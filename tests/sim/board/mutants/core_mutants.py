@@ -143,8 +143,8 @@ CORE_MUTANTS = (
     Mutant(
         name="handler that delays the gyro's interrupt",
         file=HAL,
-        old="\ttime_tick();\n\tgyro_tick();\n",
-        new="\tinterrupts_disable();\n\ttime_tick();\n\tgyro_tick();\n\t"
+        old="\t\tmotors_write(NULL, NULL, 0, false); /* missing values stop */\n\tgyro_tick();\n",
+        new="\t\tmotors_write(NULL, NULL, 0, false);\n\tinterrupts_disable();\n\tgyro_tick();\n\t"
         + BURN
         + "\n\tinterrupts_enable();\n",
         message=r"data-ready edge \(EXTI3\) waited .*: interrupts were masked",
