@@ -45,10 +45,10 @@ from toolchain.contract import (
     GYRO_RATES_HZ,
     RATE_FULL_STICK_DEG_S,
     SETTINGS,
+    TRIAL_ON_US,
     FallbackCause,
     Msp,
     Setting,
-    TRIAL_ON_US,
     StopCause,
 )
 from toolchain.errors import LinkError
