@@ -77,12 +77,8 @@ static void firmware_update_safety(struct firmware *fw, uint32_t found)
 
 	receiver_channels(&fw->receiver, channels_us);
 	fw->pid_wanted = firmware_choose_pid(fw, channels_us);
-	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
+	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found))
 		control_reset(&fw->control);
-		turning_reset(&fw->turning);
-		plausibility_reset(&fw->plausibility);
-		crash_reset(&fw->crash);
-	}
 }
 
 /* Fills in the status that MSP reports beside the trace. */
@@ -303,6 +299,21 @@ static void firmware_publish(struct firmware *fw)
 	++fw->published;
 }
 
+/* While the motors stand: nothing of a flight is left for the next one. Its first step should take no longer than the others,
+ * so that this is done before. */
+static void firmware_rest(struct firmware *fw)
+{
+	if (fw->acknowledged)
+		control_acknowledge(&fw->control);
+	control_rest(&fw->control);
+	if (fw->rested)
+		return;
+	turning_reset(&fw->turning);
+	plausibility_reset(&fw->plausibility);
+	crash_reset(&fw->crash);
+	fw->rested = true;
+}
+
 /* The policy is bad. If it flies, the PID takes over with this control step. Without one it flies on, watched for
  * plausibility: one wrong weight is better than none. */
 static void firmware_lose_weights(struct firmware *fw)
@@ -334,13 +345,12 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	if (fw->weights_bad)
 		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {
+		fw->rested = false;
 		const uint32_t found = firmware_fly(fw, output);
 		if (found)
 			firmware_update_safety(fw, found);
 	} else {
-		if (fw->acknowledged)
-			control_acknowledge(&fw->control);
-		control_rest(&fw->control);
+		firmware_rest(fw);
 	}
 	fw->acknowledged = false;
 	trace->armed = safety_motors(&fw->safety);

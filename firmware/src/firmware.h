@@ -60,6 +60,7 @@ struct firmware {
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
 	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
 	float failsafe_throttle;        /* 0..1 */
+	bool rested;                    /* turning, plausibility and crash know nothing of a flight */
 	bool doubts;                    /* the policy's outputs must be plausible */
 	bool trial;                     /* the policy flies only while the switch of its trial is held */
 	bool pid_wanted;                /* by the switches, as last heard */

@@ -28,6 +28,7 @@ from sim.ports.port import Reply, Sample
 from tests.firmware.board.conftest import Chip, Sketch
 from tests.firmware.board.registers import registers_in_use
 from toolchain.contract import (
+    ARMING_DELAY_MS,
     DTCM,
     FLASH_BASE,
     FLASH_BYTES,
@@ -228,7 +229,7 @@ def _line(steps: Sequence[Step]) -> list[bytes]:
 def _flight(library: Path, steps: int) -> list[Step]:
     """Commands flown from boot until `steps` armed control steps are done."""
     scenario = load_scenario("pulses", SEED, steps // 1000 + 1, None)
-    port = _Recorder(ReferencePort(library, GYRO_HZ))
+    port = _Recorder(ReferencePort(library, GYRO_HZ, {"arming_delay_ms": ARMING_DELAY_MS}))  # as the image
     rng = np.random.default_rng(SEED)
     twin = Twin(load_aircraft(AIRCRAFT), rate_hz=GYRO_HZ, mount=scenario.mount, rng=rng)
     with closing(port), closing(twin):

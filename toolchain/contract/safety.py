@@ -27,9 +27,10 @@ LOAD_CALM_MS = 1000  # no arming before all gyro samples have kept within their 
 TURNING_DEG_S2 = 250.0
 TURNING_NEAR_HZ, TURNING_FAR_HZ = 32.0, 16.0
 TURNING_LIMIT_DEG_S = 150.0  # as fast as this the asked way, but not turning faster: the axis is at its limit
-# Implausible outputs (tests/flights/test_plausibility.py). In 1,000 pulses, 200 aircraft drawn at random, roll,
-# flip and Split-S a sound policy leaves a large error unanswered for 2 ms, and the error swings five times in a
-# row. An integral that is wound up by a stick which asks for more than an aircraft has takes 45 ms, or 5.5 deg.
+# Implausible outputs (tests/flights/test_plausibility.py). In 1,000 pulses, 200 aircraft drawn at random,
+# roll, flip and Split-S a sound policy leaves a large error unanswered for 2 ms, and the error swings five
+# times in a row. Unwinding an integral after a stick that asks for more than an aircraft has takes 45 ms, or
+# 5.5 deg.
 WRONG_WAY_ERROR_DEG_S, WRONG_WAY_MS = 60.0, 100  # so far off, and the outputs do not answer for so long
 WRONG_WAY_DEG = 8.0  # or, while the error grows, until the axis has gone astray by so much
 NO_RESPONSE_ERROR_DEG_S, NO_RESPONSE_MS = 200.0, 200  # so far off, and the axis does not turn for so long

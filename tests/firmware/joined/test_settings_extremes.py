@@ -61,8 +61,8 @@ HAIR = 2 / 500  # two microseconds
 THROTTLE = 0.3
 FULL = RATE_FULL_STICK_DEG_S
 
-# What says how the aircraft is built and wired, not how it flies: another value is another aircraft. And when it
-# may arm at the earliest.
+# What says how the aircraft is built and wired, not how it flies: another value is another aircraft. And when
+# it may arm at the earliest.
 WIRED = frozenset(
     {"gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "msp_baud", "arming_delay_ms"}
 )

@@ -141,15 +141,15 @@ def test_an_axis_that_its_outputs_turn_away_is_told_by_its_angle(scripted: Any, 
     for growth, told in ((5000.0, True), (0.9 * TURNING_DEG_S2, False)):
         watch, rate, astray = Watch(scripted, axis, sign), -WRONG_WAY_ERROR_DEG_S, 0.0
         found = NONE
-        for step in range(1, WRONG_WAY_MS):
+        steps = 0
+        while not found and steps < WRONG_WAY_MS - 1:
             rate -= growth / 1000
             astray -= rate / 1000
-            if found := watch.step(0.0, rate, -0.5):
-                break
+            found, steps = watch.step(0.0, rate, -0.5), steps + 1
         assert (found == WRONG_WAY) is told
         if told:  # the low-passes take some milliseconds to see that it grows
             assert WRONG_WAY_DEG < astray < WRONG_WAY_DEG + 0.02 * WRONG_WAY_ERROR_DEG_S
-            assert step < WRONG_WAY_MS / 2
+            assert steps < WRONG_WAY_MS / 2
 
 
 def test_the_angle_is_forgotten_when_the_outputs_answer_for_a_step(scripted: Any) -> None:
