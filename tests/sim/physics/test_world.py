@@ -105,6 +105,22 @@ def test_momentum_and_energy_are_kept_when_tumbling_for_ten_seconds(build: Build
     assert apart < 0.1
 
 
+@pytest.mark.parametrize("mount", [Mount.CENTRE, Mount.FREE])
+def test_pybullet_turns_the_body_as_its_momentum_says_after_an_error_of_the_rate(
+    build: Build, mount: Mount
+) -> None:
+    """Rounding of the rate that pybullet keeps grows tenfold in half a minute: here it has grown to 1e-3."""
+    world, rng = build(1, mount), np.random.default_rng(5)
+    for step in range(2000):
+        world.step(moment(*rng.normal(1e-3, 5e-3, 3)))
+        if step == 1000:
+            world._inner_rate[0] += 1e-3
+    turning = np.array(pybullet.getBaseVelocity(int(world._bodies[0]), physicsClientId=world._client)[1])
+    assert np.linalg.norm(world.rate[0]) > 1
+    np.testing.assert_allclose(world.rotation[0].T @ turning, world._inner_rate[0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(world._inner_rate[0], world.rate[0], rtol=0, atol=0.05)
+
+
 def test_lopsided_aircraft_keeps_momentum_too() -> None:
     """Principal axes far from the body's, centre of mass off the axis."""
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
