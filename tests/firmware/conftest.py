@@ -242,11 +242,13 @@ class Bench:
         pid: Any = None,
         policy_good: bool = True,
         expect: int = SUCCESS,
+        fw: Any = None,
         **settings: float,
     ) -> None:
-        """pid: a struct pid_gains, none unless given; settings: those that are not at their default."""
+        """pid: a struct pid_gains, none unless given; fw: where the firmware lies; settings: those that are not
+        at their default."""
         self.core, self.gyro_hz = core, gyro_hz
-        self.fw = core.new("struct firmware *")
+        self.fw = core.new("struct firmware *") if fw is None else fw
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
         self.settings.arming_delay_ms = contract.BOOT_GRACE_MS

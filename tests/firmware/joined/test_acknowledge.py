@@ -34,7 +34,7 @@ TOLD_MS = 3000  # how long a take-over has beeper and LED for itself
 class Field:
     """The whole program around a scripted policy and a PID, a millisecond a step; heard and seen."""
 
-    def __init__(self, core: Any, chip: Any, *, fault: FaultKind | None = None) -> None:
+    def __init__(self, core: Any, chip: Any, *, fault: FaultKind | None = None, fw: Any = None) -> None:
         self.core, self.chip, self.name = core, chip, "field"
         new, ffi, lib = core.new, core.ffi, core.lib
         lib.scripted_action = [0.3] * 4
@@ -57,10 +57,10 @@ class Field:
             record,
             new(f"struct task_stats[{len(Task)}]"),
             new("uint64_t[4]"),
-            new("struct firmware *"),
+            new("struct firmware *") if fw is None else fw,
             new("struct background *"),
         ]
-        _, _, stats, weights, self.fw, background = self._keep
+        _, _, stats, weights, self.fw, self.background = self._keep
         config = new(
             "struct background_config *",
             {
@@ -78,30 +78,34 @@ class Field:
         )
         # The scripted policy's self-test expects 0 of the compiled-in one.
         lib.scripted_action = [0.0] * 4
-        assert lib.background_start(background, config) == 0
+        assert lib.background_start(self.background, config) == 0
         lib.scripted_action = [0.3] * 4
-        self.program = new("struct program *", (self.hal, self.fw, stats, background, 0))
+        self.program = new("struct program *", (self.hal, self.fw, stats, self.background, 0))
         self.ms = 0
         self.sticks: dict[int, int] = {}
         self.arm, self.throttle, self.pid = 1000, 1000, 1000
         self.heard = True
         self._reply = b""
 
+    def sample(self) -> None:
+        """What the gyro's interrupt does each millisecond; a frame comes each ten."""
+        if self.heard and self.ms % 10 == 0:
+            channels = [1500, 1500, self.throttle, 1500, self.arm, self.pid, *[1000] * 10]
+            for channel, us in self.sticks.items():
+                channels[channel] = us
+            self.core.lib.receiver_line_put(
+                self.core.ffi.addressof(self.board.line), self.core.new("uint16_t[]", channels)
+            )
+        sample = self.core.lib.host_board_sample([0.0] * 3, [0.0, 0.0, -G - 0.01 * (self.ms % 2)])
+        self.core.lib.program_sample(self.program, self.core.new("struct imu_sample *", sample))
+        self.ms += 1
+
     def run(self, ms: int) -> None:
         self.beeps = self.light = ""
         for _ in range(ms):
-            if self.heard and self.ms % 10 == 0:
-                channels = [1500, 1500, self.throttle, 1500, self.arm, self.pid, *[1000] * 10]
-                for channel, us in self.sticks.items():
-                    channels[channel] = us
-                self.core.lib.receiver_line_put(
-                    self.core.ffi.addressof(self.board.line), self.core.new("uint16_t[]", channels)
-                )
-            sample = self.core.lib.host_board_sample([0.0] * 3, [0.0, 0.0, -G - 0.01 * (self.ms % 2)])
-            self.core.lib.program_sample(self.program, self.core.new("struct imu_sample *", sample))
+            self.sample()
             self.core.lib.program_background(self.program)
             self.core.lib.program_background(self.program)
-            self.ms += 1
             self.beeps += ".#"[self.beeping]
             self.light += ".#"[self.lit]
 

@@ -15,6 +15,7 @@ from toolchain.contract import (
     RECEIVER_OFF_FRAMES,
     RECEIVER_RECOVERY_MS,
     ArmingReason,
+    FlightState,
 )
 
 Make = Callable[..., Any]
@@ -193,6 +194,19 @@ def test_motors_stop_and_stay_stopped_when_the_receiver_is_lost_at_a_random_mome
     b.run(20)
     b.run(20, arm=2000)
     assert b.armed
+
+
+def test_the_controller_stays_the_pilots_choice_when_the_receiver_is_lost(bench: Make, scripted: Any) -> None:
+    pid = scripted.new("struct pid_gains *")
+    pid.motor_count, pid.period_s, pid.smoothing = 4, 1e-3, 1.0
+    for us, flies in ((2000, True), (1000, False)):
+        b = bench(1000, pid=pid, failsafe_stage=1, failsafe_descend_ms=1000, failsafe_throttle=0.5)
+        b.arm()
+        b.run(100, arm=2000, c5=us)
+        assert b.status.pid_flies == flies
+        b.run(RECEIVER_LOST_MS + 500, every_ms=None)
+        assert b.status.state == FlightState.FAILSAFE_DROP and b.armed, "it descends"
+        assert b.status.pid_flies == flies
 
 
 def test_readiness_is_lost_when_the_receiver_comes_back_with_the_switch_on(bench: Make) -> None:

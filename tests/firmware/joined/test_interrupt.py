@@ -1,0 +1,100 @@
+"""The background, interrupted by the gyro at an instruction that a test chooses: between two of its accesses."""
+
+from __future__ import annotations
+
+import mmap
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cffi import FFI
+
+from tests.firmware.joined.test_acknowledge import Field
+from toolchain.contract import ArmingReason, FlightState, Refusal
+
+
+class Split:
+    """Memory for a firmware, cut in two before `forbidden`: what the first touch of the front part interrupts."""
+
+    def __init__(self, core: Any, library: Path) -> None:
+        ffi = core.ffi
+        front = ffi.offsetof("struct firmware", "forbidden") // 8 * 8
+        assert ffi.offsetof("struct firmware", "attitude") < ffi.offsetof("struct firmware", "motor_test") < front
+        assert ffi.offsetof("struct firmware", "dshot_command") < front < ffi.offsetof("struct firmware", "status")
+        pages = -(-front // mmap.PAGESIZE)
+        behind = -(-(ffi.sizeof("struct firmware") - front) // mmap.PAGESIZE)
+        self._memory = mmap.mmap(-1, (pages + behind) * mmap.PAGESIZE)
+        self._start, self._bytes = ffi.from_buffer(self._memory), pages * mmap.PAGESIZE
+        self.fw = ffi.cast("struct firmware *", ffi.cast("char *", self._start) + self._bytes - front)
+        self._ffi = FFI()
+        self._ffi.cdef("int interrupt_at(void *pages, size_t bytes, void (*handler)(void));")
+        self._lib = self._ffi.dlopen(str(library))
+        self.taken = 0
+
+    def interrupt(self, handler: Callable[[], None]) -> None:
+        """`handler` runs when something touches the front part next."""
+
+        def take() -> None:
+            self.taken += 1
+            handler()
+
+        self._handler = self._ffi.callback("void(void)", take)
+        front = self._ffi.cast("void *", int(self._ffi.cast("uintptr_t", self._start)))
+        assert self._lib.interrupt_at(front, self._bytes, self._handler) == 0
+
+
+@pytest.fixture(scope="module")
+def interrupt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """interrupt.c as a library."""
+    library = tmp_path_factory.mktemp("interrupt") / "interrupt.so"
+    source = Path(__file__).with_name("interrupt.c")
+    flags = ["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
+    subprocess.run(["gcc", *flags, str(source), "-o", str(library)], check=True)
+    return library
+
+
+def test_a_status_is_of_one_control_step_when_a_sample_falls_into_its_copying(
+    bench: Callable[..., Any], scripted: Any, interrupt: Path
+) -> None:
+    split = Split(scripted, interrupt)
+    b = bench(1000, fw=split.fw)
+    b.run(2100)
+    assert b.status.attitude_known
+    b.counts = (2000, 0, 0)
+
+    def roll() -> None:
+        for _ in range(100):
+            b.sample()
+
+    split.interrupt(roll)
+    seen, after = b.status, b.status
+    assert split.taken == 1
+    assert after.attitude_deg[0] > 10
+    assert (seen.trace.step, list(seen.attitude_deg)) == (after.trace.step, list(after.attitude_deg))
+
+
+def test_nothing_arms_when_the_switch_comes_while_the_background_looks_whether_flash_may_be_written(
+    scripted: Any, chip: Callable[..., Any], interrupt: Path
+) -> None:
+    split = Split(scripted, interrupt)
+    f = Field(scripted, chip(), fw=split.fw)
+    f.boot()
+    services = f.background.services
+
+    def switch_on() -> None:
+        f.arm = 2000
+        for _ in range(50):
+            f.sample()
+
+    split.interrupt(switch_on)
+    assert services.storing(services.context, True) == Refusal.NONE
+    assert split.taken == 1
+    assert f.fw.safety.state == FlightState.DISARMED, "flash is about to be written"
+    assert f.fw.status.arming_reasons & 1 << ArmingReason.STORING
+    services.storing(services.context, False)
+    f.land()
+    switch_on()
+    assert f.fw.safety.state == FlightState.ARMED
+    assert services.storing(services.context, True) == Refusal.ARMED
