@@ -245,8 +245,8 @@ class Bench:
         fw: Any = None,
         **settings: float,
     ) -> None:
-        """pid: a struct pid_gains, none unless given; fw: where the firmware lies; settings: those that are not
-        at their default."""
+        """pid: a struct pid_gains, none unless given; fw: where the firmware lies; settings: those that are
+        not at their default."""
         self.core, self.gyro_hz = core, gyro_hz
         self.fw = core.new("struct firmware *") if fw is None else fw
         self.settings = core.new("struct nf_settings *")

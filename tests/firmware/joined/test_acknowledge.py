@@ -60,13 +60,13 @@ class Field:
             new("struct firmware *") if fw is None else fw,
             new("struct background *"),
         ]
-        _, _, stats, weights, self.fw, self.background = self._keep
+        _, _, stats, self.weights, self.fw, self.background = self._keep
         config = new(
             "struct background_config *",
             {
                 "hal": self.hal,
                 "firmware": self.fw,
-                "weights": ffi.cast("float *", weights),
+                "weights": ffi.cast("float *", self.weights),
                 "stats": stats,
                 "alignment": 2,  # as the simulated board's
                 "pid": pid,

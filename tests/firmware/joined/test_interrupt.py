@@ -1,4 +1,4 @@
-"""The background, interrupted by the gyro at an instruction that a test chooses: between two of its accesses."""
+"""The background, interrupted by the gyro between two of its accesses, at one that a test chooses."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from cffi import FFI
 from tests.firmware.joined.test_acknowledge import Field
 from toolchain.contract import ArmingReason, FlightState, Refusal
 
+NEEDED = ("attitude", "motor_test", "dshot_command", "status")  # in this order
+
 
 class Split:
-    """Memory for a firmware, cut in two before `forbidden`: what the first touch of the front part interrupts."""
+    """Memory for a firmware, cut in two before `forbidden`: the first touch of the front can interrupt."""
 
     def __init__(self, core: Any, library: Path) -> None:
         ffi = core.ffi
         front = ffi.offsetof("struct firmware", "forbidden") // 8 * 8
-        assert ffi.offsetof("struct firmware", "attitude") < ffi.offsetof("struct firmware", "motor_test") < front
-        assert ffi.offsetof("struct firmware", "dshot_command") < front < ffi.offsetof("struct firmware", "status")
+        at = {name: ffi.offsetof("struct firmware", name) for name in NEEDED}
+        assert at["attitude"] < at["motor_test"] < at["dshot_command"] < front < at["status"]
         pages = -(-front // mmap.PAGESIZE)
         behind = -(-(ffi.sizeof("struct firmware") - front) // mmap.PAGESIZE)
         self._memory = mmap.mmap(-1, (pages + behind) * mmap.PAGESIZE)
