@@ -1,0 +1,129 @@
+"""The joined core doubts what flies: implausible outputs, a crash, a runaway; each flight begins anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolchain.contract import (
+    CHANNEL_PID,
+    CRASH_ERROR_DEG_S,
+    NO_RESPONSE_MS,
+    OSCILLATION_ERROR_DEG_S,
+    RUNAWAY_MS,
+    RUNAWAY_WINDOW_MS,
+    WRONG_WAY_MS,
+    FallbackCause,
+    FlightState,
+    StopCause,
+)
+
+Make = Callable[..., Any]
+COUNTS_PER_DEG_S = 32768 / 2000
+RIGHT, WRONG = [0.2, 0.2, 0.1, 0.1], [0.1, 0.1, 0.2, 0.2]  # answers to a roll error > 0
+ROLL_US = 1700
+CYCLE_MS = 30  # in which two frames tell the arm switch
+
+
+@pytest.fixture
+def doubted(bench: Make, scripted: Any) -> Make:
+    """Makes benches whose PID answers roll errors a little, armed; the scripted policy answers rightly."""
+
+    def make(**settings: float) -> Any:
+        scripted.lib.scripted_action = RIGHT
+        pid = scripted.new("struct pid_gains *")
+        pid.motor_count, pid.period_s, pid.smoothing = 4, 1e-3, 1.0
+        pid.p = [0.005, 0.0, 0.0]
+        pid.mixer = [[1.0, 0.0, 0.0]] * 2 + [[-1.0, 0.0, 0.0]] * 2
+        b = bench(1000, pid=pid, level_limit_deg=0, **settings)
+        b.arm()
+        return b
+
+    return make
+
+
+def fly(b: Any, ms: int, **sticks: int) -> None:
+    b.run(ms, **{"arm": 2000, "throttle": 1400, **sticks})
+
+
+def again(b: Any) -> None:
+    """Disarms and arms."""
+    b.run(CYCLE_MS)
+    assert b.status.state == FlightState.DISARMED
+    b.run(CYCLE_MS, arm=2000)
+    assert b.armed
+
+
+def test_the_pid_takes_over_and_the_motors_stop_when_that_does_not_help(doubted: Make, scripted: Any) -> None:
+    b = doubted()
+    fly(b, 20, c0=ROLL_US)
+    scripted.lib.scripted_action = WRONG
+    fly(b, WRONG_WAY_MS + 20, c0=ROLL_US)
+    assert (b.armed, b.status.pid_flies, b.status.fallback_cause) == (True, True, FallbackCause.WRONG_WAY)
+    fly(b, NO_RESPONSE_MS - 50, c0=ROLL_US)
+    assert b.armed
+    fly(b, 100, c0=ROLL_US)
+    assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.CRASH)
+
+
+def test_the_pid_that_the_pilot_chose_is_not_doubted(doubted: Make) -> None:
+    b = doubted()
+    fly(b, 20, **{f"c{CHANNEL_PID}": 2000})
+    fly(b, 3 * NO_RESPONSE_MS, c0=ROLL_US, **{f"c{CHANNEL_PID}": 2000})
+    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
+
+
+def test_a_policy_is_not_doubted_when_that_is_switched_off(doubted: Make, scripted: Any) -> None:
+    b = doubted(plausibility_detection=0)
+    scripted.lib.scripted_action = WRONG
+    fly(b, 3 * NO_RESPONSE_MS, c0=ROLL_US)
+    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, False)
+
+
+def test_it_flies_on_when_the_pid_that_took_over_oscillates(doubted: Make, scripted: Any) -> None:
+    b = doubted()
+    scripted.lib.scripted_action = WRONG
+    fly(b, WRONG_WAY_MS + 20, c0=ROLL_US)
+    assert b.status.pid_flies
+    size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S
+    for ms in range(3000):
+        b.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
+        fly(b, 1)
+    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
+
+
+def test_the_policy_hands_over_when_it_oscillates(doubted: Make) -> None:
+    b = doubted()
+    size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S
+    for ms in range(1000):
+        b.counts = (round(size * math.sin(math.tau * 16 * ms / 1000)), 0, 0)
+        fly(b, 1)
+    assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.OSCILLATION)
+
+
+def test_implausible_steps_of_one_flight_do_not_count_in_the_next(doubted: Make, scripted: Any) -> None:
+    b = doubted()
+    scripted.lib.scripted_action = WRONG
+    for _ in range(5):
+        b.run(WRONG_WAY_MS * 2 // 3, every_ms=1, arm=2000, c0=ROLL_US)
+        assert (b.armed, b.status.pid_flies) == (True, False)
+        b.run(5, every_ms=1, c0=ROLL_US)
+        assert not b.armed
+    b.run(WRONG_WAY_MS + 2, every_ms=1, arm=2000, c0=ROLL_US)
+    assert b.status.pid_flies
+
+
+def test_each_flight_has_its_runaway_window(doubted: Make) -> None:
+    for flights in range(3):
+        b = doubted(plausibility_detection=0)
+        for _ in range(flights):
+            fly(b, RUNAWAY_WINDOW_MS + 50)
+            again(b)
+        for rate in np.linspace(1.1 * CRASH_ERROR_DEG_S, 2 * CRASH_ERROR_DEG_S, RUNAWAY_MS + 20):
+            b.counts = (round(rate * COUNTS_PER_DEG_S), 0, 0)
+            fly(b, 1)
+        assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.RUNAWAY)
