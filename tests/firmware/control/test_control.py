@@ -295,3 +295,59 @@ def test_the_spread_is_that_of_the_answer_when_asked(scripted: Any, pull: Any) -
 def test_init_refuses_when_an_idle_is_none(scripted: Any, pull: Any, idle: float) -> None:
     assert Flight(scripted, idle=idle).error == scripted.lib.NF_ERR_IDLE
     assert Flight(scripted, pid=gains(scripted, idle=idle)).error == scripted.lib.NF_ERR_IDLE
+
+
+def test_misses_of_a_flight_do_not_count_in_the_next(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted))
+    for _ in range(5):
+        for _ in range(DEADLINE_MISSES_MAX - 1):
+            flight.step()
+            scripted.lib.control_deadline(flight.self, True)
+        scripted.lib.control_reset(flight.self)
+    flight.step()
+    assert not flight.pid_flies
+
+
+def test_nothing_is_blended_in_when_a_flight_begins_with_another_controller(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted, idle=0.0), idle=0.0)
+    pull(0.9, 0.1, 0.5, 0.0)
+    flight.step()
+    scripted.lib.control_reset(flight.self)
+    assert flight.step(pid=True, throttle=0.3) == pytest.approx([0.3] * 4)
+
+
+def test_nothing_of_its_outputs_is_kept_when_a_policy_is_distrusted(scripted: Any, pull: Any) -> None:
+    flight = Flight(scripted, pid=gains(scripted, idle=0.0), idle=0.0)
+    pull(0.9, 0.1, 0.5, 0.0)
+    flight.step()
+    assert scripted.lib.control_distrust(flight.self, FallbackCause.WRONG_WAY)
+    assert flight.step(throttle=0.3) == pytest.approx([0.3] * 4)
+    scripted.lib.control_acknowledge(flight.self)
+    scripted.lib.control_reset(flight.self)
+    before = flight.step()
+    after = flight.step(pid=True)
+    assert before is not None and after is not None
+    assert np.abs(np.subtract(after, before)).max() < 0.1, "later changes are blended again"
+
+
+def test_a_demand_is_the_sum_of_all_motors_shares_in_its_axis(scripted: Any, pull: Any) -> None:
+    pid = gains(scripted)
+    mixer = np.array([[1.0, -0.5, 0.25], [-1.0, 0.75, 0.5], [0.5, 1.0, -1.0], [-0.25, -1.0, 1.0]])
+    pid.mixer = mixer.tolist()
+    flight = Flight(scripted, pid=pid)
+    action = [0.1, 0.2, 0.4, 0.8]
+    pull(*action)
+    flight.step()
+    demand = scripted.new("float[3]")
+    assert scripted.lib.control_demand(flight.self, demand)
+    assert list(demand) == pytest.approx((action @ mixer).tolist())
+    assert not scripted.lib.control_demand(Flight(scripted).self, demand), "no mixer is built in"
+
+
+@pytest.mark.parametrize("motor", range(4))
+def test_the_spread_is_that_of_all_motors(scripted: Any, pull: Any, motor: int) -> None:
+    flight = Flight(scripted, pid=gains(scripted))
+    for lone, rest in ((0.9, 0.5), (0.1, 0.5)):
+        pull(*(lone if index == motor else rest for index in range(4)))
+        flight.step()
+        assert scripted.lib.control_spread(flight.self) == pytest.approx(0.4)

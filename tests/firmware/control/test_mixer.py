@@ -53,6 +53,13 @@ def test_outputs_are_the_actions_when_thrust_is_zero(scripted: Any) -> None:
         assert mix(scripted, action, 0.0).tolist() == action.tolist()
 
 
+@pytest.mark.parametrize("motor", range(4))
+def test_a_motor_idles_when_what_is_asked_of_it_is_no_number(scripted: Any, motor: int) -> None:
+    action = [0.5] * 4
+    action[motor] = float("nan")
+    assert mix(scripted, action, 0.5, idle=0.25)[motor] == 0.25
+
+
 @pytest.mark.parametrize("motor", range(6))
 def test_every_motor_counts_when_there_are_six(hexacopter: Any, motor: int) -> None:
     action = [0.1] * 6

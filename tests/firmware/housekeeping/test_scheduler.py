@@ -72,6 +72,13 @@ def test_a_run_is_counted_as_missed_and_not_made_up_for_when_a_period_went_by(cl
     assert clockwork.runs.count(0) == 3
 
 
+@pytest.mark.parametrize(("late", "misses"), [(0, 0), (9, 0), (10, 1), (11, 1)])
+def test_a_run_is_missed_from_a_whole_period_on(clockwork: Clockwork, late: int, misses: int) -> None:
+    clockwork.run(0, 1)
+    clockwork.run(10 + late, 11 + late)
+    assert clockwork.stats[Task.BATTERY].misses == misses
+
+
 def test_time_goes_on_when_the_sample_index_wraps(clockwork: Clockwork) -> None:
     clockwork.run(0, 1)
     for at in range(10, 2**32 + 1000, 2**30):

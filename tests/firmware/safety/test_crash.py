@@ -43,6 +43,15 @@ class Watch:
         core.lib.turning_init(self._turning, rate_hz)
         core.lib.turning_reset(self._turning)
 
+    def reset(self) -> None:
+        """Another flight begins."""
+        self._core.lib.crash_reset(self._crash)
+        self._core.lib.turning_reset(self._turning)
+
+    def relieve(self) -> None:
+        """Another controller takes over."""
+        self._core.lib.crash_relieve(self._crash)
+
     def step(self, setpoint: float, rate: float, spread: float = FULL, axis: int = 0) -> int:
         setpoints, rates = [0.0] * 3, [0.0] * 3
         setpoints[axis], rates[axis] = setpoint, rate
@@ -102,6 +111,34 @@ def test_the_runaway_window_begins_with_the_first_throttle(scripted: Any) -> Non
     watch.thrust = False
     watch.fly(RUNAWAY_WINDOW_MS // 2)
     assert set(watch.spun(growing)) == {NONE}, "and runs on when the throttle is closed again"
+
+
+def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:
+    growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
+    watch = Watch(scripted)
+    watch.fly(2 * RUNAWAY_WINDOW_MS)
+    watch.reset()
+    assert watch.spun(growing)[-1] == RUNAWAY, "it has a window of its own"
+    watch.reset()
+    assert set(watch.spun(growing[:-1])) == {NONE}
+    watch.reset()
+    assert set(watch.spun([2.1 * OFF])) == {NONE}
+    assert set(watch.held(CRASH_MS - 1)) == {NONE}
+    watch.reset()
+    assert set(watch.held(CRASH_MS - 1)) == {NONE}
+
+
+def test_what_the_controller_before_could_not_correct_does_not_count(scripted: Any) -> None:
+    watch = Watch(scripted)
+    assert set(watch.held(CRASH_MS - 1)) == {NONE}
+    watch.relieve()
+    assert set(watch.held(CRASH_MS - 1)) == {NONE}
+    assert watch.held(1) == [HAPPENED]
+    growing = np.linspace(OFF, 2 * OFF, RUNAWAY_MS).tolist()
+    watch = Watch(scripted)
+    assert set(watch.spun(growing[:-1])) == {NONE}
+    watch.relieve()
+    assert set(watch.spun(growing[1:])) == {NONE}
 
 
 def test_no_crash_is_seen_while_the_axis_turns_towards_its_setpoint(scripted: Any) -> None:

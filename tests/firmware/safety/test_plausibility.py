@@ -70,6 +70,10 @@ class Watch:
         seen = self._core.new("struct plausibility_input *", (*floats, self._turning.state, thrust))
         return FallbackCause(self._core.lib.plausibility_step(self._monitor, seen))
 
+    def reset(self) -> None:
+        """Another flight begins."""
+        self._core.lib.plausibility_reset(self._monitor)
+
     def first(
         self, ms: int, asked: float, rate: float, demand: float, **more: Any
     ) -> tuple[int, FallbackCause]:
@@ -96,6 +100,15 @@ def test_an_axis_turns_towards_its_setpoint_when_its_rate_grows_fast_enough(
         assert turning.towards(1, sign * 5.0) is turns
         assert not turning.towards(0, 5.0), "another axis"
         assert turning.towards(1, -sign * 5.0) is (share < 0), "seen from the other side"
+
+
+def test_an_axis_does_not_turn_when_a_flight_begins_at_another_rate(scripted: Any) -> None:
+    turning = Turning(scripted)
+    for _ in range(SETTLE_MS):
+        turning.step(0.0, 0.0, 0.0)
+    scripted.lib.turning_reset(turning.state)
+    turning.step(500.0, -500.0, 0.0)
+    assert not any(turning.towards(axis, error) for axis in range(3) for error in (-1.0, 1.0))
 
 
 def test_an_axis_does_not_turn_when_its_rate_stands_whatever_it_is(scripted: Any) -> None:
@@ -186,6 +199,23 @@ def test_an_oscillation_is_told_after_so_many_swings(scripted: Any, axis: int, h
     assert OSCILLATION in found
     swings = found.index(OSCILLATION) / 1000 * 2 * hz
     assert OSCILLATION_SWINGS - 1 <= swings <= OSCILLATION_SWINGS + 1
+
+
+def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:
+    """Neither swings nor times nor angles."""
+    size, hz = 3 * OSCILLATION_ERROR_DEG_S, 16.0
+    period_ms = round(1000 * (OSCILLATION_SWINGS - 3) / 2 / hz)
+    watch = Watch(scripted)
+    for _ in range(4):
+        found = {watch.step(0.0, size * math.sin(math.tau * hz * ms / 1000), 0.0) for ms in range(period_ms)}
+        assert found == {NONE}
+        watch.reset()
+    for _ in range(4):
+        assert watch.first(WRONG_WAY_MS - 1, WRONG_WAY_ERROR_DEG_S + 1, 0.0, -0.1)[1] == NONE
+        watch.reset()
+    for _ in range(4):
+        assert watch.first(NO_RESPONSE_MS - 1, NO_RESPONSE_ERROR_DEG_S + 1, 0.0, 0.3)[1] == NONE
+        watch.reset()
 
 
 @pytest.mark.parametrize(

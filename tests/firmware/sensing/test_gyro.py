@@ -249,18 +249,19 @@ JUMP_DEG_S = {hz: 4000 * (1 - math.exp(-2 * math.pi * 250 / hz)) for hz in GYRO_
 
 
 @pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("rate_hz", [2000, 4000, 8000])
 def test_a_jump_is_a_glitch_when_the_chip_could_not_have_made_it(
-    chip: Callable[..., Chip], rate_hz: int, axis: int
+    chip: Callable[..., Chip], rate_hz: int, axis: int, sign: int
 ) -> None:
     jump = int(JUMP_DEG_S[rate_hz] * 32768 / 2000)
     c = chip(rate_hz)
-    start = np.array([-jump // 2] * 3)
+    start = np.array([-sign * jump // 2] * 3)
     c.feed([0, 0, 0])
     c.feed(start.tolist())
     beyond, within = start.copy(), start.copy()
-    beyond[axis] += jump + 2
-    within[axis] += jump - 1
+    beyond[axis] += sign * (jump + 2)
+    within[axis] += sign * (jump - 1)
     c.feed(beyond.tolist())
     assert c.counts == start.tolist()
     c.feed(within.tolist())
