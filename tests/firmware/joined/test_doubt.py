@@ -12,6 +12,7 @@ import pytest
 from toolchain.contract import (
     CHANNEL_PID,
     CRASH_ERROR_DEG_S,
+    CRASH_MS,
     NO_RESPONSE_MS,
     OSCILLATION_ERROR_DEG_S,
     RUNAWAY_MS,
@@ -33,11 +34,11 @@ CYCLE_MS = 30  # in which two frames tell the arm switch
 def doubted(bench: Make, scripted: Any) -> Make:
     """Makes benches whose PID answers roll errors a little, armed; the scripted policy answers rightly."""
 
-    def make(**settings: float) -> Any:
+    def make(p: float = 0.005, **settings: float) -> Any:
         scripted.lib.scripted_action = RIGHT
         pid = scripted.new("struct pid_gains *")
         pid.motor_count, pid.period_s, pid.smoothing = 4, 1e-3, 1.0
-        pid.p = [0.005, 0.0, 0.0]
+        pid.p = [p, 0.0, 0.0]
         pid.mixer = [[1.0, 0.0, 0.0]] * 2 + [[-1.0, 0.0, 0.0]] * 2
         b = bench(1000, pid=pid, level_limit_deg=0, **settings)
         b.arm()
@@ -68,6 +69,20 @@ def test_the_pid_takes_over_and_the_motors_stop_when_that_does_not_help(doubted:
     assert b.armed
     fly(b, 100, c0=ROLL_US)
     assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.CRASH)
+
+
+def test_the_pid_that_takes_over_has_time_when_the_policy_was_helpless(doubted: Make, scripted: Any) -> None:
+    b = doubted(p=0.05)
+    scripted.lib.scripted_action = [0.0, 0.0, 0.6, 0.6]
+    taken_over = 0
+    while not b.status.pid_flies:
+        fly(b, 1, c0=2000)
+        taken_over += 1
+    assert CRASH_MS - taken_over < NO_RESPONSE_MS - 20, "the two would add up to a crash"
+    fly(b, NO_RESPONSE_MS - 20, c0=2000)
+    assert b.armed
+    fly(b, 40, c0=2000)
+    assert b.status.stop_cause == StopCause.CRASH
 
 
 def test_the_pid_that_the_pilot_chose_is_not_doubted(doubted: Make) -> None:

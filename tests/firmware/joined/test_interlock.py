@@ -209,6 +209,19 @@ def test_the_controller_stays_the_pilots_choice_when_the_receiver_is_lost(bench:
         assert b.status.pid_flies == flies
 
 
+@pytest.mark.parametrize(("us", "state"), [(2000, FlightState.FAILSAFE_DROP), (1000, FlightState.DISARMED)])
+def test_two_frames_that_say_off_end_a_descent_when_the_link_is_not_good_yet(
+    bench: Make, us: int, state: FlightState
+) -> None:
+    b = bench(1000, failsafe_stage=1, failsafe_descend_ms=3000, failsafe_throttle=0.5)
+    b.arm()
+    b.run(RECEIVER_LOST_MS + 100, every_ms=None)
+    assert b.status.state == FlightState.FAILSAFE_DROP and b.armed
+    b.run(30, arm=us)
+    assert not b.status.receiver_good
+    assert b.status.state == state
+
+
 def test_readiness_is_lost_when_the_receiver_comes_back_with_the_switch_on(bench: Make) -> None:
     b = bench(1000)
     b.run(1100)

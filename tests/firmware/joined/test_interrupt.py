@@ -100,3 +100,6 @@ def test_nothing_arms_when_the_switch_comes_while_the_background_looks_whether_f
     switch_on()
     assert f.fw.safety.state == FlightState.ARMED
     assert services.storing(services.context, True) == Refusal.ARMED
+    f.land()
+    switch_on()
+    assert f.fw.safety.state == FlightState.ARMED, "a refusal forbids nothing"

@@ -79,6 +79,7 @@ def test_the_policy_stays_bad_when_what_is_restored_fails_its_self_test(field: B
     weights_of(f)[1] = 0.5
     f.run(SECOND_MS)
     assert f.reasons == {"POLICY_BAD"}
+    assert f.safety.refused_cause == FallbackCause.NONE, "it did not fly"
     f.pid = 2000
     f.run(50)
     assert f.reasons == set(), "the PID needs none"

@@ -173,6 +173,15 @@ def test_no_runaway_is_seen_when_the_axis_changes_or_it_turns_to_where_it_should
     assert set(asked) == {NONE}
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_no_runaway_is_seen_when_the_axis_turns_back_in_time(scripted: Any, sign: int) -> None:
+    growing = np.linspace(OFF, 1.1 * OFF, 20)
+    back = growing[-1] - math.radians(1) * np.arange(1, RUNAWAY_MS)
+    rates = sign * np.concatenate([growing, back[back > OFF]])
+    assert len(rates) > RUNAWAY_MS, "it is large for longer than a runaway takes, and larger than at first"
+    assert set(Watch(scripted).spun(rates.tolist())) == {NONE}
+
+
 @pytest.mark.parametrize(
     ("error", "spread"),
     [(math.radians(CRASH_ERROR_DEG_S - 1), FULL), (OFF, CRASH_SPREAD - 0.01), (0.0, FULL)],

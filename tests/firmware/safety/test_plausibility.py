@@ -123,6 +123,9 @@ def test_an_axis_does_not_turn_when_its_rate_stands_whatever_it_is(scripted: Any
 def test_outputs_that_do_not_answer_are_told_after_their_time(scripted: Any, axis: int, sign: int) -> None:
     error = WRONG_WAY_ERROR_DEG_S + 1
     assert Watch(scripted, axis, sign).first(500, error, 0.0, -0.1) == (WRONG_WAY_MS, WRONG_WAY)
+    assert Watch(scripted, axis, sign).first(500, 5 * error, 0.0, -0.1) == (WRONG_WAY_MS, WRONG_WAY), (
+        "no angle counts while the error does not grow"
+    )
     assert Watch(scripted, axis, sign).first(500, error, 0.0, 0.1, thrust=False) == (500, NONE), "they answer"
     assert Watch(scripted, axis, sign).first(500, error, 0.0, 0.0) == (WRONG_WAY_MS, WRONG_WAY), "no answer"
     watch = Watch(scripted, axis, sign)
