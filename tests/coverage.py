@@ -22,6 +22,7 @@ INSTRUMENT = "--coverage -Og -w -fsanitize=address,undefined -fno-sanitize-recov
 # What looks at objects or at ARM code instead of running the core.
 LEFT_OUT = (
     "board",
+    "mutants",
     "test_laws.py",
     "test_makefile.py",
     "test_same_bits*.py",

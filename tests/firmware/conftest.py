@@ -24,6 +24,8 @@ from cffi import FFI
 
 from toolchain import contract
 from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE
+from toolchain.errors import BuildError
+from toolchain.files import write_text_if_changed
 from toolchain.policy.blob import PolicyBlob, blob_terms, pack
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import render_pid_table
@@ -31,6 +33,7 @@ from toolchain.rendering.pid_table import render_pid_table
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "firmware"
 SCRIPTED_POLICY = Path(__file__).parent / "scripted_policy"
+SCRIPTED_BUILD = "NEUROFLIGHT_SCRIPTED_BUILD"  # environment: a folder that keeps it (mutants/workshop.py)
 HEADERS = (
     "background.h",
     "firmware.h",
@@ -126,30 +129,35 @@ def scripted_blob(motors: int = 4) -> PolicyBlob:
     )
 
 
-def make_scripted(scratch: Path, motors: int) -> Path:
-    """Builds the host target around the scripted policy; returns the build directory."""
+def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path:
+    """Builds the host target around the scripted policy, what has changed of it; returns the build directory.
+
+    Raises BuildError.
+    """
     generated, build = scratch / "generated", scratch / "build"
-    generated.mkdir(parents=True)
-    (generated / "nf_contract.h").write_text(render_contract())
+    generated.mkdir(parents=True, exist_ok=True)
+    write_text_if_changed(generated / "nf_contract.h", render_contract())
     blob = pack(scripted_blob(motors))
     for name in ("policy.c", "policy.h"):
         text = (SCRIPTED_POLICY / name).read_text().replace("@MOTORS@", str(motors))
         text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
-        (generated / name).write_text(text)
-    (generated / "pid_table.c").write_text(render_pid_table(None, motors, 1000))
+        write_text_if_changed(generated / name, text)
+    write_text_if_changed(generated / "pid_table.c", render_pid_table(None, motors, 1000))
     # Relative: tests/coverage.py works inside the checkout, whose path may hold a space.
     folders = (("GENERATED", generated), ("BUILD", build))
-    named = [f"{name}={os.path.relpath(path, FIRMWARE)}" for name, path in folders]
-    make = ["make", "-s", "-C", str(FIRMWARE), "TARGET=HOST", *named]
+    named = [f"{name}={os.path.relpath(path, firmware)}" for name, path in folders]
+    make = ["make", "-s", "-C", str(firmware), "TARGET=HOST", *named]
     done = subprocess.run(make, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    if done.returncode != 0:
+        raise BuildError(done.stderr)
     return build
 
 
 @pytest.fixture(scope="session")
 def scripted_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build directory of the host target around the scripted policy with four motors."""
-    return make_scripted(tmp_path_factory.mktemp("scripted"), motors=4)
+    kept = os.environ.get(SCRIPTED_BUILD)
+    return make_scripted(Path(kept) if kept else tmp_path_factory.mktemp("scripted"), motors=4)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,95 @@
+"""The core with one mistake each: the tests of its rooms notice all of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.firmware.mutants.__main__ import SURVIVORS_MAX, main, try_out
+from tests.firmware.mutants.table import MUTANTS
+from tests.firmware.mutants.workshop import ROOT, MutantError, Workshop
+
+CORE = ROOT / "firmware" / "src"
+ORDINARY = tuple(mutant for mutant in MUTANTS if not mutant.slow)
+
+
+@pytest.fixture(scope="session")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    """A copy of the checkout."""
+    return Workshop(tmp_path_factory.mktemp("mutants"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(m.name, id=m.name.replace(" ", "-"), marks=[pytest.mark.slow] if m.slow else [])
+        for m in MUTANTS
+    ],
+)
+def test_a_mistake_is_noticed_when_the_core_makes_it(workshop: Workshop, name: str) -> None:
+    (mutant,) = (m for m in MUTANTS if m.name == name)
+    verdict = workshop.try_out(mutant)
+    print(verdict.caught_by or "survived")
+    assert verdict.as_told, verdict.caught_by or "no test fails"
+
+
+@pytest.mark.parametrize(
+    "mutants", [ORDINARY, pytest.param(MUTANTS, marks=pytest.mark.slow)], ids=["ordinary", "all"]
+)
+def test_the_tests_pass_when_there_is_no_mistake(workshop: Workshop, mutants: tuple[object, ...]) -> None:
+    tests = sorted({test for mutant in MUTANTS if mutant in mutants for test in mutant.tests})
+    assert workshop.test(tests) == ""
+
+
+def test_nothing_is_said_of_a_mutant_when_it_has_no_place_or_does_not_compile(workshop: Workshop) -> None:
+    some = ORDINARY[0]
+    source = workshop.folder / "firmware" / "src" / some.file
+    before = source.read_text()
+    with pytest.raises(MutantError, match=r"has 0 times 'no such text', expected once"):
+        workshop.try_out(replace(some, old="no such text"))
+    with pytest.raises(MutantError, match=rf"(?s)mutant {some.name}: it does not compile:.*error: "):
+        workshop.try_out(replace(some, new="+"))
+    with pytest.raises(MutantError, match="its tests do not run"):
+        workshop.try_out(replace(some, tests=("no_such_file.py",)))
+    assert source.read_text() == before
+
+
+def test_mistakes_have_their_places_in_the_sources_of_today() -> None:
+    stale = [m.name for m in MUTANTS if (CORE / m.file).read_text().count(m.old) != 1]
+    assert not stale, "choose other places for these mistakes"
+
+
+def test_mistakes_are_spread_over_all_rooms_of_the_core() -> None:
+    files = {path.relative_to(CORE) for path in CORE.rglob("*.[ch]")}
+    rooms = {path.parts[0] for path in files if path.suffix == ".c"} - {"main.c"}
+    made = Counter(Path(m.file).parts[0] for m in MUTANTS)
+    assert set(made) == rooms
+    assert len({m.name for m in MUTANTS}) == len(MUTANTS) >= 60
+    assert all((ROOT / "tests/firmware" / test.split("::")[0]).is_file() for m in MUTANTS for test in m.tests)
+    assert sum(bool(m.argued) for m in MUTANTS) <= SURVIVORS_MAX * len(MUTANTS)
+
+
+def test_mutants_are_listed_and_strange_names_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--list"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(MUTANTS)
+    assert main(["no such mutant"]) == 1
+    assert capsys.readouterr().err == (
+        "tests.firmware.mutants: no mutant's name has 'no such mutant'; see --list\n"
+    )
+
+
+@pytest.mark.slow
+def test_the_exit_code_tells_when_a_mutant_survives_or_an_argument_is_wrong(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    some = ORDINARY[0]
+    assert try_out([some], 1) == 0
+    assert try_out([some, replace(some, name="no mistake", new=some.old + " ")], 1) == 1
+    out = capsys.readouterr().out
+    assert f"{some.file}: no mistake: SURVIVED\n" in out
+    assert "1 of 2 caught, 1 survived, 1 otherwise than told, 0 without a verdict\n" in out
+    assert try_out([replace(some, argued="nobody looks")], 1) == 1
+    assert try_out([replace(some, new="+")], 1) == 1
