@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from sim.control.pid_table import pid_table
 from toolchain.image.build import build
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILD = ROOT / "build" / "tests"  # not build/, whose images are the user's
+# Not build/, whose images are the user's. What sanitizers watch (tests/coverage.py) is not for other runs.
+BUILD = ROOT / "build" / ("coverage" if os.environ.get("INSTRUMENT") else "tests")
 
 
 @pytest.fixture(scope="session")
