@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from sim.control import sticks
 from sim.ports.emulator import EmulatedPort, Event, PortSnapshot
 from sim.ports.port import Reply, Sample
 from toolchain.contract import (
+    ARMING_DELAY_MS,
     DEADLINE_MISSES_MAX,
     GESTURE_MS,
     GRAVITY,
@@ -293,6 +295,20 @@ def test_an_overloaded_board_does_not_arm_and_says_why(started: tuple[Still, Any
     assert port.arming_reasons() == (refused,)
     acknowledge(still)
     still.fly(0.05, until=lambda reply: reply.armed)
+
+
+def test_no_motor_is_asked_to_turn_before_the_escs_start_up_tunes_have_ended(image: Path) -> None:
+    """With the delay that a user's board has. A pilot in a hurry moves the switch from power-up on."""
+    still = Still(EmulatedPort(image, settings={"arming_delay_ms": ARMING_DELAY_MS}))
+    replies: list[Reply] = []
+    asked = itertools.count(1)
+    while not replies or not replies[-1].armed:
+        replies += still.fly(0.1, armed=False)
+        replies += still.fly(0.2, until=lambda reply: reply.armed or next(asked) % (RATE // 10) == 0)
+        assert len(replies) < 5 * RATE
+    still.port.close()
+    turning = next(index for index, reply in enumerate(replies) if reply.dshot.any()) / RATE
+    assert ARMING_DELAY_MS / 1000 <= turning < ARMING_DELAY_MS / 1000 + 0.5
 
 
 def test_a_flight_continues_bit_for_bit_when_a_snapshot_is_restored(drill: Drill) -> None:
