@@ -70,6 +70,17 @@ static bool firmware_choose_pid(const struct firmware *fw, const uint16_t channe
 	return link == RECEIVER_LOST ? fw->pid_wanted : channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
 }
 
+/* Nothing of a flight is left for the next one. */
+static void firmware_forget(struct firmware *fw)
+{
+	if (fw->rested)
+		return;
+	turning_reset(&fw->turning);
+	plausibility_reset(&fw->plausibility);
+	crash_reset(&fw->crash);
+	fw->rested = true;
+}
+
 /* Updates safety with all conditions that hold now, and `found`. */
 static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
@@ -77,8 +88,10 @@ static void firmware_update_safety(struct firmware *fw, uint32_t found)
 
 	receiver_channels(&fw->receiver, channels_us);
 	fw->pid_wanted = firmware_choose_pid(fw, channels_us);
-	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found))
+	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
 		control_reset(&fw->control);
+		firmware_forget(fw); /* where frames disarm and arm within one control step, nothing has rested */
+	}
 }
 
 /* Fills in the status that MSP reports beside the trace. */
@@ -299,19 +312,14 @@ static void firmware_publish(struct firmware *fw)
 	++fw->published;
 }
 
-/* While the motors stand: nothing of a flight is left for the next one. Its first step should take no longer than the others,
- * so that this is done before. */
+/* While the motors stand. The first step of a flight should take no longer than the others, so that what it needs is done
+ * before. */
 static void firmware_rest(struct firmware *fw)
 {
 	if (fw->acknowledged)
 		control_acknowledge(&fw->control);
 	control_rest(&fw->control);
-	if (fw->rested)
-		return;
-	turning_reset(&fw->turning);
-	plausibility_reset(&fw->plausibility);
-	crash_reset(&fw->crash);
-	fw->rested = true;
+	firmware_forget(fw);
 }
 
 /* The policy is bad. If it flies, the PID takes over with this control step. Without one it flies on, watched for

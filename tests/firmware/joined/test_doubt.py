@@ -142,3 +142,17 @@ def test_each_flight_has_its_runaway_window(doubted: Make) -> None:
             b.counts = (round(rate * COUNTS_PER_DEG_S), 0, 0)
             fly(b, 1)
         assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.RUNAWAY)
+
+
+def test_a_flight_that_begins_in_the_step_that_ends_the_one_before_forgets_it(
+    doubted: Make, frame: Callable[..., bytes]
+) -> None:
+    b = doubted(plausibility_detection=0)
+    fly(b, RUNAWAY_WINDOW_MS + 50)
+    b.send(2 * frame(arm=1000) + frame(arm=2000))
+    b.sample()
+    assert b.armed
+    for rate in np.linspace(1.1 * CRASH_ERROR_DEG_S, 2 * CRASH_ERROR_DEG_S, RUNAWAY_MS + 20):
+        b.counts = (round(rate * COUNTS_PER_DEG_S), 0, 0)
+        fly(b, 1)
+    assert (b.status.state, b.status.stop_cause) == (FlightState.CRASHED, StopCause.RUNAWAY)

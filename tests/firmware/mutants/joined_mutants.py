@@ -96,6 +96,13 @@ JOINED_MUTANTS = (
         tests=(OF_DOUBT,),
     ),
     Mutant(
+        name="a flight that follows in the same step remembers the one before",
+        file=FIRMWARE,
+        old="\t\tfirmware_forget(fw); /* where",
+        new="\t\t/* where",
+        tests=(OF_DOUBT,),
+    ),
+    Mutant(
         name="control remembers the flight before",
         file=FIRMWARE,
         old="\t\tcontrol_reset(&fw->control);\n",
