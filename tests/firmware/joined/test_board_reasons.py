@@ -8,10 +8,20 @@ from typing import Any
 import pytest
 
 from tests.firmware.conftest import G_COUNTS
-from toolchain.contract import BOOT_GRACE_MS, LOAD_CALM_MS, ArmingReason, Task
+from toolchain.contract import (
+    BOOT_GRACE_MS,
+    FLASH_FAULT_RECORD,
+    LOAD_CALM_MS,
+    MOTOR_TEST_MAGIC,
+    MOTOR_TEST_TIMEOUT_MS,
+    ArmingReason,
+    Refusal,
+    Task,
+)
 
 GYRO_HZ = 1000
 CYCLES_HZ = 216_000_000
+RENEW_MS = 5000  # FAULT_LOG_RENEW_MS of background.c
 OTHERS = {ArmingReason.RECEIVER_LOST, ArmingReason.SWITCH_NOT_CYCLED}
 CW90 = 2  # of the setting gyro_alignment
 Make = Callable[..., "Board"]
@@ -19,6 +29,8 @@ Make = Callable[..., "Board"]
 
 class Board:
     """The core and its background around a hal that measures nothing."""
+
+    made_of: Any = None  # the flash
 
     def __init__(self, core: Any, flash: Any, alignment: int = 0, **board: bool) -> None:
         """alignment: the setting; board: of struct hal_info."""
@@ -67,10 +79,12 @@ class Board:
 def board(scripted: Any, chip: Callable[..., Any]) -> Make:
     scripted.lib.scripted_action = [0.0] * 4
 
-    def make(**options: Any) -> Board:
+    def make(*, full_log: bool = False, **options: Any) -> Board:
         made = chip()
+        if full_log:
+            made.fill(FLASH_FAULT_RECORD.address, b"\x55" * FLASH_FAULT_RECORD.size)
         built = Board(scripted, made.flash, **options)
-        built.made_of = made  # type: ignore[attr-defined]
+        built.made_of = made
         return built
 
     return make
@@ -102,3 +116,25 @@ def test_it_does_not_arm_until_a_second_has_passed_without_an_overload(board: Ma
 
 def test_a_load_is_no_reason_when_samples_wait_for_the_processor(board: Make) -> None:
     assert board(real_time=False).run(1200, load=3.0) == set()
+
+
+def test_a_full_fault_log_is_begun_anew_after_seconds_and_only_while_no_motor_turns(
+    board: Make,
+) -> None:
+    b = board(full_log=True)
+    flash = b.made_of
+    b.run(RENEW_MS - 200)
+    lib, test = b.core.lib, b.core.ffi.addressof(b.fw, "motor_test")
+    still = b.core.new("float[]", [0.0] * 4)
+    assert lib.motor_test_ask(test, MOTOR_TEST_MAGIC, True) == Refusal.NONE
+    for _ in range(10):  # the test is kept open beyond the time
+        b.run(50)
+        assert lib.motor_test_give(test, still, 4) == Refusal.NONE
+    assert flash.operations == 0
+    assert not b.run(1) & {ArmingReason.STORING}, "what was refused forbids nothing"
+    b.run(2 * MOTOR_TEST_TIMEOUT_MS + 200)
+    assert flash.region(FLASH_FAULT_RECORD)[:4] == b"NFFL"
+    assert flash.region(FLASH_FAULT_RECORD)[-4:] == b"\xff" * 4
+    done = flash.operations
+    b.run(2000)
+    assert flash.operations == done, "once is enough"
