@@ -247,7 +247,8 @@ static uint32_t firmware_doubt(struct firmware *fw, const struct plausibility_in
 		crash_relieve(&fw->crash);
 		return 0;
 	}
-	if (cause == NF_FALLBACK_OSCILLATION)
+	/* The PID is believed to ask for the right thing: unwinding its integral looks like the wrong way for a while. */
+	if (cause == NF_FALLBACK_OSCILLATION || (cause == NF_FALLBACK_WRONG_WAY && fw->control.latched))
 		return 0;
 	return crash_watches(&fw->crash) ? SAFETY_CRASH : 0u;
 }

@@ -111,6 +111,19 @@ def test_it_flies_on_when_the_pid_that_took_over_oscillates(doubted: Make, scrip
     assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
 
 
+def test_it_flies_on_when_the_pid_that_took_over_seems_to_steer_the_wrong_way(
+    doubted: Make, scripted: Any
+) -> None:
+    """As it does while its integral unwinds: here its gain has the wrong sign."""
+    b = doubted(p=-0.005)
+    scripted.lib.scripted_action = WRONG
+    fly(b, WRONG_WAY_MS + 20, c0=1600)
+    assert b.status.pid_flies
+    b.counts = (round(100 * COUNTS_PER_DEG_S), 0, 0)
+    fly(b, 10 * WRONG_WAY_MS)  # 100 deg/s off: less than what counts as no response
+    assert (b.status.state, b.status.pid_flies) == (FlightState.ARMED, True)
+
+
 def test_the_policy_hands_over_when_it_oscillates(doubted: Make) -> None:
     b = doubted()
     size = 3 * OSCILLATION_ERROR_DEG_S * COUNTS_PER_DEG_S

@@ -133,8 +133,15 @@ JOINED_MUTANTS = (
     Mutant(
         name="an oscillation of the PID stops the motors",
         file=FIRMWARE,
-        old="\tif (cause == NF_FALLBACK_OSCILLATION)\n\t\treturn 0;\n",
-        new="",
+        old="\tif (cause == NF_FALLBACK_OSCILLATION || (cause",
+        new="\tif ((cause",
+        tests=(OF_DOUBT,),
+    ),
+    Mutant(
+        name="the PID's unwinding integral stops the motors",
+        file=FIRMWARE,
+        old=" || (cause == NF_FALLBACK_WRONG_WAY && fw->control.latched))",
+        new=")",
         tests=(OF_DOUBT,),
     ),
     Mutant(
