@@ -17,15 +17,18 @@ from toolchain.contract import (
     CHANNEL_MIN_US,
     MOTOR_COUNT_MAX,
     MSP_PAYLOAD_MAX,
+    SETTING_TEXT_BYTES,
     SETTINGS,
     Msp,
     Refusal,
 )
+from toolchain.errors import LinkError
 
 ALL_MOTORS = 0xFF  # as the motor of DSHOT_COMMAND
 SLOT_HEADER_BYTES = 4  # before the blob's bytes in POLICY_SLOT_WRITE
 SLOT_BYTES_MAX = MSP_PAYLOAD_MAX - SLOT_HEADER_BYTES
 WORD_BYTES = 4
+SETTING_KINDS = ("uint32_t", "float", "mode", "text")  # by number: enum setting_kind of settings.h
 STORING = frozenset(  # commands that wait for the flash
     {
         *(Msp.EEPROM_WRITE, Msp.FAULTS, Msp.ACKNOWLEDGE),
@@ -53,10 +56,15 @@ class SettingInfo:
     count: int  # settings in all
     name: str
     unit: str
-    low: float  # both limits may be taken
+    low: float  # both limits may be taken; of a text: its length
     high: float
     default: float
-    whole: bool  # only whole numbers
+    kind: str  # as of contract.Setting
+
+    @property
+    def whole(self) -> bool:
+        """Whether it takes only whole numbers."""
+        return self.kind in ("uint32_t", "mode")
 
 
 def _within(what: str, value: int, low: int, high: int) -> int:
@@ -95,13 +103,21 @@ def setting_index(index: int) -> bytes:
     return struct.pack("<H", _within("setting", index, 0, 0xFFFF))
 
 
-def setting_set(index: int, value: float, whole: bool) -> bytes:
-    """Encode SETTING_SET; `whole` as SETTING_INFO tells it."""
-    if not whole:
-        return setting_index(index) + struct.pack("<f", value)
-    if value != int(value):
-        raise ValueError(f"setting {index} got {value:g}, expected a whole number")
-    return setting_index(index) + struct.pack("<I", _within(f"setting {index}", int(value), 0, 0xFFFFFFFF))
+def setting_set(index: int, value: float | str, kind: str) -> bytes:
+    """Encode SETTING_SET; `kind` as SETTING_INFO tells it, a text for a text."""
+    if kind == "text":
+        text = str(value).encode("ascii", "replace")
+        if len(text) > SETTING_TEXT_BYTES:
+            raise ValueError(
+                f"setting {index} got {len(text)} characters, expected {SETTING_TEXT_BYTES} at most"
+            )
+        return setting_index(index) + text.ljust(SETTING_TEXT_BYTES, b"\0")
+    number = float(value)
+    if kind == "float":
+        return setting_index(index) + struct.pack("<f", number)
+    if number != int(number):
+        raise ValueError(f"setting {index} got {number:g}, expected a whole number")
+    return setting_index(index) + struct.pack("<I", _within(f"setting {index}", int(number), 0, 0xFFFFFFFF))
 
 
 def acknowledge(boot: int) -> bytes:
@@ -128,21 +144,34 @@ def slot_begun(payload: bytes) -> int:
     return int(sequence)
 
 
+def _kind(number: int) -> str:
+    if not number < len(SETTING_KINDS):
+        raise LinkError(
+            f"the firmware has a setting of kind {number}, expected 0..{len(SETTING_KINDS) - 1}; "
+            "the firmware is newer: bring it and this tool to the same version"
+        )
+    return SETTING_KINDS[number]
+
+
 def setting_info(payload: bytes) -> SettingInfo:
-    """Decode SETTING_INFO."""
+    """Decode SETTING_INFO. Raises LinkError for a kind that this tool does not know."""
     reader = Reader(Msp.SETTING_INFO, payload)
-    count, kind = reader.fields("HB")
-    low, high, default = reader.fields("3f" if kind else "3I")
+    count, number = reader.fields("HB")
+    kind = _kind(number)
+    low, high, default = reader.fields("3f" if kind == "float" else "3I")
     name, unit = reader.counted_text(), reader.counted_text()
-    return SettingInfo(count, name, unit, low, high, default, whole=not kind)
+    return SettingInfo(count, name, unit, low, high, default, kind)
 
 
-def setting_value(payload: bytes) -> float:
+def setting_value(payload: bytes) -> float | str:
     """Decode SETTING_GET; a float's value is exactly the firmware's float32."""
     reader = Reader(Msp.SETTING_GET, payload)
-    (kind,) = reader.fields("B")
-    (value,) = reader.fields("f" if kind else "I")
-    return float(value) if kind else int(value)
+    (number,) = reader.fields("B")
+    kind = _kind(number)
+    if kind == "text":
+        return reader.text(SETTING_TEXT_BYTES)
+    (value,) = reader.fields("f" if kind == "float" else "I")
+    return float(value) if kind == "float" else int(value)
 
 
 def refusal(payload: bytes) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from flash import requests
 from flash.client import Client
 from flash.requests import SettingInfo
-from toolchain.contract import SETTINGS, Msp, Setting
+from toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Msp, Setting
 from toolchain.errors import LinkError
 
 _STYLE = "rates_style"
@@ -50,23 +50,23 @@ class Settings:
         """What the firmware tells about the setting called `name`. Raises LinkError where it has none."""
         return self._find(name)[1]
 
-    def get(self, name: str) -> float:
+    def get(self, name: str) -> float | str:
         """Its value, as it is stored or will be. Raises LinkError."""
         index, _ = self._find(name)
         return requests.setting_value(self._client.request(Msp.SETTING_GET, requests.setting_index(index)))
 
-    def set(self, name: str, value: float) -> None:
+    def set(self, name: str, value: float | str) -> None:
         """Change it until the next boot, or for good once `save` was called.
 
         Another style of rates sets all rates to the defaults of that style.
         Raises LinkError for a value beyond its limits, and while the motors are armed.
         """
         index, info = self._find(name)
-        if not info.low <= value <= info.high or (info.whole and value != int(value)):
-            kind = "a whole number from " if info.whole else ""
-            span = f"{kind}{info.low:g} to {info.high:g} {info.unit}".rstrip()
-            raise LinkError(f"setting {name} got {value:g}, expected {span}")
-        self._client.request(Msp.SETTING_SET, requests.setting_set(index, value, info.whole))
+        if info.kind == "text":
+            _check_text(name, str(value))
+        else:
+            _check_number(name, float(value), info)
+        self._client.request(Msp.SETTING_SET, requests.setting_set(index, value, info.kind))
         if name == _STYLE:
             self._known.clear()  # rates have other limits now
 
@@ -94,6 +94,21 @@ class Settings:
         return info
 
 
+def _check_number(name: str, value: float, info: SettingInfo) -> None:
+    if info.low <= value <= info.high and not (info.whole and value != int(value)):
+        return
+    kind = "a whole number from " if info.whole else ""
+    span = f"{kind}{info.low:g} to {info.high:g} {info.unit}".rstrip()
+    raise LinkError(f"setting {name} got {value:g}, expected {span}")
+
+
+def _check_text(name: str, text: str) -> None:
+    if len(text) > SETTING_TEXT_BYTES or not all(" " <= c <= "~" for c in text):
+        raise LinkError(
+            f"setting {name} got {text!r}, expected at most {SETTING_TEXT_BYTES} characters of ASCII"
+        )
+
+
 def in_order(changes: Mapping[str, float]) -> dict[str, float]:
     """`changes` as they have to be set one by one: the style of rates, which sets them all, goes first."""
     return dict(sorted(changes.items(), key=lambda change: change[0] != _STYLE))
@@ -101,7 +116,7 @@ def in_order(changes: Mapping[str, float]) -> dict[str, float]:
 
 def as_stored(name: str, value: float) -> float:
     """`value` as the setting called `name` holds it: rounded to float32 where it is no whole number."""
-    if _setting(name).kind == "uint32_t":
+    if _setting(name).kind != "float":
         return value
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 

@@ -177,7 +177,7 @@ def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
                 ),
             ),
         ),
-        (Msp.SETTING_INFO, SettingInfo(67, "dynamic_notch_q", "1", 0.5, 20.0, 3.0, whole=False)),
+        (Msp.SETTING_INFO, SettingInfo(67, "dynamic_notch_q", "1", 0.5, 20.0, 3.0, kind="float")),
         (Msp.SETTING_GET, 4000),
         (Msp.POLICY_SLOT_BEGIN, 8),
     ],

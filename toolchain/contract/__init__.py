@@ -13,5 +13,6 @@ from toolchain.contract.simulator_link import *
 from toolchain.contract.observation import *
 from toolchain.contract.policy_format import *
 from toolchain.contract.msp import *
+from toolchain.contract.modes import *
 from toolchain.contract.settings import *
 from toolchain.contract.memory_map import *

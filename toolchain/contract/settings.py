@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from toolchain.contract.frame_time_sensors import AXES, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ
+from toolchain.contract.frame_time_sensors import (
+    AXES,
+    GYRO_EDGE_RATE_HZ,
+    GYRO_RATE_DEFAULT_HZ,
+    MOTOR_COUNT_MAX,
+)
+from toolchain.contract.modes import MODE_LOW_US, MODE_SLOT_COUNT, MODE_STEP_US, MODE_STEPS, Mode, ModeRange
 from toolchain.contract.msp import MSP_BAUD_DEFAULT, MSP_BAUDS
 from toolchain.contract.receiver import (
     CHANNEL_ARM,
@@ -39,11 +45,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Setting:
-    """One number that a pilot may change: kept in flash, flown from the next boot on."""
+    """What a pilot may change: kept in flash, flown from the next boot on."""
 
     name: str
-    kind: str  # "uint32_t" or "float"; four bytes either way
-    low: float
+    kind: str  # "uint32_t", "float", "mode" (a ModeRange, packed) or "text" (SETTING_TEXT_BYTES)
+    low: float  # of a text: its shortest length
     high: float
     default: float
     unit: str
@@ -54,6 +60,15 @@ class Setting:
 
 def _choice(name: str, default: str, choices: tuple[str, ...], meaning: str) -> Setting:
     return Setting(name, "uint32_t", 0, len(choices) - 1, choices.index(default), "", meaning, choices)
+
+
+def _text(name: str, meaning: str) -> Setting:
+    return Setting(name, "text", 0, SETTING_TEXT_BYTES, 0, "characters", meaning)
+
+
+def _mode(slot: int, default: ModeRange | None) -> Setting:
+    packed = default.packed if default is not None else 0
+    return Setting(f"mode{slot}", "mode", 0, MODE_RANGE_MAX, packed, "", _MODE_MEANING)
 
 
 def _whole(name: str, low: int, high: int, default: int, unit: str, meaning: str) -> Setting:
@@ -75,6 +90,13 @@ class FilterKind(IntEnum):
     NOTCH = 5
 
 
+SETTING_TEXT_BYTES = 16  # printable ASCII, then zeros
+MODE_RANGE_MAX = (1 << 25) - 1  # of a packed one
+_HIGH_US = MODE_LOW_US + MODE_STEPS * MODE_STEP_US
+_MODE_DEFAULTS = {  # a switch's upper position, as on most transmitters
+    slot: ModeRange(mode, slot, 1700, _HIGH_US)
+    for slot, mode in enumerate((Mode.ARM, Mode.PID, Mode.BEEPER, Mode.TRIAL), start=1)
+}
 _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
@@ -86,10 +108,27 @@ _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
 _DELAY_MEANING = f"silence of the receiver until the stage begins; held from {RECEIVER_HOLD_MS} ms on"
+_MODE_MEANING = "MODE AUX LOW HIGH: on from LOW us to below HIGH us of that AUX channel; none: unused"
+_GAIN_MEANING = "times the gain that is built in"
+_BEEPS = {
+    "crashed": "after a crash",
+    "receiver_lost": "the receiver is lost",
+    "took_over": "the PID took over in flight",
+    "battery_low": "the battery is low: land now",
+    "fault": "a fault that nobody acknowledged",
+    "policy_refused": "the policy was refused in flight",
+    "battery_warn": "the battery's warning",
+    "armed": "when armed",
+    "disarmed": "when disarmed",
+}
 _ARMING_DELAY_MEANING = "from power-up until arming is allowed: longer than the ESCs' start-up tunes"
 SETTINGS = (
     _whole("gyro_rate_hz", 1000, GYRO_EDGE_RATE_HZ, GYRO_RATE_DEFAULT_HZ, "Hz", "1000, 2000, 4000 or 8000"),
     _choice("gyro_alignment", "board", ("board", "cw0", "cw90", "cw180", "cw270"), "how the chip is turned"),
+    *(
+        _number(f"board_{axis}_deg", -180.0, 180.0, 0.0, "deg", "how the board is turned in the aircraft")
+        for axis in AXES
+    ),
     _whole("gyro_stuck_ms", 0, 1000, GYRO_BAD_MS, "ms", "the same sample for longer is a fault; 0: never"),
     *(
         setting
@@ -119,6 +158,7 @@ SETTINGS = (
             ("trial", CHANNEL_TRIAL),
         )
     ),
+    *(_mode(slot, _MODE_DEFAULTS.get(slot)) for slot in range(1, MODE_SLOT_COUNT + 1)),
     _choice("rates_style", "actual", ("actual", "betaflight"), _STYLE_MEANING),
     *(
         setting
@@ -149,12 +189,41 @@ SETTINGS = (
     # Less leaves the motors too little room above their idle: the NF1 needs more than a second to stop.
     _number("motor_limit", 0.4, 1.0, 1.0, "1", "largest motor fraction"),
     _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
+    *(
+        _whole(
+            f"motor{motor}_output", 1, MOTOR_COUNT_MAX, motor, "output", "that this motor's ESC is wired to"
+        )
+        for motor in range(1, MOTOR_COUNT_MAX + 1)
+    ),
+    _choice(
+        "motors_reversed",
+        "off",
+        _SWITCH,
+        "props out: all motors turn the other way than in the aircraft file",
+    ),
     _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
+    *(
+        _number(f"pid_{axis}_{term}", low, 3.0, 1.0, "1", _GAIN_MEANING)
+        for axis in AXES
+        for term, low in (("p", 0.2), ("i", 0.0), ("d", 0.0))
+    ),
     _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),
     _number("battery_scale", 1.0, 100.0, 11.0, "1", "volts at the pack for one at the pin"),
     _number("current_scale", 1.0, 1000.0, 17.9, "mV/A", "of the sensor"),
     _number("battery_warn_v", 2.5, 4.4, 3.5, "V", "a cell: warning"),
     _number("battery_low_v", 2.5, 4.4, 3.3, "V", "a cell: land now"),
+    _whole("battery_capacity_mah", 0, 65_535, 0, "mAh", "of the pack; 0: not told"),
+    *(_choice(f"beep_{name}", "on", _SWITCH, meaning) for name, meaning in _BEEPS.items()),
+    _text("craft_name", "the aircraft's name"),
+    _text("pilot_name", "the pilot's name"),
+    _choice(
+        "msp_variant",
+        "btfl",
+        ("btfl", "nrfl"),
+        "the firmware that MSP says it is; btfl: configurators connect",
+    ),
+    _choice("uart3_function", "off", ("off", "msp"), "what UART3 does: a second MSP port"),
+    _whole("uart3_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", "of UART3, as msp_baud"),
     _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
     _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),

@@ -105,6 +105,11 @@ def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) 
     return {
         "name": setting.name,
         "kind": setting.kind,
+        "member": {
+            "text": f"char {setting.name}[NF_SETTING_TEXT_BYTES]",
+            "mode": f"uint32_t {setting.name}",
+        }.get(setting.kind, f"{setting.kind} {setting.name}"),
+        "choices": ",".join(setting.choices),
         "limits": ", ".join(_number(setting, value) for value in (span.low, span.high, span.default)),
         "unit": span.unit,
         "comment": f"{span.unit}: {setting.meaning}" if span.unit else setting.meaning,
@@ -171,6 +176,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth),
         _enumeration("nf_task", "NF_TASK", contract.Task),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
+        _enumeration("nf_mode", "NF_MODE", contract.Mode),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from toolchain.contract import SETTINGS, Setting
+from toolchain.contract import SETTINGS, ModeRange, Setting
 from toolchain.files import write_text
 
 HEAD = """# Settings
@@ -42,7 +42,11 @@ def settings_page() -> str:
 
 
 def _row(setting: Setting) -> str:
-    if setting.choices:
+    if setting.kind == "text":
+        span, default = f"{setting.high:g} characters of printable ASCII", ""
+    elif setting.kind == "mode":
+        span, default = "", str(ModeRange.unpack(int(setting.default)) or "none")
+    elif setting.choices:
         span, default = ", ".join(setting.choices), setting.choices[int(setting.default)]
     else:
         span, default = f"{setting.low:g} to {setting.high:g}", f"{setting.default:g}"

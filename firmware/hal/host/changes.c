@@ -10,6 +10,12 @@ static bool change_parse_value(const char *text, enum setting_kind kind, union s
 {
 	char *end;
 
+	memset(value, 0, sizeof *value);
+	if (kind == SETTING_text) {
+		const size_t length = strlen(text);
+		memcpy(value->as_text, text, length < sizeof value->as_text ? length : sizeof value->as_text);
+		return length <= sizeof value->as_text;
+	}
 	errno = 0;
 	if (kind == SETTING_float) {
 		value->as_float = strtof(text, &end);

@@ -82,15 +82,22 @@ static enum nf_refusal command_setting_get(struct request *q)
 		return NF_REFUSAL_INDEX;
 	settings_get(q->services->settings, index, &value);
 	msp_put_u8(q->reply, setting->kind);
-	msp_put_bytes(q->reply, &value, sizeof value);
+	msp_put_bytes(q->reply, &value, settings_size(setting));
 	return NF_REFUSAL_NONE;
 }
 
 static enum nf_refusal command_setting_set(struct request *q)
 {
 	const unsigned index = msp_take_u16(&q->payload);
-	const union setting_value value = { .as_uint32_t = msp_take_u32(&q->payload) };
+	const struct setting *setting = settings_info(index);
+	union setting_value value;
 
+	if (!setting)
+		return NF_REFUSAL_INDEX;
+	if (q->payload.left != settings_size(setting))
+		return NF_REFUSAL_PAYLOAD;
+	memset(&value, 0, sizeof value);
+	memcpy(&value, q->payload.at, q->payload.left);
 	return settings_set(q->services->settings, index, &value);
 }
 
@@ -205,7 +212,7 @@ static const struct command {
 	{ NF_MSP_ACKNOWLEDGE, STORING, 0, 0, command_acknowledge },
 	{ NF_MSP_SETTING_INFO, ALWAYS, 2, 2, command_setting_info },
 	{ NF_MSP_SETTING_GET, ALWAYS, 2, 2, command_setting_get },
-	{ NF_MSP_SETTING_SET, STOPPED, 6, 6, command_setting_set },
+	{ NF_MSP_SETTING_SET, STOPPED, 6, 2 + NF_SETTING_TEXT_BYTES, command_setting_set },
 	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, command_settings_write },
 	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, command_channels },
 	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, command_motor_test },

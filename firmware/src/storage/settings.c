@@ -5,30 +5,28 @@
 #include <string.h>
 
 #include "policy.h"
+#include "storage/mode_range.h"
 
-#define INDEX(name, kind, low, high, preset, unit) SETTING_AT_##name,
+#define INDEX(name, kind, low, high, preset, unit, choices) SETTING_AT_##name,
 enum { NF_SETTINGS(INDEX) };
 
-#define FACTS(name_, kind_, low_, high_, preset_, unit_)                                             \
-	{                                                                                            \
-		#name_, unit_, SETTING_##kind_, { .as_##kind_ = (low_) }, { .as_##kind_ = (high_) }, \
-		{                                                                                    \
-			.as_##kind_ = (preset_)                                                      \
-		}                                                                                    \
+#define FACTS(name_, kind_, low_, high_, preset_, unit_, choices_)                              \
+	{                                                                                       \
+		.name = #name_, .unit = unit_, .choices = choices_, .kind = SETTING_##kind_,    \
+		.offset = offsetof(struct nf_settings, name_), .low = { .as_##kind_ = (low_) }, \
+		.high = { .as_##kind_ = (high_) }, .preset = { .as_##kind_ = (preset_) }        \
 	}
-#define ROW(name, kind, low, high, preset, unit) [SETTING_AT_##name] = FACTS(name, kind, low, high, preset, unit),
+#define ROW(name, ...) [SETTING_AT_##name] = FACTS(name, __VA_ARGS__),
 static const struct setting table[] = { NF_SETTINGS(ROW) };
 
 #define RATES_FIRST SETTING_AT_roll_rate
 #define RATES_LAST SETTING_AT_yaw_expo
-#define ROW_OF_RATES(name, kind, low, high, preset, unit) \
-	[SETTING_AT_##name - RATES_FIRST] = FACTS(name, kind, low, high, preset, unit),
+#define ROW_OF_RATES(name, ...) [SETTING_AT_##name - RATES_FIRST] = FACTS(name, __VA_ARGS__),
 static const struct setting betaflight[] = { NF_SETTINGS_BETAFLIGHT(ROW_OF_RATES) };
 
 _Static_assert(sizeof table / sizeof table[0] == NF_SETTING_COUNT, "a row each");
 _Static_assert(sizeof betaflight / sizeof betaflight[0] == RATES_LAST - RATES_FIRST + 1, "the rates, side by side");
 _Static_assert(SETTING_AT_rates_style < RATES_FIRST, "loading takes the style before the rates that it sets");
-_Static_assert(sizeof(struct nf_settings) == NF_SETTING_COUNT * sizeof(union setting_value), "an array of values");
 
 const struct setting *settings_info(unsigned index)
 {
@@ -58,20 +56,40 @@ unsigned settings_find(const char *name)
 	return index;
 }
 
+size_t settings_size(const struct setting *setting)
+{
+	return setting->kind == SETTING_text ? NF_SETTING_TEXT_BYTES : sizeof(uint32_t);
+}
+
 void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value)
 {
-	memcpy(value, (const uint8_t *)settings + index * sizeof *value, sizeof *value);
+	const struct setting *setting = &table[index];
+
+	memset(value, 0, sizeof *value);
+	memcpy(value, (const uint8_t *)settings + setting->offset, settings_size(setting));
 }
 
 static void settings_put(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
-	memcpy((uint8_t *)settings + index * sizeof *value, value, sizeof *value);
+	const struct setting *setting = &table[index];
+
+	memcpy((uint8_t *)settings + setting->offset, value, settings_size(setting));
+}
+
+/* `setting`: that of the index, or what stands in for it beside another style of rates. */
+static void settings_put_default(struct nf_settings *settings, unsigned index, const struct setting *setting)
+{
+	union setting_value value;
+
+	memset(&value, 0, sizeof value);
+	value.as_uint32_t = setting->preset.as_uint32_t;
+	settings_put(settings, index, &value);
 }
 
 static void settings_put_defaults(struct nf_settings *settings, unsigned first, unsigned last)
 {
 	for (unsigned index = first; index <= last; ++index)
-		settings_put(settings, index, &table[index].preset);
+		settings_put_default(settings, index, &table[index]);
 }
 
 void settings_default(struct nf_settings *settings)
@@ -79,11 +97,31 @@ void settings_default(struct nf_settings *settings)
 	settings_put_defaults(settings, 0, NF_SETTING_COUNT - 1);
 }
 
+/* Printable ASCII, then zeros. */
+static bool settings_printable(const char text[NF_SETTING_TEXT_BYTES])
+{
+	unsigned length = 0;
+
+	while (length < NF_SETTING_TEXT_BYTES && text[length] >= ' ' && text[length] <= '~')
+		++length;
+	while (length < NF_SETTING_TEXT_BYTES && text[length] == '\0')
+		++length;
+	return length == NF_SETTING_TEXT_BYTES;
+}
+
 /* Any NaN says no. */
 static bool settings_within(const struct setting *setting, const union setting_value *value)
 {
-	if (setting->kind == SETTING_float)
+	switch ((enum setting_kind)setting->kind) {
+	case SETTING_float:
 		return value->as_float >= setting->low.as_float && value->as_float <= setting->high.as_float;
+	case SETTING_mode:
+		return mode_range_good(value->as_mode);
+	case SETTING_text:
+		return settings_printable(value->as_text);
+	case SETTING_uint32_t:
+		break;
+	}
 	return value->as_uint32_t >= setting->low.as_uint32_t && value->as_uint32_t <= setting->high.as_uint32_t;
 }
 
@@ -99,7 +137,7 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 		return NF_REFUSAL_NONE;
 	/* The same numbers mean another thing in another style. */
 	for (unsigned rate = RATES_FIRST; rate <= RATES_LAST; ++rate)
-		settings_put(settings, rate, &settings_info_beside(settings, rate)->preset);
+		settings_put_default(settings, rate, settings_info_beside(settings, rate));
 	return NF_REFUSAL_NONE;
 }
 
@@ -107,10 +145,11 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 static bool settings_msp_baud_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_MSP_BAUDS;
+	union setting_value baud;
 
-	(void)first;
+	settings_get(settings, first, &baud);
 	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
-		if (known[i] == settings->msp_baud)
+		if (known[i] == baud.as_uint32_t)
 			return true;
 	return false;
 }
@@ -224,6 +263,19 @@ static bool settings_battery_fits(const struct nf_settings *settings, unsigned f
 	return settings->battery_low_v < settings->battery_warn_v;
 }
 
+/* Each of the motors that fly has an output of its own among the first ones. */
+static bool settings_outputs_fit(const struct nf_settings *settings, unsigned first)
+{
+	uint32_t met = 0;
+
+	for (unsigned motor = 0; motor < POLICY_ACTION_COUNT; ++motor) {
+		union setting_value output;
+		settings_get(settings, first + motor, &output);
+		met |= 1u << (output.as_uint32_t - 1u);
+	}
+	return met == (1u << POLICY_ACTION_COUNT) - 1u;
+}
+
 /* The gyro rate comes first: other settings are checked against it. */
 static const struct rule {
 	bool (*fits)(const struct nf_settings *settings, unsigned first);
@@ -240,9 +292,12 @@ static const struct rule {
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
+	{ settings_msp_baud_fits, SETTING_AT_uart3_baud, SETTING_AT_uart3_baud },
+	{ settings_outputs_fit, SETTING_AT_motor1_output, SETTING_AT_motor8_output },
 };
 _Static_assert(SETTING_AT_map_trial - SETTING_AT_map_roll == NF_CHANNEL_TRIAL, "all of the map, side by side");
 _Static_assert(NF_FILTER_STAGES == 4, "a rule each");
+_Static_assert(SETTING_AT_motor8_output - SETTING_AT_motor1_output == NF_MOTOR_COUNT_MAX - 1, "side by side");
 
 unsigned settings_conflict(const struct nf_settings *settings)
 {

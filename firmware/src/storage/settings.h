@@ -2,24 +2,37 @@
 #ifndef NF_SETTINGS_H
 #define NF_SETTINGS_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include "nf_contract.h"
 
-enum setting_kind { SETTING_uint32_t, SETTING_float };
+enum setting_kind { SETTING_uint32_t, SETTING_float, SETTING_mode, SETTING_text };
 
-/* Four bytes of one kind or the other. */
+/* A value of one of the kinds. */
 union setting_value {
 	uint32_t as_uint32_t;
 	float as_float;
+	uint32_t as_mode;                     /* a packed range: mode_range.h */
+	char as_text[NF_SETTING_TEXT_BYTES];  /* printable ASCII, then zeros */
+};
+
+/* A limit or a default; of a text: of its length. */
+union setting_number {
+	uint32_t as_uint32_t;
+	float as_float;
+	uint32_t as_mode;
+	uint32_t as_text;
 };
 
 /* What is known of a setting; `name` and `unit` are the contract's. */
 struct setting {
 	const char *name;
 	const char *unit;
-	enum setting_kind kind;
-	union setting_value low, high, preset; /* of its kind; both limits may be taken */
+	const char *choices; /* names of 0, 1, ..., separated by commas; "": it has none */
+	uint16_t offset;     /* of the value in struct nf_settings */
+	uint8_t kind;        /* enum setting_kind */
+	union setting_number low, high, preset; /* of its kind; both limits may be taken; a text is empty by default */
 };
 
 /* A setting that this start has other than stored. */
@@ -40,7 +53,10 @@ const struct setting *settings_info_beside(const struct nf_settings *settings, u
 /* Index of the setting called `name`, NF_SETTING_COUNT if there is none. */
 unsigned settings_find(const char *name);
 
-/* Value of the setting `index` < NF_SETTING_COUNT, of the kind that settings_info tells. */
+/* Bytes of a value of this setting. */
+size_t settings_size(const struct setting *setting);
+
+/* Value of the setting `index` < NF_SETTING_COUNT, of the kind that settings_info tells; zeros behind its bytes. */
 void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value);
 
 /* Changes one setting; another style of rates sets all rates to the defaults of that style. NF_REFUSAL_INDEX: there is

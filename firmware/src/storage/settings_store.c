@@ -19,7 +19,7 @@ struct head {
 
 struct entry {
 	uint32_t key;
-	union setting_value value;
+	uint32_t word; /* of the value; a longer value has an entry a word, keys counting up from its name's */
 };
 
 static const struct place {
@@ -33,8 +33,11 @@ _Static_assert(NF_FLASH_SETTINGS_COUNT == 2, "alternately");
 _Static_assert(NF_FLASH_SETTINGS_0_ADDRESS == NF_FLASH_SECTORS_1_ADDRESS, "the sector to erase");
 _Static_assert(NF_FLASH_SETTINGS_1_ADDRESS == NF_FLASH_SECTORS_2_ADDRESS, "the sector to erase");
 
+/* Words of a whole set. */
+#define WORDS_OF(name, ...) sizeof(((struct nf_settings *)0)->name) / sizeof(uint32_t) +
+#define ENTRY_COUNT (NF_SETTINGS(WORDS_OF) 0u)
 #define COUNT_MAX ((NF_FLASH_SETTINGS_0_SIZE - sizeof(struct head) - sizeof(uint32_t)) / sizeof(struct entry))
-_Static_assert(NF_SETTING_COUNT <= COUNT_MAX, "a sector holds them");
+_Static_assert(ENTRY_COUNT <= COUNT_MAX, "a sector holds them");
 
 static uint32_t settings_store_key_of(const struct setting *setting)
 {
@@ -76,32 +79,42 @@ static const uint8_t *settings_store_newest(const struct flash *flash, struct he
 	return found;
 }
 
-/* Takes the stored value of the setting `index`, if there is one and it is allowed. */
-static void settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count)
+/* Takes the stored value of the setting `index`, if there is one and it is allowed. *likely: the entry to look at first;
+ * left behind the one that was found, where the next setting's stands in a set of the same version. */
+static void settings_store_take(struct nf_settings *settings, unsigned index, const uint8_t *entries, uint32_t count,
+				uint32_t *likely)
 {
-	const uint32_t key = settings_store_key_of(settings_info(index));
-	struct entry entry;
+	const struct setting *setting = settings_info(index);
+	const uint32_t key = settings_store_key_of(setting);
+	const size_t words = settings_size(setting) / sizeof(uint32_t);
+	union setting_value value;
+	uint32_t found = 0;
 
-	for (uint32_t i = 0; i < count; ++i) {
-		memcpy(&entry, entries + i * sizeof entry, sizeof entry);
-		if (entry.key == key) {
-			(void)settings_set(settings, index, &entry.value); /* refused: the default stays */
-			return;
-		}
+	for (uint32_t i = 0, at = *likely; i < count && found < words; ++i, ++at) {
+		struct entry entry;
+		at = at < count ? at : 0;
+		memcpy(&entry, entries + at * sizeof entry, sizeof entry);
+		if (entry.key != key + found)
+			continue;
+		memcpy((uint8_t *)&value + sizeof entry.word * found++, &entry.word, sizeof entry.word);
+		*likely = at + 1;
 	}
+	if (found == words)
+		(void)settings_set(settings, index, &value); /* refused: the default stays */
 }
 
 bool settings_load(struct nf_settings *settings, const struct flash *flash)
 {
 	struct head head;
 	unsigned place;
+	uint32_t likely = 0;
 	const uint8_t *set = settings_store_newest(flash, &head, &place);
 
 	settings_default(settings);
 	if (!set)
 		return false;
 	for (unsigned index = 0; index < NF_SETTING_COUNT; ++index)
-		settings_store_take(settings, index, set + sizeof head, head.count);
+		settings_store_take(settings, index, set + sizeof head, head.count, &likely);
 	settings_mend(settings);
 	return true;
 }
@@ -128,9 +141,14 @@ static bool settings_store_write_set(struct pen *pen, const struct head *head, c
 	bool good = settings_store_write(pen, head, sizeof *head);
 
 	for (unsigned index = 0; good && index < NF_SETTING_COUNT; ++index) {
-		struct entry entry = { .key = settings_store_key_of(settings_info(index)) };
-		settings_get(settings, index, &entry.value);
-		good = settings_store_write(pen, &entry, sizeof entry);
+		const struct setting *setting = settings_info(index);
+		union setting_value value;
+		settings_get(settings, index, &value);
+		for (uint32_t word = 0; good && word < settings_size(setting) / sizeof(uint32_t); ++word) {
+			struct entry entry = { .key = settings_store_key_of(setting) + word };
+			memcpy(&entry.word, (const uint8_t *)&value + word * sizeof entry.word, sizeof entry.word);
+			good = settings_store_write(pen, &entry, sizeof entry);
+		}
 	}
 	const uint32_t crc = pen->crc;
 	return good && settings_store_write(pen, &crc, sizeof crc);
@@ -144,7 +162,7 @@ enum nf_refusal settings_save(const struct nf_settings *settings, const struct f
 	if (settings_conflict(settings) != NF_SETTING_COUNT)
 		return NF_REFUSAL_CONFLICT;
 	(void)settings_store_newest(flash, &head, &last);
-	head = (struct head){ SETTINGS_MAGIC, SETTINGS_LAYOUT, head.sequence + 1, NF_SETTING_COUNT };
+	head = (struct head){ SETTINGS_MAGIC, SETTINGS_LAYOUT, head.sequence + 1, ENTRY_COUNT };
 	const struct place *place = &places[(last + 1) % NF_FLASH_SETTINGS_COUNT];
 	struct pen pen = { .flash = flash, .address = place->address };
 

@@ -29,12 +29,13 @@ def ask(p: Any) -> Client:
 
 
 def set_gyro_rate(client: Client, rate_hz: int) -> None:
-    client.request(Msp.SETTING_SET, requests.setting_set(GYRO_RATE, rate_hz, whole=True))
+    client.request(Msp.SETTING_SET, requests.setting_set(GYRO_RATE, rate_hz, kind="uint32_t"))
     client.request(Msp.EEPROM_WRITE)
 
 
 def gyro_rate(client: Client) -> float:
-    return requests.setting_value(client.request(Msp.SETTING_GET, requests.setting_index(GYRO_RATE)))
+    told = client.request(Msp.SETTING_GET, requests.setting_index(GYRO_RATE))
+    return float(requests.setting_value(told))
 
 
 def refusal_of(build: Path, flash: Path, preexec_fn: Callable[[], None] | None = None) -> str:

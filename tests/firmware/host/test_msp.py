@@ -123,7 +123,7 @@ def test_a_setting_is_flown_from_the_next_start_on_when_it_was_saved(start: Star
     option = f"--settings={tmp_path / 'flash.bin'}"
     p = start(option)
     with ask(p) as client:
-        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, whole=True))
+        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, kind="uint32_t"))
         assert messages.policy_info(client.request(Msp.POLICY_INFO)).gyro_rate_hz == 4000
         client.request(Msp.EEPROM_WRITE)
     p.end()
@@ -144,7 +144,7 @@ def test_a_setting_is_forgotten_when_it_was_not_saved(start: Start, tmp_path: Pa
     option = f"--settings={tmp_path / 'flash.bin'}"
     p = start(option)
     with ask(p) as client:
-        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, whole=True))
+        client.request(Msp.SETTING_SET, requests.setting_set(INDEX["gyro_rate_hz"], 2000, kind="uint32_t"))
     p.end()
     with ask(start(option)) as client:
         assert messages.policy_info(client.request(Msp.POLICY_INFO)).gyro_rate_hz == 4000
@@ -188,7 +188,7 @@ def test_nothing_is_changed_when_the_motors_are_armed(start: Start, tmp_path: Pa
     before = flash.read_bytes()
     with ask(p) as client:
         for command, payload in (
-            (Msp.SETTING_SET, requests.setting_set(0, 2000, whole=True)),
+            (Msp.SETTING_SET, requests.setting_set(0, 2000, kind="uint32_t")),
             (Msp.EEPROM_WRITE, b""),
             (Msp.POLICY_SLOT_BEGIN, requests.slot_begin(608)),
             (Msp.MOTOR_TEST, requests.motor_test(contract.MOTOR_TEST_MAGIC)),

@@ -62,9 +62,15 @@ THROTTLE = 0.3
 FULL = RATE_FULL_STICK_DEG_S
 
 # What says how the aircraft is built and wired, not how it flies: another value is another aircraft. And when
-# it may arm at the earliest.
+# it may arm at the earliest; and what only MSP and the beeper look at.
 WIRED = frozenset(
-    {"gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "msp_baud", "arming_delay_ms"}
+    {
+        *("gyro_alignment", "receiver_protocol", "battery_scale", "current_scale", "arming_delay_ms"),
+        *("msp_baud", "msp_variant", "uart3_function", "uart3_baud", "battery_capacity_mah"),
+        *(setting.name for setting in SETTINGS if setting.kind in ("text", "mode")),
+        *(setting.name for setting in SETTINGS if setting.name.startswith(("board_", "motor", "beep_"))),
+    }
+    - {"motor_limit", "motor_stop", "motor_protocol"}
 )
 MAP = {
     "map_roll": CHANNEL_ROLL,

@@ -142,7 +142,7 @@ GOOD: dict[Msp, bytes] = {
     Msp.TASKS: b"",
     Msp.SETTING_INFO: requests.setting_index(0),
     Msp.SETTING_GET: requests.setting_index(0),
-    Msp.SETTING_SET: requests.setting_set(0, 8000, whole=True),
+    Msp.SETTING_SET: requests.setting_set(0, 8000, kind="uint32_t"),
     Msp.EEPROM_WRITE: b"",
     Msp.SET_RAW_RC: requests.set_raw_rc([1500] * 16),
     Msp.MOTOR_TEST: requests.motor_test(1),
@@ -273,21 +273,21 @@ def test_each_setting_tells_the_contracts_facts_when_asked(server: Callable[...,
     for index, setting in enumerate(SETTINGS):
         info = requests.setting_info(s.reply(Msp.SETTING_INFO, requests.setting_index(index)))
         assert (info.count, info.name, info.unit) == (len(SETTINGS), setting.name, setting.unit)
-        assert info.whole == (setting.kind != "float")
+        assert info.kind == setting.kind
         assert (info.low, info.high, info.default) == pytest.approx(
             (setting.low, setting.high, setting.default), rel=1e-7
         )
         value = requests.setting_value(s.reply(Msp.SETTING_GET, requests.setting_index(index)))
-        assert value == info.default
+        assert value == ("" if setting.kind == "text" else info.default)
 
 
 def test_a_rate_tells_the_limits_of_its_style_when_that_was_changed(server: Callable[..., Server]) -> None:
     s = server()
-    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["rates_style"], 1, whole=True))
+    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["rates_style"], 1, kind="uint32_t"))
     info = requests.setting_info(s.reply(Msp.SETTING_INFO, requests.setting_index(INDEX["yaw_max"])))
     assert (info.low, info.high, info.unit) == (0.0, 1.0, "1")
     assert info.default == pytest.approx(0.7)
-    payload = requests.setting_set(INDEX["yaw_max"], 1.01, whole=False)
+    payload = requests.setting_set(INDEX["yaw_max"], 1.01, kind="float")
     assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.RANGE, 0)
 
 
@@ -301,8 +301,8 @@ def test_a_setting_is_refused_when_there_is_none_of_that_number(
 
 def test_a_setting_is_changed_and_kept_when_set_and_saved(server: Callable[..., Server]) -> None:
     s = server()
-    for name, value, whole in (("deadband_us", 12, True), ("yaw_expo", 0.5, False)):
-        assert s.reply(Msp.SETTING_SET, requests.setting_set(INDEX[name], value, whole)) == b""
+    for name, value, kind in (("deadband_us", 12, "uint32_t"), ("yaw_expo", 0.5, "float")):
+        assert s.reply(Msp.SETTING_SET, requests.setting_set(INDEX[name], value, kind)) == b""
         told = s.reply(Msp.SETTING_GET, requests.setting_index(INDEX[name]))
         assert requests.setting_value(told) == value
     loaded = s.core.new("struct nf_settings *")
@@ -314,16 +314,16 @@ def test_a_setting_is_changed_and_kept_when_set_and_saved(server: Callable[..., 
 
 def test_a_value_is_refused_when_it_is_beyond_its_limits(server: Callable[..., Server]) -> None:
     s = server()
-    for name, value, whole in (("deadband_us", 101, True), ("yaw_expo", float("nan"), False)):
-        payload = requests.setting_set(INDEX[name], value, whole)
+    for name, value, kind in (("deadband_us", 101, "uint32_t"), ("yaw_expo", float("nan"), "float")):
+        payload = requests.setting_set(INDEX[name], value, kind)
         assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.RANGE, 0)
-    payload = requests.setting_set(len(SETTINGS), 1, whole=True)
+    payload = requests.setting_set(len(SETTINGS), 1, kind="uint32_t")
     assert s.refusal(Msp.SETTING_SET, payload) == (Refusal.INDEX, 0)
 
 
 def test_saving_names_the_setting_when_two_do_not_go_together(server: Callable[..., Server]) -> None:
     s = server()
-    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["battery_low_v"], 4.0, whole=False))
+    s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["battery_low_v"], 4.0, kind="float"))
     assert s.refusal(Msp.EEPROM_WRITE) == (Refusal.CONFLICT, INDEX["battery_warn_v"])
     assert s.chip.operations == 0
 
@@ -499,7 +499,7 @@ def test_what_is_stored_is_old_or_new_when_power_goes_in_session_after_session(
         wanted = (deadband, sequence)
         if rng.random() < 0.5:
             wanted = (int(rng.integers(1, 101)), sequence)
-            s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["deadband_us"], wanted[0], whole=True))
+            s.reply(Msp.SETTING_SET, requests.setting_set(INDEX["deadband_us"], wanted[0], kind="uint32_t"))
             done = s.ask(Msp.EEPROM_WRITE)
         else:
             wanted = (deadband, sequence + 1)
@@ -538,4 +538,4 @@ def test_the_server_goes_on_when_payloads_are_wild(server: Callable[..., Server]
         answer = s.ask(command, payload)
         assert answer.direction is Direction.REPLY or len(answer.payload) == 3
     rate = requests.setting_value(s.reply(Msp.SETTING_GET, requests.setting_index(0)))
-    assert 1000 <= rate <= 8000
+    assert 1000 <= float(rate) <= 8000

@@ -29,7 +29,7 @@ CORE = (
     *("common/crc8", "common/crc32", "housekeeping/scheduler"),
     *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_replies"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
-    *("storage/settings", "storage/settings_store"),
+    *("storage/mode_range", "storage/settings", "storage/settings_store"),
 )
 SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 3000
@@ -60,7 +60,7 @@ def request(rng: np.random.Generator, blob: PolicyBlob) -> bytes:
         ask(Msp.SETTING_INFO, requests.setting_index(index)),
         ask(Msp.SETTING_GET, requests.setting_index(index)),
         ask(Msp.SETTING_SET, requests.setting_index(index) + rng.bytes(4)),
-        ask(Msp.SETTING_SET, requests.setting_set(index, int(rng.integers(0, 6)), whole=True)),
+        ask(Msp.SETTING_SET, requests.setting_set(index, int(rng.integers(0, 6)), kind="uint32_t")),
         ask(Msp.EEPROM_WRITE),
         ask(Msp.FAULTS),
         ask(Msp.FAULTS, requests.acknowledge(int(rng.integers(0, 10)))),

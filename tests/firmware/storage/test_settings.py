@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import SETTINGS, Refusal, Setting, Span
+from toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange, Refusal, Setting, Span
 
 COUNT = len(SETTINGS)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
@@ -23,21 +23,25 @@ def settings(scripted: Any) -> Any:
     return made
 
 
-def value_of(core: Any, setting: Setting, value: float) -> Any:
-    name = "as_float" if setting.kind == "float" else "as_uint32_t"
-    return core.new("union setting_value *", {name: value})
+def value_of(core: Any, setting: Setting, value: float | bytes) -> Any:
+    return core.new("union setting_value *", {f"as_{setting.kind}": value})
 
 
-Put = Callable[[Any, str, float], int]
+Put = Callable[[Any, str, float | bytes], int]
 
 
 @pytest.fixture
 def put(scripted: Any) -> Put:
-    def call(settings: Any, name: str, value: float) -> int:
+    def call(settings: Any, name: str, value: float | bytes) -> int:
         raw = value_of(scripted, SETTINGS[INDEX[name]], value)
         return int(scripted.lib.settings_set(settings, INDEX[name], raw))
 
     return call
+
+
+def held(core: Any, settings: Any, setting: Setting) -> float | bytes:
+    value = getattr(settings, setting.name)
+    return bytes(core.ffi.buffer(value)) if setting.kind == "text" else float(value)
 
 
 def float32(value: float) -> float:
@@ -47,16 +51,19 @@ def float32(value: float) -> float:
 def test_each_setting_is_the_contracts_when_asked_for(scripted: Any, settings: Any) -> None:
     for index, setting in enumerate(SETTINGS):
         info = scripted.lib.settings_info(index)
-        member = "as_float" if setting.kind == "float" else "as_uint32_t"
+        member = f"as_{setting.kind}"
         assert scripted.ffi.string(info.name).decode() == setting.name
         assert scripted.ffi.string(info.unit).decode() == setting.unit
+        assert scripted.ffi.string(info.choices).decode() == ",".join(setting.choices)
         limits = [getattr(part, member) for part in (info.low, info.high, info.preset)]
         wanted = [setting.low, setting.high, setting.default]
         assert limits == [float32(number) if setting.kind == "float" else number for number in wanted]
-        assert getattr(settings, setting.name) == limits[2]
+        default = bytes(SETTING_TEXT_BYTES) if setting.kind == "text" else limits[2]
+        assert held(scripted, settings, setting) == default
         value = scripted.new("union setting_value *")
         scripted.lib.settings_get(settings, index, value)
-        assert getattr(value, member) == limits[2]
+        told = bytes(scripted.ffi.buffer(value.as_text)) if setting.kind == "text" else getattr(value, member)
+        assert told == default
         assert scripted.lib.settings_find(setting.name.encode()) == index
 
 
@@ -66,7 +73,58 @@ def test_nothing_is_known_when_the_index_or_the_name_is_none(scripted: Any) -> N
         assert scripted.lib.settings_find(name) == COUNT
 
 
-@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+@pytest.mark.parametrize("text", [b"", b"x", b"Neuroflight NF-1", b" ~", b"sixteen letters!"])
+def test_a_text_is_taken_when_it_is_printable(scripted: Any, settings: Any, put: Put, text: bytes) -> None:
+    padded = text.ljust(SETTING_TEXT_BYTES, b"\0")
+    assert put(settings, "craft_name", padded) == Refusal.NONE
+    assert held(scripted, settings, SETTINGS[INDEX["craft_name"]]) == padded
+
+
+@pytest.mark.parametrize("text", [b"a\nb", b"\x7f", b"\xe9", b"a\0b", b"\0" * 15 + b"x", b"#\x1b"])
+def test_a_text_is_refused_when_it_is_not_printable(
+    scripted: Any, settings: Any, put: Put, text: bytes
+) -> None:
+    before = bytes(scripted.ffi.buffer(settings))
+    assert put(settings, "craft_name", text.ljust(SETTING_TEXT_BYTES, b"\0")) == Refusal.RANGE
+    assert bytes(scripted.ffi.buffer(settings)) == before
+
+
+RANGES = [
+    ModeRange(Mode.ARM, 1, 900, 2100),
+    ModeRange(Mode.TRIAL, 12, 2075, 2100, and_others=True),
+    ModeRange(Mode.BEEPER, 5, 1300, 1300 + 25),
+]
+
+
+@pytest.mark.parametrize("range_", RANGES, ids=str)
+def test_a_mode_range_is_taken_and_read_back_when_it_is_one(
+    settings: Any, put: Put, range_: ModeRange
+) -> None:
+    assert put(settings, "mode7", range_.packed) == Refusal.NONE
+    assert settings.mode7 == range_.packed
+    assert ModeRange.unpack(settings.mode7) == range_
+
+
+BAD_RANGES = {
+    "mode unknown": 1,
+    "no such channel": 12 << 8 | 48 << 18,
+    "ends crossed": 30 << 12 | 29 << 18,
+    "beyond the last step": 49 << 18,
+    "bits that mean nothing": 48 << 18 | 1 << 25,
+}
+
+
+@pytest.mark.parametrize("packed", BAD_RANGES.values(), ids=BAD_RANGES)
+def test_a_mode_range_is_refused_when_it_is_none(settings: Any, put: Put, packed: int) -> None:
+    before = settings.mode7
+    assert put(settings, "mode7", packed) == Refusal.RANGE
+    assert settings.mode7 == before
+
+
+NUMBERS = [setting for setting in SETTINGS if setting.kind in ("uint32_t", "float")]
+
+
+@pytest.mark.parametrize("setting", NUMBERS, ids=lambda setting: setting.name)
 def test_limits_may_be_taken_and_not_passed_when_set(
     scripted: Any, settings: Any, put: Put, setting: Setting
 ) -> None:
@@ -86,9 +144,9 @@ def test_limits_may_be_taken_and_not_passed_when_set(
 
 
 def test_one_setting_alone_changes_when_set(scripted: Any, settings: Any, put: Put) -> None:
-    before = {setting.name: getattr(settings, setting.name) for setting in SETTINGS}
+    before = {setting.name: held(scripted, settings, setting) for setting in SETTINGS}
     assert put(settings, "battery_scale", 12.5) == Refusal.NONE
-    after = {setting.name: getattr(settings, setting.name) for setting in SETTINGS}
+    after = {setting.name: held(scripted, settings, setting) for setting in SETTINGS}
     assert after == {**before, "battery_scale": 12.5}
 
 
@@ -123,6 +181,9 @@ CONFLICTS = {
         "filter4_kind",
         {"filter4_kind", "filter4_hz"},
     ),
+    "an output for two motors": ({"motor2_output": 3}, "motor1_output", {"motor2_output"}),
+    "an output that this aircraft has not": ({"motor1_output": 8}, "motor1_output", {"motor1_output"}),
+    "UART3's speed": ({"uart3_baud": 9601}, "uart3_baud", {"uart3_baud"}),
     "notch limits": (
         {"dynamic_notch_low_hz": 600.0},
         "dynamic_notch_count",

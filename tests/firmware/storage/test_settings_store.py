@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from toolchain.contract import FLASH_SETTINGS, SETTINGS, Refusal, Setting
+from toolchain.contract import FLASH_SETTINGS, SETTING_TEXT_BYTES, SETTINGS, Mode, ModeRange, Refusal, Setting
 
 MakeChip = Callable[..., Any]
 HEAD_WORDS = 4
-OPERATIONS = 1 + HEAD_WORDS + 2 * len(SETTINGS) + 1  # erase, head, entries, CRC
+WORDS = sum(SETTING_TEXT_BYTES // 4 if setting.kind == "text" else 1 for setting in SETTINGS)
+OPERATIONS = 1 + HEAD_WORDS + 2 * WORDS + 1  # erase, head, entries, CRC
 KINDS = range(5)  # of cuts: enum flash_cut
 
 
@@ -24,7 +25,7 @@ class Store:
     def __init__(self, chip: Any) -> None:
         self.chip, self.core = chip, chip.core
 
-    def save(self, **changes: float) -> int:
+    def save(self, **changes: float | bytes) -> int:
         """Save the defaults with these changes."""
         made = self.core.new("struct nf_settings *")
         self.core.lib.settings_default(made)
@@ -32,16 +33,22 @@ class Store:
             setattr(made, name, value)
         return int(self.core.lib.settings_save(made, self.chip.flash))
 
-    def load(self) -> tuple[bool, dict[str, float]]:
+    def load(self) -> tuple[bool, dict[str, float | bytes]]:
         """Whether a set was found, and what differs from the defaults."""
         made = self.core.new("struct nf_settings *")
         found = bool(self.core.lib.settings_load(made, self.chip.flash))
         default = self.core.new("struct nf_settings *")
         self.core.lib.settings_default(default)
-        names = [setting.name for setting in SETTINGS]
-        return found, {
-            name: getattr(made, name) for name in names if getattr(made, name) != getattr(default, name)
-        }
+        differ: dict[str, float | bytes] = {}
+        for setting in SETTINGS:
+            value, preset = (self._value(settings, setting) for settings in (made, default))
+            if value != preset:
+                differ[setting.name] = value
+        return found, differ
+
+    def _value(self, settings: Any, setting: Setting) -> float | bytes:
+        value = getattr(settings, setting.name)
+        return bytes(self.core.ffi.string(value)) if setting.kind == "text" else float(value)
 
 
 @pytest.fixture
@@ -49,20 +56,28 @@ def store(chip: MakeChip) -> Callable[[], Store]:
     return lambda: Store(chip())
 
 
-OLD = {"deadband_us": 7, "yaw_expo": 0.25, "map_pid": 9, "battery_scale": 10.5}
-NEW = {"deadband_us": 8, "yaw_expo": 0.75, "map_pid": 10, "motor_limit": 0.5}
+OLD: dict[str, float | bytes] = {"deadband_us": 7, "yaw_expo": 0.25, "map_pid": 9, "battery_scale": 10.5}
+NEW: dict[str, float | bytes] = {"deadband_us": 8, "yaw_expo": 0.75, "map_pid": 10, "motor_limit": 0.5}
+TEXT = b"sixteen letters!"
 
 
 def as_set(
-    values: dict[str, float], sequence: int, *, magic: bytes = b"NFPS", layout: int = 1, **names: str
+    values: Mapping[str, float | bytes],
+    sequence: int,
+    *,
+    magic: bytes = b"NFPS",
+    layout: int = 1,
+    **names: str,
 ) -> bytes:
     """A set as the documentation of settings_store.c has it, built by other means."""
     kinds = {setting.name: setting.kind for setting in SETTINGS}
-    entries = b""
+    entries: list[bytes] = []
     for name, value in values.items():
-        form = "<If" if kinds.get(name) == "float" else "<II"
-        entries += struct.pack(form, zlib.crc32(names.get(name, name).encode()), value)
-    body = magic + struct.pack("<3I", layout, sequence, len(values)) + entries
+        key = zlib.crc32(names.get(name, name).encode())
+        form = "<f" if kinds.get(name) == "float" else "<I"
+        raw = value.ljust(SETTING_TEXT_BYTES, b"\0") if isinstance(value, bytes) else struct.pack(form, value)
+        entries += [struct.pack("<I", key + at // 4) + raw[at : at + 4] for at in range(0, len(raw), 4)]
+    body = magic + struct.pack("<3I", layout, sequence, len(entries)) + b"".join(entries)
     return body + struct.pack("<I", zlib.crc32(body))
 
 
@@ -99,7 +114,13 @@ def test_sectors_take_turns_when_saved(store: Callable[[], Store]) -> None:
 
 
 def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Callable[[], Store]) -> None:
-    def other(setting: Setting) -> float:
+    def other(setting: Setting) -> float | bytes:
+        if setting.kind == "text":
+            return TEXT
+        if setting.kind == "mode":
+            return ModeRange(Mode.BEEPER, 5, 1300, 1700).packed
+        if setting.name.endswith("_output"):  # the motors of a quadcopter change places
+            return {1: 4, 4: 1, 2: 3, 3: 2}.get(int(setting.default), 1)
         if setting.name.startswith("map_"):
             return setting.default + 8
         if setting.name == "gyro_rate_hz":
@@ -158,7 +179,7 @@ def test_the_newer_set_wins_when_both_sectors_hold_one_and_numbers_wrap(
 def test_a_set_is_never_flown_with_the_rates_of_another_style_when_loaded(
     store: Callable[[], Store], stored: dict[str, float], flown: dict[str, float], style_first: bool
 ) -> None:
-    s, style = store(), {"rates_style": 1}
+    s, style = store(), {"rates_style": 1.0}
     s.chip.fill(FLASH_SETTINGS[0].address, as_set(style | stored if style_first else stored | style, 3))
     made = s.core.new("struct nf_settings *")
     assert s.core.lib.settings_load(made, s.chip.flash)
@@ -182,9 +203,25 @@ def test_unknown_settings_are_passed_over_when_the_firmware_has_fewer(store: Cal
 
 def test_values_find_their_settings_when_they_stand_in_another_order(store: Callable[[], Store]) -> None:
     s = store()
-    values = {setting.name: setting.default for setting in reversed(SETTINGS)} | {"pitch_max": 720.0}
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set(values, 3))
-    assert s.load() == (True, {"pitch_max": 720.0})
+    changed: dict[str, float | bytes] = {"pitch_max": 720.0, "pilot_name": TEXT}
+    values = {setting.name: setting.default for setting in reversed(SETTINGS) if setting.kind != "text"}
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set({**values, **changed}, 3))
+    assert s.load() == (True, changed)
+
+
+def test_a_text_comes_back_when_it_was_saved(store: Callable[[], Store]) -> None:
+    s = store()
+    s.save(craft_name=TEXT, pilot_name=b"A")
+    assert s.load() == (True, {"craft_name": TEXT, "pilot_name": b"A"})
+
+
+def test_a_text_is_the_default_when_a_part_of_it_is_missing(store: Callable[[], Store]) -> None:
+    s = store()
+    whole = as_set({"craft_name": TEXT, "deadband_us": 7}, 3)
+    head, entries = whole[:16], whole[16:-4]
+    body = head[:12] + struct.pack("<I", 4) + entries[:16] + entries[24:]
+    s.chip.fill(FLASH_SETTINGS[0].address, body + struct.pack("<I", zlib.crc32(body)))
+    assert s.load() == (True, {"deadband_us": 7})
 
 
 def test_a_value_is_the_default_when_its_limits_have_changed_since(store: Callable[[], Store]) -> None:
@@ -278,9 +315,9 @@ def test_a_set_is_there_when_power_goes_again_and_again(store: Callable[[], Stor
     """Cuts one after the other, without a whole save between them: what was good stays good."""
     s, rng = store(), np.random.default_rng(8)
     s.save(**OLD)
-    good = OLD
+    good: Mapping[str, float | bytes] = OLD
     for attempt in range(300):
-        wanted = {"deadband_us": int(rng.integers(1, 100))}
+        wanted: dict[str, float | bytes] = {"deadband_us": int(rng.integers(1, 100))}
         s.chip.cut(int(rng.integers(OPERATIONS + 3)), int(rng.integers(5)), attempt)
         saved = s.save(**wanted) == Refusal.NONE
         s.chip.power_on()

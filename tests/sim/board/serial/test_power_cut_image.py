@@ -45,7 +45,7 @@ def store(idle: IdleBoard, values: dict[str, float]) -> None:
 
 def held(idle: IdleBoard) -> dict[str, float]:
     settings = Settings(idle.client())
-    return {name: settings.get(name) for name in NEW}
+    return {name: float(settings.get(name)) for name in NEW}
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,41 @@
+#include "storage/mode_range.h"
+
+#include <stddef.h>
+
+#include "nf_contract.h"
+
+#define AUX_SHIFT 8u
+#define LOW_SHIFT 12u
+#define HIGH_SHIFT 18u
+#define AND_SHIFT 24u
+#define STEP_MASK 0x3Fu
+
+static const uint8_t modes[] = { NF_MODE_ARM, NF_MODE_BEEPER, NF_MODE_PID, NF_MODE_TRIAL };
+
+struct mode_range mode_range_unpack(uint32_t packed)
+{
+	return (struct mode_range){
+		.mode = (uint8_t)packed,
+		.aux = (uint8_t)(packed >> AUX_SHIFT & 0xFu),
+		.low = (uint8_t)(packed >> LOW_SHIFT & STEP_MASK),
+		.high = (uint8_t)(packed >> HIGH_SHIFT & STEP_MASK),
+		.and_others = packed >> AND_SHIFT != 0,
+	};
+}
+
+uint32_t mode_range_pack(const struct mode_range *range)
+{
+	return range->mode | (uint32_t)range->aux << AUX_SHIFT | (uint32_t)range->low << LOW_SHIFT |
+	       (uint32_t)range->high << HIGH_SHIFT | (uint32_t)range->and_others << AND_SHIFT;
+}
+
+bool mode_range_good(uint32_t packed)
+{
+	const struct mode_range range = mode_range_unpack(packed);
+	bool known = false;
+
+	for (size_t i = 0; i < sizeof modes; ++i)
+		known |= modes[i] == range.mode;
+	return known && packed <= NF_MODE_RANGE_MAX && range.aux < NF_AUX_COUNT && range.low <= range.high &&
+	       range.high <= NF_MODE_STEPS;
+}

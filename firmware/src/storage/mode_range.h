@@ -1,0 +1,21 @@
+/* A range of an AUX channel that switches a mode on, as a setting holds it: ModeRange of toolchain/contract/modes.py. */
+#ifndef NF_MODE_RANGE_H
+#define NF_MODE_RANGE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+struct mode_range {
+	uint8_t mode; /* enum nf_mode */
+	uint8_t aux; /* 0 is AUX 1 */
+	uint8_t low, high; /* steps of NF_MODE_STEP_US above NF_MODE_LOW_US; the same: there is no range */
+	bool and_others; /* only while the other ranges of this kind hold as well */
+};
+
+struct mode_range mode_range_unpack(uint32_t packed);
+uint32_t mode_range_pack(const struct mode_range *range);
+
+/* Is it a mode of ours on a channel that there is, low not above high, and nothing else in it? */
+bool mode_range_good(uint32_t packed);
+
+#endif
