@@ -16,13 +16,14 @@ from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.flash import Cut
 from sim.board.serial.bridge import UartLine
 from sim.board.serial.idle_board import IdleBoard
-from toolchain.contract import MSP_BAUD_DEFAULT, MSP_BAUDS, MSP_PAYLOAD_MAX, SETTINGS, Msp
+from toolchain.contract import MSP_BAUD_DEFAULT, MSP_BAUDS, MSP_PAYLOAD_MAX, SETTING_TEXT_BYTES, SETTINGS, Msp
 from toolchain.errors import LinkError
 
 OLD = {"roll_expo": 0.25, "yaw_deadband_us": 7, "battery_low_v": 3.0}
 NEW = {"roll_expo": 0.75, "yaw_deadband_us": 9, "battery_low_v": 3.25}
 HEAD_WORDS, ENTRY_WORDS, CRC_WORDS = 4, 2, 1  # of a set in flash: settings_store.c
-OPERATIONS = 1 + HEAD_WORDS + ENTRY_WORDS * len(SETTINGS) + CRC_WORDS  # of a save: erase, then words
+ENTRIES = sum(SETTING_TEXT_BYTES // 4 if setting.kind == "text" else 1 for setting in SETTINGS)
+OPERATIONS = 1 + HEAD_WORDS + ENTRY_WORDS * ENTRIES + CRC_WORDS  # of a save: erase, then words
 ERASE, LAST = 0, OPERATIONS - 1
 MICROSECOND = TIME_HZ // 1_000_000
 SAVE_S = 2.0  # what it may take, with the restart behind it
