@@ -48,7 +48,7 @@ struct hal {
 	void (*led)(void *context, bool on);
 	/* Feeds the watchdog; without it the board resets within a second. */
 	void (*watchdog_feed)(void *context);
-	/* From `msp`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run then never
+	/* From `link`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run then never
 	 * returns (board; 1.5 s from now at the latest) or returns with success (host). Nothing may arm from here
 	 * on. */
 	void (*reset)(void *context);
@@ -84,10 +84,17 @@ struct hal_handlers {
 	/* Everything that can wait, a little at a time. Below `sample`; called again and again, and at least
 	 * once between two samples when the processor has time. */
 	void (*background)(void *context);
-	/* Bytes from an MSP peer; returns how many reply bytes to send. Same context as `background`. */
-	size_t (*msp)(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity);
-	/* A new MSP peer: a request half read from the last one is void. Same context as `msp`. */
-	void (*msp_reset)(void *context);
+	/* Bytes from the MSP peer of port 0..NF_MSP_PORT_COUNT - 1; returns how many bytes go to it. Also called with
+	 * count 0 again and again while the port can send, for what is said unasked. No reply is dropped where
+	 * MSP_FRAME_MAX bytes fit and `count` is MSP_REQUEST_MIN at most. Same context as `background`. */
+	size_t (*link)(void *context, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
+		       size_t capacity);
+	/* The peer of that port has gone, or a new one has come: all that was the last one's is void. Called as soon
+	 * as it is known. Same context as `background`. */
+	void (*link_reset)(void *context, unsigned port);
+	/* The peer, which may still be there, has paused: a request half read is void. Only of lines that cannot tell
+	 * one peer from the next. Same context as `background`. */
+	void (*link_pause)(void *context, unsigned port);
 };
 
 /* Brings the chip up, no sample yet, motors stopped: from here until hal_run a board sends them stop frames. Returns

@@ -182,8 +182,8 @@ static void background_offer_services(struct background *background)
 		.acknowledge = background_acknowledge,
 		.reboot = background_reboot,
 	};
-	msp_init(&background->msp, config->identity);
-	msp_offer(&background->msp, &background->services);
+	for (unsigned port = 0; port < NF_MSP_PORT_COUNT; ++port)
+		msp_port_init(&background->ports[port], config->identity, &background->services);
 }
 
 /* --- Tasks -------------------------------------------------------------------------------------------- */
@@ -412,20 +412,27 @@ void background_status(const struct background *background, struct firmware_stat
 	status->battery_level = (uint8_t)battery_level(battery);
 }
 
-size_t background_msp(struct background *background, const uint8_t *bytes, size_t count, uint8_t *reply,
-		      size_t capacity)
+size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
+		       size_t capacity)
 {
 	const struct hal *hal = background->config.hal;
 	const uint32_t start = hal->cycles(hal->context);
 	struct firmware_status status;
 
+	if (count == 0)
+		return 0; /* nothing is said unasked */
 	background_status(background, &status);
-	const size_t written = msp_serve(&background->msp, &status, bytes, count, reply, capacity);
+	const size_t written = msp_port_serve(&background->ports[port], &status, bytes, count, reply, capacity);
 	task_stats_add(&background->config.stats[NF_TASK_MSP], hal->cycles(hal->context) - start, false);
 	return written;
 }
 
-void background_msp_reset(struct background *background)
+void background_link_reset(struct background *background, unsigned port)
 {
-	msp_reset(&background->msp);
+	msp_port_reset(&background->ports[port]);
+}
+
+void background_link_pause(struct background *background, unsigned port)
+{
+	msp_port_pause(&background->ports[port]);
 }

@@ -14,8 +14,9 @@
 #include "housekeeping/battery.h"
 #include "housekeeping/power_sample.h"
 #include "housekeeping/scheduler.h"
-#include "msp/msp.h"
 #include "msp/msp_commands.h"
+#include "msp/msp_port.h"
+#include "nf_contract.h"
 #include "receiver/gesture.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
@@ -58,8 +59,8 @@ struct background {
 	bool refused; /* a policy, when alerts were last looked at */
 	uint32_t refused_since_ms;
 	bool rebooting; /* was asked to, and is about to */
-	struct msp msp;
 	struct msp_services services;
+	struct msp_port ports[NF_MSP_PORT_COUNT];
 };
 
 /* Boots: loads the settings, chooses the policy, starts the firmware, logs the boot. What `config` points to must
@@ -73,11 +74,14 @@ void background_step(struct background *background);
 /* The firmware's status with the background's part filled in. */
 void background_status(const struct background *background, struct firmware_status *status);
 
-/* Bytes from the MSP peer; writes the replies, returns how many bytes. */
-size_t background_msp(struct background *background, const uint8_t *bytes, size_t count, uint8_t *reply,
-		      size_t capacity);
+/* Bytes from the peer of that port, perhaps none; writes what goes to it, returns how many bytes. */
+size_t background_link(struct background *background, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply,
+		       size_t capacity);
 
-/* Another peer is on the line. */
-void background_msp_reset(struct background *background);
+/* The peer of that port has gone, or another one has come. */
+void background_link_reset(struct background *background, unsigned port);
+
+/* It has paused for so long that what follows is no part of what came before. */
+void background_link_pause(struct background *background, unsigned port);
 
 #endif

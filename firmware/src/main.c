@@ -54,8 +54,9 @@ int main(int argc, char **argv)
 		.sample = program_sample,
 		.gyro_silent = program_gyro_silent,
 		.background = program_background,
-		.msp = program_msp,
-		.msp_reset = program_msp_reset,
+		.link = program_link,
+		.link_reset = program_link_reset,
+		.link_pause = program_link_pause,
 	};
 
 	const int start = hal_init(argc, argv, &info);

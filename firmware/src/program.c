@@ -60,16 +60,23 @@ void program_background(void *context)
 	}
 }
 
-size_t program_msp(void *context, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
+size_t program_link(void *context, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity)
 {
 	const struct program *program = context;
 
-	return background_msp(program->background, bytes, count, reply, capacity);
+	return background_link(program->background, port, bytes, count, reply, capacity);
 }
 
-void program_msp_reset(void *context)
+void program_link_reset(void *context, unsigned port)
 {
 	const struct program *program = context;
 
-	background_msp_reset(program->background);
+	background_link_reset(program->background, port);
+}
+
+void program_link_pause(void *context, unsigned port)
+{
+	const struct program *program = context;
+
+	background_link_pause(program->background, port);
 }

@@ -26,7 +26,8 @@ struct program {
 void program_sample(void *program, const struct imu_sample *sample);
 void program_gyro_silent(void *program);
 void program_background(void *program);
-size_t program_msp(void *program, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity);
-void program_msp_reset(void *program);
+size_t program_link(void *program, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity);
+void program_link_reset(void *program, unsigned port);
+void program_link_pause(void *program, unsigned port);
 
 #endif

@@ -19,6 +19,7 @@ from toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX
+_PORT = 0  # that MSP requests come by
 _REPLY = struct.Struct("<I24sfB")  # of _Trace: step, setpoint and gyro, throttle, armed
 
 
@@ -119,7 +120,7 @@ class Reference:
     def write(self, data: bytes) -> None:
         """MSP request bytes in (flash.transport.Transport)."""
         reply = ctypes.create_string_buffer(_REPLY_BYTES)
-        count = self._library.reference_msp(self._memory, data, len(data), reply, len(reply))
+        count = self._library.reference_link(self._memory, _PORT, data, len(data), reply, len(reply))
         self._answer += reply.raw[:count]
 
     def read(self, timeout: float) -> bytes:
@@ -204,7 +205,7 @@ def _load(path: Path) -> ctypes.CDLL:
             "reference_sample": (ctypes.c_bool, (pointer, pointer, pointer, pointer)),
             "reference_silent": (None, (pointer, pointer)),
             "reference_trace": (None, (pointer, pointer)),
-            "reference_msp": (size_t, (pointer, ctypes.c_char_p, size_t, pointer, size_t)),
+            "reference_link": (size_t, (pointer, ctypes.c_uint, ctypes.c_char_p, size_t, pointer, size_t)),
         }
         for name, (result, arguments) in signatures.items():
             function = getattr(library, name)

@@ -44,7 +44,7 @@ HEADERS = (
     "housekeeping/scheduler.h",
     "receiver/rates.h",
     "motors/dshot.h",
-    "msp/msp.h",
+    "msp/msp_port.h",
     "storage/policy_blob.h",
     "storage/settings.h",
     "common/crc32.h",

@@ -46,6 +46,7 @@ MSP_PROTOCOL_VERSION = 0
 MSP_API_MAJOR, MSP_API_MINOR = 1, 46
 MSP_VARIANT = "NRFL"
 MSP_PAYLOAD_MAX = 512
+MSP_PORT_COUNT = 2  # peers at once: UART1 and UART3 of the board, two TCP clients of the host program
 MSP_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)  # of the line, 8N1
 MSP_BAUD_DEFAULT = 115200  # the ecosystem's
 MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX

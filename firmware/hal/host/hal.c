@@ -170,6 +170,7 @@ static bool host_step(const struct hal_handlers *handlers)
 	handlers->sample(handlers->context, &sample);
 	handlers->background(handlers->context);
 	link_send_motors(&host.link, host.board.dshot, host.board.motor_count);
+	msp_tcp_speak(&host.tcp, handlers);
 	host.answered_ns = host_now_ns();
 	return true;
 }
@@ -215,12 +216,11 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 
 	while (!ended && code == 0) {
 		const struct timespec now = { 0 };
-		struct pollfd wait[] = {
-			{ .fd = host.link.state, .events = POLLIN },
-			{ .fd = host.tcp.listener, .events = POLLIN },
-			{ .fd = host.tcp.client, .events = POLLIN },
-		};
+		struct pollfd wait[1 + MSP_TCP_SOCKETS] = { { .fd = host.link.state, .events = POLLIN } };
+		bool called = false;
+
 		host_spin(handlers);
+		msp_tcp_await(&host.tcp, wait + 1);
 		if (ppoll(wait, sizeof wait / sizeof wait[0], host.spins ? &now : NULL, &host.while_waiting) < 0) {
 			if (errno == EINTR)
 				continue;
@@ -232,7 +232,9 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 			host.spins = host_now_ns() - host.answered_ns < SPIN_NS;
 			host_step(handlers);
 		}
-		if (wait[1].revents || wait[2].revents)
+		for (unsigned i = 1; i <= MSP_TCP_SOCKETS; ++i)
+			called |= wait[i].revents != 0;
+		if (called)
 			msp_tcp_serve(&host.tcp, handlers);
 	}
 	msp_tcp_close(&host.tcp);

@@ -123,9 +123,16 @@ void reference_trace(const void *self, struct reference_trace *out)
 	memcpy(out->dshot, trace->dshot, sizeof out->dshot);
 }
 
-size_t reference_msp(void *self, const uint8_t *in, size_t n, uint8_t *out, size_t cap)
+size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, uint8_t *out, size_t cap)
 {
 	struct reference *r = self;
 
-	return background_msp(&r->background, in, n, out, cap);
+	return program_link(&r->program, port, in, n, out, cap);
+}
+
+void reference_link_reset(void *self, unsigned port)
+{
+	struct reference *r = self;
+
+	program_link_reset(&r->program, port);
 }

@@ -42,7 +42,10 @@ void reference_silent(void *self, uint16_t dshot[]);
 
 void reference_trace(const void *self, struct reference_trace *out);
 
-/* MSP bytes in, reply bytes out; returns how many. */
-size_t reference_msp(void *self, const uint8_t *in, size_t n, uint8_t *out, size_t cap);
+/* MSP bytes in by that port, perhaps none, bytes for its peer out; returns how many. */
+size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, uint8_t *out, size_t cap);
+
+/* Another peer is on that port. */
+void reference_link_reset(void *self, unsigned port);
 
 #endif

@@ -1,17 +1,12 @@
 #include "msp/msp.h"
 
-#include <stdbool.h>
-
 #include "common/crc8.h"
-#include "msp/msp_commands.h"
-#include "msp/msp_replies.h"
-#include "nf_contract.h"
 
 #define JUMBO 255u        /* the v1 size that announces a 16-bit one */
 #define FRAME_V1_BYTES 6u /* around a payload: "$M>", size, command, checksum */
 #define FRAME_V2_BYTES 9u /* "$X>", flags, command, size, checksum */
-#define REPLY_MAX 240u    /* bytes of a reply's payload */
-_Static_assert(REPLY_MAX < JUMBO, "no reply of this server needs a jumbo frame");
+_Static_assert(MSP_REPLY_MAX < JUMBO, "no reply of this server needs a jumbo frame");
+_Static_assert(MSP_FRAME_MAX == MSP_REPLY_MAX + FRAME_V2_BYTES, "the longer frame of the two versions");
 
 /* Named for the byte that is awaited. */
 enum msp_state {
@@ -30,17 +25,6 @@ enum msp_state {
 	MSP_PAYLOAD,
 	MSP_CHECKSUM,
 };
-
-void msp_init(struct msp *msp, const struct msp_identity *identity)
-{
-	*msp = (struct msp){ .identity = identity };
-	msp_reset(msp);
-}
-
-void msp_offer(struct msp *msp, const struct msp_services *services)
-{
-	msp->services = services;
-}
 
 void msp_reset(struct msp *msp)
 {
@@ -61,8 +45,7 @@ static enum msp_state msp_after_header(struct msp *msp)
 	return msp->size > 0 ? MSP_PAYLOAD : MSP_CHECKSUM;
 }
 
-/* Takes one byte. Returns whether it completed a request, which is then in version and command. */
-static bool msp_push(struct msp *msp, uint8_t byte)
+bool msp_push(struct msp *msp, uint8_t byte)
 {
 	if (msp->state == MSP_CHECKSUM) {
 		msp->state = MSP_DOLLAR;
@@ -123,61 +106,33 @@ static bool msp_push(struct msp *msp, uint8_t byte)
 	return false;
 }
 
-/* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
-static bool msp_carry_out(const struct msp *msp, const struct firmware_status *status, struct msp_writer *payload)
+size_t msp_frame(unsigned version, uint16_t command, bool refused, const uint8_t *payload, size_t size, uint8_t *frame,
+		 size_t capacity)
 {
-	const struct policy_slots *slots = msp->services ? msp->services->slots : NULL;
-	enum nf_refusal refusal;
-
-	if (msp_reply(msp->command, msp->identity, status, slots, payload))
-		return false;
-	return !msp->services ||
-	       !msp_command(msp->services, status, msp->command, msp->payload, msp->size, payload, &refusal) ||
-	       refusal != NF_REFUSAL_NONE;
-}
-
-/* Writes the reply to the request just read; 0 bytes if it does not fit. */
-static size_t msp_answer(const struct msp *msp, const struct firmware_status *status, uint8_t *reply, size_t capacity)
-{
-	uint8_t payload[REPLY_MAX];
-	struct msp_writer writer = { payload, payload + sizeof payload };
-	const bool refused = msp_carry_out(msp, status, &writer);
-	const size_t size = (size_t)(writer.at - payload);
-	const size_t header_end = msp->version == 1 ? FRAME_V1_BYTES - 1 : FRAME_V2_BYTES - 1;
+	const size_t header_end = version == 1 ? FRAME_V1_BYTES - 1 : FRAME_V2_BYTES - 1;
 	size_t n = 0;
 
 	if (header_end + size + 1 > capacity)
 		return 0;
-	reply[n++] = '$';
-	reply[n++] = msp->version == 1 ? 'M' : 'X';
-	reply[n++] = refused ? '!' : '>';
+	frame[n++] = '$';
+	frame[n++] = version == 1 ? 'M' : 'X';
+	frame[n++] = refused ? '!' : '>';
 	const size_t checked_from = n;
-	if (msp->version == 1) {
-		reply[n++] = (uint8_t)size;
-		reply[n++] = (uint8_t)msp->command;
+	if (version == 1) {
+		frame[n++] = (uint8_t)size;
+		frame[n++] = (uint8_t)command;
 	} else {
-		reply[n++] = 0; /* flags */
-		reply[n++] = (uint8_t)msp->command;
-		reply[n++] = (uint8_t)(msp->command >> 8);
-		reply[n++] = (uint8_t)size;
-		reply[n++] = (uint8_t)(size >> 8);
+		frame[n++] = 0; /* flags */
+		frame[n++] = (uint8_t)command;
+		frame[n++] = (uint8_t)(command >> 8);
+		frame[n++] = (uint8_t)size;
+		frame[n++] = (uint8_t)(size >> 8);
 	}
 	for (size_t i = 0; i < size; ++i)
-		reply[n++] = payload[i];
+		frame[n++] = payload[i];
 	uint8_t checksum = 0;
 	for (size_t i = checked_from; i < n; ++i)
-		checksum = msp_checksum_step(msp->version, checksum, reply[i]);
-	reply[n++] = checksum;
+		checksum = msp_checksum_step(version, checksum, frame[i]);
+	frame[n++] = checksum;
 	return n;
-}
-
-size_t msp_serve(struct msp *msp, const struct firmware_status *status, const uint8_t *bytes, size_t count,
-		 uint8_t *reply, size_t capacity)
-{
-	size_t written = 0;
-
-	for (size_t i = 0; i < count; ++i)
-		if (msp_push(msp, bytes[i]))
-			written += msp_answer(msp, status, reply + written, capacity - written);
-	return written;
 }

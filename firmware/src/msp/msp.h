@@ -1,20 +1,19 @@
-/* MSP server, v1 and v2: bytes in, reply bytes out. Knows no port. */
+/* MSP's frames, v1 and v2: bytes to requests, replies to bytes. */
 #ifndef NF_MSP_H
 #define NF_MSP_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
-#include "common/status.h"
-#include "msp/msp_identity.h"
 #include "nf_contract.h"
 
-struct msp_services;
+#define MSP_REQUEST_MIN 6u /* bytes of the shortest request: at most one ends within as many bytes */
+#define MSP_REPLY_MAX 240u /* bytes of a reply's payload */
+#define MSP_FRAME_MAX (MSP_REPLY_MAX + 9u) /* of a reply */
 
 /* The request being read. */
 struct msp {
-	const struct msp_identity *identity;
-	const struct msp_services *services; /* NULL: only commands that read are served */
 	uint8_t state;           /* enum msp_state of msp.c */
 	uint8_t version;         /* 1 or 2 */
 	uint8_t checksum;
@@ -24,18 +23,15 @@ struct msp {
 	_Alignas(4) uint8_t payload[NF_MSP_PAYLOAD_MAX];
 };
 
-/* Serves commands that read. `identity` must outlive the server. */
-void msp_init(struct msp *msp, const struct msp_identity *identity);
-
-/* From now on serves those of msp_commands.h too. `services` must outlive the server. */
-void msp_offer(struct msp *msp, const struct msp_services *services);
-
-/* Forgets a half-read request: a new peer is on the line. */
+/* Forgets a half-read request. Zeros are such a state too. */
 void msp_reset(struct msp *msp);
 
-/* Reads `count` bytes and answers each whole request found in them from `status`. Requests may be cut
- * anywhere. Returns the bytes written to `reply`; a reply that does not fit into `capacity` is dropped whole. */
-size_t msp_serve(struct msp *msp, const struct firmware_status *status, const uint8_t *bytes, size_t count,
-		 uint8_t *reply, size_t capacity);
+/* Takes one byte. Returns whether it completed a request, which is then in version, command, size and payload. */
+bool msp_push(struct msp *msp, uint8_t byte);
+
+/* Writes a reply with a payload of `size` bytes, at most MSP_REPLY_MAX, as a frame of that version. Returns its bytes;
+ * 0, and nothing is written, if it does not fit into `capacity`. */
+size_t msp_frame(unsigned version, uint16_t command, bool refused, const uint8_t *payload, size_t size, uint8_t *frame,
+		 size_t capacity);
 
 #endif

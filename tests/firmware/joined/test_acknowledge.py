@@ -139,7 +139,7 @@ class Field:
     # An MSP line of its own.
     def write(self, data: bytes) -> None:
         reply = self.core.new("uint8_t[1024]")
-        count = self.core.lib.program_msp(self.program, data, len(data), reply, 1024)
+        count = self.core.lib.program_link(self.program, 0, data, len(data), reply, 1024)
         self._reply += bytes(self.core.ffi.buffer(reply, count))
 
     def read(self, timeout: float) -> bytes:

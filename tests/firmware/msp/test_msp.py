@@ -1,4 +1,4 @@
-"""msp.c and msp_replies.c: bytes in, reply bytes out."""
+"""msp.c, msp_port.c and msp_replies.c: bytes in, reply bytes out."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ class Server:
         self.core = core
         self._texts = {name: core.new("char[]", text) for name, text in IDENTITY.items()}
         self._identity = core.new("struct msp_identity *", {**self._texts, "unique_id": UNIQUE_ID})
-        self._msp = core.new("struct msp *")
+        self._port = core.new("struct msp_port *")
         self._status = core.new("struct firmware_status *", {"gyro_rate_hz": 4000, **status})
-        core.lib.msp_init(self._msp, self._identity)
+        core.lib.msp_port_init(self._port, self._identity, core.ffi.NULL)
 
     def send(self, data: bytes, capacity: int = 4096) -> bytes:
         out = self.core.new("uint8_t[]", b"\xa5" * (capacity + 16))
-        count = self.core.lib.msp_serve(self._msp, self._status, data, len(data), out, capacity)
+        count = self.core.lib.msp_port_serve(self._port, self._status, data, len(data), out, capacity)
         reply = bytes(out)
         assert count <= capacity
         assert set(reply[capacity : capacity + 16]) == {0xA5}, "written past the end"
@@ -78,7 +78,7 @@ class Server:
         return payload
 
     def reset(self) -> None:
-        self.core.lib.msp_reset(self._msp)
+        self.core.lib.msp_port_reset(self._port)
 
 
 @pytest.fixture
@@ -363,7 +363,7 @@ def test_reasons_are_told_when_no_gyro_sample_ever_came(scripted: Any) -> None:
     assert scripted.lib.reference_init(memory, 4000, scripted.ffi.NULL, 0) == 0
     out = scripted.new("uint8_t[256]")
     ask = v1(Msp.STATUS_EX)
-    count = scripted.lib.reference_msp(memory, ask, len(ask), out, len(out))
+    count = scripted.lib.reference_link(memory, 0, ask, len(ask), out, len(out))
     extended = messages.status_ex(bytes(out)[5 : count - 1])
     assert set(messages.arming_reasons(extended.arming_flags)) == {
         "BOOT_GRACE",

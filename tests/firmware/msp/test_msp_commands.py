@@ -65,12 +65,10 @@ class Server:
         self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR")]
         self._identity = self.core.new("struct msp_identity *", [*self._texts, False, (1, 2, 3)])
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
-        self._msp = self.core.new("struct msp *")
+        self._port = self.core.new("struct msp_port *")
         lib.settings_default(self.settings)
         self.boot()
-        lib.msp_init(self._msp, self._identity)
-        if offered:
-            lib.msp_offer(self._msp, self.services)
+        lib.msp_port_init(self._port, self._identity, self.services if offered else self.core.ffi.NULL)
 
     def boot(self) -> None:
         """What main does with flash before it serves."""
@@ -112,7 +110,7 @@ class Server:
         """The answer, whichever it is."""
         ask = encode(Message(Version.V2, Direction.REQUEST, command, payload))
         out = self.core.new("uint8_t[1024]")
-        count = self.core.lib.msp_serve(self._msp, self.status, ask, len(ask), out, 1024)
+        count = self.core.lib.msp_port_serve(self._port, self.status, ask, len(ask), out, 1024)
         (answer,) = Decoder().feed(bytes(out)[:count])
         assert isinstance(answer, Message)
         assert answer.command == command

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "firmware.h"
-#include "msp/msp.h"
+#include "msp/msp_port.h"
 #include "storage/policy_blob.h"
 #include "storage/settings.h"
 
@@ -34,13 +34,13 @@ int main(void)
 	};
 	struct firmware *fw = malloc(sizeof *fw);
 	struct firmware_status status;
-	struct msp msp;
+	struct msp_port port;
 	unsigned long samples = 0, replies = 0, blobs = 0;
 
 	settings_default(&settings);
 	if (!fw || firmware_init(fw, &config) != NF_OK)
 		return 2;
-	msp_init(&msp, &identity);
+	msp_port_init(&port, &identity, NULL);
 	for (int low, high; (low = getchar()) != EOF && (high = getchar()) != EOF;) {
 		const int length = low | high << 8;
 		/* Exact sizes on the heap, so that one byte too far is seen. */
@@ -55,7 +55,7 @@ int main(void)
 		firmware_receive(fw, bytes, count);
 		firmware_sample(fw, &sample, dshot);
 		firmware_status(fw, &status);
-		replies += msp_serve(&msp, &status, bytes, count, reply, (size_t)length * 4) > 0;
+		replies += msp_port_serve(&port, &status, bytes, count, reply, (size_t)length * 4) > 0;
 		memcpy(slot + 1, bytes, count); /* misaligned, and its end is the heap block's */
 		blobs += policy_blob_check(slot + 1, count, &identity_of_blob) == NF_OK;
 		++samples;

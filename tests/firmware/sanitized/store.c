@@ -8,8 +8,8 @@
 #include <string.h>
 
 #include "hal/host/flash_model.h"
-#include "msp/msp.h"
 #include "msp/msp_commands.h"
+#include "msp/msp_port.h"
 #include "policy.h"
 #include "storage/settings_store.h"
 
@@ -61,7 +61,7 @@ static void boot(void)
 	fault_log_boot(&faults, &flash, faults.boots % 3 ? NULL : &record);
 }
 
-static void serve(struct msp *msp, const uint8_t *bytes, size_t count)
+static void serve(struct msp_port *port, const uint8_t *bytes, size_t count)
 {
 	static const struct firmware_status status = { .gyro_rate_hz = 1000 };
 	const size_t capacity = 4 * count + 16;
@@ -69,7 +69,7 @@ static void serve(struct msp *msp, const uint8_t *bytes, size_t count)
 
 	if (!reply)
 		exit(2);
-	replies += msp_serve(msp, &status, bytes, count, reply, capacity) > 0;
+	replies += msp_port_serve(port, &status, bytes, count, reply, capacity) > 0;
 	free(reply);
 }
 
@@ -100,7 +100,7 @@ int main(void)
 		.channels = channels,
 		.motors = motors,
 	};
-	struct msp msp;
+	struct msp_port port;
 
 	model.bytes = aligned_alloc(8, NF_FLASH_BYTES);
 	if (!model.bytes)
@@ -108,8 +108,7 @@ int main(void)
 	memset(model.bytes, 0xFF, NF_FLASH_BYTES);
 	flash = flash_model_interface(&model);
 	boot();
-	msp_init(&msp, &identity);
-	msp_offer(&msp, &services);
+	msp_port_init(&port, &identity, &services);
 	for (int kind, low, high; (kind = getchar()) != EOF && (low = getchar()) != EOF && (high = getchar()) != EOF;) {
 		const size_t length = (size_t)(low | high << 8);
 		uint8_t *bytes = malloc(length + 1); /* exact, so that one byte too far is seen */
@@ -117,7 +116,7 @@ int main(void)
 			return 2;
 		const size_t count = fread(bytes, 1, length, stdin);
 		if (kind == 'M')
-			serve(&msp, bytes, count);
+			serve(&port, bytes, count);
 		else if (kind == 'C' && count >= 3)
 			flash_model_cut(&model, bytes[0], bytes[1] % FLASH_CUT_COUNT, bytes[2]);
 		else

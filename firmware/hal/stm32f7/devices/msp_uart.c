@@ -6,6 +6,7 @@
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/peripherals/uart.h"
 
+#define PORT 0u
 #define REPLY_BYTES 1024u
 #define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
 
@@ -41,12 +42,12 @@ void msp_uart_serve(const struct hal_handlers *handlers)
 	const size_t count = uart_ring_read(&ring, bytes, sizeof bytes);
 	const uint32_t now = time_ms();
 
-	if (count == 0u)
-		return;
-	if (now - last_byte_ms > SILENCE_MS)
-		handlers->msp_reset(handlers->context);
-	last_byte_ms = now;
-	const size_t answered = handlers->msp(handlers->context, bytes, count, msp_reply_bytes, sizeof msp_reply_bytes);
+	if (count != 0u && now - last_byte_ms > SILENCE_MS)
+		handlers->link_pause(handlers->context, PORT);
+	if (count != 0u)
+		last_byte_ms = now;
+	const size_t answered = handlers->link(handlers->context, PORT, bytes, count, msp_reply_bytes,
+					       sizeof msp_reply_bytes);
 	if (answered != 0u)
 		dma_start(BOARD_MSP_DMA_TX, msp_reply_bytes, (uint32_t)answered);
 }

@@ -1,0 +1,60 @@
+#include "msp/msp_port.h"
+
+#include <stdbool.h>
+
+#include "msp/msp_commands.h"
+#include "msp/msp_replies.h"
+
+void msp_port_init(struct msp_port *port, const struct msp_identity *identity, const struct msp_services *services)
+{
+	*port = (struct msp_port){ .identity = identity, .services = services };
+	msp_port_reset(port);
+}
+
+void msp_port_reset(struct msp_port *port)
+{
+	msp_reset(&port->msp);
+}
+
+void msp_port_pause(struct msp_port *port)
+{
+	msp_reset(&port->msp);
+}
+
+/* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
+static bool msp_port_carry_out(const struct msp_port *port, const struct firmware_status *status,
+			       struct msp_writer *payload)
+{
+	const struct msp_services *services = port->services;
+	const struct msp *msp = &port->msp;
+	const struct policy_slots *slots = services ? services->slots : NULL;
+	enum nf_refusal refusal;
+
+	if (msp_reply(msp->command, port->identity, status, slots, payload))
+		return false;
+	return !services || !msp_command(services, status, msp->command, msp->payload, msp->size, payload, &refusal) ||
+	       refusal != NF_REFUSAL_NONE;
+}
+
+/* Writes the reply to the request just read; 0 bytes if it does not fit. */
+static size_t msp_port_answer(const struct msp_port *port, const struct firmware_status *status, uint8_t *reply,
+			      size_t capacity)
+{
+	const struct msp *msp = &port->msp;
+	uint8_t payload[MSP_REPLY_MAX];
+	struct msp_writer writer = { payload, payload + sizeof payload };
+	const bool refused = msp_port_carry_out(port, status, &writer);
+
+	return msp_frame(msp->version, msp->command, refused, payload, (size_t)(writer.at - payload), reply, capacity);
+}
+
+size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
+		      uint8_t *reply, size_t capacity)
+{
+	size_t written = 0;
+
+	for (size_t i = 0; i < count; ++i)
+		if (msp_push(&port->msp, bytes[i]))
+			written += msp_port_answer(port, status, reply + written, capacity - written);
+	return written;
+}

@@ -1,0 +1,35 @@
+/* A port: the line of one MSP peer, and what belongs to that peer. Bytes in, reply bytes out; knows no device. */
+#ifndef NF_MSP_PORT_H
+#define NF_MSP_PORT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "common/status.h"
+#include "msp/msp.h"
+#include "msp/msp_identity.h"
+
+struct msp_services;
+
+struct msp_port {
+	const struct msp_identity *identity;
+	const struct msp_services *services; /* NULL: only commands that read are served */
+	struct msp msp;                      /* the request being read */
+};
+
+/* `identity` and `services` must outlive the port. */
+void msp_port_init(struct msp_port *port, const struct msp_identity *identity, const struct msp_services *services);
+
+/* The peer has gone, or a new one is there: nothing of the last one's is left. */
+void msp_port_reset(struct msp_port *port);
+
+/* The peer has paused: a request half read is void, what follows begins anew. */
+void msp_port_pause(struct msp_port *port);
+
+/* Reads `count` bytes and answers each whole request found in them from `status`. Requests may be cut anywhere. Returns
+ * the bytes written to `reply`; a reply that does not fit into `capacity` is dropped whole. Where MSP_FRAME_MAX bytes
+ * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. */
+size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
+		      uint8_t *reply, size_t capacity);
+
+#endif
