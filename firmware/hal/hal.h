@@ -49,7 +49,7 @@ struct hal {
 	/* Feeds the watchdog; without it the board resets within a second. */
 	void (*watchdog_feed)(void *context);
 	/* From `link`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run then never
-	 * returns (board; 1.5 s from now at the latest) or returns with success (host). Nothing may arm from here
+	 * returns (board; 2.5 s from now at the latest) or returns with success (host). Nothing may arm from here
 	 * on. */
 	void (*reset)(void *context);
 
@@ -95,6 +95,9 @@ struct hal_handlers {
 	/* The peer, which may still be there, has paused: a request half read is void. Only of lines that cannot tell
 	 * one peer from the next. Same context as `background`. */
 	void (*link_pause)(void *context, unsigned port);
+	/* Bytes from the peer were lost, the line being faster than the program: a request half read is void. Same
+	 * context as `background`. */
+	void (*link_lost)(void *context, unsigned port);
 };
 
 /* Brings the chip up, no sample yet, motors stopped: from here until hal_run a board sends them stop frames. Returns

@@ -436,3 +436,8 @@ void background_link_pause(struct background *background, unsigned port)
 {
 	msp_port_pause(&background->ports[port]);
 }
+
+void background_link_lost(struct background *background, unsigned port)
+{
+	msp_port_lost(&background->ports[port]);
+}

@@ -84,4 +84,7 @@ void background_link_reset(struct background *background, unsigned port);
 /* It has paused for so long that what follows is no part of what came before. */
 void background_link_pause(struct background *background, unsigned port);
 
+/* Bytes of its were lost. */
+void background_link_lost(struct background *background, unsigned port);
+
 #endif

@@ -57,6 +57,7 @@ int main(int argc, char **argv)
 		.link = program_link,
 		.link_reset = program_link_reset,
 		.link_pause = program_link_pause,
+		.link_lost = program_link_lost,
 	};
 
 	const int start = hal_init(argc, argv, &info);

@@ -80,3 +80,10 @@ void program_link_pause(void *context, unsigned port)
 
 	background_link_pause(program->background, port);
 }
+
+void program_link_lost(void *context, unsigned port)
+{
+	const struct program *program = context;
+
+	background_link_lost(program->background, port);
+}

@@ -29,5 +29,6 @@ void program_background(void *program);
 size_t program_link(void *program, unsigned port, const uint8_t *bytes, size_t count, uint8_t *reply, size_t capacity);
 void program_link_reset(void *program, unsigned port);
 void program_link_pause(void *program, unsigned port);
+void program_link_lost(void *program, unsigned port);
 
 #endif

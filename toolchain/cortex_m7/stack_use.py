@@ -36,7 +36,10 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "gyro_chip.c:gyro_sample_handler": ("program.c:program_sample",),
     "gyro_chip.c:gyro_tick": ("program.c:program_gyro_silent",),
     "hal.c": ("program.c:program_background",),
-    "msp_uart.c": ("program.c:program_link", "program.c:program_link_pause"),
+    "msp_uart.c": (
+        *("program.c:program_link", "program.c:program_link_pause"),
+        "program.c:program_link_lost",
+    ),
     "flash.c:flash_at": ("hal.c:hal_flash_at",),
     "flash.c:flash_erase": ("hal.c:hal_flash_erase",),
     "flash.c:flash_program": ("hal.c:hal_flash_program",),

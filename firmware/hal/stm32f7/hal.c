@@ -24,7 +24,7 @@
 _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six motors");
 
 #define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
-#define RESET_WAIT_MS 1500u /* the longest replies take 1.1 s at 9600 baud */
+#define RESET_WAIT_MS 2500u /* the two buffers of a line take 2.2 s at 9600 baud */
 
 /* The background's alone. */
 static struct {
@@ -167,7 +167,9 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
-	msp_uart_start(settings->msp_baud);
+	msp_uart_start(0, settings->msp_baud);
+	if (settings->uart3_function == NF_UART3_FUNCTION_MSP)
+		msp_uart_start(1, settings->uart3_baud);
 	receiver_line_start(settings->receiver_protocol);
 	gyro_run(handlers, settings->gyro_rate_hz);
 	program_runs = true;
@@ -177,7 +179,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 		handlers->background(handlers->context);
 		if (!restart.wanted)
 			msp_uart_serve(handlers);
-		else if (!msp_uart_sending() || time_ms() - restart.since_ms > RESET_WAIT_MS)
+		else if (!msp_uart_finish() || time_ms() - restart.since_ms > RESET_WAIT_MS)
 			fault_reset();
 		/* Most interrupts only begin to read a sample: there is work after a sample or a millisecond. */
 		while (gyro_samples() == samples && time_ms() == milliseconds)

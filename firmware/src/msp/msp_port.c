@@ -21,6 +21,11 @@ void msp_port_pause(struct msp_port *port)
 	msp_reset(&port->msp);
 }
 
+void msp_port_lost(struct msp_port *port)
+{
+	msp_reset(&port->msp);
+}
+
 /* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
 static bool msp_port_carry_out(const struct msp_port *port, const struct firmware_status *status,
 			       struct msp_writer *payload)

@@ -26,6 +26,9 @@ void msp_port_reset(struct msp_port *port);
 /* The peer has paused: a request half read is void, what follows begins anew. */
 void msp_port_pause(struct msp_port *port);
 
+/* Bytes from the peer were lost: a request half read is void. */
+void msp_port_lost(struct msp_port *port);
+
 /* Reads `count` bytes and answers each whole request found in them from `status`. Requests may be cut anywhere. Returns
  * the bytes written to `reply`; a reply that does not fit into `capacity` is dropped whole. Where MSP_FRAME_MAX bytes
  * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. */

@@ -15,7 +15,7 @@
 
 /* RCC enable bits of the ports, timers and UARTs below. */
 #define BOARD_PORT_CLOCKS (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN)
-#define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN)
+#define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN | RCC_APB1ENR_USART3EN)
 #define BOARD_APB2_CLOCKS (RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN)
 
 #define BOARD_LED0 ((struct pin){ GPIOB, 9 }) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
@@ -53,6 +53,15 @@
 #define BOARD_MSP_RX ((struct pin){ GPIOA, 10 })
 #define BOARD_MSP_DMA_RX ((struct dma_stream){ DMA2, 5, 4 })
 #define BOARD_MSP_DMA_TX ((struct dma_stream){ DMA2, 7, 4 })
+
+/* The second one, where the pilot has set it so. */
+#define BOARD_MSP2_UART USART3
+#define BOARD_MSP2_UART_HZ CLOCK_APB1_HZ
+#define BOARD_MSP2_AF 7u
+#define BOARD_MSP2_TX ((struct pin){ GPIOC, 10 })
+#define BOARD_MSP2_RX ((struct pin){ GPIOC, 11 })
+#define BOARD_MSP2_DMA_RX ((struct dma_stream){ DMA1, 1, 4 })
+#define BOARD_MSP2_DMA_TX ((struct dma_stream){ DMA1, 3, 4 })
 
 #define BOARD_RECEIVER_UART USART2
 #define BOARD_RECEIVER_UART_HZ CLOCK_APB1_HZ

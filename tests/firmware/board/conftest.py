@@ -63,7 +63,7 @@ FOLLOWS = {
 CLOCK_OF = {
     **{f"GPIO{port}": ("RCC_AHB1ENR", f"GPIO{port}EN") for port in "ABC"},
     **{f"DMA{number}": ("RCC_AHB1ENR", f"DMA{number}EN") for number in (1, 2)},
-    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "TIM3", "USART2")},
+    **{name: ("RCC_APB1ENR", f"{name}EN") for name in ("PWR", "TIM3", "USART2", "USART3")},
     **{name: ("RCC_APB2ENR", f"{name}EN") for name in ("TIM1", "TIM8", "ADC1", "USART1", "SPI1", "SYSCFG")},
 }
 

@@ -48,7 +48,7 @@ WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")
 # What DMA reads, which must not be DTCM while the core sleeps, and the background's.
 SLOW_DMA_BUFFERS = (
-    *("motor_slots", "gyro_request", "msp_ring_bytes", "msp_reply_bytes", "power_conversions"),
+    *("motor_slots", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),
 )
 # Functions of libm, and what they call themselves.
 LIBM = (

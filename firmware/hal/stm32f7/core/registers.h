@@ -87,6 +87,7 @@
 #define RCC_APB1ENR REGISTER(0x40023840u)
 #define RCC_APB1ENR_TIM3EN BIT(1)
 #define RCC_APB1ENR_USART2EN BIT(17)
+#define RCC_APB1ENR_USART3EN BIT(18)
 #define RCC_APB1ENR_PWREN BIT(28)
 #define RCC_APB2ENR REGISTER(0x40023844u)
 #define RCC_APB2ENR_TIM1EN BIT(0)
@@ -121,6 +122,7 @@
 #define DMA1 0x40026000u
 #define DMA2 0x40026400u
 #define DMA_LISR(dma) REGISTER((dma) + 0x00u)
+#define DMA_LISR_HTIF0 BIT(4)
 #define DMA_LISR_TCIF0 BIT(5)
 #define DMA_LISR_TCIF1 BIT(11)
 #define DMA_LISR_TCIF2 BIT(21)
@@ -256,6 +258,7 @@
 /* --- Universal asynchronous receiver transmitter (RM0431 chapter USART) -------------------- */
 #define USART1 0x40011000u
 #define USART2 0x40004400u
+#define USART3 0x40004800u
 #define USART_CR1(uart) REGISTER((uart) + 0x00u)
 #define USART_CR1_UE BIT(0)
 #define USART_CR1_RE BIT(2)

@@ -1,4 +1,4 @@
-/* MSP on a UART: 8N1, requests in a ring, one reply buffer at a time. Background only. */
+/* MSP's ports on UARTs, 8N1. Background only. */
 #ifndef STM32F7_MSP_UART_H
 #define STM32F7_MSP_UART_H
 
@@ -6,14 +6,14 @@
 
 #include "hal/hal.h"
 
-/* baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
-void msp_uart_start(uint32_t baud);
+/* Port 0..NF_MSP_PORT_COUNT - 1 begins. baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
+void msp_uart_start(unsigned port, uint32_t baud);
 
-/* Serves what has come since the last call; waits for nothing. While a reply is being sent requests wait in
- * the ring. */
+/* Serves what has come by the ports that have begun since the last call, and sends what is said unasked; waits for
+ * nothing. */
 void msp_uart_serve(const struct hal_handlers *handlers);
 
-/* Is a reply on its way, its last bit not yet on the line? */
-bool msp_uart_sending(void);
+/* Sends what is left to be sent, and takes no more requests. Returns whether a bit of it is not yet on the line. */
+bool msp_uart_finish(void);
 
 #endif

@@ -52,6 +52,22 @@ static inline bool dma_complete(struct dma_stream s)
 	return (flags >> dma_flag_shift(s) & DMA_LISR_TCIF0) != 0u;
 }
 
+/* Which of `flags`, as those of stream 0, have come since they were taken last. */
+static inline uint32_t dma_take_flags(struct dma_stream s, uint32_t flags)
+{
+	const uint32_t all = s.stream < 4u ? DMA_LISR(s.controller) : DMA_HISR(s.controller);
+	const uint32_t taken = all >> dma_flag_shift(s) & flags;
+
+	if (taken == 0u)
+		return 0;
+	if (s.stream < 4u)
+		DMA_LIFCR(s.controller) = taken << dma_flag_shift(s);
+	else
+		DMA_HIFCR(s.controller) = taken << dma_flag_shift(s);
+	return taken;
+}
+_Static_assert(DMA_LIFCR_CHTIF0 == DMA_LISR_HTIF0 && DMA_LIFCR_CTCIF0 == DMA_LISR_TCIF0, "cleared in their own places");
+
 static inline void dma_clear(struct dma_stream s)
 {
 	const uint32_t all = DMA_LIFCR_CFEIF0 | DMA_LIFCR_CDMEIF0 | DMA_LIFCR_CTEIF0 | DMA_LIFCR_CHTIF0 |

@@ -1,4 +1,4 @@
-/* UARTs that receive into a ring by circular DMA and send a buffer by DMA: no interrupt of their own. */
+/* UARTs that receive into a ring by circular DMA: no interrupt of their own. */
 #ifndef STM32F7_UART_H
 #define STM32F7_UART_H
 
@@ -8,7 +8,7 @@
 
 #include "hal/stm32f7/peripherals/dma.h"
 
-#define UART_RING_BYTES 256u /* 22 ms of MSP at 115200 baud, 2.8 ms at 921600; 28 ms of SBUS */
+#define UART_RING_BYTES 256u /* 28 ms of SBUS, 6 ms of CRSF */
 
 struct uart_ring {
 	struct dma_stream stream;

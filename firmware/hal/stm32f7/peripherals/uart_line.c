@@ -1,0 +1,72 @@
+#include "hal/stm32f7/peripherals/uart_line.h"
+
+#include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/peripherals/uart.h"
+
+_Static_assert((UART_LINE_RING_BYTES & (UART_LINE_RING_BYTES - 1u)) == 0u, "counts of bytes wrap at 2^32");
+
+void uart_line_start(struct uart_line *line, uint32_t clock_hz, uint32_t baud)
+{
+	const uint32_t uart = line->uart;
+
+	dma_setup(line->rx, &USART_RDR(uart), DMA_FROM_PERIPHERAL, DMA_BYTE, DMA_LOW, DMA_SCR_CIRC);
+	dma_start(line->rx, line->ring, UART_LINE_RING_BYTES);
+	dma_setup(line->tx, &USART_TDR(uart), DMA_TO_PERIPHERAL, DMA_BYTE, DMA_LOW, 0);
+	uart_configure(uart, clock_hz, baud, USART_CR1_RE | USART_CR1_TE, 0, USART_CR3_DMAR | USART_CR3_DMAT);
+}
+
+/* DMA passes the middle and the end of the ring once a round. Where it passed both since the last look, nobody knows how
+ * often; where it passed one at most, the place where it stands tells how many bytes came. */
+bool uart_line_look(struct uart_line *line)
+{
+	const uint32_t at = UART_LINE_RING_BYTES - dma_remaining(line->rx);
+	const uint32_t passed = dma_take_flags(line->rx, DMA_LISR_HTIF0 | DMA_LISR_TCIF0);
+
+	line->head += (at - line->head) % UART_LINE_RING_BYTES;
+	if (passed != (DMA_LISR_HTIF0 | DMA_LISR_TCIF0) && line->head - line->tail <= UART_LINE_RING_BYTES)
+		return true;
+	line->tail = line->head;
+	return false;
+}
+
+uint32_t uart_line_waiting(const struct uart_line *line)
+{
+	return line->head - line->tail;
+}
+
+size_t uart_line_read(struct uart_line *line, uint8_t *bytes, size_t capacity)
+{
+	const size_t waiting = uart_line_waiting(line);
+	const size_t count = waiting < capacity ? waiting : capacity;
+
+	barrier();
+	for (size_t i = 0; i < count; ++i)
+		bytes[i] = line->ring[line->tail++ % UART_LINE_RING_BYTES];
+	return count;
+}
+
+uint8_t *uart_line_room(const struct uart_line *line, size_t *room)
+{
+	*room = UART_LINE_SEND_BYTES - line->filled;
+	return line->buffers[line->filling] + line->filled;
+}
+
+void uart_line_fill(struct uart_line *line, size_t count)
+{
+	line->filled += count;
+}
+
+void uart_line_send(struct uart_line *line)
+{
+	if (line->filled == 0u || dma_busy(line->tx))
+		return;
+	dma_start(line->tx, line->buffers[line->filling], (uint32_t)line->filled);
+	line->filling ^= 1u;
+	line->filled = 0;
+}
+
+/* The last byte is still in the UART when DMA has handed it over. */
+bool uart_line_sending(const struct uart_line *line)
+{
+	return line->filled != 0u || dma_busy(line->tx) || (USART_ISR(line->uart) & USART_ISR_TC) == 0u;
+}
