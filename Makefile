@@ -18,6 +18,7 @@ VENV := .venv
 # By module: where the path of the checkout holds a space, an installed script may not find its interpreter.
 RUN  := $(VENV)/bin/python -m cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
+CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
 
 IN_DEV   := setup test prove coverage bench lint
@@ -29,7 +30,7 @@ PYTHON   :=
 TORCH    :=
 READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 
-.PHONY: coverage help setup arm cppcheck firmware host train fly emulate test prove bench lint clean
+.PHONY: coverage help setup arm clang cppcheck firmware host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -68,8 +69,15 @@ emulate: firmware ## the image to be flashed flies on an emulated board: roll, f
 test: firmware host ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
 	@$(PYTEST) $(ARGS)
 
-prove: firmware host ## the long version of what the tests sample: [JOBS=] [ARGS=]
+prove: firmware host clang ## the long version of what the tests sample: [JOBS=] [ARGS=]
 	@$(PYTEST) -m "slow or not slow" $(ARGS)
+
+clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
+	@command -v clang >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing $(CLANG_PACKAGES)"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(CLANG_PACKAGES) >/dev/null; \
+	  else echo "clang is missing; run: sudo apt-get install $(CLANG_PACKAGES)" >&2; exit 1; fi; }
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)

@@ -129,12 +129,8 @@ def scripted_blob(motors: int = 4) -> PolicyBlob:
     )
 
 
-def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path:
-    """Builds the host target around the scripted policy, what has changed of it; returns the build directory.
-
-    Raises BuildError.
-    """
-    generated, build = scratch / "generated", scratch / "build"
+def write_scripted(generated: Path, motors: int) -> None:
+    """Writes what the scripted policy adds to the sources, where it has changed."""
     generated.mkdir(parents=True, exist_ok=True)
     write_text_if_changed(generated / "nf_contract.h", render_contract())
     blob = pack(scripted_blob(motors))
@@ -143,6 +139,15 @@ def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path
         text = text.replace("@BLOB_BYTES@", str(len(blob))).replace("@BLOB@", ", ".join(map(str, blob)))
         write_text_if_changed(generated / name, text)
     write_text_if_changed(generated / "pid_table.c", render_pid_table(None, motors, 1000))
+
+
+def make_scripted(scratch: Path, motors: int, firmware: Path = FIRMWARE) -> Path:
+    """Builds the host target around the scripted policy, what has changed of it; returns the build directory.
+
+    Raises BuildError.
+    """
+    generated, build = scratch / "generated", scratch / "build"
+    write_scripted(generated, motors)
     # Relative: tests/coverage.py works inside the checkout, whose path may hold a space.
     folders = (("GENERATED", generated), ("BUILD", build))
     named = [f"{name}={os.path.relpath(path, firmware)}" for name, path in folders]

@@ -1,0 +1,104 @@
+"""The fuzz targets as programs: with clang's libFuzzer, or with gcc and a main that replays files.
+
+Both are the core's own objects, compiled by its makefile around the scripted policy, under the sanitizers.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.firmware.conftest import FIRMWARE, write_scripted
+from toolchain.errors import BuildError
+
+FOLDER = Path(__file__).parent
+CHECKS = "address,undefined,float-cast-overflow,float-divide-by-zero"
+# -w: the sanitizers' own code draws warnings that no other build has.
+COMMON = f"-O1 -g -w -fno-omit-frame-pointer -fno-sanitize-recover=all -fsanitize={CHECKS}"
+# To gcc the last array of a struct may be longer than it says, but for this; to clang it is not.
+GCC_ONLY = "-fsanitize=bounds-strict"
+# clang takes no floating-point number in these; every other build checks them.
+LIBFUZZER = "-fsanitize=fuzzer-no-link '-D_Static_assert(...)='"
+HOST_OBJECTS = ("board", "convert", "receiver_line", "flash_model")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A program that reads inputs: its sources and what is defined for it."""
+
+    sources: tuple[str, ...]
+    define: str = ""
+
+
+TARGETS = {
+    "sbus": Target(("receiver.c",), "PROTOCOL=NF_RECEIVER_PROTOCOL_SBUS"),
+    "crsf": Target(("receiver.c",), "PROTOCOL=NF_RECEIVER_PROTOCOL_CRSF"),
+    "msp": Target(("msp.c", "world.c")),
+}
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """Where programs of one compiler are built, what has changed of them."""
+
+    folder: Path
+    compiler: str  # "clang" or "gcc"
+
+    @property
+    def fuzzes(self) -> bool:
+        """Does the compiler bring libFuzzer?"""
+        return self.compiler == "clang"
+
+    def make(self) -> None:
+        """Compile the core. Raises BuildError when the compiler is missing or does not like it."""
+        if shutil.which(self.compiler) is None:
+            raise BuildError(f"{self.compiler} is missing; install it from the system's packages")
+        write_scripted(self.folder / "generated", motors=4)
+        watched = f"{COMMON} {LIBFUZZER if self.fuzzes else GCC_ONLY}"
+        named = {
+            "TARGET": "HOST",
+            "CC": self.compiler,
+            "INSTRUMENT": watched,
+            "GENERATED": os.path.relpath(self.folder / "generated", FIRMWARE),
+            "BUILD": os.path.relpath(self.folder / "build", FIRMWARE),
+        }
+        library = f"{named['BUILD']}/libneuroflight.so"
+        run(["make", "-s", "-C", str(FIRMWARE), *(f"{k}={v}" for k, v in named.items()), library])
+
+    def program(self, name: str) -> Path:
+        """The program of a target; `make` has been called. Raises BuildError."""
+        target, program = TARGETS[name], self.folder / name
+        names = (*target.sources, *(() if self.fuzzes else ("replay.c",)))
+        search = (FIRMWARE, FIRMWARE / "src", FIRMWARE / "targets" / "HOST", self.folder / "generated")
+        command = [
+            self.compiler,
+            "-std=c11",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            *COMMON.replace("-w ", "").split(),
+        ]
+        command += ["-fsanitize=fuzzer"] if self.fuzzes else []
+        command += [f"-I{path}" for path in search] + ([f"-D{target.define}"] if target.define else [])
+        run(
+            [*command, "-o", str(program), *(str(FOLDER / part) for part in names), *map(str, self.objects())]
+        )
+        return program
+
+    def objects(self) -> list[Path]:
+        """The core and the simulated board, without a main."""
+        objects = self.folder / "build" / "obj"
+        sources = [path.relative_to(FIRMWARE) for path in sorted((FIRMWARE / "src").rglob("*.c"))]
+        core = [objects / path.with_suffix(".o") for path in sources if path.name != "main.c"]
+        board = [objects / "hal" / "host" / f"{name}.o" for name in HOST_OBJECTS]
+        return [*core, objects / "policy.o", objects / "pid_table.o", *board]
+
+
+def run(command: list[str]) -> None:
+    """Run a compiler. Raises BuildError with its words."""
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise BuildError(done.stderr)
