@@ -212,7 +212,7 @@ static uint32_t background_alerts(const struct background *background, const str
 				  uint32_t ms)
 {
 	const enum battery_level level = battery_level(&background->battery);
-	const bool find_me = status->channels_us[NF_CHANNEL_BEEPER] >= NF_BEEPER_ON_US;
+	const bool find_me = (status->modes & MODE_BIT(BEEPER)) != 0;
 	const bool lost = background->heard && !status->receiver_good;
 	const bool stopped = status->state == NF_FLIGHT_FAULT || background->faults.pending;
 	const bool fault = stopped || status->gyro_health != NF_GYRO_HEALTH_GOOD;
@@ -255,7 +255,7 @@ static void background_watch_gesture(struct background *background)
 
 	firmware_status(background->config.firmware, &status);
 	const bool allowed = status.state == NF_FLIGHT_DISARMED && status.receiver_good &&
-			     status.channels_us[NF_CHANNEL_ARM] < NF_ARM_ON_US;
+			     !(status.modes & MODE_BIT(ARM));
 	if (!gesture_step(&background->gesture, status.channels_us, allowed, background_ms(background)) ||
 	    background_storing(background, true) != NF_REFUSAL_NONE)
 		return;

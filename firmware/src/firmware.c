@@ -36,8 +36,14 @@ static bool firmware_level(const struct firmware *fw)
 	return attitude_known(&fw->attitude) && up[2] >= fw->level_cosine;
 }
 
-/* All conditions of safety except those that a control step finds. */
-static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+/* Does the last good frame switch the mode ARM on, whatever the link's state? */
+static bool firmware_switch_on(const struct firmware *fw)
+{
+	return (fw->receiver.on & MODE_BIT(ARM)) != 0;
+}
+
+/* All conditions of safety except those that a control step finds. A lost receiver's throttle is low, its switch off. */
+static uint32_t firmware_conditions(const struct firmware *fw)
 {
 	static const uint32_t health[] = {
 		[NF_GYRO_HEALTH_GOOD] = 0,
@@ -47,27 +53,29 @@ static uint32_t firmware_conditions(const struct firmware *fw, const uint16_t ch
 		[NF_GYRO_HEALTH_SILENT] = SAFETY_REASON(GYRO_BAD) | SAFETY_GYRO_SILENT,
 	};
 	const enum receiver_link link = receiver_link(&fw->receiver);
+	const bool lost = link == RECEIVER_LOST;
+	const bool throttle_high = fw->receiver.channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US;
 
 	return fw->forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
 	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) | REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
-	       REASON_IF(link == RECEIVER_LOST, RECEIVER_LOST) |
-	       REASON_IF(channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US, THROTTLE_HIGH) |
+	       REASON_IF(lost, RECEIVER_LOST) | REASON_IF(!lost && throttle_high, THROTTLE_HIGH) |
 	       REASON_IF(!firmware_level(fw), NOT_LEVEL) |
 	       REASON_IF(motor_test_forbids(&fw->motor_test) || dshot_command_busy(&fw->dshot_command), MOTOR_TEST) |
 	       (gyro_railed(&fw->gyro) ? SAFETY_GYRO_SATURATED : 0u) |
 	       (link == RECEIVER_HOLD ? SAFETY_RECEIVER_HELD : 0u) |
-	       (channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US ? SAFETY_SWITCH_ON : 0u);
+	       (!lost && firmware_switch_on(fw) ? SAFETY_SWITCH_ON : 0u);
 }
 
 /* Which controller the pilot wants. A lost receiver's switches are ignored: the last choice stays, except that nobody holds
  * the switch of a trial then. */
-static bool firmware_choose_pid(const struct firmware *fw, const uint16_t channels_us[NF_CHANNEL_COUNT])
+static bool firmware_choose_pid(const struct firmware *fw)
 {
 	const enum receiver_link link = receiver_link(&fw->receiver);
+	const uint32_t on = fw->receiver.on;
 
-	if (fw->trial && (link != RECEIVER_GOOD || channels_us[NF_CHANNEL_TRIAL] < NF_TRIAL_ON_US))
+	if (fw->trial && (link != RECEIVER_GOOD || !(on & MODE_BIT(TRIAL))))
 		return true;
-	return link == RECEIVER_LOST ? fw->pid_wanted : channels_us[NF_CHANNEL_PID] >= NF_PID_ON_US;
+	return link == RECEIVER_LOST ? fw->pid_wanted : (on & MODE_BIT(PID)) != 0;
 }
 
 /* Nothing of a flight is left for the next one. */
@@ -84,11 +92,8 @@ static void firmware_forget(struct firmware *fw)
 /* Updates safety with all conditions that hold now, and `found`. */
 static void firmware_update_safety(struct firmware *fw, uint32_t found)
 {
-	uint16_t channels_us[NF_CHANNEL_COUNT];
-
-	receiver_channels(&fw->receiver, channels_us);
-	fw->pid_wanted = firmware_choose_pid(fw, channels_us);
-	if (safety_update(&fw->safety, firmware_conditions(fw, channels_us) | found)) {
+	fw->pid_wanted = firmware_choose_pid(fw);
+	if (safety_update(&fw->safety, firmware_conditions(fw) | found)) {
 		control_reset(&fw->control);
 		firmware_forget(fw); /* where frames disarm and arm within one control step, nothing has rested */
 	}
@@ -101,7 +106,8 @@ static void firmware_report(struct firmware *fw)
 	const struct control *control = &fw->control;
 
 	receiver_channels(&fw->receiver, status->channels_us);
-	status->arming_reasons = safety_reasons(&fw->safety, firmware_conditions(fw, status->channels_us));
+	status->arming_reasons = safety_reasons(&fw->safety, firmware_conditions(fw));
+	status->modes = (uint8_t)receiver_modes(&fw->receiver);
 	status->receiver_good = receiver_link(&fw->receiver) == RECEIVER_GOOD;
 	status->receiver_quality = (uint8_t)receiver_quality(&fw->receiver);
 	status->state = (uint8_t)fw->safety.state;
@@ -166,12 +172,6 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 bool firmware_control_due(const struct firmware *fw)
 {
 	return fw->until_control == 0;
-}
-
-/* Is the arm switch on in the last good frame, whatever the link's state? */
-static bool firmware_switch_on(const struct firmware *fw)
-{
-	return fw->receiver.channels_us[NF_CHANNEL_ARM] >= NF_ARM_ON_US;
 }
 
 static struct motor_test_view firmware_test_view(const struct firmware *fw)

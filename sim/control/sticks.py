@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from toolchain.contract import (
-    ARM_ON_US,
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_MAX_US,
@@ -24,8 +23,8 @@ from toolchain.contract import (
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
     CHANNEL_YAW,
-    PID_ON_US,
     RATE_FULL_STICK_DEG_S,
+    SWITCH_ON_US,
 )
 from toolchain.errors import ScenarioError
 
@@ -77,11 +76,10 @@ def channels(
     us = np.full((*rates.shape[:-1], CHANNEL_COUNT), CHANNEL_MIN_US, np.uint16)
     us[..., _RATE_CHANNELS] = np.rint(CHANNEL_MID_US + rates * _SIGNS * _US_PER_DEG_S)
     us[..., CHANNEL_THROTTLE] = np.rint(CHANNEL_MIN_US + power * (CHANNEL_MAX_US - CHANNEL_MIN_US))
-    us[..., CHANNEL_ARM] = ARM_CHANNEL_US if armed else CHANNEL_MIN_US
-    us[..., CHANNEL_PID] = np.where(pid, PID_CHANNEL_US, CHANNEL_MIN_US)
+    us[..., CHANNEL_ARM] = SWITCH_US if armed else CHANNEL_MIN_US
+    us[..., CHANNEL_PID] = np.where(pid, SWITCH_US, CHANNEL_MIN_US)
     return us
 
 
-# Switches well past their thresholds.
-ARM_CHANNEL_US = (ARM_ON_US + CHANNEL_MAX_US) // 2
-PID_CHANNEL_US = (PID_ON_US + CHANNEL_MAX_US) // 2
+# A switch that is on, well past the begin of its mode's range.
+SWITCH_US = (SWITCH_ON_US + CHANNEL_MAX_US) // 2

@@ -19,7 +19,6 @@ from sim.control.motors import dshot_values, throttle_mix
 from sim.physics.imu import RATE_PER_COUNT, counts
 from sim.ports.port import Reply, Sample, control_divider
 from toolchain.contract import (
-    ARM_ON_US,
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     CHANNEL_ARM,
@@ -28,6 +27,7 @@ from toolchain.contract import (
     IDLE_DEFAULT,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
+    SWITCH_ON_US,
     THROTTLE_LOW_US,
 )
 
@@ -104,7 +104,7 @@ class ControllerPort:
         return Reply(dshot, step, setpoint, gyro, float(throttle[0]), self._armed)
 
     def _arm(self) -> None:
-        switch = bool(self._channels[CHANNEL_ARM] >= ARM_ON_US)
+        switch = bool(self._channels[CHANNEL_ARM] >= SWITCH_ON_US)
         low = self._channels[CHANNEL_THROTTLE] <= THROTTLE_LOW_US
         if not switch or self._age >= self._lost:
             self._armed = False

@@ -18,7 +18,7 @@ from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.ports.library import ReferencePort
 from tests.flights.weights import Change, ChangedPort, Weights
-from toolchain.contract import CHANNEL_PID, CHANNEL_TRIAL, RECEIVER_HOLD_MS, FallbackCause, StopCause
+from toolchain.contract import RECEIVER_HOLD_MS, FallbackCause, Mode, ModeRange, StopCause
 from training.evaluation.robustness import EXTREMES
 
 GYRO_RATE_HZ = 4000
@@ -190,8 +190,8 @@ def test_a_weak_yaw_is_no_crash_when_the_stick_is_full(fly_changed: Fly) -> None
 
 
 def test_the_policy_of_a_trial_flies_only_while_its_switch_is_held(fly_changed: Fly) -> None:
-    """The scenario's switch of the PID is mapped to the trial's."""
-    settings = {"policy_trial": 1, "map_trial": CHANNEL_PID, "map_pid": CHANNEL_TRIAL}
+    """The scenario's switch of the PID, AUX 2, is the trial's."""
+    settings = {"policy_trial": 1, "mode2": 0, "mode4": ModeRange(Mode.TRIAL, 2, 1700, 2100).packed}
     flights = {}
     for name, held in (
         ("never", (False,) * 4),
@@ -209,7 +209,7 @@ def test_the_policy_of_a_trial_flies_only_while_its_switch_is_held(fly_changed: 
 
 
 def test_the_pid_takes_over_from_a_trial_when_the_receiver_falls_silent(fly_changed: Fly) -> None:
-    settings = {"policy_trial": 1, "map_trial": CHANNEL_PID, "map_pid": CHANNEL_TRIAL}
+    settings = {"policy_trial": 1, "mode2": 0, "mode4": ModeRange(Mode.TRIAL, 2, 1700, 2100).packed}
     turning = (100.0, 0.0, 0.0)
     flights = {}
     for heard in (True, False):

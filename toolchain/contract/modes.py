@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-AUX_COUNT = 12  # channels behind the four sticks
+from toolchain.contract.receiver import CHANNEL_AUX1, CHANNEL_COUNT
+
+AUX_COUNT = CHANNEL_COUNT - CHANNEL_AUX1  # channels behind the four sticks
 MODE_SLOT_COUNT = 20  # ranges that can be set, as many as the ecosystem's
 MODE_LOW_US, MODE_STEP_US, MODE_STEPS = 900, 25, 48  # a range's ends: 900 us + 25 us x 0..48
+# By default AUX 1 to 4 switch a mode each on, from here upwards: the upper position of a switch.
+SWITCH_ON_US = 1700
+CHANNEL_ARM, CHANNEL_PID, CHANNEL_BEEPER, CHANNEL_TRIAL = range(CHANNEL_AUX1, CHANNEL_AUX1 + 4)
 
 
 class Mode(IntEnum):

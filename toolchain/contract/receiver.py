@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 CHANNEL_COUNT = 16
-CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_ARM = range(5)
-CHANNEL_PID, CHANNEL_BEEPER, CHANNEL_TRIAL = 5, 6, 7
+CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_AUX1 = range(5)
+CHANNEL_MAPPED_COUNT = 8  # the receiver's first channels, which the settings map_... put in order
 CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
 CHANNEL_VALID_MIN_US, CHANNEL_VALID_MAX_US = 750, 2250  # no pulse of a receiver lies outside
-ARM_ON_US = 1700  # the arm channel at or above this asks for armed motors
-PID_ON_US = 1700  # at or above this the PID flies
-BEEPER_ON_US = 1700
-TRIAL_ON_US = 1700  # with policy_trial on, the policy flies at or above this, the PID below
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
 STICK_LOW_US, STICK_HIGH_US = 1100, 1900  # beyond these a stick stands at its end
 GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long, disarmed: acknowledges

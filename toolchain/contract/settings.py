@@ -11,17 +11,22 @@ from toolchain.contract.frame_time_sensors import (
     GYRO_RATE_DEFAULT_HZ,
     MOTOR_COUNT_MAX,
 )
-from toolchain.contract.modes import MODE_LOW_US, MODE_SLOT_COUNT, MODE_STEP_US, MODE_STEPS, Mode, ModeRange
+from toolchain.contract.modes import (
+    MODE_LOW_US,
+    MODE_SLOT_COUNT,
+    MODE_STEP_US,
+    MODE_STEPS,
+    SWITCH_ON_US,
+    Mode,
+    ModeRange,
+)
 from toolchain.contract.msp import MSP_BAUD_DEFAULT, MSP_BAUDS
 from toolchain.contract.receiver import (
-    CHANNEL_ARM,
-    CHANNEL_BEEPER,
-    CHANNEL_COUNT,
-    CHANNEL_PID,
+    CHANNEL_AUX1,
+    CHANNEL_MAPPED_COUNT,
     CHANNEL_PITCH,
     CHANNEL_ROLL,
     CHANNEL_THROTTLE,
-    CHANNEL_TRIAL,
     CHANNEL_YAW,
 )
 from toolchain.contract.safety import (
@@ -92,9 +97,10 @@ class FilterKind(IntEnum):
 
 SETTING_TEXT_BYTES = 16  # printable ASCII, then zeros
 MODE_RANGE_MAX = (1 << 25) - 1  # of a packed one
+_MAPPED_AUX = CHANNEL_MAPPED_COUNT - CHANNEL_AUX1
 _HIGH_US = MODE_LOW_US + MODE_STEPS * MODE_STEP_US
 _MODE_DEFAULTS = {  # a switch's upper position, as on most transmitters
-    slot: ModeRange(mode, slot, 1700, _HIGH_US)
+    slot: ModeRange(mode, slot, SWITCH_ON_US, _HIGH_US)
     for slot, mode in enumerate((Mode.ARM, Mode.PID, Mode.BEEPER, Mode.TRIAL), start=1)
 }
 _SWITCH = ("off", "on")
@@ -146,16 +152,13 @@ SETTINGS = (
     _choice("receiver_protocol", "sbus", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
     _whole("msp_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", _MSP_BAUD_MEANING),
     *(
-        _whole(f"map_{name}", 0, CHANNEL_COUNT - 1, channel, "channel", f"of the receiver that is {name}")
-        for name, channel in (
-            ("roll", CHANNEL_ROLL),
-            ("pitch", CHANNEL_PITCH),
-            ("throttle", CHANNEL_THROTTLE),
-            ("yaw", CHANNEL_YAW),
-            ("arm", CHANNEL_ARM),
-            ("pid", CHANNEL_PID),
-            ("beeper", CHANNEL_BEEPER),
-            ("trial", CHANNEL_TRIAL),
+        _whole(f"map_{name}", 0, CHANNEL_MAPPED_COUNT - 1, channel, "channel", f"of the receiver: {told}")
+        for name, told, channel in (
+            ("roll", "roll", CHANNEL_ROLL),
+            ("pitch", "pitch", CHANNEL_PITCH),
+            ("throttle", "throttle", CHANNEL_THROTTLE),
+            ("yaw", "yaw", CHANNEL_YAW),
+            *((f"aux{aux}", f"AUX {aux}", CHANNEL_AUX1 + aux - 1) for aux in range(1, _MAPPED_AUX + 1)),
         )
     ),
     *(_mode(slot, _MODE_DEFAULTS.get(slot)) for slot in range(1, MODE_SLOT_COUNT + 1)),
@@ -227,5 +230,5 @@ SETTINGS = (
     _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
     _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),
-    _choice("policy_trial", "off", _SWITCH, "the policy flies only while the switch of map_trial is held"),
+    _choice("policy_trial", "off", _SWITCH, "the policy flies only while the mode TRIAL is on"),
 )

@@ -18,8 +18,12 @@ from pathlib import Path
 from toolchain import contract
 from toolchain.rendering.jinja import render
 
-# What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing.
-PYTHON_ONLY = ("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_")
+# What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
+# switches are by default.
+PYTHON_ONLY = (
+    *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
+    *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
+)
 TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS")  # rendered as structs
 
 

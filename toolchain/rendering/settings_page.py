@@ -26,6 +26,23 @@ rates to the defaults of the new style, so it comes first: rates that are set be
 changes of one start (`--set`) it is taken first wherever it stands. No stick asks for more than 1998 deg/s in
 either style.
 
+**Modes.** `mode1` to `mode20` each say which mode is on while which AUX channel is in which range:
+`arm aux1 1700 2100` is on from 1700 us to below 2100 us of AUX 1. AUX 1 to 12 are the channels behind the
+four sticks. Ends are 900 to 2100 us in steps of 25; what a receiver sends beyond them counts as the nearest
+value inside. A mode is on while any of its ranges holds. Ranges with `and` behind them switch it on only
+while all ranges of that mode with `and` hold. A mode without a range is never on; no mode is on while the
+receiver is lost; for as long as its silence is bridged modes stay as they are.
+
+| mode | box | what it does |
+|---|---|---|
+| arm | 0 | the arm switch: it must be seen off first, so that a range over the whole channel never arms |
+| beeper | 13 | the beeper sounds, to find the aircraft |
+| pid | 40 | the PID flies instead of the policy |
+| trial | 41 | with `policy_trial` on, the policy flies only while this is on |
+
+**Map.** `map_roll` to `map_aux4` say on which of the receiver's first eight channels (0 to 7) each of these
+comes; each channel is used once. Channels 8 to 15 are AUX 5 to 12.
+
 `msp_baud` is the speed of the very line that settings go over: from the next boot on both ends have to speak
 at the new one. The host program has no such line and takes no notice.
 

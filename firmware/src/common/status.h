@@ -25,6 +25,7 @@ struct firmware_status {
 	uint16_t channels_us[NF_CHANNEL_COUNT];/* as flown: failsafe values while the receiver is lost */
 	uint16_t gyro_rate_hz;
 	uint16_t load_percent;                 /* longest gyro sample so far, of its period; from background.c */
+	uint8_t modes;                         /* bit field of enum mode_index: those that are on; 0: receiver lost */
 	bool receiver_good;                    /* a frame came within the hold time */
 	bool policy_good;                      /* self-test passed and no output was refused since */
 	bool pid_built_in;                     /* there is a PID to fall back on */

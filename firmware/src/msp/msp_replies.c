@@ -146,7 +146,7 @@ static void reply_rc(struct msp_writer *w, const struct source *s)
 	msp_put_u16(w, channels_us[NF_CHANNEL_PITCH]);
 	msp_put_u16(w, channels_us[NF_CHANNEL_YAW]);
 	msp_put_u16(w, channels_us[NF_CHANNEL_THROTTLE]);
-	for (int i = NF_CHANNEL_ARM; i < NF_CHANNEL_COUNT; ++i)
+	for (int i = NF_CHANNEL_AUX1; i < NF_CHANNEL_COUNT; ++i)
 		msp_put_u16(w, channels_us[i]);
 }
 

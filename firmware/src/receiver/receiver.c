@@ -6,7 +6,7 @@
 #define LINE_GAP_MS 2u
 
 static const uint8_t sticks[RECEIVER_STICKS] = { NF_CHANNEL_ROLL, NF_CHANNEL_PITCH, NF_CHANNEL_YAW };
-_Static_assert(NF_CHANNEL_TRIAL == RECEIVER_MAPPED - 1, "the mapped channels are the first ones");
+_Static_assert(NF_CHANNEL_AUX1 + 4 == NF_CHANNEL_MAPPED_COUNT, "the mapped channels are the first ones");
 
 static void receiver_lose(struct receiver *receiver)
 {
@@ -24,10 +24,10 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 			[NF_CHANNEL_PITCH] = (uint8_t)settings->map_pitch,
 			[NF_CHANNEL_THROTTLE] = (uint8_t)settings->map_throttle,
 			[NF_CHANNEL_YAW] = (uint8_t)settings->map_yaw,
-			[NF_CHANNEL_ARM] = (uint8_t)settings->map_arm,
-			[NF_CHANNEL_PID] = (uint8_t)settings->map_pid,
-			[NF_CHANNEL_BEEPER] = (uint8_t)settings->map_beeper,
-			[NF_CHANNEL_TRIAL] = (uint8_t)settings->map_trial,
+			[NF_CHANNEL_AUX1] = (uint8_t)settings->map_aux1,
+			[NF_CHANNEL_AUX1 + 1] = (uint8_t)settings->map_aux2,
+			[NF_CHANNEL_AUX1 + 2] = (uint8_t)settings->map_aux3,
+			[NF_CHANNEL_AUX1 + 3] = (uint8_t)settings->map_aux4,
 		},
 		.interpolates = settings->interpolation != 0,
 		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,
@@ -36,6 +36,7 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 		.gap_after = gyro_rate_hz * LINE_GAP_MS / 1000u,
 	};
 	receiver->since = receiver->hold_after;
+	modes_init(&receiver->modes, settings);
 	link_quality_init(&receiver->quality, gyro_rate_hz);
 	receiver_lose(receiver);
 }
@@ -49,19 +50,17 @@ static void receiver_frame_heard(struct receiver *receiver, bool good)
 	link_quality_frame(&receiver->quality, good);
 }
 
-/* The arm switch as it counts, for what a good frame says of it. */
-static uint16_t receiver_switch(struct receiver *receiver, uint16_t told_us)
+/* The modes as they count, for what a good frame switches on. */
+static uint32_t receiver_switch(struct receiver *receiver, uint32_t told)
 {
-	const uint16_t counts_us = receiver->channels_us[NF_CHANNEL_ARM];
-	const bool goes_off = counts_us >= NF_ARM_ON_US && told_us < NF_ARM_ON_US;
+	const bool goes_off = (receiver->on & ~told & MODE_BIT(ARM)) != 0;
 
 	receiver->offs = goes_off ? (uint8_t)(receiver->offs + 1u) : 0u;
-	return goes_off && receiver->offs < NF_RECEIVER_OFF_FRAMES ? counts_us : told_us;
+	return goes_off && receiver->offs < NF_RECEIVER_OFF_FRAMES ? told | MODE_BIT(ARM) : told;
 }
 
 static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_CHANNEL_COUNT])
 {
-	const uint16_t switch_us = receiver_switch(receiver, wire_us[receiver->map[NF_CHANNEL_ARM]]);
 	uint16_t flown_us[NF_CHANNEL_COUNT];
 
 	if (receiver->interpolates) {
@@ -70,9 +69,9 @@ static void receiver_take(struct receiver *receiver, const uint16_t wire_us[NF_C
 			receiver->from_us[i] = flown_us[sticks[i]];
 	}
 	memcpy(receiver->channels_us, wire_us, sizeof receiver->channels_us);
-	for (int i = 0; i < RECEIVER_MAPPED; ++i)
+	for (int i = 0; i < NF_CHANNEL_MAPPED_COUNT; ++i)
 		receiver->channels_us[i] = wire_us[receiver->map[i]];
-	receiver->channels_us[NF_CHANNEL_ARM] = switch_us;
+	receiver->on = receiver_switch(receiver, modes_on(&receiver->modes, receiver->channels_us));
 	receiver->age = 0;
 	if (receiver->recovering == 1)
 		receiver->recovering = 0;
@@ -236,6 +235,11 @@ enum receiver_link receiver_link(const struct receiver *receiver)
 	if (receiver->recovering > 0)
 		return RECEIVER_LOST;
 	return receiver->age >= receiver->hold_after ? RECEIVER_HOLD : RECEIVER_GOOD;
+}
+
+uint32_t receiver_modes(const struct receiver *receiver)
+{
+	return receiver_link(receiver) == RECEIVER_LOST ? 0u : receiver->on;
 }
 
 /* Linear from the previous stick value to the new one, over the expected time to the next frame. */

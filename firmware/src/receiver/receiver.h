@@ -4,7 +4,7 @@
  * No single frame ends a flight. A frame may be wrong and yet pass: SBUS has parity bits only, which miss two flipped
  * bits of one byte; CRSF's CRC-8 misses two bits that lie 93 apart (the order of x modulo its polynomial), for which its
  * frames of 192 bits have room; MSP's sum is weaker still. So on each protocol NF_RECEIVER_OFF_FRAMES good frames in
- * a row must say that the arm switch is off, or that the transmitter is lost. That costs the time of one frame: 4 ms of
+ * a row must say that the mode ARM is off, or that the transmitter is lost. That costs the time of one frame: 4 ms of
  * CRSF at 250 Hz, 7 to 14 ms of SBUS. "On" counts at once, but only after an "off" that counted: on, off, on never arms. */
 #ifndef NF_RECEIVER_H
 #define NF_RECEIVER_H
@@ -16,6 +16,7 @@
 #include "nf_contract.h"
 #include "receiver/crsf.h"
 #include "receiver/link_quality.h"
+#include "receiver/modes.h"
 #include "receiver/sbus.h"
 
 enum receiver_link {
@@ -26,7 +27,6 @@ enum receiver_link {
 };
 
 #define RECEIVER_STICKS 3 /* that turn the aircraft: roll, pitch, yaw */
-#define RECEIVER_MAPPED 8 /* channels with a setting map_... of their own, the first ones */
 
 struct receiver {
 	union {
@@ -34,16 +34,18 @@ struct receiver {
 		struct crsf crsf;
 	} line;                                 /* the frame being read, by protocol */
 	uint8_t protocol;                       /* NF_RECEIVER_PROTOCOL_... */
-	uint8_t map[RECEIVER_MAPPED];           /* which of the wire's channels is this one */
+	uint8_t map[NF_CHANNEL_MAPPED_COUNT];   /* which of the wire's channels is this one */
+	struct modes modes;
 	bool interpolates;
-	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped; the arm switch as it counts */
+	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the last good frame, mapped */
+	uint32_t on;                            /* modes that it switches on (enum mode_index), ARM as it counts */
 	uint16_t from_us[RECEIVER_STICKS];      /* sticks as they were flown when it came */
 	uint32_t interval;                      /* gyro samples between two frames, 0: not known */
 	uint32_t since;                         /* gyro samples since the last frame, at most hold_after */
 	uint32_t age;                           /* gyro samples since the last good frame, at most lost_after */
 	uint32_t recovering;                    /* gyro samples until a frame may make the link good again; 1: the
 						 * next one does; 0: the link is not lost */
-	uint8_t offs;                           /* frames in a row that say off while the switch counts as on */
+	uint8_t offs;                           /* frames in a row that say off while ARM counts as on */
 	uint8_t failsafes;                      /* frames in a row that say failsafe while the link is not lost */
 	uint32_t silent;                        /* gyro samples since the last byte, at most gap_after */
 	uint32_t hold_after, lost_after, recovery, gap_after; /* gyro samples */
@@ -75,8 +77,11 @@ void receiver_tick(struct receiver *receiver);
 
 enum receiver_link receiver_link(const struct receiver *receiver);
 
-/* Channels [us] as they are to be flown now, in the contract's order. Lost: sticks centred, throttle and all
- * switches low. With interpolation the sticks that turn the aircraft ramp from one frame to the next. */
+/* Bit field of enum mode_index: the modes that are on. Lost: none, whatever their ranges. */
+uint32_t receiver_modes(const struct receiver *receiver);
+
+/* Channels [us] as they are to be flown now, in the contract's order. Lost: sticks centred, throttle and AUX
+ * channels low. With interpolation the sticks that turn the aircraft ramp from one frame to the next. */
 void receiver_channels(const struct receiver *receiver, uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* 0..100 %: the receiver's own figure if it told one within the last second, else the share of frames. */

@@ -1,7 +1,5 @@
 #include "storage/mode_range.h"
 
-#include <stddef.h>
-
 #include "nf_contract.h"
 
 #define AUX_SHIFT 8u
@@ -10,7 +8,26 @@
 #define AND_SHIFT 24u
 #define STEP_MASK 0x3Fu
 
-static const uint8_t modes[] = { NF_MODE_ARM, NF_MODE_BEEPER, NF_MODE_PID, NF_MODE_TRIAL };
+static const uint8_t modes[MODE_COUNT] = {
+	[MODE_ARM] = NF_MODE_ARM,
+	[MODE_BEEPER] = NF_MODE_BEEPER,
+	[MODE_PID] = NF_MODE_PID,
+	[MODE_TRIAL] = NF_MODE_TRIAL,
+};
+
+enum mode_index mode_range_index(uint8_t mode)
+{
+	enum mode_index index = MODE_ARM;
+
+	while (index < MODE_COUNT && modes[index] != mode)
+		++index;
+	return index;
+}
+
+uint8_t mode_range_mode(enum mode_index index)
+{
+	return modes[index];
+}
 
 struct mode_range mode_range_unpack(uint32_t packed)
 {
@@ -32,10 +49,7 @@ uint32_t mode_range_pack(const struct mode_range *range)
 bool mode_range_good(uint32_t packed)
 {
 	const struct mode_range range = mode_range_unpack(packed);
-	bool known = false;
 
-	for (size_t i = 0; i < sizeof modes; ++i)
-		known |= modes[i] == range.mode;
-	return known && packed <= NF_MODE_RANGE_MAX && range.aux < NF_AUX_COUNT && range.low <= range.high &&
-	       range.high <= NF_MODE_STEPS;
+	return mode_range_index(range.mode) < MODE_COUNT && packed <= NF_MODE_RANGE_MAX && range.aux < NF_AUX_COUNT &&
+	       range.low <= range.high && range.high <= NF_MODE_STEPS;
 }

@@ -233,8 +233,8 @@ static bool settings_map_fits(const struct nf_settings *settings, unsigned first
 {
 	uint32_t met = 0;
 
-	_Static_assert(NF_CHANNEL_COUNT <= 32, "a bit each");
-	for (unsigned index = first; index <= SETTING_AT_map_trial; ++index) {
+	_Static_assert(NF_CHANNEL_MAPPED_COUNT <= 32, "a bit each");
+	for (unsigned index = first; index <= SETTING_AT_map_aux4; ++index) {
 		union setting_value channel;
 		settings_get(settings, index, &channel);
 		const uint32_t bit = 1u << channel.as_uint32_t;
@@ -288,14 +288,14 @@ static const struct rule {
 	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
 	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
 	{ settings_filter_delay_fits, SETTING_AT_filter1_kind, SETTING_AT_dynamic_notch_q },
-	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_trial },
+	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_aux4 },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 	{ settings_msp_baud_fits, SETTING_AT_uart3_baud, SETTING_AT_uart3_baud },
 	{ settings_outputs_fit, SETTING_AT_motor1_output, SETTING_AT_motor8_output },
 };
-_Static_assert(SETTING_AT_map_trial - SETTING_AT_map_roll == NF_CHANNEL_TRIAL, "all of the map, side by side");
+_Static_assert(SETTING_AT_map_aux4 - SETTING_AT_map_roll == NF_CHANNEL_MAPPED_COUNT - 1, "all of the map, side by side");
 _Static_assert(NF_FILTER_STAGES == 4, "a rule each");
 _Static_assert(SETTING_AT_motor8_output - SETTING_AT_motor1_output == NF_MOTOR_COUNT_MAX - 1, "side by side");
 

@@ -47,9 +47,7 @@ HOT = (
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")
 # What DMA reads, which must not be DTCM while the core sleeps, and the background's.
-SLOW_DMA_BUFFERS = (
-    *("motor_slots", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),
-)
+SLOW_DMA_BUFFERS = (*("motor_slots", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),)
 # Functions of libm, and what they call themselves.
 LIBM = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2", "expm1"),

@@ -80,7 +80,7 @@ static void course_pilot(struct course *course)
 {
 	struct world *world = course->world;
 
-	world->channels_us[NF_CHANNEL_ARM] = course->told & 0x10 ? NF_CHANNEL_MAX_US : NF_CHANNEL_MIN_US;
+	world->channels_us[NF_CHANNEL_AUX1] = course->told & 0x10 ? NF_CHANNEL_MAX_US : NF_CHANNEL_MIN_US;
 	world->channels_us[NF_CHANNEL_THROTTLE] = course->told & 0x20 ? NF_CHANNEL_MID_US : NF_CHANNEL_MIN_US;
 	world->silent = course->told & 0x40;
 }

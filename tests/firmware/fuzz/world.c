@@ -147,7 +147,7 @@ static void world_boot(struct world *w, bool msp)
 
 static void world_arm(struct world *w)
 {
-	w->channels_us[NF_CHANNEL_ARM] = NF_CHANNEL_MAX_US;
+	w->channels_us[NF_CHANNEL_AUX1] = NF_CHANNEL_MAX_US;
 	world_pass(w, 3 * FRAME_MS);
 	w->channels_us[NF_CHANNEL_THROTTLE] = NF_CHANNEL_MID_US;
 	world_pass(w, 3 * FRAME_MS);

@@ -157,11 +157,11 @@ def test_a_lost_receiver_must_recover_and_the_switch_be_cycled_when_it_returns(p
 
 # --- Settings ---------------------------------------------------------------------------------
 def test_sticks_and_switch_are_found_when_the_channels_are_mapped(pilot: Any) -> None:
-    p = pilot(map_arm=9, map_roll=3, map_yaw=0)
-    p.fly(1100, c9=1000)
-    p.fly(300, c4=2000, c9=1000)
+    p = pilot(map_aux1=7, map_aux4=4, map_roll=3, map_yaw=0)
+    p.fly(1100, c7=1000)
+    p.fly(300, c4=2000, c7=1000)
     assert not p.bench.armed
-    p.fly(7, c9=2000, c3=1600)
+    p.fly(7, c7=2000, c3=1600)
     assert p.bench.armed
     assert list(p.bench.trace.setpoint) == pytest.approx([math.radians(200), 0, 0])
 

@@ -32,21 +32,25 @@ from sim.physics.twin import Twin
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
 from toolchain.contract import (
+    AUX_COUNT,
     AXES,
     CHANNEL_ARM,
-    CHANNEL_BEEPER,
+    CHANNEL_AUX1,
     CHANNEL_COUNT,
+    CHANNEL_MAPPED_COUNT,
+    CHANNEL_MIN_US,
     CHANNEL_PID,
-    CHANNEL_PITCH,
-    CHANNEL_ROLL,
-    CHANNEL_THROTTLE,
-    CHANNEL_TRIAL,
-    CHANNEL_YAW,
     GYRO_RATES_HZ,
+    MODE_LOW_US,
+    MODE_SLOT_COUNT,
+    MODE_STEP_US,
+    MODE_STEPS,
     RATE_FULL_STICK_DEG_S,
     SETTINGS,
-    TRIAL_ON_US,
+    SWITCH_ON_US,
     FallbackCause,
+    Mode,
+    ModeRange,
     Msp,
     Setting,
     StopCause,
@@ -72,38 +76,52 @@ WIRED = frozenset(
     }
     - {"motor_limit", "motor_stop", "motor_protocol"}
 )
-MAP = {
-    "map_roll": CHANNEL_ROLL,
-    "map_pitch": CHANNEL_PITCH,
-    "map_throttle": CHANNEL_THROTTLE,
-    "map_yaw": CHANNEL_YAW,
-    "map_arm": CHANNEL_ARM,
-    "map_pid": CHANNEL_PID,
-    "map_beeper": CHANNEL_BEEPER,
-    "map_trial": CHANNEL_TRIAL,
-}
+MAP = [setting.name for setting in SETTINGS if setting.name.startswith("map_")]  # in the channels' order
+MODES = [setting.name for setting in SETTINGS if setting.kind == "mode"]
+MODE_HIGH_US = MODE_LOW_US + MODE_STEPS * MODE_STEP_US
 BETAFLIGHT = 1  # of rates_style
 Settings = dict[str, float]
 
 
+def ranges_of(changed: Mapping[str, float]) -> dict[Mode, list[ModeRange]]:
+    """The ranges of each mode under these settings."""
+    slots = (ModeRange.unpack(int(changed.get(name, DEFAULTS[name]))) for name in MODES)
+    ranges: dict[Mode, list[ModeRange]] = {mode: [] for mode in Mode}
+    for used in filter(None, slots):
+        ranges[used.mode].append(used)
+    return ranges
+
+
+def position_us(used: ModeRange, *, on: bool) -> int:
+    """Where a channel stands inside or outside a range that leaves room for both."""
+    if on:
+        return (used.low_us + used.high_us) // 2
+    return used.low_us - MODE_STEP_US // 2 if used.low_us > MODE_LOW_US else used.high_us + MODE_STEP_US // 2
+
+
 class MappedPort(ReferencePort):
-    """The library behind a transmitter whose channels lie as the settings say, a trial's switch held."""
+    """The library behind a transmitter that is set up for these settings, a trial's switch held."""
 
     def __init__(self, library: Path, changed: Mapping[str, float]) -> None:
         rate = int(changed.get("gyro_rate_hz", 1000))
         super().__init__(library, rate, {name: v for name, v in changed.items() if name != "gyro_rate_hz"})
-        wired = {channel: int(changed.get(name, channel)) for name, channel in MAP.items()}
-        free = (place for place in range(CHANNEL_COUNT) if place not in wired.values())
-        self._places = [wired[c] if c in wired else next(free) for c in range(CHANNEL_COUNT)]
+        mapped = [int(changed.get(name, channel)) for channel, name in enumerate(MAP)]
+        self._places = [*mapped, *range(len(mapped), CHANNEL_COUNT)]
+        self._ranges = ranges_of(changed)
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
         if channels_us is None:
             return super().exchange(sample, None)
+        arm, pid = (channels_us[channel] >= SWITCH_ON_US for channel in (CHANNEL_ARM, CHANNEL_PID))
+        wanted = {Mode.ARM: arm, Mode.PID: pid, Mode.TRIAL: True, Mode.BEEPER: False}
+        flown = [*channels_us[:CHANNEL_AUX1], *[CHANNEL_MIN_US] * AUX_COUNT]
+        for mode, ranges in self._ranges.items():
+            for used in ranges:
+                flown[CHANNEL_AUX1 + used.aux - 1] = position_us(used, on=wanted[mode])
         wire = [0] * CHANNEL_COUNT
-        for place, us in zip(self._places, channels_us, strict=True):
+        for place, us in zip(self._places, flown, strict=True):
             wire[place] = us
-        wire[self._places[CHANNEL_TRIAL]] = TRIAL_ON_US
         return super().exchange(sample, wire)
 
 
@@ -287,12 +305,30 @@ def values_of(setting: Setting) -> st.SearchStrategy[float]:
 
 FREE = {s.name: s for s in SETTINGS if s.name not in WIRED and s.name not in MAP}
 DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
+STEPS = st.integers(0, MODE_STEPS)
 SEVERAL = st.lists(st.sampled_from(sorted(FREE)), min_size=1, max_size=12, unique=True)
 
 
 @st.composite
+def mode_sets(draw: st.DrawFn) -> Settings:
+    """All slots: each mode has one range or two of a kind, on AUX channels of its own, with room beside."""
+    auxes = iter(draw(st.permutations(range(1, AUX_COUNT + 1))))
+    ranges = []
+    for mode in Mode:
+        kinds = draw(st.sampled_from(([False], [True], [False, False], [True, True])))
+        for together in kinds:
+            low, high = sorted(draw(st.lists(STEPS, min_size=2, max_size=2, unique=True)))
+            if (low, high) == (0, MODE_STEPS):
+                low = 1  # a mode that is never off never arms
+            low_us, high_us = (MODE_LOW_US + MODE_STEP_US * step for step in (low, high))
+            ranges.append(ModeRange(mode, next(auxes), low_us, high_us, together).packed)
+    packed = [*ranges, *[0] * (MODE_SLOT_COUNT - len(ranges))]
+    return dict(zip(MODES, draw(st.permutations(packed)), strict=True))
+
+
+@st.composite
 def settings_sets(draw: st.DrawFn) -> Settings:
-    """Some settings at legal values; one set in four with the receiver's channels in another order."""
+    """Some settings at legal values; one set in four with the receiver's channels and modes elsewhere."""
     names = draw(SEVERAL)
     changed: Settings = {}
     if "rates_style" in names:  # before the rates, which it sets to its defaults
@@ -304,8 +340,8 @@ def settings_sets(draw: st.DrawFn) -> Settings:
             changed.pop(low, None)  # refused for sure: too many would be
             changed.pop(high, None)
     if draw(st.integers(0, 3)) == 0:
-        places = draw(st.permutations(range(CHANNEL_COUNT)))
-        changed |= dict(zip(MAP, places, strict=False))
+        changed |= dict(zip(MAP, draw(st.permutations(range(CHANNEL_MAPPED_COUNT))), strict=True))
+        changed |= draw(mode_sets())
     return changed
 
 

@@ -10,9 +10,8 @@ import pytest
 from toolchain.contract import (
     CHANNEL_PID,
     CHANNEL_TRIAL,
-    PID_ON_US,
     RECEIVER_HOLD_MS,
-    TRIAL_ON_US,
+    SWITCH_ON_US,
     FallbackCause,
     FlightState,
 )
@@ -29,7 +28,7 @@ def trial(bench: Make, scripted: Any) -> Make:
         pid.motor_count, pid.period_s, pid.smoothing = 4, 1e-3, 1.0
         b = bench(1000, pid=pid, **{"policy_trial": 1, **settings})
         b.arm()
-        b.run(50, **held(TRIAL_ON_US - 1))
+        b.run(50, **held(SWITCH_ON_US - 1))
         return b
 
     return make
@@ -43,29 +42,29 @@ def test_the_policy_flies_only_while_the_switch_is_held_when_it_is_on_trial(tria
     b = trial()
     assert b.status.pid_flies
     for _ in range(3):
-        b.run(50, **held(TRIAL_ON_US))
+        b.run(50, **held(SWITCH_ON_US))
         assert not b.status.pid_flies
-        b.run(50, **held(TRIAL_ON_US - 1))
+        b.run(50, **held(SWITCH_ON_US - 1))
         assert (b.status.pid_flies, b.status.fallback_cause) == (True, FallbackCause.SWITCH)
     assert b.armed
 
 
 def test_the_pid_flies_when_its_own_switch_asks_for_it_in_a_trial(trial: Make) -> None:
     b = trial()
-    b.run(50, **held(TRIAL_ON_US, PID_ON_US))
+    b.run(50, **held(SWITCH_ON_US, SWITCH_ON_US))
     assert b.status.pid_flies
-    b.run(50, **held(TRIAL_ON_US, PID_ON_US - 1))
+    b.run(50, **held(SWITCH_ON_US, SWITCH_ON_US - 1))
     assert not b.status.pid_flies
 
 
 def test_the_pid_takes_over_when_the_receiver_is_not_heard_in_a_trial(trial: Make) -> None:
     b = trial()
-    b.run(50, **held(TRIAL_ON_US))
+    b.run(50, **held(SWITCH_ON_US))
     b.run(RECEIVER_HOLD_MS - 15, every_ms=None)
     assert not b.status.pid_flies
     b.run(20, every_ms=None)
     assert (b.status.state, b.status.pid_flies) == (FlightState.FAILSAFE_HOLD, True)
-    b.run(30, **held(TRIAL_ON_US))
+    b.run(30, **held(SWITCH_ON_US))
     assert not b.status.pid_flies, "the pilot still holds it"
 
 

@@ -28,22 +28,15 @@ JOINED_MUTANTS = (
     Mutant(
         name="a lost receiver's switch chooses the controller",
         file=FIRMWARE,
-        old="return link == RECEIVER_LOST ? fw->pid_wanted : channels_us",
-        new="return channels_us",
+        old="return link == RECEIVER_LOST ? fw->pid_wanted : (on & MODE_BIT(PID)) != 0;",
+        new="return (receiver_modes(&fw->receiver) & MODE_BIT(PID)) != 0;",
         tests=(OF_INTERLOCK,),
     ),
     Mutant(
         name="a trial goes on while nobody is heard",
         file=FIRMWARE,
-        old="(link != RECEIVER_GOOD || channels_us[NF_CHANNEL_TRIAL] < NF_TRIAL_ON_US)",
-        new="channels_us[NF_CHANNEL_TRIAL] < NF_TRIAL_ON_US",
-        tests=(OF_TRIAL,),
-    ),
-    Mutant(
-        name="the switch of a trial counts from above its threshold",
-        file=FIRMWARE,
-        old="channels_us[NF_CHANNEL_TRIAL] < NF_TRIAL_ON_US",
-        new="channels_us[NF_CHANNEL_TRIAL] <= NF_TRIAL_ON_US",
+        old="(link != RECEIVER_GOOD || !(on & MODE_BIT(TRIAL)))",
+        new="!(on & MODE_BIT(TRIAL))",
         tests=(OF_TRIAL,),
     ),
     Mutant(
@@ -337,7 +330,7 @@ JOINED_MUTANTS = (
     Mutant(
         name="the gesture acknowledges with the arm switch on",
         file=BACKGROUND,
-        old="status.receiver_good &&\n\t\t\t     status.channels_us[NF_CHANNEL_ARM] < NF_ARM_ON_US;",
+        old="status.receiver_good &&\n\t\t\t     !(status.modes & MODE_BIT(ARM));",
         new="status.receiver_good;",
         tests=(OF_ACKNOWLEDGE,),
     ),

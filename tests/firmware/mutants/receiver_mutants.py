@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.firmware.mutants.mutant import Mutant
 
 RECEIVER, RATES, GESTURE = "receiver/receiver.c", "receiver/rates.c", "receiver/gesture.c"
+MODES, OF_MODES = "receiver/modes.c", "receiver/test_modes.py"
 OF_RECEIVER, OF_RATES, OF_GESTURE = (
     "receiver/test_receiver.py",
     "receiver/test_rates.py",
@@ -101,6 +102,41 @@ RECEIVER_MUTANTS = (
         old="receiver->from_us[i] = flown_us[sticks[i]];",
         new="receiver->from_us[i] = receiver->channels_us[sticks[i]];",
         tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="a lost receiver's modes stay on",
+        file=RECEIVER,
+        old="return receiver_link(receiver) == RECEIVER_LOST ? 0u : receiver->on;",
+        new="return receiver->on;",
+        tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="a range ends a microsecond early",
+        file=MODES,
+        old="<= range->span_us)",
+        new="< range->span_us)",
+        tests=(OF_MODES,),
+    ),
+    Mutant(
+        name="a channel beyond the limits is in no range",
+        file=MODES,
+        old="range->high < NF_MODE_STEPS ? modes_init_us(range->high) : UINT16_MAX + 1u;",
+        new="modes_init_us(range->high);",
+        tests=(OF_MODES,),
+    ),
+    Mutant(
+        name="ranges that must hold together need not",
+        file=MODES,
+        old="return on | (modes->joined & ~missing);",
+        new="return on | modes->joined;",
+        tests=(OF_MODES,),
+    ),
+    Mutant(
+        name="an unused slot is a range",
+        file=MODES,
+        old="if (range.low == range.high)",
+        new="if (range.low > range.high)",
+        tests=(OF_MODES,),
     ),
     Mutant(
         name="only the first footer of SBUS2 is known",

@@ -16,6 +16,8 @@ from toolchain.contract import (
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     RECEIVER_RECOVERY_MS,
+    Mode,
+    ModeRange,
 )
 
 Frame = Callable[..., bytes]
@@ -75,6 +77,14 @@ class Receiver:
         out = self.core.new("uint16_t[16]")
         self.lib.receiver_channels(self.self, out)
         return list(out)
+
+    def modes(self) -> set[str]:
+        """Names of those that are on."""
+        on = self.lib.receiver_modes(self.self)
+        return {mode.name for mode in Mode if on >> getattr(self.lib, f"MODE_{mode.name}") & 1}
+
+    def arm(self) -> bool:
+        return "ARM" in self.modes()
 
     def quality(self) -> int:
         return int(self.lib.receiver_quality(self.self))
@@ -198,19 +208,19 @@ def test_the_switch_is_off_when_two_good_frames_in_a_row_say_so(make: Make) -> N
     receiver, on = make(), [1500] * 4 + [2000] * 12
     off = [*on[:CHANNEL_ARM], 1000, *on[CHANNEL_ARM + 1 :]]
 
-    def switch(channels: list[int], **frame: bool) -> int:
+    def switch(channels: list[int], **frame: bool) -> bool:
         receiver.frame(channels, **frame)
-        return receiver.channels()[CHANNEL_ARM]
+        return receiver.arm()
 
     receiver.run(RECEIVER_RECOVERY_MS, channels=on)
-    assert switch(on) == 2000
+    assert switch(on)
     for _ in range(3):
-        assert [switch(off), switch(on), switch(off), switch(on)] == [2000] * 4
-    assert switch(off) == 2000
+        assert [switch(off), switch(on), switch(off), switch(on)] == [True] * 4
+    assert switch(off)
     receiver.tick(RECEIVER_HOLD_MS + 10)  # in a row, however long it takes
-    assert switch(on, frame_lost=True) == 2000
-    assert switch(off) == 1000
-    assert [switch(off), switch(on), switch(off)] == [1000, 2000, 2000], "on counts at once"
+    assert switch(on, frame_lost=True)
+    assert not switch(off)
+    assert [switch(off), switch(on), switch(off)] == [False, True, True], "on counts at once"
 
 
 # --- Flipped bits that a frame does not show ---------------------------------------------------
@@ -225,15 +235,16 @@ def flipped(data: bytes, *bits: int) -> bytes:
     return number.to_bytes(len(data), "little")
 
 
-def flown_through(receiver: Receiver, wrong: bytes, good: bytes) -> tuple[int, int]:
-    """How many frames came out of `wrong`, whether they were a flight's end or not, then of a good one."""
+def flown_through(receiver: Receiver, wrong: bytes, good: bytes) -> int:
+    """How many frames came out of `wrong`, whether they were a flight's end or not; then comes a good one."""
     seen = len(receiver.push(wrong))
     receiver.tick(5)
     assert receiver.link() == receiver.lib.RECEIVER_GOOD
-    assert receiver.channels()[CHANNEL_ARM] >= 1700
+    assert receiver.arm()
     assert len(receiver.push(good)) >= 1
     receiver.tick(5)
-    return seen, receiver.channels()[CHANNEL_ARM]
+    assert receiver.arm()
+    return seen
 
 
 def test_no_two_flipped_bits_of_one_sbus_frame_end_a_flight(make: Make, scripted: Any, sbus: Frame) -> None:
@@ -264,7 +275,7 @@ def test_the_crc_of_crsf_misses_two_flipped_bits_when_they_lie_93_apart_and_yet_
     covered = range(16, 8 * len(good))  # type, payload and CRC
     assert len(covered) == 192
     for bit in covered:
-        assert flown_through(receiver, flipped(good, bit), good)[0] == 0, "one flipped bit is always seen"
+        assert flown_through(receiver, flipped(good, bit), good) == 0, "one flipped bit is always seen"
 
     def order(bit: int) -> int:
         """Place in the CRC's order, which takes the highest bit of a byte first."""
@@ -273,7 +284,7 @@ def test_the_crc_of_crsf_misses_two_flipped_bits_when_they_lie_93_apart_and_yet_
     missed = [
         (first, second)
         for first, second in combinations(covered, 2)
-        if flown_through(receiver, flipped(good, first, second), good)[0] > 0
+        if flown_through(receiver, flipped(good, first, second), good) > 0
     ]
     assert {abs(order(first) - order(second)) for first, second in missed} == {93}
     assert len(missed) == 192 - 93 - 8, "all such pairs, but for those that make another type of frame of it"
@@ -387,23 +398,80 @@ def test_nothing_is_read_from_the_line_when_the_protocol_is_msp(
 
 # --- The map ----------------------------------------------------------------------------------
 def test_channels_are_mapped_when_the_pilot_says_so(make: Make) -> None:
-    names = ("roll", "pitch", "throttle", "yaw", "arm", "pid", "beeper")
-    wire = (3, 2, 0, 1, 9, 15, 4)
+    names = ("roll", "pitch", "throttle", "yaw", "aux1", "aux2", "aux3", "aux4")
+    wire = (3, 2, 0, 1, 7, 6, 4, 5)
     receiver = make(**{f"map_{name}": channel for name, channel in zip(names, wire, strict=True)})
     receiver.recover()
-    assert receiver.channels() == [FLOWN[channel] for channel in wire] + FLOWN[7:]
+    assert receiver.channels() == [FLOWN[channel] for channel in wire] + FLOWN[8:]
     receiver.tick(RECEIVER_HOLD_MS)
     assert receiver.channels()[:4] == [1500, 1500, FLOWN[0], 1500]
 
 
+# --- Modes ------------------------------------------------------------------------------------
+EVERYWHERE = {  # every mode is on wherever its channel stands
+    f"mode{slot}": ModeRange(mode, slot, 900, 2100).packed for slot, mode in enumerate(Mode, start=1)
+}
+
+
+def test_modes_are_none_until_the_link_is_good_and_stay_while_it_is_held(make: Make, scripted: Any) -> None:
+    receiver = make(**EVERYWHERE)
+    assert receiver.modes() == set()
+    for _ in range(RECEIVER_RECOVERY_MS // 10):
+        receiver.frame()
+        receiver.tick(10)
+        assert (receiver.link(), receiver.modes()) == (scripted.lib.RECEIVER_LOST, set())
+    receiver.frame()
+    assert (receiver.link(), receiver.modes()) == (scripted.lib.RECEIVER_GOOD, {mode.name for mode in Mode})
+    receiver.tick(RECEIVER_LOST_MS - 1)
+    assert (receiver.link(), receiver.modes()) == (scripted.lib.RECEIVER_HOLD, {mode.name for mode in Mode})
+    receiver.tick(1)
+    assert (receiver.link(), receiver.modes()) == (scripted.lib.RECEIVER_LOST, set())
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_no_mode_is_on_when_only_what_stands_in_for_a_lost_receiver_lies_in_its_range(
+    make: Make, mode: Mode
+) -> None:
+    receiver = make(**{f"mode{slot}": 0 for slot in range(2, 5)}, mode1=ModeRange(mode, 1, 900, 1100).packed)
+    off = [1500] * CHANNEL_COUNT
+    receiver.run(RECEIVER_RECOVERY_MS + 20, channels=off)
+    assert receiver.modes() == set()
+    receiver.frame(failsafe=True)
+    receiver.frame(failsafe=True)
+    assert (receiver.channels()[CHANNEL_ARM], receiver.modes()) == (1000, set())
+    receiver.run(RECEIVER_RECOVERY_MS + 20, channels=off)
+    receiver.tick(RECEIVER_LOST_MS)
+    assert (receiver.channels()[CHANNEL_ARM], receiver.modes()) == (1000, set())
+    receiver.run(RECEIVER_RECOVERY_MS + 20, channels=[1000] * CHANNEL_COUNT)
+    assert receiver.modes() == {mode.name}
+
+
+def test_modes_follow_the_map(make: Make) -> None:
+    receiver = make(map_roll=7, map_aux1=0, map_aux4=4)
+    channels = [2000, *[1000] * (CHANNEL_COUNT - 1)]
+    receiver.run(RECEIVER_RECOVERY_MS + 20, channels=channels)
+    assert receiver.modes() == {"ARM"}
+
+
+@pytest.mark.parametrize("other", ["PID", "BEEPER", "TRIAL"])
+def test_only_arm_waits_for_a_second_frame_that_says_off(make: Make, other: str) -> None:
+    ranges = {"mode2": ModeRange(Mode[other], 1, 1700, 2100).packed, "mode3": 0, "mode4": 0}
+    receiver = make(**ranges, mode1=ModeRange(Mode.ARM, 2, 900, 2100).packed)
+    on, off = ([us] * CHANNEL_COUNT for us in (2000, 1000))
+    receiver.run(RECEIVER_RECOVERY_MS + 20, channels=on)
+    assert receiver.modes() == {"ARM", other}
+    receiver.frame(off)
+    assert receiver.modes() == {"ARM"}
+
+
 # --- MSP --------------------------------------------------------------------------------------
 def test_channels_come_over_msp_when_that_is_the_protocol(make: Make, scripted: Any) -> None:
-    receiver = make(receiver_protocol=MSP, map_arm=7)
+    receiver = make(receiver_protocol=MSP, map_aux1=7, map_aux4=4)
     for _ in range(RECEIVER_RECOVERY_MS + 1):
         assert scripted.lib.receiver_msp(receiver.self, FLOWN)
         receiver.tick(1)
     assert receiver.link() == scripted.lib.RECEIVER_GOOD
-    assert receiver.channels() == [*FLOWN[:4], FLOWN[7], *FLOWN[5:]]
+    assert receiver.channels() == [*FLOWN[:4], FLOWN[7], *FLOWN[5:7], FLOWN[4], *FLOWN[8:]]
 
 
 @pytest.mark.parametrize("us", [0, 749, 2251, 65535])

@@ -16,7 +16,7 @@ SOURCE = ROOT / "firmware" / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "feed_receiver.c"
 MODULES = (
     *("receiver/receiver", "receiver/sbus", "receiver/crsf", "receiver/channels", "receiver/link_quality"),
-    *("receiver/rates", "common/crc8"),
+    *("receiver/rates", "receiver/modes", "storage/settings", "storage/mode_range", "common/crc8"),
 )
 SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 100_000

@@ -8,11 +8,10 @@
 
 #include "receiver/rates.h"
 #include "receiver/receiver.h"
+#include "storage/settings.h"
 
 #define PIECES_MAX 300000
 #define SETPOINT_MAX 34.04f /* rad/s: 1950 deg/s and a hair */
-
-#define DEFAULT(name, kind, low, high, preset, unit) .name = (kind)(preset),
 
 static const struct piece {
 	const uint8_t *bytes; /* a heap block of its own size, so that one byte too far is seen */
@@ -51,6 +50,10 @@ static void look(const struct receiver *receiver, const struct rates *rates)
 			exit(3);
 	if (receiver_quality(receiver) > 100)
 		exit(3);
+	if (receiver_modes(receiver) >= 1u << MODE_COUNT)
+		exit(3);
+	if (receiver_link(receiver) == RECEIVER_LOST && receiver_modes(receiver) != 0)
+		exit(3);
 }
 
 /* What MSP would say with these bytes as channels. */
@@ -62,19 +65,40 @@ static unsigned long tell(struct receiver *receiver, const struct piece *piece)
 	return receiver_msp(receiver, channels_us);
 }
 
+/* A range in each slot: of any mode, channel, width and kind. */
+static void every_slot(struct nf_settings *settings)
+{
+	const unsigned first = settings_find("mode1");
+
+	for (uint8_t slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
+		const struct mode_range range = {
+			.mode = mode_range_mode(slot % MODE_COUNT),
+			.aux = slot % NF_AUX_COUNT,
+			.low = slot,
+			.high = (uint8_t)(NF_MODE_STEPS - slot),
+			.and_others = slot % 3 == 0,
+		};
+		const union setting_value value = { .as_mode = mode_range_pack(&range) };
+		if (settings_set(settings, first + slot, &value) != NF_REFUSAL_NONE)
+			exit(2);
+	}
+}
+
 static void feed(unsigned protocol)
 {
-	const struct nf_settings presets = { NF_SETTINGS(DEFAULT) };
-	struct nf_settings settings = presets;
+	struct nf_settings settings;
 	struct receiver *receiver = malloc(sizeof *receiver);
 	struct rates rates;
 	unsigned long frames = 0, good = 0;
 
 	if (!receiver)
 		exit(2);
+	settings_default(&settings);
 	settings.receiver_protocol = protocol;
 	settings.interpolation = 1;
-	settings.map_arm = 15;
+	settings.map_roll = 7;
+	settings.map_aux4 = 0;
+	every_slot(&settings);
 	settings.rates_style = protocol == NF_RECEIVER_PROTOCOL_CRSF ? NF_RATES_STYLE_BETAFLIGHT :
 								       NF_RATES_STYLE_ACTUAL;
 	receiver_init(receiver, &settings, 1000);

@@ -219,8 +219,8 @@ CONFLICTS = {
         "filter1_kind",
         {"dynamic_notch_count", "dynamic_notch_q"},
     ),
-    "map": ({"map_roll": 1, "map_arm": 9}, "map_roll", {"map_roll", "map_arm"}),
-    "map's ends": ({"map_beeper": 0}, "map_roll", {"map_beeper"}),
+    "map": ({"map_roll": 4, "map_aux1": 7}, "map_roll", {"map_roll", "map_aux1"}),
+    "map's ends": ({"map_aux4": 0}, "map_roll", {"map_aux4"}),
     "baud of no UART": ({"msp_baud": 100_000}, "msp_baud", {"msp_baud"}),
     "battery": ({"battery_low_v": 3.5}, "battery_warn_v", {"battery_low_v"}),
 }
@@ -267,7 +267,7 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"filter1_kind": 5, "filter1_q": 0.41},
         {"dynamic_notch_count": 3, "dynamic_notch_q": 1.3},
         {"dynamic_notch_low_hz": 30.0, "dynamic_notch_q": 0.5},  # none is flown
-        {"map_roll": 15, "map_beeper": 0},
+        {"map_roll": 7, "map_aux4": 0},
         {"battery_low_v": 3.4999},
     ],
 )

@@ -56,8 +56,13 @@ def store(chip: MakeChip) -> Callable[[], Store]:
     return lambda: Store(chip())
 
 
-OLD: dict[str, float | bytes] = {"deadband_us": 7, "yaw_expo": 0.25, "map_pid": 9, "battery_scale": 10.5}
-NEW: dict[str, float | bytes] = {"deadband_us": 8, "yaw_expo": 0.75, "map_pid": 10, "motor_limit": 0.5}
+OLD: dict[str, float | bytes] = {
+    "deadband_us": 7,
+    "yaw_expo": 0.25,
+    "uart3_baud": 9600,
+    "battery_scale": 10.5,
+}
+NEW: dict[str, float | bytes] = {"deadband_us": 8, "yaw_expo": 0.75, "uart3_baud": 19200, "motor_limit": 0.5}
 TEXT = b"sixteen letters!"
 
 
@@ -122,7 +127,7 @@ def test_a_set_of_every_setting_comes_back_when_none_is_at_its_default(store: Ca
         if setting.name.endswith("_output"):  # the motors of a quadcopter change places
             return {1: 4, 4: 1, 2: 3, 3: 2}.get(int(setting.default), 1)
         if setting.name.startswith("map_"):
-            return setting.default + 8
+            return 7 - setting.default
         if setting.name == "gyro_rate_hz":
             return 8000
         if setting.betaflight is not None:
@@ -234,7 +239,7 @@ def test_a_value_is_the_default_when_its_limits_have_changed_since(store: Callab
 
 def test_conflicting_values_are_mended_when_loaded(store: Callable[[], Store]) -> None:
     s = store()
-    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"map_arm": 0, "map_pid": 9, "yaw_expo": 0.5}, 3))
+    s.chip.fill(FLASH_SETTINGS[0].address, as_set({"map_aux1": 0, "map_aux2": 7, "yaw_expo": 0.5}, 3))
     assert s.load() == (True, {"yaw_expo": 0.5})
 
 

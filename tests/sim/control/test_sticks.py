@@ -10,7 +10,6 @@ import pytest
 from sim.control import sticks
 from sim.ports.library import Reference
 from toolchain.contract import (
-    ARM_ON_US,
     CHANNEL_ARM,
     CHANNEL_COUNT,
     CHANNEL_PITCH,
@@ -18,6 +17,7 @@ from toolchain.contract import (
     CHANNEL_THROTTLE,
     CHANNEL_YAW,
     RECEIVER_RECOVERY_MS,
+    SWITCH_ON_US,
 )
 from toolchain.errors import ScenarioError
 
@@ -56,8 +56,8 @@ def test_channels_follow_the_receivers_conventions_when_all_sticks_move() -> Non
         1350,
         1250,
     ]
-    assert us[CHANNEL_ARM] > ARM_ON_US
-    assert sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)[CHANNEL_ARM] < ARM_ON_US
+    assert us[CHANNEL_ARM] > SWITCH_ON_US
+    assert sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)[CHANNEL_ARM] < SWITCH_ON_US
 
 
 @pytest.mark.parametrize("rate", [1000.5, -1001.0, np.nan, np.inf])

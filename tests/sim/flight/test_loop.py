@@ -16,7 +16,7 @@ from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from sim.ports.port import Reply, Sample
-from toolchain.contract import ARM_ON_US, CHANNEL_ARM, CHANNEL_THROTTLE, THROTTLE_LOW_US
+from toolchain.contract import CHANNEL_ARM, CHANNEL_THROTTLE, SWITCH_ON_US, THROTTLE_LOW_US
 from toolchain.errors import LinkError
 
 UNHEARD = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False).tolist()
@@ -43,7 +43,7 @@ class Recorder:
         channels = self.frames[-1][1] if self.frames else UNHEARD
         step = number // (self.gyro_rate_hz // 1000)
         stays = not self.disarms and step > 0 and self.replies[-1].armed
-        armed = self._arms and step >= 1000 and (channels[CHANNEL_ARM] >= ARM_ON_US or stays)
+        armed = self._arms and step >= 1000 and (channels[CHANNEL_ARM] >= SWITCH_ON_US or stays)
         dshot = np.array([48 + 10 * (step % 100) + motor for motor in range(self.motor_count)]) * armed
         reply = Reply(
             dshot.astype(np.uint16),
@@ -148,7 +148,7 @@ def test_boot_keeps_switch_and_throttle_low_when_not_yet_armed() -> None:
     port = Recorder()
     _, _, start = flown(port)
     boot = [frame for number, frame in port.frames if number < start]
-    assert all(frame[CHANNEL_ARM] < ARM_ON_US for frame in boot)
+    assert all(frame[CHANNEL_ARM] < SWITCH_ON_US for frame in boot)
     assert all(frame[CHANNEL_THROTTLE] <= THROTTLE_LOW_US for frame in boot)
     assert 1000 <= start // 4 <= 1200
 

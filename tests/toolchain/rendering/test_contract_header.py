@@ -12,7 +12,7 @@ from toolchain.rendering.contract_header import render_contract
 
 EXPRESSIONS = {
     "NF_GYRO_COUNTS": contract.GYRO_COUNTS,
-    "NF_CHANNEL_ARM": contract.CHANNEL_ARM,
+    "NF_CHANNEL_AUX1": contract.CHANNEL_AUX1,
     "NF_SIM_POWER_MAGIC": contract.SIM_POWER_MAGIC,
     "NF_SIM_STATE_BYTES": 18 * 8,
     "NF_SIM_RECEIVER_BYTES": 8 + 16 * 2,
