@@ -29,7 +29,7 @@ struct hal {
 	/* From `sample`: receiver bytes since the last call, oldest first, at most `capacity` (the rest stays). Called
 	 * once, at the start of each control step. */
 	size_t (*receiver_read)(void *context, uint8_t *bytes, size_t capacity);
-	/* From `sample` and `gyro_silent`, every gyro sample: DShot values (11 bits, motor order, 0 stops), held
+	/* From `sample` and `gyro_silent`, every gyro sample: DShot values (11 bits, by output, 0 stops), held
 	 * between control steps; `telemetry` is the frame's telemetry bit, which commands need. The chip sends them as
 	 * frames (dshot_frame of dshot.h) or packets. If the last frame is still on the wire, this one is dropped. */
 	void (*motors_write)(void *context, const uint16_t dshot[], size_t count, bool telemetry);

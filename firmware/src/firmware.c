@@ -124,6 +124,20 @@ static void firmware_report(struct firmware *fw)
 	status->attitude_known = attitude_known(&fw->attitude);
 }
 
+/* The output that each motor's ESC is wired to; the settings' rules make them a permutation. */
+static void firmware_outputs_init(struct firmware *fw, const struct nf_settings *settings)
+{
+	const uint32_t wired[NF_MOTOR_COUNT_MAX] = {
+		settings->motor1_output, settings->motor2_output, settings->motor3_output, settings->motor4_output,
+		settings->motor5_output, settings->motor6_output, settings->motor7_output, settings->motor8_output,
+	};
+
+	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i) {
+		fw->outputs[i] = (uint8_t)(wired[i] - 1u);
+		fw->rewired |= fw->outputs[i] != i;
+	}
+}
+
 enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *config)
 {
 	const struct nf_settings *settings = config->settings;
@@ -164,7 +178,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
 	crash_init(&fw->crash, settings, POLICY_CONTROL_RATE_HZ);
 	motor_test_init(&fw->motor_test, POLICY_CONTROL_RATE_HZ, POLICY_ACTION_COUNT);
-	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT);
+	firmware_outputs_init(fw, settings);
+	dshot_command_init(&fw->dshot_command, config->gyro_rate_hz, POLICY_ACTION_COUNT, fw->outputs);
 	firmware_report(fw); /* a board whose gyro never speaks must still say why it does not arm */
 	return NF_OK;
 }
@@ -404,6 +419,13 @@ void firmware_lost(struct firmware *fw, uint32_t count)
 	}
 }
 
+/* The motors' values to their outputs, where they are not wired in their own order. */
+static __attribute__((noinline)) void firmware_rewire(const struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUNT])
+{
+	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
+		dshot[fw->outputs[i]] = fw->status.trace.dshot[i];
+}
+
 bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT])
 {
 	float rate[3];
@@ -414,6 +436,8 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 		firmware_control_step(fw, rate);
 	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
 		dshot[i] = fw->status.trace.dshot[i];
+	if (fw->rewired)
+		firmware_rewire(fw, dshot);
 	if (fw->until_control == 0) {
 		fw->until_control = fw->control_divider - fw->overdue;
 		fw->overdue = 0;

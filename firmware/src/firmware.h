@@ -51,6 +51,8 @@ struct firmware {
 	struct control control;
 	struct motor_test motor_test;        /* the background asks it for tests */
 	struct dshot_command dshot_command;  /* and this for commands */
+	uint8_t outputs[POLICY_ACTION_COUNT]; /* of each motor, 0 to POLICY_ACTION_COUNT - 1, none twice */
+	bool rewired;                   /* a motor has another output than its own number */
 	enum gyro_chip gyro_chip;
 	uint32_t gyro_rate_hz;
 	uint32_t control_divider;       /* gyro samples a control step */
@@ -92,7 +94,7 @@ void firmware_lost(struct firmware *fw, uint32_t count);
  * was silent. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count);
 
-/* One gyro sample (chip axes). Writes the DShot value of each motor; between control steps they are held. Returns
+/* One gyro sample (chip axes). Writes the DShot value of each output; between control steps they are held. Returns
  * the telemetry bit of their frames. */
 bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint16_t dshot[POLICY_ACTION_COUNT]);
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flash import messages
 from flash.client import Client
@@ -90,7 +91,8 @@ class HostPort:
                 "servo-port": _port(self._servo),
                 "trace-port": _port(self._trace),
             }
-            changes = setting_changes(flight_settings(settings))
+            wanted = flight_settings(settings)
+            changes = setting_changes(wanted)
             self._child = undo.enter_context(_Child(program, options, changes))
             self._state, self._receiver, self._power = (undo.enter_context(udp_socket()) for _ in range(3))
             self._state.connect((LOOPBACK, self._child.ports["state"]))
@@ -98,6 +100,7 @@ class HostPort:
             with self._msp() as msp:
                 policy = messages.policy_info(msp.request(Msp.POLICY_INFO))
             self.motor_count = policy.action_count
+            self._motors_of = _motors_of_outputs(wanted, policy.action_count)  # traces tell motors
             self.gyro_rate_hz = gyro_rate_hz
             self.control_rate_hz = policy.control_rate_hz
             self._divider = control_divider(gyro_rate_hz, policy.control_rate_hz)
@@ -212,13 +215,19 @@ class HostPort:
             )
         setpoint_gyro = np.frombuffer(rates, np.float32)
         return Reply(
-            dshot=np.frombuffer(packet, np.uint16, motors, _TRACE_DSHOT),
+            dshot=np.frombuffer(packet, np.uint16, motors, _TRACE_DSHOT)[self._motors_of],
             step=number,
             setpoint=setpoint_gyro[:3],
             gyro=setpoint_gyro[3:],
             throttle=throttle,
             armed=bool(flags & SIM_TRACE_FLAG_ARMED),
         )
+
+
+def _motors_of_outputs(settings: Mapping[str, float], motors: int) -> NDArray[np.intp]:
+    """The motor that is wired to each output."""
+    outputs = [settings.get(f"motor{motor}_output", motor) for motor in range(1, motors + 1)]
+    return np.argsort(outputs)
 
 
 class _Child:

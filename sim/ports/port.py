@@ -54,7 +54,7 @@ class Sample:
 class Reply:
     """Answer of the firmware to one gyro sample; all fields but `dshot` are of its last control step."""
 
-    dshot: NDArray[np.uint16]  # (M,) values of 11 bits, motor order
+    dshot: NDArray[np.uint16]  # (M,) values of 11 bits, by output
     step: int  # number of the control step, rising by one
     setpoint: NDArray[np.float32]  # (3,) [rad/s], from the sticks
     gyro: NDArray[np.float32]  # (3,) [rad/s], as the controller used it

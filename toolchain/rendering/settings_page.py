@@ -46,6 +46,13 @@ comes; each channel is used once. Channels 8 to 15 are AUX 5 to 12.
 `msp_baud` is the speed of the very line that settings go over: from the next boot on both ends have to speak
 at the new one. The host program has no such line and takes no notice.
 
+`motor1_output` and its like say which of the board's outputs each motor's ESC is wired to. Motors are
+numbered as in the aircraft file, and everything that names a motor (motor test, DShot commands, traces,
+MSP's motor values) means the motor; only the last step, from motors to outputs, looks here. The outputs of
+an aircraft's motors are 1 to their number, none twice; the settings of motors that it does not have are
+ignored. A simulator wires each motor to the output of its own number: `neuroflight fly` with another order
+flies a wrongly wired aircraft.
+
 This page is written by `python -m toolchain.rendering.settings_page docs/settings.md`.
 
 | setting | range | default | unit | meaning |

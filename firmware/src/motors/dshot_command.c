@@ -24,8 +24,8 @@ static const struct row {
 	{ NF_DSHOT_COMMAND_DIRECTION_REVERSED, REPEATS, STOPS_AFTER_MS },
 };
 
-/* A request: the command, and the motors above it. */
-#define ASKED_MOTORS 8
+/* A request: the command, and the outputs of its motors above it. */
+#define ASKED_OUTPUTS 8
 #define ASKED_STOP (1u << 31) /* so that it differs from nothing */
 
 static const struct row *dshot_command_find(unsigned command)
@@ -36,9 +36,12 @@ static const struct row *dshot_command_find(unsigned command)
 	return NULL;
 }
 
-void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count)
+void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count,
+			const uint8_t outputs[])
 {
-	*self = (struct dshot_command){ .gyro_rate_hz = gyro_rate_hz, .motor_count = (uint8_t)motor_count };
+	*self = (struct dshot_command){ .gyro_rate_hz = gyro_rate_hz,
+					.motor_count = (uint8_t)motor_count,
+					.outputs = outputs };
 }
 
 bool dshot_command_busy(const struct dshot_command *self)
@@ -60,8 +63,9 @@ enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, 
 		return NF_REFUSAL_ARMED;
 	if (dshot_command_busy(self))
 		return NF_REFUSAL_ORDER;
-	const uint32_t motors = motor == NF_DSHOT_ALL_MOTORS ? (1u << self->motor_count) - 1u : 1u << motor;
-	self->asked = command | motors << ASKED_MOTORS;
+	const uint32_t motors = motor == NF_DSHOT_ALL_MOTORS ? (1u << self->motor_count) - 1u :
+							       1u << self->outputs[motor];
+	self->asked = command | motors << ASKED_OUTPUTS;
 	return NF_REFUSAL_NONE;
 }
 
@@ -76,7 +80,7 @@ static void dshot_command_take(struct dshot_command *self)
 	if (!row)
 		return;
 	self->command = row->command;
-	self->motors = (uint8_t)(asked >> ASKED_MOTORS);
+	self->wanted = (uint8_t)(asked >> ASKED_OUTPUTS);
 	self->until = self->gyro_rate_hz * row->busy_ms / 1000u;
 	self->from = self->until + row->repeats;
 	self->left = self->from + self->gyro_rate_hz * STOPS_BEFORE_MS / 1000u;
@@ -95,6 +99,6 @@ bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot
 	--self->left;
 	const bool telling = self->left >= self->until && self->left < self->from;
 	for (unsigned i = 0; i < self->motor_count; ++i)
-		dshot[i] = telling && (self->motors >> i & 1u) ? self->command : NF_DSHOT_STOP;
+		dshot[i] = telling && (self->wanted >> i & 1u) ? self->command : NF_DSHOT_STOP;
 	return telling;
 }

@@ -11,24 +11,27 @@
 #include "nf_contract.h"
 
 struct dshot_command {
-	volatile uint32_t asked;  /* motors and command, 0: none; written by dshot_command_ask, taken by the step */
+	volatile uint32_t asked;  /* outputs and command, 0: none; written by dshot_command_ask, taken by the step */
 	volatile uint32_t left;   /* gyro samples of the sequence, 0: none is under way */
 	uint32_t from, until;     /* the command is sent while `left` is in [until, from) */
 	uint8_t command;          /* enum nf_dshot_command */
-	uint8_t motors;           /* bit field of those that get it */
+	uint8_t wanted;           /* bit field of the outputs that get it */
 	uint8_t motor_count;
+	const uint8_t *outputs;   /* of each motor */
 	uint32_t gyro_rate_hz;
 };
 
-/* motor_count at most NF_MOTOR_COUNT_MAX. */
-void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count);
+/* motor_count at most NF_MOTOR_COUNT_MAX. outputs: [motor_count], where each motor's controller is wired to, a permutation
+ * of 0 to motor_count - 1; it must outlive the commands. */
+void dshot_command_init(struct dshot_command *self, unsigned gyro_rate_hz, unsigned motor_count,
+			const uint8_t outputs[]);
 
 /* From the background: asks for `command` to the motor of that index, or to all (NF_DSHOT_ALL_MOTORS). `stopped`: the
  * motors are, and not under test. NF_DSHOT_COMMAND_STOP ends what is under way and is never refused. Refusals: PAYLOAD
  * for what is no command of ours, INDEX for no such motor, ARMED, ORDER while another is under way. */
 enum nf_refusal dshot_command_ask(struct dshot_command *self, unsigned command, unsigned motor, bool stopped);
 
-/* One gyro sample, in the interrupt: while a sequence is under way, writes each motor's value. Returns the telemetry
+/* One gyro sample, in the interrupt: while a sequence is under way, writes each output's value. Returns the telemetry
  * bit that these frames need. Not `stopped`: the sequence is over and `dshot` left alone. */
 bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[]);
 

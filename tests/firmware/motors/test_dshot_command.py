@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
@@ -16,10 +17,12 @@ KNOWN = {int(command) for command in DshotCommand}
 
 
 class Commander:
-    def __init__(self, core: Any, gyro_hz: int = 8000, motors: int = 4) -> None:
+    def __init__(self, core: Any, gyro_hz: int = 8000, motors: int = 4, outputs: Sequence[int] = ()) -> None:
+        """outputs: of each motor; in their order unless told otherwise."""
         self.lib, self.motors = core.lib, motors
+        self._outputs = core.new("uint8_t[]", list(outputs or range(motors)))
         self.self, self.out = core.new("struct dshot_command *"), core.new("uint16_t[8]")
-        self.lib.dshot_command_init(self.self, gyro_hz, motors)
+        self.lib.dshot_command_init(self.self, gyro_hz, motors, self._outputs)
 
     def ask(self, command: int, motor: int = DSHOT_ALL_MOTORS, stopped: bool = True) -> Refusal:
         return Refusal(self.lib.dshot_command_ask(self.self, command, motor, stopped))

@@ -9,6 +9,7 @@ OBSERVATION, COMMAND, BENCH = "control/observation.c", "motors/dshot_command.c",
 OF_CONTROL, OF_PID, OF_MIXER = "control/test_control.py", "control/test_pid.py", "control/test_mixer.py"
 OF_OBSERVATION, OF_DSHOT = "control/test_observation.py", "motors/test_dshot.py"
 OF_COMMAND, OF_BENCH = "motors/test_dshot_command.py", "motors/test_motor_test.py"
+OF_ORDER = "joined/test_motor_order.py"
 
 CONTROL_MUTANTS = (
     Mutant(
@@ -251,11 +252,18 @@ CONTROL_MUTANTS = (
         tests=(OF_COMMAND,),
     ),
     Mutant(
-        name="a command goes to the motor behind",
+        name="a command goes to the output behind",
         file=COMMAND,
-        old="self->motors >> i & 1u",
-        new="self->motors >> (i + 1u) & 1u",
+        old="self->wanted >> i & 1u",
+        new="self->wanted >> (i + 1u) & 1u",
         tests=(OF_COMMAND,),
+    ),
+    Mutant(
+        name="a command goes to the output of the motor's own number",
+        file=COMMAND,
+        old="1u << self->outputs[motor]",
+        new="1u << motor",
+        tests=(OF_ORDER,),
     ),
     Mutant(
         name="the arm switch does not end a motor test",

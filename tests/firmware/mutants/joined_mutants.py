@@ -13,10 +13,33 @@ OF_INTERRUPT, OF_TRIAL, OF_WEIGHTS = (
     "joined/test_weights.py",
 )
 OF_ACKNOWLEDGE, OF_BOARD = "joined/test_acknowledge.py", "joined/test_board_reasons.py"
+OF_ORDER = "joined/test_motor_order.py"
 OF_BENCH, OF_DOUBT, OF_LOST = "joined/test_motor_bench.py", "joined/test_doubt.py", "joined/test_lost.py"
 SATURATED = "joined/test_faults.py::test_it_flies_a_saturated_gyro_tells_it_and_stops_when_that_lasts"
 
 JOINED_MUTANTS = (
+    Mutant(
+        name="a motor's value goes to the output of its own number",
+        file=FIRMWARE,
+        old="dshot[fw->outputs[i]] = fw",
+        new="dshot[i] = fw",
+        tests=(OF_ORDER,),
+        slow=False,
+    ),
+    Mutant(
+        name="only the last motor's wiring is looked at",
+        file=FIRMWARE,
+        old="fw->rewired |= fw->outputs[i] != i;",
+        new="fw->rewired = fw->outputs[i] != i;",
+        tests=(OF_ORDER,),
+    ),
+    Mutant(
+        name="the trace tells outputs",
+        file=FIRMWARE,
+        old="\t\ttrace->dshot[i] = stand ?",
+        new="\t\ttrace->dshot[fw->outputs[i]] = stand ?",
+        tests=(OF_ORDER,),
+    ),
     Mutant(
         name="firmware_status never retries",
         file=FIRMWARE,
