@@ -1,0 +1,87 @@
+"""Lines on which programs that others have written talk to the firmware, and to Betaflight."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from sim.ports.betaflight.build import build_betaflight
+from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
+from tests.cli.test_board import Running
+from tests.firmware.conftest import Program
+from tests.peers.yamspy_client import WAIT_S
+from toolchain.contract import MSP_TCP_PORT
+
+BETAFLIGHT = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
+BOOT_SAMPLES = 4200  # at 1 kHz: the delay before arming, and some more
+
+Line = Any  # a serial port, or a socket that looks like one
+
+
+def tcp_line(port: int) -> Line:
+    """TCP in place of a serial port."""
+    return serial.serial_for_url(f"socket://127.0.0.1:{port}", timeout=WAIT_S)
+
+
+@pytest.fixture
+def betaflight_line() -> Iterator[Line]:
+    """A line to Betaflight's SITL, whose time goes on in a thread of its own."""
+    ended = threading.Event()
+    with BetaflightProcess(build_betaflight(BETAFLIGHT, print)) as process:
+
+        def live() -> None:
+            while not ended.is_set():
+                process.run(STEP_NS)
+
+        life = threading.Thread(target=live)
+        life.start()
+        try:
+            with tcp_line(process.ports[MSP_TCP_PORT]) as line:
+                yield line
+        finally:
+            ended.set()
+            life.join()
+
+
+@pytest.fixture
+def start_host(host_program: Path) -> Iterator[Callable[..., Program]]:
+    """Starts host programs at 1 kHz with the settings that are given, booted, and ready to arm."""
+    with contextlib.ExitStack() as running:
+
+        def start(**settings: object) -> Program:
+            told = [f"--set={name}={value}" for name, value in settings.items()]
+            program = Program(host_program.parent, "--gyro-hz=1000", *told)
+            running.callback(program.close)
+            for _ in range(BOOT_SAMPLES):
+                program.sticks()
+                program.step()
+            return program
+
+        yield start
+
+
+@pytest.fixture
+def host(start_host: Callable[..., Program]) -> Program:
+    """One as it comes."""
+    return start_host()
+
+
+@pytest.fixture(params=["tcp", "uart"])
+def line(request: pytest.FixtureRequest) -> Iterator[Line]:
+    """A line to the firmware: to the host program, and to the image on the emulated board."""
+    if request.param == "tcp":
+        with tcp_line(request.getfixturevalue("host").ports["msp"]) as tcp:
+            yield tcp
+        return
+    board = Running(request.getfixturevalue("board_image").with_suffix(".bin"))
+    try:
+        with serial.Serial(board.port, board.baud, timeout=WAIT_S) as uart:
+            yield uart
+    finally:
+        board.end()
