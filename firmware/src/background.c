@@ -162,6 +162,14 @@ static enum nf_refusal background_reboot(void *context)
 	return NF_REFUSAL_NONE;
 }
 
+static void background_record(void *context, struct control_record *record)
+{
+	struct background *background = context;
+	const struct background_config *config = &background->config;
+
+	firmware_record(config->firmware, &config->stats[NF_TASK_CONTROL].last, record);
+}
+
 static void background_offer_services(struct background *background)
 {
 	const struct background_config *config = &background->config;
@@ -181,6 +189,7 @@ static void background_offer_services(struct background *background)
 		.dshot_command = background_command_motors,
 		.acknowledge = background_acknowledge,
 		.reboot = background_reboot,
+		.record = background_record,
 	};
 	for (unsigned port = 0; port < NF_MSP_PORT_COUNT; ++port)
 		msp_port_init(&background->ports[port], config->identity, &background->services);
@@ -419,8 +428,8 @@ size_t background_link(struct background *background, unsigned port, const uint8
 	const uint32_t start = hal->cycles(hal->context);
 	struct firmware_status status;
 
-	if (count == 0)
-		return 0; /* nothing is said unasked */
+	if (count == 0 && !msp_port_speaks(&background->ports[port], background->config.firmware->status.trace.step))
+		return 0;
 	background_status(background, &status);
 	const size_t written = msp_port_serve(&background->ports[port], &status, bytes, count, reply, capacity);
 	task_stats_add(&background->config.stats[NF_TASK_MSP], hal->cycles(hal->context) - start, false);

@@ -541,3 +541,22 @@ void firmware_status(const struct firmware *fw, struct firmware_status *status)
 	if (status->attitude_known)
 		attitude_euler_deg(&attitude, status->attitude_deg);
 }
+
+void firmware_record(const struct firmware *fw, const uint32_t *cycles, struct control_record *record)
+{
+	uint32_t before;
+
+	do { /* as firmware_status */
+		before = fw->published;
+		fence();
+		record->trace = fw->status.trace;
+		record->cycles = *cycles;
+		record->state = fw->status.state;
+		record->pid_flies = fw->status.pid_flies;
+		memcpy(record->observation, fw->control.seen, sizeof fw->control.seen);
+		memcpy(record->action, fw->control.action, sizeof fw->control.action);
+		fence();
+	} while (before != fw->published);
+	record->action_count = record->trace.armed ? POLICY_ACTION_COUNT : 0;
+	record->observation_count = record->trace.armed && !record->pid_flies ? POLICY_OBSERVATION_COUNT : 0;
+}

@@ -132,6 +132,10 @@ enum nf_refusal firmware_post(struct firmware *fw, const uint16_t channels_us[NF
 /* From the background: gyro samples since boot, lost ones and those that silence swallowed included. Wraps. */
 uint32_t firmware_samples(const struct firmware *fw);
 
+/* From the background: the last control step, consistent likewise. `cycles`: where whoever calls firmware_sample notes
+ * what the step took, before the background goes on. */
+void firmware_record(const struct firmware *fw, const uint32_t *cycles, struct control_record *record);
+
 /* From the background: a consistent copy of the status, also when a gyro interrupt falls into the copying. */
 void firmware_status(const struct firmware *fw, struct firmware_status *status);
 

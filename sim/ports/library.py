@@ -19,7 +19,6 @@ from toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX
-_PORT = 0  # that MSP requests come by
 _REPLY = struct.Struct("<I24sfB")  # of _Trace: step, setpoint and gyro, throttle, armed
 
 
@@ -117,15 +116,23 @@ class Reference:
         self._library.reference_trace(self._memory, ctypes.byref(self._trace))
         return self._trace
 
+    def link(self, port: int, data: bytes = b"", capacity: int = _REPLY_BYTES) -> bytes:
+        """MSP bytes in by that port, 0 or 1; what goes to its peer. Without any: what is said unasked."""
+        reply = ctypes.create_string_buffer(capacity)
+        count = self._library.reference_link(self._memory, port, data, len(data), reply, capacity)
+        return reply.raw[:count]
+
+    def link_reset(self, port: int) -> None:
+        """Another peer is on that port."""
+        self._library.reference_link_reset(self._memory, port)
+
     def write(self, data: bytes) -> None:
-        """MSP request bytes in (flash.transport.Transport)."""
-        reply = ctypes.create_string_buffer(_REPLY_BYTES)
-        count = self._library.reference_link(self._memory, _PORT, data, len(data), reply, len(reply))
-        self._answer += reply.raw[:count]
+        """MSP request bytes in by port 0 (flash.transport.Transport)."""
+        self._answer += self.link(0, data)
 
     def read(self, timeout: float) -> bytes:
         """MSP reply bytes out; they are there at once or never."""
-        answer, self._answer = self._answer, b""
+        answer, self._answer = self._answer + self.link(0), b""
         return answer
 
     def close(self) -> None:
@@ -206,6 +213,7 @@ def _load(path: Path) -> ctypes.CDLL:
             "reference_silent": (None, (pointer, pointer)),
             "reference_trace": (None, (pointer, pointer)),
             "reference_link": (size_t, (pointer, ctypes.c_uint, ctypes.c_char_p, size_t, pointer, size_t)),
+            "reference_link_reset": (None, (pointer, ctypes.c_uint)),
         }
         for name, (result, arguments) in signatures.items():
             function = getattr(library, name)

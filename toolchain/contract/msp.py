@@ -39,6 +39,8 @@ class Msp(IntEnum):
     POLICY_SLOT_BEGIN = 0x4E30  # v2, ours: erases the slot that is not flown
     POLICY_SLOT_WRITE = 0x4E31  # v2, ours: offset and bytes
     POLICY_SLOT_END = 0x4E32  # v2, ours: checks the blob; flown from the next boot on
+    STREAM = 0x4E40  # v2, ours: records of control steps unasked from now on, at the rate told
+    STREAM_SAMPLE = 0x4E41  # v2, ours: one of them; never a request
     REBOOT = 68
 
 
@@ -50,6 +52,8 @@ MSP_PORT_COUNT = 2  # peers at once: UART1 and UART3 of the board, two TCP clien
 MSP_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)  # of the line, 8N1
 MSP_BAUD_DEFAULT = 115200  # the ecosystem's
 MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX
+MSP_STREAM_RATE_MAX_HZ = 500
+MSP_STREAM_ARMED, MSP_STREAM_PID = 0x01, 0x02  # flags of a record: motors obey; the PID flies
 VERSION = (0, 1, 0)
 CRC8_DVB_S2_POLY = 0xD5
 

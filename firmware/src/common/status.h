@@ -18,6 +18,18 @@ struct control_trace {
 	uint16_t dshot[NF_MOTOR_COUNT_MAX];    /* 11-bit values, motor order; 0 stops */
 };
 
+/* All that is told of one control step. */
+struct control_record {
+	struct control_trace trace;
+	uint32_t cycles;                       /* that the step took */
+	uint8_t state;                         /* enum nf_flight_state */
+	bool pid_flies;
+	uint8_t observation_count;             /* 0: the policy was not asked */
+	uint8_t action_count;                  /* 0: no controller was */
+	float observation[NF_OBSERVATION_COUNT_MAX];
+	float action[NF_MOTOR_COUNT_MAX];      /* the controller's answer, before the throttle */
+};
+
 /* A consistent snapshot of the firmware after its last control step. */
 struct firmware_status {
 	struct control_trace trace;

@@ -120,13 +120,12 @@ static bool control_answer(struct control *control, const struct control_input *
 		.previous_action = control->action,
 		.throttle = input->throttle,
 	};
-	float observation[POLICY_OBSERVATION_COUNT];
 
 	if (control->flying == CONTROLLER_PID) {
 		pid_step(&control->pid, input->setpoint, input->rate, input->throttle, control->action);
 	} else {
-		observation_step(&control->observation, &seen, observation);
-		policy_step(&control->policy, observation, control->action);
+		observation_step(&control->observation, &seen, control->seen);
+		policy_step(&control->policy, control->seen, control->action);
 	}
 	return control_within_range(control->action);
 }

@@ -49,6 +49,7 @@ struct control {
 	bool latched;                        /* it flies until the next reset */
 	bool distrusted;                     /* since the last step: nothing of the old outputs is to be kept */
 	uint8_t misses;                      /* missed deadlines in a row, at most NF_DEADLINE_MISSES_MAX */
+	float seen[POLICY_OBSERVATION_COUNT]; /* what the policy was given last */
 	float action[POLICY_ACTION_COUNT];   /* the controller's last output, 0..1, before the throttle */
 	float output[POLICY_ACTION_COUNT];   /* what came of it */
 	float offset[POLICY_ACTION_COUNT];   /* of the outputs at the last change of controller */

@@ -7,6 +7,7 @@ void task_stats_init(struct task_stats *stats, uint32_t rate_hz)
 
 void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed)
 {
+	stats->last = cycles;
 	if (cycles > stats->recent)
 		stats->recent = cycles;
 	if (cycles > stats->worst)

@@ -21,6 +21,7 @@ struct task_stats {
 	uint32_t best;       /* cycles; 0 before the first run */
 	uint64_t sum;        /* cycles of all runs */
 	uint32_t recent;     /* cycles: the longest since its reader set it to 0 */
+	uint32_t last;       /* cycles of the last run */
 };
 
 /* Starts a measure. */

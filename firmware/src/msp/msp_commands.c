@@ -8,6 +8,8 @@
 /* A request and what answers it. */
 struct request {
 	const struct msp_services *services;
+	struct msp_peer *peer;
+	const struct firmware_status *status;
 	struct msp_reader payload;
 	struct msp_writer *reply;
 	int detail; /* of a refusal */
@@ -183,6 +185,16 @@ static enum nf_refusal command_slot_end(struct request *q)
 	return refusal;
 }
 
+static enum nf_refusal command_stream(struct request *q)
+{
+	const unsigned rate_hz = msp_take_u16(&q->payload);
+
+	if (!q->services->record)
+		return NF_REFUSAL_ABSENT;
+	msp_put_u16(q->reply, msp_stream_start(&q->peer->stream, rate_hz, q->status->trace.step));
+	return NF_REFUSAL_NONE;
+}
+
 static enum nf_refusal command_reboot(struct request *q)
 {
 	const struct msp_services *s = q->services;
@@ -221,6 +233,7 @@ static const struct command {
 	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, command_slot_begin },
 	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_slot_write },
 	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, command_slot_end },
+	{ NF_MSP_STREAM, ALWAYS, 2, 2, command_stream },
 	{ NF_MSP_REBOOT, STOPPED, 0, 1, command_reboot },
 };
 
@@ -239,14 +252,13 @@ static const struct command *command_find(uint16_t code, size_t size, bool *fits
 	return found;
 }
 
-static enum nf_refusal command_run(const struct command *command, const struct firmware_status *status,
-				   struct request *q)
+static enum nf_refusal command_run(const struct command *command, struct request *q)
 {
 	const struct msp_services *s = q->services;
 
 	if (command->when == ALWAYS)
 		return command->run(q);
-	if (status->trace.armed)
+	if (q->status->trace.armed)
 		return NF_REFUSAL_ARMED;
 	if (command->when == STOPPED)
 		return command->run(q);
@@ -259,16 +271,22 @@ static enum nf_refusal command_run(const struct command *command, const struct f
 	return result;
 }
 
-bool msp_command(const struct msp_services *services, const struct firmware_status *status, uint16_t code,
-		 const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal)
+bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
+		 uint16_t code, const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal)
 {
-	struct request q = { .services = services, .payload = { payload, size }, .reply = reply };
+	struct request q = {
+		.services = services,
+		.peer = peer,
+		.status = status,
+		.payload = { payload, size },
+		.reply = reply,
+	};
 	bool fits;
 	const struct command *command = command_find(code, size, &fits);
 
 	if (!command)
 		return false;
-	*refusal = fits ? command_run(command, status, &q) : NF_REFUSAL_PAYLOAD;
+	*refusal = fits ? command_run(command, &q) : NF_REFUSAL_PAYLOAD;
 	if (*refusal != NF_REFUSAL_NONE) {
 		msp_put_u8(reply, *refusal);
 		msp_put_u16(reply, (unsigned)q.detail);

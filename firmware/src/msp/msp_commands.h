@@ -9,6 +9,7 @@
 #include "common/status.h"
 #include "housekeeping/scheduler.h"
 #include "msp/msp_payload.h"
+#include "msp/msp_peer.h"
 #include "nf_contract.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
@@ -40,12 +41,15 @@ struct msp_services {
 	enum nf_refusal (*acknowledge)(void *context);
 	/* Starts anew, once the reply is on its way. */
 	enum nf_refusal (*reboot)(void *context);
+	/* The last control step. */
+	void (*record)(void *context, struct control_record *record);
 };
 
-/* Carries out `command` with a payload of `size` bytes, aligned to 4, and writes the reply. Returns false if the
- * command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal
+/* Carries out `command` with a payload of `size` bytes, aligned to 4, of `peer`, and writes the reply.
+ * Returns false if the command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal
  * (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting, else 0. */
-bool msp_command(const struct msp_services *services, const struct firmware_status *status, uint16_t command,
-		 const uint8_t *payload, size_t size, struct msp_writer *reply, enum nf_refusal *refusal);
+bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
+		 uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,
+		 enum nf_refusal *refusal);
 
 #endif

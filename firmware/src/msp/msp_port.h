@@ -2,12 +2,14 @@
 #ifndef NF_MSP_PORT_H
 #define NF_MSP_PORT_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
 #include "common/status.h"
 #include "msp/msp.h"
 #include "msp/msp_identity.h"
+#include "msp/msp_peer.h"
 
 struct msp_services;
 
@@ -15,6 +17,7 @@ struct msp_port {
 	const struct msp_identity *identity;
 	const struct msp_services *services; /* NULL: only commands that read are served */
 	struct msp msp;                      /* the request being read */
+	struct msp_peer peer;
 };
 
 /* `identity` and `services` must outlive the port. */
@@ -29,9 +32,12 @@ void msp_port_pause(struct msp_port *port);
 /* Bytes from the peer were lost: a request half read is void. */
 void msp_port_lost(struct msp_port *port);
 
+/* Would msp_port_serve say something unasked, now that control step `step` is done? */
+bool msp_port_speaks(const struct msp_port *port, uint32_t step);
+
 /* Reads `count` bytes and answers each whole request found in them from `status`. Requests may be cut anywhere. Returns
  * the bytes written to `reply`; a reply that does not fit into `capacity` is dropped whole. Where MSP_FRAME_MAX bytes
- * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. */
+ * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. With `count` 0 it says what is due unasked. */
 size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
 		      uint8_t *reply, size_t capacity);
 

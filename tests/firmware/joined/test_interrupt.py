@@ -77,6 +77,31 @@ def test_a_status_is_of_one_control_step_when_a_sample_falls_into_its_copying(
     assert (seen.trace.step, list(seen.attitude_deg)) == (after.trace.step, list(after.attitude_deg))
 
 
+def test_a_record_is_of_one_control_step_when_a_sample_falls_into_its_copying(
+    bench: Callable[..., Any], scripted: Any, interrupt: Path
+) -> None:
+    split = Split(scripted, interrupt)
+    b = bench(1000, fw=split.fw, crash_detection=0, runaway_detection=0, plausibility_detection=0)
+    b.arm()
+    lib, cycles = scripted.lib, scripted.new("uint32_t *", 1)
+
+    def fly() -> None:
+        lib.scripted_action = [0.25, 0.5, 0.75, 1.0]
+        b.counts = (100, 0, 0)
+        b.run(20, arm=2000)
+        cycles[0] = 2
+
+    record = scripted.new("struct control_record *")
+    split.interrupt(fly)
+    lib.firmware_record(split.fw, cycles, record)
+    assert split.taken == 1
+    assert record.cycles == 2
+    assert record.trace.step == b.trace.step
+    assert list(record.trace.gyro) == list(b.trace.gyro)
+    assert list(record.observation)[: record.observation_count] == list(lib.scripted_observation)
+    assert list(record.action)[: record.action_count] == [0.25, 0.5, 0.75, 1.0]
+
+
 def test_nothing_arms_when_the_switch_comes_while_the_background_looks_whether_flash_may_be_written(
     scripted: Any, chip: Callable[..., Any], interrupt: Path
 ) -> None:

@@ -1,11 +1,13 @@
-"""Mistakes in firmware.c, background.c and program.c."""
+"""Mistakes in firmware.c, background.c, program.c and MSP's ports."""
 
 from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
 FIRMWARE, BACKGROUND, PROGRAM = "firmware.c", "background.c", "program.c"
+PORT, STREAM = "msp/msp_port.c", "msp/msp_stream.c"
 OF_FIRMWARE, OF_BACKGROUND = "joined/test_firmware.py", "joined/test_background.py"
+OF_STREAM = "joined/test_stream.py"
 OF_INTERLOCK, OF_PILOT = "joined/test_interlock.py", "joined/test_pilot.py"
 OF_INTERRUPT, OF_TRIAL, OF_WEIGHTS = (
     "joined/test_interrupt.py",
@@ -43,10 +45,31 @@ JOINED_MUTANTS = (
     Mutant(
         name="firmware_status never retries",
         file=FIRMWARE,
-        old="} while (before != fw->published);",
-        new="} while (before > fw->published);",
+        old="attitude = fw->attitude;\n\t\tfence();\n\t} while (before != fw->published);",
+        new="attitude = fw->attitude;\n\t\tfence();\n\t} while (before > fw->published);",
         tests=(OF_INTERRUPT,),
         slow=False,
+    ),
+    Mutant(
+        name="firmware_record never retries",
+        file=FIRMWARE,
+        old="sizeof fw->control.action);\n\t\tfence();\n\t} while (before != fw->published);",
+        new="sizeof fw->control.action);\n\t\tfence();\n\t} while (before > fw->published);",
+        tests=(OF_INTERRUPT,),
+    ),
+    Mutant(
+        name="records that could not be sent are not counted",
+        file=STREAM,
+        old="(uint16_t)(stream->sequence + passed + 1);",
+        new="(uint16_t)(stream->sequence + 1);",
+        tests=(OF_STREAM,),
+    ),
+    Mutant(
+        name="a stream goes on when another peer comes",
+        file=PORT,
+        old="\tmsp_stream_stop(&port->peer.stream);\n",
+        new="",
+        tests=(OF_STREAM,),
     ),
     Mutant(
         name="a lost receiver's switch chooses the controller",

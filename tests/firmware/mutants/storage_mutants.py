@@ -223,8 +223,8 @@ STORAGE_MUTANTS = (
     Mutant(
         name="what may only be done disarmed is done armed",
         file=COMMANDS,
-        old="\tif (status->trace.armed)\n\t\treturn NF_REFUSAL_ARMED;\n",
-        new="\t(void)status;\n",
+        old="\tif (q->status->trace.armed)\n\t\treturn NF_REFUSAL_ARMED;\n",
+        new="",
         tests=(OF_COMMANDS,),
     ),
     Mutant(

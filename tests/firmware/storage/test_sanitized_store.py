@@ -27,7 +27,7 @@ SOURCE = FIRMWARE / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
 CORE = (
     *("common/crc8", "common/crc32", "housekeeping/scheduler"),
-    *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies"),
+    *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
     *("storage/mode_range", "storage/settings", "storage/settings_store"),
 )
