@@ -145,8 +145,13 @@ class HostPort:
         """See FirmwarePort."""
         self._close.close()
 
+    @property
+    def msp_port(self) -> int:
+        """The TCP port on this computer at which the program speaks MSP."""
+        return self._child.ports["msp"]
+
     def _msp(self) -> Client:
-        return Client(TcpTransport(TcpPort(LOOPBACK, self._child.ports["msp"])))
+        return Client(TcpTransport(TcpPort(LOOPBACK, self.msp_port)))
 
     def _joined(self) -> Any:  # noqa: ANN401 - a struct of api.h
         """The sockets as C has them."""
