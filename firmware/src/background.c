@@ -379,7 +379,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	background_judge_board(background);
 	battery_init(&background->battery, &background->settings);
-	alert_init(&background->alert);
+	alert_init(&background->alert, &background->settings);
 	gesture_init(&background->gesture);
 	background_offer_services(background);
 	for (size_t i = 0; i < TASK_COUNT; ++i)

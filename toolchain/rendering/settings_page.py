@@ -43,6 +43,9 @@ receiver is lost; for as long as its silence is bridged modes stay as they are.
 **Map.** `map_roll` to `map_aux4` say on which of the receiver's first eight channels (0 to 7) each of these
 comes; each channel is used once. Channels 8 to 15 are AUX 5 to 12.
 
+**Beeper.** A setting `beep_...` that is off mutes the beeper for that condition: it tells the next one that
+holds. The LED tells all of them, and the mode `beeper` is never muted.
+
 `msp_baud` is the speed of the very line that settings go over: from the next boot on both ends have to speak
 at the new one. The host program has no such line and takes no notice.
 

@@ -31,9 +31,24 @@ static const struct rhythm rhythms[ALERT_CONDITION_COUNT][ALERT_OUTPUT_COUNT] = 
 	[ALERT_DISARMED] = { ONCE("#..#"), REPEATED("#...................") },
 };
 
-void alert_init(struct alert *alert)
+#define MUTED_IF_OFF(setting, condition) ((uint32_t)(settings->setting == 0) << (condition))
+
+/* The pilot's own call cannot be muted. */
+static uint32_t alert_muted(const struct nf_settings *settings)
 {
-	*alert = (struct alert){ .playing = { ALERT_CONDITION_COUNT, ALERT_CONDITION_COUNT } };
+	return MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) | MUTED_IF_OFF(beep_receiver_lost, ALERT_RECEIVER_LOST) |
+	       MUTED_IF_OFF(beep_took_over, ALERT_TOOK_OVER) | MUTED_IF_OFF(beep_battery_low, ALERT_BATTERY_LOW) |
+	       MUTED_IF_OFF(beep_fault, ALERT_FAULT_TOLD) | MUTED_IF_OFF(beep_policy_refused, ALERT_POLICY_REFUSED) |
+	       MUTED_IF_OFF(beep_battery_warn, ALERT_BATTERY_WARN) | MUTED_IF_OFF(beep_armed, ALERT_ARMED) |
+	       MUTED_IF_OFF(beep_disarmed, ALERT_DISARMED);
+}
+
+void alert_init(struct alert *alert, const struct nf_settings *settings)
+{
+	*alert = (struct alert){
+		.playing = { ALERT_CONDITION_COUNT, ALERT_CONDITION_COUNT },
+		.muted = alert_muted(settings),
+	};
 }
 
 /* The first condition that holds and has a rhythm for the output. */
@@ -83,7 +98,7 @@ static bool alert_play(struct alert *alert, enum alert_output output, uint32_t c
 struct alert_state alert_step(struct alert *alert, uint32_t conditions, unsigned flashes, uint32_t ms)
 {
 	return (struct alert_state){
-		.beeper = alert_play(alert, ALERT_BEEPER, conditions, flashes, ms),
+		.beeper = alert_play(alert, ALERT_BEEPER, conditions & ~alert->muted, flashes, ms),
 		.led = alert_play(alert, ALERT_LED, conditions, flashes, ms),
 	};
 }

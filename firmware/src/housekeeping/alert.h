@@ -5,6 +5,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
+
 /* Conditions, the most urgent first. On each output the first that holds and has a rhythm for it plays. */
 enum alert_condition {
 	ALERT_FAULT,         /* something is broken: the LED flashes as often as its number says */
@@ -31,13 +33,15 @@ enum alert_output {
 struct alert {
 	uint8_t playing[ALERT_OUTPUT_COUNT]; /* enum alert_condition, ALERT_CONDITION_COUNT: silence */
 	uint32_t since_ms[ALERT_OUTPUT_COUNT];
+	uint32_t muted; /* bit field of enum alert_condition: those that the beeper does not tell */
 };
 
 struct alert_state {
 	bool beeper, led;
 };
 
-void alert_init(struct alert *alert);
+/* Conditions whose setting beep_... is off are not for the beeper: it plays the next one that holds. */
+void alert_init(struct alert *alert, const struct nf_settings *settings);
 
 /* Beeper and LED at `ms` since any moment, wrapping. conditions: bit field of enum alert_condition; flashes: of a
  * fault, 0 counts as 1. A rhythm begins when its condition is the first to play. */

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from toolchain.contract import SETTINGS
+
 SLOT_MS = 50
 NAMES = (
     *("FAULT", "CRASHED", "FIND_ME", "RECEIVER_LOST", "TOOK_OVER", "BATTERY_LOW", "FAULT_TOLD"),
@@ -17,10 +19,22 @@ BEEPS = set(NAMES) - SILENT
 ONCE = {"ARMED", "DISARMED"}
 
 
+MUTED_BY = {
+    **{f"beep_{name.lower()}": name for name in NAMES},
+    "beep_fault": "FAULT_TOLD",  # of a fault the beeper tells only that
+}
+BEEP_SETTINGS = [setting.name for setting in SETTINGS if setting.name.startswith("beep_")]
+
+
 class Alert:
-    def __init__(self, core: Any) -> None:
+    def __init__(self, core: Any, *muted: str) -> None:
+        """muted: settings beep_... that are off."""
         self.lib, self.self = core.lib, core.new("struct alert *")
-        self.lib.alert_init(self.self)
+        self.settings = core.new("struct nf_settings *")
+        self.lib.settings_default(self.settings)
+        for name in muted:
+            setattr(self.settings, name, 0)
+        self.lib.alert_init(self.self, self.settings)
 
     def step(self, ms: int, *names: str, flashes: int = 0) -> tuple[bool, bool]:
         conditions = sum(1 << getattr(self.lib, f"ALERT_{name}") for name in names)
@@ -109,7 +123,7 @@ def test_a_rhythm_begins_anew_when_its_condition_returns(alert: Alert) -> None:
 
 def test_a_rhythm_goes_on_when_a_less_urgent_condition_comes_or_goes(alert: Alert) -> None:
     alone = Alert.play(alert, "RECEIVER_LOST", slots=40)
-    alert.lib.alert_init(alert.self)
+    alert.lib.alert_init(alert.self, alert.settings)
     first = alert.play("RECEIVER_LOST", slots=3)
     second = alert.play("RECEIVER_LOST", "BATTERY_LOW", "ARMED", start=150, slots=37)
     assert (first[0] + second[0], first[1] + second[1]) == alone
@@ -123,3 +137,32 @@ def test_the_rhythm_is_the_same_when_steps_come_at_another_rate(scripted: Any) -
 
 def test_a_rhythm_goes_on_when_the_milliseconds_wrap(scripted: Any) -> None:
     assert Alert(scripted).play("FIND_ME", start=2**32 - 1000) == Alert(scripted).play("FIND_ME")
+
+
+# --- Muted conditions -------------------------------------------------------------------------
+def test_every_beep_but_the_pilots_own_can_be_muted() -> None:
+    assert {MUTED_BY[name] for name in BEEP_SETTINGS} == BEEPS - {"FIND_ME"}
+
+
+@pytest.mark.parametrize("setting", BEEP_SETTINGS)
+def test_the_beeper_is_silent_and_the_led_is_not_when_a_condition_is_muted(
+    scripted: Any, setting: str
+) -> None:
+    name = MUTED_BY[setting]
+    loud, muted = Alert(scripted).play(name), Alert(scripted, setting).play(name)
+    assert "#" in loud[0]
+    assert muted == ("." * 200, loud[1])
+
+
+@pytest.mark.parametrize("setting", BEEP_SETTINGS)
+def test_the_next_condition_is_heard_when_a_more_urgent_one_is_muted(scripted: Any, setting: str) -> None:
+    name = MUTED_BY[setting]
+    for other in BEEPS - {name}:
+        assert Alert(scripted, setting).play(name, other)[0] == Alert(scripted).play(other)[0]
+
+
+def test_the_pilots_call_is_heard_when_all_else_is_muted(scripted: Any) -> None:
+    everything = Alert(scripted, *BEEP_SETTINGS).play(*NAMES)
+    assert everything[0] == Alert(scripted).play("FIND_ME")[0]
+    assert everything[1] == Alert(scripted).play(*NAMES)[1]
+    assert Alert(scripted, *BEEP_SETTINGS).play(*set(NAMES) - {"FIND_ME"})[0] == "." * 200

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from cffi import FFI
 
-from tests.firmware.joined.test_acknowledge import Field
+from tests.firmware.joined.field import Field
 from toolchain.contract import ArmingReason, FlightState, Refusal
 
 NEEDED = ("attitude", "motor_test", "dshot_command", "status")  # in this order

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from flash import records
-from tests.firmware.joined.test_acknowledge import Field
+from tests.firmware.joined.field import Field
 from toolchain.contract import DEADLINE_MISSES_MAX, FallbackCause, FlightState, Msp, Task
 
 G = 9.80665

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.firmware.joined.test_acknowledge import Field
+from tests.firmware.joined.field import Field
 from toolchain.contract import FLASH_POLICY_SLOTS, FallbackCause, FlightState
 from toolchain.policy.blob import PolicyBlob, pack
 

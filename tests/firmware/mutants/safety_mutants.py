@@ -265,6 +265,20 @@ SAFETY_MUTANTS = (
         tests=(OF_ALERT, "joined/test_acknowledge.py"),
     ),
     Mutant(
+        name="what mutes the beeper mutes the LED",
+        file=ALERT,
+        old="alert_play(alert, ALERT_LED, conditions, flashes, ms)",
+        new="alert_play(alert, ALERT_LED, conditions & ~alert->muted, flashes, ms)",
+        tests=(OF_ALERT,),
+    ),
+    Mutant(
+        name="the pilot's call is muted with a crash",
+        file=ALERT,
+        old="MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) |",
+        new="MUTED_IF_OFF(beep_crashed, ALERT_CRASHED) | MUTED_IF_OFF(beep_crashed, ALERT_FIND_ME) |",
+        tests=(OF_ALERT,),
+    ),
+    Mutant(
         name="a rhythm goes on where that before it stood",
         file=ALERT,
         old="\t\talert->since_ms[output] = ms;\n",
