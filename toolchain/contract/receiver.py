@@ -7,6 +7,7 @@ CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_THROTTLE, CHANNEL_YAW, CHANNEL_AUX1 = range
 CHANNEL_MAPPED_COUNT = 8  # the receiver's first channels, which the settings map_... put in order
 CHANNEL_MIN_US, CHANNEL_MID_US, CHANNEL_MAX_US = 1000, 1500, 2000
 CHANNEL_VALID_MIN_US, CHANNEL_VALID_MAX_US = 750, 2250  # no pulse of a receiver lies outside
+CHANNEL_UNTOLD_US = 0  # in a frame over MSP that ends before this channel
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
 STICK_LOW_US, STICK_HIGH_US = 1100, 1900  # beyond these a stick stands at its end
 GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long, disarmed: acknowledges

@@ -112,8 +112,7 @@ static enum nf_refusal command_settings_write(struct request *q)
 	return refusal;
 }
 
-/* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect; those that are not
- * told are low. */
+/* In a receiver's order, which the channel map is laid over, as the ecosystem's clients expect. */
 static enum nf_refusal command_channels(struct request *q)
 {
 	const struct msp_services *s = q->services;
@@ -123,7 +122,7 @@ static enum nf_refusal command_channels(struct request *q)
 		return NF_REFUSAL_ABSENT;
 	for (unsigned i = 0; i < NF_CHANNEL_COUNT; ++i) {
 		const bool told = q->payload.left >= sizeof channels_us[0];
-		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_MIN_US;
+		channels_us[i] = told ? (uint16_t)msp_take_u16(&q->payload) : NF_CHANNEL_UNTOLD_US;
 	}
 	return s->channels(s->context, channels_us);
 }

@@ -16,7 +16,7 @@ static uint32_t modes_init_us(uint32_t step)
 static void modes_init_range(struct modes_range *out, const struct mode_range *range)
 {
 	/* A channel beyond the limits counts as the nearest value inside: a range that ends there has no end. */
-	const uint32_t low_us = range->low > 0 ? modes_init_us(range->low) : 0u;
+	const uint32_t low_us = range->low > 0 ? modes_init_us(range->low) : NF_CHANNEL_UNTOLD_US + 1u;
 	const uint32_t high_us = range->high < NF_MODE_STEPS ? modes_init_us(range->high) : UINT16_MAX + 1u;
 	const uint8_t bit = (uint8_t)(1u << mode_range_index(range->mode));
 

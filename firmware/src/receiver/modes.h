@@ -24,7 +24,7 @@ void modes_init(struct modes *modes, const struct nf_settings *settings);
 
 /* Bit field of enum mode_index: the modes that these channels [us], mapped, switch on. A mode is on if one of its plain
  * ranges holds, or if it has ranges of the kind "and" and all of these hold. Channels below NF_MODE_LOW_US are in ranges
- * that begin there, those above the last end in ranges that end there. */
+ * that begin there, those above the last end in ranges that end there; one of NF_CHANNEL_UNTOLD_US is in none. */
 uint32_t modes_on(const struct modes *modes, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 #endif

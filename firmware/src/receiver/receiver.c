@@ -204,14 +204,25 @@ bool receiver_waits(const struct receiver *receiver)
 	return receiver->protocol == NF_RECEIVER_PROTOCOL_CRSF && receiver->line.crsf.count > 0;
 }
 
+static bool receiver_valid(uint16_t us)
+{
+	return us >= NF_CHANNEL_VALID_MIN_US && us <= NF_CHANNEL_VALID_MAX_US;
+}
+
 bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT])
 {
 	if (receiver->protocol != NF_RECEIVER_PROTOCOL_MSP)
 		return false;
 	for (int i = 0; i < NF_CHANNEL_COUNT; ++i)
-		if (channels_us[i] < NF_CHANNEL_VALID_MIN_US || channels_us[i] > NF_CHANNEL_VALID_MAX_US)
+		if (channels_us[i] != NF_CHANNEL_UNTOLD_US && !receiver_valid(channels_us[i]))
+			return false;
+	for (int i = 0; i < NF_CHANNEL_AUX1; ++i)
+		if (channels_us[receiver->map[i]] == NF_CHANNEL_UNTOLD_US)
 			return false;
 	receiver_take(receiver, channels_us);
+	for (int i = NF_CHANNEL_AUX1; i < NF_CHANNEL_COUNT; ++i)
+		if (receiver->channels_us[i] == NF_CHANNEL_UNTOLD_US)
+			receiver->channels_us[i] = NF_CHANNEL_MIN_US;
 	return true;
 }
 

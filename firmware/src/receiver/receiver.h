@@ -69,7 +69,8 @@ bool receiver_push(struct receiver *receiver, const uint8_t **bytes, size_t *cou
 bool receiver_waits(const struct receiver *receiver);
 
 /* Channels [us] from MSP, in the wire's order: a frame. Returns false, and nothing has come, when the protocol is
- * another or a channel lies outside NF_CHANNEL_VALID_MIN_US..NF_CHANNEL_VALID_MAX_US. */
+ * another or a channel lies outside NF_CHANNEL_VALID_MIN_US..NF_CHANNEL_VALID_MAX_US. An AUX channel may be
+ * NF_CHANNEL_UNTOLD_US: it switches nothing on, whatever the ranges, and is low. */
 bool receiver_msp(struct receiver *receiver, const uint16_t channels_us[NF_CHANNEL_COUNT]);
 
 /* One gyro sample has passed. */

@@ -13,6 +13,7 @@ from toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
     CHANNEL_THROTTLE,
+    CHANNEL_UNTOLD_US,
     MODE_SLOT_COUNT,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
@@ -230,6 +231,22 @@ def test_a_range_around_1000_us_does_not_arm_by_frames_in_failsafe_or_repeated_o
     assert p.bench.armed
 
 
+def test_a_frame_over_msp_that_ends_early_arms_nothing_by_what_it_does_not_tell(
+    pilot: Callable[..., Pilot],
+) -> None:
+    p, off = pilot(MSP, arm(6, 900, 2100), arm(7, 900, 1100)), {6: CHANNEL_UNTOLD_US, 7: 1500}
+    p.boot(off)
+    assert p.bench.reasons == 0
+    for told in range(CHANNEL_AUX1, CHANNEL_AUX1 + 5):
+        short = dict.fromkeys(range(told - CHANNEL_AUX1 + 1, AUX_COUNT + 1), CHANNEL_UNTOLD_US)
+        p.never_arms([(100, short), (100, off), (100, short)])
+        assert p.modes == 0
+    p.fly(30, off | {7: 1000})
+    assert p.bench.armed
+    p.fly(30, dict.fromkeys(range(1, AUX_COUNT + 1), CHANNEL_UNTOLD_US))
+    assert not p.bench.armed, "an arm switch that is not told is off"
+
+
 @PROTOCOLS
 def test_a_silent_receiver_keeps_it_armed_while_held_and_arms_nothing_afterwards(
     pilot: Callable[..., Pilot], protocol: int
@@ -277,6 +294,7 @@ def test_noise_arms_nothing_when_arming_asks_for_two_ranges_that_exclude_each_ot
     """Any frames, bytes and silences: one channel is never in both."""
     rng = np.random.default_rng(seed)
     p = pilot(SBUS, arm(2, 900, 1500, True), arm(2, 1500, 2100, True))
+    heard = 0
     for _ in range(1500):
         values = rng.integers(0, 2048, CHANNEL_COUNT).tolist()
         values[CHANNEL_THROTTLE] = 192
@@ -285,3 +303,5 @@ def test_noise_arms_nothing_when_arming_asks_for_two_ranges_that_exclude_each_ot
         p.fly(int(rng.choice([1, 5, 10, 120], p=[0.3, 0.3, 0.39, 0.01])), None)
         assert not p.bench.armed
         assert p.modes & 1 << p.bench.core.lib.MODE_ARM == 0
+        heard += p.bench.status.receiver_good
+    assert heard > 500

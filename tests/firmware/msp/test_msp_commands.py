@@ -12,6 +12,7 @@ import pytest
 from flash import messages, records, requests
 from flash.msp import Decoder, Direction, Message, Version, encode
 from toolchain.contract import (
+    CHANNEL_UNTOLD_US,
     FLASH_POLICY_SLOTS,
     MSP_PAYLOAD_MAX,
     SETTINGS,
@@ -340,10 +341,10 @@ def test_sticks_reach_the_receiver_in_the_order_they_were_sent(server: Callable[
     assert s.calls == [("channels", *range(1001, 1017))]
 
 
-def test_channels_that_are_not_told_are_low_when_few_are_sent(server: Callable[..., Server]) -> None:
+def test_channels_are_not_told_when_few_are_sent(server: Callable[..., Server]) -> None:
     s = server()
     s.reply(Msp.SET_RAW_RC, requests.set_raw_rc([1500, 1501, 1502, 1503]) + b"\x05")
-    assert s.calls == [("channels", 1500, 1501, 1502, 1503, *[1000] * 12)]
+    assert s.calls == [("channels", 1500, 1501, 1502, 1503, *[CHANNEL_UNTOLD_US] * 12)]
 
 
 def test_motors_are_turned_by_their_pulse_widths_when_sent(server: Callable[..., Server]) -> None:

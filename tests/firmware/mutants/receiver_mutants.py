@@ -85,9 +85,23 @@ RECEIVER_MUTANTS = (
     Mutant(
         name="channels of MSP may be anything",
         file=RECEIVER,
-        old="channels_us[i] < NF_CHANNEL_VALID_MIN_US || ",
-        new="",
+        old="return us >= NF_CHANNEL_VALID_MIN_US && us",
+        new="return us",
         tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="a stick that MSP does not tell is flown",
+        file=RECEIVER,
+        old="channels_us[receiver->map[i]] == NF_CHANNEL_UNTOLD_US",
+        new="channels_us[i] == NF_CHANNEL_UNTOLD_US",
+        tests=(OF_RECEIVER,),
+    ),
+    Mutant(
+        name="what MSP does not tell is in a range",
+        file=MODES,
+        old=": NF_CHANNEL_UNTOLD_US + 1u;",
+        new=": 0u;",
+        tests=(OF_RECEIVER, "joined/test_modes.py"),
     ),
     Mutant(
         name="repeated channels are new ones",

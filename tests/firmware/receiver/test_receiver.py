@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from toolchain.contract import (
+    AUX_COUNT,
     CHANNEL_ARM,
+    CHANNEL_AUX1,
     CHANNEL_COUNT,
     CHANNEL_THROTTLE,
+    CHANNEL_UNTOLD_US,
+    CHANNEL_YAW,
     RECEIVER_HOLD_MS,
     RECEIVER_LOST_MS,
     RECEIVER_RECOVERY_MS,
@@ -474,7 +478,7 @@ def test_channels_come_over_msp_when_that_is_the_protocol(make: Make, scripted: 
     assert receiver.channels() == [*FLOWN[:4], FLOWN[7], *FLOWN[5:7], FLOWN[4], *FLOWN[8:]]
 
 
-@pytest.mark.parametrize("us", [0, 749, 2251, 65535])
+@pytest.mark.parametrize("us", [1, 749, 2251, 65535])
 @pytest.mark.parametrize("channel", [0, 15])
 def test_channels_over_msp_are_refused_when_one_is_none(
     make: Make, scripted: Any, us: int, channel: int
@@ -486,6 +490,26 @@ def test_channels_over_msp_are_refused_when_one_is_none(
         assert not scripted.lib.receiver_msp(receiver.self, wrong)
         receiver.tick(1)
     assert receiver.link() == scripted.lib.RECEIVER_LOST
+
+
+@pytest.mark.parametrize("told", range(CHANNEL_COUNT + 1))
+@pytest.mark.parametrize("roll", [0, 7])
+def test_a_frame_over_msp_needs_all_sticks_and_what_it_does_not_tell_switches_nothing(
+    make: Make, scripted: Any, told: int, roll: int
+) -> None:
+    ranges = {f"mode{slot}": ModeRange(Mode.ARM, slot, 900, 2100).packed for slot in range(1, AUX_COUNT + 1)}
+    receiver = make(receiver_protocol=MSP, map_roll=roll, map_aux4=7 - roll, **ranges)
+    whole = told > max(roll, CHANNEL_YAW)
+    for _ in range(RECEIVER_RECOVERY_MS + 1):
+        frame = FLOWN[:told] + [CHANNEL_UNTOLD_US] * (CHANNEL_COUNT - told)
+        assert scripted.lib.receiver_msp(receiver.self, frame) is whole
+        receiver.tick(1)
+    assert receiver.link() == (scripted.lib.RECEIVER_GOOD if whole else scripted.lib.RECEIVER_LOST)
+    assert receiver.arm() is (told > max(roll, CHANNEL_YAW + 1))
+    if whole:
+        seen = receiver.channels()
+        assert seen[CHANNEL_AUX1 + 4 :] == [us if us else 1000 for us in frame[CHANNEL_AUX1 + 4 :]]
+        assert min(seen) >= 1000
 
 
 @pytest.mark.parametrize("protocol", [SBUS, CRSF])
