@@ -26,9 +26,12 @@ struct pair {
 
 static void pair_init(struct pair *pair)
 {
+	/* It holds for the channels that stand in for a lost receiver's. */
+	const struct mode_range low = { .mode = NF_MODE_ARM, .aux = 1, .low = 0, .high = 8 };
 	struct nf_settings settings;
 
 	settings_default(&settings);
+	settings.mode5 = mode_range_pack(&low);
 	settings.receiver_protocol = PROTOCOL;
 	settings.interpolation = 1;
 	receiver_init(&pair->whole, &settings, GYRO_HZ);
@@ -50,6 +53,8 @@ static void look(const struct receiver *receiver, const struct rates *rates)
 	for (int i = 0; i < 3; ++i)
 		PROMISE(setpoint[i] >= -SETPOINT_MAX && setpoint[i] <= SETPOINT_MAX);
 	PROMISE(receiver_quality(receiver) <= 100);
+	PROMISE(receiver_modes(receiver) < 1u << MODE_COUNT);
+	PROMISE(receiver_link(receiver) != RECEIVER_LOST || receiver_modes(receiver) == 0);
 }
 
 static unsigned push(struct receiver *receiver, const struct rates *rates, const uint8_t *bytes, size_t count)
@@ -74,6 +79,7 @@ static void feed(struct pair *pair, const uint8_t *bytes, size_t count)
 	const unsigned at_once = push(&pair->whole, &pair->rates, bytes, count);
 	PROMISE(at_once == one_by_one);
 	PROMISE(memcmp(pair->whole.channels_us, pair->bytewise.channels_us, sizeof pair->whole.channels_us) == 0);
+	PROMISE(pair->whole.on == pair->bytewise.on);
 	PROMISE(receiver_link(&pair->whole) == receiver_link(&pair->bytewise));
 	PROMISE(receiver_quality(&pair->whole) == receiver_quality(&pair->bytewise));
 	pair->frames += at_once;
