@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,15 @@ import pytest
 from cli.main import main
 from sim.aircraft.model import load_aircraft
 from sim.control.pid_table import pid_table
+from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace, load_trace
+from sim.physics.twin import Twin
 from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from tests.conftest import BUILD, ROOT
+from tests.flights.wiring import reversed_aircraft
 from toolchain.contract import DSHOT_MIN
 from toolchain.image.build import TARGETS, build
 
@@ -60,6 +64,18 @@ def test_six_motors_get_equal_dshot_values_on_host_library_and_board(
     error = np.abs(host.setpoint - host.rate)
     settled = error.reshape(3, -1, 3)[:, 200:]  # the last 0.2 s of each command
     assert np.degrees(settled.mean()) < 10.0
+
+
+@pytest.mark.parametrize("scenario", [TURNS, TURNS.under_pid()], ids=["policy", "pid"])
+def test_six_reversed_motors_fly_when_set_so(built: Path, tmp_path: Path, scenario: Scenario) -> None:
+    port = ReferencePort(built / "HOST" / "libneuroflight.so", settings={"motors_reversed": 1})
+    aircraft = reversed_aircraft("hexa", tmp_path)
+    rng = np.random.default_rng(1)
+    twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+    with closing(port), closing(twin):
+        trace = fly(twin, port, scenario)
+    error = np.abs(trace.setpoint - trace.rate).reshape(3, -1, 3)[:, 200:]  # the last 0.2 s of each command
+    assert np.degrees(error.mean()) < 10.0
 
 
 @pytest.mark.parametrize("speed", ["dshot300", "dshot600"])

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from sim.flight.scenario import Scenario, Segment
+from flash import records
+from flash.client import Client
+from sim.aircraft.model import Aircraft, load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment, pulses
 from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
 from sim.ports.library import ReferencePort
+from tests.flights.wiring import reversed_aircraft
+from toolchain.contract import FlightState, Msp, StopCause
 
 GYRO_RATE_HZ = 4000
 Flown = Callable[..., Trace]
@@ -40,3 +51,100 @@ def test_an_aircraft_flies_the_same_bits_when_its_motors_are_wired_as_set(
     np.testing.assert_array_equal(crossed.dshot, straight.dshot[:, motor_of])
     np.testing.assert_array_equal(crossed.rate, straight.rate)
     np.testing.assert_array_equal(crossed.gyro, straight.gyro)
+
+
+# --- Motors that turn the other way ---------------------------------------------------------------
+Built = Callable[..., tuple[Trace, records.Safety]]
+
+
+@pytest.fixture
+def built(reference_library: Path) -> Built:
+    """Flies an aircraft under these settings; returns the trace, and what the firmware says of its safety."""
+
+    def run(
+        aircraft: Aircraft,
+        scenario: Scenario,
+        settings: Mapping[str, float],
+        *,
+        noise: bool = True,
+        ground: bool = False,
+    ) -> tuple[Trace, records.Safety]:
+        port = ReferencePort(reference_library, GYRO_RATE_HZ, settings)
+        rng = np.random.default_rng((1, 1))
+        twin = Twin(aircraft, rate_hz=GYRO_RATE_HZ, mount=scenario.mount, noise=noise, ground=ground, rng=rng)
+        with closing(port), closing(twin):
+            trace = fly(twin, port, scenario)
+            return trace, records.safety(Client(port.reference).request(Msp.SAFETY))
+
+    return run
+
+
+def mae_deg_s(trace: Trace) -> NDArray[np.float64]:
+    """Mean error of each axis."""
+    error: NDArray[np.float64] = np.rad2deg(np.abs(trace.setpoint - trace.rate)).mean(axis=0)
+    return error
+
+
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
+def test_an_aircraft_of_reversed_motors_flies_as_well_when_set_so(
+    built: Built, tmp_path: Path, pid: bool
+) -> None:
+    scenario = pulses(7, 12)
+    scenario = scenario.under_pid() if pid else scenario
+    usual, _ = built(load_aircraft("nf1"), scenario, {})
+    other, safety = built(reversed_aircraft("nf1", tmp_path), scenario, {"motors_reversed": 1})
+    print(mae_deg_s(usual), mae_deg_s(other))
+    assert safety.stop_cause == StopCause.SWITCH
+    assert (other.dshot > 0).all()
+    assert np.abs(mae_deg_s(other) - mae_deg_s(usual)).max() < 0.2
+
+
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
+def test_the_flight_is_the_mirror_image_when_yaw_is_commanded_the_other_way(
+    built: Built, tmp_path: Path, pid: bool
+) -> None:
+    """Without noise. What is left is how a turning body and its rotors couple the axes: it has no image."""
+
+    def commands(sign: float) -> Scenario:
+        rest = Segment(0.4, throttle=0.3, pid=pid)
+        yaw = replace(rest, setpoint_deg_s=(0.0, 0.0, 90.0 * sign))
+        roll = replace(rest, setpoint_deg_s=(100.0, 0.0, 0.0))
+        return Scenario("mirrored", (rest, yaw, rest, roll))
+
+    still = {"gyro_stuck_ms": 0}  # without noise it measures the same at rest
+    usual, _ = built(load_aircraft("nf1"), commands(1.0), still, noise=False)
+    aircraft = reversed_aircraft("nf1", tmp_path)
+    other, _ = built(aircraft, commands(-1.0), still | {"motors_reversed": 1}, noise=False)
+    apart = np.rad2deg(np.abs(usual.rate - other.rate * (1.0, 1.0, -1.0))).max(axis=0)
+    print(apart, np.abs(usual.dshot.astype(int) - other.dshot).max())
+    assert np.rad2deg(np.abs(usual.rate)).max(axis=0)[[0, 2]].min() > 80
+    assert apart.max() < 0.5
+
+
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
+@pytest.mark.parametrize("throttle", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("turned", [False, True], ids=["usual motors", "reversed motors"])
+def test_the_motors_stop_at_once_when_their_direction_is_set_wrongly(
+    built: Built, tmp_path: Path, pid: bool, throttle: float, turned: bool
+) -> None:
+    """Yaw runs away under either controller: neither can help."""
+    aircraft = reversed_aircraft("nf1", tmp_path) if turned else load_aircraft("nf1")
+    scenario = Scenario("wrong", (Segment(3.0, throttle=throttle, pid=pid),))
+    trace, safety = built(aircraft, scenario, {"motors_reversed": 0 if turned else 1})
+    stopped = trace.t[(trace.dshot == 0).all(axis=1)]
+    assert (safety.state, safety.stop_cause) == (FlightState.CRASHED, StopCause.RUNAWAY)
+    assert stopped[0] < 0.6
+    assert np.rad2deg(np.abs(trace.rate)).max() < 700
+
+
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
+def test_the_motors_stop_before_it_flies_when_it_takes_off_with_their_direction_set_wrongly(
+    built: Built, tmp_path: Path, pid: bool
+) -> None:
+    lift = Scenario("lift", (Segment(1.0, pid=pid), Segment(2.0, throttle=0.3, pid=pid)), mount=Mount.FREE)
+    _, safety = built(load_aircraft("nf1"), lift, {}, ground=True)
+    assert safety.stop_cause == StopCause.SWITCH
+    trace, safety = built(reversed_aircraft("nf1", tmp_path), lift, {}, ground=True)
+    stopped = trace.t[(trace.dshot == 0).all(axis=1)]
+    assert safety.stop_cause == StopCause.RUNAWAY
+    assert stopped[0] < 1.4, "at most 0.4 s after the throttle went up"

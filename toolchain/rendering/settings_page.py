@@ -56,6 +56,13 @@ an aircraft's motors are 1 to their number, none twice; the settings of motors t
 ignored. A simulator wires each motor to the output of its own number: `neuroflight fly` with another order
 flies a wrongly wired aircraft.
 
+`motors_reversed` is for an aircraft whose motors all turn the other way than in its file ("props out"): roll
+and pitch are as ever, and yaw reacts the other way. Policy and PID then see and are asked for yaw with the
+other sign; nothing else changes. A policy flies so in the twin as well as the usual way. Set
+wrongly, the aircraft yaws faster and faster: the runaway detection stops the motors within half a second of
+their lifting, under either controller, so leave `runaway_detection` on for the first flight. Which way the
+motors turn is told by DShot commands to the ESCs or by their wires, not here.
+
 This page is written by `python -m toolchain.rendering.settings_page docs/settings.md`.
 
 | setting | range | default | unit | meaning |

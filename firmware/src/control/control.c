@@ -19,6 +19,7 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	control->good[CONTROLLER_POLICY] = config->policy_good;
 	control->good[CONTROLLER_PID] = config->pid->motor_count == POLICY_ACTION_COUNT;
 	control->handover_steps = POLICY_CONTROL_RATE_HZ * NF_HANDOVER_MS / 1000u;
+	control->reversed = config->settings->motors_reversed != 0;
 	pid_init(&control->pid, config->pid);
 	if ((err = mixer_init(&control->mixers[CONTROLLER_POLICY], config->settings, config->policy_idle)) != NF_OK ||
 	    (err = mixer_init(&control->mixers[CONTROLLER_PID], config->settings, config->pid->idle)) != NF_OK)
@@ -147,7 +148,7 @@ static void control_hand_over(struct control *control, bool changed, float outpu
 		output[i] = limit(output[i] + share * control->offset[i], 0.0f, most);
 }
 
-bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
+static bool control_fly(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
 {
 	const enum controller before = control->flying;
 	const enum controller chosen = control_choose(control, input->pid_wanted);
@@ -173,6 +174,25 @@ bool control_step(struct control *control, const struct control_input *input, fl
 	control->first = false;
 	control->distrusted = false;
 	return true;
+}
+
+/* Motors that turn the other way roll and pitch the aircraft as ever, and yaw it the other way: a controller that sees yaw
+ * with the other sign steers rightly. */
+static __attribute__((noinline)) bool control_fly_reversed(struct control *control, const struct control_input *input,
+							   float output[POLICY_ACTION_COUNT])
+{
+	const float setpoint[3] = { input->setpoint[0], input->setpoint[1], -input->setpoint[2] };
+	const float rate[3] = { input->rate[0], input->rate[1], -input->rate[2] };
+	struct control_input seen = *input;
+
+	seen.setpoint = setpoint;
+	seen.rate = rate;
+	return control_fly(control, &seen, output);
+}
+
+bool control_step(struct control *control, const struct control_input *input, float output[POLICY_ACTION_COUNT])
+{
+	return control->reversed ? control_fly_reversed(control, input, output) : control_fly(control, input, output);
 }
 
 void control_deadline(struct control *control, bool missed)
@@ -208,6 +228,8 @@ bool control_demand(const struct control *control, float demand[3])
 		for (uint32_t m = 0; m < gains->motor_count; ++m)
 			demand[i] += gains->mixer[m][i] * control->action[m];
 	}
+	if (control->reversed)
+		demand[2] = -demand[2];
 	return gains->motor_count > 0;
 }
 

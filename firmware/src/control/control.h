@@ -42,6 +42,7 @@ struct control {
 	const float *weights;
 	bool good[CONTROLLER_COUNT];         /* may fly */
 	enum nf_fallback_cause refused;      /* why the policy must not fly until it is acknowledged; NONE: it may */
+	bool reversed;                       /* the motors turn the other way than the controllers know them */
 	bool first;                          /* no step since the reset */
 	bool fresh;                          /* the controllers remember nothing */
 	enum controller flying;              /* since the last step */
@@ -89,7 +90,7 @@ bool control_distrust(struct control *control, enum nf_fallback_cause cause);
 /* The policy may not fly from the next control step on, or may again, its weights having passed their self-test. */
 void control_policy_good(struct control *control, bool good);
 
-/* What the last outputs ask of each axis, by the PID's mixer; its sign counts. Returns false where no PID is built in. */
+/* What the last outputs ask of each axis of the aircraft, by the PID's mixer; its sign counts. Returns false where no PID is built in. */
 bool control_demand(const struct control *control, float demand[3]);
 
 /* Largest minus smallest motor of the controller's last output, 0..1. */

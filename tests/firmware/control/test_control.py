@@ -351,3 +351,29 @@ def test_the_spread_is_that_of_all_motors(scripted: Any, pull: Any, motor: int) 
         pull(*(lone if index == motor else rest for index in range(4)))
         flight.step()
         assert scripted.lib.control_spread(flight.self) == pytest.approx(0.4)
+
+
+def test_yaw_has_the_other_sign_for_both_controllers_when_the_motors_turn_the_other_way(
+    scripted: Any, pull: Any
+) -> None:
+    """The same motors answer; what they ask of the aircraft is told as it is."""
+    pid = gains(scripted, p=0.05)
+    pid.p = [0.05, 0.03, 0.02]
+    pid.mixer = [[-1.0, 1.0, 1.0], [-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0]]
+    usual, other = (Flight(scripted, pid=pid, motors_reversed=value) for value in (0, 1))
+    demands = [scripted.new("float[3]") for _ in range(2)]
+    rng = np.random.default_rng(1)
+    for step in range(200):
+        setpoint, rate = rng.normal(0.0, 3.0, (2, 3)).astype(np.float32).tolist()
+        mirrored = [[*vector[:2], -vector[2]] for vector in (setpoint, rate)]
+        pull(*rng.uniform(0.0, 0.5, 4).tolist())
+        by_pid = step // 50 % 2 == 1
+        expected = usual.step(pid=by_pid, setpoint=mirrored[0], rate=mirrored[1], throttle=0.3)
+        seen = list(scripted.lib.scripted_observation)
+        assert other.step(pid=by_pid, setpoint=setpoint, rate=rate, throttle=0.3) == expected
+        assert list(scripted.lib.scripted_observation) == seen
+        for flight, demand in zip((usual, other), demands, strict=True):
+            assert scripted.lib.control_demand(flight.self, demand)
+        roll, pitch, yaw = demands[0]
+        assert list(demands[1]) == [roll, pitch, -yaw]
+        assert yaw != 0.0

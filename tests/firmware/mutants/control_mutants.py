@@ -119,6 +119,28 @@ CONTROL_MUTANTS = (
         tests=(OF_CONTROL,),
     ),
     Mutant(
+        name="reversed motors are not looked at",
+        file=CONTROL,
+        old="return control->reversed ? control_fly_reversed(",
+        new="return false ? control_fly_reversed(",
+        tests=(OF_CONTROL,),
+        slow=False,
+    ),
+    Mutant(
+        name="reversed motors have the yaw rate as it is",
+        file=CONTROL,
+        old="input->rate[1], -input->rate[2]",
+        new="input->rate[1], input->rate[2]",
+        tests=(OF_CONTROL,),
+    ),
+    Mutant(
+        name="what reversed motors ask for is told with the controller's sign",
+        file=CONTROL,
+        old="demand[2] = -demand[2];",
+        new="demand[2] = demand[2];",
+        tests=(OF_CONTROL,),
+    ),
+    Mutant(
         name="the spread leaves the last motor out",
         file=CONTROL,
         old="for (int i = 1; i < POLICY_ACTION_COUNT; ++i) {\n\t\tleast",
