@@ -167,6 +167,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
 	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, settings->gyro_stuck_ms)) != NF_OK)
 		return err;
+	gyro_board_init(&fw->gyro, settings->board_roll_deg, settings->board_pitch_deg, settings->board_yaw_deg);
 	if ((err = control_init(&fw->control, &control)) != NF_OK)
 		return err;
 	filters_init(&fw->filters, settings, config->gyro_rate_hz);

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flash import records
+from flash import messages, records
 from flash.client import Client
 from sim.aircraft.model import Aircraft, load_aircraft
 from sim.flight.loop import fly
@@ -20,8 +20,9 @@ from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from sim.ports.library import ReferencePort
-from tests.flights.wiring import reversed_aircraft
-from toolchain.contract import FlightState, Msp, StopCause
+from sim.ports.port import Sample
+from tests.flights.wiring import on_turned_board, reversed_aircraft
+from toolchain.contract import AXES, GRAVITY, FlightState, Msp, StopCause
 
 GYRO_RATE_HZ = 4000
 Flown = Callable[..., Trace]
@@ -148,3 +149,64 @@ def test_the_motors_stop_before_it_flies_when_it_takes_off_with_their_direction_
     stopped = trace.t[(trace.dshot == 0).all(axis=1)]
     assert safety.stop_cause == StopCause.RUNAWAY
     assert stopped[0] < 1.4, "at most 0.4 s after the throttle went up"
+
+
+# --- A board that is turned ------------------------------------------------------------------------
+Angles = tuple[float, float, float]
+MOUNTED = [(0.0, 0.0, 45.0), (180.0, 0.0, 0.0), (-37.0, 61.0, 142.0)]
+
+
+def board_angles(angles: Angles) -> dict[str, float]:
+    """The settings of a board that is so turned."""
+    return {f"board_{axis}_deg": angle for axis, angle in zip(AXES, angles, strict=True)}
+
+
+@pytest.mark.parametrize("pid", [False, True], ids=["policy", "pid"])
+@pytest.mark.parametrize("angles", MOUNTED, ids=str)
+def test_an_aircraft_flies_as_well_when_its_board_is_turned_as_set(
+    reference_library: Path, flown: Flown, angles: Angles, pid: bool
+) -> None:
+    scenario = pulses(7, 6)
+    scenario = scenario.under_pid() if pid else scenario
+    straight = flown(ReferencePort(reference_library, GYRO_RATE_HZ), scenario)
+    port = ReferencePort(reference_library, GYRO_RATE_HZ, board_angles(angles))
+    turned = flown(on_turned_board(port, angles), scenario)
+    print(mae_deg_s(straight), mae_deg_s(turned))
+    assert np.abs(mae_deg_s(turned) - mae_deg_s(straight)).max() < 0.1
+    seen = np.rad2deg(np.abs(turned.gyro - turned.rate)).mean(axis=0)
+    assert seen.max() < 2.0, "the gyro tells body rates"
+
+
+def told(port: ReferencePort, roll_deg: float, pitch_deg: float) -> tuple[messages.Attitude, tuple[str, ...]]:
+    """What the firmware makes of an aircraft that stands so for two seconds."""
+    roll, pitch = np.radians((roll_deg, pitch_deg))
+    level = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    nose = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    up = (nose @ level).T @ (0.0, 0.0, GRAVITY)
+    rng = np.random.default_rng(1)
+    sample = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), up)
+    for _ in range(2 * GYRO_RATE_HZ):
+        sample.gyro[:] = rng.normal(0.0, 0.01, 3)
+        port.exchange(sample, None)
+    attitude = messages.attitude(Client(port.reference).request(Msp.ATTITUDE))
+    return attitude, port.arming_reasons()
+
+
+@pytest.mark.parametrize("stands", [(0.0, 0.0), (20.0, -15.0), (60.0, 10.0)], ids=str)
+@pytest.mark.parametrize("angles", MOUNTED, ids=str)
+def test_attitude_and_level_check_are_the_aircrafts_when_its_board_is_turned_as_set(
+    reference_library: Path, angles: Angles, stands: tuple[float, float]
+) -> None:
+    straight, reasons = told(ReferencePort(reference_library, GYRO_RATE_HZ), *stands)
+    assert ("NOT_LEVEL" in reasons) == (stands[0] > 25)
+    port = ReferencePort(reference_library, GYRO_RATE_HZ, board_angles(angles))
+    turned = told(on_turned_board(port, angles), *stands)
+    assert turned[0].roll_deg == pytest.approx(straight.roll_deg, abs=0.2)
+    assert turned[0].pitch_deg == pytest.approx(straight.pitch_deg, abs=0.2)
+    assert abs(straight.roll_deg) == pytest.approx(stands[0], abs=0.2)
+    assert turned[1] == reasons
+
+
+def test_a_board_that_hangs_upside_down_does_not_arm_when_nobody_set_it(reference_library: Path) -> None:
+    hanging = on_turned_board(ReferencePort(reference_library, GYRO_RATE_HZ), (180.0, 0.0, 0.0))
+    assert "NOT_LEVEL" in told(hanging, 0.0, 0.0)[1]

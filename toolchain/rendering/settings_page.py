@@ -63,6 +63,16 @@ wrongly, the aircraft yaws faster and faster: the runaway detection stops the mo
 their lifting, under either controller, so leave `runaway_detection` on for the first flight. Which way the
 motors turn is told by DShot commands to the ESCs or by their wires, not here.
 
+`board_roll_deg`, `board_pitch_deg` and `board_yaw_deg` say how the board is turned in the aircraft, with the
+signs and in the order of Betaflight's `align_board_*`: from a board that lies flat with its arrow forward,
+first by yaw (clockwise seen from above), then by pitch (the arrow upwards), then by roll (its left side
+downwards), each about the board's own axes. The arrow points 45 degrees to the right: yaw 45; to the left:
+yaw -45 (where Betaflight has 315, here -45). The board hangs upside down, its arrow forward: roll 180; upside
+down with the arrow backwards: pitch 180. `gyro_alignment` is how the chip is turned on the board, and comes
+before. Check it on the bench: the attitude that MSP tells must follow the aircraft in all three axes. A
+wrong sign of an axis is not noticed before it flies, but a board upside down is no level board and does not
+arm.
+
 This page is written by `python -m toolchain.rendering.settings_page docs/settings.md`.
 
 | setting | range | default | unit | meaning |

@@ -30,12 +30,22 @@ static const struct thermometer {
 };
 _Static_assert(sizeof thermometers / sizeof thermometers[0] == GYRO_CHIP_COUNT, "one thermometer a chip");
 
-static void gyro_to_body(enum board_alignment alignment, const float chip[3], float body[3])
+static __attribute__((noinline)) void gyro_turn(const float turn[3][3], float vector[3])
 {
-	const struct rotation *r = &rotations[alignment];
+	const float board[3] = { vector[0], vector[1], vector[2] };
+
+	for (int i = 0; i < 3; ++i)
+		vector[i] = turn[i][0] * board[0] + turn[i][1] * board[1] + turn[i][2] * board[2];
+}
+
+static void gyro_to_body(const struct gyro *gyro, const float chip[3], float body[3])
+{
+	const struct rotation *r = &rotations[gyro->alignment];
 
 	for (int i = 0; i < 3; ++i)
 		body[i] = (float)r->sign[i] * chip[r->axis[i]];
+	if (gyro->turned)
+		gyro_turn(gyro->turn, body);
 }
 
 enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms)
@@ -54,6 +64,33 @@ enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_align
 	return NF_OK;
 }
 
+static float gyro_sine_init(float deg)
+{
+	return deg < 0.0f ? -nf_sin_turns(-deg / 360.0f) : nf_sin_turns(deg / 360.0f);
+}
+
+static float gyro_cosine_init(float deg)
+{
+	return nf_cos_turns(deg < 0.0f ? -deg / 360.0f : deg / 360.0f);
+}
+
+void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float yaw_deg)
+{
+	const float sx = gyro_sine_init(roll_deg), cx = gyro_cosine_init(roll_deg);
+	const float sy = gyro_sine_init(pitch_deg), cy = gyro_cosine_init(pitch_deg);
+	const float sz = gyro_sine_init(yaw_deg), cz = gyro_cosine_init(yaw_deg);
+	const float turn[3][3] = {
+		{ cy * cz, cx * sz + sx * sy * cz, sx * sz - cx * sy * cz },
+		{ -cy * sz, cx * cz - sx * sy * sz, sx * cz + cx * sy * sz },
+		{ sy, -sx * cy, cx * cy },
+	};
+
+	gyro->turned = roll_deg != 0.0f || pitch_deg != 0.0f || yaw_deg != 0.0f;
+	for (int i = 0; i < 3; ++i)
+		for (int j = 0; j < 3; ++j)
+			gyro->turn[i][j] = turn[i][j];
+}
+
 static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
 {
 	float mean[3];
@@ -62,7 +99,7 @@ static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
 		return;
 	for (int i = 0; i < 3; ++i)
 		mean[i] *= RATE_PER_COUNT;
-	gyro_to_body(gyro->alignment, mean, gyro->bias);
+	gyro_to_body(gyro, mean, gyro->bias);
 	gyro->calibrated = true;
 }
 
@@ -142,7 +179,7 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 		(float)counts[1] * RATE_PER_COUNT,
 		(float)counts[2] * RATE_PER_COUNT,
 	};
-	gyro_to_body(gyro->alignment, chip, rate);
+	gyro_to_body(gyro, chip, rate);
 	for (int i = 0; i < 3; ++i)
 		rate[i] -= gyro->bias[i];
 	return gyro->health;
@@ -162,7 +199,7 @@ void gyro_acceleration(const struct gyro *gyro, float acceleration[3])
 		(float)counts[2] * ACCELERATION_PER_COUNT,
 	};
 
-	gyro_to_body(gyro->alignment, chip, acceleration);
+	gyro_to_body(gyro, chip, acceleration);
 }
 
 float gyro_temperature_c(const struct gyro *gyro, enum gyro_chip chip)

@@ -11,7 +11,7 @@
 #include "sensing/calibration.h"
 
 struct gyro {
-	enum board_alignment alignment;
+	enum board_alignment alignment; /* of the chip on the board */
 	struct calibration calibration;
 	float bias[3];            /* rad/s, body axes; 0 until calibrated */
 	bool calibrated;
@@ -23,11 +23,17 @@ struct gyro {
 	uint32_t saturated; /* samples in a row at an end of the range, bad ones left out; at most saturated_after */
 	uint32_t saturated_after; /* number of them that no flight takes */
 	uint32_t same; /* good samples that repeated the one before, at most stuck_after */
+	bool turned;              /* the board in the aircraft: by `turn` */
+	float turn[3][3];         /* from the board's axes to the body's */
 	uint32_t stuck_after; /* number of repetitions that a working chip does not produce; 0: no limit */
 };
 
 /* Starts uncalibrated and in good health. stuck_ms: the setting. NF_ERR_ALIGNMENT for an unknown alignment. */
 enum nf_err gyro_init(struct gyro *gyro, unsigned gyro_rate_hz, enum board_alignment alignment, unsigned stuck_ms);
+
+/* How the board is turned in the aircraft, -180 to 180 each: first by yaw (clockwise seen from above), then pitched (its
+ * arrow upwards), then rolled (its left side downwards), each about the board's own axes. All 0 until called. */
+void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float yaw_deg);
 
 /* Takes one sample and writes the body rates [rad/s].
  *

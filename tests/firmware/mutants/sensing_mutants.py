@@ -11,7 +11,37 @@ OF_GYRO, OF_ATTITUDE, OF_FILTERS = (
     "sensing/test_filters.py",
 )
 
+OF_BOARD = "sensing/test_board_alignment.py"
 SENSING_MUTANTS = (
+    Mutant(
+        name="the board is turned the other way",
+        file=GYRO,
+        old="gyro->turn[i][j] = turn[i][j];",
+        new="gyro->turn[i][j] = turn[j][i];",
+        tests=(OF_BOARD,),
+        slow=False,
+    ),
+    Mutant(
+        name="a board that only rolls is not turned",
+        file=GYRO,
+        old="gyro->turned = roll_deg != 0.0f || pitch_deg",
+        new="gyro->turned = pitch_deg",
+        tests=(OF_BOARD,),
+    ),
+    Mutant(
+        name="the board's turn overwrites what it turns",
+        file=GYRO,
+        old="turn[i][0] * board[0] + turn[i][1] * board[1]",
+        new="turn[i][0] * vector[0] + turn[i][1] * board[1]",
+        tests=(OF_BOARD,),
+    ),
+    Mutant(
+        name="a negative angle turns the board as a positive one",
+        file=GYRO,
+        old="deg < 0.0f ? -nf_sin_turns(-deg / 360.0f)",
+        new="deg < 0.0f ? nf_sin_turns(-deg / 360.0f)",
+        tests=(OF_BOARD,),
+    ),
     Mutant(
         name="a clamp has no upper end",
         file="common/limit.h",
