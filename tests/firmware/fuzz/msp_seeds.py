@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from enum import IntEnum
 
+from tests.firmware.conftest import scripted_blob
 from toolchain import contract
 from toolchain.contract import DshotCommand, Msp
+from toolchain.policy.blob import pack
 
 BOOTING, READY, FLYING, READY_MSP, FLYING_MSP = range(5)
 OTHER, V2, BAD, CUT, TWICE = 0x08, 0x10, 0x20, 0x40, 0x80  # bits of a request's step
@@ -55,9 +58,19 @@ OPEN = ask(Msp.MOTOR_TEST, struct.pack("<I", contract.MOTOR_TEST_MAGIC))
 TURN = motors(1100, 1000, 1200, 1000)
 SAVE = ask(Msp.EEPROM_WRITE)
 STICKS = struct.pack("<16H", 1500, 1500, 1500, 1000, 2000, *[1500] * 11)
-BLOB = ask(Msp.POLICY_SLOT_BEGIN, struct.pack("<I", 64))
-BLOB += b"".join(ask(Msp.POLICY_SLOT_WRITE, struct.pack("<I", at) + bytes(16)) for at in range(0, 64, 16))
-BLOB += ask(Msp.POLICY_SLOT_END)
+IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that the target's firmware takes
+BEGIN = struct.pack("<I", len(IMAGE))
+PIECE = 128  # bytes of it in a request
+
+
+def upload(image: bytes) -> bytes:
+    """A policy as a client writes it into a slot."""
+    written = (
+        ask(Msp.POLICY_SLOT_WRITE, struct.pack("<I", at) + image[at : at + PIECE])
+        for at in range(0, len(image), PIECE)
+    )
+    return ask(Msp.POLICY_SLOT_BEGIN, BEGIN) + b"".join(written) + ask(Msp.POLICY_SLOT_END)
+
 
 # A payload that a command takes; any other command is asked without one, and with a few bytes.
 PAYLOADS = {
@@ -65,8 +78,8 @@ PAYLOADS = {
     Msp.SET_MOTOR: struct.pack("<4H", 1100, 1100, 1100, 1100),
     Msp.MOTOR_TEST: struct.pack("<I", contract.MOTOR_TEST_MAGIC),
     Msp.DSHOT_COMMAND: bytes([contract.DSHOT_ALL_MOTORS, DshotCommand.BEACON_1]),
-    Msp.POLICY_SLOT_BEGIN: struct.pack("<I", 64),
-    Msp.POLICY_SLOT_WRITE: struct.pack("<I", 0) + bytes(16),
+    Msp.POLICY_SLOT_BEGIN: BEGIN,
+    Msp.POLICY_SLOT_WRITE: struct.pack("<I", 0) + IMAGE[:16],
     Msp.FAULTS: struct.pack("<I", 1),
 }
 
@@ -130,9 +143,14 @@ def msp_seeds() -> dict[str, bytes]:
             ask(Msp.SETTING_SET, struct.pack("<HI", index, 0x7FC00000))
             for index in range(len(contract.SETTINGS))
         ),
-        "policy": ready + BLOB + wait(50),
-        "policy_two_peers": ready + BLOB[:8] + ask(Msp.POLICY_SLOT_BEGIN, b"\x40\0\0\0", other) + BLOB[8:],
-        "policy_no_flash": ready + bytes([Step.FLASH, 2]) + BLOB,
+        "policy": ready + upload(IMAGE) + ask(Msp.POLICY_INFO) + wait(50) + upload(IMAGE),
+        "policy_two_peers": ready
+        + upload(IMAGE)[:160]
+        + ask(Msp.POLICY_SLOT_BEGIN, BEGIN, other)
+        + upload(IMAGE),
+        "policy_no_flash": ready + bytes([Step.FLASH, 2]) + upload(IMAGE),
+        "policy_broken": ready + upload(IMAGE[:-4] + bytes(4)),
+        "policy_in_flight": bytes([FLYING]) + upload(IMAGE),
         "reboot_then_arm": ready + ask(Msp.REBOOT) + pilot(arm=True) + wait(200),
         "acknowledge": ready + ask(Msp.FAULTS) + ask(Msp.ACKNOWLEDGE) + wait(20),
         "crash": bytes([FLYING]) + bytes([Step.SHAKE | 0x10]) + wait(600) + ask(Msp.SAFETY) + SAVE,

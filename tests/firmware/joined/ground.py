@@ -1,0 +1,203 @@
+"""A whole firmware on a bench, two peers on its ports: what a request changes, and going back to before it.
+
+`Ground` has the core's own structs around a simulated board, so that a test sees what reached flash and the
+motors without asking over the lines that it tests. A state is kept and taken up again in no time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash.msp import Decoder, Direction, Message, Version, encode
+from tests.firmware.conftest import Chip, Core
+from toolchain import contract
+from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, Msp
+
+GYRO_HZ = 1000
+FRAME_MS = 10
+ACTION = 0.25  # of the scripted policy, in flight
+ROOM = 4096
+STANDING = [0, 0, 0, 0]
+API_VERSION = encode(Message(Version.V1, Direction.REQUEST, Msp.API_VERSION))
+
+
+@dataclass(frozen=True)
+class Request:
+    """A command with a payload."""
+
+    command: int
+    payload: bytes = b""
+
+    def frame(self, version: Version = Version.V2) -> bytes:
+        """As it goes over the line."""
+        return encode(Message(version, Direction.REQUEST, self.command, self.payload))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """All of the firmware that a request may change, but for what it only counts."""
+
+    flash_operations: int
+    settings: bytes  # as changed and perhaps not saved
+    wish: int  # of a motor test
+    given: int  # values to it
+    command: int  # asked of the motors' controllers
+    forbidden: int  # reasons against arming
+    rebooting: bool
+    posted: bool  # channels
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything, to be taken up again."""
+
+    parts: tuple[bytes, ...]
+    flash: bytes | None  # None: erased as at the beginning
+    operations: int
+    ms: int
+    channels: tuple[int, ...]
+    silent: bool
+
+
+class Ground:
+    """The firmware and its surroundings; a millisecond a sample."""
+
+    def __init__(self, core: Core, **settings: float) -> None:
+        self.core, self.lib, ffi = core, core.lib, core.ffi
+        self.chip = Chip(core)
+        self.board = core.new("struct host_board *")
+        self.hal = core.new("struct hal *")
+        self.firmware = core.new("struct firmware *")
+        self.stats = core.new("struct task_stats[]", len(contract.Task))
+        self.background = core.new("struct background *")
+        self.program = core.new("struct program *")
+        self._memory = core.new("uint64_t[]", 4)  # aligned as weights are
+        self._weights = ffi.cast("float *", self._memory)
+        self.lib.host_board_init(self.board, self.chip._bytes)
+        self.hal[0] = self.lib.host_board_hal(self.board)
+        self.program.hal, self.program.firmware = self.hal, self.firmware
+        self.program.stats, self.program.background = self.stats, self.background
+        self._rates, self._force = core.new("double[3]"), core.new("double[3]", [0, 0, -9.80665])
+        self._reply, self._channels = core.new("uint8_t[]", ROOM), core.new("uint16_t[]", CHANNEL_COUNT)
+        self.channels = [contract.CHANNEL_MID_US] * 4 + [contract.CHANNEL_MIN_US] * (CHANNEL_COUNT - 4)
+        self.channels[CHANNEL_THROTTLE] = contract.CHANNEL_MIN_US
+        self.silent, self.ms = False, 0
+        self._parts = (
+            *(self.board, self.firmware, self.background, self.program, self.hal),
+            *(self.stats, self._memory),
+        )
+        self._boot({"arming_delay_ms": contract.BOOT_GRACE_MS, **settings})
+
+    def _boot(self, settings: dict[str, float]) -> None:
+        core = self.core
+        changes = core.new("struct setting_change[]", len(settings))
+        for change, (name, value) in zip(changes, settings.items(), strict=True):
+            change.index = self.lib.settings_find(name.encode())
+            if isinstance(value, int):
+                change.value.as_uint32_t = value
+            else:
+                change.value.as_float = value
+        config = core.new("struct background_config *")
+        config.hal, config.firmware, config.weights = self.hal, self.firmware, self._weights
+        config.stats, config.alignment = self.stats, contract.SIM_GYRO_ALIGNMENT
+        config.pid = core.ffi.addressof(self.lib, "pid_gains_built_in")
+        config.identity = core.ffi.addressof(self.lib, "host_identity")
+        config.changes, config.change_count = changes, len(settings)
+        config.gyro_rate_hz, config.cycles_hz = GYRO_HZ, 10**9
+        self.lib.scripted_action = [0.0] * 4
+        assert self.lib.background_start(self.background, config) == 0
+        self.lib.scripted_action = [ACTION] * 4
+
+    # --- Time ---------------------------------------------------------------------------------
+    def run(self, ms: int) -> list[int]:
+        """Let it go on; returns the values at the motors."""
+        for _ in range(ms):
+            if self.ms % FRAME_MS == 0 and not self.silent:
+                self._channels[0:CHANNEL_COUNT] = self.channels
+                self.lib.receiver_line_put(self.core.ffi.addressof(self.board, "line"), self._channels)
+            self._force[2] = -9.80665 - 0.01 * (self.ms % 2)
+            sample = self.core.new("struct imu_sample *")
+            sample[0] = self.lib.host_board_sample(self._rates, self._force)
+            self.lib.program_sample(self.program, sample)
+            self.lib.program_background(self.program)
+            self.ms += 1
+        return self.motors
+
+    def get_ready(self) -> None:
+        """Until the switch would arm it."""
+        self.run(contract.BOOT_GRACE_MS + contract.CALIBRATION_MS)
+        assert self.firmware.status.arming_reasons == 0
+
+    def take_off(self) -> None:
+        """Armed, in the middle of the throttle."""
+        self.channels[CHANNEL_ARM] = contract.CHANNEL_MAX_US
+        self.run(3 * FRAME_MS)
+        self.channels[CHANNEL_THROTTLE] = contract.CHANNEL_MID_US
+        self.run(10 * FRAME_MS)
+        assert self.armed
+
+    # --- Lines --------------------------------------------------------------------------------
+    def send(self, data: bytes, port: int = 0) -> bytes:
+        """Bytes from the peer of a port; returns what goes to it."""
+        count = self.lib.program_link(self.program, port, data, len(data), self._reply, ROOM)
+        return bytes(self.core.ffi.buffer(self._reply, count))
+
+    def ask(self, request: Request, port: int = 0, version: Version = Version.V2) -> bool:
+        """A request on its own; returns whether it was carried out."""
+        reply = self.send(request.frame(version), port)
+        (said,) = Decoder().feed(reply)
+        assert isinstance(said, Message) and said.command == request.command
+        return said.direction is Direction.REPLY
+
+    def pause(self, port: int = 0) -> None:
+        """The peer says nothing for longer than within a frame."""
+        self.lib.program_link_pause(self.program, port)
+
+    def leave(self, port: int = 0) -> None:
+        """The peer hangs up."""
+        self.lib.program_link_reset(self.program, port)
+
+    def answers(self, port: int = 0) -> bool:
+        """Does a request for the API's version get its answer at once?"""
+        reply = self.send(API_VERSION, port)
+        return reply.startswith(b"$M>\x03\x01") and len(reply) == 9
+
+    # --- What it has become -------------------------------------------------------------------
+    @property
+    def motors(self) -> list[int]:
+        return list(self.board.dshot)[:4]
+
+    @property
+    def armed(self) -> bool:
+        return bool(self.firmware.status.trace.armed)
+
+    @property
+    def seen(self) -> Seen:
+        fw, background = self.firmware, self.background
+        edited = self.core.ffi.addressof(background, "edited")
+        return Seen(
+            self.board.flash.operations,
+            bytes(self.core.ffi.buffer(edited)),
+            fw.motor_test.wish,
+            fw.motor_test.refreshed,
+            fw.dshot_command.asked | fw.dshot_command.left,
+            fw.forbidden,
+            background.rebooting,
+            fw.posted,
+        )
+
+    def keep(self) -> State:
+        """Everything as it is now."""
+        parts = tuple(bytes(self.core.ffi.buffer(part)) for part in self._parts)
+        operations = self.board.flash.operations
+        flash = self.chip.content if operations else None
+        return State(parts, flash, operations, self.ms, tuple(self.channels), self.silent)
+
+    def go_back(self, state: State) -> None:
+        """Everything as it was."""
+        if self.board.flash.operations != state.operations:
+            memory = state.flash or b"\xff" * contract.FLASH_BYTES
+            self.core.ffi.memmove(self.chip._memory, memory, contract.FLASH_BYTES)
+        for part, kept in zip(self._parts, state.parts, strict=True):
+            self.core.ffi.memmove(part, kept, len(kept))
+        self.ms, self.channels, self.silent = state.ms, list(state.channels), state.silent
