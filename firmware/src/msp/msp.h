@@ -14,13 +14,13 @@
 
 /* The request being read. */
 struct msp {
-	uint8_t state;           /* enum msp_state of msp.c */
-	uint8_t version;         /* 1 or 2 */
+	_Alignas(4) uint8_t payload[NF_MSP_PAYLOAD_MAX]; /* first, and so at the same place for who knows no _Alignas */
+	uint8_t state; /* enum msp_state of msp.c */
+	uint8_t version; /* 1 or 2 */
 	uint8_t checksum;
 	uint16_t command;
-	uint16_t size;           /* of the payload */
-	uint16_t received;       /* bytes of it */
-	_Alignas(4) uint8_t payload[NF_MSP_PAYLOAD_MAX];
+	uint16_t size; /* of the payload */
+	uint16_t received; /* bytes of it */
 };
 
 /* Forgets a half-read request. Zeros are such a state too. */
