@@ -45,7 +45,7 @@ COMMANDS = {
     "board": "run the image on an emulated board that lies still; other programs use its serial ports",
     "twin": "measure gyro noise and bias of a recording, for the aircraft file",
     "aircraft": "check and draw an aircraft file",
-    "msp": "query a running firmware over MSP",
+    "msp": "ask a running firmware over MSP, change and keep its settings",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "sim": ("cffi", "matplotlib", "pybullet", "scipy", "trimesh"),

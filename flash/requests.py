@@ -35,6 +35,13 @@ STORING = frozenset(  # commands that wait for the flash
         *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
     }
 )
+# Commands that act, where doing it twice is not doing it once: they are never sent again unasked.
+ONCE = frozenset(
+    {
+        *(Msp.SET_RAW_RC, Msp.SET_MOTOR, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.REBOOT, Msp.ACKNOWLEDGE),
+        *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
+    }
+)
 REASONS = {
     Refusal.ARMED: "the motors are armed or under test; disarm first",
     Refusal.PAYLOAD: "the request has a length or a value that the command does not take",
@@ -65,6 +72,11 @@ class SettingInfo:
     def whole(self) -> bool:
         """Whether it takes only whole numbers."""
         return self.kind in ("uint32_t", "mode")
+
+
+def repeatable(command: Msp, payload: bytes) -> bool:
+    """Whether a request may be sent again when no reply came, though it may have been carried out."""
+    return command not in ONCE and not (command is Msp.FAULTS and payload)
 
 
 def _within(what: str, value: int, low: int, high: int) -> int:

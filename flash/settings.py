@@ -1,42 +1,54 @@
-"""A firmware's settings over MSP, by name: read, change, store."""
+"""A firmware's settings over MSP, by name: read, change, store; several together or none."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
 
 from flash import requests
-from flash.client import Client
+from flash.client import Client, NoAnswerError
 from flash.requests import SettingInfo
-from toolchain.contract import SETTING_TEXT_BYTES, SETTINGS, Msp, Setting
+from flash.setting_rules import broken_rules
+from flash.setting_text import (
+    BY_NAME,
+    RATES,
+    STYLE,
+    Value,
+    as_float32,
+    as_stored,
+    beside_style,
+    check_text,
+    parse_change,
+    same,
+    shortest,
+    value_text,
+)
+from toolchain.contract import Msp
 from toolchain.errors import LinkError
 
-_STYLE = "rates_style"
-VALUE_MAX = 2.0**32  # of any setting: a larger one fits neither of their types
-_BY_NAME = {setting.name: (index, setting) for index, setting in enumerate(SETTINGS)}
+__all__ = ["Settings", "as_stored", "in_order", "parse_change"]
+
+Kept = TypeVar("Kept", bound=Value)
 
 
-def parse_change(text: str) -> tuple[str, float]:
-    """Read NAME=VALUE, the value a number or, where a setting has a choice, its name: `filter1_kind=notch`.
+@dataclass(frozen=True)
+class Stored:
+    """A setting of a firmware and its value."""
 
-    Raises LinkError for a setting that is unknown, and for a value that is none of it.
-    """
-    name, equals, value = (part.strip() for part in text.partition("="))
-    if not equals:
-        raise LinkError(f"setting {text!r}, expected NAME=VALUE such as gyro_rate_hz=8000")
-    setting = _setting(name)
-    if value in setting.choices:
-        return name, float(setting.choices.index(value))
-    try:
-        number = float(value)
-    except ValueError:
-        expected = f"one of {', '.join(setting.choices)}" if setting.choices else "a number"
-        raise LinkError(f"setting {name} got {value!r}, expected {expected}") from None
-    if not abs(number) <= VALUE_MAX:  # NaN included
-        raise LinkError(
-            f"setting {name} got {value!r}, expected a number within its limits; see docs/settings.md"
-        )
-    return name, number
+    name: str
+    value: Value
+    info: SettingInfo
+
+    @property
+    def default(self) -> Value:
+        """What it is unless somebody changes it."""
+        return "" if self.info.kind == "text" else self.info.default
+
+    @property
+    def changed(self) -> bool:
+        """Whether it differs from its default."""
+        return not same(self.name, self.value, self.default)
 
 
 class Settings:
@@ -50,33 +62,102 @@ class Settings:
         """What the firmware tells about the setting called `name`. Raises LinkError where it has none."""
         return self._find(name)[1]
 
-    def get(self, name: str) -> float | str:
+    def names(self) -> tuple[str, ...]:
+        """All that the firmware has, in its order."""
+        count = self._query(0).count
+        by_index = {index: name for name, (index, _) in self._known.items()}
+        return tuple(by_index.get(index) or self._query(index).name for index in range(count))
+
+    def get(self, name: str) -> Value:
         """Its value, as it is stored or will be. Raises LinkError."""
         index, _ = self._find(name)
         return requests.setting_value(self._client.request(Msp.SETTING_GET, requests.setting_index(index)))
 
-    def set(self, name: str, value: float | str) -> None:
+    def read(self, names: Iterable[str] = ()) -> list[Stored]:
+        """Those settings, or all, with their values. Raises LinkError."""
+        return [Stored(name, self.get(name), self.info(name)) for name in tuple(names) or self.names()]
+
+    def set(self, name: str, value: Value) -> None:
         """Change it until the next boot, or for good once `save` was called.
 
         Another style of rates sets all rates to the defaults of that style.
         Raises LinkError for a value beyond its limits, and while the motors are armed.
         """
         index, info = self._find(name)
-        if info.kind == "text":
-            _check_text(name, str(value))
-        else:
-            _check_number(name, float(value), info)
+        check_value(name, value, info)
         self._client.request(Msp.SETTING_SET, requests.setting_set(index, value, info.kind))
-        if name == _STYLE:
-            self._known.clear()  # rates have other limits now
+        if name == STYLE:
+            for rate in RATES:
+                self._known.pop(rate, None)  # they have other limits now
 
     def save(self) -> None:
         """Store all as they are now. Raises LinkError when they do not go together or flash fails."""
         self._client.request(Msp.EEPROM_WRITE)
 
+    def check(self, changes: Mapping[str, Value]) -> None:
+        """Raise LinkError for a change that the firmware would not take; sends nothing that changes any."""
+        for name in in_order(changes):
+            info = self.info(name)
+            if STYLE in changes and name in RATES and name in BY_NAME:
+                known = beside_style(BY_NAME[name][1], float(changes[STYLE]))
+                low, high = (as_stored(name, limit) for limit in (known.low, known.high))
+                info = SettingInfo(info.count, name, known.unit, low, high, known.default, info.kind)
+            check_value(name, changes[name], info)
+
+    def check_together(self, changes: Mapping[str, Value]) -> None:
+        """Raise LinkError for changes that contradict each other or what stays, as far as that is known."""
+        for broken in broken_rules(changes, self.get):
+            raise LinkError(broken)
+
+    def change(self, changes: Mapping[str, Value], *, save: bool = False) -> None:
+        """Set them all, read them back and, with `save`, store them: all of them or none.
+
+        When anything fails, those that were set get their values back. Raises LinkError.
+        """
+        self.check(changes)
+        self.check_together(changes)
+        affected = {*changes, *(RATES if STYLE in changes else ())}
+        before = {name: self.get(name) for name in affected}
+        try:
+            for name, value in in_order(changes).items():
+                self.set(name, value)
+            self._verify(changes)
+            if save:
+                self._save_verified()
+        except LinkError as error:
+            raise LinkError(f"{error}; {self._put_back(before)}") from None
+        except KeyboardInterrupt:
+            self._put_back(before)
+            raise
+
+    def _save_verified(self) -> None:
+        try:
+            self.save()
+        except NoAnswerError as error:
+            raise NoAnswerError(f"{error}; whether they are stored shows after a restart") from None
+
+    def _verify(self, changes: Mapping[str, Value]) -> None:
+        for name, value in changes.items():
+            got = self.get(name)
+            if not same(name, got, value):
+                raise LinkError(
+                    f"setting {name} reads {value_text(name, got)} after it was set, expected "
+                    f"{value_text(name, value)}; check that nobody else changes settings meanwhile"
+                )
+
+    def _put_back(self, before: Mapping[str, Value]) -> str:
+        """Set all to what they were; returns how that went."""
+        try:
+            for name, value in in_order(before).items():
+                self.set(name, value)
+            self._verify(before)
+        except LinkError:
+            return "what was set before that stays until the next boot, nothing is stored"
+        return "all settings are as they were"
+
     def _find(self, name: str) -> tuple[int, SettingInfo]:
         if name not in self._known:
-            guess = _BY_NAME[name][0] if name in _BY_NAME else 0  # in a firmware of this version
+            guess = BY_NAME[name][0] if name in BY_NAME else 0  # in a firmware of this version
             first = self._query(guess)
             for index in range(first.count):
                 if name in self._known:
@@ -94,34 +175,19 @@ class Settings:
         return info
 
 
-def _check_number(name: str, value: float, info: SettingInfo) -> None:
-    if info.low <= value <= info.high and not (info.whole and value != int(value)):
+def check_value(name: str, value: Value, info: SettingInfo) -> None:
+    """Raise LinkError for a value that is beyond the limits which the firmware tells."""
+    if info.kind == "text":
+        check_text(name, str(value))
+        return
+    number = as_float32(float(value)) if info.kind == "float" else float(value)
+    if info.low <= number <= info.high and not (info.whole and number != int(number)):
         return
     kind = "a whole number from " if info.whole else ""
-    span = f"{kind}{info.low:g} to {info.high:g} {info.unit}".rstrip()
-    raise LinkError(f"setting {name} got {value:g}, expected {span}")
+    span = f"{kind}{shortest(info.low)} to {shortest(info.high)} {info.unit}".rstrip()
+    raise LinkError(f"setting {name} got {number:g}, expected {span}")
 
 
-def _check_text(name: str, text: str) -> None:
-    if len(text) > SETTING_TEXT_BYTES or not all(" " <= c <= "~" for c in text):
-        raise LinkError(
-            f"setting {name} got {text!r}, expected at most {SETTING_TEXT_BYTES} characters of ASCII"
-        )
-
-
-def in_order(changes: Mapping[str, float]) -> dict[str, float]:
+def in_order(changes: Mapping[str, Kept]) -> dict[str, Kept]:
     """`changes` as they have to be set one by one: the style of rates, which sets them all, goes first."""
-    return dict(sorted(changes.items(), key=lambda change: change[0] != _STYLE))
-
-
-def as_stored(name: str, value: float) -> float:
-    """`value` as the setting called `name` holds it: rounded to float32 where it is no whole number."""
-    if _setting(name).kind != "float":
-        return value
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
-
-
-def _setting(name: str) -> Setting:
-    if name not in _BY_NAME:
-        raise LinkError(f"setting {name!r} is unknown, expected one of docs/settings.md")
-    return _BY_NAME[name][1]
+    return dict(sorted(changes.items(), key=lambda change: change[0] != STYLE))

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import select
 import socket
+import subprocess
 import threading
+import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from yamspy import MSPy
@@ -121,3 +126,73 @@ def yamspy_peer() -> MSPy:
     peer.conn = ByteLine()
     peer.INAV = False  # what it finds out when it connects by itself
     return peer
+
+
+# --- A firmware, and a line to it -------------------------------------------------------------------
+@pytest.fixture
+def resting_host(host_program: Path, tmp_path: Path) -> Iterator[str]:
+    """The port of a host program whose flash is tmp_path/flash.bin; no sample ever comes to it."""
+    free = [f"--{name}-port=0" for name in ("state", "receiver", "power", "msp")]
+    command = [str(host_program), "--gyro-hz=1000", f"--settings={tmp_path / 'flash.bin'}", *free]
+    with subprocess.Popen([*command, "--with-parent"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        ready = dict(word.split("=") for word in process.stdout.readline().split()[1:])
+        yield f"tcp:127.0.0.1:{ready['msp']}"
+        process.terminate()
+
+
+Change = Callable[[bytes], bytes]
+
+
+class PtyLine:
+    """A serial cable to a TCP server: a pty, with whatever happens to bytes on their way."""
+
+    def __init__(self, port: str, down: Change, up: Change) -> None:
+        """down: what arrives of a piece that the client sends, up: of one that the server sends."""
+        host, number = port.removeprefix("tcp:").split(":")
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        self._server = socket.create_connection((host, int(number)))
+        self._stop, self._stopper = socket.socketpair()
+        self._down, self._up = down, up
+        self._thread = threading.Thread(target=self._carry, daemon=True)
+        self._thread.start()
+
+    @property
+    def device(self) -> str:
+        return os.ttyname(self._theirs)
+
+    def _carry(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._ours, self._server.fileno(), self._stop.fileno()], [], [])
+            if self._stop.fileno() in ready:
+                return
+            if self._ours in ready:
+                self._server.sendall(self._down(os.read(self._ours, 4096)))
+            if self._server.fileno() in ready:
+                data = self._server.recv(4096)
+                if not data:
+                    return
+                os.write(self._ours, self._up(data))
+
+    def close(self) -> None:
+        self._stopper.send(b"x")
+        self._thread.join(timeout=5)
+        for end in (self._server, self._stop, self._stopper):
+            end.close()
+        os.close(self._theirs)
+        os.close(self._ours)
+
+
+@pytest.fixture
+def pty_line() -> Iterator[Callable[..., str]]:
+    """Lay cables: give it a port, and what happens to bytes `down` and `up`; get the pty's device."""
+    lines: list[PtyLine] = []
+
+    def lay(port: str, down: Change = bytes, up: Change = bytes) -> str:
+        lines.append(PtyLine(port, down, up))
+        return lines[-1].device
+
+    yield lay
+    for line in lines:
+        line.close()

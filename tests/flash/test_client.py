@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from flash.client import Client, read_info
+from flash.client import Client, NoAnswerError
+from flash.info import read_info
 from flash.msp import Decoder, Direction, Message, Version, encode, error, reply, request
 from flash.transport import open_transport
 from toolchain.contract import Msp, Refusal
@@ -138,6 +139,79 @@ def test_line_is_closed_when_the_client_leaves_its_block(scripted_line: Lines) -
     assert line.closed
 
 
+# --- Asking again ----------------------------------------------------------------------------
+def frames(written: list[bytes]) -> list[tuple[int, bytes]]:
+    """Command and payload of each frame written."""
+    events = Decoder().feed(b"".join(written))
+    return [(event.command, event.payload) for event in events if isinstance(event, Message)]
+
+
+@pytest.mark.parametrize(
+    ("command", "payload", "times"),
+    [
+        (Msp.STATUS, b"", 3),
+        (Msp.SETTING_GET, b"\x01\x00", 3),
+        (Msp.FAULTS, b"", 3),
+        (Msp.SETTING_SET, b"\x01\x00\x00\x00\x00\x00", 3),  # twice is as once
+        (Msp.EEPROM_WRITE, b"", 3),
+        (Msp.FAULTS, b"\x01\x00\x00\x00", 1),
+        (Msp.ACKNOWLEDGE, b"", 1),
+        (Msp.REBOOT, b"", 1),
+        (Msp.SET_MOTOR, b"\xe8\x03", 1),
+        (Msp.SET_RAW_RC, bytes(8), 1),
+        (Msp.MOTOR_TEST, bytes(4), 1),
+        (Msp.DSHOT_COMMAND, bytes(2), 1),
+        (Msp.POLICY_SLOT_BEGIN, bytes(4), 1),
+        (Msp.POLICY_SLOT_WRITE, bytes(8), 1),
+        (Msp.POLICY_SLOT_END, b"", 1),
+    ],
+)
+def test_a_command_is_asked_again_only_where_twice_is_as_once(
+    scripted_line: Lines, command: Msp, payload: bytes, times: int
+) -> None:
+    line = scripted_line([])
+    with pytest.raises(NoAnswerError, match=rf"asked {times} time") as caught:
+        Client(line, clock=line.clock).request(command, payload)
+    assert frames(line.written) == [(command, payload)] * times
+    assert ("it may have been carried out" in str(caught.value)) == (times == 1)
+
+
+def test_a_late_reply_is_not_taken_for_that_to_a_later_request(scripted_line: Lines) -> None:
+    """The replies to the first request come late, both: they say nothing of the setting asked for next."""
+    get = request(Msp.SETTING_GET)
+    api = encode(reply(request(Msp.API_VERSION), b"\0\1\56"))
+    line = scripted_line(
+        [
+            SILENCE,
+            encode(reply(get, b"first")),
+            encode(reply(get, b"first")),
+            api,
+            encode(reply(get, b"second")),
+        ]
+    )
+    client = Client(line, clock=line.clock)
+    assert client.request(Msp.SETTING_GET, b"\x01\x00") == b"first"
+    assert client.request(Msp.SETTING_GET, b"\x02\x00") == b"second"
+    asked = [(Msp.SETTING_GET, b"\x01\x00")] * 2 + [(Msp.API_VERSION, b""), (Msp.SETTING_GET, b"\x02\x00")]
+    assert frames(line.written) == asked
+
+
+def test_no_further_request_is_made_when_nothing_was_late(scripted_line: Lines) -> None:
+    get = request(Msp.SETTING_GET)
+    line = scripted_line([encode(reply(get, b"1")), encode(reply(get, b"2"))])
+    client = Client(line, clock=line.clock)
+    assert [client.request(Msp.SETTING_GET, bytes(2)) for _ in range(2)] == [b"1", b"2"]
+    assert len(line.written) == 2
+
+
+def test_messages_that_nobody_asked_for_are_kept_when_they_come_before_a_reply(scripted_line: Lines) -> None:
+    unasked = [encode(Message(Version.V2, Direction.REPLY, Msp.RC, bytes([n]))) for n in range(3)]
+    line = scripted_line([unasked[0] + unasked[1][:5], unasked[1][5:] + ANSWER + unasked[2], SILENCE])
+    client = Client(line, clock=line.clock)
+    assert client.request(Msp.FC_VARIANT) == b"NRFL"
+    assert [client.receive(Msp.RC, 0.1) for _ in range(4)] == [b"\0", b"\1", b"\2", None]
+
+
 # --- Over a real socket ----------------------------------------------------------------------
 def firmware(replies: dict[int, bytes]) -> Callable[[bytes], bytes]:
     """A firmware's answering side that knows `replies` and refuses the rest."""
@@ -173,7 +247,7 @@ def test_info_has_no_policy_and_bare_bits_when_the_firmware_is_of_another_make(
         info = read_info(client)
     assert (info.variant, info.version, info.policy) == ("BTFL", "4.5.1", None)
     assert info.armed and info.control_period_us == 500
-    assert info.arming_reasons == ("BIT_0", "BIT_2", "BIT_31")
+    assert info.arming_reasons == ("NO_GYRO", "RX_FAILSAFE", "BIT_31")
 
 
 def test_info_is_refused_when_the_api_is_of_another_major_version(tcp_server: Callable[..., str]) -> None:

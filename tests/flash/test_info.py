@@ -15,7 +15,8 @@ import serial
 from yamspy import MSPy
 
 from cli.main import main
-from flash.client import Client, Info, read_info
+from flash.client import Client
+from flash.info import Info, read_info
 from flash.messages import DECODERS
 from flash.msp import Decoder, Direction, Message, Version, encode
 from flash.transport import open_transport

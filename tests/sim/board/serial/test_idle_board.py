@@ -9,7 +9,7 @@ import pytest
 import serial
 
 from flash import messages, records
-from flash.client import read_info
+from flash.info import read_info
 from flash.msp import encode, request
 from flash.settings import Settings
 from sim.board.core.context import TIME_HZ

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flash.client import read_info
+from flash.info import read_info
 from flash.msp import encode, request
 from flash.settings import Settings
 from sim.board.core.context import TIME_HZ

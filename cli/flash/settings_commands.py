@@ -1,0 +1,188 @@
+"""`neuroflight msp` get, set, diff, dump, restore, save, defaults."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from cli.flash.state import connect, reboot
+from cli.flash.tables import print_json, print_table
+from toolchain.errors import LinkError
+
+if TYPE_CHECKING:
+    from flash.client import Client
+    from flash.setting_text import Value
+    from flash.settings import Stored
+
+STORED = "they are flown from the next boot on"
+UNSAVED = "nothing flies them before `save` and a restart; a restart alone forgets them"
+
+
+def get(args: argparse.Namespace) -> int:
+    """Print settings with their limits and defaults."""
+    from flash.setting_text import BY_NAME, value_text
+    from flash.settings import Settings
+
+    with connect(args) as client:
+        found = Settings(client).read(dict.fromkeys(args.names))
+    if args.json:
+        print_json({stored.name: _plain(stored.name, stored.value) for stored in found})
+        return 0
+    rows = [
+        (
+            stored.name,
+            value_text(stored.name, stored.value),
+            value_text(stored.name, stored.default),
+            _span(stored),
+            stored.info.unit,
+            BY_NAME[stored.name][1].meaning if stored.name in BY_NAME else "",
+        )
+        for stored in found
+    ]
+    print_table(("setting", "value", "default", "range", "unit", "meaning"), rows, frozenset())
+    return 0
+
+
+def _plain(name: str, value: Value) -> str | int | float:
+    """As JSON has it: numbers as numbers, choices and mode ranges as their texts."""
+    from flash.setting_text import value_text
+
+    if isinstance(value, str):
+        return value
+    text = value_text(name, value)
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number == int(number) else number
+
+
+def _span(stored: Stored) -> str:
+    from flash.setting_text import BY_NAME, shortest
+
+    info = stored.info
+    if stored.name in BY_NAME and (choices := BY_NAME[stored.name][1].choices):
+        return ", ".join(choices)
+    if info.kind == "mode":
+        return "MODE AUX LOW HIGH, or none"
+    span = f"{shortest(info.low)} to {shortest(info.high)}"
+    return span if info.kind != "text" else f"{span} characters"
+
+
+def set_(args: argparse.Namespace) -> int:
+    """Change settings, all of them or none."""
+    from flash.setting_text import STYLE, parse_setting
+    from flash.settings import Settings
+
+    if args.reboot and not args.save:
+        raise LinkError("--reboot without --save forgets what is set; give both")
+    changes: dict[str, Value] = {}
+    for text in args.changes:
+        name, value = parse_setting(text)
+        if name in changes:
+            raise LinkError(f"setting {name} is given twice, expected once")
+        changes[name] = value
+    with connect(args) as client:
+        Settings(client).change(changes, save=args.save)
+    told = f"{_count(changes)} set"
+    if STYLE in changes:
+        told += "; a new style of rates sets the other rates to its defaults"
+    print(f"{told} and stored; {STORED}" if args.save else f"{told}; {UNSAVED}")
+    return reboot(args) if args.reboot else 0
+
+
+def _count(changes: object) -> str:
+    count = len(changes) if isinstance(changes, dict | list) else 0
+    return "1 setting" if count == 1 else f"{count} settings"
+
+
+def diff(args: argparse.Namespace) -> int:
+    """Print what differs from the defaults."""
+    return _print_lines(args, lambda stored: stored.changed)
+
+
+def dump(args: argparse.Namespace) -> int:
+    """Print all settings."""
+    return _print_lines(args, lambda stored: True)
+
+
+def _print_lines(args: argparse.Namespace, wanted: Callable[[Stored], bool]) -> int:
+    from flash import messages
+    from flash.setting_text import set_line
+    from flash.settings import Settings, in_order
+    from toolchain.contract import Msp
+
+    with connect(args) as client:
+        board = messages.board_info(client.request(Msp.BOARD_INFO))
+        version = messages.fc_version(client.request(Msp.FC_VERSION))
+        found = {stored.name: stored.value for stored in Settings(client).read() if wanted(stored)}
+    if args.json:
+        print_json({name: _plain(name, value) for name, value in found.items()})
+        return 0
+    print(f"# {args.action} of {board.target} {version}: neuroflight msp --port PORT restore FILE")
+    for name, value in in_order(found).items():
+        print(set_line(name, value))
+    return 0
+
+
+def restore(args: argparse.Namespace) -> int:
+    """Set what a file says, check it and store it: all or nothing."""
+    from flash.settings import Settings
+    from flash.settings_file import read_file, restored
+
+    lines = read_file(args.file)
+    with connect(args) as client:
+        settings = Settings(client)
+        changes = restored(settings, args.file, lines, keep=args.keep)
+        settings.change(changes, save=True)
+    print(f"{args.file}: {_count(lines)} read, {_count(changes)} changed, all stored; {STORED}")
+    return 0
+
+
+def save(args: argparse.Namespace) -> int:
+    """Store all settings."""
+    from flash.settings import Settings
+
+    with connect(args) as client:
+        Settings(client).save()
+    print(f"settings stored; {STORED}")
+    return 0
+
+
+def defaults(args: argparse.Namespace) -> int:
+    """Set every setting to its default, if the user is sure."""
+    from flash.settings import Settings
+    from flash.settings_file import all_defaults
+
+    with connect(args) as client:
+        if not args.yes:
+            _confirm(client)
+        settings = Settings(client)
+        settings.change(all_defaults(settings), save=args.save)
+    told = "every setting has its default now"
+    print(f"{told}; stored: {STORED}" if args.save else f"{told}; {UNSAVED}")
+    return 0
+
+
+def _confirm(client: Client) -> None:
+    """Raises LinkError unless somebody at a terminal types yes."""
+    if not sys.stdin.isatty():
+        raise LinkError("defaults sets every setting to its default; give --yes if that is meant")
+    print(
+        f"{client.name}: set every setting to its default? yes or no: ", end="", file=sys.stderr, flush=True
+    )
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise LinkError("nothing is changed; answer yes or give --yes to set every setting to its default")
+
+
+HANDLERS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "get": get,
+    "set": set_,
+    "diff": diff,
+    "dump": dump,
+    "restore": restore,
+    "save": save,
+    "defaults": defaults,
+}

@@ -1,0 +1,263 @@
+"""`neuroflight msp` info, status, tasks, faults, acknowledge, calibrate, reboot."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from cli.flash.tables import print_facts, print_json, print_table
+
+if TYPE_CHECKING:
+    from flash.acknowledge import Acknowledged
+    from flash.client import Client
+    from flash.info import Info
+    from flash.overview import Overview
+    from flash.records import Fault, Tasks
+
+
+def connect(args: argparse.Namespace) -> Client:
+    """A client on the port that the user named, whose other end speaks an MSP that this tool knows."""
+    from flash.client import Client
+    from flash.info import check_api
+    from flash.transport import open_transport
+
+    client = Client(open_transport(args.port))
+    try:
+        check_api(client)  # first: it closes a command line that another program left open on this port
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+# --- info ------------------------------------------------------------------------------------------
+def info(args: argparse.Namespace) -> int:
+    """Print who the firmware is."""
+    from flash.info import read_info
+
+    with connect(args) as client:
+        told = read_info(client)
+    if args.json:
+        print_json(asdict(told))
+    else:
+        print_facts(_info_rows(told))
+    return 0
+
+
+def _info_rows(info: Info) -> list[tuple[str, str]]:
+    board, build, policy = info.board, info.build, info.policy
+    rows = [
+        ("firmware", f"{info.variant} {info.version}, MSP API {info.api.major}.{info.api.minor}"),
+        ("board", " ".join(filter(None, (board.identifier, board.manufacturer, board.name or board.target)))),
+        ("build", f"{build.date} {build.time}, {build.revision}" if build.dated else "undated, reproducible"),
+        ("name", info.name or "none given"),
+        ("UID", info.uid),
+    ]
+    if policy is not None:
+        rows += [
+            ("policy", policy.name),
+            ("policy sha256", policy.sha256),
+            (
+                "network",
+                f"{policy.observation_count} observations to {policy.action_count} actions, "
+                f"{policy.weight_count} weights, architecture {policy.architecture_hash:08x}",
+            ),
+            ("policy check", "passed" if policy.good else "FAILED: the motors stay stopped"),
+            ("rates", f"control {policy.control_rate_hz} Hz, gyro {policy.gyro_rate_hz} Hz"),
+        ]
+    else:
+        rows.append(("policy", "none: not a Neuroflight firmware"))
+    rows += [
+        ("armed", "yes" if info.armed else "no"),
+        ("arming held by", ", ".join(info.arming_reasons) or "nothing"),
+    ]
+    return rows
+
+
+# --- status ----------------------------------------------------------------------------------------
+def status(args: argparse.Namespace) -> int:
+    """Print how the firmware does."""
+    from flash.overview import read_overview
+
+    with connect(args) as client:
+        told = read_overview(client)
+    if args.json:
+        print_json(asdict(told))
+    else:
+        print_facts(_status_rows(told))
+    return 0
+
+
+def _status_rows(told: Overview) -> list[tuple[str, str]]:
+    from flash.hints import words
+
+    flight, battery, attitude = told.flight, told.battery, told.attitude
+    rows = [("armed", "yes" if told.armed else "no")]
+    if flight is not None:
+        rows.insert(0, ("state", words(flight.state)))
+        rows += [
+            ("flies", flight.flies),
+            ("policy", f"{flight.policy}, {'good' if flight.policy_good else 'BAD: it does not fly'}"),
+        ]
+    held = [f"{name}: {hint}" if hint else name for name, hint in told.arming_reasons.items()]
+    rows += [("arming held by" if i == 0 else "", line) for i, line in enumerate(held or ["nothing"])]
+    if flight is not None:
+        rows += [
+            ("motors stopped last", words(flight.stop_cause)),
+            ("PID took over last", words(flight.fallback_cause)),
+            ("policy refused", "no" if flight.refused_cause == "NONE" else words(flight.refused_cause)),
+            ("faults pending", "none" if flight.fault is None else f"{words(flight.fault)}; see `faults`"),
+            ("boots", str(flight.boots)),
+            ("gyro", f"{words(flight.gyro_health)}, {flight.gyro_temperature_deg_c:.1f} deg C"),
+        ]
+    cells = f"{battery.cells} cells" if battery.cells else "cells not known"
+    rows += [
+        (
+            "battery",
+            f"{battery.voltage_v:.2f} V, {cells}, {words(battery.level.name)}; "
+            f"{battery.current_a:.2f} A, {battery.drawn_mah} mAh drawn",
+        ),
+        ("receiver", f"{told.receiver_percent} %"),
+        (
+            "attitude",
+            f"roll {attitude.roll_deg:.1f}, pitch {attitude.pitch_deg:.1f}, "
+            f"heading {attitude.heading_deg:.0f} deg",
+        ),
+        ("load", f"{told.load_percent} %, control period {told.control_period_us} us"),
+    ]
+    return rows
+
+
+# --- tasks -----------------------------------------------------------------------------------------
+def tasks(args: argparse.Namespace) -> int:
+    """Print the processor's time, task by task."""
+    from flash import records
+    from toolchain.contract import Msp
+
+    with connect(args) as client:
+        told = records.tasks(client.request(Msp.TASKS))
+    rows = _task_rows(told)
+    if args.json:
+        print_json({"cycles_hz": told.cycles_hz, "tasks": rows})
+        return 0
+    heads = ("task", "rate Hz", "runs", "worst us", "mean us", "best us", "variability %", "missed")
+    print_table(
+        heads,
+        [
+            (
+                str(row["task"]).lower(),
+                str(row["rate_hz"] or "when due"),
+                str(row["runs"]),
+                *(f"{row[key]:.2f}" for key in ("worst_us", "mean_us", "best_us", "variability_percent")),
+                str(row["misses"]),
+            )
+            for row in rows
+        ],
+        frozenset(heads[1:]),
+    )
+    return 0
+
+
+def _task_rows(told: Tasks) -> list[dict[str, str | int | float]]:
+    us = 1e6 / told.cycles_hz
+    return [
+        {
+            "task": load.task.name,
+            "rate_hz": load.rate_hz,
+            "runs": load.runs,
+            "misses": load.misses,
+            "worst_us": load.worst_cycles * us,
+            "mean_us": load.mean_cycles * us,
+            "best_us": load.best_cycles * us,
+            "variability_percent": 100 * load.variability,
+        }
+        for load in told.loads
+    ]
+
+
+# --- faults, acknowledge ---------------------------------------------------------------------------
+def faults(args: argparse.Namespace) -> int:
+    """Print the record of the newest fault; acknowledge it if asked to."""
+    from flash import records, requests
+    from toolchain.contract import Msp
+
+    with connect(args) as client:
+        told = records.faults(client.request(Msp.FAULTS))
+        if args.ack and told.pending is not None:
+            client.request(Msp.FAULTS, requests.acknowledge(told.pending.boot))
+    if args.json:
+        known = None
+        if told.pending is not None:
+            known = asdict(told.pending) | {"kind": told.pending.kind.name}
+        print_json({"boots": told.boots, "fault": known, "acknowledged": bool(known and args.ack)})
+    elif told.pending is None:
+        print(f"no fault is pending; this is boot {told.boots}")
+    else:
+        print_facts(_fault_rows(told.pending, told.boots))
+        if args.ack:
+            print(f"acknowledged: the fault that boot {told.pending.boot} found")
+    return 0
+
+
+def _fault_rows(fault: Fault, boots: int) -> list[tuple[str, str]]:
+    from flash.hints import FAULTS
+    from flash.records import FaultKind
+
+    rows = [
+        ("fault", f"{fault.kind.name}: {FAULTS[fault.kind.name]}"),
+        ("found by boot", f"{fault.boot}; this is boot {boots}"),
+        ("after", f"{fault.uptime_steps} control steps"),
+    ]
+    if fault.file:
+        rows.append(("at", f"{fault.file}:{fault.line}"))
+    elif fault.kind is FaultKind.HARD:
+        rows.append(("exception", str(fault.line)))
+    registers = [f"{name} {value:08x}" for name, value in fault.registers.items()]
+    if any(fault.registers.values()):
+        lines = [", ".join(registers[at : at + 4]) for at in range(0, len(registers), 4)]
+        rows += [("registers" if at == 0 else "", line) for at, line in enumerate(lines)]
+    return rows
+
+
+def acknowledge(args: argparse.Namespace) -> int:
+    """Acknowledge what keeps the board from arming, and say what it was."""
+    from flash.acknowledge import acknowledge
+
+    with connect(args) as client:
+        print(_acknowledged(acknowledge(client)))
+    return 0
+
+
+def _acknowledged(known: Acknowledged) -> str:
+    from toolchain.contract import FallbackCause
+
+    told = []
+    if known.fault is not None:
+        told.append(f"fault {known.fault.kind.name} found by boot {known.fault.boot}, and all before it")
+    if known.refused is not FallbackCause.NONE:
+        told.append(f"the policy that was refused in flight: {known.refused.name}")
+    return f"acknowledged: {'; '.join(told)}" if told else "there was nothing to acknowledge"
+
+
+# --- reboot ----------------------------------------------------------------------------------------
+def reboot(args: argparse.Namespace) -> int:
+    """Start the firmware anew and wait until it answers."""
+    from flash.restart import restart
+    from flash.transport import open_transport
+
+    with closing(restart(connect(args), lambda: open_transport(args.port))) as client:
+        print(f"{client.name}: the firmware has started anew and answers")
+    return 0
+
+
+HANDLERS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "info": info,
+    "status": status,
+    "tasks": tasks,
+    "faults": faults,
+    "acknowledge": acknowledge,
+    "reboot": reboot,
+}

@@ -1,0 +1,73 @@
+"""Who a firmware is and how it does, whoever made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash import messages, records
+from flash.client import Client, RefusedError
+from flash.hints import betaflight_reasons
+from flash.messages import ApiVersion, BoardInfo, BuildInfo, PolicyInfo
+from toolchain.contract import MSP_API_MAJOR, MSP_PROTOCOL_VERSION, Msp
+from toolchain.errors import LinkError
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a firmware says about itself."""
+
+    variant: str
+    version: str
+    api: ApiVersion
+    board: BoardInfo
+    build: BuildInfo
+    name: str
+    uid: str
+    control_period_us: int
+    armed: bool
+    arming_reasons: tuple[str, ...]  # what forbids arming now
+    policy: PolicyInfo | None  # None from a firmware of another make
+
+
+def is_ours(client: Client) -> bool:
+    """Whether it is this project's firmware, whatever FC_VARIANT says. Raises LinkError."""
+    try:
+        client.request(Msp.POLICY_INFO)
+    except RefusedError:
+        return False
+    return True
+
+
+def check_api(client: Client) -> ApiVersion:
+    """Which MSP the firmware speaks. Raises LinkError for one that this tool does not."""
+    api = messages.api_version(client.request(Msp.API_VERSION))
+    if (api.protocol, api.major) != (MSP_PROTOCOL_VERSION, MSP_API_MAJOR):
+        raise LinkError(
+            f"the firmware speaks MSP {api.protocol}.{api.major}.{api.minor}, expected "
+            f"{MSP_PROTOCOL_VERSION}.{MSP_API_MAJOR}.x; bring it and this tool to the same version"
+        )
+    return api
+
+
+def read_info(client: Client) -> Info:
+    """Read a firmware's identity and state. Raises LinkError."""
+    api = check_api(client)
+    ours = is_ours(client)
+    extended = messages.status_ex(client.request(Msp.STATUS_EX))
+    if ours:
+        reasons = messages.arming_reasons(records.safety(client.request(Msp.SAFETY)).arming_flags)
+    else:
+        reasons = betaflight_reasons(extended.arming_flags, extended.arming_flag_count)
+    return Info(
+        variant=messages.fc_variant(client.request(Msp.FC_VARIANT)),
+        version=messages.fc_version(client.request(Msp.FC_VERSION)),
+        api=api,
+        board=messages.board_info(client.request(Msp.BOARD_INFO)),
+        build=messages.build_info(client.request(Msp.BUILD_INFO)),
+        name=messages.name(client.request(Msp.NAME)),
+        uid=messages.uid(client.request(Msp.UID)),
+        control_period_us=extended.status.cycle_time_us,
+        armed=extended.status.armed,
+        arming_reasons=reasons,
+        policy=messages.policy_info(client.request(Msp.POLICY_INFO)) if ours else None,
+    )

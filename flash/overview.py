@@ -1,0 +1,90 @@
+"""How a firmware does, in one look: state, what forbids arming, battery, receiver, attitude, load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash import messages, records
+from flash.client import Client
+from flash.hints import HINTS, betaflight_reasons
+from flash.info import is_ours
+from flash.messages import Analog, Attitude, BatteryState
+from toolchain.contract import Msp
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What only this project's firmware tells."""
+
+    state: str
+    flies: str  # "policy" or "PID": who flies, or would if armed now
+    stop_cause: str  # why the motors stopped last
+    fallback_cause: str  # why the PID took over last
+    refused_cause: str  # why the policy must not fly until it is acknowledged
+    gyro_health: str
+    gyro_temperature_deg_c: float
+    policy: str
+    policy_good: bool
+    boots: int
+    fault: str | None  # kind of the newest one that nobody acknowledged
+
+
+@dataclass(frozen=True)
+class Overview:
+    """How a firmware does."""
+
+    armed: bool
+    arming_reasons: dict[str, str]  # what forbids arming now: how to lift it, "" where nobody knows
+    flight: Flight | None  # None from a firmware of another make
+    battery: BatteryState
+    attitude: Attitude
+    receiver_percent: int
+    control_period_us: int
+    load_percent: int
+
+
+def read_overview(client: Client) -> Overview:
+    """Ask for all of it. Raises LinkError."""
+    ours = is_ours(client)
+    extended = messages.status_ex(client.request(Msp.STATUS_EX))
+    battery = messages.battery_state(client.request(Msp.BATTERY_STATE))
+    attitude = messages.attitude(client.request(Msp.ATTITUDE))
+    if ours:
+        safety = records.safety(client.request(Msp.SAFETY))
+        reasons = messages.arming_reasons(safety.arming_flags)
+        flight, percent = _flight(client, safety), safety.receiver_percent
+    else:
+        reasons = betaflight_reasons(extended.arming_flags, extended.arming_flag_count)
+        flight, percent = None, _percent(messages.analog(client.request(Msp.ANALOG)))
+    return Overview(
+        armed=extended.status.armed,
+        arming_reasons={reason: HINTS.get(reason, "") if ours else "" for reason in reasons},
+        flight=flight,
+        battery=battery,
+        attitude=attitude,
+        receiver_percent=percent,
+        control_period_us=extended.status.cycle_time_us,
+        load_percent=extended.status.load_percent,
+    )
+
+
+def _flight(client: Client, safety: records.Safety) -> Flight:
+    faults = records.faults(client.request(Msp.FAULTS))
+    policy = messages.policy_info(client.request(Msp.POLICY_INFO))
+    return Flight(
+        state=safety.state.name,
+        flies="PID" if safety.pid_flies else "policy",
+        stop_cause=safety.stop_cause.name,
+        fallback_cause=safety.fallback_cause.name,
+        refused_cause=safety.refused_cause.name,
+        gyro_health=safety.gyro_health.name,
+        gyro_temperature_deg_c=safety.temperature_deg_c,
+        policy=policy.name,
+        policy_good=safety.policy_good,
+        boots=faults.boots,
+        fault=faults.pending.kind.name if faults.pending is not None else None,
+    )
+
+
+def _percent(analog: Analog) -> int:
+    return round(100 * analog.rssi / 1023)

@@ -1,0 +1,70 @@
+"""Starts a firmware anew and waits until it answers."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+
+from flash import records
+from flash.client import Client, NoAnswerError
+from flash.info import is_ours
+from flash.transport import Transport
+from toolchain.contract import Msp
+from toolchain.errors import LinkError
+
+WAIT_S = 15.0  # a board is back within a second, the emulated one within some
+ASK_S = 0.5  # for one answer
+PAUSE_S = 0.1  # between two attempts on a line that is gone
+
+
+def restart(
+    client: Client,
+    reopen: Callable[[], Transport],
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Client:
+    """Ask for a restart and wait for the firmware to answer after it; `client` is closed if that fails.
+
+    reopen: opens the line again where it went with the firmware. Returns a client of the new start. Raises
+    LinkError when it refuses, and when it does not come back.
+    """
+    try:
+        ours = is_ours(client)
+        before = records.faults(client.request(Msp.FAULTS)).boots if ours else None
+        with contextlib.suppress(NoAnswerError):  # it may have gone before its reply had
+            client.request(Msp.REBOOT)
+        deadline = clock() + WAIT_S
+        while clock() < deadline:
+            try:
+                if _has_started(client, before):
+                    return client
+            except NoAnswerError:
+                continue
+            except LinkError:  # the line is gone
+                client.close()
+                client = _opened(client, reopen, sleep)
+    except BaseException:
+        client.close()
+        raise
+    client.close()
+    raise LinkError(
+        f"{client.name}: the firmware took the request and did not answer again within {WAIT_S:g} s; "
+        "a firmware that is a program ends there: start it again; a board may need its plug pulled"
+    )
+
+
+def _has_started(client: Client, before: int | None) -> bool:
+    """Whether the firmware answers, and no longer the start that was asked to end."""
+    if before is None:
+        return bool(client.request(Msp.API_VERSION, timeout=ASK_S, retries=0))
+    return records.faults(client.request(Msp.FAULTS, timeout=ASK_S, retries=0)).boots != before
+
+
+def _opened(client: Client, reopen: Callable[[], Transport], sleep: Callable[[float], None]) -> Client:
+    """A client on the line opened again, or the closed one where it does not open."""
+    sleep(PAUSE_S)
+    try:
+        return Client(reopen())
+    except LinkError:
+        return client

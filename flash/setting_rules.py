@@ -1,0 +1,94 @@
+"""Which settings do not go together, as far as that is known without the firmware's policy.
+
+The firmware has the last word: it refuses to store what contradicts itself (firmware/src/storage/settings.c).
+These rules tell it before anything is changed, and name both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from flash.setting_text import Value, shortest
+from toolchain.contract import FILTER_STAGES, GYRO_RATES_HZ, MSP_BAUDS, SETTINGS
+
+_GYRO_RATE = "gyro_rate_hz"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What some settings must be together."""
+
+    names: tuple[str, ...]
+    broken: Callable[[Mapping[str, float]], str]  # what is wrong, "" for nothing
+
+
+def broken_rules(changes: Mapping[str, Value], read: Callable[[str], Value]) -> Iterator[str]:
+    """What would be wrong after `changes`; only rules about a changed setting are looked at.
+
+    read: the present value of another setting.
+    """
+    for rule in RULES:
+        if set(changes).intersection(rule.names):
+            values = {name: float(changes[name] if name in changes else read(name)) for name in rule.names}
+            if broken := rule.broken(values):
+                yield broken
+
+
+def _one_of(name: str, allowed: tuple[int, ...]) -> Rule:
+    def broken(values: Mapping[str, float]) -> str:
+        if values[name] in allowed:
+            return ""
+        return f"setting {name} got {values[name]:g}, expected one of {', '.join(map(str, allowed))}"
+
+    return Rule((name,), broken)
+
+
+def _below(low: str, high: str) -> Rule:
+    def broken(values: Mapping[str, float]) -> str:
+        if values[low] < values[high]:
+            return ""
+        return (
+            f"setting {low} would be {shortest(values[low])}, expected below {high}, "
+            f"which is {shortest(values[high])}"
+        )
+
+    return Rule((low, high), broken)
+
+
+def _below_half_the_gyro_rate(switch: str, hz: str) -> Rule:
+    def broken(values: Mapping[str, float]) -> str:
+        if values[switch] == 0 or values[hz] * 2 < values[_GYRO_RATE]:
+            return ""
+        return (
+            f"setting {hz} would be {shortest(values[hz])} Hz, expected below half of {_GYRO_RATE}, "
+            f"which is {shortest(values[_GYRO_RATE])} Hz"
+        )
+
+    return Rule((switch, hz, _GYRO_RATE), broken)
+
+
+def _different(names: tuple[str, ...]) -> Rule:
+    def broken(values: Mapping[str, float]) -> str:
+        met: dict[float, str] = {}
+        for name, value in values.items():
+            if (other := met.setdefault(value, name)) != name:
+                return f"settings {other} and {name} would both be {shortest(value)}, expected different ones"
+        return ""
+
+    return Rule(names, broken)
+
+
+RULES = (
+    _one_of(_GYRO_RATE, tuple(GYRO_RATES_HZ)),
+    _one_of("msp_baud", MSP_BAUDS),
+    _one_of("uart3_baud", MSP_BAUDS),
+    *(
+        _below_half_the_gyro_rate(f"filter{stage}_kind", f"filter{stage}_hz")
+        for stage in range(1, FILTER_STAGES + 1)
+    ),
+    _below("dynamic_notch_low_hz", "dynamic_notch_high_hz"),
+    _below_half_the_gyro_rate("dynamic_notch_count", "dynamic_notch_high_hz"),
+    _different(tuple(setting.name for setting in SETTINGS if setting.name.startswith("map_"))),
+    _below("battery_low_v", "battery_warn_v"),
+)

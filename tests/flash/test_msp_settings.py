@@ -1,0 +1,343 @@
+"""`neuroflight msp` get, set, diff, dump, restore, save and defaults against the running host program."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+from flash.client import Client
+from flash.msp import Decoder, Direction, Message, encode, error
+from flash.setting_text import value_text
+from flash.settings import Settings
+from flash.transport import open_transport
+from toolchain.contract import SETTINGS, Msp
+from toolchain.errors import LinkError
+
+Run = Callable[..., tuple[int, str, str]]
+LayLine = Callable[..., str]
+CHANGES = ("roll_expo=0.1", "mode5=beeper aux7 900 1000 and", "craft_name= my quad", "motor_stop=on")
+LINES = [
+    "set mode5 = beeper aux7 900 1000 and",
+    "set roll_expo = 0.1",
+    "set motor_stop = on",
+    "set craft_name = my quad",
+]
+
+
+@pytest.fixture
+def msp(resting_host: str, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Give it words behind `msp`: exit code, stdout, stderr. `port`: another than the host program's."""
+
+    def run(*words: str, port: str = resting_host) -> tuple[int, str, str]:
+        code = main(["msp", "--port", port, *words])
+        output = capsys.readouterr()
+        assert output.err.count("\n") <= 1
+        return code, output.out, output.err
+
+    return run
+
+
+def lines(text: str) -> list[str]:
+    """What `diff` and `dump` print, without their head."""
+    head, *rest = text.splitlines()
+    assert head.startswith("# ")
+    return rest
+
+
+def test_every_setting_is_at_its_default_when_the_firmware_is_new(msp: Run) -> None:
+    assert lines(msp("diff")[1]) == []
+    told = json.loads(msp("get", "--json")[1])
+    assert list(told) == [setting.name for setting in SETTINGS]
+    assert (told["mode1"], told["gyro_alignment"], told["roll_expo"]) == ("arm aux1 1700 2100", "board", 0)
+    assert told["filter1_q"] == 0.70710677
+    assert (told["gyro_rate_hz"], told["craft_name"]) == (4000, "")
+
+
+def test_settings_are_changed_by_every_kind_of_value_when_set(msp: Run) -> None:
+    code, out, _ = msp("set", *CHANGES)
+    assert code == 0
+    assert out.startswith("4 settings set; nothing flies them before `save` and a restart")
+    assert lines(msp("diff")[1]) == LINES
+    dumped = lines(msp("dump")[1])
+    assert len(dumped) == len(SETTINGS)
+    assert set(LINES) < set(dumped)
+
+
+def test_the_style_of_rates_comes_first_when_set_or_dumped(msp: Run) -> None:
+    code, out, _ = msp("set", "yaw_max=0.5", "rates_style=betaflight")
+    assert code == 0
+    assert "a new style of rates sets the other rates to its defaults" in out
+    assert lines(msp("diff")[1]) == ["set rates_style = betaflight", "set yaw_max = 0.5"]
+    assert lines(msp("dump")[1])[0] == "set rates_style = betaflight"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("yaw_expo=3", "setting yaw_expo got 3, expected 0 to 1 1"),
+        ("deadband_us=1.5", "setting deadband_us got 1.5, expected a whole number from 0 to 100 us"),
+        ("no_such=1", "setting 'no_such' is unknown"),
+        ("roll_expo=0.2", "setting roll_expo is given twice"),
+        ("gyro_rate_hz=7000", "setting gyro_rate_hz got 7000, expected one of 1000, 2000, 4000, 8000"),
+        ("msp_baud=115201", "setting msp_baud got 115201, expected one of 9600, "),
+        ("battery_low_v=3.6", "battery_low_v would be 3.6, expected below battery_warn_v, which is 3.5"),
+        ("map_roll=1", "settings map_roll and map_pitch would both be 1, expected different ones"),
+        ("dynamic_notch_low_hz=700", "expected below dynamic_notch_high_hz, which is 600"),
+        ("roll_max=1999", "setting roll_max got 1999, expected 0 to 1998 deg/s"),
+    ],
+)
+def test_nothing_is_set_when_one_of_several_is_wrong(msp: Run, wrong: str, words: str) -> None:
+    code, out, err = msp("set", "roll_expo=0.1", wrong, "--save")
+    assert (code, out) == (1, "")
+    assert words in err
+    assert lines(msp("diff")[1]) == []
+
+
+def test_limits_are_those_of_the_new_style_when_it_is_set_with_its_rates(msp: Run) -> None:
+    code, _, err = msp("set", "roll_rate=100", "rates_style=betaflight")
+    assert code == 1
+    assert "setting roll_rate got 100, expected 0.01 to 2.55 1" in err
+    assert msp("set", "roll_rate=2.55", "rates_style=betaflight")[0] == 0
+    assert lines(msp("diff")[1]) == ["set rates_style = betaflight", "set roll_rate = 2.55"]
+
+
+def test_a_filter_is_refused_when_the_gyro_is_too_slow_for_it_as_both_are_set(msp: Run) -> None:
+    code, _, err = msp("set", "filter1_kind=pt1", "filter1_hz=500", "gyro_rate_hz=1000")
+    assert code == 1
+    assert "filter1_hz would be 500 Hz, expected below half of gyro_rate_hz, which is 1000 Hz" in err
+    assert msp("set", "filter1_kind=pt1", "filter1_hz=499", "gyro_rate_hz=1000")[0] == 0
+
+
+def test_everything_is_put_back_when_the_firmware_refuses_to_store_it(msp: Run) -> None:
+    """Four slow filters together delay too much: a rule that only the firmware knows."""
+    chain = [f"filter{stage}_{what}" for stage in range(1, 5) for what in ("kind=pt3", "hz=40")]
+    code, out, err = msp("set", "rates_style=betaflight", *chain, "--save")
+    assert (code, out) == (1, "")
+    assert "refuses MSP EEPROM_WRITE: filter1_kind does not fit" in err
+    assert err.endswith("; all settings are as they were\n")
+    assert lines(msp("diff")[1]) == []
+
+
+def test_settings_are_there_after_a_restart_when_saved(msp: Run, tmp_path: Path) -> None:
+    assert b"NFPS" not in (tmp_path / "flash.bin").read_bytes()
+    code, out, _ = msp("set", *CHANGES, "--save")
+    assert code == 0
+    assert out == "4 settings set and stored; they are flown from the next boot on\n"
+    assert b"NFPS" in (tmp_path / "flash.bin").read_bytes()
+
+
+def test_a_restart_is_refused_when_it_would_forget_what_is_set(msp: Run) -> None:
+    code, _, err = msp("set", *CHANGES, "--reboot")
+    assert code == 1
+    assert "--reboot without --save forgets what is set" in err
+    assert lines(msp("diff")[1]) == []
+
+
+def test_the_settings_are_the_same_again_when_a_diff_is_restored(msp: Run, tmp_path: Path) -> None:
+    msp("set", *CHANGES, "rates_style=betaflight", "yaw_max=0.5")
+    whole, changed = msp("dump")[1], tmp_path / "mine.txt"
+    changed.write_text(msp("diff")[1])
+    msp("set", "rates_style=actual", "pilot_name=another", "deadband_us=9", "--save")
+    code, out, _ = msp("restore", str(changed))
+    assert code == 0
+    assert "6 settings read" in out and "all stored" in out
+    assert msp("dump")[1] == whole
+
+
+def test_what_a_file_does_not_name_stays_when_it_is_to_be_kept(msp: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("set roll_expo = 0.5\nset craft_name = -\n")
+    msp("set", *CHANGES, "rates_style=betaflight", "yaw_max=0.5")
+    assert msp("restore", "--keep", str(tmp_path / "mine.txt"))[0] == 0
+    assert lines(msp("diff")[1]) == [
+        "set rates_style = betaflight",
+        LINES[0],
+        "set roll_expo = 0.5",
+        "set yaw_max = 0.5",
+        "set motor_stop = on",
+    ]
+    assert msp("restore", str(tmp_path / "mine.txt"))[0] == 0
+    assert lines(msp("diff")[1]) == ["set roll_expo = 0.5"]
+
+
+def test_rates_are_those_of_the_style_when_only_the_style_is_in_the_file(msp: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("set rates_style = betaflight\n")
+    msp("set", "roll_rate=77", "yaw_expo=0.5")
+    assert msp("restore", "--keep", str(tmp_path / "mine.txt"))[0] == 0
+    assert lines(msp("diff")[1]) == ["set rates_style = betaflight"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("set yaw_expo = 0.5\nset roll_expo = 3\n", ":2: setting roll_expo got 3, expected 0 to 1 1"),
+        ("set yaw_expo = 0.5\nset roll_exp = 0\n", ":2: setting 'roll_exp' is unknown"),
+        (
+            "set roll_rate = 100\nset rates_style = betaflight\n",
+            ":1: setting roll_rate got 100, expected 0.01 to 2.55",
+        ),
+        ("set map_roll = 1\n", "settings map_roll and map_pitch would both be 1"),
+    ],
+)
+def test_nothing_changes_when_a_line_of_the_file_is_wrong(
+    msp: Run, tmp_path: Path, text: str, words: str
+) -> None:
+    (tmp_path / "mine.txt").write_text(text)
+    msp("set", *CHANGES)
+    code, out, err = msp("restore", str(tmp_path / "mine.txt"))
+    assert (code, out) == (1, "")
+    assert words in err
+    assert lines(msp("diff")[1]) == LINES
+
+
+def test_everything_is_as_before_when_flash_does_not_take_what_is_restored(msp: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("set rates_style = betaflight\nset deadband_us = 5\n")
+    msp("set", *CHANGES)
+    (tmp_path / "flash.bin").unlink()
+    code, out, err = msp("restore", str(tmp_path / "mine.txt"))
+    assert (code, out) == (1, "")
+    assert "refuses MSP EEPROM_WRITE: flash did not take it" in err
+    assert err.endswith("; all settings are as they were\n")
+    assert lines(msp("diff")[1]) == LINES
+
+
+def test_everything_is_as_before_when_one_set_is_refused_midway(
+    msp: Run, resting_host: str, pty_line: LayLine, tmp_path: Path
+) -> None:
+    """On the way down the fifth SETTING_SET becomes one of a setting that does not exist."""
+    (tmp_path / "mine.txt").write_text("".join(f"set mode{slot} = none\n" for slot in range(1, 9)))
+    seen = 0
+
+    def spoil(data: bytes) -> bytes:
+        nonlocal seen
+        (asked,) = Decoder().feed(data)
+        assert isinstance(asked, Message)
+        seen += asked.command == Msp.SETTING_SET
+        if seen != 5 or asked.command != Msp.SETTING_SET:
+            return data
+        seen += 1
+        return encode(Message(asked.version, asked.direction, asked.command, b"\xff\xff" + asked.payload[2:]))
+
+    assert msp("set", *CHANGES)[0] == 0
+    code, _, err = msp("restore", str(tmp_path / "mine.txt"), port=pty_line(resting_host, down=spoil))
+    assert seen > 5
+    assert code == 1
+    assert "refuses MSP SETTING_SET: there is none of that number; all settings are as they were" in err
+    assert lines(msp("diff")[1]) == LINES
+
+
+def test_it_says_what_stays_when_the_line_breaks_midway(
+    msp: Run, resting_host: str, pty_line: LayLine, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.txt").write_text("".join(f"set mode{slot} = none\n" for slot in range(1, 5)))
+    broken = False
+
+    def cut(data: bytes) -> bytes:
+        nonlocal broken
+        (asked,) = Decoder().feed(data)
+        assert isinstance(asked, Message)
+        broken |= asked.command == Msp.SETTING_SET and asked.payload[2:] == bytes(4)
+        return b"" if broken else data
+
+    flash = tmp_path / "flash.bin"
+    before = flash.read_bytes()
+    code, _, err = msp("restore", str(tmp_path / "mine.txt"), port=pty_line(resting_host, down=cut))
+    assert code == 1
+    assert "got silence, expected a reply to MSP SETTING_SET" in err
+    assert err.endswith("; what was set before that stays until the next boot, nothing is stored\n")
+    assert flash.read_bytes() == before
+
+
+def test_another_value_than_was_set_is_noticed_when_read_back(
+    resting_host: str, tcp_server: Callable[..., str]
+) -> None:
+    """Somebody between us and the firmware confirms a change and forgets it."""
+    inner, decoder = open_transport(resting_host), Decoder()
+
+    def forget(data: bytes) -> bytes:
+        (asked,) = decoder.feed(data)
+        assert isinstance(asked, Message)
+        if asked.command == Msp.SETTING_SET:
+            return encode(Message(asked.version, Direction.REPLY, asked.command))
+        inner.write(data)
+        return inner.read(5.0)
+
+    told = r"roll_expo reads 0 after it was set, expected 0\.5; .* as they were"
+    with Client(open_transport(tcp_server(forget))) as client, pytest.raises(LinkError, match=told):
+        Settings(client).change({"roll_expo": 0.5})
+    inner.close()
+
+
+def test_defaults_are_set_only_when_somebody_means_it(msp: Run) -> None:
+    msp("set", *CHANGES, "rates_style=betaflight", "yaw_max=0.5", "--save")
+    code, out, err = msp("defaults")
+    assert (code, out) == (1, "")
+    assert "give --yes if that is meant" in err
+    assert len(lines(msp("diff")[1])) == 6
+    code, out, _ = msp("defaults", "--yes", "--save")
+    assert code == 0
+    assert "every setting has its default now; stored" in out
+    assert lines(msp("diff")[1]) == []
+
+
+@pytest.mark.parametrize(("typed", "code", "left"), [("yes\n", 0, 0), ("no\n", 1, 4), ("", 1, 4)])
+def test_defaults_ask_on_a_terminal_when_not_told_yes(
+    msp: Run, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, left: int
+) -> None:
+    msp("set", *CHANGES)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stdin.readline", lambda: typed, raising=False)
+    assert msp("defaults")[0] == code
+    assert len(lines(msp("diff")[1])) == left
+
+
+def test_save_stores_what_was_set_before(msp: Run, tmp_path: Path) -> None:
+    msp("set", *CHANGES)
+    before = (tmp_path / "flash.bin").read_bytes()
+    assert msp("save") == (0, "settings stored; they are flown from the next boot on\n", "")
+    assert (tmp_path / "flash.bin").read_bytes() != before
+
+
+def test_a_setting_is_shown_with_its_limits_when_asked_for(msp: Run) -> None:
+    code, out, _ = msp("get", "roll_rate", "mode1", "craft_name", "filter1_kind")
+    assert code == 0
+    words = " ".join(out.split())
+    for shown in (
+        "roll_rate 1000 1000 0.01 to 1000 deg/s",
+        "mode1 arm aux1 1700 2100 arm aux1 1700 2100 MODE AUX LOW HIGH, or none",
+        "craft_name - - 0 to 16 characters",
+        "filter1_kind none none none, pt1, pt2, pt3, biquad, notch",
+    ):
+        assert shown in words
+    assert "\x1b" not in out
+    code, out, err = msp("get", "rol_rate")
+    assert (code, out) == (1, "")
+    assert "setting 'rol_rate': the firmware has none of that name" in err
+
+
+def test_values_are_the_contracts_defaults_when_the_firmware_is_new(resting_host: str) -> None:
+    with Client(open_transport(resting_host)) as client:
+        for stored in Settings(client).read():
+            assert value_text(stored.name, stored.value) == value_text(stored.name, stored.default)
+            assert not stored.changed
+
+
+def test_one_line_says_so_when_the_peer_has_no_settings(tcp_server: Callable[..., str], msp: Run) -> None:
+    decoder = Decoder()
+
+    def betaflight(data: bytes) -> bytes:
+        asked = [event for event in decoder.feed(data) if isinstance(event, Message)]
+        known = {Msp.API_VERSION: b"\x00\x01\x2f"}
+        return b"".join(
+            encode(Message(one.version, Direction.REPLY, one.command, known[Msp(one.command)]))
+            if one.command in known
+            else encode(error(one))
+            for one in asked
+        )
+
+    code, out, err = msp("get", port=tcp_server(betaflight))
+    assert (code, out) == (1, "")
+    assert "the firmware refuses MSP SETTING_INFO" in err
