@@ -1,7 +1,7 @@
 """`neuroflight msp`: ask a running firmware over MSP, change and keep its settings, record what it does.
 
 What a command does stands in cli/flash/state.py (what the firmware tells), settings_commands.py (its
-settings); this module declares them and opens the port.
+settings) and streaming.py; this module declares them and opens the port.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ COMMANDS = {  # in the order of --help: the summary
     "restore": "set a file's settings, and their defaults beside them, check and save them; all or nothing",
     "save": "store all settings; they are flown from the next boot on",
     "defaults": "set every setting to its default",
+    "stream": "what the firmware does, up to 500 times a second: a table, or a file",
     "faults": "the last fault that nobody acknowledged",
     "acknowledge": "acknowledge logged faults and a policy that was refused in flight, so that it arms again",
     "reboot": "start the firmware anew, and wait until it answers again",
 }
-PRINTING = frozenset({"info", "status", "tasks", "get", "diff", "dump", "faults"})
+PRINTING = frozenset({"info", "status", "tasks", "get", "diff", "dump", "stream", "faults"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +52,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     restore.add_argument("--keep", action="store_true", help="leave what the file does not name as it is")
     declared["defaults"].add_argument("--yes", action="store_true", help="do not ask")
     declared["defaults"].add_argument("--save", action="store_true", help="store them as well")
+    stream = declared["stream"]
+    stream.add_argument("--rate", type=int, default=100, metavar="HZ", help="samples a second (default 100)")
+    stream.add_argument("--seconds", type=float, metavar="S", help="end after so long; else by Ctrl-C")
+    stream.add_argument("--out", type=Path, metavar="FILE", help="write the samples to FILE.csv or FILE.npz")
     declared["faults"].add_argument("--ack", action="store_true", help="acknowledge it")
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry out the command. Returns 0; raises NeuroflightError for what cannot be done."""
-    from cli.flash import settings_commands, state
+    from cli.flash import settings_commands, state, streaming
 
-    handlers = {**state.HANDLERS, **settings_commands.HANDLERS}
+    handlers = {**state.HANDLERS, **settings_commands.HANDLERS, **streaming.HANDLERS}
     return handlers[args.action](args)

@@ -1,0 +1,171 @@
+"""`neuroflight msp stream`: a live table, lines, or a file."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.flash.state import connect
+from cli.flash.tables import console, print_json
+from cli.output import check_output
+from toolchain.errors import LinkError, NeuroflightError
+
+if TYPE_CHECKING:
+    from flash.stream import Sample, Stream
+    from rich.table import Table
+
+SHOWN_HZ = 10.0  # of the live table
+Show = Callable[["Sample"], None]
+
+
+def stream(args: argparse.Namespace) -> int:
+    """Take samples until the time is over, or Ctrl-C; show or keep them."""
+    from flash import messages
+    from flash.stream import Stream
+    from toolchain.contract import Msp
+
+    _check(args)
+    with connect(args) as client:
+        policy = messages.policy_info(client.request(Msp.POLICY_INFO))
+        stream = Stream(client, args.rate, policy.control_rate_hz)
+        taken: list[Sample] = []
+        problem: LinkError | None = None
+        try:
+            with _showing(args, stream) as show:
+                problem = _take(stream, args.seconds, taken if args.out else None, show)
+        finally:
+            stream.stop()
+    facts = {
+        "rate_hz": stream.rate_hz,
+        "asked_rate_hz": args.rate,
+        "control_rate_hz": policy.control_rate_hz,
+        "received": stream.received,
+        "lost": stream.lost,
+        "corrupt": client.corrupt,
+        "policy": policy.name,
+        "policy_sha256": policy.sha256,
+    }
+    if args.out is not None and taken:
+        from flash.recording import write_recording
+
+        write_recording(args.out, taken, policy.control_rate_hz, facts)
+        if args.json:
+            print_json({"file": str(args.out)} | facts)
+        else:
+            print(f"{args.out}: {_summary(stream, args.rate)}")
+    elif sys.stdout.isatty() and not args.json:
+        print(_summary(stream, args.rate))
+    if problem is not None:
+        raise problem
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if args.seconds is not None and not 0 < args.seconds < 1e6:
+        raise NeuroflightError(f"--seconds got {args.seconds:g}, expected more than 0")
+    if args.out is not None:
+        suffix = Path(args.out).suffix
+        check_output(args.out, suffix if suffix in (".csv", ".npz") else ".csv or .npz")
+
+
+def _take(
+    stream: Stream, seconds: float | None, taken: list[Sample] | None, show: Show
+) -> LinkError | None:
+    """Take samples; returns what ended it early, None for its time and for Ctrl-C."""
+    from flash.stream import decode_sample
+
+    try:
+        for payload in stream.payloads(seconds):
+            sample = decode_sample(payload)
+            if taken is not None:
+                taken.append(sample)
+            show(sample)
+    except KeyboardInterrupt:
+        return None
+    except LinkError as error:
+        return error
+    return None
+
+
+@contextmanager
+def _showing(args: argparse.Namespace, stream: Stream) -> Iterator[Show]:
+    """What is done with each sample besides keeping it."""
+    if sys.stdout.isatty() and not args.json:
+        with _live(stream) as show:
+            yield show
+    elif args.out is not None:
+        yield lambda sample: None
+    elif args.json:
+        yield lambda sample: print(json.dumps(asdict(sample)))
+    else:
+        yield _rows(stream)
+
+
+def _rows(stream: Stream) -> Show:
+    """Lines of CSV on stdout."""
+    from flash.recording import columns, row
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+
+    def show(sample: Sample) -> None:
+        if stream.received == 1:
+            writer.writerow(columns(sample))
+        writer.writerow(row(sample, stream.flown_s))
+
+    return show
+
+
+@contextmanager
+def _live(stream: Stream) -> Iterator[Show]:
+    """A table on the terminal that follows the newest sample."""
+    from rich.live import Live
+
+    every = max(1, round(stream.rate_hz / SHOWN_HZ))
+    with Live(console=console(), auto_refresh=False) as live:
+        yield lambda sample: (
+            live.update(_table(sample, stream), refresh=True) if stream.received % every == 0 else None
+        )
+
+
+def _table(sample: Sample, stream: Stream) -> Table:
+    import math
+
+    from flash.hints import words
+    from rich.table import Table
+
+    def angles(rates: tuple[float, ...]) -> str:
+        return "  ".join(f"{math.degrees(rate):8.1f}" for rate in rates)
+
+    rows = (
+        ("time", f"{stream.flown_s:.2f} s, control step {sample.step}, {sample.cycles} cycles"),
+        ("state", f"{words(sample.state)}, {'armed' if sample.armed else 'not armed'}"),
+        ("flies", "PID" if sample.pid_flies else "policy"),
+        ("setpoint", f"{angles(sample.setpoint)}  deg/s roll, pitch, yaw"),
+        ("gyro", f"{angles(sample.gyro)}  deg/s"),
+        ("throttle", f"{sample.throttle:8.3f}"),
+        ("action", "  ".join(f"{value:8.3f}" for value in sample.action)),
+        ("motors", "  ".join(f"{value:8d}" for value in sample.dshot) + "  DShot"),
+        ("samples", f"{stream.received} at {stream.rate_hz} Hz, {stream.lost} lost; Ctrl-C ends"),
+    )
+    table = Table.grid(padding=(0, 2))
+    for label, text in rows:
+        table.add_row(label, text, style=None)
+    return table
+
+
+def _summary(stream: Stream, asked_hz: int) -> str:
+    told = f"{stream.received} samples, {stream.flown_s:.2f} s, {stream.rate_hz} Hz"
+    if stream.rate_hz != asked_hz:
+        told += f" (asked for {asked_hz})"
+    told += f", {stream.lost} lost"
+    return f"{told}: choose a lower --rate or a faster msp_baud" if stream.lost else told
+
+
+HANDLERS: dict[str, Callable[[argparse.Namespace], int]] = {"stream": stream}
