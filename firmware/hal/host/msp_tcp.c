@@ -12,6 +12,7 @@
 
 #include "msp/msp.h"
 
+#define SEND_BYTES 65536 /* of a connection: a stream has gaps rather than become old */
 #define REQUEST_BYTES (MSP_TCP_REPLY_BYTES / MSP_FRAME_MAX * MSP_REQUEST_MIN) /* whose replies all fit */
 
 bool msp_tcp_open(struct msp_tcp *tcp, unsigned port)
@@ -108,12 +109,13 @@ static bool msp_tcp_answer(struct msp_tcp_client *client, unsigned port, const s
 
 static void msp_tcp_accept(struct msp_tcp *tcp, const struct hal_handlers *handlers)
 {
-	const int on = 1;
+	const int on = 1, send_bytes = SEND_BYTES;
 	const int caller = accept4(tcp->listener, NULL, NULL, SOCK_CLOEXEC | SOCK_NONBLOCK);
 
 	if (caller < 0)
 		return;
 	setsockopt(caller, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+	setsockopt(caller, SOL_SOCKET, SO_SNDBUF, &send_bytes, sizeof send_bytes);
 	for (unsigned i = 0; i < NF_MSP_PORT_COUNT; ++i)
 		if (tcp->clients[i].socket < 0) {
 			tcp->clients[i].socket = caller;

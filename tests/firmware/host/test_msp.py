@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import select
+import socket
 import subprocess
 from collections.abc import Callable
 from itertools import zip_longest
@@ -18,6 +20,7 @@ from flash import messages, records, requests
 from flash.client import Client
 from flash.msp import Decoder, Message, encode, request
 from flash.transport import open_transport
+from tests.firmware.telemetry import gaps, samples
 from toolchain import contract
 from toolchain.contract import SETTINGS, Msp
 from toolchain.errors import LinkError
@@ -34,6 +37,10 @@ def test_msp_is_answered_when_no_simulator_is_there(start: Start) -> None:
         for _ in range(3):
             peer.sendall(API_REQUEST)
             assert peer.recv(100) == API_REPLY
+
+
+def readable(peer: socket.socket) -> bool:
+    return bool(select.select([peer], [], [], 0)[0])
 
 
 def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byte(start: Start) -> None:
@@ -112,6 +119,33 @@ def test_half_a_request_does_not_spoil_the_next_peer_when_its_sender_hangs_up(st
     with p.connect() as polite:
         polite.sendall(API_REQUEST)
         assert polite.recv(100) == API_REPLY
+
+
+def test_a_stream_has_gaps_but_no_broken_record_when_its_peer_reads_late(start: Start) -> None:
+    p = start("--gyro-hz=1000")
+    late = socket.socket()
+    late.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    late.settimeout(WAIT_S)
+    late.connect(("127.0.0.1", p.ports["msp"]))
+    ask_for_stream = encode(request(Msp.STREAM, (500).to_bytes(2, "little")))
+    with late, p.connect() as other:
+        late.sendall(ask_for_stream)
+        other.sendall(ask_for_stream)
+        read = b""
+        for _ in range(20_000):
+            p.step()
+            read += other.recv(1 << 16, socket.MSG_DONTWAIT) if readable(other) else b""
+        told = late.recv(1 << 16)
+        while readable(late):
+            told += late.recv(1 << 16)
+            p.step()
+        late.sendall(API_REQUEST)
+        while not told.endswith(API_REPLY):
+            told += late.recv(1 << 16)
+    found = samples(told)
+    assert gaps(found) > 1000
+    assert gaps(samples(read)) == 0
+    assert found[-1].step >= 20_000
 
 
 def test_yamspy_reads_who_and_how_it_is_when_it_calls_over_tcp(start: Start, host_program: Path) -> None:
