@@ -5,18 +5,26 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.board_serial import Interrupt, add_gyro_argument, check_gdb, open_end, parse_serial
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, MSP_BAUD_DEFAULT, SIM_BATTERY_MV
+from cli.sim.board_serial import UARTS, Interrupt, add_gyro_argument, check_gdb, open_end, parse_serials
+from toolchain.contract import (
+    FLASH_BASE,
+    FLASH_BYTES,
+    FLASH_SECTORS,
+    MSP_BAUD_DEFAULT,
+    MSP_BAUDS,
+    SIM_BATTERY_MV,
+)
 from toolchain.errors import NeuroflightError
 from toolchain.files import claimed_file, file_size
 
 if TYPE_CHECKING:
     from sim.board.debug.gdb import GdbServer
-    from sim.board.serial.bridge import Bridge, End
+    from sim.board.serial.bridge import Bridge
     from sim.board.serial.idle_board import IdleBoard
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
@@ -31,9 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--build", type=Path, metavar="DIR", help="its build; default: build/MATEKF722")
     parser.add_argument(
         "--serial",
-        default="pty",
-        metavar="pty|tcp[:PORT]",
-        help="where programs find UART1, which speaks MSP: a pseudo terminal, or TCP on this computer",
+        action="append",
+        metavar="[uart3=]pty|tcp[:PORT]",
+        help="where programs find UART1, which speaks MSP: a pseudo terminal (default), or TCP on this "
+        "computer; uart3=...: UART3 too, where the setting uart3_function is msp",
     )
     parser.add_argument(
         "--baud",
@@ -67,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the end. Returns 0; raises BoardError for what the image does wrong."""
-    serial = parse_serial(args.serial)
+    serials = {"uart1": ("pty", 0), **parse_serials(args.serial or ())}
     _check(args)
     image = args.image or (args.build or BUILD) / "neuroflight.bin"
 
@@ -83,8 +92,10 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as ends:
         _claim(args.flash, ends)
         kept = _kept(args.flash)
-        end = open_end(serial)
-        ends.callback(end.close)
+        opened = {}
+        for name, serial in serials.items():
+            opened[name] = open_end(serial)
+            ends.callback(opened[name].close)
         idle = IdleBoard(
             with_image(flashed, kept),
             elf=elf if elf.is_file() else None,
@@ -97,16 +108,19 @@ def run(args: argparse.Namespace) -> int:
             _keep(args.flash, idle.flash())
         ends.callback(keeper.update, at_once=True)
         idle.boot()  # what is sent before would be lost
-        bridge = Bridge(UartLine(idle.board, format=Format(args.baud)), end)
-        ends.callback(bridge.close)
+        bridges = []
+        for name, end in opened.items():
+            baud = args.baud if name == "uart1" else _baud(idle)
+            bridges.append(Bridge(UartLine(idle.board, UARTS[name], Format(baud)), end))
+            ends.callback(bridges[-1].close)
         debugger = None
         if args.gdb is not None:
             debugger = GdbServer(idle.board.engine, args.gdb)
             ends.callback(debugger.close)
             idle.run_core = debugger.run_to
         interrupt = ends.enter_context(Interrupt(debugger))
-        _tell(image, args.baud, end, debugger)
-        watch = _SpeedWatch(bridge)
+        _tell(image, bridges, debugger)
+        watch = _SpeedWatch(bridges[0])
 
         def update() -> None:
             interrupt.check()
@@ -116,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
                 debugger.poll()
 
         try:
-            serve(idle, [bridge], seconds=args.seconds, update=update)
+            serve(idle, bridges, seconds=args.seconds, update=update)
         except KeyboardInterrupt:
             print(flush=True)  # behind the terminal's ^C
         print(_summary(idle), flush=True)
@@ -198,9 +212,25 @@ def _keep(path: Path | None, content: bytes) -> None:
         raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
 
 
-def _tell(image: Path, baud: int, end: End, debugger: GdbServer | None) -> None:
+def _baud(idle: IdleBoard) -> float:
+    """The speed of UART3. Raises NeuroflightError where the image has not started it."""
+    from sim.board.serial.idle_board import STEP
+
+    idle.run_to(idle.board.cycle + STEP)  # it begins right behind UART1, which has begun
+    uart = idle.board.hardware.usarts[UARTS["uart3"]]
+    if not uart.words["CR1"] & 1:
+        raise NeuroflightError(
+            "--serial uart3: got a board whose UART3 is off, expected one that is set to MSP; set "
+            "uart3_function=msp in a run with --flash FILE, save, and start again with that file"
+        )
+    return min(MSP_BAUDS, key=lambda baud: abs(baud - uart.format.baud))
+
+
+def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None) -> None:
     print(f"board  {image}")
-    print(f"MSP    {end.name}, {baud} baud; neuroflight msp --port {end.name} info")
+    for label, bridge in zip(("MSP", "UART3"), bridges, strict=False):
+        name = bridge.end.name
+        print(f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight msp --port {name} info")
     if debugger is not None:
         elf = image.with_suffix(".elf")
         remote = f"-ex 'target remote :{debugger.port}'"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import signal
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from toolchain.errors import NeuroflightError
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 PORT_MAX = 65535
 GYROS = ("mpu6500", "icm20689")  # of sim.board.matekf722
+UARTS = {"uart1": "USART1", "uart3": "USART3"}  # that speak MSP, as users and the chip call them
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -28,12 +30,20 @@ def add_gyro_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def parse_serial(text: str) -> tuple[str, int]:
-    """Kind of end and TCP port of `--serial pty|tcp[:PORT]`."""
-    found = re.fullmatch(r"(pty)|tcp(?::(\d{1,5}))?", text)
-    if found is None or int(found[2] or 0) > PORT_MAX:
-        raise NeuroflightError(f"--serial: got {text!r}, expected pty, tcp or tcp:PORT")
-    return ("pty", 0) if found[1] else ("tcp", int(found[2] or 0))
+def parse_serials(texts: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """UART -> kind of end and TCP port, of each `--serial [uart3=]pty|tcp[:PORT]`."""
+    serials: dict[str, tuple[str, int]] = {}
+    for text in texts:
+        found = re.fullmatch(r"(?:(uart[13])=)?(?:(pty)|tcp(?::(\d{1,5}))?)", text)
+        if found is None or int(found[3] or 0) > PORT_MAX:
+            raise NeuroflightError(
+                f"--serial: got {text!r}, expected pty, tcp or tcp:PORT, for UART3 behind uart3="
+            )
+        name = found[1] or "uart1"
+        if name in serials:
+            raise NeuroflightError(f"--serial: got {name} twice, expected each UART once; leave one out")
+        serials[name] = ("pty", 0) if found[2] else ("tcp", int(found[3] or 0))
+    return serials
 
 
 def open_end(serial: tuple[str, int]) -> End:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.sim.board_serial import GYROS as CHIPS
-from cli.sim.board_serial import Interrupt, add_gyro_argument, check_gdb, open_end, parse_serial
+from cli.sim.board_serial import UARTS, Interrupt, add_gyro_argument, check_gdb, open_end, parse_serials
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -57,7 +57,11 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         f"Exit code {STOPPED} if the motors stop before the end",
     )
     group.add_argument(
-        "--serial", metavar="pty|tcp[:PORT]", help="lead USART1, where MSP is spoken, to other programs"
+        "--serial",
+        action="append",
+        metavar="[uart3=]pty|tcp[:PORT]",
+        help="lead USART1, where MSP is spoken, to other programs; uart3=...: UART3, with --set "
+        "uart3_function=msp",
     )
     group.add_argument(
         "--gdb", type=int, metavar="PORT", help="wait for gdb on this port, at the first instruction"
@@ -72,8 +76,10 @@ def check_emulator(args: argparse.Namespace) -> None:
             if getattr(args, name) != default:
                 raise NeuroflightError(f"--{name}: only on the emulated board; add --on emulator")
         return
-    if args.serial is not None:
-        parse_serial(args.serial)
+    if "uart3" in parse_serials(args.serial or ()) and "uart3_function=msp" not in args.set:
+        raise NeuroflightError(
+            "--serial uart3: got a board whose UART3 is off, expected MSP there; add --set uart3_function=msp"
+        )
     check_gdb(args.gdb)
     if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
         raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
@@ -109,6 +115,7 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
     from sim.board.serial.bridge import Bridge, UartLine
     from toolchain.contract import MSP_BAUD_DEFAULT
 
+    bauds = {"uart1": "msp_baud", "uart3": "uart3_baud"}  # the settings
     run_to: Callable[[int], None] = board.run_to
     server = None
     if args.gdb is not None:
@@ -119,18 +126,18 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
         server.wait()
         run_to = server.run_to
     interrupt = ends.enter_context(Interrupt(server))
-    bridge = None
-    if args.serial is not None:
-        end = open_end(parse_serial(args.serial))
-        baud = dict(parse_change(text) for text in args.set).get("msp_baud", MSP_BAUD_DEFAULT)
-        bridge = Bridge(UartLine(board, format=Format(baud)), end)
-        ends.callback(bridge.close)
-        say(f"USART1 at {end.name}, {baud:.0f} baud")
+    bridges = []
+    for name, serial in parse_serials(args.serial or ()).items():
+        end = open_end(serial)
+        baud = dict(parse_change(text) for text in args.set).get(bauds[name], MSP_BAUD_DEFAULT)
+        bridges.append(Bridge(UartLine(board, UARTS[name], Format(baud)), end))
+        ends.callback(bridges[-1].close)
+        say(f"{UARTS[name]} at {end.name}, {baud:.0f} baud")
 
     def run(cycle: int) -> None:
         while board.cycle < cycle:
             until = min(cycle, board.cycle + SLICE)
-            if bridge is not None:
+            for bridge in bridges:
                 bridge.exchange(until - board.cycle)
             run_to(until)
             interrupt.check()

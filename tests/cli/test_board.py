@@ -126,6 +126,31 @@ def test_it_says_so_when_both_ends_run_at_different_speeds(start: Callable[..., 
     assert board.interrupt()[0] == 0
 
 
+def test_uart3_is_a_second_port_when_it_was_set_so_and_refused_before(
+    start: Callable[..., Running], image: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    flash = tmp_path / "flash.bin"
+    options = ("--serial=tcp", "--serial=uart3=tcp", f"--flash={flash}")
+    assert main(["board", "--image", str(image), *options]) == 1
+    errors = capfd.readouterr().err
+    assert errors.startswith("neuroflight: --serial uart3: got a board whose UART3 is off, expected")
+    assert errors.count("\n") == 1
+    board = start(options[0], options[2])
+    with Client(open_transport(board.port)) as client:
+        settings = Settings(client)
+        settings.set("uart3_function", 1)
+        settings.set("uart3_baud", 921_600)
+        settings.save()
+    assert board.interrupt()[0] == 0
+    board = start(*options)
+    found = re.search(r"^UART3 +(\S+), 921600 baud", board.told, re.MULTILINE)
+    assert found is not None
+    with Client(open_transport(board.port)) as first, Client(open_transport(found[1])) as second:
+        for _ in range(3):
+            assert first.request(Msp.FC_VARIANT) == second.request(Msp.FC_VARIANT) == b"NRFL"
+    assert board.interrupt()[0] == 0
+
+
 def ask(debugger: socket.socket, packet: str) -> str:
     """GDB's remote protocol: a packet and the packet that comes back."""
     debugger.sendall(b"$%s#%02x" % (packet.encode(), sum(packet.encode()) % 256))
@@ -199,6 +224,11 @@ def test_it_ends_by_itself_when_its_time_is_over(image: Path, capfd: pytest.Capt
     ("options", "words"),
     [
         (["--serial=udp"], "--serial: got 'udp', expected pty, tcp or tcp:PORT"),
+        (
+            ["--serial=uart2=pty"],
+            "--serial: got 'uart2=pty', expected pty, tcp or tcp:PORT, for UART3 behind",
+        ),
+        (["--serial=pty", "--serial=tcp"], "--serial: got uart1 twice, expected each UART once"),
         (["--serial=tcp:70000"], "--serial: got 'tcp:70000', expected pty, tcp or tcp:PORT"),
         (["--baud=0"], "--baud: got 0, expected 1 to 10000000"),
         (["--gdb=-1"], "--gdb: got -1, expected a port of 0 to 65535, 0 for any"),

@@ -256,6 +256,21 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
 
 
+def test_it_flies_while_clients_ask_on_both_uarts_when_told_to(fly: Command, client: Any) -> None:
+    heard: list[str] = []
+
+    def ask(port: int) -> None:
+        with Client(TcpTransport(TcpPort("127.0.0.1", port))) as asking:
+            heard.append(messages.fc_variant(asking.request(Msp.FC_VARIANT, timeout=0.3, retries=200)))
+
+    told = client(ask)
+    settings = [f"--set={change}" for change in ("uart3_function=msp", "uart3_baud=921600")]
+    code, _, _ = fly("--serial", "tcp", "--serial", "uart3=tcp", *settings)
+    assert code == 0
+    assert told[1].startswith("USART3 at tcp:127.0.0.1:") and told[1].endswith(", 921600 baud")
+    assert heard == [MSP_VARIANT] * 2
+
+
 def test_a_flight_ends_when_it_is_interrupted_wherever_the_board_is(fly: Command, client: Any) -> None:
     before = signal.getsignal(signal.SIGINT)
     client(lambda port: os.kill(os.getpid(), signal.SIGINT))
@@ -331,6 +346,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
         (["--profile", "d"], "--profile: only on the emulated board"),
         (["--gdb", "0"], "--gdb: only on the emulated board"),
         (["--on", "emulator", "--serial", "usb"], "--serial: got 'usb', expected pty, tcp or tcp:PORT"),
+        (["--on", "emulator", "--serial", "uart3=pty"], "--serial uart3: got a board whose UART3 is off"),
         (["--on", "emulator", "--serial", "tcp:99999"], "--serial: got 'tcp:99999'"),
         (["--on", "emulator", "--gdb", "-1"], "--gdb: got -1, expected a port"),
         (["--on", "emulator", "--fault", "crystal"], "expected NAME"),
