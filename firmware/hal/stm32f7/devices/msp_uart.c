@@ -11,6 +11,7 @@
 #define SILENCE_MS 200u /* bytes of one request follow each other; after this a new one begins */
 #define TURNS_MAX 4     /* times that a port's requests are read in one call */
 #define REQUEST_BYTES (UART_LINE_SEND_BYTES / MSP_FRAME_MAX * MSP_REQUEST_MIN) /* whose replies fit into a buffer */
+_Static_assert(UART_LINE_SEND_BYTES >= 2 * MSP_FRAME_MAX, "room for a reply, and for what is said unasked");
 
 static const struct {
 	struct pin tx, rx;
