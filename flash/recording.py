@@ -1,11 +1,12 @@
-"""Streamed samples as files: CSV, a row a sample, or npz, an array a quantity. Written aside, then renamed."""
+"""Streamed samples as files: CSV, a row a sample, or npz, an array a quantity; whole or not at all."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +18,41 @@ from toolchain.files import replacing
 SUFFIXES = (".csv", ".npz")
 
 
-def columns(first: Sample) -> list[str]:
-    """Heads of the columns of CSV, for samples like `first`."""
+@dataclass(frozen=True)
+class Shape:
+    """How many values of each kind a row has room for: disarmed, a sample has none of a policy."""
+
+    motors: int
+    observations: int
+    actions: int
+
+
+def columns(shape: Shape) -> list[str]:
+    """Heads of the columns of CSV."""
     return [
         *("t_s", "sequence", "step", "cycles", "state", "armed", "pid_flies"),
         *(f"{what}_{axis}_rad_s" for what in ("setpoint", "gyro") for axis in AXES),
         "throttle",
-        *(f"motor{index}_dshot" for index in range(1, len(first.dshot) + 1)),
-        *(f"observation{index}" for index in range(1, len(first.observation) + 1)),
-        *(f"action{index}" for index in range(1, len(first.action) + 1)),
+        *(f"motor{index}_dshot" for index in range(1, shape.motors + 1)),
+        *(f"observation{index}" for index in range(1, shape.observations + 1)),
+        *(f"action{index}" for index in range(1, shape.actions + 1)),
     ]
 
 
-def row(sample: Sample, time_s: float) -> list[str]:
-    """A row of CSV: floats with the digits that tell one float32 from the next."""
-    numbers = [*sample.setpoint, *sample.gyro, sample.throttle]
+def row(sample: Sample, time_s: float, shape: Shape) -> list[str]:
+    """A row of CSV: floats with enough digits to be the same float32; empty for what is not there."""
     return [
         *(f"{time_s:.6f}", str(sample.sequence), str(sample.step), str(sample.cycles), sample.state),
         *(str(int(sample.armed)), str(int(sample.pid_flies))),
-        *(f"{number:.9g}" for number in numbers),
-        *(str(value) for value in sample.dshot),
-        *(f"{number:.9g}" for number in (*sample.observation, *sample.action)),
+        *_cells((*sample.setpoint, *sample.gyro, sample.throttle), 7),
+        *_cells(sample.dshot, shape.motors),
+        *_cells(sample.observation, shape.observations),
+        *_cells(sample.action, shape.actions),
     ]
+
+
+def _cells(numbers: Sequence[float], count: int) -> list[str]:
+    return [f"{number:.9g}" for number in numbers[:count]] + [""] * (count - len(numbers))
 
 
 def times(samples: Sequence[Sample], control_rate_hz: int) -> NDArray[np.float64]:
@@ -49,18 +63,17 @@ def times(samples: Sequence[Sample], control_rate_hz: int) -> NDArray[np.float64
     return seconds
 
 
-def write_csv(file: IO[str], samples: Sequence[Sample], control_rate_hz: int) -> None:
+def write_csv(file: IO[str], samples: Sequence[Sample], control_rate_hz: int, shape: Shape) -> None:
     """Heads and a row each."""
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(columns(samples[0]))
+    writer.writerow(columns(shape))
     for sample, time_s in zip(samples, times(samples, control_rate_hz), strict=True):
-        writer.writerow(row(sample, float(time_s)))
+        writer.writerow(row(sample, float(time_s), shape))
 
 
-def arrays(samples: Sequence[Sample], control_rate_hz: int) -> dict[str, NDArray[np.generic]]:
-    """What an npz has: arrays of shape (N,) or (N, K), under the names of a flight's trace where it has one."""
+def arrays(samples: Sequence[Sample], control_rate_hz: int, shape: Shape) -> dict[str, Any]:
+    """What an npz has: shapes (N,) or (N, K), named as in a flight's trace; NaN for what is not there."""
     whole = {name: np.array([getattr(sample, name) for sample in samples]) for name in ("sequence", "step")}
-    floats = ("setpoint", "gyro", "throttle", "observation", "action")
     return {
         "t": times(samples, control_rate_hz),
         **whole,
@@ -68,23 +81,31 @@ def arrays(samples: Sequence[Sample], control_rate_hz: int) -> dict[str, NDArray
         "state": np.array([sample.state for sample in samples]),
         "armed": np.array([sample.armed for sample in samples]),
         "pid_flies": np.array([sample.pid_flies for sample in samples]),
-        **{name: np.array([getattr(sample, name) for sample in samples], np.float32) for name in floats},
-        "dshot": np.array([sample.dshot for sample in samples], np.uint16),
+        "setpoint": _padded([sample.setpoint for sample in samples], 3),
+        "gyro": _padded([sample.gyro for sample in samples], 3),
+        "throttle": np.array([sample.throttle for sample in samples], np.float32),
+        "dshot": np.nan_to_num(_padded([s.dshot for s in samples], shape.motors)).astype(np.uint16),
+        "observation": _padded([sample.observation for sample in samples], shape.observations),
+        "action": _padded([sample.action for sample in samples], shape.actions),
     }
 
 
+def _padded(rows: Sequence[Sequence[float]], count: int) -> NDArray[np.float32]:
+    """Shape (N, count), NaN behind a row's end."""
+    padded = np.full((len(rows), count), np.nan, np.float32)
+    for target, numbers in zip(padded, rows, strict=True):
+        target[: len(numbers)] = numbers[:count]
+    return padded
+
+
 def write_recording(
-    path: Path, samples: Sequence[Sample], control_rate_hz: int, facts: Mapping[str, int | str]
+    path: Path, samples: Sequence[Sample], control_rate_hz: int, shape: Shape, facts: Mapping[str, Any]
 ) -> None:
-    """Write samples, all of one shape, to a new file of one of SUFFIXES. facts: scalars for an npz."""
+    """Write samples to a new file of one of SUFFIXES. facts: scalars for an npz."""
     with replacing(path) as aside:
         if path.suffix == ".csv":
             with aside.open("w", newline="") as file:
-                write_csv(file, samples, control_rate_hz)
+                write_csv(file, samples, control_rate_hz, shape)
         else:
             with aside.open("wb") as archive:
-                np.savez_compressed(
-                    archive,
-                    **arrays(samples, control_rate_hz),
-                    **{name: np.array(value) for name, value in facts.items()},
-                )
+                np.savez_compressed(archive, **arrays(samples, control_rate_hz, shape), **facts)

@@ -1,14 +1,14 @@
-"""Streamed telemetry: asks a firmware for records of control steps, takes them, counts those that are lost."""
+"""Streamed telemetry: asks a firmware for records of control steps, takes them, counts the lost ones."""
 
 from __future__ import annotations
 
 import contextlib
 import struct
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from flash.client import Client
+from flash.payload import Reader
 from toolchain.contract import (
     MSP_STREAM_ARMED,
     MSP_STREAM_PID,
@@ -75,17 +75,20 @@ def decode_sample(payload: bytes) -> Sample:
 class Stream:
     """A stream of samples over a client, until `stop`."""
 
-    def __init__(
-        self, client: Client, rate_hz: int, control_rate_hz: int, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """Ask for it. Raises LinkError for a rate that cannot be had and for a firmware that has no stream."""
+    def __init__(self, client: Client, rate_hz: int, control_rate_hz: int) -> None:
+        """rate_hz: as asked for; what the firmware grants is there after `begin`. Raises LinkError."""
         if not 1 <= rate_hz <= MSP_STREAM_RATE_MAX_HZ:
             raise LinkError(f"--rate got {rate_hz}, expected 1 to {MSP_STREAM_RATE_MAX_HZ} Hz")
-        self._client, self._clock, self._control_rate_hz = client, clock, control_rate_hz
-        (self.rate_hz,) = struct.unpack("<H", client.request(Msp.STREAM, struct.pack("<H", rate_hz))[:2])
+        self._client, self._control_rate_hz = client, control_rate_hz
+        self.rate_hz = rate_hz
         self.received = self.lost = 0
         self.flown_s = 0.0  # of the firmware's time, from the first sample on
         self._last: tuple[int, int] | None = None  # sequence and control step of the last sample
+
+    def begin(self) -> None:
+        """Ask for it. Raises LinkError where the firmware has no stream, or none of such a rate."""
+        reply = self._client.request(Msp.STREAM, struct.pack("<H", self.rate_hz))
+        (self.rate_hz,) = Reader(Msp.STREAM, reply).fields("H")
 
     def payloads(self, seconds: float | None = None) -> Iterator[bytes]:
         """The payload of each sample as it comes, for so long of the firmware's time, or until it is left.
@@ -97,8 +100,8 @@ class Stream:
             if payload is None:
                 raise LinkError(
                     f"{self._client.name}: no sample came for {SILENCE_S:g} s, expected "
-                    f"{self.rate_hz} a second; check that the firmware gets gyro samples (a host program gets "
-                    "them from a simulator) and that nobody restarted it"
+                    f"{self.rate_hz} a second; check that the firmware gets gyro samples (a host program "
+                    "gets them from a simulator) and that nobody restarted it"
                 )
             self._count(payload)
             yield payload

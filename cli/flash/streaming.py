@@ -18,8 +18,10 @@ from cli.output import check_output
 from toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
-    from flash.stream import Sample, Stream
     from rich.table import Table
+
+    from flash.recording import Shape
+    from flash.stream import Sample, Stream
 
 SHOWN_HZ = 10.0  # of the live table
 Show = Callable[["Sample"], None]
@@ -28,18 +30,25 @@ Show = Callable[["Sample"], None]
 def stream(args: argparse.Namespace) -> int:
     """Take samples until the time is over, or Ctrl-C; show or keep them."""
     from flash import messages
+    from flash.recording import Shape, write_recording
     from flash.stream import Stream
     from toolchain.contract import Msp
 
     _check(args)
     with connect(args) as client:
         policy = messages.policy_info(client.request(Msp.POLICY_INFO))
+        shape = Shape(policy.action_count, policy.observation_count, policy.action_count)
         stream = Stream(client, args.rate, policy.control_rate_hz)
         taken: list[Sample] = []
         problem: LinkError | None = None
         try:
-            with _showing(args, stream) as show:
-                problem = _take(stream, args.seconds, taken if args.out else None, show)
+            stream.begin()
+            with _showing(args, stream, shape) as show:
+                _take(stream, args.seconds, taken if args.out else None, show)
+        except LinkError as error:
+            problem = error
+        except KeyboardInterrupt:
+            problem = None  # its usual end
         finally:
             stream.stop()
     facts = {
@@ -53,9 +62,7 @@ def stream(args: argparse.Namespace) -> int:
         "policy_sha256": policy.sha256,
     }
     if args.out is not None and taken:
-        from flash.recording import write_recording
-
-        write_recording(args.out, taken, policy.control_rate_hz, facts)
+        write_recording(args.out, taken, policy.control_rate_hz, shape, facts)
         if args.json:
             print_json({"file": str(args.out)} | facts)
         else:
@@ -75,27 +82,18 @@ def _check(args: argparse.Namespace) -> None:
         check_output(args.out, suffix if suffix in (".csv", ".npz") else ".csv or .npz")
 
 
-def _take(
-    stream: Stream, seconds: float | None, taken: list[Sample] | None, show: Show
-) -> LinkError | None:
-    """Take samples; returns what ended it early, None for its time and for Ctrl-C."""
+def _take(stream: Stream, seconds: float | None, taken: list[Sample] | None, show: Show) -> None:
     from flash.stream import decode_sample
 
-    try:
-        for payload in stream.payloads(seconds):
-            sample = decode_sample(payload)
-            if taken is not None:
-                taken.append(sample)
-            show(sample)
-    except KeyboardInterrupt:
-        return None
-    except LinkError as error:
-        return error
-    return None
+    for payload in stream.payloads(seconds):
+        sample = decode_sample(payload)
+        if taken is not None:
+            taken.append(sample)
+        show(sample)
 
 
 @contextmanager
-def _showing(args: argparse.Namespace, stream: Stream) -> Iterator[Show]:
+def _showing(args: argparse.Namespace, stream: Stream, shape: Shape) -> Iterator[Show]:
     """What is done with each sample besides keeping it."""
     if sys.stdout.isatty() and not args.json:
         with _live(stream) as show:
@@ -105,10 +103,10 @@ def _showing(args: argparse.Namespace, stream: Stream) -> Iterator[Show]:
     elif args.json:
         yield lambda sample: print(json.dumps(asdict(sample)))
     else:
-        yield _rows(stream)
+        yield _rows(stream, shape)
 
 
-def _rows(stream: Stream) -> Show:
+def _rows(stream: Stream, shape: Shape) -> Show:
     """Lines of CSV on stdout."""
     from flash.recording import columns, row
 
@@ -116,8 +114,8 @@ def _rows(stream: Stream) -> Show:
 
     def show(sample: Sample) -> None:
         if stream.received == 1:
-            writer.writerow(columns(sample))
-        writer.writerow(row(sample, stream.flown_s))
+            writer.writerow(columns(shape))
+        writer.writerow(row(sample, stream.flown_s, shape))
 
     return show
 
@@ -129,16 +127,19 @@ def _live(stream: Stream) -> Iterator[Show]:
 
     every = max(1, round(stream.rate_hz / SHOWN_HZ))
     with Live(console=console(), auto_refresh=False) as live:
-        yield lambda sample: (
-            live.update(_table(sample, stream), refresh=True) if stream.received % every == 0 else None
+        yield (
+            lambda sample: (
+                live.update(_table(sample, stream), refresh=True) if stream.received % every == 0 else None
+            )
         )
 
 
 def _table(sample: Sample, stream: Stream) -> Table:
     import math
 
-    from flash.hints import words
     from rich.table import Table
+
+    from flash.hints import words
 
     def angles(rates: tuple[float, ...]) -> str:
         return "  ".join(f"{math.degrees(rate):8.1f}" for rate in rates)
