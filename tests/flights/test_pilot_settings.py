@@ -19,6 +19,8 @@ from sim.flight.scenario import Scenario, Segment, pulses
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
+from sim.ports.emulator import EmulatedPort
+from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Sample
 from tests.flights.wiring import on_turned_board, reversed_aircraft
@@ -210,3 +212,30 @@ def test_attitude_and_level_check_are_the_aircrafts_when_its_board_is_turned_as_
 def test_a_board_that_hangs_upside_down_does_not_arm_when_nobody_set_it(reference_library: Path) -> None:
     hanging = on_turned_board(ReferencePort(reference_library, GYRO_RATE_HZ), (180.0, 0.0, 0.0))
     assert "NOT_LEVEL" in told(hanging, 0.0, 0.0)[1]
+
+
+# --- All of it -------------------------------------------------------------------------------------
+def test_library_host_and_board_fly_the_same_bits_when_all_is_set(
+    reference_library: Path, host_program: Path, board_image: Path, tmp_path: Path
+) -> None:
+    outputs, angles = (3, 1, 4, 2), (-37.0, 61.0, 142.0)
+    factors = {"pid_roll_p": 1.2, "pid_pitch_d": 0.8, "pid_yaw_i": 1.5}
+    settings = {"motors_reversed": 1, **motor_order(outputs), **board_angles(angles), **factors}
+    aircraft = reversed_aircraft("nf1", tmp_path)
+    ports = (
+        ReferencePort(reference_library, settings=settings),
+        HostPort(host_program, settings=settings),
+        EmulatedPort(board_image.with_suffix(".bin"), settings=settings),
+    )
+    traces = []
+    for port in ports:
+        rng = np.random.default_rng(2)
+        twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=TURNS.mount, rng=rng)
+        with closing(port), closing(twin):
+            order = np.argsort(outputs).tolist()
+            traces.append(fly(twin, on_turned_board(port, angles), TURNS, motor_order=order))
+    library, *others = traces
+    assert np.ptp(library.dshot.astype(int), axis=0).min() > 100, "every motor has something to do"
+    assert np.rad2deg(np.abs(library.setpoint - library.rate))[[500, 899]].max() < 10
+    for other in others:
+        assert other.same(library)

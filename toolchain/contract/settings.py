@@ -115,7 +115,10 @@ _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
 _DELAY_MEANING = f"silence of the receiver until the stage begins; held from {RECEIVER_HOLD_MS} ms on"
 _MODE_MEANING = "MODE AUX LOW HIGH: on from LOW us to below HIGH us of that AUX channel; none: unused"
-_GAIN_MEANING = "times the gain that is built in"
+_GAIN_MEANING = "of the PID: times the gain that is built in"
+# Flown in the twins of NF1 and hexacopter without gyro filters: both fly every corner, up to a P of 1.4, down
+# to a D of 0.6. The NF1 swings at a P of 3 with a D of 0 or 1, and at a P of 0.2 with a D of 3.
+_GAIN_FACTORS = (("p", 0.5, 1.25), ("i", 0.0, 3.0), ("d", 0.75, 2.0))
 _BEEPS = {
     "crashed": "after a crash",
     "receiver_lost": "the receiver is lost",
@@ -206,9 +209,9 @@ SETTINGS = (
     ),
     _choice("motor_protocol", "dshot600", ("dshot300", "dshot600"), "to the ESCs"),
     *(
-        _number(f"pid_{axis}_{term}", low, 3.0, 1.0, "1", _GAIN_MEANING)
+        _number(f"pid_{axis}_{term}", low, high, 1.0, "1", _GAIN_MEANING)
         for axis in AXES
-        for term, low in (("p", 0.2), ("i", 0.0), ("d", 0.0))
+        for term, low, high in _GAIN_FACTORS
     ),
     _whole("battery_cells", 0, 6, 0, "cells", "0: found from the voltage at boot"),
     _number("battery_scale", 1.0, 100.0, 11.0, "1", "volts at the pack for one at the pin"),

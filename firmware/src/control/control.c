@@ -20,7 +20,7 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	control->good[CONTROLLER_PID] = config->pid->motor_count == POLICY_ACTION_COUNT;
 	control->handover_steps = POLICY_CONTROL_RATE_HZ * NF_HANDOVER_MS / 1000u;
 	control->reversed = config->settings->motors_reversed != 0;
-	pid_init(&control->pid, config->pid);
+	pid_init(&control->pid, config->pid, config->settings);
 	if ((err = mixer_init(&control->mixers[CONTROLLER_POLICY], config->settings, config->policy_idle)) != NF_OK ||
 	    (err = mixer_init(&control->mixers[CONTROLLER_PID], config->settings, config->pid->idle)) != NF_OK)
 		return err;

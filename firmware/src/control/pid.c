@@ -1,11 +1,23 @@
 #include "control/pid.h"
 
 #include "common/limit.h"
-#include "nf_contract.h"
 
-void pid_init(struct pid *pid, const struct pid_gains *gains)
+void pid_init(struct pid *pid, const struct pid_gains *gains, const struct nf_settings *settings)
 {
+	const float factors[3][3] = {
+		{ settings->pid_roll_p, settings->pid_roll_i, settings->pid_roll_d },
+		{ settings->pid_pitch_p, settings->pid_pitch_i, settings->pid_pitch_d },
+		{ settings->pid_yaw_p, settings->pid_yaw_i, settings->pid_yaw_d },
+	};
+
 	*pid = (struct pid){ .gains = gains, .compensation = 1.0f };
+	for (int i = 0; i < 3; ++i) {
+		pid->p[i] = factors[i][0] * gains->p[i];
+		pid->i[i] = factors[i][1] * gains->i[i];
+		pid->d[i] = factors[i][2] * gains->d[i];
+		/* What the integral alone may ask for of a motor stays. */
+		pid->integral_max[i] = factors[i][1] > 0.0f ? gains->integral_max[i] / factors[i][1] : 0.0f;
+	}
 	pid_reset(pid);
 }
 
@@ -45,8 +57,8 @@ static float pid_axis_step(struct pid *pid, int i, float setpoint, float rate, f
 
 	pid->slope[i] += g->smoothing * (slope - pid->slope[i]);
 	pid->rate[i] = rate;
-	pid->integral[i] = limit(pid->integral[i] + error * g->period_s, -g->integral_max[i], g->integral_max[i]);
-	return g->p[i] * error + g->i[i] * pid->integral[i] - attenuation * g->d[i] * pid->slope[i];
+	pid->integral[i] = limit(pid->integral[i] + error * g->period_s, -pid->integral_max[i], pid->integral_max[i]);
+	return pid->p[i] * error + pid->i[i] * pid->integral[i] - attenuation * pid->d[i] * pid->slope[i];
 }
 
 /* Moves demands into 0..1: scaled where they span more than 1, raised until none is below 0, clipped at 1. */

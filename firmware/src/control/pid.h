@@ -10,6 +10,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "nf_contract.h"
 #include "policy.h"
 
 /* What the build knows of the aircraft; generated. Gains are motor fractions for one rad/s, rad, rad/s^2. */
@@ -31,6 +32,8 @@ extern const struct pid_gains pid_gains_built_in;
 
 struct pid {
 	const struct pid_gains *gains;
+	float p[3], i[3], d[3];    /* the gains times the pilot's factors */
+	float integral_max[3];     /* rad; 0 where there is no I */
 	volatile float compensation; /* of the pack's voltage, 1 to NF_PID_COMPENSATION_MAX; from the background */
 	bool first;                /* no step since the reset: there is no derivative yet */
 	float integral[3];         /* rad */
@@ -38,8 +41,8 @@ struct pid {
 	float slope[3];            /* rad/s^2, low-passed */
 };
 
-/* `gains` must outlive the PID. */
-void pid_init(struct pid *pid, const struct pid_gains *gains);
+/* `gains` must outlive the PID; `settings`: within their limits, its factors are copied. */
+void pid_init(struct pid *pid, const struct pid_gains *gains, const struct nf_settings *settings);
 
 /* Forgets the past; the battery's voltage stays. */
 void pid_reset(struct pid *pid);

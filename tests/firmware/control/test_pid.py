@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import PidSettings, load_aircraft
-from sim.control.pid import Pid, aircraft_pid, mixer
+from sim.control.pid import Pid, aircraft_pid, mixer, pid_settings
 from sim.control.pid_table import named_pid_table, shipped_pid_table
 from toolchain.contract import PID_COMPENSATION_MAX
 from toolchain.rendering.pid_table import PidTable, render_pid_table
@@ -45,7 +46,7 @@ def test_the_built_in_pid_is_the_tuned_one_when_it_flies_at_random(reference_cor
     core = reference_core
     pid = core.new("struct pid *")
     gains = core.ffi.addressof(core.lib, "pid_gains_built_in")
-    core.lib.pid_init(pid, gains)
+    core.lib.pid_init(pid, gains, factors(core))
     setpoint, rate = flight(np.random.default_rng(seed))
     peer = aircraft_pid(load_aircraft("nf1"), 1, RATE_HZ)
     still = np.zeros(1, np.float32)
@@ -65,7 +66,16 @@ def test_the_built_in_pid_is_the_tuned_one_when_it_flies_at_random(reference_cor
     assert np.abs(stepped(core, pid, setpoint[:50], rate[:50]) - again).max() <= TOLERANCE
 
 
-def built_in(core: Any, **changed: float) -> Any:
+def factors(core: Any, **changed: float) -> Any:
+    """The usual settings, whose factors on the gains are 1, but for those changed."""
+    settings = core.new("struct nf_settings *")
+    core.lib.settings_default(settings)
+    for name, value in changed.items():
+        setattr(settings, name, value)
+    return settings
+
+
+def built_in(core: Any, **changed: float | list[float]) -> Any:
     """The built-in gains, or a copy with these members changed."""
     gains = core.new("struct pid_gains *", core.lib.pid_gains_built_in)
     for name, value in changed.items():
@@ -80,7 +90,7 @@ def test_c_follows_throttle_and_battery_as_the_twins_pid_does(
 ) -> None:
     core, gains = reference_core, built_in(reference_core)
     pid = core.new("struct pid *")
-    core.lib.pid_init(pid, gains)
+    core.lib.pid_init(pid, gains, factors(core))
     core.lib.pid_compensate(pid, volts)
     peer = aircraft_pid(load_aircraft("nf1"), 1, RATE_HZ)
     peer.compensate(np.array([volts]))
@@ -93,7 +103,7 @@ def test_c_follows_throttle_and_battery_as_the_twins_pid_does(
     assert np.abs(got - expected).max() <= TOLERANCE
     bare = core.new("struct pid *")
     plain = built_in(core, tpa_slope=0.0, nominal_voltage=0.0)
-    core.lib.pid_init(bare, plain)
+    core.lib.pid_init(bare, plain, factors(core))
     core.lib.pid_compensate(bare, volts)
     unchanged = got.tobytes() == stepped(core, bare, setpoint, rate, throttle).tobytes()
     assert unchanged == (throttle <= np.float32(0.6) and not volts < 16.0), "1 exactly, or it acts"
@@ -120,7 +130,7 @@ def test_the_compensation_stays_in_its_range_whatever_the_battery_says(
 ) -> None:
     core, gains = reference_core, built_in(reference_core)
     pid = core.new("struct pid *")
-    core.lib.pid_init(pid, gains)
+    core.lib.pid_init(pid, gains, factors(core))
     assert pid.compensation == 1.0
     core.lib.pid_compensate(pid, volts)
     assert pid.compensation == pytest.approx(factor, rel=1e-6)
@@ -149,7 +159,7 @@ def test_the_integral_is_clamped_and_unfiltered_slopes_pass_when_gains_are_such(
     mix = mixer(load_aircraft("nf1"))
     pid = scripted.new("struct pid *")
     kept = built(scripted, settings, mix)
-    scripted.lib.pid_init(pid, kept)
+    scripted.lib.pid_init(pid, kept, factors(scripted))
     peer = Pid(mix, settings, 1, RATE_HZ)
     setpoint, rate = flight(np.random.default_rng(5))
     expected = np.concatenate(
@@ -180,3 +190,63 @@ def test_the_aircrafts_file_decides_when_it_is_named(tmp_path: Path) -> None:
     table = named_pid_table(own)
     assert table is not None
     assert table.idle == 0.11
+
+
+FACTORS = {
+    "pid_roll_p": 1.5,
+    "pid_roll_i": 0.5,
+    "pid_roll_d": 1.25,
+    "pid_pitch_p": 0.75,
+    "pid_pitch_i": 2.0,
+    "pid_pitch_d": 0.625,
+    "pid_yaw_p": 1.125,
+    "pid_yaw_i": 0.25,
+    "pid_yaw_d": 3.0,
+}
+
+
+def test_gains_are_the_built_in_ones_times_the_pilots_factors(reference_core: Any) -> None:
+    """Against the twin's PID with gains that are multiplied so."""
+    core, gains = reference_core, built_in(reference_core)
+    pid = core.new("struct pid *")
+    core.lib.pid_init(pid, gains, factors(core, **FACTORS))
+    times = np.array(list(FACTORS.values())).reshape(3, 3)
+    nf1 = load_aircraft("nf1")
+    usual = pid_settings(nf1)
+    changed = (times * np.array(usual.gains)).tolist()
+    roll, pitch, yaw = (tuple(row) for row in changed)
+    peer = Pid(mixer(nf1), replace(usual, gains=(roll, pitch, yaw)), 1, RATE_HZ)
+    setpoint, rate = flight(np.random.default_rng(3))
+    expected = np.concatenate(
+        [peer.step(s[None], r[None], np.zeros(1, np.float32)) for s, r in zip(setpoint, rate, strict=True)]
+    )
+    assert np.abs(stepped(core, pid, setpoint, rate) - expected).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_each_factor_acts_on_its_own_gain_alone(reference_core: Any, name: str) -> None:
+    core, gains = reference_core, built_in(reference_core)
+    gains.i = [value or 0.01 for value in gains.i]
+    gains.integral_max = [1.0 / value for value in gains.i]
+    usual, other = core.new("struct pid *"), core.new("struct pid *")
+    core.lib.pid_init(usual, gains, factors(core))
+    core.lib.pid_init(other, gains, factors(core, **{name: 0.5}))
+    _, axis, term = name.split("_")
+    for one in "pid":
+        for index, each in enumerate(("roll", "pitch", "yaw")):
+            before, after = getattr(usual, one)[index], getattr(other, one)[index]
+            assert before == getattr(gains, one)[index], "1 leaves every bit"
+            assert after == (0.5 * before if (one, each) == (term, axis) else before)
+            if one == "i":
+                reach = after * other.integral_max[index]
+                assert reach == pytest.approx(1.0), "what the integral alone may ask for stays"
+
+
+def test_the_integral_asks_for_nothing_when_its_factor_is_0(reference_core: Any) -> None:
+    core, gains = reference_core, built_in(reference_core)
+    pid, bare = core.new("struct pid *"), core.new("struct pid *")
+    core.lib.pid_init(pid, gains, factors(core, pid_roll_i=0.0, pid_pitch_i=0.0, pid_yaw_i=0.0))
+    none = built_in(core, i=[0.0] * 3)
+    core.lib.pid_init(bare, none, factors(core))
+    setpoint, rate = (part[:500] for part in flight(np.random.default_rng(4)))
+    assert stepped(core, pid, setpoint, rate).tobytes() == stepped(core, bare, setpoint, rate).tobytes()

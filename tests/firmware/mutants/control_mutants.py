@@ -183,10 +183,32 @@ CONTROL_MUTANTS = (
         tests=(OF_PID,),
     ),
     Mutant(
+        name="the factor of P is that of D",
+        file=PID,
+        old="pid->p[i] = factors[i][0] * gains",
+        new="pid->p[i] = factors[i][2] * gains",
+        tests=(OF_PID,),
+        slow=False,
+    ),
+    Mutant(
+        name="yaw has roll's factor of I",
+        file=PID,
+        old="{ settings->pid_yaw_p, settings->pid_yaw_i,",
+        new="{ settings->pid_yaw_p, settings->pid_roll_i,",
+        tests=(OF_PID,),
+    ),
+    Mutant(
+        name="a larger factor of I lets the integral ask for more",
+        file=PID,
+        old="gains->integral_max[i] / factors[i][1] : 0.0f",
+        new="gains->integral_max[i] : 0.0f",
+        tests=(OF_PID,),
+    ),
+    Mutant(
         name="the throttle attenuates P",
         file=PID,
-        old="return g->p[i] * error +",
-        new="return attenuation * g->p[i] * error +",
+        old="return pid->p[i] * error +",
+        new="return attenuation * pid->p[i] * error +",
         tests=(OF_PID,),
     ),
     Mutant(
@@ -220,8 +242,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="the PID's integral has no end",
         file=PID,
-        old="error * g->period_s, -g->integral_max[i], g->integral_max[i]);",
-        new="error * g->period_s, -g->integral_max[i], 10.0f * g->integral_max[i]);",
+        old="error * g->period_s, -pid->integral_max[i], pid->integral_max[i]);",
+        new="error * g->period_s, -pid->integral_max[i], 10.0f * pid->integral_max[i]);",
         tests=(OF_PID,),
     ),
     Mutant(
