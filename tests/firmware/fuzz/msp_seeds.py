@@ -81,6 +81,7 @@ PAYLOADS = {
     Msp.POLICY_SLOT_BEGIN: BEGIN,
     Msp.POLICY_SLOT_WRITE: struct.pack("<I", 0) + IMAGE[:16],
     Msp.FAULTS: struct.pack("<I", 1),
+    Msp.STREAM: struct.pack("<H", 500),
 }
 
 
@@ -170,6 +171,16 @@ def msp_seeds() -> dict[str, bytes]:
         "too_long": ready + raw(b"$X<\0\x01\0\xff\xff" + bytes(20)) + ask(1),
         "no_room": ready + raw(b"$M<\0\1\1", V2) + raw(b"$M<\0\4\4" * 20, V2),
         "many_at_once": ready + raw(b"$M<\0\4\4" * 40),
+        "stream": ready + ask(Msp.STREAM, struct.pack("<H", 500)) + (wait(4) + bytes([Step.LISTEN])) * 30,
+        "stream_in_flight": bytes([FLYING])
+        + ask(Msp.STREAM, struct.pack("<H", 100))
+        + ask(Msp.STREAM, struct.pack("<H", 333), other)
+        + (wait(7) + bytes([Step.LISTEN, Step.LISTEN | other]) + ask(1)) * 10,
+        "stream_unheard": ready + ask(Msp.STREAM, struct.pack("<H", 500)) + wait(800) + ask(1) * 3,
+        "stream_hang_up": ready
+        + ask(Msp.STREAM, struct.pack("<H", 500))
+        + bytes([Step.HANG_UP])
+        + (wait(9) + bytes([Step.LISTEN])) * 3,
         "listening": ready + bytes([Step.LISTEN, Step.LISTEN | other]) * 3 + wait(10),
         "byte_by_byte": ready + b"".join(raw(bytes([byte])) for byte in b"$X<\0\x01\x4e\0\0\xcf" * 2),
     }

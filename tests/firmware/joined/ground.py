@@ -145,8 +145,10 @@ class Ground:
     def ask(self, request: Request, port: int = 0, version: Version = Version.V2) -> bool:
         """A request on its own; returns whether it was carried out."""
         reply = self.send(request.frame(version), port)
-        (said,) = Decoder().feed(reply)
-        assert isinstance(said, Message) and said.command == request.command
+        found = [event for event in Decoder().feed(reply) if isinstance(event, Message)]
+        streamed = (Msp.STREAM_SAMPLE, Direction.REPLY)
+        (said,) = (message for message in found if (message.command, message.direction) != streamed)
+        assert said.command == request.command
         return said.direction is Direction.REPLY
 
     def pause(self, port: int = 0) -> None:
@@ -159,8 +161,11 @@ class Ground:
 
     def answers(self, port: int = 0) -> bool:
         """Does a request for the API's version get its answer at once?"""
-        reply = self.send(API_VERSION, port)
-        return reply.startswith(b"$M>\x03\x01") and len(reply) == 9
+        return any(
+            isinstance(event, Message)
+            and (event.command, event.direction) == (Msp.API_VERSION, Direction.REPLY)
+            for event in Decoder().feed(self.send(API_VERSION, port))
+        )
 
     # --- What it has become -------------------------------------------------------------------
     @property

@@ -167,13 +167,14 @@ def frames(request: Request) -> list[bytes]:
 def test_each_command_of_the_contract_is_carried_out_with_some_payload(ground: Ground, ready: State) -> None:
     """Else the tests below do not reach it, and it needs a row in MEANT."""
     needs_another = {Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.SET_RAW_RC, Msp.SET_MOTOR}
+    no_request = {Msp.STREAM_SAMPLE}
     accepted = set()
     for request in every_request():
         if request.command not in accepted:
             ground.go_back(ready)
             if ground.ask(request):
                 accepted.add(request.command)
-    assert set(Msp) - accepted <= needs_another
+    assert set(Msp) - accepted <= needs_another | no_request
 
 
 def test_the_commands_that_act_are_found(acting: list[Request]) -> None:
