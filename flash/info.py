@@ -32,7 +32,7 @@ class Info:
 def is_ours(client: Client) -> bool:
     """Whether it is this project's firmware, whatever FC_VARIANT says. Raises LinkError."""
     try:
-        client.request(Msp.POLICY_INFO)
+        client.request(Msp.IDENTITY)
     except RefusedError:
         return False
     return True

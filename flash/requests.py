@@ -31,7 +31,7 @@ WORD_BYTES = 4
 SETTING_KINDS = ("uint32_t", "float", "mode", "text")  # by number: enum setting_kind of settings.h
 STORING = frozenset(  # commands that wait for the flash
     {
-        *(Msp.EEPROM_WRITE, Msp.FAULTS, Msp.ACKNOWLEDGE),
+        *(Msp.EEPROM_WRITE, Msp.RESET_CONF, Msp.FAULTS, Msp.ACKNOWLEDGE),
         *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
     }
 )
@@ -49,10 +49,11 @@ REASONS = {
     Refusal.RANGE: "the value is beyond the setting's limits",
     Refusal.CONFLICT: "{setting} does not fit the policy or the settings beside it, see docs/settings.md",
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
-    Refusal.ORDER: "a policy slot is begun, then written in order, then ended",
+    Refusal.ORDER: "something has to come before it: opening, beginning, reading",
     Refusal.BLOB: "the policy is none for this firmware (error {detail} of nf_err.h)",
     Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
+    Refusal.SPOILT: "a change before it was refused; nothing is stored, and what was not stored is undone",
 }
 
 

@@ -102,13 +102,6 @@ static enum nf_refusal background_storing(void *context, bool busy)
 	return NF_REFUSAL_ARMED;
 }
 
-static enum nf_refusal background_channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
-{
-	struct background *background = context;
-
-	return firmware_post(background->config.firmware, channels_us);
-}
-
 static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 {
 	struct background *background = context;
@@ -116,6 +109,59 @@ static enum nf_refusal background_test_motors(void *context, uint32_t magic)
 
 	return motor_test_ask(&fw->motor_test, magic,
 			      fw->status.state == NF_FLIGHT_DISARMED && !dshot_command_busy(&fw->dshot_command));
+}
+
+/* Is the test that the peer opened by saying that it tests motors the one that is open? */
+static bool background_owns_test(const struct background *background, const struct msp_peer *peer)
+{
+	return peer->test != 0 && peer->test == background->config.firmware->motor_test.wish;
+}
+
+static enum nf_refusal background_arming(void *context, struct msp_peer *peer, bool disabled, bool test)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+	bool locked = false;
+
+	if (test) {
+		const enum nf_refusal refusal = background_test_motors(context, NF_MOTOR_TEST_MAGIC);
+		if (refusal != NF_REFUSAL_NONE)
+			return refusal;
+	} else if (background_owns_test(background, peer)) {
+		(void)background_test_motors(context, 0);
+	}
+	peer->test = test ? fw->motor_test.wish : 0;
+	peer->locks = disabled;
+	for (unsigned port = 0; port < NF_MSP_PORT_COUNT; ++port)
+		locked |= background->ports[port].peer.locks;
+	firmware_forbid(fw, NF_ARMING_REASON_MSP, locked);
+	return NF_REFUSAL_NONE;
+}
+
+static void background_heard(void *context, const struct msp_peer *peer)
+{
+	struct background *background = context;
+
+	if (background_owns_test(background, peer))
+		motor_test_keep(&background->config.firmware->motor_test);
+}
+
+static enum nf_refusal background_calibrate(void *context)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+
+	if (!firmware_stopped(fw) || fw->status.state != NF_FLIGHT_DISARMED)
+		return NF_REFUSAL_ARMED;
+	firmware_calibrate(fw);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal background_channels(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT])
+{
+	struct background *background = context;
+
+	return firmware_post(background->config.firmware, channels_us);
 }
 
 static enum nf_refusal background_turn_motors(void *context, const uint16_t values_us[], size_t count)
@@ -183,6 +229,10 @@ static void background_offer_services(struct background *background)
 		.cycles_hz = config->cycles_hz,
 		.context = background,
 		.storing = background_storing,
+		.pid = config->pid,
+		.arming = background_arming,
+		.heard = background_heard,
+		.calibrate = background_calibrate,
 		.channels = background_channels,
 		.motor_test = background_test_motors,
 		.motors = background_turn_motors,

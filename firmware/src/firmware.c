@@ -335,6 +335,8 @@ static void firmware_rest(struct firmware *fw)
 {
 	if (fw->acknowledged)
 		control_acknowledge(&fw->control);
+	if (fw->calibrate)
+		fw->gyro.calibrated = false; /* the old bias stays until there is a new one */
 	control_rest(&fw->control);
 	firmware_forget(fw);
 }
@@ -378,6 +380,7 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 		firmware_rest(fw);
 	}
 	fw->acknowledged = false;
+	fw->calibrate = false;
 	trace->armed = safety_motors(&fw->safety);
 	firmware_drive(fw, output);
 	trace->step = fw->control_steps++;
@@ -481,6 +484,11 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 
 	fw->forbidden = holds ? fw->forbidden | bit : fw->forbidden & ~bit;
 	fence();
+}
+
+void firmware_calibrate(struct firmware *fw)
+{
+	fw->calibrate = true;
 }
 
 void firmware_acknowledge(struct firmware *fw)

@@ -72,6 +72,7 @@ struct firmware {
 	volatile bool posted;           /* they wait to be taken up */
 	volatile bool weights_bad;      /* flash has others, says the background */
 	volatile bool acknowledged;     /* by the pilot, for the next control step */
+	volatile bool calibrate;        /* the gyro anew, at the next control step */
 	bool heard;                     /* a receiver frame waits to be evaluated */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
@@ -114,6 +115,10 @@ void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool hol
 /* From the background: the pilot knows why the policy was refused in flight. It may fly again, unless the next control
  * step finds the motors armed: then nothing happens. */
 void firmware_acknowledge(struct firmware *fw);
+
+/* From the background: the gyro is calibrated anew from the next control step on, unless that finds the motors armed. Until
+ * it is, nothing arms; rates go on with the bias from before. */
+void firmware_calibrate(struct firmware *fw);
 
 /* From the background: are the policy's weights what flash has? If not, the PID takes over at the next control step, and the
  * policy is bad until they are again; only while nothing can arm. */

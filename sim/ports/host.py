@@ -22,7 +22,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import messages
+from flash import messages, records
 from flash.client import Client
 from flash.transport import TcpPort, TcpTransport
 from sim.control.motors import each_fraction
@@ -139,7 +139,7 @@ class HostPort:
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; asked over MSP."""
         with self._msp() as msp:
-            return messages.arming_reasons(messages.status_ex(msp.request(Msp.STATUS_EX)).arming_flags)
+            return messages.arming_reasons(records.safety(msp.request(Msp.SAFETY)).arming_flags)
 
     def close(self) -> None:
         """See FirmwarePort."""

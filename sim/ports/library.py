@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flash import messages
+from flash import messages, records
 from flash.client import Client
 from sim.ports.port import Reply, Sample, control_divider, flight_settings, setting_changes
 from toolchain.contract import CHANNEL_COUNT, GYRO_RATE_DEFAULT_HZ, MOTOR_COUNT_MAX, MSP_PAYLOAD_MAX, Msp
@@ -178,8 +178,8 @@ class ReferencePort:
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; asked over MSP."""
-        status = messages.status_ex(Client(self.reference).request(Msp.STATUS_EX))
-        return messages.arming_reasons(status.arming_flags)
+        safety = records.safety(Client(self.reference).request(Msp.SAFETY))
+        return messages.arming_reasons(safety.arming_flags)
 
     def close(self) -> None:
         """See FirmwarePort."""

@@ -21,11 +21,12 @@ from flash.messages import DECODERS
 from flash.msp import Decoder, Direction, Message, Version, encode
 from flash.transport import open_transport
 from toolchain.contract import (
-    ARMING_REASON_COUNT,
+    ARMING_FLAG_COUNT,
+    ARMING_FLAGS,
     BOOT_GRACE_MS,
     CALIBRATION_MS,
     GYRO_RATES_HZ,
-    MSP_VARIANT,
+    MSP_VARIANT_BETAFLIGHT,
     RECEIVER_RECOVERY_MS,
     SIM_RECEIVER_FORMAT,
     SIM_STATE_FORMAT,
@@ -111,7 +112,7 @@ def test_json_tells_firmware_policy_and_reasons_when_the_host_program_is_asked(
     host.fly(LINK_SAMPLES, STICKS_DOWN)
     assert main(["msp", "--port", host.port, "info", "--json"]) == 0
     info = json.loads(capsys.readouterr().out)
-    assert info["variant"] == MSP_VARIANT
+    assert info["variant"] == MSP_VARIANT_BETAFLIGHT
     assert info["version"] == ".".join(map(str, VERSION))
     assert info["api"] == {"protocol": 0, "major": 1, "minor": 46}
     assert info["board"]["target"] == "HOST"
@@ -188,7 +189,7 @@ def test_yamspy_and_we_read_the_same_when_both_ask_the_host_program(
     host.fly(LINK_SAMPLES, THROTTLE_UP)
     info = host.info()
     heard = connect_yamspy(host)
-    assert heard.CONFIG["flightControllerIdentifier"] == info.variant == MSP_VARIANT
+    assert heard.CONFIG["flightControllerIdentifier"] == info.variant == MSP_VARIANT_BETAFLIGHT
     assert heard.CONFIG["flightControllerVersion"] == info.version
     assert heard.CONFIG["apiVersion"] == f"{info.api.major}.{info.api.minor}.0"
     assert heard.CONFIG["boardIdentifier"] == info.board.identifier
@@ -197,10 +198,10 @@ def test_yamspy_and_we_read_the_same_when_both_ask_the_host_program(
     assert heard.CONFIG["name"] == info.name
     assert "".join(f"{word:08x}" for word in heard.CONFIG["uid"]) == info.uid
     assert heard.CONFIG["cycleTime"] == info.control_period_us
-    reasons = {reason.name for reason in ArmingReason if heard.CONFIG["armingDisableFlags"] >> reason & 1}
-    assert reasons == set(info.arming_reasons)
-    assert "THROTTLE_HIGH" in reasons
-    assert heard.CONFIG["armingDisableCount"] == ARMING_REASON_COUNT
+    flags = {ARMING_FLAGS[ArmingReason[name]] for name in info.arming_reasons}
+    assert heard.CONFIG["armingDisableFlags"] == sum(1 << flag for flag in flags)
+    assert "THROTTLE_HIGH" in info.arming_reasons
+    assert heard.CONFIG["armingDisableCount"] == ARMING_FLAG_COUNT
 
 
 def test_yamspy_reads_sticks_and_motors_when_it_asks_the_host_program(
@@ -236,9 +237,17 @@ def test_both_versions_get_the_same_answer_when_the_contract_names_the_command(h
 def test_a_command_that_would_write_is_refused_when_sent(host: Host) -> None:
     host.fly(1, STICKS_DOWN)
     line, decoder = open_transport(host.port), Decoder()
-    for command in (11, 68, 200, 202, 214, 250):  # set name, reboot, set raw RC, set PID, set motor, save
+    # set name, reboot, set raw RC, set PID, set motor, save
+    for command, payload in {
+        11: b"",
+        68: b"\1",
+        200: bytes(8),
+        202: bytes(8),
+        214: b"\x4c\4",
+        250: b"\1",
+    }.items():
         for version in Version:
-            line.write(encode(Message(version, Direction.REQUEST, command, bytes(8))))
+            line.write(encode(Message(version, Direction.REQUEST, command, payload)))
             (answer,) = decoder.feed(line.read(5.0))
             assert isinstance(answer, Message)
             assert (answer.direction, answer.command) == (Direction.ERROR, command)

@@ -24,7 +24,16 @@ from flash.messages import (
 from flash.msp import Direction, Message, Version, encode
 from flash.records import FAULT_REGISTERS, Fault, FaultKind, Faults, Safety, TaskLoad, Tasks
 from flash.requests import SettingInfo
-from toolchain.contract import ArmingReason, FallbackCause, FlightState, GyroHealth, Msp, StopCause, Task
+from toolchain.contract import (
+    LAYOUTS,
+    ArmingReason,
+    FallbackCause,
+    FlightState,
+    GyroHealth,
+    Msp,
+    StopCause,
+    Task,
+)
 from toolchain.errors import LinkError
 
 BOARD = (
@@ -85,6 +94,7 @@ PAYLOADS = {
 SILENT = {
     *(Msp.SET_RAW_RC, Msp.SET_MOTOR, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.SETTING_SET, Msp.EEPROM_WRITE),
     *(Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.REBOOT, Msp.ACKNOWLEDGE),
+    *(Msp.STREAM, Msp.STREAM_SAMPLE),
 }
 # How many leading bytes each layout needs; NAME, RC and MOTOR are as long as they are.
 NEEDED = {
@@ -111,7 +121,8 @@ NEEDED = {
 
 
 def test_every_command_has_a_decoder_when_the_contract_names_it() -> None:
-    assert set(DECODERS) == set(PAYLOADS) == set(Msp) - SILENT
+    assert set(DECODERS) == set(PAYLOADS)
+    assert set(Msp) == set(DECODERS) | SILENT | {layout.message for layout in LAYOUTS}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages
+from flash import messages, records
 from flash.client import Client
 from sim.board.debug.fault_injection import FAULTS, Fault, parse_fault
 from sim.board.debug.variables import read_variables
@@ -330,7 +330,7 @@ def test_it_boots_on_the_internal_oscillator_and_talks_when_the_crystal_does_not
     assert not any(reply.armed for reply in still.fly(0.1))
     line = LineTransport(UartLine(still.port.board), still.port.board.run_to)
     client = Client(line, line.clock)
-    assert "CLOCK" in messages.arming_reasons(messages.status_ex(client.request(Msp.STATUS_EX)).arming_flags)
+    assert "CLOCK" in messages.arming_reasons(records.safety(client.request(Msp.SAFETY)).arming_flags)
     still.port.close()
 
 

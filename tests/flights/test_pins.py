@@ -10,7 +10,8 @@ import pytest
 
 from flash import requests
 from flash.client import Client
-from flash.messages import arming_reasons, status_ex
+from flash.messages import arming_reasons
+from flash.records import safety
 from sim.aircraft.model import load_aircraft
 from sim.board.board import Board
 from sim.board.devices.gyro_chip import ICM20689, MPU6500, GyroKind
@@ -46,7 +47,7 @@ class Bench:
 
     def reasons(self) -> set[str]:
         """What forbids arming."""
-        return set(arming_reasons(status_ex(self.client.request(Msp.STATUS_EX)).arming_flags))
+        return set(arming_reasons(safety(self.client.request(Msp.SAFETY)).arming_flags))
 
 
 def test_a_motor_turns_on_its_own_line_when_it_is_asked_for(board_image: Path) -> None:

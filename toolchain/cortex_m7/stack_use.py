@@ -53,11 +53,19 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
         *("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led", "hal.c:hal_reset"),
     ),
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
-    "msp_port.c": ("background.c:background_record",),
+    "msp_port.c": (
+        *(
+            "background.c:background_record",
+            "background.c:background_arming",
+            "background.c:background_heard",
+        ),
+    ),
     "msp_commands.c": (
         *("background.c:background_storing", "background.c:background_channels"),
         *("background.c:background_test_motors", "background.c:background_turn_motors"),
         *("background.c:background_command_motors", "background.c:background_reboot"),
+        *("background.c:background_arming", "background.c:background_calibrate"),
+        "background.c:background_acknowledge",
     ),
     "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:background_storing"),
 }

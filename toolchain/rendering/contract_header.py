@@ -17,6 +17,7 @@ from pathlib import Path
 
 from toolchain import contract
 from toolchain.rendering.jinja import render
+from toolchain.rendering.msp_fields import render_configurations
 
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
 # switches are by default.
@@ -24,7 +25,7 @@ PYTHON_ONLY = (
     *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
     *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
 )
-TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS")  # rendered as structs
+TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS", "CONFIGURATIONS", "LAYOUTS")  # rendered as structs and tables
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,7 @@ def render_contract() -> str:
             if setting.choices[:2] != ("off", "on") and not setting.name.startswith("filter")
             for value, choice in enumerate(setting.choices)
         ],
+        msp=render_configurations(),
     )
 
 
@@ -172,6 +174,8 @@ def _enumerations() -> tuple[Enumeration, ...]:
     return (
         Enumeration("nf_observation", "Codes of the observation blocks, with unit and meaning.", observation),
         _enumeration("nf_msp", "NF_MSP", contract.Msp),
+        _enumeration("nf_msp_how", "NF_MSP_HOW", contract.MspHow),
+        _enumeration("nf_msp_source", "NF_MSP_SOURCE", contract.MspSource),
         _enumeration("nf_dshot_command", "NF_DSHOT_COMMAND", contract.DshotCommand),
         _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState),
         _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason),

@@ -9,6 +9,7 @@ const struct msp_identity host_identity = {
 	.board = "HOST",
 	.target = "HOST",
 	.maker = "NRFL",
+	.mcu = "HOST",
 	.unique_id = { 0x484F5354u, 0, 0 }, /* "HOST" */
 };
 

@@ -159,6 +159,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 		.board = BOARD_ID,
 		.target = BOARD_TARGET,
 		.maker = BOARD_MAKER,
+		.mcu = "STM32F722",
 		.osd_chip = BOARD_OSD_CHIP,
 		.unique_id = { SIGNATURE_UID(0), SIGNATURE_UID(1), SIGNATURE_UID(2) },
 	};

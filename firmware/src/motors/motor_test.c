@@ -63,6 +63,12 @@ enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[]
 	return NF_REFUSAL_NONE;
 }
 
+void motor_test_keep(struct motor_test *test)
+{
+	if (motor_test_open(test))
+		++test->refreshed;
+}
+
 /* --- The interrupt's side -------------------------------------------------------------------------------- */
 void motor_test_end(struct motor_test *test)
 {

@@ -45,6 +45,9 @@ enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool sto
  * there are, RANGE for one outside 0..NF_MOTOR_TEST_MAX, NaN, or a sum above NF_MOTOR_TEST_SUM_MAX. */
 enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[], size_t count);
 
+/* From the background: an open test goes on for NF_MOTOR_TEST_TIMEOUT_MS, its values as they are. */
+void motor_test_keep(struct motor_test *test);
+
 /* In the interrupt, for each receiver frame. A test ends when it is not `stopped`, the switch is on, or the link is
  * another than when it opened. */
 void motor_test_update(struct motor_test *test, const struct motor_test_view *view);

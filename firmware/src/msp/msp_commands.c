@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "policy.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
 
@@ -134,21 +135,39 @@ static enum nf_refusal command_motor_test(struct request *q)
 	return s->motor_test ? s->motor_test(s->context, msp_take_u32(&q->payload)) : NF_REFUSAL_ABSENT;
 }
 
+/* The peer forbids arming, or opens the motor test as the ecosystem's app does. */
+static enum nf_refusal command_arming_disable(struct request *q)
+{
+	const struct msp_services *s = q->services;
+	const unsigned disabled = msp_take_u8(&q->payload), test = msp_take_u8(&q->payload);
+
+	return s->arming ? s->arming(s->context, q->peer, disabled != 0, disabled == 0 && test != 0) :
+			   NF_REFUSAL_ABSENT;
+}
+
+/* As many values as there may be motors; a motor that is not there may only be stopped, by 1000 or 0. */
 static enum nf_refusal command_motors(struct request *q)
 {
 	const struct msp_services *s = q->services;
 	uint16_t values_us[NF_MOTOR_COUNT_MAX];
-	size_t count = 0;
+	size_t count = 0, turning = 0;
 
 	if (!s->motors)
 		return NF_REFUSAL_ABSENT;
 	while (count < NF_MOTOR_COUNT_MAX && q->payload.left >= sizeof values_us[0]) {
 		const uint16_t us = (uint16_t)msp_take_u16(&q->payload);
-		if (us < NF_CHANNEL_MIN_US || us > NF_CHANNEL_MAX_US)
+		if (us != 0 && (us < NF_CHANNEL_MIN_US || us > NF_CHANNEL_MAX_US))
 			return NF_REFUSAL_PAYLOAD;
-		values_us[count++] = us;
+		values_us[count++] = us == 0 ? NF_CHANNEL_MIN_US : us;
+		if (us > NF_CHANNEL_MIN_US)
+			turning = count;
 	}
-	return s->motors(s->context, values_us, count);
+	if (turning > POLICY_ACTION_COUNT)
+		return NF_REFUSAL_INDEX;
+	const enum nf_refusal refusal = s->motors(s->context, values_us,
+						  count < POLICY_ACTION_COUNT ? count : POLICY_ACTION_COUNT);
+	/* Without a test the motors stand already. */
+	return refusal == NF_REFUSAL_ORDER && turning == 0 ? NF_REFUSAL_NONE : refusal;
 }
 
 static enum nf_refusal command_dshot_command(struct request *q)
@@ -157,6 +176,38 @@ static enum nf_refusal command_dshot_command(struct request *q)
 	const unsigned motor = msp_take_u8(&q->payload);
 
 	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
+}
+
+/* Type, motor, count, commands. The sequence of a command takes its time on the wire: one is taken at a time, so that
+ * none is lost; the type, whether the ecosystem's firmware waits for it, makes no difference. */
+static enum nf_refusal command_send_dshot(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	(void)msp_take_u8(&q->payload);
+	const unsigned motor = msp_take_u8(&q->payload), count = msp_take_u8(&q->payload);
+	if (count != 1 || q->payload.left != count)
+		return NF_REFUSAL_PAYLOAD;
+	return s->dshot_command ? s->dshot_command(s->context, motor, msp_take_u8(&q->payload)) : NF_REFUSAL_ABSENT;
+}
+
+static enum nf_refusal command_calibrate(struct request *q)
+{
+	const struct msp_services *s = q->services;
+
+	return s->calibrate ? s->calibrate(s->context) : NF_REFUSAL_ABSENT;
+}
+
+static enum nf_refusal command_settings_default(struct request *q)
+{
+	settings_default(q->services->settings);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal command_reset_configuration(struct request *q)
+{
+	settings_default(q->services->settings);
+	return settings_save(q->services->settings, q->services->flash);
 }
 
 static enum nf_refusal command_slot_begin(struct request *q)
@@ -226,6 +277,11 @@ static const struct command {
 	{ NF_MSP_SETTING_SET, STOPPED, 6, 2 + NF_SETTING_TEXT_BYTES, command_setting_set },
 	{ NF_MSP_EEPROM_WRITE, STORING, 0, 0, command_settings_write },
 	{ NF_MSP_SET_RAW_RC, ALWAYS, 8, 2 * NF_CHANNEL_COUNT, command_channels },
+	{ NF_MSP_SETTINGS_DEFAULT, STOPPED, 0, 0, command_settings_default },
+	{ NF_MSP_RESET_CONF, STORING, 0, 0, command_reset_configuration },
+	{ NF_MSP_CALIBRATE, STOPPED, 0, 0, command_calibrate },
+	{ NF_MSP_ARMING_DISABLE, ALWAYS, 1, 2, command_arming_disable },
+	{ NF_MSP_SEND_DSHOT_COMMAND, STOPPED, 4, NF_MSP_PAYLOAD_MAX, command_send_dshot },
 	{ NF_MSP_MOTOR_TEST, STOPPED, 4, 4, command_motor_test },
 	{ NF_MSP_SET_MOTOR, STOPPED, 2, 2 * NF_MOTOR_COUNT_MAX, command_motors },
 	{ NF_MSP_DSHOT_COMMAND, STOPPED, 2, 2, command_dshot_command },

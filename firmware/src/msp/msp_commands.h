@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "common/status.h"
+#include "control/pid.h"
 #include "housekeeping/scheduler.h"
 #include "msp/msp_payload.h"
 #include "msp/msp_peer.h"
@@ -20,6 +21,7 @@
 struct msp_services {
 	const struct flash *flash;
 	struct nf_settings *settings;   /* as changed and perhaps not saved; not those that are flown */
+	const struct pid_gains *pid;    /* that are built in; NULL: none are */
 	struct policy_slots *slots;
 	struct fault_log *faults;
 	const struct task_stats *tasks; /* [TASK_COUNT] */
@@ -31,12 +33,19 @@ struct msp_services {
 	enum nf_refusal (*storing)(void *context, bool busy);
 	/* Channels [us] in the contract's order, where the receiver is MSP. Also while armed. */
 	enum nf_refusal (*channels)(void *context, const uint16_t channels_us[NF_CHANNEL_COUNT]);
+	/* A peer says that nothing may arm from now on (NF_ARMING_REASON_MSP), or takes it back. test: and opens the
+	 * motor test; refused, nothing has changed. Not test: what it opened so is closed. */
+	enum nf_refusal (*arming)(void *context, struct msp_peer *peer, bool disabled, bool test);
+	/* A peer has made a request: the motor test that it opened by `arming` goes on. */
+	void (*heard)(void *context, const struct msp_peer *peer);
 	/* Opens the motor test with the right magic, closes it with any other. */
 	enum nf_refusal (*motor_test)(void *context, uint32_t magic);
 	/* A motor test's values, 1000 to 2000 us each; 1000 stops. */
 	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
 	/* A DShot command for the motor of that index, UINT8_MAX: for all. */
 	enum nf_refusal (*dshot_command)(void *context, unsigned motor, unsigned command);
+	/* The gyro's calibration anew. */
+	enum nf_refusal (*calibrate)(void *context);
 	/* The pilot knows of all logged faults and of the refused policy. While `storing`. */
 	enum nf_refusal (*acknowledge)(void *context);
 	/* Starts anew, once the reply is on its way. */
@@ -45,9 +54,10 @@ struct msp_services {
 	void (*record)(void *context, struct control_record *record);
 };
 
-/* Carries out `command` with a payload of `size` bytes, aligned to 4, of `peer`, and writes the reply.
- * Returns false if the command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is enum nf_refusal
- * (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting, else 0. */
+/* Carries out `command` of `peer`, with a payload of `size` bytes, aligned to 4, and writes the reply.
+ * Returns false if the command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is
+ * enum nf_refusal (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting,
+ * else 0. */
 bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
 		 uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,
 		 enum nf_refusal *refusal);

@@ -1,18 +1,23 @@
 #include "msp/msp_port.h"
 
 #include "msp/msp_commands.h"
+#include "msp/msp_configure.h"
 #include "msp/msp_replies.h"
 
 void msp_port_init(struct msp_port *port, const struct msp_identity *identity, const struct msp_services *services)
 {
 	*port = (struct msp_port){ .identity = identity, .services = services };
-	msp_port_reset(port);
+	msp_reset(&port->msp);
 }
 
 void msp_port_reset(struct msp_port *port)
 {
+	const struct msp_services *services = port->services;
+
 	msp_reset(&port->msp);
-	msp_stream_stop(&port->peer.stream);
+	if (services && services->arming)
+		(void)services->arming(services->context, &port->peer, false, false);
+	port->peer = (struct msp_peer){ 0 };
 }
 
 void msp_port_pause(struct msp_port *port)
@@ -30,13 +35,24 @@ static bool msp_port_carry_out(struct msp_port *port, const struct firmware_stat
 {
 	const struct msp_services *services = port->services;
 	const struct msp *msp = &port->msp;
-	const struct policy_slots *slots = services ? services->slots : NULL;
+	const struct msp_facts facts = {
+		.identity = port->identity,
+		.status = status,
+		.slots = services ? services->slots : NULL,
+		.settings = services ? services->settings : NULL,
+	};
 	enum nf_refusal refusal;
 
-	if (msp_reply(msp->command, port->identity, status, slots, payload))
+	if (services && services->heard)
+		services->heard(services->context, &port->peer);
+	if (msp_reply(msp->command, &facts, payload))
 		return false;
-	return !services ||
-	       !msp_command(services, &port->peer, status, msp->command, msp->payload, msp->size, payload, &refusal) ||
+	if (!services)
+		return true;
+	return !(msp_configure(services, status, &port->peer, msp->command, msp->payload, msp->size, payload,
+			       &refusal) ||
+		 msp_command(services, &port->peer, status, msp->command, msp->payload, msp->size, payload,
+			     &refusal)) ||
 	       refusal != NF_REFUSAL_NONE;
 }
 

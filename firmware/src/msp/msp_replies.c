@@ -7,6 +7,7 @@
 #include "housekeeping/battery.h"
 #include "nf_contract.h"
 #include "policy.h"
+#include "storage/mode_range.h"
 
 #define SENSOR_GYRO (1u << 5)     /* bits of the sensors in STATUS */
 #define SENSOR_ACCELEROMETER (1u << 0)
@@ -18,13 +19,7 @@
 #define COUNTS_PER_G 512.0f       /* RAW_IMU: what the ecosystem's tools take for 1 g */
 #define RSSI_FULL 1023u
 
-struct source {
-	const struct msp_identity *identity;
-	const struct firmware_status *status;
-	const struct policy_slots *slots; /* NULL: none here */
-};
-
-static void reply_api_version(struct msp_writer *w, const struct source *s)
+static void reply_api_version(struct msp_writer *w, const struct msp_facts *s)
 {
 	(void)s;
 	msp_put_u8(w, NF_MSP_PROTOCOL_VERSION);
@@ -32,29 +27,66 @@ static void reply_api_version(struct msp_writer *w, const struct source *s)
 	msp_put_u8(w, NF_MSP_API_MINOR);
 }
 
-static void reply_fc_variant(struct msp_writer *w, const struct source *s)
+/* As the setting says: the ecosystem's app speaks to no firmware of another name than its own. */
+static const char *reply_variant(const struct msp_facts *s)
 {
-	(void)s;
-	msp_put_text(w, NF_MSP_VARIANT, 4);
+	return s->settings && s->settings->msp_variant == NF_MSP_VARIANT_BTFL ? NF_MSP_VARIANT_BETAFLIGHT :
+										NF_MSP_VARIANT;
 }
 
-static void reply_fc_version(struct msp_writer *w, const struct source *s)
+static void reply_fc_variant(struct msp_writer *w, const struct msp_facts *s)
 {
-	static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
+	msp_put_text(w, reply_variant(s), 4);
+}
 
+static const uint8_t version[NF_VERSION_COUNT] = NF_VERSION;
+
+static void reply_fc_version(struct msp_writer *w, const struct msp_facts *s)
+{
 	(void)s;
 	for (int i = 0; i < NF_VERSION_COUNT; ++i)
 		msp_put_u8(w, version[i]);
 }
 
-static void reply_board_info(struct msp_writer *w, const struct source *s)
+/* Name of the policy that is flown: the aircraft that it was trained on. Where none is good, of the compiled-in one. */
+static void reply_policy_name(const struct msp_facts *s, char name[MSP_TEXT_MAX])
+{
+	struct nf_policy_blob_header header;
+	const bool flown = s->slots && policy_slots_header(s->slots, &header);
+	const char *from = flown ? header.aircraft : POLICY_NAME;
+	const unsigned most = flown ? sizeof header.aircraft : MSP_TEXT_MAX;
+
+	for (unsigned i = 0; i < MSP_TEXT_MAX; ++i)
+		name[i] = '\0';
+	for (unsigned i = 0; i < most && i < MSP_TEXT_MAX && from[i]; ++i)
+		name[i] = from[i];
+}
+
+/* Firmware, version and policy: "Neuroflight 0.1.0 nf1". */
+static void reply_board_name(struct msp_writer *w, const struct msp_facts *s)
+{
+	char text[MSP_TEXT_MAX] = { 0 }, policy[MSP_TEXT_MAX];
+	struct msp_writer name = { (uint8_t *)text, (uint8_t *)text + sizeof text };
+
+	msp_put_text(&name, NF_MSP_FIRMWARE, MSP_TEXT_MAX);
+	for (int i = 0; i < NF_VERSION_COUNT; ++i) {
+		msp_put_u8(&name, i == 0 ? ' ' : '.');
+		msp_put_u8(&name, '0' + version[i]);
+	}
+	reply_policy_name(s, policy);
+	msp_put_u8(&name, ' ');
+	msp_put_text(&name, policy, MSP_TEXT_MAX);
+	msp_put_counted_text(w, text, MSP_TEXT_MAX);
+}
+
+static void reply_board_info(struct msp_writer *w, const struct msp_facts *s)
 {
 	msp_put_text(w, s->identity->board, 4);
 	msp_put_u16(w, 0); /* hardware revision */
 	msp_put_u8(w, s->identity->osd_chip ? TYPE_WITH_OSD : TYPE_WITHOUT_OSD);
 	msp_put_u8(w, 0);  /* capabilities: no USB serial, no soft serial */
 	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX);
-	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX); /* board name */
+	reply_board_name(w, s);
 	msp_put_u8(w, 4);
 	msp_put_text(w, s->identity->maker, 4);
 	msp_put_zeros(w, 32); /* signature: none */
@@ -67,48 +99,81 @@ static void reply_board_info(struct msp_writer *w, const struct source *s)
 }
 
 /* Builds are reproducible, so an image knows no date; the policy's hash tells two of them apart. */
-static void reply_build_info(struct msp_writer *w, const struct source *s)
+static void reply_build_info(struct msp_writer *w, const struct msp_facts *s)
 {
+	static const uint16_t options[NF_MSP_BUILD_OPTIONS_COUNT] = NF_MSP_BUILD_OPTIONS;
+
 	(void)s;
 	msp_put_text(w, "Jan 01 1970", 11);
 	msp_put_text(w, "00:00:00", 8);
 	msp_put_text(w, "0000000", 7);
+	for (int i = 0; i < NF_MSP_BUILD_OPTIONS_COUNT; ++i)
+		msp_put_u16(w, options[i]);
+	msp_put_u16(w, 0); /* no others: the ecosystem's app offers the pages of these alone */
 }
 
-static void reply_name(struct msp_writer *w, const struct source *s)
+/* The craft's; while it has none, the policy's. */
+static void reply_name(struct msp_writer *w, const struct msp_facts *s)
 {
-	(void)s;
-	msp_put_text(w, POLICY_NAME, MSP_TEXT_MAX);
+	if (s->settings && s->settings->craft_name[0])
+		msp_put_text(w, s->settings->craft_name, NF_SETTING_TEXT_BYTES);
+	else
+		msp_put_text(w, POLICY_NAME, MSP_TEXT_MAX);
+}
+
+/* Modes that are on, ARM only while armed, whatever its switch says. */
+static uint32_t reply_modes(const struct firmware_status *status)
+{
+	_Static_assert(MODE_BIT(ARM) == NF_MSP_MODE_ARMED, "the first");
+
+	return (status->modes & ~MODE_BIT(ARM)) | (status->trace.armed ? MODE_BIT(ARM) : 0u);
 }
 
 /* The common part of STATUS and STATUS_EX. */
-static void reply_put_status(struct msp_writer *w, const struct source *s)
+static void reply_put_status(struct msp_writer *w, const struct msp_facts *s)
 {
 	msp_put_u16(w, 1000000u / POLICY_CONTROL_RATE_HZ); /* control period, us */
 	msp_put_u16(w, 0);                                 /* I2C errors */
 	msp_put_u16(w, SENSOR_GYRO | (s->status->attitude_known ? SENSOR_ACCELEROMETER : 0u));
-	msp_put_u32(w, s->status->trace.armed ? NF_MSP_MODE_ARMED : 0);
+	msp_put_u32(w, reply_modes(s->status));
 	msp_put_u8(w, 0); /* profile */
 	msp_put_u16(w, s->status->load_percent);
 }
 
-static void reply_put_arming(struct msp_writer *w, const struct source *s)
+/* Our reasons under the ecosystem's numbers. */
+static uint32_t reply_arming_flags(const struct firmware_status *status)
+{
+	static const uint8_t bits[NF_ARMING_FLAGS_COUNT] = NF_ARMING_FLAGS;
+	_Static_assert(NF_ARMING_FLAGS_COUNT == NF_ARMING_REASON_COUNT, "a bit for each reason");
+	uint32_t flags = 0;
+
+	for (unsigned reason = 0; reason < NF_ARMING_REASON_COUNT; ++reason)
+		if (status->arming_reasons >> reason & 1u)
+			flags |= 1u << bits[reason];
+	if (status->state == NF_FLIGHT_FAILSAFE_HOLD || status->state == NF_FLIGHT_FAILSAFE_DROP)
+		flags |= 1u << NF_ARMING_FLAG_FAILSAFE;
+	if (status->arming_reasons != 0 && (status->modes & MODE_BIT(ARM)))
+		flags |= 1u << NF_ARMING_FLAG_SWITCH;
+	return flags;
+}
+
+static void reply_put_arming(struct msp_writer *w, const struct msp_facts *s)
 {
 	msp_put_u8(w, 0); /* no flight modes beyond the first 32 */
-	msp_put_u8(w, NF_ARMING_REASON_COUNT);
-	msp_put_u32(w, s->status->arming_reasons);
+	msp_put_u8(w, NF_ARMING_FLAG_COUNT);
+	msp_put_u32(w, reply_arming_flags(s->status));
 	msp_put_u8(w, 0);  /* no restart needed */
 	msp_put_u16(w, 0); /* core temperature: not measured */
 }
 
-static void reply_status(struct msp_writer *w, const struct source *s)
+static void reply_status(struct msp_writer *w, const struct msp_facts *s)
 {
 	reply_put_status(w, s);
 	msp_put_u16(w, 1000000u / s->status->gyro_rate_hz); /* gyro period, us */
 	reply_put_arming(w, s);
 }
 
-static void reply_status_ex(struct msp_writer *w, const struct source *s)
+static void reply_status_ex(struct msp_writer *w, const struct msp_facts *s)
 {
 	reply_put_status(w, s);
 	msp_put_u8(w, 1); /* profiles */
@@ -117,7 +182,7 @@ static void reply_status_ex(struct msp_writer *w, const struct source *s)
 }
 
 /* Body axes: the accelerometer in 1/512 g, the gyro in whole deg/s; there is no magnetometer. */
-static void reply_raw_imu(struct msp_writer *w, const struct source *s)
+static void reply_raw_imu(struct msp_writer *w, const struct msp_facts *s)
 {
 	for (int i = 0; i < 3; ++i)
 		msp_put_rounded(w, s->status->accel_g[i] * COUNTS_PER_G);
@@ -126,7 +191,7 @@ static void reply_raw_imu(struct msp_writer *w, const struct source *s)
 	msp_put_zeros(w, 6);
 }
 
-static void reply_motor(struct msp_writer *w, const struct source *s)
+static void reply_motor(struct msp_writer *w, const struct msp_facts *s)
 {
 	const struct control_trace *trace = &s->status->trace;
 
@@ -138,7 +203,7 @@ static void reply_motor(struct msp_writer *w, const struct source *s)
 }
 
 /* The ecosystem's order is roll, pitch, yaw, throttle, then the switches. */
-static void reply_rc(struct msp_writer *w, const struct source *s)
+static void reply_rc(struct msp_writer *w, const struct msp_facts *s)
 {
 	const uint16_t *channels_us = s->status->channels_us;
 
@@ -157,7 +222,7 @@ static unsigned reply_tenths_of_volts(float volts)
 }
 
 /* Tenths of a degree; the heading, whole degrees, turns right from where the aircraft woke up. */
-static void reply_attitude(struct msp_writer *w, const struct source *s)
+static void reply_attitude(struct msp_writer *w, const struct msp_facts *s)
 {
 	const float *angles = s->status->attitude_deg;
 	const float right = -angles[2];
@@ -167,7 +232,7 @@ static void reply_attitude(struct msp_writer *w, const struct source *s)
 	msp_put_rounded(w, right < 0.0f ? right + 360.0f : right);
 }
 
-static void reply_analog(struct msp_writer *w, const struct source *s)
+static void reply_analog(struct msp_writer *w, const struct msp_facts *s)
 {
 	const struct firmware_status *status = s->status;
 
@@ -178,7 +243,7 @@ static void reply_analog(struct msp_writer *w, const struct source *s)
 	msp_put_rounded(w, status->volts * 100.0f);
 }
 
-static void reply_battery_state(struct msp_writer *w, const struct source *s)
+static void reply_battery_state(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const uint8_t states[] = {
 		/* the ecosystem's: 0 good, 1 warning, 2 critical, 3 none there */
@@ -190,7 +255,7 @@ static void reply_battery_state(struct msp_writer *w, const struct source *s)
 	const struct firmware_status *status = s->status;
 
 	msp_put_u8(w, status->cells);
-	msp_put_u16(w, 0); /* capacity: nobody told */
+	msp_put_u16(w, s->settings ? s->settings->battery_capacity_mah : 0);
 	msp_put_u8(w, reply_tenths_of_volts(status->volts));
 	msp_put_rounded(w, status->drawn_mah);
 	msp_put_rounded(w, status->amps * 100.0f);
@@ -198,7 +263,59 @@ static void reply_battery_state(struct msp_writer *w, const struct source *s)
 	msp_put_rounded(w, status->volts * 100.0f);
 }
 
-static void reply_uid(struct msp_writer *w, const struct source *s)
+#define METER_ID 10u /* of the only battery, as in its configuration */
+
+static void reply_voltage_meters(struct msp_writer *w, const struct msp_facts *s)
+{
+	msp_put_u8(w, METER_ID);
+	msp_put_u8(w, reply_tenths_of_volts(s->status->volts));
+}
+
+static void reply_current_meters(struct msp_writer *w, const struct msp_facts *s)
+{
+	msp_put_u8(w, METER_ID);
+	msp_put_rounded(w, s->status->drawn_mah);
+	msp_put_u16(w, (unsigned)(limit(s->status->amps * 1000.0f, 0.0f, UINT16_MAX) + 0.5f));
+}
+
+/* The modes, in the order of their bits in STATUS. */
+static void reply_box_names(struct msp_writer *w, const struct msp_facts *s)
+{
+	static const char *const names[] = {
+		[MODE_ARM] = "ARM",
+		[MODE_BEEPER] = "BEEPER",
+		[MODE_PID] = "PID",
+		[MODE_TRIAL] = "TRIAL",
+	};
+	_Static_assert(sizeof names / sizeof names[0] == MODE_COUNT, "each has a name");
+
+	(void)s;
+	for (unsigned mode = 0; mode < MODE_COUNT; ++mode) {
+		msp_put_text(w, names[mode], MSP_TEXT_MAX);
+		msp_put_u8(w, ';');
+	}
+}
+
+static void reply_box_ids(struct msp_writer *w, const struct msp_facts *s)
+{
+	(void)s;
+	for (unsigned mode = 0; mode < MODE_COUNT; ++mode)
+		msp_put_u8(w, mode_range_mode((enum mode_index)mode));
+}
+
+static void reply_pid_names(struct msp_writer *w, const struct msp_facts *s)
+{
+	(void)s;
+	msp_put_text(w, "ROLL;PITCH;YAW;LEVEL;MAG;", UINT8_MAX);
+}
+
+static void reply_mcu(struct msp_writer *w, const struct msp_facts *s)
+{
+	msp_put_u8(w, MCU_NOT_TOLD);
+	msp_put_counted_text(w, s->identity->mcu, MSP_TEXT_MAX);
+}
+
+static void reply_uid(struct msp_writer *w, const struct msp_facts *s)
 {
 	for (int i = 0; i < 3; ++i)
 		msp_put_u32(w, s->identity->unique_id[i]);
@@ -210,7 +327,7 @@ static unsigned reply_hex_digit(char digit)
 }
 
 /* Name and hash of the policy that is flown; where none is good, of the compiled-in one. */
-static void reply_policy_is(struct msp_writer *w, const struct source *s)
+static void reply_policy_is(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const char sha256[] = POLICY_SHA256;
 	struct nf_policy_blob_header header;
@@ -226,7 +343,18 @@ static void reply_policy_is(struct msp_writer *w, const struct source *s)
 		msp_put_u8(w, reply_hex_digit(sha256[i]) << 4 | reply_hex_digit(sha256[i + 1]));
 }
 
-static void reply_policy_info(struct msp_writer *w, const struct source *s)
+static void reply_identity(struct msp_writer *w, const struct msp_facts *s)
+{
+	msp_put_counted_text(w, NF_MSP_FIRMWARE, MSP_TEXT_MAX);
+	reply_fc_version(w, s);
+	msp_put_u8(w, NF_MSP_API_MAJOR);
+	msp_put_u8(w, NF_MSP_API_MINOR);
+	msp_put_counted_text(w, s->identity->target, MSP_TEXT_MAX);
+	msp_put_text(w, reply_variant(s), 4);
+	reply_policy_is(w, s);
+}
+
+static void reply_policy_info(struct msp_writer *w, const struct msp_facts *s)
 {
 	msp_put_u32(w, POLICY_ARCHITECTURE_HASH);
 	msp_put_u16(w, POLICY_OBSERVATION_COUNT);
@@ -243,7 +371,7 @@ static void reply_policy_info(struct msp_writer *w, const struct source *s)
 		msp_put_u8(w, s->slots ? (unsigned)s->slots->found[i] : 0);
 }
 
-static void reply_safety(struct msp_writer *w, const struct source *s)
+static void reply_safety(struct msp_writer *w, const struct msp_facts *s)
 {
 	const struct firmware_status *status = s->status;
 
@@ -263,7 +391,7 @@ static void reply_safety(struct msp_writer *w, const struct source *s)
 
 static const struct command {
 	enum nf_msp code;
-	void (*write)(struct msp_writer *w, const struct source *s);
+	void (*write)(struct msp_writer *w, const struct msp_facts *s);
 } commands[] = {
 	{ NF_MSP_API_VERSION, reply_api_version },
 	{ NF_MSP_FC_VARIANT, reply_fc_variant },
@@ -280,18 +408,22 @@ static const struct command {
 	{ NF_MSP_BATTERY_STATE, reply_battery_state },
 	{ NF_MSP_STATUS_EX, reply_status_ex },
 	{ NF_MSP_UID, reply_uid },
+	{ NF_MSP_VOLTAGE_METERS, reply_voltage_meters },
+	{ NF_MSP_CURRENT_METERS, reply_current_meters },
+	{ NF_MSP_BOXNAMES, reply_box_names },
+	{ NF_MSP_BOXIDS, reply_box_ids },
+	{ NF_MSP_PIDNAMES, reply_pid_names },
+	{ NF_MSP_MCU_INFO, reply_mcu },
+	{ NF_MSP_IDENTITY, reply_identity },
 	{ NF_MSP_POLICY_INFO, reply_policy_info },
 	{ NF_MSP_SAFETY, reply_safety },
 };
 
-bool msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *firmware,
-	       const struct policy_slots *slots, struct msp_writer *reply)
+bool msp_reply(uint16_t command, const struct msp_facts *facts, struct msp_writer *reply)
 {
-	const struct source source = { identity, firmware, slots };
-
 	for (size_t i = 0; i < sizeof commands / sizeof commands[0]; ++i) {
 		if (commands[i].code == command) {
-			commands[i].write(reply, &source);
+			commands[i].write(reply, facts);
 			return true;
 		}
 	}

@@ -1,4 +1,4 @@
-/* Replies to the MSP commands that only read. Layouts are the ecosystem's at API 1.46, little-endian. */
+/* Replies to the MSP commands that only read, and read no settings to be changed. Layouts: toolchain/contract/msp_messages.py. */
 #ifndef NF_MSP_REPLIES_H
 #define NF_MSP_REPLIES_H
 
@@ -10,9 +10,15 @@
 #include "msp/msp_payload.h"
 #include "storage/policy_slots.h"
 
-/* Writes the payload that answers `command`. `slots` NULL: the policy is the compiled-in one. Returns false if the
- * command is none of these. */
-bool msp_reply(uint16_t command, const struct msp_identity *identity, const struct firmware_status *status,
-	       const struct policy_slots *slots, struct msp_writer *reply);
+/* What they tell about. */
+struct msp_facts {
+	const struct msp_identity *identity;
+	const struct firmware_status *status;
+	const struct policy_slots *slots; /* NULL: the policy is the compiled-in one */
+	const struct nf_settings *settings; /* NULL: names and variant are the defaults */
+};
+
+/* Writes the payload that answers `command`. Returns false if the command is none of these. */
+bool msp_reply(uint16_t command, const struct msp_facts *facts, struct msp_writer *reply);
 
 #endif

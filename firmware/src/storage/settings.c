@@ -7,9 +7,6 @@
 #include "policy.h"
 #include "storage/mode_range.h"
 
-#define INDEX(name, kind, low, high, preset, unit, choices) SETTING_AT_##name,
-enum { NF_SETTINGS(INDEX) };
-
 #define FACTS(name_, kind_, low_, high_, preset_, unit_, choices_)                              \
 	{                                                                                       \
 		.name = #name_, .unit = unit_, .choices = choices_, .kind = SETTING_##kind_,    \
@@ -139,6 +136,24 @@ enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const
 	for (unsigned rate = RATES_FIRST; rate <= RATES_LAST; ++rate)
 		settings_put_default(settings, rate, settings_info_beside(settings, rate));
 	return NF_REFUSAL_NONE;
+}
+
+enum nf_refusal settings_set_whole(struct nf_settings *settings, unsigned index, uint32_t number)
+{
+	union setting_value value;
+
+	memset(&value, 0, sizeof value);
+	value.as_uint32_t = number;
+	return settings_set(settings, index, &value);
+}
+
+enum nf_refusal settings_set_number(struct nf_settings *settings, unsigned index, float number)
+{
+	union setting_value value;
+
+	memset(&value, 0, sizeof value);
+	value.as_float = number;
+	return settings_set(settings, index, &value);
 }
 
 /* --- What settings may not be together -------------------------------------------------------------- */
@@ -295,7 +310,8 @@ static const struct rule {
 	{ settings_msp_baud_fits, SETTING_AT_uart3_baud, SETTING_AT_uart3_baud },
 	{ settings_outputs_fit, SETTING_AT_motor1_output, SETTING_AT_motor8_output },
 };
-_Static_assert(SETTING_AT_map_aux4 - SETTING_AT_map_roll == NF_CHANNEL_MAPPED_COUNT - 1, "all of the map, side by side");
+_Static_assert(SETTING_AT_map_aux4 - SETTING_AT_map_roll == NF_CHANNEL_MAPPED_COUNT - 1,
+	       "all of the map, side by side");
 _Static_assert(NF_FILTER_STAGES == 4, "a rule each");
 _Static_assert(SETTING_AT_motor8_output - SETTING_AT_motor1_output == NF_MOTOR_COUNT_MAX - 1, "side by side");
 

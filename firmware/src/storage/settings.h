@@ -7,6 +7,10 @@
 
 #include "nf_contract.h"
 
+/* Indices of the settings: SETTING_AT_<name>. */
+#define SETTING_INDEX(name, kind, low, high, preset, unit, choices) SETTING_AT_##name,
+enum setting_index { NF_SETTINGS(SETTING_INDEX) };
+
 enum setting_kind { SETTING_uint32_t, SETTING_float, SETTING_mode, SETTING_text };
 
 /* A value of one of the kinds. */
@@ -62,6 +66,10 @@ void settings_get(const struct nf_settings *settings, unsigned index, union sett
 /* Changes one setting; another style of rates sets all rates to the defaults of that style. NF_REFUSAL_INDEX: there is
  * none of that index. NF_REFUSAL_RANGE: beyond the limits that it has beside the others, or no number. A value that is refused changes nothing. Combinations are checked by settings_conflict. */
 enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value);
+
+/* The same for a setting of whole numbers or a mode, and for one that is a float. */
+enum nf_refusal settings_set_whole(struct nf_settings *settings, unsigned index, uint32_t number);
+enum nf_refusal settings_set_number(struct nf_settings *settings, unsigned index, float number);
 
 /* Index of the first setting that does not go with others or with this image's policy: a gyro rate that is none or
  * no multiple of the control rate; a filter at or above half the gyro rate; notch limits, battery limits or channels

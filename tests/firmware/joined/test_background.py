@@ -301,8 +301,8 @@ def test_a_users_board_waits_for_its_escs_tunes_when_nothing_is_set(
         for k in range(ms):
             core.receiver(frame)
             core.sample(np.zeros(3), np.array([0.0, 0.0, G + 0.01 * (k % 2)]))
-        status = messages.status_ex(Client(core).request(Msp.STATUS_EX))
-        return set(messages.arming_reasons(status.arming_flags))
+        safety = records.safety(Client(core).request(Msp.SAFETY))
+        return set(messages.arming_reasons(safety.arming_flags))
 
     assert reasons(ARMING_DELAY_MS - 1) == {"BOOT_GRACE"}
     assert reasons(2) == set()

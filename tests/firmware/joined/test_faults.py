@@ -107,7 +107,7 @@ class Pilot:
 
     @property
     def reasons(self) -> set[str]:
-        flags = messages.status_ex(self.ask(Msp.STATUS_EX)).arming_flags
+        flags = records.safety(self.ask(Msp.SAFETY)).arming_flags
         return set(messages.arming_reasons(flags))
 
 

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flash import messages, records
+from flash import layouts, messages, records
 from flash.messages import PolicyInfo, PolicySource
 from toolchain.contract import (
-    ARMING_REASON_COUNT,
     MSP_PAYLOAD_MAX,
     ArmingReason,
     FallbackCause,
@@ -22,9 +21,10 @@ from toolchain.contract import (
     GyroHealth,
     Msp,
     StopCause,
+    layout_of,
 )
 
-IDENTITY = {"board": b"BRD1", "target": b"TARGETNAME", "maker": b"MAKR"}
+IDENTITY = {"board": b"BRD1", "target": b"TARGETNAME", "maker": b"MAKR", "mcu": b"CHIP"}
 UNIQUE_ID = (0x01020304, 0x11121314, 0x21222324)
 
 
@@ -90,7 +90,8 @@ def server(scripted: Any) -> Callable[..., Server]:
 READING = {
     *(Msp.API_VERSION, Msp.FC_VARIANT, Msp.FC_VERSION, Msp.BOARD_INFO, Msp.BUILD_INFO, Msp.NAME, Msp.STATUS),
     *(Msp.RAW_IMU, Msp.MOTOR, Msp.RC, Msp.ATTITUDE, Msp.ANALOG, Msp.BATTERY_STATE, Msp.STATUS_EX, Msp.UID),
-    *(Msp.POLICY_INFO, Msp.SAFETY),
+    *(Msp.VOLTAGE_METERS, Msp.CURRENT_METERS, Msp.BOXNAMES, Msp.BOXIDS, Msp.PIDNAMES, Msp.MCU_INFO),
+    *(Msp.IDENTITY, Msp.POLICY_INFO, Msp.SAFETY),
 }
 VERSION_REPLY = v1(Msp.API_VERSION, bytes([0, 1, 46]), b">")
 
@@ -204,9 +205,15 @@ def test_who_it_is_comes_from_identity_and_contract_when_asked(server: Callable[
     assert s.ask(Msp.UID) == struct.pack("<3I", *UNIQUE_ID)
     assert s.ask(Msp.NAME) == b"scripted"
     board = messages.board_info(s.ask(Msp.BOARD_INFO))
-    assert (board.identifier, board.target, board.name) == ("BRD1", "TARGETNAME", "TARGETNAME")
-    assert board.manufacturer == "MAKR"
-    assert len(s.ask(Msp.BUILD_INFO)) == 26
+    assert (board.identifier, board.target, board.manufacturer) == ("BRD1", "TARGETNAME", "MAKR")
+    assert board.name == "Neuroflight 0.1.0 scripted"
+    assert s.ask(Msp.BUILD_INFO)[26:] == struct.pack("<4H", 4103, 4097, 8231, 0)
+    told = layouts.decode(layout_of(Msp.IDENTITY), s.ask(Msp.IDENTITY), whole=True)
+    assert told == {
+        **{"firmware": "Neuroflight", "major": 0, "minor": 1, "patch": 0, "api_major": 1, "api_minor": 46},
+        **{"target": "TARGETNAME", "variant": "NRFL", "policy": "scripted"},
+        "policy_sha256": bytes.fromhex("00112233445566778899aabbccddeeff0123456789abcdeffedcba9876543210"),
+    }
 
 
 @pytest.mark.parametrize(("chip", "board_type"), [(False, 0), (True, 2)])
@@ -246,8 +253,52 @@ def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Se
     assert extended.status.armed is armed
     assert extended.status.cycle_time_us == 1000
     assert extended.status.load_percent == 37
-    assert extended.arming_flag_count == ARMING_REASON_COUNT
-    assert messages.arming_reasons(extended.arming_flags) == ("BOOT_GRACE", "POLICY_BAD")
+    assert extended.arming_flag_count == 32
+    assert extended.arming_flags == 1 << 9 | 1 << 25  # BOOT_GRACE_TIME, and none of the ecosystem's
+    assert messages.arming_reasons(records.safety(s.ask(Msp.SAFETY)).arming_flags) == (
+        "BOOT_GRACE",
+        "POLICY_BAD",
+    )
+
+
+@pytest.mark.parametrize(
+    ("reason", "bit"),
+    [
+        *((ArmingReason.BOOT_GRACE, 9), (ArmingReason.GYRO_NOT_CALIBRATED, 12), (ArmingReason.MSP, 16)),
+        *((ArmingReason.RECEIVER_LOST, 2), (ArmingReason.THROTTLE_HIGH, 7), (ArmingReason.NOT_LEVEL, 8)),
+        *((ArmingReason.SWITCH_NOT_CYCLED, 3), (ArmingReason.GYRO_BAD, 0), (ArmingReason.CRASHED, 6)),
+        *((ArmingReason.LOAD, 11), (ArmingReason.MOTOR_TEST, 16), (ArmingReason.CLI, 13)),
+        *((ArmingReason.POLICY_BAD, 25), (ArmingReason.POLICY_REFUSED, 25), (ArmingReason.PID_MISSING, 25)),
+        *((ArmingReason.BATTERY_UNKNOWN, 26), (ArmingReason.FAULT, 27), (ArmingReason.STORING, 28)),
+        *((ArmingReason.GYRO_ALIGNMENT, 29), (ArmingReason.CLOCK, 30)),
+    ],
+)
+def test_each_reason_has_the_ecosystems_number_when_status_is_asked(
+    server: Callable[..., Server], reason: ArmingReason, bit: int
+) -> None:
+    assert messages.status_ex(server(arming_reasons=1 << reason).ask(Msp.STATUS_EX)).arming_flags == 1 << bit
+    both = server(arming_reasons=1 << reason, modes=1).ask(Msp.STATUS_EX)
+    assert messages.status_ex(both).arming_flags == 1 << bit | 1 << 31, "the arm switch is on"
+
+
+@pytest.mark.parametrize("state", FlightState)
+def test_failsafe_is_told_when_the_state_is_one_of_it(
+    server: Callable[..., Server], state: FlightState
+) -> None:
+    flags = messages.status_ex(server(state=state).ask(Msp.STATUS_EX)).arming_flags
+    assert flags == (2 if state in (FlightState.FAILSAFE_HOLD, FlightState.FAILSAFE_DROP) else 0)
+
+
+@pytest.mark.parametrize(
+    ("switches", "armed", "modes"), [(0, 0, 0), (1, 0, 0), (1, 1, 1), (15, 0, 14), (6, 1, 7)]
+)
+def test_modes_are_told_in_the_order_of_their_names_when_switched(
+    server: Callable[..., Server], switches: int, armed: int, modes: int
+) -> None:
+    s = server(modes=switches, trace={"armed": armed})
+    assert s.ask(Msp.BOXNAMES) == b"ARM;BEEPER;PID;TRIAL;"
+    assert s.ask(Msp.BOXIDS) == bytes([0, 13, 40, 41])
+    assert messages.status(s.ask(Msp.STATUS)).modes == modes
 
 
 def test_channels_come_in_the_ecosystems_order_when_asked(server: Callable[..., Server]) -> None:
@@ -362,10 +413,10 @@ def test_reasons_are_told_when_no_gyro_sample_ever_came(scripted: Any) -> None:
     scripted.lib.scripted_action = [0.0] * 4
     assert scripted.lib.reference_init(memory, 4000, scripted.ffi.NULL, 0) == 0
     out = scripted.new("uint8_t[256]")
-    ask = v1(Msp.STATUS_EX)
+    ask = v2(Msp.SAFETY)
     count = scripted.lib.reference_link(memory, 0, ask, len(ask), out, len(out))
-    extended = messages.status_ex(bytes(out)[5 : count - 1])
-    assert set(messages.arming_reasons(extended.arming_flags)) == {
+    safety = records.safety(bytes(out)[8 : count - 1])
+    assert set(messages.arming_reasons(safety.arming_flags)) == {
         "BOOT_GRACE",
         "GYRO_NOT_CALIBRATED",
         "RECEIVER_LOST",

@@ -63,7 +63,7 @@ class Server:
                 **self._callbacks,
             },
         )
-        self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR")]
+        self._texts = [self.core.new("char[]", text) for text in (b"BRD1", b"TARGETNAME", b"MAKR", b"CHIP")]
         self._identity = self.core.new("struct msp_identity *", [*self._texts, False, (1, 2, 3)])
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
         self._port = self.core.new("struct msp_port *")
@@ -167,7 +167,7 @@ def test_commands_are_unknown_when_only_reading_is_offered(
 
 def test_a_command_is_unknown_when_nobody_knows_it(server: Callable[..., Server]) -> None:
     s = server()
-    for command in (0, 11, 202, 0x4E00, 0x4E33, 0xFFFF):
+    for command in (0, 11, 225, 0x4E00, 0x4E33, 0xFFFF):
         answer = s.ask(command, b"1234")
         assert (answer.direction, answer.payload) == (Direction.ERROR, b"")
 
@@ -189,6 +189,7 @@ def test_only_reading_and_sticks_are_served_when_armed(server: Callable[..., Ser
 
 STORED = {
     Msp.EEPROM_WRITE: b"",
+    Msp.RESET_CONF: b"",
     Msp.FAULTS: requests.acknowledge(1),
     Msp.ACKNOWLEDGE: b"",
     Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
@@ -350,11 +351,20 @@ def test_channels_are_not_told_when_few_are_sent(server: Callable[..., Server]) 
 def test_motors_are_turned_by_their_pulse_widths_when_sent(server: Callable[..., Server]) -> None:
     s = server()
     s.reply(Msp.SET_MOTOR, requests.set_motor([1000, 1100, 2000]))
-    s.reply(Msp.SET_MOTOR, requests.set_motor(range(1000, 1008)))
-    assert s.calls == [("motors", 1000, 1100, 2000), ("motors", *range(1000, 1008))]
+    s.reply(Msp.SET_MOTOR, struct.pack("<8H", 0, 1001, 1002, 1003, 1000, 0, 1000, 0))
+    assert s.calls == [("motors", 1000, 1100, 2000), ("motors", *range(1000, 1004))]
+    assert s.refusal(Msp.SET_MOTOR, requests.set_motor([1000] * 4 + [1001])) == (Refusal.INDEX, 0)
+    assert len(s.calls) == 2, "four motors fly"
 
 
-@pytest.mark.parametrize("us", [0, 999, 2001, 0xFFFF])
+def test_all_stop_is_taken_and_a_turn_refused_when_no_test_is_open(server: Callable[..., Server]) -> None:
+    s = server()
+    s.answers["motors"] = int(Refusal.ORDER)
+    s.reply(Msp.SET_MOTOR, struct.pack("<8H", *[1000, 0] * 4))
+    assert s.refusal(Msp.SET_MOTOR, requests.set_motor([1000, 1001])) == (Refusal.ORDER, 0)
+
+
+@pytest.mark.parametrize("us", [1, 999, 2001, 0xFFFF])
 def test_no_motor_turns_when_one_value_is_no_pulse_width(server: Callable[..., Server], us: int) -> None:
     s = server()
     assert s.refusal(Msp.SET_MOTOR, struct.pack("<4H", 1100, 1100, 1100, us)) == (Refusal.PAYLOAD, 0)
@@ -379,7 +389,6 @@ def test_bench_commands_go_through_with_their_answers_when_sent(server: Callable
         ("motor_test", Msp.MOTOR_TEST),
         ("dshot_command", Msp.DSHOT_COMMAND),
         ("channels", Msp.SET_RAW_RC),
-        ("motors", Msp.SET_MOTOR),
         ("reboot", Msp.REBOOT),
     ):
         s.answers[name] = int(Refusal.ORDER)

@@ -101,7 +101,9 @@ class Cell:
             case FlightState.CALIBRATING:
                 return (state if "uncalibrated" in holds else FlightState.DISARMED), StopCause.NONE
             case FlightState.DISARMED:
-                forbidden = holds & {"lost", "uncalibrated", "forbidden"}
+                if "uncalibrated" in holds:
+                    return FlightState.CALIBRATING, StopCause.NONE
+                forbidden = holds & {"lost", "forbidden"}
                 return (FlightState.ARMED if self.ready and on and not forbidden else state), StopCause.NONE
             case _:
                 return state, StopCause.NONE

@@ -13,7 +13,9 @@
 
 int main(void)
 {
-	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
+	static const struct msp_identity identity = {
+		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
+	};
 	static const struct pid_gains no_pid = { .motor_count = 0 };
 	struct nf_settings settings;
 	const struct firmware_config config = {

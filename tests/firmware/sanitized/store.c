@@ -89,7 +89,9 @@ static void put(const uint8_t *bytes, size_t count)
 
 int main(void)
 {
-	static const struct msp_identity identity = { .board = "FUZZ", .target = "FUZZ", .maker = "FUZZ" };
+	static const struct msp_identity identity = {
+		.board = "FUZZ", .target = "FUZZ", .maker = "FUZZ", .mcu = "FUZZ"
+	};
 	const struct msp_services services = {
 		.flash = &flash,
 		.settings = &settings,

@@ -28,6 +28,7 @@ FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
 CORE = (
     *("common/crc8", "common/crc32", "housekeeping/scheduler"),
     *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
+    *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
     *("storage/mode_range", "storage/settings", "storage/settings_store"),
 )
@@ -42,7 +43,15 @@ def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     generated = scripted_build.parent / "generated"
     sources = [SOURCE / f"{name}.c" for name in CORE]
     sources += [FIRMWARE / "hal" / "host" / "flash_model.c", generated / "policy.c", FEED]
-    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-sanitize-recover=all"]
+    command = [
+        "gcc",
+        "-std=c11",
+        "-O1",
+        "-g",
+        "-ffp-contract=off",
+        "-fno-math-errno",
+        "-fno-sanitize-recover=all",
+    ]
     command += [f"-fsanitize={','.join(SANITIZERS)}", f"-I{FIRMWARE}", f"-I{SOURCE}", f"-I{generated}"]
     subprocess.run([*command, "-o", str(program), *map(str, sources)], check=True)
     return program

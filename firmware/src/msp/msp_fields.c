@@ -1,0 +1,209 @@
+#include "msp/msp_fields.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "common/limit.h"
+#include "msp/msp_sources.h"
+#include "storage/settings.h"
+
+static const struct field {
+	uint8_t bytes;
+	bool is_signed;
+	uint8_t how;   /* enum nf_msp_how */
+	uint8_t index; /* of the setting, or enum nf_msp_source */
+	int32_t number;
+	float gain;
+} fields[] = {
+#define FIELD(...) { __VA_ARGS__ },
+	NF_MSP_FIELDS(FIELD)
+};
+_Static_assert(NF_SETTING_COUNT <= UINT8_MAX, "an index fits");
+
+static const struct message {
+	uint16_t get, first, count;
+	uint16_t set, set_first, set_count, required; /* set 0: there is none */
+	bool read_first;
+} messages[] = {
+#define MESSAGE(...) { __VA_ARGS__ },
+	NF_MSP_CONFIGURATIONS(MESSAGE)
+};
+
+int msp_fields_find_get(uint16_t command)
+{
+	for (size_t i = 0; i < sizeof messages / sizeof messages[0]; ++i)
+		if (messages[i].get == command)
+			return (int)i;
+	return -1;
+}
+
+int msp_fields_find_set(uint16_t command)
+{
+	for (size_t i = 0; i < sizeof messages / sizeof messages[0]; ++i)
+		if (messages[i].set == command && command != 0)
+			return (int)i;
+	return -1;
+}
+
+bool msp_fields_read_first(int message)
+{
+	return messages[message].read_first;
+}
+
+/* --- One field: what it tells, and what it changes ---------------------------------------------------- */
+/* `value` rounded and held within what the field can say; as its bits. */
+static uint32_t fields_fit(const struct field *field, float value)
+{
+	const float span = field->bytes == 1 ? 256.0f : field->bytes == 2 ? 65536.0f : 4294967040.0f;
+	const float low = field->is_signed ? -0.5f * span : 0.0f;
+	const float high = field->bytes == 4 ? span : low + span - 1.0f;
+	const float held = limit(value, low, high);
+
+	if (held < 0.0f)
+		return (uint32_t)(int32_t)(held - 0.5f);
+	return field->bytes == 4 ? (uint32_t)held : (uint32_t)(held + 0.5f);
+}
+
+static uint32_t fields_mask(const struct field *field)
+{
+	return field->bytes == 4 ? UINT32_MAX : (1u << 8 * field->bytes) - 1u;
+}
+
+/* The number that stands for a choice; what no byte stands for is as the last. */
+static uint32_t fields_choice(const struct field *field, uint32_t choice)
+{
+	return choice < 4 ? (uint32_t)field->number >> 8 * choice & 0xFFu : 0xFFu;
+}
+
+static uint32_t fields_tell(const struct msp_view *view, const struct field *field)
+{
+	union setting_value value;
+
+	switch ((enum nf_msp_how)field->how) {
+	case NF_MSP_HOW_CONSTANT:
+	case NF_MSP_HOW_UNUSED:
+		return (uint32_t)field->number & fields_mask(field);
+	case NF_MSP_HOW_SOURCE: {
+		const uint32_t told = msp_source_get(view, (enum nf_msp_source)field->index, (unsigned)field->number);
+		return told < fields_mask(field) ? told : fields_mask(field);
+	}
+	case NF_MSP_HOW_SCALED:
+	case NF_MSP_HOW_CHOICE:
+		break;
+	}
+	settings_get(view->settings, field->index, &value);
+	if (field->how == NF_MSP_HOW_CHOICE)
+		return fields_choice(field, value.as_uint32_t);
+	const bool whole = settings_info(field->index)->kind == SETTING_uint32_t;
+	const float number = whole ? (float)value.as_uint32_t : value.as_float;
+	return fields_fit(field, number * field->gain + (float)field->number) & fields_mask(field);
+}
+
+static enum nf_refusal fields_put_choice(const struct msp_view *view, const struct field *field, uint32_t raw)
+{
+	const uint32_t last = settings_info(field->index)->high.as_uint32_t;
+
+	for (uint32_t choice = 0; choice <= last; ++choice)
+		if (fields_choice(field, choice) == raw)
+			return settings_set_whole(view->settings, field->index, choice);
+	return NF_REFUSAL_PAYLOAD;
+}
+
+static float fields_number(const struct field *field, uint32_t raw)
+{
+	if (!field->is_signed)
+		return (float)raw;
+	return field->bytes == 1 ? (float)(int8_t)raw : (float)(int16_t)raw;
+}
+
+static enum nf_refusal fields_put_scaled(const struct msp_view *view, const struct field *field, uint32_t raw)
+{
+	const float number = (fields_number(field, raw) - (float)field->number) / field->gain;
+
+	if (settings_info(field->index)->kind == SETTING_float)
+		return settings_set_number(view->settings, field->index, number);
+	return number >= 0.0f ? settings_set_whole(view->settings, field->index, (uint32_t)(number + 0.5f)) :
+				NF_REFUSAL_RANGE;
+}
+
+/* Takes up what is not told already: what the ecosystem's units cannot say is never written back. */
+static enum nf_refusal fields_put(const struct msp_view *view, const struct field *field, uint32_t raw)
+{
+	if (field->how == NF_MSP_HOW_UNUSED || raw == fields_tell(view, field))
+		return NF_REFUSAL_NONE;
+	switch ((enum nf_msp_how)field->how) {
+	case NF_MSP_HOW_SCALED:
+		return fields_put_scaled(view, field, raw);
+	case NF_MSP_HOW_CHOICE:
+		return fields_put_choice(view, field, raw);
+	case NF_MSP_HOW_SOURCE:
+		return msp_source_set(view, (enum nf_msp_source)field->index, (unsigned)field->number, raw);
+	case NF_MSP_HOW_CONSTANT:
+	case NF_MSP_HOW_UNUSED:
+		break;
+	}
+	return NF_REFUSAL_PAYLOAD;
+}
+
+/* --- Whole messages ---------------------------------------------------------------------------------- */
+static bool fields_offered(const struct msp_view *view, const struct message *message)
+{
+	return (message->get != NF_MSP_FILTER_CONFIG && message->get != NF_MSP_SIMPLIFIED_TUNING) ||
+	       msp_filters_fit(view->settings);
+}
+
+enum nf_refusal msp_fields_get(const struct msp_view *view, int index, struct msp_writer *reply)
+{
+	const struct message *message = &messages[index];
+
+	if (!fields_offered(view, message))
+		return NF_REFUSAL_ABSENT;
+	for (unsigned i = 0; i < message->count; ++i) {
+		const struct field *field = &fields[message->first + i];
+		const uint32_t raw = fields_tell(view, field);
+		for (unsigned byte = 0; byte < field->bytes; ++byte)
+			msp_put_u8(reply, raw >> 8 * byte);
+	}
+	return NF_REFUSAL_NONE;
+}
+
+/* Another type of rates goes before the rates, as it sets them all; in the payload it is the last. */
+static enum nf_refusal fields_put_rates_type(const struct msp_view *view, const struct message *message,
+					     struct msp_reader payload)
+{
+	unsigned at = 0;
+
+	for (unsigned i = 0; i < message->set_count; ++i) {
+		const struct field *field = &fields[message->set_first + i];
+		if (field->how == NF_MSP_HOW_SOURCE && field->index == NF_MSP_SOURCE_RATES_TYPE && payload.left > at)
+			return fields_put(view, field, payload.at[at]);
+		at += field->bytes;
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static uint32_t fields_take(struct msp_reader *payload, const struct field *field)
+{
+	uint32_t raw = 0;
+
+	for (unsigned byte = 0; byte < field->bytes; ++byte)
+		raw |= (uint32_t)msp_take_u8(payload) << 8 * byte;
+	return raw;
+}
+
+enum nf_refusal msp_fields_set(const struct msp_view *view, int index, struct msp_reader payload)
+{
+	const struct message *message = &messages[index];
+	enum nf_refusal refusal = fields_put_rates_type(view, message, payload);
+
+	if (!fields_offered(view, message))
+		return NF_REFUSAL_ABSENT;
+	for (unsigned i = 0; i < message->set_count && refusal == NF_REFUSAL_NONE; ++i) {
+		const struct field *field = &fields[message->set_first + i];
+		if (payload.left == 0 && i >= message->required)
+			break;
+		refusal = payload.left < field->bytes ? NF_REFUSAL_PAYLOAD :
+							fields_put(view, field, fields_take(&payload, field));
+	}
+	return refusal;
+}

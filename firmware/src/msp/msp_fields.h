@@ -1,0 +1,28 @@
+/* Configuration messages of MSP, by the contract's table (toolchain/contract/msp_configuration.py): what a field tells, and
+ * the setting that it changes. */
+#ifndef NF_MSP_FIELDS_H
+#define NF_MSP_FIELDS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "msp/msp_payload.h"
+#include "msp/msp_view.h"
+
+/* Number of the message that `command`, a GET, or a SET, is of; -1: it is none of these. */
+int msp_fields_find_get(uint16_t command);
+int msp_fields_find_set(uint16_t command);
+
+/* Does a SET of that message need that its peer was told before? All zeros mean something there. */
+bool msp_fields_read_first(int message);
+
+/* Writes the payload of a GET. NF_REFUSAL_ABSENT: the settings do not fit the message's form, or the board has none. */
+enum nf_refusal msp_fields_get(const struct msp_view *view, int message, struct msp_writer *reply);
+
+/* Carries out a SET: every field that is not what a GET would tell changes its setting. A payload may end behind any of the
+ * fields that are not required, and bring more than is known; the former leaves the rest alone.
+ * Refused, some of view->settings may have changed: let it be a copy. NF_REFUSAL_ABSENT: as the GET. NF_REFUSAL_PAYLOAD:
+ * of another length, or it changes what cannot be changed. NF_REFUSAL_RANGE: beyond a setting's limits. */
+enum nf_refusal msp_fields_set(const struct msp_view *view, int message, struct msp_reader payload);
+
+#endif

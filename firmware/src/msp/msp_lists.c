@@ -1,0 +1,370 @@
+#include "msp/msp_lists.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "policy.h"
+#include "storage/mode_range.h"
+#include "storage/settings.h"
+
+/* --- Modes ---------------------------------------------------------------------------------------------- */
+_Static_assert(SETTING_AT_mode20 - SETTING_AT_mode1 == NF_MODE_SLOT_COUNT - 1, "side by side");
+
+static struct mode_range lists_mode(const struct nf_settings *s, unsigned slot)
+{
+	union setting_value value;
+
+	settings_get(s, SETTING_AT_mode1 + slot, &value);
+	return mode_range_unpack(value.as_mode);
+}
+
+static enum nf_refusal lists_modes(const struct msp_view *view, struct msp_writer *reply)
+{
+	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
+		const struct mode_range range = lists_mode(view->settings, slot);
+		msp_put_u8(reply, range.mode);
+		msp_put_u8(reply, range.aux);
+		msp_put_u8(reply, range.low);
+		msp_put_u8(reply, range.high);
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal lists_modes_extra(const struct msp_view *view, struct msp_writer *reply)
+{
+	msp_put_u8(reply, NF_MODE_SLOT_COUNT);
+	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
+		const struct mode_range range = lists_mode(view->settings, slot);
+		msp_put_u8(reply, range.mode);
+		msp_put_u8(reply, range.and_others);
+		msp_put_u8(reply, 0); /* linked to no other mode */
+	}
+	return NF_REFUSAL_NONE;
+}
+
+/* Slot, mode, channel, low and high; newer peers tell logic and linked mode besides. */
+#define MODE_BYTES 5u
+#define MODE_BYTES_LOGIC 6u
+#define STEP_MAX NF_MODE_STEPS
+
+static enum nf_refusal lists_set_mode(const struct msp_view *view, struct msp_reader payload)
+{
+	const size_t size = payload.left;
+	const unsigned slot = msp_take_u8(&payload);
+
+	if (size < MODE_BYTES)
+		return NF_REFUSAL_PAYLOAD;
+	if (slot >= NF_MODE_SLOT_COUNT)
+		return NF_REFUSAL_INDEX;
+	const struct mode_range told = lists_mode(view->settings, slot);
+	struct mode_range range = { .and_others = told.and_others };
+	range.mode = (uint8_t)msp_take_u8(&payload);
+	range.aux = (uint8_t)msp_take_u8(&payload);
+	range.low = (uint8_t)msp_take_u8(&payload);
+	range.high = (uint8_t)msp_take_u8(&payload);
+	const unsigned logic = size >= MODE_BYTES_LOGIC ? msp_take_u8(&payload) : range.and_others;
+	const unsigned linked = msp_take_u8(&payload);
+	range.and_others = logic == 1;
+	if (logic > 1 || linked != 0)
+		return NF_REFUSAL_PAYLOAD;
+	if (range.aux >= NF_AUX_COUNT || range.low > STEP_MAX || range.high > STEP_MAX)
+		return NF_REFUSAL_RANGE; /* each must fit into its bits */
+	return settings_set_whole(view->settings, SETTING_AT_mode1 + slot, mode_range_pack(&range));
+}
+
+/* --- Failsafe: what each channel is taken as while frames are missing ------------------------------------ */
+#define RXFAIL_CENTRED 0u
+#define RXFAIL_HELD 1u
+
+static unsigned lists_rxfail_mode(unsigned channel)
+{
+	return channel == NF_CHANNEL_ROLL || channel == NF_CHANNEL_PITCH || channel == NF_CHANNEL_YAW ? RXFAIL_CENTRED :
+													RXFAIL_HELD;
+}
+
+/* In the ecosystem's order the throttle comes after yaw. */
+static unsigned lists_rxfail_told(unsigned place)
+{
+	return place == 2 ? NF_CHANNEL_YAW : place == 3 ? NF_CHANNEL_THROTTLE : place;
+}
+
+static enum nf_refusal lists_rxfail(struct msp_writer *reply)
+{
+	for (unsigned place = 0; place < NF_CHANNEL_COUNT; ++place) {
+		msp_put_u8(reply, lists_rxfail_mode(lists_rxfail_told(place)));
+		msp_put_u16(reply, NF_CHANNEL_MID_US);
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal lists_set_rxfail(struct msp_reader payload)
+{
+	const size_t size = payload.left;
+	const unsigned place = msp_take_u8(&payload), mode = msp_take_u8(&payload), us = msp_take_u16(&payload);
+
+	if (size < 4)
+		return NF_REFUSAL_PAYLOAD;
+	if (place >= NF_CHANNEL_COUNT)
+		return NF_REFUSAL_INDEX;
+	return mode == lists_rxfail_mode(lists_rxfail_told(place)) && us == NF_CHANNEL_MID_US ? NF_REFUSAL_NONE :
+												NF_REFUSAL_PAYLOAD;
+}
+
+/* --- Ports ------------------------------------------------------------------------------------------------ */
+#define FUNCTION_MSP 1u
+#define FUNCTION_RECEIVER (1u << 6)
+#define PORT_BYTES 9u
+#define BAUD_AUTO 0u
+
+/* The ecosystem's index of a baud rate; of those that it has, ours are the ones below. */
+static const struct rate {
+	uint8_t index;
+	uint32_t baud;
+} rates[] = {
+	{ 1, 9600 },   { 2, 19200 },  { 3, 38400 },  { 4, 57600 },
+	{ 5, 115200 }, { 6, 230400 }, { 9, 460800 }, { 11, 921600 },
+};
+
+struct line {
+	uint32_t functions;
+	unsigned baud_setting; /* NF_SETTING_COUNT: none, as its function says how fast it is */
+};
+
+/* UART1 is always MSP's, UART2 the receiver's, UART3 is what its setting says. */
+#define LINE_COUNT 3u
+#define LINE_UART2 1u
+#define LINE_UART3 2u
+
+static struct line lists_line(const struct nf_settings *s, unsigned number)
+{
+	const struct line lines[LINE_COUNT] = {
+		{ FUNCTION_MSP, SETTING_AT_msp_baud },
+		{ s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP ? 0u : FUNCTION_RECEIVER, NF_SETTING_COUNT },
+		{ s->uart3_function == NF_UART3_FUNCTION_MSP ? FUNCTION_MSP : 0u, SETTING_AT_uart3_baud },
+	};
+
+	return lines[number];
+}
+
+static unsigned lists_baud_index(const struct nf_settings *s, unsigned setting)
+{
+	union setting_value baud;
+
+	if (setting == NF_SETTING_COUNT)
+		return BAUD_AUTO;
+	settings_get(s, setting, &baud);
+	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
+		if (rates[i].baud == baud.as_uint32_t)
+			return rates[i].index;
+	return BAUD_AUTO;
+}
+
+static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_writer *reply)
+{
+	msp_put_u8(reply, LINE_COUNT);
+	for (unsigned number = 0; number < LINE_COUNT; ++number) {
+		const struct line line = lists_line(view->settings, number);
+		msp_put_u8(reply, number);
+		msp_put_u32(reply, line.functions);
+		msp_put_u8(reply, lists_baud_index(view->settings, line.baud_setting));
+		msp_put_zeros(reply, 3); /* of GPS, telemetry and blackbox: there are none */
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal lists_set_baud(struct nf_settings *s, unsigned setting, unsigned index)
+{
+	if (index == lists_baud_index(s, setting))
+		return NF_REFUSAL_NONE;
+	if (setting == NF_SETTING_COUNT)
+		return NF_REFUSAL_PAYLOAD;
+	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
+		if (rates[i].index == index)
+			return settings_set_whole(s, setting, rates[i].baud);
+	return NF_REFUSAL_RANGE;
+}
+
+/* The link that is spoken over, and the receiver, which the features choose, cannot be taken away. */
+static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned number, uint32_t functions)
+{
+	if (functions == lists_line(s, number).functions)
+		return NF_REFUSAL_NONE;
+	if (number != LINE_UART3 || functions > FUNCTION_MSP)
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set_whole(s, SETTING_AT_uart3_function,
+				  functions == FUNCTION_MSP ? NF_UART3_FUNCTION_MSP : NF_UART3_FUNCTION_OFF);
+}
+
+static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader *payload)
+{
+	const unsigned number = msp_take_u8(payload);
+	const uint32_t functions = msp_take_u32(payload);
+	const unsigned baud = msp_take_u8(payload);
+	const unsigned others = msp_take_u8(payload) | msp_take_u8(payload) | msp_take_u8(payload);
+
+	if (number >= LINE_COUNT)
+		return NF_REFUSAL_INDEX;
+	if (others != 0)
+		return NF_REFUSAL_PAYLOAD;
+	const enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
+	if (refusal != NF_REFUSAL_NONE)
+		return refusal;
+	return lists_set_baud(view->settings, lists_line(view->settings, number).baud_setting, baud);
+}
+
+static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_reader payload)
+{
+	const unsigned count = msp_take_u8(&payload);
+	enum nf_refusal refusal = NF_REFUSAL_NONE;
+
+	if (count == 0 || payload.left < (size_t)count * PORT_BYTES)
+		return NF_REFUSAL_PAYLOAD;
+	for (unsigned i = 0; i < count && refusal == NF_REFUSAL_NONE; ++i)
+		refusal = lists_set_port(view, &payload);
+	return refusal;
+}
+
+/* --- Motor outputs: counted from 0 on the wire, from 1 in the settings ------------------------------------ */
+static enum nf_refusal lists_outputs(const struct msp_view *view, struct msp_writer *reply)
+{
+	union setting_value output;
+
+	msp_put_u8(reply, NF_MOTOR_COUNT_MAX);
+	for (unsigned motor = 0; motor < NF_MOTOR_COUNT_MAX; ++motor) {
+		settings_get(view->settings, SETTING_AT_motor1_output + motor, &output);
+		msp_put_u8(reply, output.as_uint32_t - 1u);
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal lists_set_outputs(const struct msp_view *view, struct msp_reader payload)
+{
+	const unsigned count = msp_take_u8(&payload);
+	enum nf_refusal refusal = NF_REFUSAL_NONE;
+
+	if (count == 0 || count > NF_MOTOR_COUNT_MAX || payload.left < count)
+		return NF_REFUSAL_PAYLOAD;
+	for (unsigned motor = 0; motor < count && refusal == NF_REFUSAL_NONE; ++motor)
+		refusal = settings_set_whole(view->settings, SETTING_AT_motor1_output + motor,
+					     msp_take_u8(&payload) + 1u);
+	return refusal;
+}
+
+/* --- Texts ------------------------------------------------------------------------------------------------ */
+enum text_kind { TEXT_PILOT = 1, TEXT_CRAFT = 2, TEXT_PID_PROFILE = 3, TEXT_RATE_PROFILE = 4 };
+
+static const char *lists_text(const struct nf_settings *s, unsigned kind)
+{
+	switch (kind) {
+	case TEXT_PILOT:
+		return s->pilot_name;
+	case TEXT_CRAFT:
+		return s->craft_name;
+	case TEXT_PID_PROFILE:
+		return MSP_PID_PROFILE;
+	case TEXT_RATE_PROFILE:
+		return MSP_RATE_PROFILE;
+	default:
+		return NULL;
+	}
+}
+
+static enum nf_refusal lists_get_text(const struct msp_view *view, struct msp_reader payload, struct msp_writer *reply)
+{
+	const unsigned kind = msp_take_u8(&payload);
+	const char *text = lists_text(view->settings, kind);
+
+	if (!text)
+		return NF_REFUSAL_INDEX;
+	msp_put_u8(reply, kind);
+	msp_put_counted_text(reply, text, NF_SETTING_TEXT_BYTES);
+	return NF_REFUSAL_NONE;
+}
+
+static bool lists_same_text(const char *text, const union setting_value *value)
+{
+	unsigned i = 0;
+
+	while (i < NF_SETTING_TEXT_BYTES && text[i] && text[i] == value->as_text[i])
+		++i;
+	return i == NF_SETTING_TEXT_BYTES || text[i] == value->as_text[i];
+}
+
+static enum nf_refusal lists_set_text(const struct msp_view *view, struct msp_reader payload)
+{
+	const size_t size = payload.left;
+	const unsigned kind = msp_take_u8(&payload), length = msp_take_u8(&payload);
+	const char *text = lists_text(view->settings, kind);
+	union setting_value value;
+
+	if (!text)
+		return NF_REFUSAL_INDEX;
+	if (size < 2 || payload.left < length)
+		return NF_REFUSAL_PAYLOAD;
+	if (length > NF_SETTING_TEXT_BYTES)
+		return NF_REFUSAL_RANGE;
+	memset(&value, 0, sizeof value);
+	memcpy(value.as_text, payload.at, length);
+	if (lists_same_text(text, &value))
+		return NF_REFUSAL_NONE;
+	if (kind != TEXT_PILOT && kind != TEXT_CRAFT)
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set(view->settings, kind == TEXT_PILOT ? SETTING_AT_pilot_name : SETTING_AT_craft_name, &value);
+}
+
+/* --- All of them ------------------------------------------------------------------------------------------ */
+#define ADJUSTMENT_BYTES (6u * NF_MSP_ADJUSTMENT_SLOTS)
+
+bool msp_lists_get(const struct msp_view *view, uint16_t command, struct msp_reader payload, struct msp_writer *reply,
+		   enum nf_refusal *refusal)
+{
+	*refusal = NF_REFUSAL_NONE;
+	switch (command) {
+	case NF_MSP_MODE_RANGES:
+		*refusal = lists_modes(view, reply);
+		return true;
+	case NF_MSP_MODE_RANGES_EXTRA:
+		*refusal = lists_modes_extra(view, reply);
+		return true;
+	case NF_MSP_ADJUSTMENT_RANGES:
+		msp_put_zeros(reply, ADJUSTMENT_BYTES);
+		return true;
+	case NF_MSP_RXFAIL_CONFIG:
+		*refusal = lists_rxfail(reply);
+		return true;
+	case NF_MSP_COMMON_SERIAL_CONFIG:
+		*refusal = lists_ports(view, reply);
+		return true;
+	case NF_MSP_MOTOR_OUTPUT_REORDERING:
+		*refusal = lists_outputs(view, reply);
+		return true;
+	case NF_MSP_GET_TEXT:
+		*refusal = lists_get_text(view, payload, reply);
+		return true;
+	default:
+		return false;
+	}
+}
+
+bool msp_lists_set(const struct msp_view *view, uint16_t command, struct msp_reader payload, enum nf_refusal *refusal)
+{
+	switch (command) {
+	case NF_MSP_SET_MODE_RANGE:
+		*refusal = lists_set_mode(view, payload);
+		return true;
+	case NF_MSP_SET_RXFAIL_CONFIG:
+		*refusal = lists_set_rxfail(payload);
+		return true;
+	case NF_MSP_COMMON_SET_SERIAL_CONFIG:
+		*refusal = lists_set_ports(view, payload);
+		return true;
+	case NF_MSP_SET_MOTOR_OUTPUT_REORDERING:
+		*refusal = lists_set_outputs(view, payload);
+		return true;
+	case NF_MSP_SET_TEXT:
+		*refusal = lists_set_text(view, payload);
+		return true;
+	default:
+		return false;
+	}
+}

@@ -1,0 +1,398 @@
+#include "msp/msp_sources.h"
+
+#include <stddef.h>
+
+#include "common/limit.h"
+#include "common/nf_math.h"
+#include "policy.h"
+#include "storage/settings.h"
+
+#define BIT(number) (1u << (number))
+#define ANY_ANGLE_DEG 180u
+#define MIXER_QUAD_X 3u
+#define MIXER_HEX_X 10u
+#define MIXER_OTHER 23u
+
+/* --- Features, receiver, arming, beeper -------------------------------------------------------------- */
+static uint32_t sources_features(const struct nf_settings *s)
+{
+	const bool msp = s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP;
+
+	return BIT(NF_MSP_FEATURE_AIRMODE) | BIT(msp ? NF_MSP_FEATURE_RX_MSP : NF_MSP_FEATURE_RX_SERIAL) |
+	       (s->motor_stop ? BIT(NF_MSP_FEATURE_MOTOR_STOP) : 0u);
+}
+
+/* Which serial receiver it is the provider tells; SBUS is the first of them. */
+static enum nf_refusal sources_set_features(struct nf_settings *s, uint32_t value)
+{
+	const uint32_t receivers = BIT(NF_MSP_FEATURE_RX_SERIAL) | BIT(NF_MSP_FEATURE_RX_MSP);
+	const uint32_t changed = value ^ sources_features(s);
+
+	if (changed & ~(receivers | BIT(NF_MSP_FEATURE_MOTOR_STOP)))
+		return NF_REFUSAL_PAYLOAD;
+	if (changed & receivers) {
+		if ((changed & receivers) != receivers)
+			return NF_REFUSAL_PAYLOAD; /* one of them there must be */
+		s->receiver_protocol = value & BIT(NF_MSP_FEATURE_RX_MSP) ? NF_RECEIVER_PROTOCOL_MSP :
+									    NF_RECEIVER_PROTOCOL_SBUS;
+	}
+	return settings_set_whole(s, SETTING_AT_motor_stop, value >> NF_MSP_FEATURE_MOTOR_STOP & 1u);
+}
+
+static uint32_t sources_provider(const struct nf_settings *s)
+{
+	return s->receiver_protocol == NF_RECEIVER_PROTOCOL_SBUS ? NF_MSP_PROVIDER_SBUS :
+	       s->receiver_protocol == NF_RECEIVER_PROTOCOL_CRSF ? NF_MSP_PROVIDER_CRSF :
+								   0u;
+}
+
+static enum nf_refusal sources_set_provider(struct nf_settings *s, uint32_t value)
+{
+	if (value != NF_MSP_PROVIDER_SBUS && value != NF_MSP_PROVIDER_CRSF)
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set_whole(s, SETTING_AT_receiver_protocol,
+				  value == NF_MSP_PROVIDER_SBUS ? NF_RECEIVER_PROTOCOL_SBUS :
+								  NF_RECEIVER_PROTOCOL_CRSF);
+}
+
+static uint32_t sources_small_angle(const struct nf_settings *s)
+{
+	return s->level_limit_deg > 0.0f ? (uint32_t)(limit(s->level_limit_deg, 1.0f, 180.0f) + 0.5f) : ANY_ANGLE_DEG;
+}
+
+/* 0 would mean any angle to us, and to the ecosystem that nothing arms. */
+static enum nf_refusal sources_set_small_angle(struct nf_settings *s, uint32_t value)
+{
+	if (value == 0)
+		return NF_REFUSAL_RANGE;
+	return settings_set_number(s, SETTING_AT_level_limit_deg, value == ANY_ANGLE_DEG ? 0.0f : (float)value);
+}
+
+/* Bits of the ecosystem's conditions that beep here too. All others but the one for the pilot's switch (9) are off. */
+static const struct beep {
+	uint8_t bit, setting;
+} beeps[] = {
+	{ 1, SETTING_AT_beep_receiver_lost }, { 3, SETTING_AT_beep_disarmed },     { 4, SETTING_AT_beep_armed },
+	{ 6, SETTING_AT_beep_battery_low },   { 7, SETTING_AT_beep_battery_warn },
+};
+#define BEEPERS_ALL 0x7FFFFFu
+#define BEEPER_OF_SWITCH BIT(9)
+
+static uint32_t sources_beepers(const struct nf_settings *s)
+{
+	uint32_t off = BEEPERS_ALL & ~BEEPER_OF_SWITCH;
+	union setting_value on;
+
+	for (size_t i = 0; i < sizeof beeps / sizeof beeps[0]; ++i) {
+		settings_get(s, beeps[i].setting, &on);
+		if (on.as_uint32_t)
+			off &= ~BIT(beeps[i].bit);
+	}
+	return off;
+}
+
+static enum nf_refusal sources_set_beepers(struct nf_settings *s, uint32_t value)
+{
+	for (size_t i = 0; i < sizeof beeps / sizeof beeps[0]; ++i)
+		(void)settings_set_whole(s, beeps[i].setting, (value & BIT(beeps[i].bit)) == 0);
+	return sources_beepers(s) == value ? NF_REFUSAL_NONE : NF_REFUSAL_PAYLOAD;
+}
+
+/* --- Battery ------------------------------------------------------------------------------------------ */
+/* The ecosystem's divider has tenths of a volt for whole numbers up to 255. */
+static float sources_divider(const struct nf_settings *s)
+{
+	return s->battery_scale <= 25.5f ? 10.0f : 2.0f;
+}
+
+static uint32_t sources_voltage(const struct nf_settings *s, unsigned part)
+{
+	const float divider = sources_divider(s);
+	const float parts[] = { s->battery_scale * divider, divider, 1.0f };
+
+	return (uint32_t)(parts[part] + 0.5f);
+}
+
+static enum nf_refusal sources_set_voltage(struct nf_settings *s, unsigned part, uint32_t value)
+{
+	const float told = (float)sources_voltage(s, part), brought = (float)value;
+
+	if (value == 0)
+		return NF_REFUSAL_RANGE;
+	return settings_set_number(s, SETTING_AT_battery_scale,
+				   part == 0 ? brought / sources_divider(s) : s->battery_scale * told / brought);
+}
+
+/* --- Rates ---------------------------------------------------------------------------------------------- */
+#define RATE_EXPO 2u /* of the three of an axis */
+
+static float sources_rate_gain(const struct nf_settings *s, unsigned which)
+{
+	return s->rates_style == NF_RATES_STYLE_ACTUAL && which % 3u != RATE_EXPO ? 0.1f : 100.0f;
+}
+
+static uint32_t sources_rate(const struct nf_settings *s, unsigned which)
+{
+	union setting_value value;
+
+	settings_get(s, SETTING_AT_roll_rate + which, &value);
+	return (uint32_t)(limit(value.as_float * sources_rate_gain(s, which), 0.0f, UINT8_MAX) + 0.5f);
+}
+
+static enum nf_refusal sources_set_rate(struct nf_settings *s, unsigned which, uint32_t value)
+{
+	return settings_set_number(s, SETTING_AT_roll_rate + which, (float)value / sources_rate_gain(s, which));
+}
+
+static enum nf_refusal sources_set_rates_type(struct nf_settings *s, uint32_t value)
+{
+	if (value != NF_MSP_RATES_BETAFLIGHT && value != NF_MSP_RATES_ACTUAL)
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set_whole(s, SETTING_AT_rates_style,
+				  value == NF_MSP_RATES_ACTUAL ? NF_RATES_STYLE_ACTUAL : NF_RATES_STYLE_BETAFLIGHT);
+}
+
+/* --- PID ------------------------------------------------------------------------------------------------ */
+/* The ecosystem's number for the built-in gain times 1. */
+static float sources_pid_built_in(const struct pid_gains *pid, unsigned which)
+{
+	static const float scales[] = NF_MSP_PID_SCALES;
+	const unsigned axis = which / 3u, term = which % 3u;
+	const float *const gains[] = { pid->p, pid->i, pid->d };
+
+	return pid->motor_count == 0 ? 0.0f :
+				       gains[term][axis] * ((float)NF_MSP_PID_SUM * NF_RAD_PER_DEG / scales[term]);
+}
+
+static uint32_t sources_pid(const struct msp_view *view, unsigned which)
+{
+	union setting_value factor;
+
+	settings_get(view->settings, SETTING_AT_pid_roll_p + which, &factor);
+	return (uint32_t)(limit(sources_pid_built_in(view->pid, which) * factor.as_float, 0.0f, UINT8_MAX) + 0.5f);
+}
+
+static enum nf_refusal sources_set_pid(const struct msp_view *view, unsigned which, uint32_t value)
+{
+	const float built_in = sources_pid_built_in(view->pid, which);
+
+	if (!(built_in > 0.0f))
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set_number(view->settings, SETTING_AT_pid_roll_p + which, (float)value / built_in);
+}
+
+/* Cutoff of a low-pass from its gain, by Newton's method: gain = 1 - exp(-x). */
+static uint32_t sources_d_lowpass(const struct pid_gains *pid)
+{
+	float x = pid->smoothing;
+
+	if (pid->motor_count == 0 || pid->smoothing >= 1.0f)
+		return 0;
+	for (int i = 0; i < 8; ++i)
+		x += (pid->smoothing - nf_one_minus_exp(x)) / (1.0f - nf_one_minus_exp(x));
+	return (uint32_t)(limit(x * (float)POLICY_CONTROL_RATE_HZ / NF_TAU, 0.0f, UINT16_MAX) + 0.5f);
+}
+
+static uint32_t sources_tpa_rate(const struct pid_gains *pid)
+{
+	return (uint32_t)(limit(pid->tpa_slope * (1.0f - pid->tpa_breakpoint) * 100.0f, 0.0f, 100.0f) + 0.5f);
+}
+
+/* --- Filters: stages 1 and 2 are low-passes, 3 and 4 notches -------------------------------------------- */
+#define STAGE_ROWS 3u /* kind, frequency, quality */
+#define STAGE_HZ 1u
+#define STAGE_Q 2u
+#define LOWPASS_STAGES 2u
+#define BUTTERWORTH_Q 0.70710678f
+_Static_assert(SETTING_AT_filter2_kind - SETTING_AT_filter1_kind == STAGE_ROWS, "three settings a stage");
+
+static const uint8_t lowpass_types[] = { NF_FILTER_PT1, NF_FILTER_BIQUAD, NF_FILTER_PT2, NF_FILTER_PT3 };
+#define LOWPASS_TYPES (sizeof lowpass_types)
+
+struct stage {
+	unsigned index; /* of the setting that is its kind */
+	uint32_t kind;
+	float hz, q;
+};
+
+static struct stage sources_stage(const struct nf_settings *s, unsigned number)
+{
+	const unsigned index = SETTING_AT_filter1_kind + STAGE_ROWS * number;
+	union setting_value kind, hz, q;
+
+	settings_get(s, index, &kind);
+	settings_get(s, index + STAGE_HZ, &hz);
+	settings_get(s, index + STAGE_Q, &q);
+	return (struct stage){ index, kind.as_uint32_t, hz.as_float, q.as_float };
+}
+
+bool msp_filters_fit(const struct nf_settings *s)
+{
+	bool fit = true;
+
+	for (unsigned number = 0; number < NF_FILTER_STAGES; ++number) {
+		const struct stage stage = sources_stage(s, number);
+		const bool butterworth = stage.q > 0.99f * BUTTERWORTH_Q && stage.q < 1.01f * BUTTERWORTH_Q;
+		const bool notch = stage.kind == NF_FILTER_NOTCH;
+		if (stage.kind != NF_FILTER_NONE)
+			fit &= number < LOWPASS_STAGES ? !notch && (stage.kind != NF_FILTER_BIQUAD || butterworth) :
+							 notch;
+	}
+	return fit;
+}
+
+static uint32_t sources_stage_hz(const struct nf_settings *s, unsigned number)
+{
+	const struct stage stage = sources_stage(s, number);
+
+	return stage.kind == NF_FILTER_NONE ? 0u : (uint32_t)(stage.hz + 0.5f);
+}
+
+/* A stage that was none becomes one of `kind`. */
+static enum nf_refusal sources_set_stage_hz(struct nf_settings *s, unsigned number, uint32_t value, uint32_t kind)
+{
+	const struct stage stage = sources_stage(s, number);
+
+	if (value == 0)
+		return settings_set_whole(s, stage.index, NF_FILTER_NONE);
+	if (stage.kind == NF_FILTER_NONE)
+		(void)settings_set_whole(s, stage.index, kind);
+	return settings_set_number(s, stage.index + STAGE_HZ, (float)value);
+}
+
+static uint32_t sources_lowpass_type(const struct nf_settings *s, unsigned number)
+{
+	const struct stage stage = sources_stage(s, number);
+
+	for (uint32_t type = 0; type < LOWPASS_TYPES; ++type)
+		if (lowpass_types[type] == stage.kind)
+			return type;
+	return 0;
+}
+
+/* Of a stage that is none there is no type to keep. */
+static enum nf_refusal sources_set_lowpass_type(struct nf_settings *s, unsigned number, uint32_t value)
+{
+	const struct stage stage = sources_stage(s, number);
+
+	if (value >= LOWPASS_TYPES)
+		return NF_REFUSAL_RANGE;
+	if (stage.kind == NF_FILTER_NONE)
+		return NF_REFUSAL_NONE;
+	if (lowpass_types[value] == NF_FILTER_BIQUAD)
+		(void)settings_set_number(s, stage.index + STAGE_Q, BUTTERWORTH_Q);
+	return settings_set_whole(s, stage.index, lowpass_types[value]);
+}
+
+/* The lower edge f of a notch at c with quality q: q = c f / (c^2 - f^2). */
+static uint32_t sources_notch_cutoff(const struct nf_settings *s, unsigned number)
+{
+	const struct stage stage = sources_stage(s, number);
+	const float root = __builtin_sqrtf(1.0f + 4.0f * stage.q * stage.q);
+
+	return stage.kind == NF_FILTER_NONE ? 0u : (uint32_t)(stage.hz * (root - 1.0f) / (2.0f * stage.q) + 0.5f);
+}
+
+static enum nf_refusal sources_set_notch_cutoff(struct nf_settings *s, unsigned number, uint32_t value)
+{
+	const struct stage stage = sources_stage(s, number);
+	const float edge = (float)value;
+
+	if (stage.kind == NF_FILTER_NONE)
+		return NF_REFUSAL_NONE;
+	if (value == 0 || edge >= stage.hz)
+		return NF_REFUSAL_RANGE;
+	return settings_set_number(s, stage.index + STAGE_Q, stage.hz * edge / (stage.hz * stage.hz - edge * edge));
+}
+
+/* --- All of them ------------------------------------------------------------------------------------------ */
+uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument)
+{
+	const struct nf_settings *s = view->settings;
+
+	switch (source) {
+	case NF_MSP_SOURCE_FEATURES:
+		return sources_features(s);
+	case NF_MSP_SOURCE_MIXER:
+		return POLICY_ACTION_COUNT == 4 ? MIXER_QUAD_X : POLICY_ACTION_COUNT == 6 ? MIXER_HEX_X : MIXER_OTHER;
+	case NF_MSP_SOURCE_MOTOR_COUNT:
+		return POLICY_ACTION_COUNT;
+	case NF_MSP_SOURCE_PROCESS_DENOMINATOR:
+		return view->status->gyro_rate_hz / POLICY_CONTROL_RATE_HZ;
+	case NF_MSP_SOURCE_IDLE:
+		return (uint32_t)(limit(view->status->idle, 0.0f, 1.0f) * 10000.0f + 0.5f);
+	case NF_MSP_SOURCE_SMALL_ANGLE:
+		return sources_small_angle(s);
+	case NF_MSP_SOURCE_PROVIDER:
+		return sources_provider(s);
+	case NF_MSP_SOURCE_RATES_TYPE:
+		return s->rates_style == NF_RATES_STYLE_ACTUAL ? NF_MSP_RATES_ACTUAL : NF_MSP_RATES_BETAFLIGHT;
+	case NF_MSP_SOURCE_RATE:
+		return sources_rate(s, argument);
+	case NF_MSP_SOURCE_PID:
+		return sources_pid(view, argument);
+	case NF_MSP_SOURCE_LOWPASS_HZ:
+	case NF_MSP_SOURCE_NOTCH_HZ:
+		return sources_stage_hz(s, argument);
+	case NF_MSP_SOURCE_LOWPASS_TYPE:
+		return sources_lowpass_type(s, argument);
+	case NF_MSP_SOURCE_NOTCH_CUTOFF:
+		return sources_notch_cutoff(s, argument);
+	case NF_MSP_SOURCE_D_LOWPASS_HZ:
+		return sources_d_lowpass(view->pid);
+	case NF_MSP_SOURCE_TPA_RATE:
+		return sources_tpa_rate(view->pid);
+	case NF_MSP_SOURCE_TPA_BREAKPOINT:
+		return NF_CHANNEL_MIN_US + (uint32_t)(limit(view->pid->tpa_breakpoint, 0.0f, 1.0f) * 1000.0f + 0.5f);
+	case NF_MSP_SOURCE_BEEPERS:
+		return sources_beepers(s);
+	case NF_MSP_SOURCE_DIVIDER:
+		return sources_voltage(s, argument);
+	}
+	return 0;
+}
+
+/* What is only told: the app computes with 0.01 of some, and cuts what a binary fraction cannot say. */
+static enum nf_refusal sources_refuse(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
+				      uint32_t value)
+{
+	return value + 1u == msp_source_get(view, source, argument) && value > 0 &&
+			       (source == NF_MSP_SOURCE_IDLE || source == NF_MSP_SOURCE_TPA_RATE) ?
+		       NF_REFUSAL_NONE :
+		       NF_REFUSAL_PAYLOAD;
+}
+
+enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
+			       uint32_t value)
+{
+	struct nf_settings *s = view->settings;
+
+	switch (source) {
+	case NF_MSP_SOURCE_FEATURES:
+		return sources_set_features(s, value);
+	case NF_MSP_SOURCE_SMALL_ANGLE:
+		return sources_set_small_angle(s, value);
+	case NF_MSP_SOURCE_PROVIDER:
+		return sources_set_provider(s, value);
+	case NF_MSP_SOURCE_RATES_TYPE:
+		return sources_set_rates_type(s, value);
+	case NF_MSP_SOURCE_RATE:
+		return sources_set_rate(s, argument, value);
+	case NF_MSP_SOURCE_PID:
+		return sources_set_pid(view, argument, value);
+	case NF_MSP_SOURCE_LOWPASS_HZ:
+		return sources_set_stage_hz(s, argument, value, NF_FILTER_PT1);
+	case NF_MSP_SOURCE_NOTCH_HZ:
+		return sources_set_stage_hz(s, argument, value, NF_FILTER_NOTCH);
+	case NF_MSP_SOURCE_LOWPASS_TYPE:
+		return sources_set_lowpass_type(s, argument, value);
+	case NF_MSP_SOURCE_NOTCH_CUTOFF:
+		return sources_set_notch_cutoff(s, argument, value);
+	case NF_MSP_SOURCE_BEEPERS:
+		return sources_set_beepers(s, value);
+	case NF_MSP_SOURCE_DIVIDER:
+		return sources_set_voltage(s, argument, value);
+	default:
+		return sources_refuse(view, source, argument, value);
+	}
+}

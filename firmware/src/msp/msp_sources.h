@@ -1,0 +1,21 @@
+/* Fields of configuration messages that take more than a setting times a gain: enum nf_msp_source. */
+#ifndef NF_MSP_SOURCES_H
+#define NF_MSP_SOURCES_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "msp/msp_view.h"
+
+/* What a GET tells. */
+uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument);
+
+/* What a SET brings, which is not what a GET would tell. NF_REFUSAL_PAYLOAD: it cannot be changed. */
+enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source source, unsigned argument,
+			       uint32_t value);
+
+/* Do the settings fit the form that the ecosystem's filter messages have: low-passes in stages 1 and 2, notches in 3 and
+ * 4? */
+bool msp_filters_fit(const struct nf_settings *settings);
+
+#endif

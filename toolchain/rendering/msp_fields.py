@@ -1,0 +1,78 @@
+"""The configuration messages of MSP as rows of C: one a field, one a message with its counterpart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from toolchain import contract
+from toolchain.contract import Bound, MspField, MspHow, MspLayout
+
+WIDTHS = {"u8": "1, 0", "i8": "1, 1", "u16": "2, 0", "i16": "2, 1", "u32": "4, 0"}  # bytes, signed
+_SETTINGS = {setting.name: index for index, setting in enumerate(contract.SETTINGS)}
+
+
+@dataclass(frozen=True)
+class MspTables:
+    """The rows of the macros NF_MSP_FIELDS and NF_MSP_CONFIGURATIONS."""
+
+    fields: tuple[str, ...]  # bytes, signed, how, index, number, gain
+    configurations: tuple[
+        str, ...
+    ]  # GET, its first field and their number; SET, first, number, required; read first
+
+
+def render_configurations() -> MspTables:
+    """All configuration messages. Raises ValueError for a field that is bound to nothing."""
+    fields: list[str] = []
+    rows: list[str] = []
+    for pair in contract.CONFIGURATIONS:
+        get = _rows(pair.reply, setting=False)
+        told = _place(fields, get)
+        if pair.request is None:
+            rows.append(f"NF_MSP_{pair.reply.message.name}, {told}, 0, 0, 0, 0, 0")
+            continue
+        set_ = _rows(pair.request, setting=True)
+        brought = told if set_ == get else _place(fields, set_)
+        required = sum(field.count for field in _fields(pair.request, needed=True))
+        name = pair.request.message.name
+        rows.append(
+            f"NF_MSP_{pair.reply.message.name}, {told}, NF_MSP_{name}, {brought}, "
+            f"{required}, {int(pair.read_first)}"
+        )
+    return MspTables(tuple(fields), tuple(rows))
+
+
+def _fields(layout: MspLayout, needed: bool = False) -> Iterator[MspField]:
+    for field in layout.fields[: layout.needed] if needed else layout.fields:
+        if not isinstance(field, MspField) or field.bound is None:
+            raise ValueError(
+                f"{layout.message.name}: field {field.name} of a configuration is bound to nothing"
+            )
+        yield field
+
+
+def _rows(layout: MspLayout, setting: bool) -> list[str]:
+    rows = []
+    for field in _fields(layout):
+        assert field.bound is not None
+        bound = Bound(MspHow.UNUSED) if setting and field.told_only else field.bound
+        rows += [f"{WIDTHS[field.kind]}, {_bound(bound)}"] * field.count
+    return rows
+
+
+def _place(table: list[str], rows: list[str]) -> str:
+    """Append rows; returns where they begin, and how many they are."""
+    table += rows
+    return f"{len(table) - len(rows)}, {len(rows)}"
+
+
+def _bound(bound: Bound) -> str:
+    """How, index of the setting or source, number, gain."""
+    index = (
+        int(bound.source) if bound.how is MspHow.SOURCE else _SETTINGS[bound.setting] if bound.setting else 0
+    )
+    number = int(bound.offset) if bound.how is MspHow.SCALED else bound.number
+    for place, value in enumerate(bound.choices):
+        number |= value << 8 * place
+    return f"NF_MSP_HOW_{bound.how.name}, {index}, {number}, {float(bound.gain)!r}f"
