@@ -1,0 +1,78 @@
+"""Modes, ports, motor outputs and names as the Betaflight app saves them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from flash import layouts
+from tests.firmware.host.app import App, connected
+from toolchain.contract import Direction, ModeRange, Msp, layout_of
+from toolchain.contract.modes import Mode
+
+Start = Callable[..., Any]
+
+
+@pytest.fixture
+def app(start: Start) -> Iterator[App]:
+    with connected(start("--gyro-hz=1000")) as app:
+        yield app
+
+
+def mode_payload(slot: int, packed: int) -> bytes:
+    unpacked = ModeRange.unpack(packed)
+    if unpacked is None:
+        return bytes([slot, 0, 0, 0, 0, 0, 0])
+    steps = ((us - 900) // 25 for us in (unpacked.low_us, unpacked.high_us))
+    return bytes([slot, unpacked.mode, unpacked.aux - 1, *steps, unpacked.and_others, 0])
+
+
+def test_modes_are_saved_slot_by_slot_when_all_twenty_are_sent(app: App) -> None:
+    before = app.settings()
+    new = ModeRange(Mode.BEEPER, 5, 1300, 1500, and_others=True).packed
+    assert app.refused(35, bytes(7)), "who has not read may not clear a slot"
+    assert app.refused(250)
+    app.get(34)
+    for slot in range(20):
+        app.ask(35, mode_payload(slot, new if slot == 7 else int(before[f"mode{slot + 1}"])))
+    app.ask(250)
+    assert app.settings() == before | {"mode8": new}
+    assert app.get(238)["ranges"][7] == {"mode": 13, "logic": 1, "linked": 0}
+    for bad in ([20, 0, 0, 0, 0, 0, 0], [0, 1, 0, 32, 48, 0, 0], [0, 0, 12, 32, 48, 0, 0],
+                [0, 0, 0, 32, 49, 0, 0],
+                [0, 0, 0, 32, 48, 2, 0], [0, 0, 0, 32, 48, 0, 1], [0, 0, 0, 32]):  # fmt: skip
+        assert app.refused(35, bytes(bad)), bad
+    assert app.settings() == before | {"mode8": new}
+
+
+def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
+    expected = app.settings()
+    ports = layout_of(Msp.COMMON_SET_SERIAL_CONFIG, Direction.REQUEST)
+    told = app.get(4105)
+    app.ask(4106, layouts.encode(ports, told))
+    assert app.settings() == expected
+    told["ports"][2] |= {"functions": 1, "msp_baud": 6}
+    app.ask(4106, layouts.encode(ports, told))
+    expected |= {"uart3_function": 1, "uart3_baud": 230400}
+    assert app.settings() == expected
+    told["ports"][0]["functions"] = 0
+    assert app.refused(4106, layouts.encode(ports, told)), "the line that is spoken over"
+    assert app.refused(4106, b"\0")
+    app.ask(12290, bytes([4, 1, 0, 2, 3]))
+    expected |= {"motor1_output": 2, "motor2_output": 1}
+    app.ask(12295, b"\2\5Kitty")
+    app.ask(12295, b"\3\7standby")
+    app.ask(12295, b"\4\0")
+    expected |= {"craft_name": "Kitty"}
+    assert app.settings() == expected
+    assert app.refused(12290, bytes([4, 0, 0, 2, 3]))
+    assert app.refused(12295, b"\3\4mine")
+    assert app.refused(12295, bytes(2))
+    for channel in range(16):
+        row = app.get(77)["channels"][channel]
+        app.ask(78, struct.pack("<BBH", channel, row["mode"], row["value"]))
+    assert app.refused(78, bytes(4)[:3] + b"\1")
+    assert app.settings() == expected

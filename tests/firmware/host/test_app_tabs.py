@@ -1,0 +1,283 @@
+"""The Betaflight app's requests at API 1.46, replayed over TCP: connection, tabs, and what a save changes.
+
+Numbers and order of the requests are those that the app was seen to send. Expected values come from the
+settings, by SETTING_GET, and from constants written out here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flash import layouts
+from flash.client import Client, RefusedError
+from flash.transport import open_transport
+from sim.aircraft.model import load_aircraft
+from tests.firmware.host.app import GETS, App, connected, stored
+from toolchain.contract import Direction, Msp, layout_of
+
+Start = Callable[..., Any]
+REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 109, 205, 246, 225)
+
+# Number of each request and bytes of its reply at API 1.46, None: refused.
+HANDSHAKE = {1: 3, 2: 4, 3: 3, 5: 34, 101: 24, 160: 12}
+CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 21, 150: 24}
+TABS: dict[str, dict[int, int | None]] = {
+    "setup": {240: 4, 42: 2, 126: 7, 90: 20, 108: 6},
+    "ports": {108: 6, 88: None, 4105: 28},
+    "configuration": {36: 4, 184: 9, 61: 3, 96: 4, 44: 38, 90: 20},
+    "failsafe": {44: 38, 75: 8, 135: None, 77: 48, 36: 4, 119: 4, 105: 32, 50: 1, 34: 80},
+    "pid tuning": {
+        **{117: 25, 112: 15, 94: 61, 111: 23, 92: 49, 125: 5, 131: 10, 140: 53, 90: 20, 42: 2, 145: 3},
+    },
+    "receiver": {36: 4, 105: 32, 50: 1, 111: 23, 64: 8, 125: 5, 44: 38, 42: 2},
+    "modes": {105: 32, 101: 24, 34: 80, 238: 61, 119: 4, 50: 1, 4105: 28},
+    "motors": {
+        **{105: 32, 101: 24, 104: 16, 94: 61, 36: 4, 42: 2, 131: 10, 124: 6, 12289: 9},
+        **{90: 20, 92: 49, 61: 3, 102: 18},
+    },
+    "blackbox": {102: 18, 104: 16, 36: 4, 70: 13, 79: 11, 80: 11, 90: 20, 96: 4, 12298: 5},
+    "sensors": {96: 4, 126: 7, 38: 6, 240: 4, 12298: 5, 42: 2, 133: 2, 12301: 2, 108: 6, 109: None},
+    "power": {108: 6, 128: 2, 129: 5, 40: 8, 56: 7, 32: 13},
+    "adjustments": {128: 2, 129: 5, 52: 180, 119: 4, 105: 32},
+}
+# What a tab's save sends before 250. Left out: texts, slots and lists, which have tests of their own.
+SAVES = {
+    "pid tuning": (202, 95, 204, 93, 141),
+    "configuration": (37, 185, 62, 45, 91),
+    "failsafe": (45, 76, 37),
+    "receiver": (65, 51, 218, 45, 37),
+    "motors": (37, 43, 222, 217, 91, 62, 93),
+    "sensors": (97, 220, 39, 239, 224),
+    "power": (57, 41, 33),
+}
+
+
+@pytest.fixture
+def app(start: Start, host_program: Path) -> Iterator[App]:
+    """Of the shipped policy, with the PID that stands by."""
+    with connected(start("--gyro-hz=1000", build=host_program.parent)) as app:
+        yield app
+
+
+# --- Connecting and looking ------------------------------------------------------------------------------
+def test_the_app_connects_when_it_asks_as_it_does(app: App) -> None:
+    for command, size in HANDSHAKE.items():
+        assert len(app.ask(command)) == size, command
+    assert app.ask(2) == b"BTFL"
+    assert app.get(4)["board_name"] == "Neuroflight 0.1.0 nf1"
+    assert app.refused(Msp.GET_TEXT, b"\5"), "the build's key: there is none"
+    for kind in (2, 1):
+        assert app.ask(Msp.GET_TEXT, bytes([kind])) == bytes([kind, 0])
+    assert app.ask(99, b"\1\0") == b""
+    for command, size in CONNECTED.items():
+        assert len(app.ask(command)) == size, command
+
+
+@pytest.mark.parametrize("tab", TABS)
+def test_each_tab_gets_its_answers_to_the_byte_when_opened(app: App, tab: str) -> None:
+    for command, size in TABS[tab].items():
+        if size is None:
+            assert app.refused(command), command
+        else:
+            app.get(command)
+            assert len(app.ask(command)) == size, command
+
+
+def test_what_this_firmware_has_not_is_refused_when_asked(app: App) -> None:
+    for command in REFUSED:
+        assert app.refused(command), command
+
+
+def test_tabs_show_the_settings_when_these_are_not_the_defaults(app: App) -> None:
+    app.change(failsafe_delay_ms=2500, failsafe_throttle=0.35, failsafe_stage=1, receiver_protocol=1)
+    app.change(motor_stop=1, level_limit_deg=60, motor_protocol=0, battery_low_v=3.25, battery_warn_v=3.6)
+    app.change(battery_capacity_mah=1500, current_scale=40.0, battery_scale=16.0, roll_rate=200, roll_max=670)
+    app.change(roll_expo=0.54, filter1_kind=4, filter1_hz=120, filter3_kind=5, filter3_hz=200, filter3_q=2.0)
+    app.change(dynamic_notch_count=2, motors_reversed=1, deadband_us=4, beep_armed=0, uart3_function=1)
+    app.change(motor1_output=2, motor2_output=1, board_yaw_deg=90, gyro_alignment=3)
+    failsafe, power, rates, filters = app.get(75), app.get(32), app.get(111), app.get(92)
+    assert (failsafe["delay"], failsafe["throttle"], failsafe["procedure"]) == (25, 1350, 0)
+    assert app.get(36)["features"] == 1 << 3 | 1 << 4 | 1 << 22
+    assert app.get(44)["serial_provider"] == 9
+    assert (app.get(61)["small_angle"], app.get(90)["motor_protocol"]) == (60, 6)
+    assert (power["cell_min"], power["cell_warning"], power["capacity"]) == (325, 360, 1500)
+    assert app.get(40)["scale"] == 400
+    meter = app.get(56)
+    assert meter["scale"] / (meter["divider"] * meter["multiplier"]) == 16.0
+    assert (rates["type"], rates["roll_rate"], rates["roll_max"], rates["roll_expo"]) == (3, 20, 67, 54)
+    assert (filters["gyro_lowpass_hz"], filters["gyro_lowpass_type"]) == (120, 1)
+    assert filters["gyro_notch_hz"] == 200
+    cutoff = filters["gyro_notch_cutoff"]
+    assert 200 * cutoff / (200**2 - cutoff**2) == pytest.approx(2.0, rel=0.02), "the app's formula"
+    assert filters["dynamic_notches"] == 2
+    assert app.get(42) == {"mixer": 3, "reversed": 1}
+    assert app.get(125)["roll_pitch"] == 4
+    assert app.get(184)["off"] & (1 << 4) and not app.get(184)["off"] & (1 << 3)
+    assert [port["functions"] for port in app.get(4105)["ports"]] == [1, 64, 1]
+    assert [row["output"] for row in app.get(12289)["outputs"]][:2] == [1, 0]
+    assert (app.get(38)["yaw"], app.get(126)["gyro_1_align"]) == (90, 3)
+
+
+UNITS = {
+    "p": 0.032029,
+    "i": 0.244381,
+    "d": 0.000529,
+}  # of the app's PID numbers, for one deg/s; a sum of 1000 is 1
+
+
+def test_the_pid_that_stands_by_is_told_and_scaled_in_the_apps_units(app: App) -> None:
+    tuned = dict(load_aircraft("nf1").pids)["tuned"]
+    gains = {
+        f"{axis}_{term}": gain
+        for axis, row in zip(("roll", "pitch", "yaw"), tuned.gains, strict=True)
+        for term, gain in zip("pid", row, strict=True)
+    }
+    told = app.get(112)
+    assert {name: told[name] for name in gains} == {n: round(g / UNITS[n[-1]]) for n, g in gains.items()}
+    assert app.get(92)["d_lowpass_hz"] == app.get(140)["d_lowpass_hz"] == 15
+    advanced = app.get(94)
+    assert (advanced["tpa_rate"], advanced["tpa_breakpoint"]) == (15, 1600)
+    assert app.get(90)["motor_idle"] == 2300
+    expected = app.settings()
+    app.ask(202, app.payload(202, roll_p=60, yaw_i=100))
+    settings = app.settings()
+    assert settings.pop("pid_roll_p") == pytest.approx(60 * UNITS["p"] / gains["roll_p"], rel=1e-5)
+    assert settings.pop("pid_yaw_i") == pytest.approx(100 * UNITS["i"] / gains["yaw_i"], rel=1e-5)
+    assert settings == {n: v for n, v in expected.items() if n not in ("pid_roll_p", "pid_yaw_i")}
+    assert (app.get(112)["roll_p"], app.get(112)["yaw_i"]) == (60, 100)
+    for beyond in ({"roll_p": 5}, {"roll_p": 200}, {"pitch_i": 9}, {"level_p": 50}):
+        assert app.refused(202, app.payload(202, **beyond)), beyond
+
+
+# --- Saving -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("tab", SAVES)
+def test_nothing_changes_when_a_tab_saves_what_it_was_told(app: App, tab: str) -> None:
+    app.change(failsafe_descend_ms=60_000, level_limit_deg=33.3, battery_scale=10.987, dynamic_notch_q=2.717)
+    before = app.settings()
+    for command in SAVES[tab]:
+        app.ask(command, app.payload(command))
+    app.ask(250)
+    assert app.settings() == before
+
+
+CHANGED: tuple[tuple[int, Mapping[str, int], Mapping[str, float]], ...] = (
+    (204, {"pitch_max": 120}, {"pitch_max": 1200.0}),
+    (93, {"gyro_lowpass_hz": 150}, {"filter1_kind": 1, "filter1_hz": 150.0}),
+    (
+        93,
+        {"gyro_notch2_hz": 300, "gyro_notch2_cutoff": 250},
+        {"filter4_kind": 5, "filter4_hz": 300.0, "filter4_q": 2.7272727},
+    ),
+    (93, {"dynamic_notches": 1}, {"dynamic_notch_count": 1}),
+    (95, {"motor_limit": 80}, {"motor_limit": 0.8}),
+    (37, {"features": 1 << 3 | 1 << 4 | 1 << 22}, {"motor_stop": 1}),
+    (37, {"features": 1 << 14 | 1 << 22}, {"receiver_protocol": 2}),
+    (45, {"serial_provider": 9}, {"receiver_protocol": 1}),
+    (45, {"smoothing": 1}, {"interpolation": 1}),
+    (62, {"small_angle": 180}, {"level_limit_deg": 0.0}),
+    (91, {"motor_protocol": 6}, {"motor_protocol": 0}),
+    (185, {"off": 8387877 | 1 << 7}, {"beep_battery_warn": 0}),
+    (76, {"delay": 5}, {"failsafe_delay_ms": 500}),
+    (76, {"procedure": 0}, {"failsafe_stage": 1}),
+    (65, {"aux1": 5, "aux2": 4}, {"map_aux1": 5, "map_aux2": 4}),
+    (218, {"yaw": 7}, {"yaw_deadband_us": 7}),
+    (43, {"reversed": 1}, {"motors_reversed": 1}),
+    (220, {"gyro_1_align": 2}, {"gyro_alignment": 2}),
+    (39, {"yaw": -45}, {"board_yaw_deg": -45.0}),
+    (57, {"scale": 100}, {"battery_scale": 10.0}),
+    (41, {"scale": 250}, {"current_scale": 25.0}),
+    (33, {"cell_warning": 365, "capacity": 850}, {"battery_warn_v": 3.65, "battery_capacity_mah": 850}),
+)
+
+
+@pytest.mark.parametrize(("command", "changes", "settings"), CHANGED)
+def test_one_setting_changes_for_good_when_the_app_saves_one_value(
+    start: Start, tmp_path: Path, command: int, changes: dict[str, int], settings: dict[str, float]
+) -> None:
+    option = f"--settings={tmp_path / 'flash.bin'}"
+    program = start(option)
+    with connected(program) as app:
+        expected = app.settings() | settings
+        app.ask(command, app.payload(command, **changes))
+        assert app.settings() == stored(expected)
+        app.ask(250)
+    program.end()
+    with connected(start(option)) as app:
+        assert app.settings() == stored(expected)
+
+
+def test_all_rates_are_taken_when_their_type_changes(app: App) -> None:
+    expected = app.settings() | {"rates_style": 1}
+    for axis in ("roll", "pitch", "yaw"):
+        expected |= {f"{axis}_rate": 1.2, f"{axis}_max": 0.65, f"{axis}_expo": 0.1}
+    each = {
+        f"{axis}_{part}": raw
+        for axis in ("roll", "pitch", "yaw")
+        for part, raw in (("rate", 120), ("max", 65), ("expo", 10))
+    }
+    app.ask(204, app.payload(204, type=0, **each))
+    assert app.settings() == stored(expected)
+
+
+ZEROS_CHANGE_NOTHING = {51, 239, 224, 220, 39}  # what they tell is all zeros
+
+
+@pytest.mark.parametrize("command", sorted(set(GETS)))
+def test_zeros_change_nothing_when_the_app_was_told_otherwise(app: App, command: int) -> None:
+    app.change(board_yaw_deg=10, gyro_alignment=2)
+    app.ask(250)
+    before = app.settings()
+    zeros = bytes(len(app.payload(command)))
+    app.client.close()
+    app.client = Client(open_transport(app.client.name))  # one that has read nothing
+    if command in ZEROS_CHANGE_NOTHING - {220, 39}:
+        app.ask(command, zeros)
+    else:
+        assert app.refused(command, zeros)
+        assert app.refused(250)
+    assert app.settings() == before
+
+
+@pytest.mark.parametrize("command", sorted(set(GETS)))
+def test_other_versions_of_the_app_change_nothing_else_when_they_save(app: App, command: int) -> None:
+    before = app.settings()
+    payload = app.payload(command)
+    layout = layout_of(Msp(command), Direction.REQUEST)
+    app.ask(command, payload + b"\xff\xff\xff")
+    first = layouts.encode(
+        layout,
+        {field.name: app.get(GETS[Msp(command)])[field.name] for field in layout.fields[: layout.needed]},
+    )
+    app.ask(command, first)
+    assert app.refused(command, b"")
+    assert app.settings() == before
+
+
+def test_a_refused_change_makes_the_save_an_error_and_undoes_the_others_when_saved(
+    start: Start, tmp_path: Path
+) -> None:
+    flash = tmp_path / "flash.bin"
+    with connected(start(f"--settings={flash}")) as app:
+        before, content = app.settings(), flash.read_bytes()
+        app.ask(76, app.payload(76, delay=5))
+        assert app.refused(91, app.payload(91, pid_denominator=1))
+        with pytest.raises(RefusedError, match="a change before it was refused"):
+            app.ask(250)
+        assert app.settings() == before
+        assert flash.read_bytes() == content
+        app.ask(76, app.payload(76, delay=5))
+        app.ask(250)
+        assert app.settings() == before | {"failsafe_delay_ms": 500}
+
+
+def test_a_failsafe_save_ends_well_when_it_asks_for_gps_rescue(app: App) -> None:
+    for command in (45, 76, 37):
+        app.ask(command, app.payload(command))
+    frame = b"$M<\x02\xe1\x00\x00\xe3"  # 225, which is not ours: it changed nothing that was to be saved
+    app.client._transport.write(frame)
+    assert app.client._transport.read(5.0).startswith(b"$M!")
+    app.ask(250)
