@@ -6,11 +6,12 @@ from toolchain.contract.frame_time_sensors import AXES
 from toolchain.contract.msp import Msp
 from toolchain.contract.msp_layouts import (
     Configuration,
-    MspField,
     MspSource,
     bound,
     choice,
     constant,
+    pair,
+    read_only,
     reply,
     request,
     scaled,
@@ -19,12 +20,12 @@ from toolchain.contract.msp_layouts import (
     unused,
     zeros,
 )
+from toolchain.contract.msp_tuning import TUNING
 from toolchain.contract.receiver import (
     CHANNEL_MID_US,
     CHANNEL_MIN_US,
     CHANNEL_VALID_MAX_US,
     CHANNEL_VALID_MIN_US,
-    RATE_MAX_DEG_S,
     STICK_HIGH_US,
     THROTTLE_LOW_US,
 )
@@ -36,39 +37,8 @@ METER_ID = 10  # of the only battery
 CELL_FULL_CENTIVOLTS = 435  # above it there is one cell more: firmware/src/housekeeping/battery.c
 GYRO_COUNTS_PER_DEG_S = 16.4
 PRESENT, ABSENT_PART = 0, 1  # a sensor of whatever make; none
-MULTIPLIER_OFF = 100  # of a slider that does nothing, %
 MOTOR_POLES = 14  # the ecosystem's default; nothing here depends on it
-RATE_LIMIT = int(RATE_MAX_DEG_S)
 
-
-def _pair(
-    get: Msp, set_: Msp, *fields: MspField, required: int = 1, read_first: bool = False
-) -> Configuration:
-    """A message whose SET brings what the GET tells."""
-    return Configuration(reply(get, *fields), request(set_, *fields, required=required), read_first)
-
-
-def _read_only(get: Msp, *fields: MspField) -> Configuration:
-    return Configuration(reply(get, *fields))
-
-
-def _lowpass(stage: int, name: str) -> MspField:
-    return bound(
-        "u16", name, source(MspSource.LOWPASS_HZ, stage), "Hz", f"filter{stage + 1} of the chain; 0: none"
-    )
-
-
-def _notch(stage: int, name: str, cutoff: str) -> tuple[MspField, MspField]:
-    return (
-        bound(
-            "u16", name, source(MspSource.NOTCH_HZ, stage), "Hz", f"filter{stage + 1} of the chain; 0: none"
-        ),
-        bound("u16", cutoff, source(MspSource.NOTCH_CUTOFF, stage), "Hz", "its lower edge at -3 dB"),
-    )
-
-
-_D_LOWPASS = source(MspSource.D_LOWPASS_HZ)
-_D_MEANING = "of the PID that stands by; built in"
 
 # --- Power ---------------------------------------------------------------------------------------
 _VOLTAGE_METER = (
@@ -83,7 +53,7 @@ _CURRENT_METER = (
     bound("i16", "offset", constant(0), "mA"),
 )
 _POWER = (
-    _pair(
+    pair(
         Msp.BATTERY_CONFIG,
         Msp.SET_BATTERY_CONFIG,
         told("u8", "cell_min_coarse", scaled("battery_low_v", 10), "0.1 V", "as below; the finer one counts"),
@@ -123,7 +93,7 @@ _POWER = (
 
 # --- Receiver and failsafe -------------------------------------------------------------------------
 _RECEIVER = (
-    _pair(
+    pair(
         Msp.RX_CONFIG,
         Msp.SET_RX_CONFIG,
         bound("u8", "serial_provider", source(MspSource.PROVIDER), "", "0 none, 2 SBUS, 9 CRSF"),
@@ -148,7 +118,7 @@ _RECEIVER = (
         bound("u8", "smoothing", scaled("interpolation"), "", "a ramp between two frames"),
         bound("u8", "elrs_uid", constant(0), count=6),
     ),
-    _pair(
+    pair(
         Msp.RX_MAP,
         Msp.SET_RX_MAP,
         *(
@@ -157,8 +127,8 @@ _RECEIVER = (
         ),
         required=8,
     ),
-    _pair(Msp.RSSI_CONFIG, Msp.SET_RSSI_CONFIG, *zeros("u8", "channel")),
-    _pair(
+    pair(Msp.RSSI_CONFIG, Msp.SET_RSSI_CONFIG, *zeros("u8", "channel")),
+    pair(
         Msp.RC_DEADBAND,
         Msp.SET_RC_DEADBAND,
         bound("u8", "roll_pitch", scaled("deadband_us"), "us"),
@@ -166,7 +136,7 @@ _RECEIVER = (
         *zeros("u8", "altitude_hold"),
         bound("u16", "throttle_3d", constant(50), "us"),
     ),
-    _pair(
+    pair(
         Msp.FAILSAFE_CONFIG,
         Msp.SET_FAILSAFE_CONFIG,
         bound("u8", "delay", scaled("failsafe_delay_ms", 0.01), "0.1 s", "from the last frame to the stage"),
@@ -225,7 +195,7 @@ _SENSORS = (
     bound("u8", "mag_hardware", constant(ABSENT_PART)),
 )
 _GENERAL = (
-    _pair(
+    pair(
         Msp.FEATURE_CONFIG,
         Msp.SET_FEATURE_CONFIG,
         bound(
@@ -236,7 +206,7 @@ _GENERAL = (
             "3 serial receiver, 4 motors stop, 14 MSP receiver, 22 airmode",
         ),
     ),
-    _pair(
+    pair(
         Msp.ARMING_CONFIG,
         Msp.SET_ARMING_CONFIG,
         *zeros("u8", "auto_disarm_delay"),
@@ -247,14 +217,14 @@ _GENERAL = (
         reply(Msp.ADVANCED_CONFIG, *_ADVANCED, bound("u8", "debug_modes", constant(1))),
         request(Msp.SET_ADVANCED_CONFIG, *_ADVANCED, required=1),
     ),
-    _pair(
+    pair(
         Msp.BEEPER_CONFIG,
         Msp.SET_BEEPER_CONFIG,
         bound("u32", "off", source(MspSource.BEEPERS), "bits", "conditions that do not beep"),
         *zeros("u8", "beacon_tone"),
         bound("u32", "beacon_off", constant(0x202), "bits", "conditions that make no motor beep"),
     ),
-    _pair(
+    pair(
         Msp.MIXER_CONFIG,
         Msp.SET_MIXER_CONFIG,
         bound("u8", "mixer", source(MspSource.MIXER), "", "3 quad X, 10 hex X, 23 another"),
@@ -270,14 +240,14 @@ _GENERAL = (
         ),
         request(Msp.SET_MOTOR_CONFIG, *_MOTOR, *_MOTOR_REST, required=1),
     ),
-    _pair(
+    pair(
         Msp.MOTOR_3D_CONFIG,
         Msp.SET_MOTOR_3D_CONFIG,
         bound("u16", "deadband_low", constant(1406), "us"),
         bound("u16", "deadband_high", constant(1514), "us"),
         bound("u16", "neutral", constant(1460), "us"),
     ),
-    _pair(
+    pair(
         Msp.BOARD_ALIGNMENT_CONFIG,
         Msp.SET_BOARD_ALIGNMENT_CONFIG,
         *(bound("i16", axis, scaled(f"board_{axis}_deg"), "deg") for axis in AXES),
@@ -300,20 +270,20 @@ _GENERAL = (
         reply(Msp.SENSOR_CONFIG, *_SENSORS, *zeros("u8", "sonar_hardware")),
         request(Msp.SET_SENSOR_CONFIG, *_SENSORS, *zeros("u8", "sonar_hardware"), required=1),
     ),
-    _pair(Msp.COMPASS_CONFIG, Msp.SET_COMPASS_CONFIG, *zeros("i16", "declination")),
-    _pair(Msp.ACC_TRIM, Msp.SET_ACC_TRIM, *zeros("i16", "pitch roll")),
-    _read_only(
+    pair(Msp.COMPASS_CONFIG, Msp.SET_COMPASS_CONFIG, *zeros("i16", "declination")),
+    pair(Msp.ACC_TRIM, Msp.SET_ACC_TRIM, *zeros("i16", "pitch roll")),
+    read_only(
         Msp.SENSOR_CONFIG_ACTIVE,
         bound("u8", "gyro_hardware", constant(PRESENT)),
         *_SENSORS,
         *zeros("u8", "sonar_hardware"),
     ),
-    _read_only(
+    read_only(
         Msp.GYRO_SENSOR, bound("u8", "gyros", constant(1)), bound("u8", "gyro_hardware", constant(PRESENT))
     ),
-    _read_only(Msp.DATAFLASH_SUMMARY, *zeros("u8", "flags"), *zeros("u32", "sectors total_size used_size")),
-    _read_only(Msp.SDCARD_SUMMARY, *zeros("u8", "flags state last_error"), *zeros("u32", "free_kb total_kb")),
-    _read_only(
+    read_only(Msp.DATAFLASH_SUMMARY, *zeros("u8", "flags"), *zeros("u32", "sectors total_size used_size")),
+    read_only(Msp.SDCARD_SUMMARY, *zeros("u8", "flags state last_error"), *zeros("u32", "free_kb total_kb")),
+    read_only(
         Msp.BLACKBOX_CONFIG,
         *zeros("u8", "supported device rate_numerator rate_denominator"),
         *zeros("u16", "p_denominator"),
@@ -322,134 +292,4 @@ _GENERAL = (
     ),
 )
 
-# --- PID tuning -------------------------------------------------------------------------------------------
-_GYRO_FILTERS = (_lowpass(0, "gyro_lowpass_hz"), _lowpass(1, "gyro_lowpass2_hz"))
-_FILTERS = (
-    told(
-        "u8", "gyro_lowpass_coarse", source(MspSource.LOWPASS_HZ, 0), "Hz", "as gyro_lowpass_hz, which counts"
-    ),
-    bound("u16", "d_lowpass_hz", _D_LOWPASS, "Hz", _D_MEANING),
-    *zeros("u16", "yaw_lowpass_hz"),
-    *_notch(2, "gyro_notch_hz", "gyro_notch_cutoff"),
-    *zeros("u16", "d_notch_hz d_notch_cutoff"),
-    *_notch(3, "gyro_notch2_hz", "gyro_notch2_cutoff"),
-    *zeros("u8", "d_lowpass_type gyro_hardware_lowpass"),
-    bound("u8", "gyro_32khz_lowpass", unused()),
-    *_GYRO_FILTERS,
-    bound("u8", "gyro_lowpass_type", source(MspSource.LOWPASS_TYPE, 0), "", "0 PT1, 1 biquad, 2 PT2, 3 PT3"),
-    bound("u8", "gyro_lowpass2_type", source(MspSource.LOWPASS_TYPE, 1)),
-    *zeros("u16", "d_lowpass2_hz"),
-    *zeros("u8", "d_lowpass2_type"),
-    *zeros(
-        "u16", "gyro_lowpass_dynamic_min gyro_lowpass_dynamic_max d_lowpass_dynamic_min d_lowpass_dynamic_max"
-    ),
-    bound("u8", "dynamic_notch_range", unused()),
-    bound("u8", "dynamic_notch_width", unused(), "%"),
-    bound("u16", "dynamic_notch_q", scaled("dynamic_notch_q", 100), "0.01"),
-    bound("u16", "dynamic_notch_min", scaled("dynamic_notch_low_hz"), "Hz"),
-    *zeros("u8", "rpm_harmonics rpm_min"),
-    bound("u16", "dynamic_notch_max", scaled("dynamic_notch_high_hz"), "Hz"),
-    *zeros("u8", "dynamic_lowpass_expo"),
-    bound("u8", "dynamic_notches", scaled("dynamic_notch_count")),
-)
-_PID_ADVANCED = (
-    bound("u16", "i_ignore_rate", unused()),
-    bound("u16", "yaw_i_ignore_rate", unused()),
-    bound("u16", "yaw_p_limit", unused()),
-    bound("u8", "delta_method", unused()),
-    bound("u8", "voltage_compensation", unused()),
-    *zeros("u8", "feedforward_transition"),
-    bound("u8", "setpoint_weight_coarse", unused()),
-    bound("u8", "tolerance_band", unused()),
-    bound("u8", "tolerance_band_reduction", unused()),
-    bound("u8", "i_throttle_gain", unused()),
-    *zeros("u16", "max_velocity max_velocity_yaw"),
-    *zeros("u8", "level_angle_limit level_sensitivity"),
-    bound("u16", "i_throttle_threshold", unused()),
-    *zeros("u16", "anti_gravity_gain"),
-    bound("u16", "setpoint_weight", unused()),
-    *zeros("u8", "i_rotation"),
-    bound("u8", "smart_feedforward", unused()),
-    *zeros("u8", "i_relax i_relax_type absolute_control throttle_boost trainer_angle"),
-    *zeros("u16", "feedforward_roll feedforward_pitch feedforward_yaw"),
-    bound("u8", "anti_gravity_mode", unused()),
-    *zeros("u8", "d_max_roll d_max_pitch d_max_yaw d_max_gain d_max_advance"),
-    *zeros("u8", "integrated_yaw integrated_yaw_relax i_relax_cutoff"),
-    bound("u8", "motor_limit", scaled("motor_limit", 100), "%", "largest motor output"),
-    *zeros("i8", "profile_cells"),
-    *zeros("u8", "idle_min_rpm feedforward_averaging feedforward_smoothing feedforward_boost"),
-    *zeros("u8", "feedforward_max_rate_limit feedforward_jitter voltage_sag_compensation thrust_linear"),
-    bound("u8", "tpa_mode", constant(1), "", "the throttle attenuates D alone"),
-    bound("u8", "tpa_rate", source(MspSource.TPA_RATE), "%", _D_MEANING),
-    bound("u16", "tpa_breakpoint", source(MspSource.TPA_BREAKPOINT), "us", _D_MEANING),
-)
-_MULTIPLIERS = "master roll_pitch_ratio i_gain d_gain pi_gain d_max_gain feedforward_gain pitch_pi_gain"
-_SLIDERS = (
-    *zeros("u8", "pids_mode"),
-    *(bound("u8", f"slider_{name}", constant(MULTIPLIER_OFF), "%") for name in _MULTIPLIERS.split()),
-    bound("u32", "reserved1", unused()),
-    bound("u32", "reserved2", unused()),
-    *zeros("u8", "d_filter"),
-    bound("u8", "d_filter_multiplier", constant(MULTIPLIER_OFF), "%"),
-    bound("u16", "d_lowpass_hz", _D_LOWPASS, "Hz", _D_MEANING),
-    *zeros("u16", "d_lowpass2_hz d_lowpass_dynamic_min d_lowpass_dynamic_max"),
-    bound("u32", "reserved3", unused()),
-    bound("u32", "reserved4", unused()),
-    *zeros("u8", "gyro_filter"),
-    bound("u8", "gyro_filter_multiplier", constant(MULTIPLIER_OFF), "%"),
-    *_GYRO_FILTERS,
-    *zeros("u16", "gyro_lowpass_dynamic_min gyro_lowpass_dynamic_max"),
-    bound("u32", "reserved5", unused()),
-    bound("u32", "reserved6", unused()),
-)
-
-
-def _rate(axis: int, part: int, name: str) -> MspField:
-    return bound("u8", name, source(MspSource.RATE, 3 * axis + part), "of its type")
-
-
-_TUNING = (
-    _pair(
-        Msp.PID,
-        Msp.SET_PID,
-        *(
-            bound(
-                "u8",
-                f"{axis}_{term}",
-                source(MspSource.PID, 3 * i + j),
-                "the ecosystem's",
-                _D_MEANING.split(";")[0],
-            )
-            for i, axis in enumerate(AXES)
-            for j, term in enumerate("pid")
-        ),
-        *zeros("u8", "level_p level_i level_d mag_p mag_i mag_d"),
-    ),
-    _pair(Msp.PID_ADVANCED, Msp.SET_PID_ADVANCED, *_PID_ADVANCED),
-    _pair(
-        Msp.RC_TUNING,
-        Msp.SET_RC_TUNING,
-        _rate(0, 0, "roll_rate"),
-        _rate(0, 2, "roll_expo"),
-        _rate(0, 1, "roll_max"),
-        _rate(1, 1, "pitch_max"),
-        _rate(2, 1, "yaw_max"),
-        bound("u8", "tpa_rate_old", unused()),
-        bound("u8", "throttle_mid", constant(50), "%"),
-        *zeros("u8", "throttle_expo"),
-        bound("u16", "tpa_breakpoint_old", unused()),
-        _rate(2, 2, "yaw_expo"),
-        _rate(2, 0, "yaw_rate"),
-        _rate(1, 0, "pitch_rate"),
-        _rate(1, 2, "pitch_expo"),
-        *zeros("u8", "throttle_limit"),
-        bound("u8", "throttle_limit_percent", constant(100), "%"),
-        *(bound("u16", f"{axis}_rate_limit", constant(RATE_LIMIT), "deg/s") for axis in AXES),
-        bound("u8", "type", source(MspSource.RATES_TYPE), "", "0 Betaflight, 3 actual"),
-    ),
-    _pair(Msp.FILTER_CONFIG, Msp.SET_FILTER_CONFIG, *_FILTERS),
-    _pair(Msp.SIMPLIFIED_TUNING, Msp.SET_SIMPLIFIED_TUNING, *_SLIDERS),
-    _read_only(Msp.VALIDATE_SIMPLIFIED_TUNING, *zeros("u8", "pids_valid gyro_valid d_valid")),
-)
-
-CONFIGURATIONS = (*_POWER, *_RECEIVER, *_GENERAL, *_TUNING)
+CONFIGURATIONS = (*_POWER, *_RECEIVER, *_GENERAL, *TUNING)

@@ -198,6 +198,18 @@ def request(
     return MspLayout(message, Direction.REQUEST, fields, required, meaning)
 
 
+def pair(
+    get: Msp, set_: Msp, *fields: MspField, required: int = 1, read_first: bool = False
+) -> Configuration:
+    """A message whose SET brings what the GET tells."""
+    return Configuration(reply(get, *fields), request(set_, *fields, required=required), read_first)
+
+
+def read_only(get: Msp, *fields: MspField) -> Configuration:
+    """A message that nothing sets."""
+    return Configuration(reply(get, *fields))
+
+
 def flat(fields: Fields) -> Iterator[MspField]:
     """Every field, those of groups too, in order."""
     for field in fields:
