@@ -169,6 +169,12 @@ def _frames(
     return frames
 
 
+_NO_REASON = (
+    "it names no reason; the pilot's arm switch is AUX 1: give the mode arm a range there, "
+    "such as mode1=arm aux1 1700 2100"
+)
+
+
 class _Lockstep:
     """Twin and firmware together, advanced by whole control steps."""
 
@@ -232,7 +238,7 @@ class _Lockstep:
 
     def arming_reasons(self) -> str:
         """What the firmware says keeps it disarmed."""
-        return ", ".join(self._port.arming_reasons()) or "it names no reason"
+        return ", ".join(self._port.arming_reasons()) or _NO_REASON
 
     def _plan(self, step: int) -> None:
         """Decide whether a frame belongs to control step `step`."""

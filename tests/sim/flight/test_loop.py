@@ -240,6 +240,17 @@ def test_it_gives_up_with_the_reasons_when_the_firmware_does_not_arm() -> None:
     twin.close()
 
 
+def test_it_says_where_the_pilots_switch_is_when_the_firmware_names_no_reason() -> None:
+    class Deaf(Recorder):
+        def arming_reasons(self) -> tuple[str, ...]:
+            return ()
+
+    twin = Watched(1000)
+    with pytest.raises(LinkError, match=r"names no reason; the pilot's arm switch is AUX 1"):
+        fly(twin, Deaf(1000, arms=False), HOLD)
+    twin.close()
+
+
 def test_it_refuses_when_the_firmware_is_armed_from_an_earlier_flight() -> None:
     port, twin = Recorder(1000), Watched(1000)
     fly(twin, port, HOLD)
