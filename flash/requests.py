@@ -39,6 +39,7 @@ STORING = frozenset(  # commands that wait for the flash
 ONCE = frozenset(
     {
         *(Msp.SET_RAW_RC, Msp.SET_MOTOR, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.REBOOT, Msp.ACKNOWLEDGE),
+        *(Msp.CALIBRATE, Msp.SEND_DSHOT_COMMAND, Msp.ARMING_DISABLE),
         *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
     }
 )

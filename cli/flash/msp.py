@@ -21,6 +21,7 @@ COMMANDS = {  # in the order of --help: the summary
     "save": "store all settings; they are flown from the next boot on",
     "defaults": "set every setting to its default",
     "stream": "what the firmware does, up to 500 times a second: a table, or a file",
+    "calibrate": "measure the gyro's bias anew; the aircraft has to lie still",
     "faults": "the last fault that nobody acknowledged",
     "acknowledge": "acknowledge logged faults and a policy that was refused in flight, so that it arms again",
     "reboot": "start the firmware anew, and wait until it answers again",

@@ -242,7 +242,17 @@ def _acknowledged(known: Acknowledged) -> str:
     return f"acknowledged: {'; '.join(told)}" if told else "there was nothing to acknowledge"
 
 
-# --- reboot ----------------------------------------------------------------------------------------
+# --- calibrate, reboot -----------------------------------------------------------------------------
+def calibrate(args: argparse.Namespace) -> int:
+    """Have the gyro's bias measured anew and wait until it is known."""
+    from flash.calibration import calibrate
+
+    with connect(args) as client:
+        calibrate(client)
+        print(f"{client.name}: the gyro is calibrated")
+    return 0
+
+
 def reboot(args: argparse.Namespace) -> int:
     """Start the firmware anew and wait until it answers."""
     from flash.restart import restart
@@ -259,5 +269,6 @@ HANDLERS: dict[str, Callable[[argparse.Namespace], int]] = {
     "tasks": tasks,
     "faults": faults,
     "acknowledge": acknowledge,
+    "calibrate": calibrate,
     "reboot": reboot,
 }
