@@ -73,12 +73,12 @@ before. Check it on the bench: the attitude that MSP tells must follow the aircr
 wrong sign of an axis is not noticed before it flies, but a board upside down is no level board and does not
 arm.
 
-`pid_roll_p` and its like multiply the gains of the PID that is built in; 1 leaves them as they are.
-The policy does not use them: it has no gains. Their limits were flown in the twin, without gyro filters: within them NF1
-and hexacopter fly, from throttle 0.1 to 1. Two things they do not cover. A slow chain of gyro filters
-takes the margin that a larger P needs: near the 4 ms that a chain may take, leave P at 1 or below. And
-the Iris's built-in PID has little margin of its own: with a P of 1.25 and a D of 0.75 it swings, so raise
-D with P.
+`pid_roll_p` and its like multiply the gains of the PID that is built in; 1 leaves them as they are. The
+policy does not use them: it has no gains. Their limits were flown in the twin, without gyro filters:
+within them NF1 and hexacopter fly, from throttle 0.1 to 1. Two things they do not cover. A slow chain of
+gyro filters takes the margin that a larger P needs: near the 4 ms that a chain may take, leave P below
+1. And the Iris's built-in PID has little margin of its own: with a P of 1.25 and a D of 0.75 it swings,
+so raise D with P.
 
 This page is written by `python -m toolchain.rendering.settings_page docs/settings.md`.
 
