@@ -15,7 +15,7 @@ MODULES = sorted(
 )
 MEMORY = {"memcpy", "memset", "memcmp", "memmove"}  # the compiler itself may ask for these four
 
-TEXT = {"strchr", "strtof", "strtoul", "__errno_location"}  # the host's reader of NAME=VALUE
+TEXT = {"strchr"}  # the host's reader of NAME=VALUE
 
 
 def symbols(path: Path, *options: str) -> list[tuple[str, str]]:

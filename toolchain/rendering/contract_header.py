@@ -43,6 +43,7 @@ class Member:
     name: str
     value: int
     meaning: str = ""
+    word: str = ""  # its name without the prefix
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Enumeration:
     name: str
     meaning: str
     members: tuple[Member, ...]
+    names: str = ""  # of a macro that lists them by name, for texts; empty: none
 
 
 @dataclass(frozen=True)
@@ -177,22 +179,22 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_msp_how", "NF_MSP_HOW", contract.MspHow),
         _enumeration("nf_msp_source", "NF_MSP_SOURCE", contract.MspSource),
         _enumeration("nf_dshot_command", "NF_DSHOT_COMMAND", contract.DshotCommand),
-        _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState),
-        _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason),
-        _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause),
-        _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause),
-        _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth),
-        _enumeration("nf_task", "NF_TASK", contract.Task),
+        _enumeration("nf_flight_state", "NF_FLIGHT", contract.FlightState, "NF_FLIGHT_STATES"),
+        _enumeration("nf_arming_reason", "NF_ARMING_REASON", contract.ArmingReason, "NF_ARMING_REASONS"),
+        _enumeration("nf_stop_cause", "NF_STOP", contract.StopCause, "NF_STOP_CAUSES"),
+        _enumeration("nf_fallback_cause", "NF_FALLBACK", contract.FallbackCause, "NF_FALLBACK_CAUSES"),
+        _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth, "NF_GYRO_HEALTHS"),
+        _enumeration("nf_task", "NF_TASK", contract.Task, "NF_TASKS"),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
-        _enumeration("nf_mode", "NF_MODE", contract.Mode),
+        _enumeration("nf_mode", "NF_MODE", contract.Mode, "NF_MODES"),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 
 
-def _enumeration(name: str, prefix: str, source: type[IntEnum]) -> Enumeration:
+def _enumeration(name: str, prefix: str, source: type[IntEnum], names: str = "") -> Enumeration:
     meaning = (source.__doc__ or "").splitlines()[0]
-    members = tuple(Member(f"{prefix}_{item.name}", item.value) for item in source)
-    return Enumeration(name, meaning, members)
+    members = tuple(Member(f"{prefix}_{item.name}", item.value, word=item.name) for item in source)
+    return Enumeration(name, meaning, members, names)
 
 
 if __name__ == "__main__":

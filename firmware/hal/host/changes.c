@@ -1,31 +1,20 @@
 #include "hal/host/changes.h"
 
-#include <errno.h>
-#include <stdlib.h>
 #include <string.h>
+
+#include "storage/settings_text.h"
 
 #define NAME_BYTES 40
 
-static bool change_parse_value(const char *text, enum setting_kind kind, union setting_value *value)
+/* As people write it; a mode range also as the number that a program has read. */
+static bool change_parse_value(const char *text, const struct setting *setting, union setting_value *value)
 {
-	char *end;
+	struct setting number = *setting;
 
-	memset(value, 0, sizeof *value);
-	if (kind == SETTING_text) {
-		const size_t length = strlen(text);
-		memcpy(value->as_text, text, length < sizeof value->as_text ? length : sizeof value->as_text);
-		return length <= sizeof value->as_text;
-	}
-	errno = 0;
-	if (kind == SETTING_float) {
-		value->as_float = strtof(text, &end);
-	} else {
-		const unsigned long whole = strtoul(text, &end, 10);
-		if (text[0] == '-' || whole > UINT32_MAX)
-			return false;
-		value->as_uint32_t = (uint32_t)whole;
-	}
-	return errno == 0 && end != text && *end == '\0';
+	if (settings_text_parse(setting, text, value) == SETTINGS_TEXT_GOOD)
+		return true;
+	number.kind = SETTING_uint32_t;
+	return setting->kind == SETTING_mode && settings_text_parse(&number, text, value) == SETTINGS_TEXT_GOOD;
 }
 
 bool change_parse(const char *text, struct setting_change *change)
@@ -41,7 +30,7 @@ bool change_parse(const char *text, struct setting_change *change)
 	name[equals - text] = '\0';
 	parsed.index = settings_find(name);
 	if (parsed.index == NF_SETTING_COUNT ||
-	    !change_parse_value(equals + 1, settings_info(parsed.index)->kind, &parsed.value))
+	    !change_parse_value(equals + 1, settings_info(parsed.index), &parsed.value))
 		return false;
 	settings_default(&scratch);
 	if (settings_set(&scratch, parsed.index, &parsed.value) != NF_REFUSAL_NONE)

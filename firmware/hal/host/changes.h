@@ -6,8 +6,8 @@
 
 #include "storage/settings.h"
 
-/* Reads `text`. Returns false, `change` unset, if the name is no setting's or the value is no number within its
- * limits. Settings with named choices take their numbers. */
+/* Reads `text`, its value as settings_text.h does. Returns false, `change` unset, if the name is no setting's or the
+ * value is none of it or beyond its limits. Mode ranges are also taken as the number that SETTING_GET tells. */
 bool change_parse(const char *text, struct setting_change *change);
 
 #endif
