@@ -57,6 +57,8 @@ HEADERS = (
     "hal/host/flash_model.h",
     "msp/msp_payload.h",
     "msp/msp_commands.h",
+    "command_line/command_line.h",
+    "command_line/printer.h",
     "common/nf_math.h",
     "sensing/gyro.h",
     "sensing/filters.h",

@@ -1,0 +1,265 @@
+/* get and set. */
+#include "command_line/command.h"
+#include "policy.h"
+#include "storage/settings.h"
+#include "storage/settings_text.h"
+
+#define NAME_BYTES 33 /* longer than any setting's name */
+
+/* --- What can be read, but not set ------------------------------------------------------------------------------ */
+static void item_version(const struct task_line *t)
+{
+	command_say_version(t);
+}
+
+static void item_board(const struct task_line *t)
+{
+	printer_text(t->out, t->services->board);
+}
+
+static void item_uid(const struct task_line *t)
+{
+	for (unsigned i = 0; i < 3; ++i)
+		printer_hex(t->out, t->services->unique_id[i], 8);
+}
+
+static void item_policy(const struct task_line *t)
+{
+	command_say_policy(t);
+}
+
+static void item_idle(const struct task_line *t)
+{
+	printer_fixed(t->out, t->services->slots->idle, 3);
+}
+
+static void item_control_rate(const struct task_line *t)
+{
+	printer_number(t->out, POLICY_CONTROL_RATE_HZ);
+}
+
+static const struct item {
+	const char *name;
+	void (*say)(const struct task_line *t);
+} items[] = {
+	{ "version", item_version }, { "board", item_board },      { "uid", item_uid },
+	{ "policy", item_policy },   { "policy_idle", item_idle }, { "control_rate_hz", item_control_rate },
+};
+#define ITEM_COUNT (sizeof items / sizeof items[0])
+
+static const struct item *item_find(const char *name)
+{
+	for (size_t i = 0; i < ITEM_COUNT; ++i)
+		if (command_is(name, items[i].name))
+			return &items[i];
+	return NULL;
+}
+
+/* --- Words about a setting -------------------------------------------------------------------------------------- */
+static void setting_say_value(const struct task_line *t, const struct setting *setting,
+			      const union setting_value *value)
+{
+	char text[SETTINGS_TEXT_BYTES];
+
+	settings_text_format(setting, value, text);
+	printer_text(t->out, text);
+}
+
+/* A limit or default of a number. */
+static void setting_say_number(const struct task_line *t, const struct setting *setting, union setting_number number)
+{
+	const union setting_value value = { .as_uint32_t = number.as_uint32_t };
+
+	setting_say_value(t, setting, &value);
+}
+
+/* What values there are. */
+static void setting_say_span(const struct task_line *t, const struct setting *setting)
+{
+	if (setting->kind == SETTING_text) {
+		printer_text(t->out, "at most ");
+		printer_number(t->out, NF_SETTING_TEXT_BYTES);
+		printer_text(t->out, " characters, - for none");
+	} else if (setting->kind == SETTING_mode) {
+		printer_text(t->out, "MODE AUX LOW HIGH such as arm aux1 1700 2100, perhaps 'and' behind it; none");
+	} else if (setting->choices[0] != '\0') {
+		printer_text(t->out, "one of ");
+		printer_text(t->out, setting->choices);
+	} else {
+		setting_say_number(t, setting, setting->low);
+		printer_text(t->out, " to ");
+		setting_say_number(t, setting, setting->high);
+		printer_char(t->out, ' ');
+		printer_text(t->out, setting->unit);
+	}
+}
+
+/* What was expected where a text was refused for `error`. */
+static void setting_say_expected(const struct task_line *t, const struct setting *setting,
+				 enum settings_text_error error)
+{
+	switch (error) {
+	case SETTINGS_TEXT_NOT_WHOLE:
+		printer_text(t->out, "a whole number from ");
+		break;
+	case SETTINGS_TEXT_NO_NUMBER:
+		printer_text(t->out, "a number from ");
+		break;
+	case SETTINGS_TEXT_MODE_NAME:
+		printer_text(t->out, "a mode: arm, beeper, pid or trial");
+		return;
+	case SETTINGS_TEXT_MODE_AUX:
+		printer_text(t->out, "aux1 to aux");
+		printer_number(t->out, NF_AUX_COUNT);
+		return;
+	case SETTINGS_TEXT_MODE_GRID:
+		printer_text(t->out, "ends from ");
+		printer_number(t->out, NF_MODE_LOW_US);
+		printer_text(t->out, " to ");
+		printer_number(t->out, NF_MODE_LOW_US + NF_MODE_STEPS * NF_MODE_STEP_US);
+		printer_text(t->out, " us, multiples of ");
+		printer_number(t->out, NF_MODE_STEP_US);
+		return;
+	case SETTINGS_TEXT_MODE_ORDER:
+		printer_text(t->out, "the lower end first");
+		return;
+	case SETTINGS_TEXT_GOOD:
+	case SETTINGS_TEXT_TOO_LARGE:
+	case SETTINGS_TEXT_NO_CHOICE:
+	case SETTINGS_TEXT_TOO_LONG:
+	case SETTINGS_TEXT_MODE_FORM:
+		break;
+	}
+	setting_say_span(t, setting);
+}
+
+/* --- get -------------------------------------------------------------------------------------------------------- */
+static bool get_has(const char *name, const char *part)
+{
+	for (;; ++name) {
+		size_t same = 0;
+		while (part[same] != '\0' && name[same] == part[same])
+			++same;
+		if (part[same] == '\0')
+			return true;
+		if (*name == '\0')
+			return false;
+	}
+}
+
+static void get_item(const struct task_line *t, const struct item *item)
+{
+	printer_text(t->out, item->name);
+	printer_text(t->out, " = ");
+	item->say(t);
+	printer_text(t->out, " (read-only)");
+	printer_end(t->out);
+}
+
+static void get_setting(const struct task_line *t, unsigned index)
+{
+	const struct setting *setting = settings_info_beside(t->services->settings, index);
+	union setting_value value;
+
+	settings_get(t->services->settings, index, &value);
+	printer_text(t->out, setting->name);
+	printer_text(t->out, " = ");
+	setting_say_value(t, setting, &value);
+	printer_text(t->out, " (");
+	setting_say_span(t, setting);
+	if (setting->kind != SETTING_text) {
+		printer_text(t->out, "; default ");
+		setting_say_number(t, setting, setting->preset);
+	}
+	printer_char(t->out, ')');
+	printer_end(t->out);
+}
+
+bool command_get(const struct task_line *t)
+{
+	if (t->row < ITEM_COUNT + NF_SETTING_COUNT) {
+		const unsigned index = t->row < ITEM_COUNT ? t->row : t->row - (unsigned)ITEM_COUNT;
+		const char *const name = t->row < ITEM_COUNT ? items[index].name : settings_info(index)->name;
+		if (!get_has(name, t->arguments))
+			return true;
+		t->cl->found = true;
+		if (t->row < ITEM_COUNT)
+			get_item(t, &items[index]);
+		else
+			get_setting(t, index);
+		return true;
+	}
+	if (!t->cl->found) {
+		command_got(t, "get", t->arguments);
+		printer_text(t->out, "a part of a name; 'get' alone lists all");
+		printer_end(t->out);
+	}
+	return false;
+}
+
+/* --- set -------------------------------------------------------------------------------------------------------- */
+/* Copies the name before '='. Returns what stands behind that and spaces; NULL: there is no '='. */
+static const char *set_split(const char *text, char name[NAME_BYTES])
+{
+	size_t length = 0;
+
+	for (; *text != '\0' && *text != '=' && *text != ' '; ++text)
+		if (length + 1 < NAME_BYTES)
+			name[length++] = *text;
+	name[length] = '\0';
+	while (*text == ' ')
+		++text;
+	if (*text != '=')
+		return NULL;
+	do
+		++text;
+	while (*text == ' ');
+	return text;
+}
+
+static void set_refuse_name(const struct task_line *t, const char *name)
+{
+	command_got(t, "set", name);
+	printer_text(t->out, item_find(name) ? "a setting; that can only be read" :
+					       "a setting's name; 'get' lists them, 'get PART' finds them");
+	printer_end(t->out);
+}
+
+static void set_value(const struct task_line *t, unsigned index, const char *text)
+{
+	const struct setting *setting = settings_info_beside(t->services->settings, index);
+	union setting_value value;
+	const enum settings_text_error error = settings_text_parse(setting, text, &value);
+
+	if (error == SETTINGS_TEXT_GOOD && settings_set(t->services->settings, index, &value) == NF_REFUSAL_NONE)
+		return;
+	command_got(t, setting->name, text);
+	setting_say_expected(t, setting, error);
+	printer_end(t->out);
+}
+
+bool command_set(const struct task_line *t)
+{
+	char name[NAME_BYTES];
+	const char *const value = set_split(t->arguments, name);
+
+	if (t->arguments[0] == '\0')
+		return command_get(t);
+	const unsigned index = settings_find(name);
+	if (t->status->trace.armed) {
+		command_error(t);
+		printer_text(t->out, "set: ");
+		command_say_armed(t);
+	} else if (index == NF_SETTING_COUNT) {
+		set_refuse_name(t, name);
+	} else if (!value) {
+		command_got(t, "set", t->arguments);
+		printer_text(t->out, "NAME = VALUE; 'get ");
+		printer_text(t->out, name);
+		printer_text(t->out, "' tells the value");
+		printer_end(t->out);
+	} else {
+		set_value(t, index, value);
+	}
+	return false;
+}
