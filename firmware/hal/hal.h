@@ -98,6 +98,9 @@ struct hal_handlers {
 	/* Bytes from the peer were lost, the line being faster than the program: a request half read is void. Same
 	 * context as `background`. */
 	void (*link_lost)(void *context, unsigned port);
+	/* Has the program more to say on that port before it takes more bytes? They stay in the line until then, and
+	 * `link` is called with count 0. Same context as `background`. */
+	bool (*link_busy)(void *context, unsigned port);
 };
 
 /* Brings the chip up, no sample yet, motors stopped: from here until hal_run a board sends them stop frames. Returns

@@ -216,16 +216,67 @@ static void background_record(void *context, struct control_record *record)
 	firmware_record(config->firmware, &config->stats[NF_TASK_CONTROL].last, record);
 }
 
+static uint32_t background_samples(void *context)
+{
+	const struct background *background = context;
+
+	return firmware_samples(background->config.firmware);
+}
+
+/* A command line opens or ends. Arming is forbidden first, then looked at: what comes between finds it forbidden. */
+static enum nf_refusal background_session(void *context, bool open)
+{
+	struct background *background = context;
+	struct firmware *fw = background->config.firmware;
+
+	if (open)
+		firmware_forbid(fw, NF_ARMING_REASON_CLI, true);
+	const bool refused = open && firmware_armed(fw);
+	if (open && !refused)
+		++background->sessions;
+	else if (!open)
+		--background->sessions;
+	firmware_forbid(fw, NF_ARMING_REASON_CLI, background->sessions > 0);
+	return refused ? NF_REFUSAL_ARMED : NF_REFUSAL_NONE;
+}
+
+static void background_offer_commands(struct background *background)
+{
+	const struct background_config *config = &background->config;
+	const uint32_t *id = config->identity->unique_id;
+
+	background->commands = (struct command_line_services){
+		.board = config->identity->target,
+		.unique_id = { id[0], id[1], id[2] },
+		.flash = &config->hal->flash,
+		.settings = &background->edited,
+		.slots = &background->slots,
+		.faults = &background->faults,
+		.tasks = config->stats,
+		.cycles_hz = config->cycles_hz,
+		.context = background,
+		.samples = background_samples,
+		.session = background_session,
+		.storing = background_storing,
+		.motor_test = background_test_motors,
+		.motors = background_turn_motors,
+		.acknowledge = background_acknowledge,
+		.reboot = background_reboot,
+	};
+}
+
 static void background_offer_services(struct background *background)
 {
 	const struct background_config *config = &background->config;
 
+	background_offer_commands(background);
 	background->services = (struct msp_services){
 		.flash = &config->hal->flash,
 		.settings = &background->edited,
 		.slots = &background->slots,
 		.faults = &background->faults,
 		.tasks = config->stats,
+		.command_line = &background->commands,
 		.cycles_hz = config->cycles_hz,
 		.context = background,
 		.storing = background_storing,
@@ -494,6 +545,11 @@ void background_link_reset(struct background *background, unsigned port)
 void background_link_pause(struct background *background, unsigned port)
 {
 	msp_port_pause(&background->ports[port]);
+}
+
+bool background_link_busy(const struct background *background, unsigned port)
+{
+	return msp_port_busy(&background->ports[port]);
 }
 
 void background_link_lost(struct background *background, unsigned port)

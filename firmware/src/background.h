@@ -60,6 +60,8 @@ struct background {
 	uint32_t refused_since_ms;
 	bool rebooting; /* was asked to, and is about to */
 	struct msp_services services;
+	struct command_line_services commands;
+	unsigned sessions; /* of command lines that are open */
 	struct msp_port ports[NF_MSP_PORT_COUNT];
 };
 
@@ -83,6 +85,9 @@ void background_link_reset(struct background *background, unsigned port);
 
 /* It has paused for so long that what follows is no part of what came before. */
 void background_link_pause(struct background *background, unsigned port);
+
+/* Is there more to say to it before more bytes are read? */
+bool background_link_busy(const struct background *background, unsigned port);
 
 /* Bytes of its were lost. */
 void background_link_lost(struct background *background, unsigned port);

@@ -510,6 +510,12 @@ void firmware_power(struct firmware *fw, float voltage)
 	pid_compensate(&fw->control.pid, voltage);
 }
 
+bool firmware_armed(const struct firmware *fw)
+{
+	fence();
+	return fw->status.trace.armed;
+}
+
 bool firmware_stopped(const struct firmware *fw)
 {
 	fence();

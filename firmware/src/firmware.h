@@ -127,6 +127,9 @@ void firmware_weights(struct firmware *fw, bool good);
 /* From the background: the battery's voltage, filtered [V], 0 where it is not known. The PID flies by it. */
 void firmware_power(struct firmware *fw, float voltage);
 
+/* From the background: do the motors obey a pilot? */
+bool firmware_armed(const struct firmware *fw);
+
 /* From the background: are the motors stopped, with no test and no command under way? */
 bool firmware_stopped(const struct firmware *fw);
 

@@ -58,6 +58,7 @@ int main(int argc, char **argv)
 		.link_reset = program_link_reset,
 		.link_pause = program_link_pause,
 		.link_lost = program_link_lost,
+		.link_busy = program_link_busy,
 	};
 
 	const int start = hal_init(argc, argv, &info);

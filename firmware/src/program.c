@@ -87,3 +87,10 @@ void program_link_lost(void *context, unsigned port)
 
 	background_link_lost(program->background, port);
 }
+
+bool program_link_busy(void *context, unsigned port)
+{
+	const struct program *program = context;
+
+	return background_link_busy(program->background, port);
+}

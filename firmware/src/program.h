@@ -3,6 +3,7 @@
 #ifndef NF_PROGRAM_H
 #define NF_PROGRAM_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -30,5 +31,6 @@ size_t program_link(void *program, unsigned port, const uint8_t *bytes, size_t c
 void program_link_reset(void *program, unsigned port);
 void program_link_pause(void *program, unsigned port);
 void program_link_lost(void *program, unsigned port);
+bool program_link_busy(void *program, unsigned port);
 
 #endif

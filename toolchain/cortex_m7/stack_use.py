@@ -38,7 +38,7 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "hal.c": ("program.c:program_background",),
     "msp_uart.c": (
         *("program.c:program_link", "program.c:program_link_pause"),
-        "program.c:program_link_lost",
+        *("program.c:program_link_lost", "program.c:program_link_busy"),
     ),
     "flash.c:flash_at": ("hal.c:hal_flash_at",),
     "flash.c:flash_erase": ("hal.c:hal_flash_erase",),
@@ -66,6 +66,22 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
         *("background.c:background_command_motors", "background.c:background_reboot"),
         *("background.c:background_arming", "background.c:background_calibrate"),
         "background.c:background_acknowledge",
+    ),
+    "command_line.c": ("background.c:background_samples", "background.c:background_session"),
+    "command_line.c:command_line_continue": (
+        *("background.c:background_samples", "background.c:background_session", ":command_table"),
+        *("command_line.c:greeting", "command_line.c:nothing", "command_line.c:unknown"),
+        "command_line.c:spoilt",
+    ),
+    "report_commands.c": (
+        *("background.c:background_samples", "background.c:background_storing"),
+        "background.c:background_acknowledge",
+    ),
+    "report_commands.c:command_status": ("report_commands.c:lines",),
+    "listing_commands.c": ("background.c:background_storing", "background.c:background_reboot"),
+    "motor_commands.c": (
+        *("background.c:background_samples", "background.c:background_test_motors"),
+        "background.c:background_turn_motors",
     ),
     "msp_commands.c:msp_command": ("msp_commands.c:commands", "background.c:background_storing"),
 }

@@ -96,7 +96,7 @@ static bool msp_tcp_answer(struct msp_tcp_client *client, unsigned port, const s
 	*idle = true;
 	if (!msp_tcp_send(client))
 		return false;
-	if (client->waiting > 0)
+	if (client->waiting > 0 || handlers->link_busy(handlers->context, port))
 		return true;
 	const ssize_t received = recv(client->socket, request, sizeof request, MSG_DONTWAIT);
 	if (received <= 0)

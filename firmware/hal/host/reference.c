@@ -136,3 +136,24 @@ void reference_link_reset(void *self, unsigned port)
 
 	program_link_reset(&r->program, port);
 }
+
+void reference_link_pause(void *self, unsigned port)
+{
+	struct reference *r = self;
+
+	program_link_pause(&r->program, port);
+}
+
+void reference_link_lost(void *self, unsigned port)
+{
+	struct reference *r = self;
+
+	program_link_lost(&r->program, port);
+}
+
+bool reference_link_busy(void *self, unsigned port)
+{
+	struct reference *r = self;
+
+	return program_link_busy(&r->program, port);
+}

@@ -48,4 +48,11 @@ size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, ui
 /* Another peer is on that port. */
 void reference_link_reset(void *self, unsigned port);
 
+/* The peer of that port has paused; bytes of its were lost. */
+void reference_link_pause(void *self, unsigned port);
+void reference_link_lost(void *self, unsigned port);
+
+/* Is there more to say on that port before it takes more bytes? */
+bool reference_link_busy(void *self, unsigned port);
+
 #endif

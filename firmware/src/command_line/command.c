@@ -7,7 +7,7 @@
 
 static bool command_help(const struct task_line *t);
 
-const struct command commands[] = {
+const struct command command_table[] = {
 	{ "help", "[COMMAND]", "lists the commands, or explains one", command_help },
 	{ "version", "", "firmware, board, policy", command_version },
 	{ "status", "", "state, what forbids arming, battery, policy, load", command_status },
@@ -27,7 +27,7 @@ const struct command commands[] = {
 	{ "mixer", "[list]", "there is none to choose: the policy gives each motor its fraction", command_mixer },
 	{ "exit", "", "drops what is not saved, restarts", command_exit },
 };
-const size_t command_count = sizeof commands / sizeof commands[0];
+const size_t command_count = sizeof command_table / sizeof command_table[0];
 
 /* --- Words ------------------------------------------------------------------------------------------------------ */
 /* Characters of `word` if `line` begins with it and a space or nothing follows; else 0. */
@@ -59,10 +59,10 @@ const struct command *command_find(const char *line, const char **arguments)
 {
 	line = command_skip_spaces(line);
 	for (size_t i = 0; i < command_count; ++i) {
-		const size_t length = command_word(line, commands[i].name);
+		const size_t length = command_word(line, command_table[i].name);
 		if (length > 0) {
 			*arguments = command_skip_spaces(line + length);
-			return &commands[i];
+			return &command_table[i];
 		}
 	}
 	return NULL;
@@ -82,7 +82,7 @@ const char *command_number(const char *text, uint32_t *value)
 void command_error(const struct task_line *t)
 {
 	t->cl->failed = true;
-	printer_text(t->out, "###ERROR ");
+	printer_text(t->out, COMMAND_ERROR);
 }
 
 void command_got(const struct task_line *t, const char *name, const char *got)
@@ -146,7 +146,7 @@ static bool command_help(const struct task_line *t)
 	const char *rest;
 
 	if (t->arguments[0] == '\0') {
-		command_explain(t, &commands[t->row]);
+		command_explain(t, &command_table[t->row]);
 		return t->row + 1 < command_count;
 	}
 	const struct command *const command = command_find(t->arguments, &rest);

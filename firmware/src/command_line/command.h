@@ -9,6 +9,8 @@
 #include "command_line/session.h"
 #include "common/status.h"
 
+#define COMMAND_ERROR "###ERROR " /* so begins every line that tells an error */
+
 /* A command at work. */
 struct task_line {
 	struct command_line *cl;
@@ -28,13 +30,14 @@ struct command {
 	bool (*run)(const struct task_line *t);
 };
 
-extern const struct command commands[];
+extern const struct command command_table[];
 extern const size_t command_count;
 
 /* The command that `line` begins with; NULL: none. *arguments is what stands behind it. */
 const struct command *command_find(const char *line, const char **arguments);
 
-/* Begins a line that tells an error: `save` is refused from here on. */
+/* Begins a line that tells an error: `save` is refused from here on. Its own errors change nothing there: it may be
+ * tried again. */
 void command_error(const struct task_line *t);
 
 /* Begins an error of command `name` about its argument `got`, cut where it is long: what was got stands there, what was
@@ -69,7 +72,7 @@ bool command_defaults(const struct task_line *t);
 bool command_exit(const struct task_line *t);
 bool command_motor(const struct task_line *t);   /* motor_commands.c */
 
-/* Stops the motor that a command turns, closes the motor test if one was opened, and takes the leave to turn any. */
+/* Stops the motor that a command turns and closes its motor test. */
 void command_stop_motor(struct command_line *cl);
 /* Keeps it turning for its time. Returns NULL, or what is to be said. */
 const char *command_turn_motor(struct command_line *cl, const struct firmware_status *status);

@@ -116,11 +116,18 @@ bool command_line_begin(struct command_line *cl, uint8_t byte)
 	return true;
 }
 
+void command_line_stop(struct command_line *cl)
+{
+	if (cl->motor.turning)
+		command_stop_motor(cl);
+}
+
 void command_line_leave(struct command_line *cl)
 {
 	if (cl->mode == COMMAND_LINE_CLOSED)
 		return;
-	command_stop_motor(cl);
+	command_line_stop(cl);
+	cl->motor.allowed = false;
 	command_line_clear(cl);
 	cl->running = NULL;
 	cl->frame_ended = false;
@@ -164,6 +171,7 @@ static const struct command *command_line_meant(struct command_line *cl)
 
 	if (cl->fault == COMMAND_LINE_LOST || (cl->fault != COMMAND_LINE_GOOD && cl->line[0] != COMMENT))
 		return &spoilt;
+	cl->fault = COMMAND_LINE_GOOD;
 	while (cl->length > 0 && cl->line[cl->length - 1] == ' ')
 		cl->line[--cl->length] = '\0';
 	if (cl->length == 0 || cl->line[0] == COMMENT)
@@ -236,8 +244,7 @@ size_t command_line_take(struct command_line *cl, uint8_t byte, uint8_t *out, si
 	cl->after_cr = byte == '\r';
 	if (belongs)
 		return 0;
-	if (cl->motor.turning)
-		command_stop_motor(cl);
+	command_line_stop(cl);
 	if (cl->mode == COMMAND_LINE_FRAMED)
 		command_line_take_framed(cl, byte);
 	else if (cl->mode == COMMAND_LINE_TYPED)
@@ -250,7 +257,8 @@ size_t command_line_take(struct command_line *cl, uint8_t byte, uint8_t *out, si
 static void command_line_done(struct command_line *cl, struct printer *out)
 {
 	cl->running = NULL;
-	command_line_clear(cl);
+	cl->length = 0; /* a fault since its end is the next line's */
+	cl->line[0] = '\0';
 	if (cl->mode == COMMAND_LINE_TYPED)
 		printer_text(out, PROMPT);
 }

@@ -39,6 +39,9 @@ bool command_line_busy(const struct command_line *cl);
 /* Does the next byte begin a line? */
 bool command_line_at_start(const struct command_line *cl);
 
+/* A byte came that the command line does not take: a motor stops for it as for any. */
+void command_line_stop(struct command_line *cl);
+
 /* Bytes were lost, or came that are no text: the line that they belong to is not carried out, and `save` is refused. */
 void command_line_lost(struct command_line *cl);
 void command_line_spoil(struct command_line *cl);

@@ -73,7 +73,7 @@ static bool listing_row(const struct task_line *t, bool framed, bool all)
 		return true;
 	}
 	if (framed) {
-		printer_text(t->out, "# no ###ERROR above? then: save");
+		printer_text(t->out, "# now 'save' keeps this, unless a line was refused");
 		printer_end(t->out);
 	}
 	return false;
@@ -113,8 +113,7 @@ static void listing_restart(const struct task_line *t)
 
 static void save_refuse(const struct task_line *t, const char *why)
 {
-	command_error(t);
-	printer_text(t->out, "save: nothing written, ");
+	printer_text(t->out, COMMAND_ERROR "save: nothing written, ");
 	printer_text(t->out, why);
 	printer_end(t->out);
 }
@@ -135,8 +134,7 @@ static void save_conflict(const struct task_line *t)
 {
 	const struct setting *setting = settings_info(settings_conflict(t->services->settings));
 
-	command_error(t);
-	printer_text(t->out, "save: nothing written, ");
+	printer_text(t->out, COMMAND_ERROR "save: nothing written, ");
 	printer_text(t->out, setting ? setting->name : "a setting");
 	printer_text(t->out, " does not go with the settings beside it or with the policy; change it or those");
 	printer_end(t->out);

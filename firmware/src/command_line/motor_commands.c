@@ -22,18 +22,10 @@ static enum nf_refusal motor_give(const struct command_line *cl)
 	return cl->services->motors(cl->services->context, values_us, POLICY_ACTION_COUNT);
 }
 
-/* The leave to turn motors stays. */
-static void motor_rest(struct command_line *cl)
+void command_stop_motor(struct command_line *cl)
 {
 	cl->motor.turning = 0;
 	(void)cl->services->motor_test(cl->services->context, 0);
-}
-
-void command_stop_motor(struct command_line *cl)
-{
-	if (cl->motor.turning)
-		motor_rest(cl);
-	cl->motor.allowed = cl->motor.allowed && cl->mode == COMMAND_LINE_TYPED;
 }
 
 const char *command_turn_motor(struct command_line *cl, const struct firmware_status *status)
@@ -46,7 +38,7 @@ const char *command_turn_motor(struct command_line *cl, const struct firmware_st
 		return NULL;
 	}
 	if (now - motor->since >= motor->samples) {
-		motor_rest(cl);
+		command_stop_motor(cl);
 		motor->allowed_since = now;
 		return "stopped";
 	}
@@ -103,7 +95,6 @@ static void motor_test_on(const struct task_line *t)
 
 static void motor_test_off(const struct task_line *t)
 {
-	command_stop_motor(t->cl);
 	t->cl->motor.allowed = false;
 	printer_text(t->out, "motor test off");
 	printer_end(t->out);
@@ -160,7 +151,7 @@ static void motor_turn(const struct task_line *t, uint32_t number, uint32_t valu
 	};
 	if (motor_give(cl) == NF_REFUSAL_NONE)
 		return;
-	motor_rest(cl);
+	command_stop_motor(cl);
 	motor_fail(t, "the motor test does not take that value");
 }
 

@@ -31,6 +31,11 @@ void msp_reset(struct msp *msp)
 	msp->state = MSP_DOLLAR;
 }
 
+bool msp_idle(const struct msp *msp)
+{
+	return msp->state == MSP_DOLLAR;
+}
+
 static uint8_t msp_checksum_step(unsigned version, uint8_t checksum, uint8_t byte)
 {
 	return version == 1 ? checksum ^ byte : crc8(checksum, &byte, 1);

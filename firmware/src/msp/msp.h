@@ -26,6 +26,9 @@ struct msp {
 /* Forgets a half-read request. Zeros are such a state too. */
 void msp_reset(struct msp *msp);
 
+/* Is no request half read? */
+bool msp_idle(const struct msp *msp);
+
 /* Takes one byte. Returns whether it completed a request, which is then in version, command, size and payload. */
 bool msp_push(struct msp *msp, uint8_t byte);
 

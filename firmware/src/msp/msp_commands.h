@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "command_line/session.h"
 #include "common/status.h"
 #include "control/pid.h"
 #include "housekeeping/scheduler.h"
@@ -25,6 +26,7 @@ struct msp_services {
 	struct policy_slots *slots;
 	struct fault_log *faults;
 	const struct task_stats *tasks; /* [TASK_COUNT] */
+	const struct command_line_services *command_line; /* NULL: ports have none */
 	uint32_t cycles_hz;             /* of the cycles they tell */
 	void *context;                  /* of the functions below */
 

@@ -8,6 +8,7 @@ void msp_port_init(struct msp_port *port, const struct msp_identity *identity, c
 {
 	*port = (struct msp_port){ .identity = identity, .services = services };
 	msp_reset(&port->msp);
+	command_line_init(&port->command_line, services ? services->command_line : NULL);
 }
 
 void msp_port_reset(struct msp_port *port)
@@ -15,6 +16,9 @@ void msp_port_reset(struct msp_port *port)
 	const struct msp_services *services = port->services;
 
 	msp_reset(&port->msp);
+	command_line_reset(&port->command_line);
+	port->hidden = 0;
+	port->held = 0;
 	if (services && services->arming)
 		(void)services->arming(services->context, &port->peer, false, false);
 	port->peer = (struct msp_peer){ 0 };
@@ -23,11 +27,16 @@ void msp_port_reset(struct msp_port *port)
 void msp_port_pause(struct msp_port *port)
 {
 	msp_reset(&port->msp);
+	if (port->hidden > 0)
+		command_line_spoil(&port->command_line);
+	port->hidden = 0;
 }
 
 void msp_port_lost(struct msp_port *port)
 {
 	msp_reset(&port->msp);
+	command_line_lost(&port->command_line);
+	port->hidden = 0;
 }
 
 /* Carries out the request just read. Returns whether it is refused, for being unknown or otherwise. */
@@ -68,11 +77,6 @@ static size_t msp_port_answer(struct msp_port *port, const struct firmware_statu
 	return msp_frame(msp->version, msp->command, refused, payload, (size_t)(writer.at - payload), reply, capacity);
 }
 
-bool msp_port_speaks(const struct msp_port *port, uint32_t step)
-{
-	return msp_stream_due(&port->peer.stream, step);
-}
-
 /* Says what is due unasked. */
 static size_t msp_port_speak(struct msp_port *port, uint8_t *words, size_t capacity)
 {
@@ -84,15 +88,117 @@ static size_t msp_port_speak(struct msp_port *port, uint8_t *words, size_t capac
 		       0;
 }
 
+/* --- The command line ------------------------------------------------------------------------------------------- */
+bool msp_port_busy(const struct msp_port *port)
+{
+	return port->held > 0 || command_line_busy(&port->command_line);
+}
+
+/* Is a session open, or what was typed into one outstanding? */
+static bool msp_port_converses(const struct msp_port *port)
+{
+	return port->held > 0 || command_line_open(&port->command_line);
+}
+
+static void msp_port_hold(struct msp_port *port, uint8_t byte)
+{
+	if (port->held < MSP_PORT_HOLDS)
+		port->holds[(port->held_from + port->held++) % MSP_PORT_HOLDS] = byte;
+	else
+		msp_port_lost(port);
+}
+
+static uint8_t msp_port_release(struct msp_port *port)
+{
+	const uint8_t byte = port->holds[port->held_from];
+
+	port->held_from = (uint8_t)((port->held_from + 1u) % MSP_PORT_HOLDS);
+	--port->held;
+	return byte;
+}
+
+/* A byte of an open session. At the start of a line what may be a request is kept from the command line until it is
+ * known to be none, so that nothing of a request is echoed. A whole request ends the session wherever it comes. */
+static size_t msp_port_type(struct msp_port *port, const struct firmware_status *status, uint8_t byte, uint8_t *reply,
+			    size_t capacity)
+{
+	struct command_line *cl = &port->command_line;
+	const bool hides = port->hidden > 0 || command_line_at_start(cl);
+	size_t written = 0;
+
+	if (msp_push(&port->msp, byte)) {
+		port->hidden = 0;
+		command_line_leave(cl);
+		return msp_port_answer(port, status, reply, capacity);
+	}
+	if (hides && !msp_idle(&port->msp)) {
+		port->hidden = port->hidden == 0 ? 1 : 2;
+		command_line_stop(cl);
+		return 0;
+	}
+	if (port->hidden == 1)
+		written = command_line_take(cl, '$', reply, capacity);
+	else if (port->hidden > 1)
+		command_line_spoil(cl);
+	port->hidden = 0;
+	return written + command_line_take(cl, byte, reply + written, capacity - written);
+}
+
+/* Nothing else is said beside a session. */
+static void msp_port_open(struct msp_port *port, uint8_t byte)
+{
+	if (command_line_begin(&port->command_line, byte))
+		msp_stream_stop(&port->peer.stream);
+}
+
+/* --- Bytes ------------------------------------------------------------------------------------------------------ */
+static size_t msp_port_take(struct msp_port *port, const struct firmware_status *status, uint8_t byte, uint8_t *reply,
+			    size_t capacity)
+{
+	const bool outside = msp_idle(&port->msp);
+
+	if (command_line_open(&port->command_line))
+		return msp_port_type(port, status, byte, reply, capacity);
+	if (msp_push(&port->msp, byte))
+		return msp_port_answer(port, status, reply, capacity);
+	if (outside && msp_idle(&port->msp) && port->services && port->services->command_line)
+		msp_port_open(port, byte);
+	return 0;
+}
+
+/* Says what the command line has to say, and takes what is held, as far as there is room. */
+static size_t msp_port_converse(struct msp_port *port, const struct firmware_status *status, uint8_t *reply,
+				size_t capacity)
+{
+	size_t written = 0;
+
+	for (;;) {
+		written += command_line_continue(&port->command_line, status, reply + written, capacity - written);
+		if (port->held == 0 || command_line_busy(&port->command_line) || capacity - written < MSP_FRAME_MAX)
+			return written;
+		written += msp_port_take(port, status, msp_port_release(port), reply + written, capacity - written);
+	}
+}
+
+bool msp_port_speaks(const struct msp_port *port, uint32_t step)
+{
+	return msp_port_converses(port) || msp_stream_due(&port->peer.stream, step);
+}
+
 size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
 		      uint8_t *reply, size_t capacity)
 {
 	size_t written = 0;
 
-	if (count == 0 && msp_port_speaks(port, status->trace.step))
+	if (count == 0 && !msp_port_converses(port) && msp_stream_due(&port->peer.stream, status->trace.step))
 		return msp_port_speak(port, reply, capacity);
-	for (size_t i = 0; i < count; ++i)
-		if (msp_push(&port->msp, bytes[i]))
-			written += msp_port_answer(port, status, reply + written, capacity - written);
-	return written;
+	for (size_t i = 0; i < count; ++i) {
+		if (msp_port_converses(port)) {
+			msp_port_hold(port, bytes[i]);
+			written += msp_port_converse(port, status, reply + written, capacity - written);
+		} else {
+			written += msp_port_take(port, status, bytes[i], reply + written, capacity - written);
+		}
+	}
+	return written + msp_port_converse(port, status, reply + written, capacity - written);
 }

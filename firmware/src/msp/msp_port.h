@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "command_line/command_line.h"
 #include "common/status.h"
 #include "msp/msp.h"
 #include "msp/msp_identity.h"
@@ -13,11 +14,18 @@
 
 struct msp_services;
 
+/* Bytes that wait while a session of the command line speaks. */
+#define MSP_PORT_HOLDS 128u
+
 struct msp_port {
 	const struct msp_identity *identity;
 	const struct msp_services *services; /* NULL: only commands that read are served */
 	struct msp msp;                      /* the request being read */
 	struct msp_peer peer;
+	struct command_line command_line;    /* of a port with services that have one */
+	uint8_t hidden;                      /* bytes of what may be a request, at the start of a line */
+	uint8_t held_from, held; /* bytes that wait for the command line: the first's place, and how many */
+	uint8_t holds[MSP_PORT_HOLDS];
 };
 
 /* `identity` and `services` must outlive the port. */
@@ -35,9 +43,15 @@ void msp_port_lost(struct msp_port *port);
 /* Would msp_port_serve say something unasked, now that control step `step` is done? */
 bool msp_port_speaks(const struct msp_port *port, uint32_t step);
 
+/* Is there more to say, or to carry out, before more bytes are read? They wait with the peer or in the line meanwhile;
+ * at most MSP_PORT_HOLDS may come all the same. */
+bool msp_port_busy(const struct msp_port *port);
+
 /* Reads `count` bytes and answers each whole request found in them from `status`. Requests may be cut anywhere. Returns
  * the bytes written to `reply`; a reply that does not fit into `capacity` is dropped whole. Where MSP_FRAME_MAX bytes
- * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. With `count` 0 it says what is due unasked. */
+ * fit and `count` is MSP_REQUEST_MIN at most, none is dropped. With `count` 0 it says what is due unasked.
+ *
+ * Outside of requests, bytes may open the command line; a whole request ends its session. */
 size_t msp_port_serve(struct msp_port *port, const struct firmware_status *status, const uint8_t *bytes, size_t count,
 		      uint8_t *reply, size_t capacity);
 

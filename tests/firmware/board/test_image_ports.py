@@ -115,7 +115,9 @@ def test_one_peer_is_served_when_the_other_sends_what_is_none(
         other.send(noise)
         assert answer(idle, peer, API) == API_ANSWER
     run(idle, 500)
-    assert answer(idle, other, API) == API_ANSWER  # after a pause even half a frame is forgotten
+    # After a pause even half a frame is forgotten. Garbage may have opened a command line, which then spoke.
+    assert answer(idle, other, API).endswith(API_ANSWER)
+    assert answer(idle, other, API) == API_ANSWER
 
 
 def test_all_of_it_is_answered_when_six_kilobytes_are_pasted_and_more_comes_back(

@@ -221,7 +221,14 @@ size_t world_talk(struct world *w, unsigned port, const uint8_t *bytes, size_t c
 	*reply = malloc(capacity ? capacity : 1);
 	if (!*reply)
 		abort();
+	struct command_line *const cl = &w->background.ports[port].command_line;
+
+	/* A session may open and end within one call: each notes when it heard a byte. */
+	w->typed = command_line_open(cl);
+	if (!w->typed)
+		cl->heard = UINT32_MAX;
 	const size_t written = program_link(&w->program, port, bytes, count, *reply, capacity);
+	w->typed |= command_line_open(cl) || cl->heard != UINT32_MAX;
 	PROMISE(written <= capacity);
 	return written;
 }
@@ -265,9 +272,9 @@ size_t world_request(unsigned version, unsigned command, const uint8_t *payload,
 	return n + 1;
 }
 
-void world_check_frames(const uint8_t *reply, size_t count)
+void world_check_frames(const struct world *w, const uint8_t *reply, size_t count)
 {
-	while (count > 0) {
+	while (count > 0 && !w->typed) {
 		PROMISE(count >= 6 && reply[0] == '$' && (reply[1] == 'M' || reply[1] == 'X'));
 		PROMISE(reply[2] == '>' || reply[2] == '!');
 		const unsigned version = reply[1] == 'X' ? 2 : 1;
@@ -293,7 +300,7 @@ static void world_expect_answer(struct world *w, unsigned port)
 	for (size_t sent = 0; sent < LONGEST_HALF_READ && !answered; sent += sizeof request) {
 		uint8_t *reply;
 		const size_t count = world_talk(w, port, request, sizeof request, REPLY_ROOM, &reply);
-		world_check_frames(reply, count);
+		world_check_frames(w, reply, count);
 		answered = count >= 9 && memcmp(reply + count - 9, "$M>\3\1", 5) == 0;
 		free(reply);
 	}

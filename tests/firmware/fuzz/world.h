@@ -33,6 +33,7 @@ struct world {
 	bool silent;              /* the pilot's transmitter */
 	bool msp;                 /* the pilot's sticks come by MSP */
 	bool resets;              /* was asked to */
+	bool typed;               /* a command line was open on that port in world_talk */
 	uint32_t sample;          /* since boot */
 	uint32_t refreshed;       /* motor_test's count of values when they last changed, and the sample of that */
 	uint32_t refreshed_at;
@@ -61,8 +62,8 @@ void world_hang_up(struct world *world, unsigned port);
 size_t world_request(unsigned version, unsigned command, const uint8_t *payload, size_t count,
 		     uint8_t frame[WORLD_FRAME_MAX]);
 
-/* The bytes are whole frames of MSP replies, one after the other. */
-void world_check_frames(const uint8_t *reply, size_t count);
+/* What world_talk wrote last is whole frames of MSP replies, one after the other, or a command line was open. */
+void world_check_frames(const struct world *world, const uint8_t *reply, size_t count);
 
 /* What must hold when an input is over: each port answers a request for the API version, whatever came before; the
  * settings are within their limits; what flash holds can be loaded. */

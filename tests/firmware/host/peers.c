@@ -1,6 +1,7 @@
 /* msp_tcp.c with handlers that write down what they were called for: "reset 0", "heard 1 abc". Each hears and says one
  * byte back. */
 #include <netinet/in.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/socket.h>
@@ -41,7 +42,18 @@ static void peers_reset(void *context, unsigned port)
 	note("reset", port, NULL, 0);
 }
 
-static const struct hal_handlers handlers = { .link = peers_link, .link_reset = peers_reset };
+static bool peers_busy(void *context, unsigned port)
+{
+	(void)context;
+	(void)port;
+	return false;
+}
+
+static const struct hal_handlers handlers = {
+	.link = peers_link,
+	.link_reset = peers_reset,
+	.link_busy = peers_busy,
+};
 
 /* Returns the port that is listened on, 0: none. */
 unsigned peers_open(void)

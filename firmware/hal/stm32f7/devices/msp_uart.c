@@ -72,6 +72,9 @@ static bool msp_uart_answer(unsigned number, const struct hal_handlers *handlers
 	struct uart_line *line = &ports[number].line;
 	uint8_t bytes[REQUEST_BYTES];
 	size_t room;
+
+	if (handlers->link_busy(handlers->context, number))
+		return false;
 	uint8_t *reply = uart_line_room(line, &room);
 	const size_t count = uart_line_read(line, bytes, room / MSP_FRAME_MAX * MSP_REQUEST_MIN);
 

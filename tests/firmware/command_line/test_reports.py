@@ -1,0 +1,73 @@
+"""help, version, status, tasks, faults: what the firmware is and does, as text."""
+
+from __future__ import annotations
+
+from flash import records
+from tests.firmware.command_line.conftest import Desk
+from toolchain.contract import ArmingReason, Msp, Task
+
+COMMANDS = ("help", "version", "status", "tasks", "get", "set", "diff", "dump", "save", "defaults", "motor")
+
+
+def test_help_lists_every_command_and_explains_one(desk: Desk) -> None:
+    desk.open()
+    lines = desk.tell("help")
+    names = [line.split()[0] for line in lines]
+    assert names == [*COMMANDS, "faults", "mixer", "exit"]
+    for name, line in zip(names, lines, strict=True):
+        assert " - " in line
+        assert desk.tell(f"help {name}") == [line]
+
+
+def test_version_says_firmware_board_and_policy(desk: Desk) -> None:
+    desk.open()
+    assert desk.tell("version") == ["Neuroflight 0.1.0 on HOST, MSP API 1.46, policy scripted 00112233"]
+
+
+def test_status_says_state_reasons_battery_policy_and_load(desk: Desk) -> None:
+    desk.open()
+    desk.run(20)
+    text = dict(line.split(": ", 1) if ": " in line else line.split(":", 1) for line in desk.tell("status"))
+    assert text["state"].startswith("DISARMED, last stop NONE, up 1 s")
+    assert text["arming forbidden by"].split() == ["CLI"]
+    assert text["battery"] == "good, 16.80 V, 4 cells, 0.00 A, 0 mAh drawn"
+    assert text["policy"].startswith("scripted 00112233, good, the policy flies, last fallback NONE")
+    assert text["load"] == "0 % of a gyro period at most"
+    assert text["gyro"].startswith("1000 Hz, GOOD, ")
+    assert text["receiver"] == "good, quality 100 %"
+
+
+def test_every_reason_is_told_by_name(desk: Desk) -> None:
+    desk.open()
+    firmware = desk.ffi.cast("struct firmware *", desk._memory)
+    for reason in ArmingReason:
+        desk.lib.firmware_forbid(firmware, reason, True)
+    desk.run(20, heard=False)
+    (line,) = (line for line in desk.tell("status") if line.startswith("arming"))
+    flags = records.safety(desk.ask(Msp.SAFETY).payload).arming_flags
+    wanted = [reason.name for reason in ArmingReason if flags >> reason & 1]
+    assert line.removeprefix("arming forbidden by: ").split() == wanted
+    assert len(wanted) > 12  # some are found anew at each sample
+
+
+def test_tasks_are_those_of_msp(desk: Desk) -> None:
+    desk.open()
+    head, *rows = desk.tell("tasks")
+    assert head.split()[:2] == ["task", "rate"]
+    told = records.tasks(desk.ask(Msp.TASKS).payload)
+    assert [row.split()[0] for row in rows] == [task.name for task in Task]
+    for row, load in zip(rows[: Task.STORAGE], told.loads, strict=False):
+        assert [int(cell) for cell in row.split()[1:4]] == [load.rate_hz, load.runs, load.misses]
+
+
+def test_faults_are_told_and_acknowledged(desk: Desk) -> None:
+    desk.open()
+    assert desk.tell("faults") == ["boots: 1, no fault is pending"]
+    assert desk.tell("faults ack") == ["acknowledged: faults, and a policy that was refused in flight"]
+
+
+def test_nothing_that_configurators_ask_of_their_own_accord_is_an_error(desk: Desk) -> None:
+    desk.open()
+    said = "".join(desk.type(line) for line in ("help", "# 0.123", "dump", "get", "mixer list", "diff all"))
+    assert "ERROR" not in said
+    assert "saved" in desk.type("save")
