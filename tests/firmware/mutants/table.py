@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
 from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
 from tests.firmware.mutants.joined_mutants import JOINED_MUTANTS
 from tests.firmware.mutants.mutant import Mutant
@@ -17,4 +18,5 @@ MUTANTS: tuple[Mutant, ...] = (
     *SAFETY_MUTANTS,
     *STORAGE_MUTANTS,
     *JOINED_MUTANTS,
+    *COMMAND_LINE_MUTANTS,
 )
