@@ -272,6 +272,14 @@ _GENERAL = (
     ),
     pair(Msp.COMPASS_CONFIG, Msp.SET_COMPASS_CONFIG, *zeros("i16", "declination")),
     pair(Msp.ACC_TRIM, Msp.SET_ACC_TRIM, *zeros("i16", "pitch roll")),
+    read_only(Msp.SONAR, bound("i32", "distance", constant(-1), "cm", "-1: there is no range finder")),
+    read_only(
+        Msp.ALTITUDE,
+        bound("i32", "altitude", constant(0), "cm", "there is no barometer"),
+        bound("i16", "climb", constant(0), "cm/s"),
+    ),
+    read_only(Msp.PID_CONTROLLER, *zeros("u8", "controller")),
+    read_only(Msp.DEBUG, bound("u16", "values", constant(0), count=8)),
     read_only(
         Msp.SENSOR_CONFIG_ACTIVE,
         bound("u8", "gyro_hardware", constant(PRESENT)),

@@ -168,6 +168,7 @@ _PORT = (
     number("u32", "functions", "bits", "0 MSP, 6 serial receiver"),
     *numbers("u8", "msp_baud gps_baud telemetry_baud blackbox_baud", "", "index of 0, 9600, 19200 .."),
 )
+_PORT_OLD = (_PORT[0], number("u16", "functions", "bits", "the lower ones"), *_PORT[2:])
 _OUTPUTS = MspGroup("outputs", (number("u8", "output", "", "of the motor, from 0"),), counted=True)
 _SLOTS = (
     reply(Msp.MODE_RANGES, MspGroup("ranges", _RANGE, count=MODE_SLOT_COUNT)),
@@ -193,6 +194,7 @@ _SLOTS = (
     request(
         Msp.SET_RXFAIL_CONFIG, number("u8", "channel"), number("u8", "mode"), number("u16", "value", _US)
     ),
+    reply(Msp.SERIAL_CONFIG, MspGroup("ports", _PORT_OLD)),
     reply(Msp.COMMON_SERIAL_CONFIG, MspGroup("ports", _PORT, counted=True)),
     request(Msp.COMMON_SET_SERIAL_CONFIG, MspGroup("ports", _PORT, counted=True)),
     reply(Msp.MOTOR_OUTPUT_REORDERING, _OUTPUTS),

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 from toolchain import contract
 from toolchain.contract import Bound, MspField, MspHow, MspLayout
 
-WIDTHS = {"u8": "1, 0", "i8": "1, 1", "u16": "2, 0", "i16": "2, 1", "u32": "4, 0"}  # bytes, signed
+WIDTHS = {
+    "u8": "1, 0",
+    "i8": "1, 1",
+    "u16": "2, 0",
+    "i16": "2, 1",
+    "u32": "4, 0",
+    "i32": "4, 1",
+}  # bytes, signed
 _SETTINGS = {setting.name: index for index, setting in enumerate(contract.SETTINGS)}
 
 

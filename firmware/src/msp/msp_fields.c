@@ -182,6 +182,17 @@ static enum nf_refusal fields_put_rates_type(const struct msp_view *view, const 
 	return NF_REFUSAL_NONE;
 }
 
+/* Fields that make one setting together go before all others, too. What is too short is refused behind this. */
+static enum nf_refusal fields_put_voltage(const struct msp_view *view, const struct message *message,
+					  struct msp_reader payload)
+{
+	enum { PARTS = 1, BYTES = 4 }; /* behind the meter's number */
+
+	if (message->set != NF_MSP_SET_VOLTAGE_METER_CONFIG || payload.left < BYTES)
+		return NF_REFUSAL_NONE;
+	return msp_source_set_voltage(view, payload.at + PARTS);
+}
+
 static uint32_t fields_take(struct msp_reader *payload, const struct field *field)
 {
 	uint32_t raw = 0;
@@ -198,6 +209,8 @@ enum nf_refusal msp_fields_set(const struct msp_view *view, int index, struct ms
 
 	if (!fields_offered(view, message))
 		return NF_REFUSAL_ABSENT;
+	if (refusal == NF_REFUSAL_NONE)
+		refusal = fields_put_voltage(view, message, payload);
 	for (unsigned i = 0; i < message->set_count && refusal == NF_REFUSAL_NONE; ++i) {
 		const struct field *field = &fields[message->set_first + i];
 		if (payload.left == 0 && i >= message->required)

@@ -159,13 +159,18 @@ static unsigned lists_baud_index(const struct nf_settings *s, unsigned setting)
 	return BAUD_AUTO;
 }
 
-static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_writer *reply)
+/* old: the form of older peers, which tells fewer functions and no count. */
+static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_writer *reply, bool old)
 {
-	msp_put_u8(reply, LINE_COUNT);
+	if (!old)
+		msp_put_u8(reply, LINE_COUNT);
 	for (unsigned number = 0; number < LINE_COUNT; ++number) {
 		const struct line line = lists_line(view->settings, number);
 		msp_put_u8(reply, number);
-		msp_put_u32(reply, line.functions);
+		if (old)
+			msp_put_u16(reply, line.functions);
+		else
+			msp_put_u32(reply, line.functions);
 		msp_put_u8(reply, lists_baud_index(view->settings, line.baud_setting));
 		msp_put_zeros(reply, 3); /* of GPS, telemetry and blackbox: there are none */
 	}
@@ -332,8 +337,11 @@ bool msp_lists_get(const struct msp_view *view, uint16_t command, struct msp_rea
 	case NF_MSP_RXFAIL_CONFIG:
 		*refusal = lists_rxfail(reply);
 		return true;
+	case NF_MSP_SERIAL_CONFIG:
+		*refusal = lists_ports(view, reply, true);
+		return true;
 	case NF_MSP_COMMON_SERIAL_CONFIG:
-		*refusal = lists_ports(view, reply);
+		*refusal = lists_ports(view, reply, false);
 		return true;
 	case NF_MSP_MOTOR_OUTPUT_REORDERING:
 		*refusal = lists_outputs(view, reply);

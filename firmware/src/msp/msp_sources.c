@@ -113,14 +113,18 @@ static uint32_t sources_voltage(const struct nf_settings *s, unsigned part)
 	return (uint32_t)(parts[part] + 0.5f);
 }
 
-static enum nf_refusal sources_set_voltage(struct nf_settings *s, unsigned part, uint32_t value)
+enum nf_refusal msp_source_set_voltage(const struct msp_view *view, const uint8_t parts[3])
 {
-	const float told = (float)sources_voltage(s, part), brought = (float)value;
+	struct nf_settings *s = view->settings;
+	bool same = true;
 
-	if (value == 0)
+	for (unsigned part = 0; part < 3; ++part)
+		same &= parts[part] == sources_voltage(s, part);
+	if (same)
+		return NF_REFUSAL_NONE;
+	if (parts[1] == 0 || parts[2] == 0)
 		return NF_REFUSAL_RANGE;
-	return settings_set_number(s, SETTING_AT_battery_scale,
-				   part == 0 ? brought / sources_divider(s) : s->battery_scale * told / brought);
+	return settings_set_number(s, SETTING_AT_battery_scale, (float)parts[0] / ((float)parts[1] * (float)parts[2]));
 }
 
 /* --- Rates ---------------------------------------------------------------------------------------------- */
@@ -391,7 +395,7 @@ enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source s
 	case NF_MSP_SOURCE_BEEPERS:
 		return sources_set_beepers(s, value);
 	case NF_MSP_SOURCE_DIVIDER:
-		return sources_set_voltage(s, argument, value);
+		return NF_REFUSAL_NONE; /* msp_source_set_voltage has taken all three together */
 	default:
 		return sources_refuse(view, source, argument, value);
 	}

@@ -10,15 +10,20 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import pytest
 
 from flash import requests
-from flash.msp import Version
+from flash.layouts import decode, encode
+from flash.msp import Decoder, Message, Version
 from tests.firmware.conftest import Core, scripted_blob
 from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, MSP_PAYLOAD_MAX, SETTINGS, Msp
+from toolchain.contract.msp_configuration import CONFIGURATIONS
+from toolchain.contract.msp_layouts import Direction
+from toolchain.contract.msp_messages import layout_of
 from toolchain.policy.blob import pack
 
 IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that it takes
@@ -28,20 +33,43 @@ OTHER_NUMBERS = (*range(256), *range(0x1000, 0x1010), *range(0x3000, 0x3010), *r
 STEP_MS = 30  # in which a request has its effect
 HALF_READ_MAX = (MSP_PAYLOAD_MAX + 16) // len(API_VERSION)  # requests that one cut short can swallow
 OPENERS = {
-    int(Msp.MOTOR_TEST),
-    99,
-}  # ours, and the ecosystem's ARMING_DISABLE as the app sends it for a motor test
+    Msp.MOTOR_TEST,
+    Msp.ARMING_DISABLE,
+}  # ours, and the ecosystem's as the app sends it for a motor test
+TELLS_MOTORS = {Msp.DSHOT_COMMAND, Msp.SEND_DSHOT_COMMAND, Msp.SET_MOTOR}
 SETTING = next(index for index, setting in enumerate(SETTINGS) if setting.name == "failsafe_delay_ms")
-# What some commands want to see; any other is found by its length.
+TEXT = next(index for index, setting in enumerate(SETTINGS) if setting.kind == "text")
+READS = [int(pair.reply.message) for pair in CONFIGURATIONS] + [int(Msp.MODE_RANGES)]
+
+
+def made(command: Msp, **values: object) -> Request:
+    """The request with these fields."""
+    layout = layout_of(command, Direction.REQUEST)
+    assert layout is not None
+    return Request(command, encode(layout, values))
+
+
+# What some commands want to see; others are found by their length, or by what their counterpart tells.
+OPEN = Request(Msp.MOTOR_TEST, requests.motor_test(MOTOR_TEST_MAGIC))
+TURN = Request(Msp.SET_MOTOR, requests.set_motor([1100, 1200, 1000, 1000]))
+APP_OPENS = made(Msp.ARMING_DISABLE, disabled=0, runaway_off=1)
+PORT = {"msp_baud": 5, "gps_baud": 0, "telemetry_baud": 0, "blackbox_baud": 0}
 MEANT = [
-    Request(99, b"\x01\x00"),
-    Request(99, b"\x00\x01"),
-    Request(Msp.MOTOR_TEST, requests.motor_test(MOTOR_TEST_MAGIC)),
-    Request(Msp.SET_MOTOR, requests.set_motor([1100, 1200, 1000, 1000])),
+    OPEN,
+    TURN,
+    APP_OPENS,
+    made(Msp.ARMING_DISABLE, disabled=1, runaway_off=0),
     Request(Msp.SET_MOTOR, requests.set_motor([1100] * 8)),
     Request(Msp.DSHOT_COMMAND, requests.dshot_command(contract.DshotCommand.BEACON_1)),
+    made(Msp.SEND_DSHOT_COMMAND, type=1, motor=255, commands=[{"command": 1}]),
     Request(Msp.SETTING_SET, requests.setting_set(SETTING, 700, "uint32_t")),
+    Request(Msp.SETTING_SET, requests.setting_set(TEXT, "NF", "text")),
     Request(Msp.POLICY_SLOT_BEGIN, struct.pack("<I", len(IMAGE))),
+    made(Msp.SET_TEXT, kind=2, text="NF"),
+    made(Msp.SET_MODE_RANGE, slot=9, mode=13, aux=3, low=20, high=30, logic=0, linked=0),
+    made(Msp.SET_MOTOR_OUTPUT_REORDERING, outputs=[{"output": output} for output in (1, 0, 2, 3)]),
+    made(Msp.COMMON_SET_SERIAL_CONFIG, ports=[{"port": 2, "functions": 1, **PORT}]),
+    made(Msp.SET_RXFAIL_CONFIG, channel=0, mode=0, value=1500),
 ]
 
 
@@ -51,13 +79,6 @@ def payloads(lengths: tuple[int, ...]) -> Iterator[bytes]:
         yield bytes(length)
         if length:
             yield (bytes(range(1, 256)) * 3)[:length]
-
-
-def every_request() -> list[Request]:
-    """All numbers: those of the contract with every length."""
-    known = [Request(int(number), data) for number in Msp for data in payloads(LENGTHS)]
-    others = set(OTHER_NUMBERS) - {int(number) for number in Msp}
-    return MEANT + known + [Request(number, data) for number in others for data in payloads(FEW_LENGTHS)]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +91,36 @@ def ground(scripted: Core) -> Ground:
 def ready(ground: Ground) -> State:
     """The switch would arm it."""
     ground.get_ready()
+    for port in range(contract.MSP_PORT_COUNT):  # some changes are taken only of a peer that has read before
+        for command in READS:
+            ground.ask(Request(command), port)
     return ground.keep()
+
+
+@pytest.fixture(scope="module")
+def every_request(ground: Ground, ready: State) -> list[Request]:
+    """All numbers: those of the contract with every length, and what they tell with one byte another."""
+    known = [Request(int(number), data) for number in Msp for data in payloads(LENGTHS)]
+    others = set(OTHER_NUMBERS) - {int(number) for number in Msp}
+    unknown = [Request(number, data) for number in others for data in payloads(FEW_LENGTHS)]
+    return [*MEANT, *changed(ground, ready), *known, *unknown]
+
+
+def changed(ground: Ground, ready: State) -> Iterator[Request]:
+    """Each configuration as it is told, and with a byte that is one more or less."""
+    for pair in CONFIGURATIONS:
+        if pair.request is None:
+            continue
+        ground.go_back(ready)
+        (told,) = Decoder().feed(ground.send(Request(pair.reply.message).frame()))
+        assert isinstance(told, Message)
+        values, names = decode(pair.reply, told.payload), {field.name for field in pair.request.fields}
+        same = encode(pair.request, {name: value for name, value in values.items() if name in names})
+        yield Request(pair.request.message, same)
+        for at, step in product(range(len(same)), (1, -1)):
+            other = bytearray(same)
+            other[at] = (other[at] + step) % 256
+            yield Request(pair.request.message, bytes(other))
 
 
 @pytest.fixture(scope="module")
@@ -85,9 +135,20 @@ def flying(ground: Ground, ready: State) -> State:
 def under_test(ground: Ground, ready: State) -> State:
     """A motor test is open, and a motor turns."""
     ground.go_back(ready)
-    assert ground.ask(MEANT[2])
+    assert ground.ask(OPEN)
     ground.run(5)
-    assert ground.ask(MEANT[3])
+    assert ground.ask(TURN)
+    assert ground.run(5) != STANDING
+    return ground.keep()
+
+
+@pytest.fixture(scope="module")
+def under_app_test(ground: Ground, ready: State) -> State:
+    """The same, opened as the app does."""
+    ground.go_back(ready)
+    assert ground.ask(APP_OPENS)
+    ground.run(5)
+    assert ground.ask(TURN)
     assert ground.run(5) != STANDING
     return ground.keep()
 
@@ -135,9 +196,9 @@ def acts(ground: Ground, state: State, requests: Iterable[Request]) -> list[Requ
 
 
 @pytest.fixture(scope="module")
-def acting(ground: Ground, ready: State) -> list[Request]:
+def acting(ground: Ground, ready: State, every_request: list[Request]) -> list[Request]:
     """Requests that change something on the ground, with no other before them."""
-    return acts(ground, ready, every_request())
+    return acts(ground, ready, every_request)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +213,7 @@ def everywhere(
     """Those, and requests that change something only after others."""
     at = (len(IMAGE) - 1) // 64 * 64
     last = Request(Msp.POLICY_SLOT_WRITE, struct.pack("<I", at) + IMAGE[at:])
-    after = [(under_test, MEANT[3]), (slot_begun, last), (slot_full, Request(Msp.POLICY_SLOT_END))]
+    after = [(under_test, TURN), (slot_begun, last), (slot_full, Request(Msp.POLICY_SLOT_END))]
     for state, request in after:
         assert acts(ground, state, [request]) == [request]
     return [Act(ready, request) for request in acting] + [Act(*one) for one in after]
@@ -164,17 +225,18 @@ def frames(request: Request) -> list[bytes]:
     return [request.frame(version) for version in versions]
 
 
-def test_each_command_of_the_contract_is_carried_out_with_some_payload(ground: Ground, ready: State) -> None:
+def test_each_command_of_the_contract_is_carried_out_with_some_payload(
+    ground: Ground, ready: State, every_request: list[Request]
+) -> None:
     """Else the tests below do not reach it, and it needs a row in MEANT."""
     needs_another = {Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.SET_RAW_RC, Msp.SET_MOTOR}
-    no_request = {Msp.STREAM_SAMPLE}
     accepted = set()
-    for request in every_request():
+    for request in every_request:
         if request.command not in accepted:
             ground.go_back(ready)
             if ground.ask(request):
                 accepted.add(request.command)
-    assert set(Msp) - accepted <= needs_another | no_request
+    assert set(Msp) - accepted <= needs_another
 
 
 def test_the_commands_that_act_are_found(acting: list[Request]) -> None:
@@ -185,12 +247,12 @@ def test_the_commands_that_act_are_found(acting: list[Request]) -> None:
 
 
 def test_nothing_is_written_and_no_motor_changes_when_any_request_comes_in_flight(
-    ground: Ground, flying: State
+    ground: Ground, flying: State, every_request: list[Request]
 ) -> None:
     ground.go_back(flying)
     before, motors = ground.seen, ground.motors
     assert min(motors) > contract.DSHOT_MIN
-    for count, request in enumerate(every_request()):
+    for count, request in enumerate(every_request):
         ground.ask(request, port=count % 2)
         if count % 16 == 0:
             assert ground.run(1) == motors, request
@@ -308,7 +370,7 @@ def test_a_refused_request_changes_nothing_when_its_length_is_another(
             before, motors = ground.seen, ground.motors
             if not ground.ask(Request(request.command, data)):
                 assert ground.seen == before, (request, data)
-            told = OPENERS | {Msp.DSHOT_COMMAND, Msp.SET_MOTOR}
+            told = OPENERS | TELLS_MOTORS
             assert ground.run(STEP_MS) == motors or request.command in told
             assert ground.answers()
 
@@ -347,12 +409,31 @@ def test_motors_stop_within_the_time_out_when_a_motor_test_is_left_alone(
     assert ground.answers(0) and ground.answers(1)
 
 
+@pytest.mark.parametrize("then", ["nothing", "leave"])
+def test_motors_stop_within_the_time_out_when_the_app_goes(
+    ground: Ground, under_app_test: State, then: str
+) -> None:
+    """While it asks for anything the test goes on; another peer's requests are none of its."""
+    ground.go_back(under_app_test)
+    turning = ground.motors
+    for _ in range(20):
+        assert ground.ask(Request(Msp.STATUS_EX), port=0)
+        assert ground.run(MOTOR_TEST_TIMEOUT_MS // 5) == turning
+    if then == "leave":
+        ground.leave(0)
+    for _ in range(6):
+        ground.ask(Request(Msp.STATUS_EX), port=1)
+        ground.run(MOTOR_TEST_TIMEOUT_MS // 5)
+    assert ground.motors == STANDING
+    assert ground.answers(0) and ground.answers(1)
+
+
 def test_no_request_of_another_peer_writes_flash_when_a_motor_test_is_open(
-    ground: Ground, under_test: State
+    ground: Ground, under_test: State, every_request: list[Request]
 ) -> None:
     ground.go_back(under_test)
     before = ground.seen
-    for request in every_request():
+    for request in every_request:
         if request.command in OPENERS | {Msp.SET_MOTOR}:
             continue
         ground.ask(request, port=1)
@@ -364,7 +445,7 @@ def test_values_are_refused_when_they_turn_motors_faster_than_a_test_may(
     ground: Ground, under_test: State
 ) -> None:
     limit = round(1000 + 1000 * contract.MOTOR_TEST_MAX)
-    for values in ([limit + 1], [2000] * 4, [1400] * 4, [0], [999], [2001], [65535], [1100] * 5, [1100] * 8):
+    for values in ([limit + 1], [2000] * 4, [1400] * 4, [1], [999], [2001], [65535], [1100] * 5, [1100] * 8):
         ground.go_back(under_test)
         before = ground.run(1)
         assert not ground.ask(Request(Msp.SET_MOTOR, struct.pack(f"<{len(values)}H", *values))), values
@@ -382,7 +463,7 @@ def test_motors_stop_and_nothing_turns_them_when_the_arm_switch_goes_on_in_a_tes
         ground.go_back(switched)
         ground.ask(first)
         ground.run(2)
-        ground.ask(MEANT[3])
+        ground.ask(TURN)
         assert not turns(ground), first
 
 
