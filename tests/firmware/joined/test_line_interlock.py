@@ -236,7 +236,8 @@ def test_each_command_of_the_contract_is_carried_out_with_some_payload(
             ground.go_back(ready)
             if ground.ask(request):
                 accepted.add(request.command)
-    assert set(Msp) - accepted <= needs_another
+    no_request = {Msp.STREAM_SAMPLE}
+    assert set(Msp) - accepted <= needs_another | no_request
 
 
 def test_the_commands_that_act_are_found(acting: list[Request]) -> None:
