@@ -8,6 +8,7 @@ FIRMWARE, BACKGROUND, PROGRAM = "firmware.c", "background.c", "program.c"
 PORT, STREAM = "msp/msp_port.c", "msp/msp_stream.c"
 OF_FIRMWARE, OF_BACKGROUND = "joined/test_firmware.py", "joined/test_background.py"
 OF_STREAM = "joined/test_stream.py"
+OF_APP, OF_APP_ARMING = "host/test_app_tabs.py", "host/test_app_arming.py"
 OF_INTERLOCK, OF_PILOT = "joined/test_interlock.py", "joined/test_pilot.py"
 OF_INTERRUPT, OF_TRIAL, OF_WEIGHTS = (
     "joined/test_interrupt.py",
@@ -65,9 +66,30 @@ JOINED_MUTANTS = (
         tests=(OF_STREAM,),
     ),
     Mutant(
+        name="a refused change lets the next save store the others",
+        file="msp/msp_configure.c",
+        old="\t\tpeer->spoilt |= *refusal != NF_REFUSAL_NONE;\n",
+        new="",
+        tests=(OF_APP,),
+    ),
+    Mutant(
+        name="another peer's requests keep a motor test alive",
+        file=BACKGROUND,
+        old="\tif (background_owns_test(background, peer))\n\t\tmotor_test_keep",
+        new="\tmotor_test_keep",
+        tests=(OF_APP_ARMING,),
+    ),
+    Mutant(
+        name="nothing that a peer forbids is forbidden",
+        file=BACKGROUND,
+        old="\tpeer->locks = disabled;\n",
+        new="",
+        tests=(OF_APP_ARMING,),
+    ),
+    Mutant(
         name="a stream goes on when another peer comes",
         file=PORT,
-        old="\tmsp_stream_stop(&port->peer.stream);\n",
+        old="\tport->peer = (struct msp_peer){ 0 };\n",
         new="",
         tests=(OF_STREAM,),
     ),
