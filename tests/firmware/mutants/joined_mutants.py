@@ -76,14 +76,14 @@ JOINED_MUTANTS = (
         name="another peer's requests keep a motor test alive",
         file=BACKGROUND,
         old="\tif (background_owns_test(background, peer))\n\t\tmotor_test_keep",
-        new="\tmotor_test_keep",
+        new="\tif (background_owns_test(background, peer) || true)\n\t\tmotor_test_keep",
         tests=(OF_APP_ARMING,),
     ),
     Mutant(
         name="nothing that a peer forbids is forbidden",
         file=BACKGROUND,
         old="\tpeer->locks = disabled;\n",
-        new="",
+        new="\tpeer->locks = disabled && test;\n",
         tests=(OF_APP_ARMING,),
     ),
     Mutant(
