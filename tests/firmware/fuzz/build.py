@@ -37,6 +37,7 @@ TARGETS = {
     "sbus": Target(("receiver.c",), "PROTOCOL=NF_RECEIVER_PROTOCOL_SBUS"),
     "crsf": Target(("receiver.c",), "PROTOCOL=NF_RECEIVER_PROTOCOL_CRSF"),
     "msp": Target(("msp.c", "world.c")),
+    "command_line": Target(("msp.c", "world.c")),
 }
 
 

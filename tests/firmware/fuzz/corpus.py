@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.firmware.fuzz.command_line_seeds import command_line_seeds, words
 from tests.firmware.fuzz.msp_seeds import msp_seeds
 from tests.firmware.fuzz.receiver_seeds import crsf_seeds, sbus_seeds
 
 CORPUS = Path(__file__).parent / "corpus"
 FOUND = "found_"
-SEEDS = {"sbus": sbus_seeds, "crsf": crsf_seeds, "msp": msp_seeds}
+SEEDS = {"sbus": sbus_seeds, "crsf": crsf_seeds, "msp": msp_seeds, "command_line": command_line_seeds}
+
+WORDS = {"command_line": words}  # of a target, that libFuzzer is told
 
 
 def write(target: str) -> None:

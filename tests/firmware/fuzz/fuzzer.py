@@ -9,7 +9,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.firmware.fuzz.corpus import CORPUS
+from tests.firmware.fuzz.corpus import CORPUS, WORDS
 
 INPUT_MAX = 2048  # bytes
 SLOW_S = 10  # an input that takes longer is a finding
@@ -50,6 +50,9 @@ def fuzz(program: Path, target: str, seconds: int, jobs: int, scratch: Path) -> 
             f"-artifact_prefix={kept}/",
             "-print_final_stats=1",
         ]
+        if target in WORDS:
+            (Path(folder) / "words").write_text(WORDS[target]())
+            command.append(f"-dict={folder}/words")
         processes = [
             subprocess.Popen(
                 [*command, f"-seed={number + 1}", str(grown)],

@@ -23,7 +23,7 @@ static void course_say(struct course *course, const uint8_t *bytes, size_t count
 	uint8_t *reply;
 	const size_t size = world_talk(course->world, course_port(course), bytes, count, capacity, &reply);
 
-	world_check_frames(course->world, reply, size);
+	(void)size;
 	free(reply);
 }
 

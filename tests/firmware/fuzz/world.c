@@ -6,6 +6,7 @@
 
 #define LONGEST_HALF_READ 530u /* bytes that a request cut short can still swallow */
 #define REPLY_ROOM 8192u
+#define LISTENS 300u /* lines of the command line's longest answer, and more */
 #define FRAME_MS 10u
 
 extern float scripted_action[POLICY_ACTION_COUNT];
@@ -192,57 +193,6 @@ struct world *world_begin(enum beginning beginning)
 	return &world;
 }
 
-/* --- Time and lines -------------------------------------------------------------------------------------- */
-static void world_pilot(struct world *w)
-{
-	if (w->silent || w->sample % (GYRO_HZ * FRAME_MS / 1000u) != 0)
-		return;
-	if (w->msp)
-		(void)firmware_post(&w->firmware, w->channels_us);
-	else
-		receiver_line_put(&w->board.line, w->channels_us);
-}
-
-void world_pass(struct world *w, unsigned samples)
-{
-	while (samples-- > 0) {
-		const double down = -9.80665 - 0.01 * (w->sample % 2); /* the chip's least bit moves */
-		const double force[3] = { 0.0, 0.0, down }, rates[3] = { w->shaken, w->shaken, w->shaken };
-		const struct imu_sample sample = host_board_sample(rates, force);
-		world_pilot(w);
-		program_sample(&w->program, &sample);
-		program_background(&w->program);
-		++w->sample;
-	}
-}
-
-size_t world_talk(struct world *w, unsigned port, const uint8_t *bytes, size_t count, size_t capacity, uint8_t **reply)
-{
-	*reply = malloc(capacity ? capacity : 1);
-	if (!*reply)
-		abort();
-	struct command_line *const cl = &w->background.ports[port].command_line;
-
-	/* A session may open and end within one call: each notes when it heard a byte. */
-	w->typed = command_line_open(cl);
-	if (!w->typed)
-		cl->heard = UINT32_MAX;
-	const size_t written = program_link(&w->program, port, bytes, count, *reply, capacity);
-	w->typed |= command_line_open(cl) || cl->heard != UINT32_MAX;
-	PROMISE(written <= capacity);
-	return written;
-}
-
-void world_pause(struct world *w, unsigned port)
-{
-	program_link_pause(&w->program, port);
-}
-
-void world_hang_up(struct world *w, unsigned port)
-{
-	program_link_reset(&w->program, port);
-}
-
 /* --- Frames ---------------------------------------------------------------------------------------------- */
 static uint8_t world_checksum(unsigned version, const uint8_t *bytes, size_t count)
 {
@@ -272,25 +222,110 @@ size_t world_request(unsigned version, unsigned command, const uint8_t *payload,
 	return n + 1;
 }
 
-void world_check_frames(const struct world *w, const uint8_t *reply, size_t count)
+/* Could these bytes have opened the command line, and ended it again? */
+static bool world_may_open(const uint8_t *bytes, size_t count)
 {
-	while (count > 0 && !w->typed) {
-		PROMISE(count >= 6 && reply[0] == '$' && (reply[1] == 'M' || reply[1] == 'X'));
-		PROMISE(reply[2] == '>' || reply[2] == '!');
-		const unsigned version = reply[1] == 'X' ? 2 : 1;
-		const bool jumbo = version == 1 && reply[3] == 255;
-		const size_t header = version == 2 ? 8 : jumbo ? 7 : 5;
-		PROMISE(count > header);
-		const size_t size = version == 2 || jumbo ? reply[header - 2] | (size_t)reply[header - 1] << 8 :
-							    reply[3];
-		PROMISE(count > header + size);
-		PROMISE(reply[header + size] == world_checksum(version, reply + 3, header + size - 3));
-		reply += header + size + 1;
-		count -= header + size + 1;
+	for (size_t i = 0; i < count; ++i)
+		if (bytes[i] == COMMAND_LINE_OPENS || bytes[i] == COMMAND_LINE_FRAME)
+			return true;
+	return false;
+}
+
+static bool world_is_text(uint8_t byte)
+{
+	return (byte >= ' ' && byte <= '~') || byte == '\r' || byte == '\n' || byte == '\b' ||
+	       byte == COMMAND_LINE_FRAME || byte == COMMAND_LINE_FRAME_END;
+}
+
+/* Bytes of the whole and good frame of a reply that begins here; 0: none does. */
+static size_t world_frame(const uint8_t *reply, size_t count)
+{
+	if (count < 6 || reply[0] != '$' || (reply[1] != 'M' && reply[1] != 'X') ||
+	    (reply[2] != '>' && reply[2] != '!'))
+		return 0;
+	const unsigned version = reply[1] == 'X' ? 2 : 1;
+	const bool jumbo = version == 1 && reply[3] == 255;
+	const size_t header = version == 2 ? 8 : jumbo ? 7 : 5;
+	if (count <= header)
+		return 0;
+	const size_t size = version == 2 || jumbo ? reply[header - 2] | (size_t)reply[header - 1] << 8 : reply[3];
+	if (count <= header + size || reply[header + size] != world_checksum(version, reply + 3, header + size - 3))
+		return 0;
+	return header + size + 1;
+}
+
+/* What a port says is whole frames of MSP, and while its command line is open text between them. */
+static void world_check_said(const uint8_t *reply, size_t count, bool typing)
+{
+	for (size_t at = 0; at < count;) {
+		const size_t frame = world_frame(reply + at, count - at);
+		PROMISE(frame > 0 || (typing && world_is_text(reply[at])));
+		at += frame > 0 ? frame : 1;
 	}
 }
 
+/* --- Time and lines -------------------------------------------------------------------------------------- */
+static void world_pilot(struct world *w)
+{
+	if (w->silent || w->sample % (GYRO_HZ * FRAME_MS / 1000u) != 0)
+		return;
+	if (w->msp)
+		(void)firmware_post(&w->firmware, w->channels_us);
+	else
+		receiver_line_put(&w->board.line, w->channels_us);
+}
+
+void world_pass(struct world *w, unsigned samples)
+{
+	while (samples-- > 0) {
+		const double down = -9.80665 - 0.01 * (w->sample % 2); /* the chip's least bit moves */
+		const double force[3] = { 0.0, 0.0, down }, rates[3] = { w->shaken, w->shaken, w->shaken };
+		const struct imu_sample sample = host_board_sample(rates, force);
+		world_pilot(w);
+		program_sample(&w->program, &sample);
+		program_background(&w->program);
+		++w->sample;
+	}
+}
+
+static bool world_typing(const struct world *w, unsigned port)
+{
+	return command_line_open(&w->background.ports[port].command_line);
+}
+
+size_t world_talk(struct world *w, unsigned port, const uint8_t *bytes, size_t count, size_t capacity, uint8_t **reply)
+{
+	bool typing = world_typing(w, port);
+
+	*reply = malloc(capacity ? capacity : 1);
+	if (!*reply)
+		abort();
+	const size_t written = program_link(&w->program, port, bytes, count, *reply, capacity);
+	PROMISE(written <= capacity);
+	typing |= world_typing(w, port);
+	world_check_said(*reply, written, typing || world_may_open(bytes, count));
+	return written;
+}
+
+void world_pause(struct world *w, unsigned port)
+{
+	program_link_pause(&w->program, port);
+}
+
+void world_hang_up(struct world *w, unsigned port)
+{
+	program_link_reset(&w->program, port);
+}
+
 /* --- The end --------------------------------------------------------------------------------------------- */
+static bool world_has_version(const uint8_t *reply, size_t count)
+{
+	for (size_t at = 0; at + 9 <= count; ++at)
+		if (memcmp(reply + at, "$M>\3\1", 5) == 0)
+			return true;
+	return false;
+}
+
 /* A request that was cut short takes what comes as its payload; once it is full, requests are read again. */
 static void world_expect_answer(struct world *w, unsigned port)
 {
@@ -299,10 +334,15 @@ static void world_expect_answer(struct world *w, unsigned port)
 
 	for (size_t sent = 0; sent < LONGEST_HALF_READ && !answered; sent += sizeof request) {
 		uint8_t *reply;
-		const size_t count = world_talk(w, port, request, sizeof request, REPLY_ROOM, &reply);
-		world_check_frames(w, reply, count);
-		answered = count >= 9 && memcmp(reply + count - 9, "$M>\3\1", 5) == 0;
+		size_t count = world_talk(w, port, request, sizeof request, REPLY_ROOM, &reply);
+		answered = world_has_version(reply, count);
 		free(reply);
+		/* What the command line has to say before it reads on. */
+		for (unsigned i = 0; i < LISTENS && !answered && program_link_busy(&w->program, port); ++i) {
+			count = world_talk(w, port, NULL, 0, REPLY_ROOM, &reply);
+			answered = world_has_version(reply, count);
+			free(reply);
+		}
 	}
 	PROMISE(answered);
 }

@@ -33,7 +33,6 @@ struct world {
 	bool silent;              /* the pilot's transmitter */
 	bool msp;                 /* the pilot's sticks come by MSP */
 	bool resets;              /* was asked to */
-	bool typed;               /* a command line was open on that port in world_talk */
 	uint32_t sample;          /* since boot */
 	uint32_t refreshed;       /* motor_test's count of values when they last changed, and the sample of that */
 	uint32_t refreshed_at;
@@ -46,8 +45,8 @@ struct world *world_begin(enum beginning beginning);
 /* So many gyro samples pass, with a frame of the pilot's each 10 ms. */
 void world_pass(struct world *world, unsigned samples);
 
-/* Bytes from the peer on a port, and room for so many bytes of reply. Returns the reply's size; it is NULL or the
- * caller's to free. */
+/* Bytes from the peer on a port, and room for so many bytes of reply. Returns the reply's size; it is the
+ * caller's to free. It is whole frames of MSP, and text only if the command line is or was open. */
 size_t world_talk(struct world *world, unsigned port, const uint8_t *bytes, size_t count, size_t capacity,
 		  uint8_t **reply);
 
@@ -61,9 +60,6 @@ void world_hang_up(struct world *world, unsigned port);
 #define WORLD_FRAME_MAX 600u
 size_t world_request(unsigned version, unsigned command, const uint8_t *payload, size_t count,
 		     uint8_t frame[WORLD_FRAME_MAX]);
-
-/* What world_talk wrote last is whole frames of MSP replies, one after the other, or a command line was open. */
-void world_check_frames(const struct world *world, const uint8_t *reply, size_t count);
 
 /* What must hold when an input is over: each port answers a request for the API version, whatever came before; the
  * settings are within their limits; what flash holds can be loaded. */

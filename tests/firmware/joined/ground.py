@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from flash.msp import Decoder, Direction, Message, Version, encode
 from tests.firmware.conftest import Chip, Core
 from toolchain import contract
-from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, Msp
+from toolchain.contract import CHANNEL_ARM, CHANNEL_COUNT, CHANNEL_THROTTLE, ArmingReason, Msp
 
 GYRO_HZ = 1000
 FRAME_MS = 10
@@ -42,7 +42,7 @@ class Seen:
     wish: int  # of a motor test
     given: int  # values to it
     command: int  # asked of the motors' controllers
-    forbidden: int  # reasons against arming
+    forbidden: int  # reasons against arming, but for a command line that noise may have opened
     rebooting: bool
     posted: bool  # channels
 
@@ -186,7 +186,7 @@ class Ground:
             fw.motor_test.wish,
             fw.motor_test.refreshed,
             fw.dshot_command.asked | fw.dshot_command.left,
-            fw.forbidden,
+            fw.forbidden & ~(1 << ArmingReason.CLI),
             background.rebooting,
             fw.posted,
         )
