@@ -164,7 +164,9 @@ class Ground:
         return any(
             isinstance(event, Message)
             and (event.command, event.direction) == (Msp.API_VERSION, Direction.REPLY)
-            for event in Decoder().feed(self.send(API_VERSION, port))
+            for event in Decoder().feed(
+                self.send(API_VERSION, port) + b"".join(self.send(b"", port) for _ in range(20))
+            )
         )
 
     # --- What it has become -------------------------------------------------------------------
