@@ -109,6 +109,9 @@ FILTER_STAGES = 4
 # Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 4.5 ms on
 # behind a biquad, from 6 ms on behind the others.
 FILTER_DELAY_MAX_MS = 4.0
+# Of the same chain where a PID gain is not as built in. At 2 ms every corner of the factors flies, at 3 ms a
+# P of 1.25 swings.
+PID_FACTOR_FILTER_DELAY_MAX_MS = 2.0
 _MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"

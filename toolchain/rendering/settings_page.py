@@ -75,10 +75,10 @@ arm.
 
 `pid_roll_p` and its like multiply the gains of the PID that is built in; 1 leaves them as they are. The
 policy does not use them: it has no gains. Their limits were flown in the twin, without gyro filters:
-within them NF1 and hexacopter fly, from throttle 0.1 to 1. Two things they do not cover. A slow chain of
-gyro filters takes the margin that a larger P needs: near the 4 ms that a chain may take, leave P below
-1. And the Iris's built-in PID has little margin of its own: with a P of 1.25 and a D of 0.75 it swings,
-so raise D with P.
+within them NF1 and hexacopter fly, from throttle 0.1 to 1. A slow chain of gyro filters takes the margin
+that another gain needs: with a factor other than 1 the chain may delay by 2 ms at most, and a slower one is
+refused. One thing the limits do not cover: the Iris's built-in PID has little margin of its own; with a P of
+1.25 and a D of 0.75 it swings, so raise D with P.
 
 This page is written by `python -m toolchain.rendering.settings_page docs/settings.md`.
 

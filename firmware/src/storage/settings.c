@@ -226,20 +226,40 @@ static float settings_slowness(uint32_t kind, float q)
 	}
 }
 
-/* Is the chain fast enough for the PID that stands by? */
-static bool settings_filter_delay_fits(const struct nf_settings *settings, unsigned first)
+/* Of the whole chain, for slow motion. */
+static float settings_filter_delay_s(const struct nf_settings *settings)
 {
 	float delay_s = (float)settings->dynamic_notch_count /
 			(TURN * settings->dynamic_notch_low_hz * settings->dynamic_notch_q);
 
-	for (unsigned stage = first; stage < SETTING_AT_dynamic_notch_count; stage += 3) {
+	for (unsigned stage = SETTING_AT_filter1_kind; stage < SETTING_AT_dynamic_notch_count; stage += 3) {
 		union setting_value kind, hz, q;
 		settings_get(settings, stage, &kind);
 		settings_get(settings, stage + 1, &hz);
 		settings_get(settings, stage + 2, &q);
 		delay_s += settings_slowness(kind.as_uint32_t, q.as_float) / (TURN * hz.as_float);
 	}
-	return delay_s <= 0.001f * NF_FILTER_DELAY_MAX_MS;
+	return delay_s;
+}
+
+/* Is the chain fast enough for the PID that stands by? */
+static bool settings_filter_delay_fits(const struct nf_settings *settings, unsigned first)
+{
+	(void)first;
+	return settings_filter_delay_s(settings) <= 0.001f * NF_FILTER_DELAY_MAX_MS;
+}
+
+/* Gains other than the built-in ones have less margin for delay. */
+static bool settings_pid_fits(const struct nf_settings *settings, unsigned first)
+{
+	bool built_in = true;
+
+	for (unsigned index = first; index <= SETTING_AT_pid_yaw_d; ++index) {
+		union setting_value factor;
+		settings_get(settings, index, &factor);
+		built_in &= factor.as_float == 1.0f;
+	}
+	return built_in || settings_filter_delay_s(settings) <= 0.001f * NF_PID_FACTOR_FILTER_DELAY_MAX_MS;
 }
 _Static_assert(SETTING_AT_dynamic_notch_count - SETTING_AT_filter1_kind == 3 * NF_FILTER_STAGES, "three each");
 
@@ -303,6 +323,7 @@ static const struct rule {
 	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
 	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
 	{ settings_filter_delay_fits, SETTING_AT_filter1_kind, SETTING_AT_dynamic_notch_q },
+	{ settings_pid_fits, SETTING_AT_pid_roll_p, SETTING_AT_pid_yaw_d },
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_aux4 },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },

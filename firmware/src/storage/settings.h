@@ -64,7 +64,8 @@ size_t settings_size(const struct setting *setting);
 void settings_get(const struct nf_settings *settings, unsigned index, union setting_value *value);
 
 /* Changes one setting; another style of rates sets all rates to the defaults of that style. NF_REFUSAL_INDEX: there is
- * none of that index. NF_REFUSAL_RANGE: beyond the limits that it has beside the others, or no number. A value that is refused changes nothing. Combinations are checked by settings_conflict. */
+ * none of that index. NF_REFUSAL_RANGE: beyond the limits that it has beside the others, or no number. A value that is
+ * refused changes nothing. Combinations are checked by settings_conflict. */
 enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value);
 
 /* The same for a setting of whole numbers or a mode, and for one that is a float. */
@@ -73,7 +74,8 @@ enum nf_refusal settings_set_number(struct nf_settings *settings, unsigned index
 
 /* Index of the first setting that does not go with others or with this image's policy: a gyro rate that is none or
  * no multiple of the control rate; a filter at or above half the gyro rate; notch limits, battery limits or channels
- * that contradict each other; rates beyond the limits of their style; a baud rate that is none. NF_SETTING_COUNT: all go together. */
+ * that contradict each other; rates beyond the limits of their style; PID gains that want a faster chain of filters; two
+ * motors on one output; a baud rate that is none. NF_SETTING_COUNT: all go together. */
 unsigned settings_conflict(const struct nf_settings *settings);
 
 /* Sets to their defaults those that settings_conflict finds; all others are kept. */

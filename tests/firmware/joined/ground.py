@@ -160,13 +160,17 @@ class Ground:
         self.lib.program_link_reset(self.program, port)
 
     def answers(self, port: int = 0) -> bool:
-        """Does a request for the API's version get its answer at once?"""
+        """Does a request for the API's version get its answer at once?
+
+        What a command line said before may look like the beginning of a frame: clients give that up when
+        the line is silent.
+        """
+        decoder = Decoder()
+        said = self.send(API_VERSION, port) + b"".join(self.send(b"", port) for _ in range(20))
         return any(
             isinstance(event, Message)
             and (event.command, event.direction) == (Msp.API_VERSION, Direction.REPLY)
-            for event in Decoder().feed(
-                self.send(API_VERSION, port) + b"".join(self.send(b"", port) for _ in range(20))
-            )
+            for event in [*decoder.feed(said), *decoder.flush()]
         )
 
     # --- What it has become -------------------------------------------------------------------

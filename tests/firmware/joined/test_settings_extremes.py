@@ -354,9 +354,6 @@ def settings_sets(draw: st.DrawFn) -> Settings:
         if not changed.get(low, DEFAULTS[low]) < changed.get(high, DEFAULTS[high]):
             changed.pop(low, None)  # refused for sure: too many would be
             changed.pop(high, None)
-    if any(name.startswith(("filter", "dynamic")) for name in changed):
-        # Slow filters take the margin of a larger gain; the settings page says so.
-        changed = {name: value for name, value in changed.items() if not name.startswith("pid_")}
     if draw(st.integers(0, 3)) == 0:
         changed |= dict(zip(OUTPUTS, draw(st.permutations(range(1, 5))), strict=True))
     if draw(st.integers(0, 3)) == 0:

@@ -183,6 +183,11 @@ CONFLICTS = {
     ),
     "an output for two motors": ({"motor2_output": 3}, "motor1_output", {"motor2_output"}),
     "an output that this aircraft has not": ({"motor1_output": 8}, "motor1_output", {"motor1_output"}),
+    "a PID gain behind a slow filter": (
+        {"filter1_kind": 1, "filter1_hz": 79.0, "pid_pitch_d": 0.9},  # 2.01 ms
+        "pid_roll_p",
+        {"pid_pitch_d"},
+    ),
     "UART3's speed": ({"uart3_baud": 9601}, "uart3_baud", {"uart3_baud"}),
     "notch limits": (
         {"dynamic_notch_low_hz": 600.0},
