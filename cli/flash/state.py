@@ -51,7 +51,12 @@ def _info_rows(info: Info) -> list[tuple[str, str]]:
     board, build, policy = info.board, info.build, info.policy
     rows = [
         ("firmware", f"{info.variant} {info.version}, MSP API {info.api.major}.{info.api.minor}"),
-        ("board", " ".join(filter(None, (board.identifier, board.manufacturer, board.name or board.target)))),
+        (
+            "board",
+            " ".join(
+                dict.fromkeys(filter(None, (board.identifier, board.manufacturer, board.target, board.name)))
+            ),
+        ),
         ("build", f"{build.date} {build.time}, {build.revision}" if build.dated else "undated, reproducible"),
         ("name", info.name or "none given"),
         ("UID", info.uid),

@@ -111,7 +111,7 @@ def test_yamspy_reads_who_and_how_it_is_when_it_opens_the_pseudo_terminal(
         peer.conn = line
         peer.basic_info()
     assert peer.CONFIG["apiVersion"] == "1.46.0"
-    assert peer.CONFIG["flightControllerIdentifier"] == "NRFL"
+    assert peer.CONFIG["flightControllerIdentifier"] == "BTFL"
     assert peer.CONFIG["boardIdentifier"] == "S7X2"
 
 
@@ -147,7 +147,7 @@ def test_uart3_is_a_second_port_when_it_was_set_so_and_refused_before(
     assert found is not None
     with Client(open_transport(board.port)) as first, Client(open_transport(found[1])) as second:
         for _ in range(3):
-            assert first.request(Msp.FC_VARIANT) == second.request(Msp.FC_VARIANT) == b"NRFL"
+            assert first.request(Msp.FC_VARIANT) == second.request(Msp.FC_VARIANT) == b"BTFL"
     assert board.interrupt()[0] == 0
 
 
@@ -179,7 +179,7 @@ def test_a_debugger_stops_and_steps_the_firmware_when_it_comes(
         assert ask(debugger, f"z0,{place:x},2") == "OK"
         assert ask(debugger, "D") == "OK"
     with Client(open_transport(board.port)) as client:
-        assert client.request(Msp.FC_VARIANT) == b"NRFL"
+        assert client.request(Msp.FC_VARIANT) == b"BTFL"
     assert board.interrupt()[0] == 0
 
 

@@ -30,7 +30,7 @@ from sim.flight.trace import COLUMNS, Trace, load_trace
 from tests.sim.board.mutants.conftest import build_mutant as build_mutant
 from tests.sim.board.mutants.conftest import workshop as workshop
 from tests.sim.board.mutants.mutant import Mutant
-from toolchain.contract import FLASH_BASE, MSP_VARIANT, Msp
+from toolchain.contract import FLASH_BASE, MSP_VARIANT_BETAFLIGHT, Msp
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -251,7 +251,7 @@ def test_it_flies_with_settings_while_a_client_asks_over_the_serial_line_when_to
     code, _, _ = fly("--serial", "tcp", *settings, "--trace", str(trace))
     assert code == 0
     assert told[0].startswith("USART1 at tcp:127.0.0.1:") and told[0].endswith(", 921600 baud")
-    assert heard == [MSP_VARIANT]
+    assert heard == [MSP_VARIANT_BETAFLIGHT]
     # Full stick is half as fast now: the sticks for 50 deg/s ask for 25.
     assert np.rad2deg(load_trace(trace).setpoint[50]) == pytest.approx([25.0, 0.0, 0.0], abs=0.01)
 
@@ -268,7 +268,7 @@ def test_it_flies_while_clients_ask_on_both_uarts_when_told_to(fly: Command, cli
     code, _, _ = fly("--serial", "tcp", "--serial", "uart3=tcp", *settings)
     assert code == 0
     assert told[1].startswith("USART3 at tcp:127.0.0.1:") and told[1].endswith(", 921600 baud")
-    assert heard == [MSP_VARIANT] * 2
+    assert heard == [MSP_VARIANT_BETAFLIGHT] * 2
 
 
 def test_a_flight_ends_when_it_is_interrupted_wherever_the_board_is(fly: Command, client: Any) -> None:

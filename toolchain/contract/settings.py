@@ -106,9 +106,9 @@ _MODE_DEFAULTS = {  # a switch's upper position, as on most transmitters
 _SWITCH = ("off", "on")
 _FILTERS = tuple(kind.name.lower() for kind in FilterKind)
 FILTER_STAGES = 4
-# Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 4.5 ms on
-# behind a biquad, from 6 ms on behind the others.
-FILTER_DELAY_MAX_MS = 4.0
+# Of the whole chain of gyro filters, for slow motion. Flown in the twin, the NF1's PID swings from 3.75 ms on
+# behind a biquad, later behind the others.
+FILTER_DELAY_MAX_MS = 3.5
 # Of the same chain where a PID gain is not as built in. At 2 ms every corner of the factors flies, at 3 ms a
 # P of 1.25 swings.
 PID_FACTOR_FILTER_DELAY_MAX_MS = 2.0

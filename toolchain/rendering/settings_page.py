@@ -17,7 +17,7 @@ on. On the board they are read and written over MSP (`SETTING_INFO`, `SETTING_GE
 
 A policy flies behind the gyro filters that it was trained with: one that was trained without any cannot arm
 while `filter1_kind` and its like are other than `none`. The PID flies behind all of them:
-together they may delay slow motion by 4 ms at most, and a slower chain is refused. A low-pass of 100 Hz
+together they may delay slow motion by 3.5 ms at most, and a slower chain is refused. A low-pass of 100 Hz
 delays by 1.6 ms (pt1), 2.0 (pt2), 2.4 (pt3) or 2.3 (biquad of the usual quality), a notch of that quality by
 2.3; at half the frequency twice as much.
 

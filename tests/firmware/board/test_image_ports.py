@@ -18,7 +18,7 @@ from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, UartLine
 from sim.board.serial.idle_board import IdleBoard, configured
-from toolchain.contract import MSP_VARIANT, Msp
+from toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
 from toolchain.image.elf import read_flashable
 
 UART3 = "USART3"
@@ -95,7 +95,7 @@ def test_each_of_two_peers_gets_its_own_answers_when_they_take_turns_byte_by_byt
         assert first.take() == API_ANSWER
         (told,) = Decoder().feed(second.take())
         assert isinstance(told, Message)
-        assert (told.command, told.payload) == (Msp.FC_VARIANT, MSP_VARIANT.encode())
+        assert (told.command, told.payload) == (Msp.FC_VARIANT, MSP_VARIANT_BETAFLIGHT.encode())
 
 
 @pytest.mark.parametrize(("rude", "polite"), [(MSP_UART, UART3), (UART3, MSP_UART)])

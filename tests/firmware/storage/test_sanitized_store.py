@@ -26,7 +26,10 @@ FIRMWARE = ROOT / "firmware"
 SOURCE = FIRMWARE / "src"
 FEED = Path(__file__).parents[1] / "sanitized" / "store.c"
 CORE = (
-    *("common/crc8", "common/crc32", "housekeeping/scheduler"),
+    *("common/crc8", "common/crc32", "common/decimal", "housekeeping/scheduler", "housekeeping/battery"),
+    *("command_line/command", "command_line/command_line", "command_line/printer"),
+    *("command_line/listing_commands", "command_line/motor_commands"),
+    *("command_line/report_commands", "command_line/setting_commands", "storage/settings_text"),
     *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
     *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),

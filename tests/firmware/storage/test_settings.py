@@ -210,17 +210,17 @@ CONFLICTS = {
         {"filter1_kind", "filter3_kind", "dynamic_notch_low_hz"},
     ),
     "a low-pass that rings": (
-        {"filter4_kind": 4, "filter4_q": 1.3},
+        {"filter4_kind": 4, "filter4_q": 1.11},
         "filter1_kind",
         {"filter4_kind", "filter4_q"},
     ),
     "notch too wide": (
-        {"filter1_kind": 5, "filter1_q": 0.39},
+        {"filter1_kind": 5, "filter1_q": 0.45},
         "filter1_kind",
         {"filter1_kind", "filter1_q"},
     ),
     "dynamic notches too wide": (
-        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.1},
+        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.36},
         "filter1_kind",
         {"dynamic_notch_count", "dynamic_notch_q"},
     ),
@@ -264,13 +264,13 @@ def test_later_rules_see_the_mended_gyro_rate_when_several_are_broken(
         {"filter1_hz": 4000.0},  # of no kind: not flown
         {"filter1_kind": 1, "filter1_hz": 1999.0},
         {"dynamic_notch_high_hz": 2000.0},  # none is flown
-        {"filter2_kind": 1, "filter2_hz": 41.0},
-        {"filter2_kind": 2, "filter2_hz": 53.0},
-        {"filter2_kind": 3, "filter2_hz": 62.0},
-        {"filter4_kind": 4, "filter4_q": 1.2},
-        {"filter4_kind": 4, "filter4_q": 0.41},
-        {"filter1_kind": 5, "filter1_q": 0.41},
-        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.3},
+        {"filter2_kind": 1, "filter2_hz": 46.0},
+        {"filter2_kind": 2, "filter2_hz": 59.0},
+        {"filter2_kind": 3, "filter2_hz": 70.0},
+        {"filter4_kind": 4, "filter4_q": 1.09},
+        {"filter4_kind": 4, "filter4_q": 0.46},
+        {"filter1_kind": 5, "filter1_q": 0.46},
+        {"dynamic_notch_count": 3, "dynamic_notch_q": 1.37},
         {"dynamic_notch_low_hz": 30.0, "dynamic_notch_q": 0.5},  # none is flown
         {"map_roll": 7, "map_aux4": 0},
         {"battery_low_v": 3.4999},

@@ -18,7 +18,7 @@ from sim.board.core.context import TIME_HZ
 from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import READ_MAX, SLICE, Bridge, LineTransport, PtyEnd, TcpEnd, UartLine
-from toolchain.contract import MSP_VARIANT, Msp
+from toolchain.contract import MSP_VARIANT_BETAFLIGHT, Msp
 from toolchain.errors import LinkError
 
 BOOT_S = 0.4
@@ -50,7 +50,7 @@ def ask(line: UartLine) -> Client:
 def test_the_image_answers_our_client_when_both_speak_the_same(board: Board) -> None:
     line = UartLine(board)
     with ask(line) as client:
-        assert messages.fc_variant(client.request(Msp.FC_VARIANT)) == MSP_VARIANT
+        assert messages.fc_variant(client.request(Msp.FC_VARIANT)) == MSP_VARIANT_BETAFLIGHT
     assert (line.refused, line.framing_errors) == (0, 0)
 
 
@@ -111,7 +111,7 @@ def test_it_says_so_when_the_line_was_closed_or_there_is_none(board: Board) -> N
 def test_it_says_so_when_another_line_has_taken_its_place(board: Board) -> None:
     first = ask(UartLine(board))
     with ask(UartLine(board)) as second:
-        assert second.request(Msp.FC_VARIANT) == b"NRFL"
+        assert second.request(Msp.FC_VARIANT) == b"BTFL"
     with pytest.raises(LinkError, match="another line has taken its place, expected one at a time"):
         first.request(Msp.FC_VARIANT)
 

@@ -82,7 +82,7 @@ def test_the_first_question_is_heard_when_the_board_has_booted(image: Path) -> N
     idle = IdleBoard(image.read_bytes(), elf=image.with_suffix(".elf"))
     idle.boot()
     assert idle.board.cycle < TIME_HZ
-    assert idle.client().request(Msp.FC_VARIANT, retries=0) == b"NRFL"
+    assert idle.client().request(Msp.FC_VARIANT, retries=0) == b"BTFL"
     idle.close()
 
 
@@ -154,7 +154,7 @@ def test_a_program_is_served_when_the_board_is_idle(idle: IdleBoard) -> None:
     with serial.Serial(bridge.end.name, timeout=0) as program:
         program.write(encode(request(Msp.FC_VARIANT)))
         serve(idle, [bridge], seconds=0.01, clock=lambda: 0.0, sleep=lambda _: None)
-        assert program.read(100).startswith(b"$M>\x04\x02NRFL")
+        assert program.read(100).startswith(b"$M>\x04\x02BTFL")
     bridge.close()
 
 

@@ -102,7 +102,7 @@ def test_it_talks_at_the_speed_that_is_stored_when_it_has_started_anew(idle: Idl
     with idle.client(other) as client, pytest.raises(LinkError, match="silence"):
         client.request(Msp.API_VERSION, timeout=0.1, retries=0)
     with idle.client(baud) as client:
-        assert read_info(client).variant == "NRFL"
+        assert read_info(client).variant == "BTFL"
         assert Settings(client).get("msp_baud") == baud
         with pytest.raises(LinkError, match="a length or a value that the command does not take"):
             client.request(Msp.SETTING_GET, bytes(MSP_PAYLOAD_MAX), retries=0)  # came whole
