@@ -26,6 +26,7 @@ enum {
 	MESSAGE_BYTES = 512,
 };
 #define NOWHERE UINT32_MAX /* an address that no instruction has */
+#define XPSR_THUMB (1u << 24)
 
 /* RM0431 2.2.2, table 1; BOOT_ADD0's default is the alias. */
 #define ITCM_BASE 0x00000000u

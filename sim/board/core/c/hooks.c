@@ -359,10 +359,10 @@ static bool hooks_on_invalid(uc_engine *uc, uc_mem_type type, uint64_t address, 
 {
 	struct engine *e = user;
 
-	(void)uc;
 	if (type == UC_MEM_WRITE_PROT && inside((uint32_t)address, (uint32_t)size, FLASH_BASE, FLASH_BYTES) &&
 	    e->callbacks.flash != NULL && !e->flash_stored) {
 		hooks_note_flash_store(e, (uint32_t)address, (uint32_t)size, (uint32_t)value);
+		forget_conditions(uc);
 		return true;
 	}
 	e->fault_type = (uint32_t)type;

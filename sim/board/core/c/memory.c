@@ -25,6 +25,17 @@ void set_reg(struct engine *e, int name, uint32_t value)
 	uc_reg_write(e->uc, name, &value);
 }
 
+/* To be called by whatever unicorn calls back for an access to data and goes on behind. Before such a callback it sets
+ * ITSTATE to that of the instruction at hand, as if a fault had to be told. A block that runs keeps its conditions to
+ * itself and counts on ITSTATE being zero: left as it is, the conditions of an access inside an IT block would fall on the
+ * first instructions of the block that runs next, and be tied to every later way there from here. */
+void forget_conditions(uc_engine *uc)
+{
+	const uint32_t none = XPSR_THUMB;
+
+	uc_reg_write(uc, UC_ARM_REG_EPSR, &none);
+}
+
 uint8_t *host(struct engine *e, uint32_t address, uint32_t size)
 {
 	if (inside(address, size, RAM_BASE, RAM_BYTES))

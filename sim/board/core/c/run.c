@@ -11,7 +11,6 @@
 #include "nvic.h"
 
 #define BLOCK_ADDRESSES_END 0xFFFFFFFFu /* unicorn wants an address to stop at: an odd one is never reached */
-#define XPSR_THUMB (1u << 24)
 
 /* Unicorn's numbers. */
 enum { INTERRUPT_SVC = 2, INTERRUPT_PREFETCH = 3, INTERRUPT_BKPT = 7, INTERRUPT_EXCEPTION_RETURN = 8 };

@@ -79,10 +79,11 @@ static uc_err windows_map_region(struct engine *e, uint32_t number, uint32_t bas
  * still comes to light where unicorn compares the access with the mapping. */
 static bool windows_fill_tlb(uc_engine *uc, uint64_t address, uc_mem_type type, uc_tlb_entry *result, void *user)
 {
-	const bool code = address < RAM_BASE || type == UC_MEM_FETCH;
+	const bool fetch = type == UC_MEM_FETCH, code = address < RAM_BASE || fetch;
 
-	(void)uc;
 	(void)user;
+	if (!fetch) /* it finds ITSTATE as the block before has left it, which is right */
+		forget_conditions(uc);
 	result->paddr = address;
 	result->perms = UC_PROT_READ | UC_PROT_WRITE | (code ? UC_PROT_EXEC : 0);
 	return true;
