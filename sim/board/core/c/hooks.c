@@ -7,7 +7,8 @@
  *
  * A change that an access to a register makes (an interrupt, a nearer alarm) takes effect before the next
  * instruction, never inside the access: unicorn would execute the instruction again. Nothing is interrupted inside
- * an IT block. */
+ * an IT block: unicorn goes on to its end. So it does at an instruction there that would fault, which is told as if it
+ * had stopped; a handler of the fault finds done what it should not. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -234,6 +235,8 @@ static __attribute__((noinline)) void hooks_consider(struct engine *e, uint32_t 
 {
 	const struct block *b = e->block;
 
+	if (e->stopped) /* inside an IT block, to whose end unicorn goes on whatever it is told */
+		return;
 	if (address < NULL_PAGE_BYTES) {
 		hooks_reject(e, EXC_MEM, FAULT_INSTRUCTION_ACCESS, "execution at 0x%08X, in the null page", address);
 		e->fault.jumped = true;
@@ -303,7 +306,10 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 	struct block *const before = e->block;
 	uint32_t opening = 0;
 
-	(void)uc;
+	if (e->stopped) {
+		uc_emu_stop(uc);
+		return;
+	}
 	if (before != NULL) {
 		opening = e->start + before->size == start ? before->open : 0;
 		if (before->count != 0u) {
@@ -314,7 +320,6 @@ static void hooks_on_block(uc_engine *uc, uint64_t address, uint32_t size, void 
 	}
 	e->at = e->start = e->s.pc = start;
 	e->next_special = 0;
-	e->stopped = false;
 	e->block = blocks_find(e, before, start, size, opening);
 	if (e->block == NULL) {
 		fail(e, "execution at 0x%08X", start);

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from sim.board.core.context import BoardError
 from sim.board.core.engine import Engine, Outcome
 from tests.sim.board.programs import DEVICE, RESULTS
 
@@ -240,3 +241,44 @@ def test_it_is_so_when_the_block_programs_flash(
     engine.on_flash_store(lambda at, size, value: engine.set_memory(at, value.to_bytes(size, "little")))
     engine.run(instructions=MOST)
     assert results(engine, 2) == [31, 0x12345678]
+
+
+FAULTY = """
+NAKED reset(void)
+{
+    __asm volatile(
+        "ldr r1, =0x20003001\\n ldr r7, =0x20002000\\n mov r6, #1\\n cmp r1, r1\\n"
+        "FIRST faulty: SECOND\\n"
+        "2: wfi\\n b 2b\\n .ltorg\\n");
+}
+NAKED fault(void)
+{
+    __asm volatile("ldr r0, [sp, #24]\\n ldr r1, =0x20002000\\n str r0, [r1]\\n 1: wfi\\n b 1b\\n .ltorg\\n");
+}
+VECTORS([3] = fault);
+"""
+FAULTS = (
+    ("it eq\\n", "ldrdeq r2, r3, [r1]", "unaligned access at 0x20003001"),
+    ("ite eq\\n", "ldrdeq r2, r3, [r1]\\n ldrne r4, [r7]", "unaligned access at 0x20003001"),
+    ("itt eq\\n", "ldmiaeq r1!, {r2, r3}\\n ldreq r4, [r1, r6]", "unaligned access at 0x20003001"),
+    ("ittt eq\\n", "ldrdeq r2, r3, [r1]\\n streq r6, [r7, #4]\\n beq.w 2f", "unaligned access at 0x20003001"),
+    (
+        "itttt eq\\n moveq r1, #0\\n",
+        "ldreq r2, [r1]\\n ldreq r2, [r1]\\n beq.w 2f",
+        "0x00000000, in the null page",
+    ),
+)
+
+
+@pytest.mark.parametrize(("first", "second", "message"), FAULTS)
+def test_a_fault_in_an_it_block_is_told_at_its_instruction(
+    boot: Boot, results: Callable[[Engine, int], list[int]], first: str, second: str, message: str
+) -> None:
+    source = FAULTY.replace("FIRST", first).replace("SECOND", second)
+    engine = boot(source)
+    with pytest.raises(BoardError, match=message):
+        engine.run(instructions=MOST)
+    assert engine.pc == engine.symbols["faulty"]
+    lenient = boot(source, strict=False)
+    lenient.run(instructions=MOST)
+    assert results(lenient, 1) == [lenient.symbols["faulty"]]
