@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
 from toolchain.contract.modes import MODE_SLOT_COUNT
+from toolchain.contract.motors import MOTOR_TEST_MAGIC
 from toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, Msp
 from toolchain.contract.msp_configuration import CONFIGURATIONS
 from toolchain.contract.msp_layouts import (
@@ -19,6 +20,7 @@ from toolchain.contract.msp_layouts import (
     reply,
     request,
 )
+from toolchain.contract.msp_own import OWN_LAYOUTS
 from toolchain.contract.receiver import CHANNEL_COUNT
 from toolchain.contract.settings import SETTING_TEXT_BYTES
 
@@ -102,7 +104,7 @@ _STATUS = (
 _ARMING = (
     number("u8", "further_modes", "bytes"),
     number("u8", "arming_flag_count"),
-    number("u32", "arming_flags", "bits", "the ecosystem's numbers: ARMING_FLAGS"),
+    number("u32", "arming_flags", "bits", "the ecosystem's numbers, see Numbers"),
     number("u8", "configuration_state", "bits"),
     number("u16", "core_temperature", "deg C"),
 )
@@ -226,27 +228,30 @@ _OWN = (
     request(Msp.CALIBRATE),
     request(Msp.ACKNOWLEDGE),
     request(Msp.SETTINGS_DEFAULT),
-    request(Msp.SETTING_INFO, number("u16", "setting")),
-    request(Msp.SETTING_GET, number("u16", "setting")),
-    request(Msp.MOTOR_TEST, number("u32", "magic", "", "MOTOR_TEST_MAGIC opens, another closes")),
+    request(Msp.MOTOR_TEST, number("u32", "magic", "", f"0x{MOTOR_TEST_MAGIC:08X} opens, 0 closes")),
     request(Msp.DSHOT_COMMAND, number("u8", "motor", "", "255: all"), number("u8", "command")),
     reply(
         Msp.SAFETY,
-        *numbers("u8", "state stop_cause fallback_cause gyro_health"),
-        number("u32", "arming_reasons", "bits", "ArmingReason"),
-        *numbers("u8", "policy_good pid_built_in pid_flies"),
+        *numbers("u8", "state stop_cause fallback_cause gyro_health", "", "see Numbers"),
+        number("u32", "arming_reasons", "bits", "see Numbers"),
+        *numbers("u8", "policy_good pid_built_in pid_flies", "", "1: yes"),
         number("u8", "receiver_quality", "%"),
         number("i16", "temperature", "0.01 deg C"),
         number("f32", "idle", "motor fraction"),
-        number("u8", "refused_cause"),
+        number("u8", "refused_cause", "", "a fallback cause: why the policy must not fly"),
     ),
     reply(
         Msp.TASKS,
         number("u32", "cycles_hz", "Hz"),
         MspGroup(
             "tasks",
-            (number("u16", "rate", "Hz"), *numbers("u32", "runs misses worst best mean")),
+            (
+                number("u16", "rate", "Hz"),
+                *numbers("u32", "runs misses"),
+                *numbers("u32", "worst best mean", "cycles"),
+            ),
             counted=True,
+            meaning="in the order of Numbers",
         ),
     ),
     reply(
@@ -259,16 +264,16 @@ _OWN = (
         _counted("name"),
         _bytes("sha256", 32),
         number("f32", "idle", "motor fraction"),
-        number("u8", "source"),
-        number("u32", "sequence"),
-        _array("i8", "found", 3),
+        number("u8", "source", "", "0 slot A, 1 slot B, 2 compiled in, 3 none is good"),
+        number("u32", "sequence", "", "0: compiled in"),
+        _array("i8", "found", 3, "", "at each of the three, 0 good, else an error of nf_err.h"),
     ),
 )
 _CONFIGURED = tuple(
     layout for pair in CONFIGURATIONS for layout in (pair.reply, pair.request) if layout is not None
 )
 
-LAYOUTS = (*_IDENTITY, *_LIVE, *_CONFIGURED, *_SLOTS, *_ACTS, *_OWN)
+LAYOUTS = (*_IDENTITY, *_LIVE, *_CONFIGURED, *_SLOTS, *_ACTS, *_OWN, *OWN_LAYOUTS)
 _BY_KEY = {(layout.message, layout.direction): layout for layout in LAYOUTS}
 
 

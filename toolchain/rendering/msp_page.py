@@ -1,84 +1,168 @@
-"""Renders the contract's messages as docs/msp.md: `python -m toolchain.rendering.msp_page FILE`."""
+"""Renders the contract's messages as docs/msp.md: `python -m toolchain.rendering.msp_page FILE`.
+
+The prose stands in templates/msp_page.md.j2; the commands of the command line are read from the firmware's
+table.
+"""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 from toolchain.contract import (
+    ARMING_FLAG_FAILSAFE,
+    ARMING_FLAG_SWITCH,
+    ARMING_FLAGS,
     LAYOUTS,
+    MOTOR_TEST_MAX,
+    MOTOR_TEST_SUM_MAX,
+    MOTOR_TEST_TIMEOUT_MS,
     MSP_API_MAJOR,
     MSP_API_MINOR,
     MSP_PORT_COUNT,
+    MSP_STREAM_RATE_MAX_HZ,
+    ArmingReason,
+    Direction,
+    FallbackCause,
+    FlightState,
+    GyroHealth,
     Msp,
     MspField,
     MspGroup,
     Refusal,
+    StopCause,
+    Task,
 )
+from toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
 from toolchain.files import write_text
+from toolchain.rendering.jinja import render
 
-HEAD = f"""# MSP
+PROSE = "msp_page.md.j2"
+COMMANDS = Path(__file__).resolve().parents[2] / "firmware" / "src" / "command_line" / "command.c"
+COMMAND = re.compile(r'\{ "(\w+)", "([^"]*)",\s*"([^"]*)"')
+EXAMPLES = (
+    ("info", "who it is, which policy it flies, what forbids arming"),
+    ("status", "state, what forbids arming and how to lift it, battery, receiver"),
+    ("tasks", "the processor's time"),
+    ("get roll_expo", "a setting with its limits; all without a name"),
+    ('set roll_expo=0.1 mode1="arm aux1 1700 2100" --save --reboot', ""),
+    ("diff > mine.txt", "what differs from the defaults"),
+    ("dump > all.txt", "all settings"),
+    ("restore mine.txt", "that, defaults beside it, checked and stored; --keep leaves the rest"),
+    ("save", "stores what `set` without --save has changed"),
+    ("defaults --save", "every setting to its default; asks, unless --yes is given"),
+    ("stream --rate 500 --seconds 10 --out flight.npz", "or .csv; a table without --out"),
+    ("calibrate", "the gyro's bias anew; the aircraft lies still"),
+    ("faults --ack", "the last fault, and that you know of it"),
+    ("acknowledge", "all faults, and a policy that was refused in flight"),
+    ("reboot", "starts it anew, waits until it answers"),
+)
+PORT = "neuroflight msp --port PORT "
+COLUMN = 58  # where an example's comment begins, if it fits
+REFUSALS = {
+    Refusal.NONE: "of no refusal",
+    Refusal.ARMED: "the motors are armed or under test; or, for what needs the state disarmed, it is another",
+    Refusal.PAYLOAD: "a length or a value that the message does not take",
+    Refusal.INDEX: "there is none of that number",
+    Refusal.RANGE: "beyond a setting's limits",
+    Refusal.CONFLICT: "it does not fit the policy or the settings beside it",
+    Refusal.FLASH: "flash did not take it; what was stored before still holds",
+    Refusal.ORDER: "something has to come before it: opening, beginning, reading",
+    Refusal.BLOB: "the policy is none for this image",
+    Refusal.SEQUENCE: "the policy is not newer than the one that stays",
+    Refusal.ABSENT: "this build, or its settings, have no such thing",
+    Refusal.SPOILT: "a change before it was refused; nothing is stored, what was not stored is undone",
+}
+SHORT = {
+    MspWhen.ALWAYS: "always",
+    MspWhen.STOPPED: "disarmed",
+    MspWhen.STORING: "stores",
+    MspWhen.NEVER: "",
+}
 
-The firmware answers the MultiWii Serial Protocol, versions 1 and 2, API {MSP_API_MAJOR}.{MSP_API_MINOR},
-for {MSP_PORT_COUNT} peers at once: on UART1 and, where the setting `uart3_function` says so, UART3 of a
-board; two TCP clients of the host program. While armed no setting is changed and no flash is written.
 
-## From the command line
-```
-neuroflight msp --port /dev/ttyUSB0 status          # state, what forbids arming and how to lift it
-neuroflight msp --port tcp:127.0.0.1:5761 tasks     # the processor's time
-neuroflight msp --port /dev/ttyUSB0 get roll_expo   # a setting with its limits; all without a name
-neuroflight msp --port /dev/ttyUSB0 set roll_expo=0.1 mode1="arm aux1 1700 2100" --save --reboot
-neuroflight msp --port /dev/ttyUSB0 diff > mine.txt # what differs from the defaults
-neuroflight msp --port /dev/ttyUSB0 restore mine.txt
-neuroflight msp --port /dev/ttyUSB0 stream --rate 500 --seconds 10 --out flight.npz
-neuroflight msp --port /dev/ttyUSB0 faults --ack
-```
-A mistake gives one line and exit code 1; wrong words on the command line give 2, Ctrl-C 130, but `stream`
-ends by it with 0.
+NUMBERED = {
+    "state": FlightState,
+    "stop cause": StopCause,
+    "fallback cause": FallbackCause,
+    "gyro health": GyroHealth,
+    "task": Task,
+}
 
-## The Betaflight app
-It connects over the board's UART1 at `msp_baud`, or over TCP at the host program. FC_VARIANT tells it `BTFL`
-while the setting `msp_variant` is `btfl`; IDENTITY tells who this is in any case. While it says so by
-ARMING_DISABLE nothing arms; its motor test is opened by the same message, under the firmware's own interlock.
-SAFETY tells the reasons against arming by this project's numbers, STATUS and STATUS_EX by the ecosystem's.
 
-This page is written by `python -m toolchain.rendering.msp_page docs/msp.md`.
-
-## Refusals
-A refused request is answered by an error frame; for a message that changes something its payload is a
-reason (u8) and a detail (i16).
-
-| reason | number |
-|---|---|
-"""
-MESSAGES = """
-## Messages
-Numbers are little-endian. `counted` is a text behind its length (u8).
-
-| number | message | direction | payload |
-|---|---|---|---|
-"""
+def commands() -> list[tuple[str, str, str]]:
+    """Name, arguments and meaning of each command of the command line, as the firmware's `help` says them."""
+    return COMMAND.findall(COMMANDS.read_text())
 
 
 def msp_page() -> str:
-    """The text of the page, a row a message and direction, by number."""
-    refusals = "".join(f"| {r.name.lower()} | {int(r)} |\n" for r in Refusal)
-    told = {layout.message for layout in LAYOUTS}
-    rows = [
-        (int(layout.message), _row(layout.message, layout.direction.value, layout.fields))
-        for layout in LAYOUTS
-    ]
-    rows += [
-        (int(message), f"| {message:d} | {message.name} | | |\n") for message in Msp if message not in told
-    ]
-    return HEAD + refusals + MESSAGES + "".join(row for _, row in sorted(rows, key=lambda pair: pair[0]))
+    """The text of the page; messages by number, a row a direction."""
+    parts = {
+        "api": f"{MSP_API_MAJOR}.{MSP_API_MINOR}",
+        "ports": "Two" if MSP_PORT_COUNT == 2 else str(MSP_PORT_COUNT),
+        "examples": "\n".join(_example(words, meaning) for words, meaning in EXAMPLES),
+        "test_max": f"{MOTOR_TEST_MAX * 100:g}",
+        "test_sum": f"{MOTOR_TEST_SUM_MAX * 100:g}",
+        "test_timeout": str(MOTOR_TEST_TIMEOUT_MS),
+        "stream_max": str(MSP_STREAM_RATE_MAX_HZ),
+        "commands": "".join(_command(*command) for command in commands()),
+        "refusals": "".join(
+            f"| `{reason.name.lower()}` | {reason:d} | {REFUSALS[reason]} |\n" for reason in Refusal
+        ),
+        "numbered": "".join(
+            f"| {name} | {', '.join(f'{number:d} {number.name}' for number in numbers)} |\n"
+            for name, numbers in NUMBERED.items()
+        ),
+        "reasons": "".join(f"| {r:d} | {r.name} | {ARMING_FLAGS[r]} |\n" for r in ArmingReason),
+        "flag_failsafe": str(ARMING_FLAG_FAILSAFE),
+        "flag_switch": str(ARMING_FLAG_SWITCH),
+        "messages": "".join(_messages()),
+    }
+    return render(PROSE, **parts).rstrip("\n") + "\n"
 
 
-def _row(message: Msp, direction: str, fields: tuple[MspField | MspGroup, ...]) -> str:
-    return (
-        f"| {message:d} | {message.name} | {direction} | {', '.join(_field(field) for field in fields)} |\n"
-    )
+def _example(words: str, meaning: str) -> str:
+    line = PORT + words
+    if not meaning:
+        return line
+    return f"{line:{COLUMN}} # {meaning}" if len(line) < COLUMN else f"{line}  # {meaning}"
+
+
+def _command(name: str, arguments: str, meaning: str) -> str:
+    words = f"{name} {arguments}".strip().replace("|", "\\|")
+    return f"| `{words}` | {meaning} |\n"
+
+
+def _messages() -> list[str]:
+    """The rows, requests before replies."""
+    keys = {(layout.message, layout.direction): layout for layout in LAYOUTS}
+    rows = []
+    for message in sorted(Msp):
+        for direction in Direction:
+            layout = keys.get((message, direction))
+            if layout is None:
+                continue
+            asks = direction is Direction.REQUEST or (message, Direction.REQUEST) not in keys
+            access = access_of(message) if asks else None
+            rows.append(_row(message, direction, _payload(layout.fields), access))
+            if message is Msp.FAULTS and direction is Direction.REQUEST:
+                rows[-1] = _row(message, direction, "empty: reads", access)
+                rows.append(_row(message, direction, _payload(layout.fields), acknowledge_access()))
+    return rows
+
+
+def _row(message: Msp, direction: Direction, payload: str, access: Access | None) -> str:
+    when = SHORT[access.when] if access else ""
+    reasons = ", ".join(f"`{reason.name.lower()}`" for reason in access.refusals) if access else ""
+    note = f"{reasons}: {access.note}" if access and access.note and reasons else reasons
+    if access and access.note and not reasons:
+        note = access.note
+    return f"| {message:d} | {message.name} | {direction.value} | {payload} | {when} | {note} |\n"
+
+
+def _payload(fields: tuple[MspField | MspGroup, ...]) -> str:
+    return ", ".join(_field(field) for field in fields) or "empty"
 
 
 def _field(field: MspField | MspGroup) -> str:
@@ -91,7 +175,8 @@ def _field(field: MspField | MspGroup) -> str:
             if field.count
             else "up to the end"
         )
-        return f"{field.name} ({times}: {inner})"
+        meaning = f"; {field.meaning}" if field.meaning else ""
+        return f"{field.name} ({times}: {inner}{meaning})"
     count = f"[{field.count}]" if field.count > 1 else ""
     unit = f" [{field.unit}]" if field.unit else ""
     meaning = f" ({field.meaning})" if field.meaning else ""

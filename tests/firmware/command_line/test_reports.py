@@ -5,6 +5,7 @@ from __future__ import annotations
 from flash import records
 from tests.firmware.command_line.conftest import Desk
 from toolchain.contract import ArmingReason, Msp, Task
+from toolchain.rendering.msp_page import commands
 
 COMMANDS = ("help", "version", "status", "tasks", "get", "set", "diff", "dump", "save", "defaults", "motor")
 
@@ -71,3 +72,9 @@ def test_nothing_that_configurators_ask_of_their_own_accord_is_an_error(desk: De
     said = "".join(desk.type(line) for line in ("help", "# 0.123", "dump", "get", "mixer list", "diff all"))
     assert "ERROR" not in said
     assert "saved" in desk.type("save")
+
+
+def test_help_says_what_the_page_of_msp_says(desk: Desk) -> None:
+    desk.open()
+    page = [f"{name} {arguments}".strip() + f" - {meaning}" for name, arguments, meaning in commands()]
+    assert desk.tell("help") == page

@@ -1,13 +1,24 @@
-"""docs/msp.md says what the contract says."""
+"""docs/msp.md says what the contract and the firmware's command line say."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
+import pytest
+
+from cli.flash.msp import COMMANDS as SUBCOMMANDS
+from cli.main import parser
 from toolchain.contract import LAYOUTS, Msp
-from toolchain.rendering.msp_page import msp_page
+from toolchain.rendering.msp_page import EXAMPLES, commands, msp_page
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "msp.md"
+
+
+def rows() -> list[list[str]]:
+    """Cells of the table of messages."""
+    lines = msp_page().partition("## Messages")[2].splitlines()
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[2:3].isdigit()]
 
 
 def test_the_page_is_up_to_date_when_the_contract_changes() -> None:
@@ -15,9 +26,32 @@ def test_the_page_is_up_to_date_when_the_contract_changes() -> None:
 
 
 def test_every_message_and_layout_has_a_row_when_rendered() -> None:
-    rows = [
-        line.split("|") for line in msp_page().partition("## Messages")[2].splitlines() if line[:3] > "| 0"
-    ]
-    found = {(row[2].strip(), row[3].strip()) for row in rows}
+    found = {(row[1], row[2]) for row in rows()}
     assert {(layout.message.name, layout.direction.value) for layout in LAYOUTS} <= found
-    assert {message.name for message in Msp} <= {name for name, _ in found}
+    assert {message.name for message in Msp} == {name for name, _ in found}
+
+
+def test_every_row_says_what_comes_and_when_it_may_be_asked() -> None:
+    asked: dict[str, str] = {}
+    for _, name, direction, payload, when, refused in rows():
+        assert payload
+        asked[name] = asked.get(name, "") + when
+        if direction == "request":
+            assert when
+        if when in ("disarmed", "stores"):
+            assert "`payload`" in refused
+    assert {name for name, when in asked.items() if not when} == {"STREAM_SAMPLE"}
+
+
+def test_every_subcommand_has_an_example_that_the_parser_takes() -> None:
+    shown = [words.partition(" > ")[0] for words, _ in EXAMPLES]
+    assert {words.split()[0] for words in shown} == set(SUBCOMMANDS)
+    for words in shown:
+        line = ["msp", "--port", "/dev/ttyUSB0", *shlex.split(words)]
+        assert parser().parse_args(line).action == words.split()[0]
+
+
+@pytest.mark.parametrize("name", ["help", "diff", "save", "motor", "exit"])
+def test_the_command_line_is_told_as_the_firmware_has_it(name: str) -> None:
+    assert name in {command for command, _, _ in commands()}
+    assert f"| `{name}" in msp_page()

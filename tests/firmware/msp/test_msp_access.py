@@ -1,0 +1,80 @@
+"""When each request is carried out, and why it is refused, is what the contract says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from flash.msp import Direction
+from tests.firmware.msp.test_msp_commands import GOOD, STORED, Server, server
+from toolchain.contract import Msp, Refusal
+from toolchain.contract.msp_access import Access, MspWhen, access_of, acknowledge_access
+
+__all__ = ["server"]  # the fixture
+SIZES = (*range(45), 64, 100)
+
+
+def payloads(message: Msp) -> Iterator[bytes]:
+    """Of each length: zeros, bytes that count up, ones; and what some messages want to see."""
+    for size in SIZES:
+        yield bytes(size)
+        yield (bytes(range(1, 256)) * 2)[:size]
+        yield b"\xff" * size
+    yield from (table[message] for table in (GOOD, STORED) if message in table)
+
+
+def access(message: Msp, payload: bytes) -> Access:
+    return acknowledge_access() if message is Msp.FAULTS and payload else access_of(message)
+
+
+@pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
+def test_a_request_is_refused_while_armed_where_the_contract_says_so(
+    server: Callable[..., Server], message: Msp
+) -> None:
+    s = server()
+    s.status.trace.armed = 1
+    refused: dict[bool, set[bytes]] = {True: set(), False: set()}  # by whether it is carried out at any time
+    for payload in payloads(message):
+        answer = s.ask(message, payload)
+        reason = answer.payload[:1] if answer.direction is Direction.ERROR else b""
+        refused[access(message, payload).when is MspWhen.ALWAYS].add(reason)
+        assert ("storing", True) not in [call[:2] for call in s.calls]
+    armed = bytes([Refusal.ARMED])
+    assert armed not in refused[True]
+    if refused[False] and message is not Msp.STREAM_SAMPLE:
+        assert armed in refused[False]
+        assert b"" not in refused[False]  # nothing is carried out, nothing is unknown
+
+
+@pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
+def test_nothing_arms_meanwhile_where_the_contract_says_so(
+    server: Callable[..., Server], message: Msp
+) -> None:
+    s = server()
+    s.answers["storing"] = int(Refusal.ARMED)  # armed since the status was told
+    for payload in payloads(message):
+        s.calls.clear()
+        before = s.chip.operations
+        s.ask(message, payload)
+        stores = access(message, payload).when is MspWhen.STORING
+        assert stores or ("storing", True, before) not in s.calls
+        assert s.chip.operations == before
+    if access(message, payload).when is MspWhen.STORING or message is Msp.FAULTS:
+        s.calls.clear()
+        s.ask(message, STORED[message])
+        assert ("storing", True, before) in s.calls
+
+
+@pytest.mark.parametrize("message", Msp, ids=lambda message: message.name)
+def test_a_request_is_refused_for_no_other_reason_than_the_contract_names(
+    server: Callable[..., Server], message: Msp
+) -> None:
+    s = server()
+    for payload in payloads(message):
+        answer = s.ask(message, payload)
+        if answer.direction is Direction.ERROR and answer.payload:
+            known = access(message, payload)
+            assert Refusal(answer.payload[0]) in {*known.refusals, Refusal.ARMED}, payload
+            if known.when is MspWhen.ALWAYS:
+                assert Refusal(answer.payload[0]) in known.refusals

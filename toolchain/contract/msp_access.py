@@ -1,0 +1,127 @@
+"""When each request may come, and why it may be refused: what docs/msp.md says and tests hold the C to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from toolchain.contract.msp import Msp, Refusal
+from toolchain.contract.msp_configuration import CONFIGURATIONS
+
+__all__ = ["Access", "MspWhen", "access_of", "acknowledge_access"]
+
+
+class MspWhen(Enum):
+    """When a request is carried out; else it is refused as ARMED."""
+
+    ALWAYS = "always"
+    STOPPED = "disarmed"
+    STORING = "disarmed, and nothing arms meanwhile: flash is written"
+    NEVER = "it is no request"
+
+
+@dataclass(frozen=True)
+class Access:
+    """When a request is carried out, and every reason why it may be refused besides."""
+
+    when: MspWhen = MspWhen.ALWAYS
+    refusals: tuple[Refusal, ...] = ()
+    note: str = ""
+
+
+_R = Refusal
+_STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
+_SLOT = "no command of ours sends it, only programs of your own (`flash/requests.py`)"
+_READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
+# SETs of lists; those of single values are in CONFIGURATIONS.
+_LISTS = (
+    Msp.SET_MODE_RANGE,
+    Msp.SET_RXFAIL_CONFIG,
+    Msp.COMMON_SET_SERIAL_CONFIG,
+    Msp.SET_MOTOR_OUTPUT_REORDERING,
+    Msp.SET_TEXT,
+)
+_SETS = {pair.request.message: pair.read_first for pair in CONFIGURATIONS if pair.request is not None}
+_SETS |= {message: message is Msp.SET_MODE_RANGE for message in _LISTS}
+_BESIDES = (_R.PAYLOAD, _R.INDEX, _R.RANGE, _R.CONFLICT, _R.ABSENT)
+
+_ACTS = {
+    Msp.SET_RAW_RC: Access(
+        MspWhen.ALWAYS,
+        (_R.PAYLOAD, _R.ABSENT, _R.ORDER),
+        "`absent` unless the setting `receiver_protocol` is msp; `order` before the last channels were taken",
+    ),
+    Msp.ARMING_DISABLE: Access(
+        MspWhen.ALWAYS,
+        (_R.PAYLOAD, _R.ARMED, _R.ABSENT),
+        "nothing arms while a peer says so; `00 01` opens the motor test and is `armed` unless the state "
+        "is disarmed and no DShot command is under way; it lasts until the peer takes it back, hangs up "
+        "(TCP) or the firmware starts anew",
+    ),
+    Msp.STREAM: Access(
+        MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT), "ends with rate 0, with its TCP connection, with a restart"
+    ),
+    Msp.STREAM_SAMPLE: Access(MspWhen.NEVER, (), "comes unasked after STREAM"),
+    Msp.SETTING_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.INDEX)),
+    Msp.SETTING_GET: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.INDEX)),
+    Msp.GET_TEXT: Access(MspWhen.ALWAYS, (_R.INDEX,)),
+    Msp.TASKS: Access(MspWhen.ALWAYS, (_R.PAYLOAD,)),
+    Msp.FAULTS: Access(MspWhen.ALWAYS, (_R.PAYLOAD,)),
+    Msp.SETTING_SET: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.INDEX, _R.RANGE),
+        "flown from the next boot on; what does not go together is refused when it is stored",
+    ),
+    Msp.SETTINGS_DEFAULT: Access(_STOPPED, (_R.PAYLOAD,), "not stored yet"),
+    Msp.CALIBRATE: Access(_STOPPED, (_R.PAYLOAD, _R.ABSENT), "in the state disarmed only, else `armed`"),
+    Msp.MOTOR_TEST: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.ABSENT),
+        "`armed` unless the state is disarmed without a DShot command",
+    ),
+    Msp.SET_MOTOR: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.INDEX, _R.RANGE, _R.ORDER, _R.ABSENT),
+        "`order` without an open motor test, `range` above its limits for a motor and for all together; "
+        "values that stop are always taken",
+    ),
+    Msp.DSHOT_COMMAND: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.ABSENT),
+        "`armed` beside a motor test, `order` while another is under way",
+    ),
+    Msp.SEND_DSHOT_COMMAND: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.ABSENT),
+        "one command a message; otherwise as DSHOT_COMMAND",
+    ),
+    Msp.REBOOT: Access(_STOPPED, (_R.PAYLOAD, _R.ABSENT), "kind 0 only: no boot loader"),
+    Msp.EEPROM_WRITE: Access(
+        _STORING,
+        (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT, _R.SPOILT),
+        "`spoilt` after a refused change of this peer: the settings are then the stored ones again",
+    ),
+    Msp.RESET_CONF: Access(_STORING, (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT), "stores the defaults"),
+    Msp.ACKNOWLEDGE: Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),
+    Msp.POLICY_SLOT_BEGIN: Access(_STORING, (_R.PAYLOAD, _R.FLASH, _R.ABSENT), _SLOT),
+    Msp.POLICY_SLOT_WRITE: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), _SLOT),
+    Msp.POLICY_SLOT_END: Access(
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT), _SLOT
+    ),
+}
+
+
+def access_of(message: Msp) -> Access:
+    """Of a message; what only reads is always answered. FAULTS without a payload, which reads."""
+    if message in _SETS:
+        if _SETS[message]:
+            return Access(_STOPPED, (*_BESIDES, _R.ORDER), _READ_FIRST)
+        return Access(_STOPPED, _BESIDES)
+    if message in (Msp.FILTER_CONFIG, Msp.SIMPLIFIED_TUNING):
+        return Access(MspWhen.ALWAYS, (_R.ABSENT,), "where the filters are a chain that it cannot say")
+    return _ACTS.get(message, Access())
+
+
+def acknowledge_access() -> Access:
+    """FAULTS with a payload, which acknowledges."""
+    return Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT))

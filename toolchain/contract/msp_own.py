@@ -1,0 +1,100 @@
+"""Layouts of this project's messages that tell one thing of several kinds, or stream."""
+
+from __future__ import annotations
+
+from toolchain.contract.msp import MSP_STREAM_RATE_MAX_HZ, Msp
+from toolchain.contract.msp_layouts import MspField, MspGroup, number, reply, request
+from toolchain.contract.settings import SETTING_TEXT_BYTES
+
+__all__ = ["OWN_LAYOUTS"]
+_FAULT_REGISTERS = "r0 to r3, r12, lr, pc, psr, cfsr, hfsr, mmfar, bfar, sp"
+_FAULT_REGISTER_COUNT = 13
+_FAULT_FILE_BYTES = 24
+_SETTING = number("u16", "setting", "", "its index: place in docs/settings.md, from 0")
+_KIND = number("u8", "kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
+_LIMIT = "as the kind says; of a text its length"
+
+
+def _value(name: str, meaning: str) -> MspField:
+    return MspField(name, "bytes", "", meaning, 4)
+
+
+def _list(name: str, kind: str, unit: str, meaning: str) -> MspGroup:
+    return MspGroup(name, (number(kind, name[:-1], unit),), counted=True, meaning=meaning)
+
+
+OWN_LAYOUTS = (
+    request(
+        Msp.FAULTS,
+        number(
+            "u32", "boot", "", "acknowledges the fault that this boot found; without it nothing is changed"
+        ),
+        required=0,
+    ),
+    reply(
+        Msp.FAULTS,
+        number("u32", "boots", "", "the present one included"),
+        number("u8", "pending", "", "1: the newest fault follows, which nobody acknowledged"),
+        number("u32", "boot", "", "that found it"),
+        number("u32", "fault", "", "1 processor fault, 2 assertion, 3 watchdog, 4 brown-out, 5 crystal"),
+        MspField("registers", "u32", "", _FAULT_REGISTERS, _FAULT_REGISTER_COUNT),
+        number("u32", "line", "", "of the assertion, else the exception's number"),
+        MspField("file", "text", "", "end of its path", _FAULT_FILE_BYTES),
+        number("u32", "uptime", "control steps"),
+        required=2,
+    ),
+    request(Msp.SETTING_INFO, _SETTING),
+    reply(
+        Msp.SETTING_INFO,
+        number("u16", "count", "", "settings in all"),
+        _KIND,
+        _value("low", _LIMIT),
+        _value("high", _LIMIT),
+        _value("default", "as the kind says"),
+        MspField("name", "counted"),
+        MspField("unit", "counted"),
+    ),
+    request(Msp.SETTING_GET, _SETTING),
+    reply(
+        Msp.SETTING_GET,
+        _KIND,
+        MspField("value", "bytes", "", f"4 bytes, {SETTING_TEXT_BYTES} of a text", 0),
+    ),
+    request(
+        Msp.SETTING_SET,
+        _SETTING,
+        MspField("value", "bytes", "", f"4 bytes, {SETTING_TEXT_BYTES} of a text, ended by zeros", 0),
+    ),
+    request(Msp.POLICY_SLOT_BEGIN, number("u32", "size", "bytes", "of the blob")),
+    reply(Msp.POLICY_SLOT_BEGIN, number("u32", "sequence", "", "that the blob may have, or a newer one")),
+    request(
+        Msp.POLICY_SLOT_WRITE,
+        number("u32", "offset", "bytes", "a multiple of 4: where the last one ended"),
+        MspField("data", "bytes", "", "of the blob, a multiple of 4", 0),
+    ),
+    request(Msp.POLICY_SLOT_END),
+    request(Msp.STREAM, number("u16", "rate", "Hz", "0 ends it")),
+    reply(
+        Msp.STREAM,
+        number(
+            "u16",
+            "granted",
+            "Hz",
+            f"the greatest divisor of the control rate not above it, nor above {MSP_STREAM_RATE_MAX_HZ}",
+        ),
+    ),
+    reply(
+        Msp.STREAM_SAMPLE,
+        number("u16", "sequence", "", "counts those that were due: a gap is what the line could not take"),
+        number("u32", "step", "", "control step"),
+        number("u32", "cycles", "", "that it took"),
+        number("u8", "state", "", "FlightState"),
+        number("u8", "flags", "bits", "0 armed, 1 the PID flies"),
+        MspField("setpoint", "f32", "rad/s", "", 3),
+        MspField("gyro", "f32", "rad/s", "", 3),
+        number("f32", "throttle", "", "0..1"),
+        _list("motors", "u16", "DShot", "in motor order"),
+        _list("observations", "f32", "", "none unless armed and the policy flies"),
+        _list("actions", "f32", "", "none unless armed"),
+    ),
+)
