@@ -14,6 +14,7 @@ from toolchain.contract import Msp
 from toolchain.errors import LinkError
 
 WAIT_S = 15.0  # a board is back within a second, the emulated one within some
+GOING_S = 5.0  # in which a firmware without a count of its boots falls silent
 ASK_S = 0.5  # for one answer
 PAUSE_S = 0.1  # between two attempts on a line that is gone
 
@@ -30,10 +31,13 @@ def restart(
     LinkError when it refuses, and when it does not come back.
     """
     try:
-        ours = is_ours(client)
+        ours, answered = is_ours(client), False
         before = records.faults(client.request(Msp.FAULTS)).boots if ours else None
         with contextlib.suppress(NoAnswerError):  # it may have gone before its reply had
             client.request(Msp.REBOOT)
+            answered = True
+        if before is None and answered:
+            client = _gone(client, reopen, clock, sleep)
         deadline = clock() + WAIT_S
         while clock() < deadline:
             try:
@@ -51,6 +55,30 @@ def restart(
     raise LinkError(
         f"{client.name}: the firmware took the request and did not answer again within {WAIT_S:g} s; "
         "a firmware that is a program ends there: start it again; a board may need its plug pulled"
+    )
+
+
+def _gone(
+    client: Client,
+    reopen: Callable[[], Transport],
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> Client:
+    """Waits until a firmware that does not count its boots is silent, or its line is gone: until then it
+    answers as the start that was asked to end. Returns a client, on the line opened again. Raises LinkError."""
+    deadline = clock() + GOING_S
+    while clock() < deadline:
+        try:
+            client.request(Msp.API_VERSION, timeout=ASK_S, retries=0)
+            sleep(PAUSE_S)
+        except NoAnswerError:
+            return client
+        except LinkError:
+            client.close()
+            return _opened(client, reopen, sleep)
+    raise LinkError(
+        f"{client.name}: the firmware took the request and answers without a break for {GOING_S:g} s; "
+        "it did not start anew, or too fast to be seen: look at its state"
     )
 
 

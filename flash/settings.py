@@ -130,6 +130,32 @@ class Settings:
             self._put_back(before)
             raise
 
+    def set_defaults(self, *, save: bool = False) -> None:
+        """Set every setting to its default, at once, read all back and, with `save`, store them.
+
+        When anything fails, all get their values back. Raises LinkError.
+        """
+        before = {stored.name: stored.value for stored in self.read()}
+        try:
+            self._reset()
+            if save:
+                self._save_verified()
+        except LinkError as error:
+            raise LinkError(f"{error}; {self._put_back(before)}") from None
+        except KeyboardInterrupt:
+            self._put_back(before)
+            raise
+
+    def _reset(self) -> None:
+        self._client.request(Msp.SETTINGS_DEFAULT)
+        self._known.clear()  # the rates have the limits of the default style
+        for stored in self.read():
+            if stored.changed:
+                raise LinkError(
+                    f"setting {stored.name} reads {value_text(stored.name, stored.value)} after all were set "
+                    "to their defaults; check that nobody else changes settings meanwhile"
+                )
+
     def _save_verified(self) -> None:
         try:
             self.save()

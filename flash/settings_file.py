@@ -12,7 +12,6 @@ from pathlib import Path
 
 from flash.setting_text import RATES, STYLE, Value, beside_style, default_of, known_setting, parse_value, same
 from flash.settings import Settings, Stored
-from toolchain.contract import SETTINGS
 from toolchain.errors import LinkError
 from toolchain.files import file_size
 
@@ -106,12 +105,3 @@ def _untold(stored: Stored, style: Value, *, keep: bool, turned: bool) -> Value:
     if stored.name in RATES and turned:  # the style's own: what the numbers meant before is gone
         return default_of(beside_style(known_setting(stored.name), float(style)))
     return stored.value if keep else stored.default
-
-
-def all_defaults(settings: Settings) -> dict[str, Value]:
-    """What has to change so that every setting has its default. Raises LinkError."""
-    style = default_of(next(setting for setting in SETTINGS if setting.name == STYLE))
-    changes = {stored.name: stored.default for stored in settings.read() if stored.changed}
-    if STYLE in changes:  # the present ones are those of the other style
-        changes |= {name: default_of(beside_style(known_setting(name), float(style))) for name in RATES}
-    return changes

@@ -154,13 +154,11 @@ def save(args: argparse.Namespace) -> int:
 def defaults(args: argparse.Namespace) -> int:
     """Set every setting to its default, if the user is sure."""
     from flash.settings import Settings
-    from flash.settings_file import all_defaults
 
     with connect(args) as client:
         if not args.yes:
             _confirm(client)
-        settings = Settings(client)
-        settings.change(all_defaults(settings), save=args.save)
+        Settings(client).set_defaults(save=args.save)
     told = "every setting has its default now"
     print(f"{told}; stored: {STORED}" if args.save else f"{told}; {UNSAVED}")
     return 0

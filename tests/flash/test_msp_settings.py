@@ -283,6 +283,31 @@ def test_defaults_are_set_only_when_somebody_means_it(msp: Run) -> None:
     assert lines(msp("diff")[1]) == []
 
 
+def test_defaults_are_one_request_and_everything_is_put_back_when_they_cannot_be_stored(
+    msp: Run, resting_host: str
+) -> None:
+    msp("set", *CHANGES, "rates_style=betaflight", "yaw_max=0.5")
+    before = msp("diff")[1]
+    asked: list[Msp] = []
+
+    class Watched(Client):
+        def request(
+            self, command: Msp, payload: bytes = b"", timeout: float | None = None, retries: int | None = None
+        ) -> bytes:
+            asked.append(command)
+            if command is Msp.EEPROM_WRITE:
+                raise LinkError("flash is worn out")
+            return super().request(command, payload, timeout, retries)
+
+    with Watched(open_transport(resting_host)) as client:
+        with pytest.raises(LinkError, match="flash is worn out; all settings are as they were"):
+            Settings(client).set_defaults(save=True)
+        assert asked.count(Msp.SETTINGS_DEFAULT) == 1
+        until = asked.index(Msp.EEPROM_WRITE)
+        assert Msp.SETTING_SET not in asked[:until] and Msp.SETTING_SET in asked[until:]
+    assert msp("diff")[1] == before
+
+
 @pytest.mark.parametrize(("typed", "code", "left"), [("yes\n", 0, 0), ("no\n", 1, 4), ("", 1, 4)])
 def test_defaults_ask_on_a_terminal_when_not_told_yes(
     msp: Run, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, left: int

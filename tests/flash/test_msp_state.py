@@ -270,6 +270,50 @@ def test_the_line_is_opened_again_when_it_went_with_the_firmware(tcp_server: Ser
     assert firmware.reboots == 1
 
 
+class Foreign:
+    """A firmware of another make: answers `still` requests after REBOOT, passes over one, then answers."""
+
+    def __init__(self, still: int) -> None:
+        self.still, self.silent, self.rebooting = still, 1, False
+        self.answered_anew = 0
+        self._decoder = Decoder()
+
+    def __call__(self, data: bytes) -> bytes:
+        asked = [event for event in self._decoder.feed(data) if isinstance(event, Message)]
+        return b"".join(self._answer(one) for one in asked)
+
+    def _answer(self, asked: Message) -> bytes:
+        if asked.command == Msp.IDENTITY:
+            return encode(error(asked))
+        if self.rebooting and self.still == 0 and self.silent > 0:
+            self.silent -= 1
+            return b""
+        if self.rebooting and self.still == 0:
+            self.answered_anew += 1
+        elif self.rebooting:
+            self.still -= 1
+        self.rebooting |= asked.command == Msp.REBOOT
+        return encode(reply(asked, b"\x00\x01\x2f"))
+
+
+@pytest.mark.parametrize("still", [0, 3])
+def test_it_is_back_only_after_its_silence_when_it_is_of_another_make(tcp_server: Serve, still: int) -> None:
+    firmware = Foreign(still)
+    port = tcp_server(firmware)
+    with restart(Client(open_transport(port)), lambda: open_transport(port), sleep=lambda _: None):
+        assert (firmware.still, firmware.silent) == (0, 0)
+        assert firmware.answered_anew > 0
+
+
+def test_one_line_says_so_when_a_firmware_of_another_make_goes_on_answering(
+    tcp_server: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(restarting, "GOING_S", 0.2)
+    port = tcp_server(Foreign(10**6))
+    with pytest.raises(LinkError, match=r"answers without a break for 0\.2 s; it did not start anew"):
+        restart(Client(open_transport(port)), lambda: open_transport(port), sleep=lambda _: None)
+
+
 def test_nothing_is_waited_for_when_the_firmware_refuses_to_start_anew(tcp_server: Serve) -> None:
     port = tcp_server(peer(API | {Msp.POLICY_INFO: b"", Msp.FAULTS: struct.pack("<I?", 7, False)}))
     with pytest.raises(LinkError, match="refuses MSP REBOOT"):
