@@ -64,8 +64,9 @@ def _gone(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> Client:
-    """Waits until a firmware that does not count its boots is silent, or its line is gone: until then it
-    answers as the start that was asked to end. Returns a client, on the line opened again. Raises LinkError."""
+    """Wait until a firmware that does not count its boots is silent, or its line is gone: until then it
+    answers as the start that was asked to end. Returns a client, of the line opened again where it had gone.
+    Raises LinkError."""
     deadline = clock() + GOING_S
     while clock() < deadline:
         try:
