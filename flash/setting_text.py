@@ -29,6 +29,7 @@ Value = float | str  # a text for a setting of kind text; a mode range packed
 
 STYLE = "rates_style"
 STYLE_BETAFLIGHT = 1
+PLAIN_LEAST = -5  # power of ten of the first digit, down to which numbers have no exponent
 UNUSED = "none"  # a mode range that is not set
 NO_TEXT, QUOTE = "-", '"'
 AND = "and"  # behind a mode range that holds only together with the mode's others
@@ -176,7 +177,8 @@ def value_text(name: str, value: Value) -> str:
 
 
 def shortest(value: float) -> str:
-    """The shortest decimal, without an exponent, that is `value` as a float32; whole numbers as they are."""
+    """The shortest decimal that is `value` as a float32, as the firmware writes it: with an exponent below
+    1e-5; whole numbers as they are."""
     if value == int(value):
         return str(int(value))
     wanted = struct.pack("<f", value)
@@ -184,7 +186,11 @@ def shortest(value: float) -> str:
         text = f"{value:.{digits}g}"
         if struct.pack("<f", float(text)) == wanted:
             break
-    return format(Decimal(text), "f")
+    decimal = Decimal(text)
+    if decimal.adjusted() >= PLAIN_LEAST:
+        return format(decimal, "f")
+    mantissa = format(decimal.scaleb(-decimal.adjusted()).normalize(), "f")
+    return f"{mantissa}e{decimal.adjusted()}"
 
 
 def _mode_text(packed: int) -> str:

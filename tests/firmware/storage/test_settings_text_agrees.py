@@ -22,6 +22,7 @@ from toolchain.contract import (
     ModeRange,
     Setting,
 )
+from toolchain.contract.settings import Span
 
 
 @st.composite
@@ -35,20 +36,21 @@ def mode_ranges(draw: st.DrawFn) -> int:
     return ModeRange(mode, aux, low_us, high_us, draw(st.booleans())).packed
 
 
+def floats(span: Setting | Span) -> st.SearchStrategy[float]:
+    """Within the limits; 0 without a sign."""
+    return st.floats(as_float32(span.low), as_float32(span.high), width=32).map(lambda value: value + 0.0)
+
+
 def legal(setting: Setting) -> st.SearchStrategy[Value]:
     """Values within the limits of a setting, in either style of rates."""
     if setting.kind == "text":
         return st.text(PRINTABLE, max_size=SETTING_TEXT_BYTES)
     if setting.kind == "mode":
         return mode_ranges()
-    spans = [setting] if setting.betaflight is None else [setting, setting.betaflight]
+    spans: list[Setting | Span] = [setting] if setting.betaflight is None else [setting, setting.betaflight]
     if setting.kind == "float":
-        return st.one_of(
-            st.floats(as_float32(span.low), as_float32(span.high), width=32).filter(lambda value: value != 0)
-            | st.just(0.0)
-            for span in spans
-        )
-    return st.one_of(st.integers(int(span.low), int(span.high)) for span in spans)
+        return st.sampled_from(spans).flatmap(floats)
+    return st.sampled_from(spans).flatmap(lambda span: st.integers(int(span.low), int(span.high)))
 
 
 def stored(value: Value, setting: Setting) -> bytes:
