@@ -112,6 +112,7 @@ class BatteryLevel(IntEnum):
     WARNING = 1
     CRITICAL = 2
     ABSENT = 3  # or its cells are not known
+    STARTING = 4  # Betaflight alone: it is being looked at
 
 
 @dataclass(frozen=True)

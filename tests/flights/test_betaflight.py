@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
-from contextlib import closing
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,10 @@ from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from sim.ports.betaflight.build import Betaflight, build_betaflight
 from sim.ports.betaflight.port import IDLE, SETTINGS, BetaflightPort
+from sim.ports.betaflight.process import STEP_NS, BetaflightProcess
 from sim.ports.port import FirmwarePort, Sample
 from sim.ports.python_controller import ControllerPort
+from toolchain.contract import MSP_TCP_PORT
 from toolchain.errors import LinkError
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "tests" / "BETAFLIGHT"
@@ -152,3 +155,40 @@ def test_it_holds_the_rate_when_the_mount_is_another(
     climb = Segment(0.5, throttle=0.4), Segment(1.0, (60.0, 0.0, -40.0), throttle=0.4)
     trace = flown(BetaflightPort(betaflight, 4000), Scenario("climb", climb, mount))
     assert np.rad2deg(trace.rate[-300:]).mean(axis=0) == pytest.approx([60, 0, -40], abs=2.0)
+
+
+# --- A peer of `neuroflight msp` ---------------------------------------------------------------
+@contextmanager
+def running(betaflight: Betaflight) -> Iterator[str]:
+    """The name of its MSP port, while it runs on its own."""
+    over = threading.Event()
+    with BetaflightProcess(betaflight) as process:
+
+        def run() -> None:
+            while not over.is_set():
+                process.run(STEP_NS)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            yield f"tcp:127.0.0.1:{process.ports[MSP_TCP_PORT]}"
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_neuroflight_msp_tells_what_betaflight_is_and_refuses_what_it_has_not(
+    betaflight: Betaflight, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running(betaflight) as port:
+        assert main(["msp", "--port", port, "info"]) == 0
+        told = " ".join(capsys.readouterr().out.split())
+        assert "BTFL 4." in told and "SITL" in told
+        assert main(["msp", "--port", port, "status", "--json"]) == 0
+        status = json.loads(capsys.readouterr().out)
+        assert status["armed"] is False
+        assert "RX_FAILSAFE" in json.dumps(status) or "ARM_SWITCH" in json.dumps(status), status
+        for words in (["get"], ["tasks"], ["set", "roll_expo=0.1"], ["stream", "--seconds", "1"]):
+            assert main(["msp", "--port", port, *words]) == 1
+            error = capsys.readouterr().err
+            assert error.count("\n") == 1 and "refuses MSP" in error
