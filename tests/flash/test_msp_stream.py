@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fcntl
 import io
 import json
+import os
+import re
 import signal
 import struct
 import subprocess
 import sys
+import termios
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -139,6 +144,37 @@ def test_lines_come_on_stdout_when_there_is_neither_file_nor_terminal(msp: Run, 
     samples = [json.loads(line) for line in as_json.splitlines()]
     assert len(samples) >= 2
     assert len(samples[0]["gyro"]) == 3
+
+
+def test_a_terminal_shows_the_newest_sample_in_a_table_that_is_drawn_over(host: Host) -> None:
+    host.fly(BOOT_SAMPLES, STICKS_DOWN)
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 40, 120, 0, 0))
+    words = ["msp", "--port", host.port, "stream", "--rate", "100", "--seconds", "0.4"]
+    command = [sys.executable, "-m", "cli.main", *words]
+    shown = b""
+    with (
+        flying(host, SWITCH_ON),
+        subprocess.Popen(command, stdout=theirs, env=os.environ | {"TERM": "xterm"}) as process,
+    ):
+        os.close(theirs)
+        with contextlib.suppress(OSError):  # the terminal's end, once nobody writes to it any more
+            while piece := os.read(ours, 4096):
+                shown += piece
+        assert process.wait(timeout=10) == 0
+    os.close(ours)
+    text = shown.decode()
+    assert "\x1b[" in text and text.count("control step") >= 2  # drawn more than once, over itself
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+    last = plain[plain.rindex("control step") :]
+    assert re.search(r"state +armed, armed", last) and re.search(r"flies +policy", last)
+    assert re.search(r"setpoint( +-?[0-9]+\.[0-9]){3} +deg/s roll, pitch, yaw", last)
+    assert re.search(r"gyro( +-?[0-9]+\.[0-9]){3} +deg/s", last)
+    motors = re.search(r"motors((?: +[0-9]+){4}) +DShot", last)
+    assert motors and all(48 <= int(value) <= 2047 for value in motors[1].split())
+    summary = plain.strip().splitlines()[-1]
+    found = re.fullmatch(r"([0-9]+) samples, [0-9.]+ s, 100 Hz, [0-9]+ lost.*", summary)
+    assert found and int(found[1]) > 10
 
 
 def test_what_was_received_is_kept_when_it_is_interrupted(
