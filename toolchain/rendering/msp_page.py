@@ -23,6 +23,7 @@ from toolchain.contract import (
     MSP_PORT_COUNT,
     MSP_STREAM_RATE_MAX_HZ,
     ArmingReason,
+    Bound,
     Direction,
     FallbackCause,
     FlightState,
@@ -30,6 +31,7 @@ from toolchain.contract import (
     Msp,
     MspField,
     MspGroup,
+    MspHow,
     Refusal,
     StopCause,
     Task,
@@ -179,8 +181,19 @@ def _field(field: MspField | MspGroup) -> str:
         return f"{field.name} ({times}: {inner}{meaning})"
     count = f"[{field.count}]" if field.count > 1 else ""
     unit = f" [{field.unit}]" if field.unit else ""
-    meaning = f" ({field.meaning})" if field.meaning else ""
-    return f"{field.name}:{field.kind}{count}{unit}{meaning}".replace("|", "or")
+    words = "; ".join(word for word in (field.meaning, _bound(field.bound)) if word)
+    meaning = f" ({words})" if words else ""
+    fixed = ""
+    if field.bound is not None and field.bound.how is MspHow.CONSTANT:
+        fixed = f" = {field.bound.number}"
+    return f"{field.name}:{field.kind}{count}{unit}{fixed}{meaning}".replace("|", "or")
+
+
+def _bound(bound: Bound | None) -> str:
+    """What stands behind a field of a configuration message, where it is one thing."""
+    if bound is None:
+        return ""
+    return "unused" if bound.how is MspHow.UNUSED else f"`{bound.setting}`" if bound.setting else ""
 
 
 if __name__ == "__main__":

@@ -51,6 +51,13 @@ def test_every_subcommand_has_an_example_that_the_parser_takes() -> None:
         assert parser().parse_args(line).action == words.split()[0]
 
 
+def test_fields_of_settings_name_what_stands_behind_them() -> None:
+    told = {(row[1], row[2]): row[3] for row in rows()}
+    assert "capacity:u16 [mAh] (0: not told; `battery_capacity_mah`)" in told["BATTERY_CONFIG", "reply"]
+    assert "spektrum_bind:u8 = 0" in told["SET_RX_CONFIG", "request"]
+    assert "kill_switch:u8 (unused)" in told["ARMING_CONFIG", "reply"]
+
+
 @pytest.mark.parametrize("name", ["help", "diff", "save", "motor", "exit"])
 def test_the_command_line_is_told_as_the_firmware_has_it(name: str) -> None:
     assert name in {command for command, _, _ in commands()}
