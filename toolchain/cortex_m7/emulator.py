@@ -41,6 +41,7 @@ from unicorn import (
     UcError,
 )
 from unicorn.arm_const import (
+    UC_ARM_REG_EPSR,
     UC_ARM_REG_LR,
     UC_ARM_REG_PC,
     UC_ARM_REG_R0,
@@ -57,6 +58,7 @@ from toolchain.errors import BuildError, NeuroflightError
 from toolchain.files import file_size
 
 ELF_BYTES_MAX = 64 << 20
+XPSR_THUMB = 1 << 24
 INSTRUCTIONS_MAX = 10_000_000  # of one call: what runs longer will not come back
 PAGE = 4096  # bytes: what the emulator maps
 ARGUMENTS = (UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3)  # AAPCS: the first four words
@@ -245,9 +247,11 @@ class CortexM7:
         """How often a call reads or writes in `region`."""
         count = 0
 
-        def note(*_: object) -> bool:
+        def note(uc: Uc, *_: object) -> bool:
             nonlocal count
             count += 1
+            # Unicorn has set ITSTATE to the instruction's, and would apply it to the next block.
+            uc.reg_write(UC_ARM_REG_EPSR, XPSR_THUMB)
             return True
 
         kind = UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE

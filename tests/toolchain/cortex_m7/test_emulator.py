@@ -35,6 +35,15 @@ int recursive(int n)
     room[n % 7] = 1;
     return n ? recursive(n - 1) + room[n % 7] : 0;
 }
+__attribute__((naked)) void marked(void)
+{
+    __asm__("add r0, #1\\n add r0, #2\\n add r0, #4\\n str r0, [r1, #32]\\n bx lr");
+}
+__attribute__((naked)) void conditional(int *where)
+{
+    __asm__("mov r1, r0\\n mov r0, #0\\n cmp r0, r0\\n"
+            "itee eq\\n ldreq r2, [r1]\\n movne r0, #64\\n movne r0, #64\\n b.w marked");
+}
 """
 LINK = ("-nostdlib", "-Wl,-Ttext=0x10000,-Tdata=0x20000000,-z,separate-code,-z,max-page-size=0x1000,-e,sum")
 
@@ -156,3 +165,9 @@ def test_compiler_is_named_in_one_line_when_it_is_missing_or_refuses(
         BuildError, match="arm-none-eabi-gcc is not installed; run: sudo apt-get install gcc-arm"
     ):
         compile_arm("wrong.c", out=tmp_path / "wrong.elf")
+
+
+def test_what_is_behind_an_it_block_is_executed_when_its_accesses_are_counted(core: CortexM7) -> None:
+    place = core.allocate(64)
+    assert core.accesses(Region("counted", place, 4), "conditional", place) == 1
+    assert core.read(place + 32, 4) == struct.pack("<i", 7)
