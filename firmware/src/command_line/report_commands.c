@@ -24,10 +24,7 @@ _Static_assert(FAULT_CLOCK == sizeof faults / sizeof faults[0] - 1, "a word each
 static void report_name(struct printer *out, const char *label, const char *const names[], size_t count, unsigned index)
 {
 	printer_text(out, label);
-	if (index < count)
-		printer_text(out, names[index]);
-	else
-		printer_char(out, '?');
+	printer_text(out, index < count ? names[index] : "?");
 }
 #define REPORT_NAME(out, label, names, index) report_name(out, label, names, sizeof(names) / sizeof(names)[0], index)
 
