@@ -196,7 +196,7 @@ SETTINGS = (
     _number("level_limit_deg", 0.0, 180.0, 25.0, "deg", "tilt that arming allows; 0: any, known or not"),
     _whole("arming_delay_ms", BOOT_GRACE_MS, 10_000, ARMING_DELAY_MS, "ms", _ARMING_DELAY_MEANING),
     # Less leaves the motors too little room above their idle: the NF1 needs more than a second to stop.
-    _number("motor_limit", 0.4, 1.0, 1.0, "1", "largest motor fraction"),
+    _number("motor_limit", 0.45, 1.0, 1.0, "1", "largest motor fraction"),
     _choice("motor_stop", "off", _SWITCH, "armed with the throttle low, motors stand still"),
     *(
         _whole(

@@ -20,7 +20,7 @@ from tests.firmware.host.app import GETS, App, connected, stored
 from toolchain.contract import Direction, Msp, layout_of
 
 Start = Callable[..., Any]
-REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 109, 205, 246, 225)
+REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 205, 246, 225)
 
 # Number of each request and bytes of its reply at API 1.46, None: refused.
 HANDSHAKE = {1: 3, 2: 4, 3: 3, 5: 34, 101: 24, 160: 12}
@@ -40,7 +40,7 @@ TABS: dict[str, dict[int, int | None]] = {
         **{90: 20, 92: 49, 61: 3, 102: 18},
     },
     "blackbox": {102: 18, 104: 16, 36: 4, 70: 13, 79: 11, 80: 11, 90: 20, 96: 4, 12298: 5},
-    "sensors": {96: 4, 126: 7, 38: 6, 240: 4, 12298: 5, 42: 2, 133: 2, 12301: 2, 108: 6, 109: None},
+    "sensors": {96: 4, 126: 7, 38: 6, 240: 4, 12298: 5, 42: 2, 133: 2, 12301: 2, 108: 6, 109: 6},
     "power": {108: 6, 128: 2, 129: 5, 40: 8, 56: 7, 32: 13},
     "adjustments": {128: 2, 129: 5, 52: 180, 119: 4, 105: 32},
 }
