@@ -210,7 +210,8 @@ def check_value(name: str, value: Value, info: SettingInfo) -> None:
     if info.low <= number <= info.high and not (info.whole and number != int(number)):
         return
     kind = "a whole number from " if info.whole else ""
-    span = f"{kind}{shortest(info.low)} to {shortest(info.high)} {info.unit}".rstrip()
+    unit = "" if info.unit == "1" else f" {info.unit}"  # a ratio has none
+    span = f"{kind}{shortest(info.low)} to {shortest(info.high)}{unit}".rstrip()
     raise LinkError(f"setting {name} got {number:g}, expected {span}")
 
 

@@ -78,7 +78,7 @@ def test_the_style_of_rates_comes_first_when_set_or_dumped(msp: Run) -> None:
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ("yaw_expo=3", "setting yaw_expo got 3, expected 0 to 1 1"),
+        ("yaw_expo=3", "setting yaw_expo got 3, expected 0 to 1"),
         ("deadband_us=1.5", "setting deadband_us got 1.5, expected a whole number from 0 to 100 us"),
         ("no_such=1", "setting 'no_such' is unknown"),
         ("roll_expo=0.2", "setting roll_expo is given twice"),
@@ -100,7 +100,7 @@ def test_nothing_is_set_when_one_of_several_is_wrong(msp: Run, wrong: str, words
 def test_limits_are_those_of_the_new_style_when_it_is_set_with_its_rates(msp: Run) -> None:
     code, _, err = msp("set", "roll_rate=100", "rates_style=betaflight")
     assert code == 1
-    assert "setting roll_rate got 100, expected 0.01 to 2.55 1" in err
+    assert "setting roll_rate got 100, expected 0.01 to 2.55" in err
     assert msp("set", "roll_rate=2.55", "rates_style=betaflight")[0] == 0
     assert lines(msp("diff")[1]) == ["set rates_style = betaflight", "set roll_rate = 2.55"]
 
@@ -173,7 +173,7 @@ def test_rates_are_those_of_the_style_when_only_the_style_is_in_the_file(msp: Ru
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("set yaw_expo = 0.5\nset roll_expo = 3\n", ":2: setting roll_expo got 3, expected 0 to 1 1"),
+        ("set yaw_expo = 0.5\nset roll_expo = 3\n", ":2: setting roll_expo got 3, expected 0 to 1"),
         ("set yaw_expo = 0.5\nset roll_exp = 0\n", ":2: setting 'roll_exp' is unknown"),
         (
             "set roll_rate = 100\nset rates_style = betaflight\n",

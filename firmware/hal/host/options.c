@@ -31,7 +31,7 @@ static const struct number {
 	  "UDP, out: that reply for more than four motors" },
 	{ "trace-port", offsetof(struct options, trace_port), 0, PORT_MAX,
 	  "UDP, out: trace of each control step, before its reply; 0 is off" },
-	{ "msp-port", offsetof(struct options, msp_port), NF_MSP_TCP_PORT, PORT_MAX, "TCP: MSP, one client at a time" },
+	{ "msp-port", offsetof(struct options, msp_port), NF_MSP_TCP_PORT, PORT_MAX, "TCP: MSP, two clients at once" },
 	{ "gyro-hz", offsetof(struct options, gyro_hz), 0, NF_GYRO_EDGE_RATE_HZ,
 	  "gyro samples per second; 0 is as set" },
 };

@@ -73,6 +73,12 @@ static void setting_say_number(const struct task_line *t, const struct setting *
 	setting_say_value(t, setting, &value);
 }
 
+/* Is its unit 1? Nobody says that. */
+static bool setting_is_ratio(const struct setting *setting)
+{
+	return setting->unit[0] == '1' && setting->unit[1] == '\0';
+}
+
 /* What values there are. */
 static void setting_say_span(const struct task_line *t, const struct setting *setting)
 {
@@ -89,8 +95,10 @@ static void setting_say_span(const struct task_line *t, const struct setting *se
 		setting_say_number(t, setting, setting->low);
 		printer_text(t->out, " to ");
 		setting_say_number(t, setting, setting->high);
-		printer_char(t->out, ' ');
-		printer_text(t->out, setting->unit);
+		if (!setting_is_ratio(setting)) {
+			printer_char(t->out, ' ');
+			printer_text(t->out, setting->unit);
+		}
 	}
 }
 

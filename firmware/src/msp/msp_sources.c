@@ -33,8 +33,8 @@ static enum nf_refusal sources_set_features(struct nf_settings *s, uint32_t valu
 	if (changed & receivers) {
 		if ((changed & receivers) != receivers)
 			return NF_REFUSAL_PAYLOAD; /* one of them there must be */
-		s->receiver_protocol = value & BIT(NF_MSP_FEATURE_RX_MSP) ? NF_RECEIVER_PROTOCOL_MSP :
-									    NF_RECEIVER_PROTOCOL_SBUS;
+		const bool msp = (value & BIT(NF_MSP_FEATURE_RX_MSP)) != 0;
+		s->receiver_protocol = msp ? NF_RECEIVER_PROTOCOL_MSP : NF_RECEIVER_PROTOCOL_SBUS;
 	}
 	return settings_set_whole(s, SETTING_AT_motor_stop, value >> NF_MSP_FEATURE_MOTOR_STOP & 1u);
 }

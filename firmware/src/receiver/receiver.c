@@ -15,6 +15,8 @@ static void receiver_lose(struct receiver *receiver)
 	link_quality_reset(&receiver->quality);
 }
 
+enum { AUX2 = NF_CHANNEL_AUX1 + 1, AUX3, AUX4 };
+
 void receiver_init(struct receiver *receiver, const struct nf_settings *settings, unsigned gyro_rate_hz)
 {
 	*receiver = (struct receiver){
@@ -25,9 +27,9 @@ void receiver_init(struct receiver *receiver, const struct nf_settings *settings
 			[NF_CHANNEL_THROTTLE] = (uint8_t)settings->map_throttle,
 			[NF_CHANNEL_YAW] = (uint8_t)settings->map_yaw,
 			[NF_CHANNEL_AUX1] = (uint8_t)settings->map_aux1,
-			[NF_CHANNEL_AUX1 + 1] = (uint8_t)settings->map_aux2,
-			[NF_CHANNEL_AUX1 + 2] = (uint8_t)settings->map_aux3,
-			[NF_CHANNEL_AUX1 + 3] = (uint8_t)settings->map_aux4,
+			[AUX2] = (uint8_t)settings->map_aux2,
+			[AUX3] = (uint8_t)settings->map_aux3,
+			[AUX4] = (uint8_t)settings->map_aux4,
 		},
 		.interpolates = settings->interpolation != 0,
 		.hold_after = gyro_rate_hz * NF_RECEIVER_HOLD_MS / 1000u,

@@ -122,7 +122,7 @@ static size_t settings_text_name_length(const char *name)
 {
 	size_t length = 0;
 
-	while (name[length] != '\0' && length < sizeof modes[0].name)
+	while (length < sizeof modes[0].name && name[length] != '\0')
 		++length;
 	return length;
 }
@@ -196,7 +196,7 @@ static enum settings_text_error settings_text_parse_text(const char *text, union
 	union setting_value read;
 	size_t length = 0;
 
-	while (text[length] != '\0' && length <= NF_SETTING_TEXT_BYTES + 2)
+	while (length <= NF_SETTING_TEXT_BYTES + 2 && text[length] != '\0')
 		++length;
 	if (length == 1 && text[0] == NO_TEXT)
 		length = 0;

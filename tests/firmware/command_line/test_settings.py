@@ -129,7 +129,7 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
     assert names[: -len(SETTINGS)] == ["version", "board", "uid", "policy", "policy_idle", "control_rate_hz"]
     assert desk.tell("set") == desk.tell("get")
     desk.type("set rates_style = betaflight")
-    assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1 1; default 0.7)"]
+    assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1; default 0.7)"]
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
         ("set gyro_rate_hz = 999", "gyro_rate_hz: got '999', expected 1000 to 8000 Hz"),
         ("set gyro_rate_hz = fast", "gyro_rate_hz: got 'fast', expected a whole number from 1000 to 8000 Hz"),
         ("set gyro_rate_hz = -1", "gyro_rate_hz: got '-1', expected 1000 to 8000 Hz"),
-        ("set failsafe_throttle = 1.01", "failsafe_throttle: got '1.01', expected 0 to 1 1"),
+        ("set failsafe_throttle = 1.01", "failsafe_throttle: got '1.01', expected 0 to 1"),
         ("set failsafe_throttle = nan", "failsafe_throttle: got 'nan', expected a number from 0 to 1"),
         ("set motor_protocol = pwm", "motor_protocol: got 'pwm', expected one of dshot300,dshot600"),
         ("set craft_name = 12345678901234567", "craft_name: got '12345678901234567', expected at most 16"),
