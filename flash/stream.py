@@ -106,6 +106,12 @@ class Stream:
             self._count(payload)
             yield payload
 
+    def rest(self) -> Iterator[bytes]:
+        """After `stop`: the payloads of the samples that came before it took effect."""
+        while (payload := self._client.receive(Msp.STREAM_SAMPLE, 0.0)) is not None:
+            self._count(payload)
+            yield payload
+
     def stop(self) -> None:
         """End it, as far as the line still lives."""
         with contextlib.suppress(LinkError):

@@ -31,7 +31,7 @@ def stream(args: argparse.Namespace) -> int:
     """Take samples until the time is over, or Ctrl-C; show or keep them."""
     from flash import messages
     from flash.recording import Shape, write_recording
-    from flash.stream import Stream
+    from flash.stream import Stream, decode_sample
     from toolchain.contract import Msp
 
     _check(args)
@@ -41,6 +41,7 @@ def stream(args: argparse.Namespace) -> int:
         stream = Stream(client, args.rate, policy.control_rate_hz)
         taken: list[Sample] = []
         problem: LinkError | None = None
+        interrupted = False
         try:
             stream.begin()
             with _showing(args, stream, shape) as show:
@@ -48,9 +49,11 @@ def stream(args: argparse.Namespace) -> int:
         except LinkError as error:
             problem = error
         except KeyboardInterrupt:
-            problem = None  # its usual end
+            interrupted = True  # its usual end
         finally:
             stream.stop()
+        if interrupted and args.out:
+            taken += [decode_sample(payload) for payload in stream.rest()]
     facts = {
         "rate_hz": stream.rate_hz,
         "asked_rate_hz": args.rate,
