@@ -32,6 +32,7 @@ from sim.board.peripherals.timer import TIMERS, Timer
 from sim.board.peripherals.usart import Usart
 from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
 from toolchain.contract import DSHOT_MIN
+from toolchain.image.bank_state import proven
 
 USARTS = ("USART1", "USART2", "USART3", "UART4", "UART5")
 ENTRY_BOUND = 5 * MICROSECOND  # from the gyro's edge to its handler [cycles]
@@ -236,16 +237,20 @@ class Board:
         seed: int = 0,
         watchdog_resets: bool = False,
         dshot: int | None = None,
+        newly_installed: bool = False,
     ) -> None:
         """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
         dshot: the speed that the ESCs are set to, 300 or 600; None: they take what comes first.
+        newly_installed: the image has never run, so that the boot part and the image put it to the test;
+        else it has run well before.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
+        flash = image if newly_installed else proven(image)
         self.engine = Engine(
-            image, elf=elf, cpi=cpi, strict=strict, profile=profile, library=native_library()
+            flash, elf=elf, cpi=cpi, strict=strict, profile=profile, library=native_library()
         )
         self.hardware = Hardware(
             self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets

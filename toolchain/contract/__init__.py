@@ -12,6 +12,7 @@ from toolchain.contract.motors import *
 from toolchain.contract.simulator_link import *
 from toolchain.contract.observation import *
 from toolchain.contract.policy_format import *
+from toolchain.contract.image_format import *
 from toolchain.contract.msp import *
 from toolchain.contract.modes import *
 from toolchain.contract.settings import *

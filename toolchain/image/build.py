@@ -14,6 +14,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -72,7 +73,10 @@ TARGETS = {
             name="MATEKF722",
             compiler="arm-none-eabi-gcc",
             packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
-            products=("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
+            products=(
+                *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
+                *("neuroflight-b.elf", "neuroflight.nfi"),
+            ),
             has_board_memory=True,
         ),
         Target(
@@ -222,7 +226,11 @@ def run_make(target: Target, root: Path, out: Path, generated: Path) -> int:
     with _named_for_make({"BUILD": out / "make", "GENERATED": generated}, firmware) as names:
         command = ["make", "-C", str(firmware), f"-j{os.cpu_count() or 1}", f"TARGET={target.name}", *names]
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", env=_environment(os.environ)
+            [*command, "PYTHON=" + sys.executable.replace("$", "$$")],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env=_environment(os.environ),
         )
     if done.returncode != 0:
         kept = (out / target.products[0]).is_file()

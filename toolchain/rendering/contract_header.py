@@ -3,7 +3,7 @@
 Every public constant of the contract becomes `NF_<NAME>`: integers as they are, floats with an f
 suffix, strings quoted, tuples as initializers with a `_COUNT`, memory regions as `_ADDRESS` and `_SIZE`
 (several also as an initializer), and the layout of a packet (`..._FORMAT`) as its size `..._BYTES`. The
-header of the policy blob becomes a struct whose offsets the C compiler checks.
+headers of the policy blob and of an image become structs whose offsets the C compiler checks.
 """
 
 from __future__ import annotations
@@ -23,9 +23,13 @@ from toolchain.rendering.msp_fields import render_configurations
 # switches are by default.
 PYTHON_ONLY = (
     *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
+    *("IMAGE_FILE_",),
     *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
 )
-TABLES = ("POLICY_BLOB_FIELDS", "SETTINGS", "CONFIGURATIONS", "LAYOUTS")  # rendered as structs and tables
+TABLES = (
+    *("POLICY_BLOB_FIELDS", "IMAGE_FIELDS", "IMAGE_STATE_FIELDS"),
+    *("SETTINGS", "CONFIGURATIONS", "LAYOUTS"),
+)  # rendered as structs and tables
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Enumeration:
 
 @dataclass(frozen=True)
 class BlobField:
-    """One member of the struct that lies over a policy blob's header; an array where `count` is above 1."""
+    """One member of a struct that lies over bytes of flash; an array where `count` is above 1."""
 
     c_type: str
     name: str
@@ -69,9 +73,14 @@ class BlobField:
 
 
 def blob_header_fields() -> tuple[BlobField, ...]:
-    """The header of the policy blob for the macros of templates/blob_header.j2, in order, without gaps."""
+    """The header of the policy blob for the macros of templates/blob_header.j2."""
+    return _struct_fields(contract.POLICY_BLOB_FIELDS)
+
+
+def _struct_fields(source: tuple[contract.HeaderField, ...]) -> tuple[BlobField, ...]:
+    """Members in order, without gaps."""
     fields, offset = [], 0
-    for field in contract.POLICY_BLOB_FIELDS:
+    for field in source:
         comment = f"{field.unit}: {field.meaning}" if field.unit else field.meaning
         size = struct.calcsize("<" + field.format)
         fields.append(BlobField(field.c_type, field.name, field.count, comment, offset, size))
@@ -92,6 +101,8 @@ def render_contract() -> str:
             if block.in_firmware
         ],
         blob_fields=blob_header_fields(),
+        image_fields=_struct_fields(contract.IMAGE_FIELDS),
+        image_state_fields=_struct_fields(contract.IMAGE_STATE_FIELDS),
         settings=[_setting(setting, setting) for setting in contract.SETTINGS],
         betaflight=[
             _setting(setting, setting.betaflight)

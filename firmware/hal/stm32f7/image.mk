@@ -3,22 +3,49 @@ CROSS := arm-none-eabi-
 CPUFLAGS := -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -mno-unaligned-access \
 	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage -fmacro-prefix-map=hal/stm32f7/=
 
-HAL_SOURCES := $(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c))
-OUTPUTS := $(addprefix $(BUILD)/neuroflight.,elf bin hex)
+OUTPUTS := $(addprefix $(BUILD)/neuroflight,.elf .bin .hex -b.elf .nfi)
+PYTHON ?= $(firstword $(wildcard ../.venv/bin/python) python3)
+
+# The boot part is made of its own sources and of what it shares with the image, compiled once more; of its names only
+# those remain that the linker needs, so that the image's may be the same.
+BOOT_SOURCES := $(sort $(wildcard hal/stm32f7/boot/*.c)) hal/stm32f7/core/gpio.c hal/stm32f7/startup/memory.c \
+	src/storage/image_bank.c src/storage/flash.c src/common/crc32.c
+BOOT_OBJECTS := $(BOOT_SOURCES:%.c=$(OBJ)/boot/%.o)
+HAL_SOURCES := $(filter-out hal/stm32f7/boot/%,$(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c)))
 
 # Run before there is an FPU or memcpy; and memcpy must not become a call to itself.
 STARTUP := $(OBJ)/hal/stm32f7/startup
-$(STARTUP)/startup.o $(STARTUP)/boot.o: CFLAGS += -mgeneral-regs-only
-$(STARTUP)/startup.o $(STARTUP)/boot.o $(STARTUP)/memory.o: CFLAGS += -fno-tree-loop-distribute-patterns
+$(STARTUP)/startup.o $(BOOT_OBJECTS): CFLAGS += -mgeneral-regs-only
+$(STARTUP)/startup.o $(STARTUP)/memory.o $(BOOT_OBJECTS): CFLAGS += -fno-tree-loop-distribute-patterns
+$(BOOT_OBJECTS): CFLAGS += -Os
 
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there; hal.c only joins the drivers.
 $(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
 
+$(OBJ)/boot/%.o: %.c $(RECIPE)
+	@mkdir -p $(@D)
+	$(CC) $(CFLAGS) $(INCLUDES) -MMD -MP -c $< -o $@
+
+-include $(BOOT_OBJECTS:.o=.d)
+
+$(OBJ)/boot_part.o: $(BOOT_OBJECTS)
+	$(CC) $(CPUFLAGS) -nostdlib -Wl,-r -o $@ $^
+	$(CROSS)objcopy --keep-global-symbol=boot_vectors --keep-global-symbol=boot_reset $@
+
+# Each bank's image is linked from the same objects; its header then gets what only the whole image tells.
+LINK = $(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings \
+	-Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^) -lgcc
+STAMP = PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image.stamp $@
+
 .SECONDEXPANSION:
-$(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(LINKER_SCRIPT)
-	$(CC) $(CPUFLAGS) -nostartfiles -nostdlib -Wl,--nmagic -Wl,--gc-sections -Wl,--fatal-warnings -Wl,-Map=$(@:.elf=.map) \
-		-T $(LINKER_SCRIPT) -o $@ $(filter %.o,$^) -lgcc
+$(BUILD)/neuroflight.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) $(OBJ)/boot_part.o hal/stm32f7/bank_a.ld hal/stm32f7/image.ld
+	$(LINK) -T hal/stm32f7/bank_a.ld
+	$(STAMP)
+
+$(BUILD)/neuroflight-b.elf: $$(CORE_OBJECTS) $$(MAIN_OBJECT) $$(HAL_OBJECTS) hal/stm32f7/bank_b.ld hal/stm32f7/image.ld $(BUILD)/neuroflight.elf
+	$(LINK) -T hal/stm32f7/bank_b.ld
+	$(STAMP) --build-of $(BUILD)/neuroflight.elf
 
 # The binary is one block from the start of flash, what lies between the parts erased; the hex file holds the
 # two parts alone, so that programming it leaves settings and policy slots as they are.
@@ -27,3 +54,10 @@ $(BUILD)/neuroflight.bin: $(BUILD)/neuroflight.elf
 
 $(BUILD)/neuroflight.hex: $(BUILD)/neuroflight.elf
 	$(CROSS)objcopy -O ihex $< $@
+
+# Both banks' images, one behind the other: what is sent to a board that runs one of them.
+$(BUILD)/neuroflight.nfi: $(BUILD)/neuroflight.elf $(BUILD)/neuroflight-b.elf
+	$(CROSS)objcopy -O binary --remove-section=.boot $< $@.a
+	$(CROSS)objcopy -O binary $(word 2,$^) $@.b
+	cat $@.a $@.b > $@
+	rm $@.a $@.b

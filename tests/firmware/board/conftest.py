@@ -33,6 +33,7 @@ from sim.control.pid_table import pid_table
 from tests.firmware.board.registers import registers_in_use
 from toolchain.codegen.compiler import compile_policy
 from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, observation_blocks
+from toolchain.image.bank_state import proven
 from toolchain.ir.network import chain
 from toolchain.ir.operations import Clip, Linear, Operation, Tanh
 from toolchain.policy.model import PolicyModel
@@ -175,7 +176,9 @@ class Sketch:
         for segment in elf.iter_segments("PT_LOAD"):
             if segment["p_filesz"]:
                 self.uc.mem_write(segment["p_paddr"], segment.data())
-        self.uc.mem_write(FLASH_ALIAS, bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
+        flash = proven(bytes(self.uc.mem_read(FLASH_BASE, FLASH_BYTES)))
+        self.uc.mem_write(FLASH_BASE, flash)
+        self.uc.mem_write(FLASH_ALIAS, flash)
         for ram in (ITCM, DTCM, SRAM1, SRAM2):
             self.uc.mem_write(ram.address, bytes([GARBAGE]) * ram.size)
         self.reset_registers()

@@ -44,7 +44,7 @@ HOT = (
     *("policy_step", "mixer_step", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
     *("program_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
 )
-WHILE_FLASH_IS_BUSY = ("flash_memory_erase", "flash_memory_program", "core_clean_caches")
+WHILE_FLASH_IS_BUSY = ("flash_memory_erase_sector", "flash_memory_program_words", "core_clean_caches")
 DMA_BUFFERS = ("gyro_response", "receiver_ring_bytes")
 # What DMA reads, which must not be DTCM while the core sleeps, and the background's.
 SLOW_DMA_BUFFERS = (*("motor_slots", "gyro_request", "msp_rings", "msp_buffers", "power_conversions"),)

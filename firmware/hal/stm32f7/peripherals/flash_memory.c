@@ -24,18 +24,24 @@ enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
 #define WORD_READS (READS_A_SECOND / 250u)
 #define READS_A_FEED 256u /* of the watchdog: not much more than a millisecond */
 
-#define CODE_SECTORS (BIT(0) | BIT(5) | BIT(6))
-_Static_assert(NF_FLASH_BOOT_ADDRESS == NF_FLASH_SECTORS_0_ADDRESS, "CODE_SECTORS");
-_Static_assert(NF_FLASH_BANK_A_ADDRESS == NF_FLASH_SECTORS_5_ADDRESS, "CODE_SECTORS");
-_Static_assert(NF_FLASH_BANK_B_ADDRESS == NF_FLASH_SECTORS_6_ADDRESS, "CODE_SECTORS");
+extern const char bank_start[]; /* linker script: of the bank that this image runs from */
 
-/* Does all of it lie in one sector without code? */
+/* May the sector that begins there be erased? */
+static bool flash_memory_spare(uint32_t address)
+{
+	return address != NF_FLASH_BOOT_ADDRESS && address != (uint32_t)bank_start;
+}
+
+/* Does all of it lie in one sector, and not over code? */
 static bool flash_memory_storable(uint32_t address, size_t bytes)
 {
+	const uint32_t state = (uint32_t)bank_start + NF_FLASH_BANK_A_SIZE - NF_IMAGE_TAIL_BYTES;
+
 	for (size_t i = 0; i < NF_FLASH_SECTORS_COUNT; ++i)
 		if (address >= flash_sectors[i].address && bytes <= flash_sectors[i].size &&
 		    address - flash_sectors[i].address <= flash_sectors[i].size - bytes)
-			return (CODE_SECTORS & BIT(i)) == 0u;
+			return flash_memory_spare(flash_sectors[i].address) ||
+			       (address >= state && flash_sectors[i].address != NF_FLASH_BOOT_ADDRESS);
 	return false;
 }
 
@@ -99,8 +105,8 @@ static void flash_memory_end(void)
 	flash_memory_invalidate_caches(); /* takes longer than the gyro waits, and no handler reads what was written */
 }
 
-/* `size`: of the sector [bytes]. */
-static bool flash_memory_erase_sector(unsigned sector, uint32_t size)
+/* `size`: of the sector [bytes]. In ITCM, as all that runs between `begin` and `end`. */
+static __attribute__((noinline)) bool flash_memory_erase_sector(unsigned sector, uint32_t size)
 {
 	bool good = flash_memory_begin();
 
@@ -114,7 +120,7 @@ static bool flash_memory_erase_sector(unsigned sector, uint32_t size)
 	return good;
 }
 
-static bool flash_memory_program_words(uint32_t address, const uint32_t *words, size_t count)
+static __attribute__((noinline)) bool flash_memory_program_words(uint32_t address, const uint32_t *words, size_t count)
 {
 	bool good = flash_memory_begin();
 
@@ -130,7 +136,7 @@ static bool flash_memory_program_words(uint32_t address, const uint32_t *words, 
 
 bool flash_memory_erase(unsigned sector)
 {
-	if (sector >= NF_FLASH_SECTORS_COUNT || (CODE_SECTORS & BIT(sector)) != 0u)
+	if (sector >= NF_FLASH_SECTORS_COUNT || !flash_memory_spare(flash_sectors[sector].address))
 		return false;
 	const uint32_t address = flash_sectors[sector].address, size = flash_sectors[sector].size;
 

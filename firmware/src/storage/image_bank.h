@@ -1,0 +1,64 @@
+/* The two banks of images: what each holds, which is started, and the marks that the board leaves at a bank's end.
+ *
+ * Shared by the boot part, which chooses, and the firmware, which writes the bank that it does not run from
+ * (storage/image_update.h) and confirms its own. contract/image_format.py has the layout. */
+#ifndef NF_IMAGE_BANK_H
+#define NF_IMAGE_BANK_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "nf_contract.h"
+#include "storage/flash.h"
+
+#define IMAGE_BANK_COUNT 2u
+#define IMAGE_BANK_NONE IMAGE_BANK_COUNT /* as a bank: no bank */
+
+extern const struct image_bank_place {
+	uint32_t address; /* the image begins here */
+	uint32_t state;   /* struct nf_image_state */
+	unsigned sector;
+} image_bank_places[IMAGE_BANK_COUNT];
+
+/* What the marks of a bank say; of no worth where the bank has no image. */
+struct image_bank_marks {
+	bool installed;     /* by the chip's ROM, and not numbered yet */
+	bool numbered;      /* `sequence` counts */
+	bool confirmed;     /* it has run well */
+	bool rejected;
+	bool has_floor;     /* policy slots count only where they are newer than `policy_floor` */
+	uint32_t sequence;  /* serial number (common/serial_number.h) */
+	uint32_t policy_floor;
+	unsigned starts;    /* counted ones */
+};
+
+struct nf_image_header image_bank_header(const struct flash *flash, unsigned bank);
+struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned bank);
+
+/* Does the header fit bank and board (NF_IMAGE_BOARD_BYTES, then 0s)? Reads no more than the header. */
+bool image_bank_fits(const struct nf_image_header *header, unsigned bank, const char *board);
+
+/* Is the image that `header` tells of whole, its first bytes taken from `first`, `count` of them, instead of from flash? Reads all
+ * of it: 12 cycles a byte. `header` fits. */
+bool image_bank_whole_behind(const struct flash *flash, unsigned bank, const struct nf_image_header *header,
+			     const void *first, size_t count);
+
+/* Does the bank hold a whole image for this board? */
+bool image_bank_whole(const struct flash *flash, unsigned bank, const char *board);
+
+/* Which bank to start: the image that the ROM has just installed, else the newer number. One that was rejected, or was started
+ * NF_IMAGE_STARTS_MAX times without being confirmed, comes behind the other; an image that was
+ * written and never given a number is not started. good[]: may it be started at all? IMAGE_BANK_NONE: none. */
+unsigned image_bank_choose(const struct image_bank_marks marks[IMAGE_BANK_COUNT], const bool good[IMAGE_BANK_COUNT]);
+
+/* Marks. Each may be repeated after a loss of power; false: flash did not take it. */
+bool image_bank_count_start(const struct flash *flash, unsigned bank);
+bool image_bank_confirm(const struct flash *flash, unsigned bank);
+bool image_bank_reject(const struct flash *flash, unsigned bank);
+
+/* Gives the bank's image a number newer than the other bank's, so that it is started from now on; one that has a number keeps
+ * it. policy_floor: NULL, or what policy slots have to be newer than. False: flash did not take it. */
+bool image_bank_number(const struct flash *flash, unsigned bank, const uint32_t *policy_floor);
+
+#endif

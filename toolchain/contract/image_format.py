@@ -1,0 +1,74 @@
+"""An image in its bank: the header behind its vectors, and the state that the board keeps at the bank's end.
+
+A bank is a sector of flash: vectors | header | code and constants | erased | state. The header's CRC-32
+covers the image from the bank's first byte to `image_bytes`, its own four bytes left out. The state's
+words are erased with the bank and written one by one; each is of use only as a whole, so that a loss of
+power leaves the old state or the new one.
+"""
+
+from __future__ import annotations
+
+from toolchain.contract.policy_format import HeaderField
+
+__all__ = [
+    "IMAGE_BOARD_BYTES",
+    "IMAGE_BUILD_BYTES",
+    "IMAGE_FIELDS",
+    "IMAGE_FILE_BYTES_MAX",
+    "IMAGE_HEADER_FORMAT",
+    "IMAGE_HEADER_OFFSET",
+    "IMAGE_LAYOUT",
+    "IMAGE_MAGIC",
+    "IMAGE_NUMBER_ENTRIES",
+    "IMAGE_NUMBER_WORDS",
+    "IMAGE_STARTS_MAX",
+    "IMAGE_STATE_FIELDS",
+    "IMAGE_STATE_FORMAT",
+    "IMAGE_TAIL_BYTES",
+]
+IMAGE_MAGIC = 0x4D49464E  # "NFIM"
+IMAGE_LAYOUT = 1  # of header, state and flash map; a boot part and an image with another one do not fit
+IMAGE_HEADER_OFFSET = 512  # bytes from the bank's begin: behind the vectors
+IMAGE_BOARD_BYTES = 16
+IMAGE_BUILD_BYTES = 8
+IMAGE_STARTS_MAX = 2  # of an image that was not confirmed; then the other bank's is started
+IMAGE_FILE_BYTES_MAX = 4 << 20  # of any file that an image is read from; an ELF brings its names and lines
+
+IMAGE_FIELDS = (
+    HeaderField("uint32_t", "magic", "", "NFIM, in that order in memory"),
+    HeaderField("uint16_t", "layout", "", "version of this layout and of the flash map"),
+    HeaderField("uint8_t", "bank", "", "that it is linked for: 0 bank A, 1 bank B"),
+    HeaderField("uint8_t", "reserved", "", "0"),
+    HeaderField("uint32_t", "image_bytes", "bytes", "from the bank's begin, a multiple of 4"),
+    HeaderField("uint32_t", "crc", "", "CRC-32 of these bytes without this field"),
+    HeaderField("uint32_t", "policy_address", "", "of the compiled-in policy's blob"),
+    HeaderField("uint8_t", "version", "", "major, minor, patch, 0", 4),
+    HeaderField(
+        "uint8_t", "build", "", "the same in both banks of a build, other in any other", IMAGE_BUILD_BYTES
+    ),
+    HeaderField("char", "board", "", "ASCII, then 0: the target it is built for", IMAGE_BOARD_BYTES),
+)
+IMAGE_HEADER_FORMAT = "<" + "".join(field.format for field in IMAGE_FIELDS)
+
+# At the end of the bank. A flag is set by a word of zeros. The bank's number stands in the first entry of
+# `numbers` whose check holds: sequence, policy floor, 1 where that counts else 0, check. A loss of power may
+# spoil an entry; then the next one is used.
+IMAGE_NUMBER_ENTRIES = 4
+IMAGE_NUMBER_WORDS = 4
+IMAGE_STATE_FIELDS = (
+    HeaderField("uint32_t", "written", "", "0: by the firmware; erased: by the chip's ROM"),
+    HeaderField(
+        "uint32_t",
+        "numbers",
+        "",
+        "of two images the newer one is started",
+        IMAGE_NUMBER_ENTRIES * IMAGE_NUMBER_WORDS,
+    ),
+    HeaderField(
+        "uint32_t", "starts", "", "0 each: one more start of an image not confirmed", IMAGE_STARTS_MAX
+    ),
+    HeaderField("uint32_t", "rejected", "", "0: it is not started any more where there is another one"),
+    HeaderField("uint32_t", "confirmed", "", "0: it has run well"),
+)
+IMAGE_STATE_FORMAT = "<" + "".join(field.format for field in IMAGE_STATE_FIELDS)
+IMAGE_TAIL_BYTES = 128  # of the bank, its last: they begin with the state

@@ -1,0 +1,156 @@
+"""Writes into a linked image what only the whole of it tells: `python -m toolchain.image.stamp ELF`.
+
+The header (toolchain/contract/image_format.py) gets the bank that the image lies in, the number of its
+build and the CRC-32. The number is made of bank A's content; bank B's image takes it over with
+`--build-of`, so that both are known as one build. Stamping twice changes nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import struct
+import sys
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.elffile import ELFFile
+
+from toolchain.contract import (
+    FLASH_BANKS,
+    IMAGE_BUILD_BYTES,
+    IMAGE_FIELDS,
+    IMAGE_HEADER_FORMAT,
+    IMAGE_HEADER_OFFSET,
+    IMAGE_MAGIC,
+)
+from toolchain.errors import BuildError, NeuroflightError
+
+
+@dataclass(frozen=True)
+class _Span:
+    """Bytes of the file that lie in the bank: from `offset` of the bank, at `position` of the file."""
+
+    offset: int
+    position: int
+    size: int
+
+
+def field_offset(name: str) -> int:
+    """Where a field of the header begins, from the bank's begin [bytes]."""
+    names = [field.name for field in IMAGE_FIELDS]
+    before = "<" + "".join(field.format for field in IMAGE_FIELDS[: names.index(name)])
+    return IMAGE_HEADER_OFFSET + struct.calcsize(before)
+
+
+def checksum(image: bytes | bytearray) -> int:
+    """The CRC-32 of an image, from its bank's begin to its end, as its header has it."""
+    at = field_offset("crc")
+    return zlib.crc32(image[at + 4 :], zlib.crc32(image[:at]))
+
+
+def stamp(path: Path, build_of: Path | None = None) -> None:
+    """Complete the header of the ELF `path`, in place. build_of: an ELF whose build's number it takes.
+
+    Raises BuildError where the file is no image for a bank of this board.
+    """
+    bank, spans = _spans(path)
+    file = bytearray(path.read_bytes())
+    image: bytearray = _image(file, spans)
+    _check(path, image, spans)
+    _put(image, "bank", struct.pack("<B", bank))
+    if build_of is None:
+        _put(image, "build", bytes(IMAGE_BUILD_BYTES))
+        _put(image, "crc", bytes(4))
+        build = hashlib.sha256(image).digest()[:IMAGE_BUILD_BYTES]
+    else:
+        at = field_offset("build")
+        build = bytes(_image(build_of.read_bytes(), _spans(build_of)[1])[at : at + IMAGE_BUILD_BYTES])
+    _put(image, "build", build)
+    _put(image, "crc", struct.pack("<I", checksum(image)))
+    for span in spans:
+        file[span.position : span.position + span.size] = image[span.offset : span.offset + span.size]
+    path.write_bytes(file)
+
+
+def _spans(path: Path) -> tuple[int, tuple[_Span, ...]]:
+    """The bank that the ELF loads into, and which of its bytes do."""
+    try:
+        with path.open("rb") as stream:
+            loads = [
+                (s["p_paddr"], s["p_offset"], s["p_filesz"]) for s in ELFFile(stream).iter_segments("PT_LOAD")
+            ]
+    except (OSError, ELFError) as error:
+        raise BuildError(f"cannot stamp {path}: {error}") from error
+    for bank, region in enumerate(FLASH_BANKS):
+        spans = tuple(
+            _Span(address - region.address, position, size)
+            for address, position, size in loads
+            if size and region.address <= address < region.address + region.size
+        )
+        if spans:
+            return bank, spans
+    raise BuildError(
+        f"cannot stamp {path}: nothing of it lies in a bank; link it with bank_a.ld or bank_b.ld"
+    )
+
+
+def _stored_sections(elf: ELFFile) -> Iterator[tuple[int, int, int]]:
+    """Load address, position in the file and size of each section that is programmed."""
+    for segment in elf.iter_segments("PT_LOAD"):
+        for section in elf.iter_sections():
+            if (
+                section["sh_type"] != "SHT_NOBITS"
+                and section["sh_size"]
+                and segment.section_in_segment(section)
+            ):
+                behind = section["sh_offset"] - segment["p_offset"]
+                yield segment["p_paddr"] + behind, section["sh_offset"], section["sh_size"]
+
+
+def _image(file: bytes | bytearray, spans: tuple[_Span, ...]) -> bytearray:
+    image = bytearray(b"\xff" * max(span.offset + span.size for span in spans))
+    for span in spans:
+        image[span.offset : span.offset + span.size] = file[span.position : span.position + span.size]
+    return image
+
+
+def _check(path: Path, image: bytearray, spans: tuple[_Span, ...]) -> None:
+    values = struct.unpack_from(IMAGE_HEADER_FORMAT, image, IMAGE_HEADER_OFFSET)
+    header = dict(zip((field.name for field in IMAGE_FIELDS), values, strict=True))
+    if header["magic"] != IMAGE_MAGIC or header["image_bytes"] != len(image):
+        raise BuildError(
+            f"cannot stamp {path}: its header says {header['image_bytes']} bytes, it has {len(image)}; "
+            "the linker script puts something behind image_end"
+        )
+    if sum(span.size for span in spans) != len(image):
+        raise BuildError(
+            f"cannot stamp {path}: there are gaps between its sections, which each tool would fill as it "
+            "likes; align the ends of the sections in the linker script"
+        )
+
+
+def _put(image: bytearray, name: str, value: bytes) -> None:
+    at = field_offset(name)
+    image[at : at + len(value)] = value
+
+
+def main(arguments: list[str]) -> int:
+    """Stamp the file named. Returns 0, or 1 after one line on stderr."""
+    parser = argparse.ArgumentParser(prog="stamp", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("elf", type=Path)
+    parser.add_argument("--build-of", type=Path, metavar="ELF")
+    args = parser.parse_args(arguments)
+    try:
+        stamp(args.elf, args.build_of)
+    except NeuroflightError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
