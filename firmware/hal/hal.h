@@ -66,6 +66,7 @@ struct hal_info {
 	unsigned gyro_rate_hz; /* 0: as set; else the rate of this start, which overrides the settings */
 	const struct setting_change *changes; /* to the stored settings, of this start; they live as long */
 	size_t change_count;
+	unsigned bank; /* that this image runs from: 0 A, 1 B; the host program stands for one in bank A */
 	struct msp_identity identity; /* its strings live as long as the program */
 	uint32_t cycles_hz; /* what struct hal's `cycles` counts in a second */
 	bool clock_inexact; /* no crystal makes it: the board may talk, but not arm */

@@ -33,6 +33,7 @@ struct background_config {
 	enum gyro_chip gyro_chip;
 	const struct pid_gains *pid;
 	const struct msp_identity *identity;
+	unsigned bank; /* of images, that this one runs from */
 	const struct fault_record *fault; /* what ended the run before; NULL: no fault did */
 	const struct setting_change *changes;
 	size_t change_count;

@@ -29,6 +29,7 @@ static enum nf_err boot(void)
 		.gyro_chip = info.gyro_chip,
 		.pid = &pid_gains_built_in,
 		.identity = &info.identity,
+		.bank = info.bank,
 		.fault = faulted ? &fault : NULL,
 		.changes = info.changes,
 		.change_count = info.change_count,

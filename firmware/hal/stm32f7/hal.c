@@ -26,6 +26,8 @@ _Static_assert(POLICY_ACTION_COUNT <= BOARD_MOTOR_COUNT, "this board drives six 
 #define CONTROL_CYCLES (CLOCK_CORE_HZ / POLICY_CONTROL_RATE_HZ)
 #define RESET_WAIT_MS 2500u /* the two buffers of a line take 2.2 s at 9600 baud */
 
+extern const char bank_start[]; /* linker script */
+
 /* The background's alone. */
 static struct {
 	bool wanted;
@@ -150,6 +152,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	watchdog_feed();
 
 	info->hal = &functions;
+	info->bank = (uint32_t)bank_start == NF_FLASH_BANK_B_ADDRESS;
 	info->gyro_rate_hz = 0;
 	info->cycles_hz = CLOCK_CORE_HZ;
 	info->clock_inexact = !clock_is_exact();
