@@ -44,6 +44,7 @@ ROOMS = (
     "sim/board/native",
     "sim/board/peripherals",
     "sim/board/devices",
+    "sim/board/rom",
     "sim/board",
     "sim/board/debug",
     "sim/board/serial",

@@ -31,6 +31,7 @@ from sim.board.peripherals.spi import Spi
 from sim.board.peripherals.timer import TIMERS, Timer
 from sim.board.peripherals.usart import Usart
 from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
+from sim.board.rom.boot_loader import BootLoader
 from toolchain.contract import DSHOT_MIN
 from toolchain.image.bank_state import proven
 
@@ -69,6 +70,7 @@ class Hardware:
         self.adc_common = AdcCommon(context)
         self.adc = Adc(context, self.adc_common, self.dma, self.pins)
         self.iwdg = Iwdg(native)
+        self.rom = BootLoader(engine, self.rcc, self.flash, self.usarts["USART1"], self.iwdg)
         self.inspection = Inspection(context, self.dma, self.exti, int(READY[2:]))
         self.escs = tuple(self._wire_esc(motor, *line) for motor, line in enumerate(MOTORS))
         self._hears_frame: Callable[[Frame], None] = lambda frame: None
@@ -80,6 +82,7 @@ class Hardware:
         companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs, native)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
+        self.registers.accompany(self.usarts["USART1"], self.rom)
         self.registers.attach(engine)
         edge = f"EXTI{int(READY[2:])}"
         irq, name = load_table().interrupt(edge), f"the gyro's data-ready edge ({edge})"
@@ -238,11 +241,13 @@ class Board:
         watchdog_resets: bool = False,
         dshot: int | None = None,
         newly_installed: bool = False,
+        boot_button: bool = False,
     ) -> None:
         """image: what is flashed, from 0x08000000 on. elf: for names and lines only.
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        boot_button: held at power-up, so that the boot loader in the ROM runs instead of the image.
         dshot: the speed that the ESCs are set to, 300 or 600; None: they take what comes first.
         newly_installed: the image has never run, so that the boot part and the image put it to the test;
         else it has run well before.
@@ -257,7 +262,7 @@ class Board:
         )
         for esc in self.hardware.escs:
             esc.fitted = dshot
-        self.engine.vectors = self.hardware.flash.options.boot_address
+        self.hold_boot_button(boot_button)
         self.engine.power_cycle()
         self.engine.resets.clear()
         self.engine.resets.append("power")
@@ -271,6 +276,11 @@ class Board:
     def symbols(self) -> dict[str, int]:
         """Address of every name of the image; empty without an ELF."""
         return self.engine.symbols
+
+    def hold_boot_button(self, held: bool) -> None:
+        """Hold the BOOT button, or let it go: from the next reset on the ROM runs, or the image."""
+        options = self.hardware.flash.options
+        self.engine.vectors = options.button_address if held else options.boot_address
 
     def reset(self) -> None:
         """The supply goes and comes back: all starts anew but flash, option bytes and the time."""

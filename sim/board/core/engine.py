@@ -134,6 +134,7 @@ class Engine:
         self._reset_listeners: list[Callable[[str], None]] = []
         self.after_run: Callable[[], None] = lambda: None  # delivers what C has buffered
         self._flash_store: Callable[[int, int, int], None] | None = None
+        self.on_rom: Callable[[], None] = lambda: self.fail("the program runs in the ROM, which is empty")
         self._error: BaseException | None = None
         self._cause = ""
         self._bound: dict[int, Any] = {}  # names of bounded interrupts, which C only points to
@@ -445,7 +446,13 @@ class Engine:
             except BaseException as error:
                 self.raise_later(error)
 
-        functions = {"read": read, "write": write, "alarm": ring, "flash": flash}
+        def rom(user: object) -> None:
+            try:
+                self.on_rom()
+            except BaseException as error:
+                self.raise_later(error)
+
+        functions = {"read": read, "write": write, "alarm": ring, "flash": flash, "rom": rom}
         self._kept = {name: self.ffi.callback(f"{name}_callback", f) for name, f in functions.items()}
         return self.ffi.new("struct callbacks *", self._kept)
 

@@ -78,6 +78,11 @@ class Flash(Device):
         """Wait states as set."""
         return self.get("ACR", "LATENCY")
 
+    @property
+    def busy_until(self) -> int | None:
+        """The cycle at which the operation under way ends; None: there is none."""
+        return self._done.due
+
     def program(self, address: int, size: int, value: int) -> None:
         """The CPU stores `value` of `size` bytes to flash at `address`, through the AXI bus."""
         fail, where = self.context.fail, f"flash at 0x{address:08X}"

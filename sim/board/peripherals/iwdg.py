@@ -57,6 +57,11 @@ class Iwdg(Device):
         return self._ticks(self._reload + 1) / TIME_HZ
 
     @property
+    def running(self) -> bool:
+        """Whether it counts: only a reset stops it."""
+        return bool(self._in_c.period)
+
+    @property
     def feeds(self) -> int:
         """How often it was fed."""
         return int(self._in_c.feeds)

@@ -30,6 +30,11 @@ class OptionBytes:
         return (self.optcr1 & 0xFFFF) << BOOT_ADDRESS_UNIT
 
     @property
+    def button_address(self) -> int:
+        """Likewise with the button held: the ROM's, in its ITCM alias."""
+        return (self.optcr1 >> 16) << BOOT_ADDRESS_UNIT
+
+    @property
     def read_protection(self) -> int:
         """RDP: 0xAA none, 0xCC for ever, else level 1."""
         return self.optcr >> 8 & 0xFF

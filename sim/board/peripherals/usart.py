@@ -81,6 +81,9 @@ class Usart(Device):
         self._tx = context.alarm(f"{name.lower()}.tx", self._sent)
         self._idle = context.alarm(f"{name.lower()}.idle", self._update)
         self.on_sent: Callable[[int], None] = lambda byte: None  # a byte has left the board
+        # The program in the ROM polls: it takes a byte by its pin, to measure it, or finds one to read.
+        self.on_measured: Callable[[int, Format], bool] = lambda byte, sender: False
+        self.on_received: Callable[[], None] = lambda: None
         self._mismatches = self._lost = self.sent = 0
         # What would interrupt when bytes come or the line rests, of CR1 and CR3.
         self._own_interrupts = (
@@ -322,6 +325,8 @@ class Usart(Device):
 
     def _take_next(self) -> None:
         now, byte, sender, broken = self._arriving.pop(0)
+        if self.on_measured(byte, sender):
+            return
         if not self.words["CR1"] & 1 or not self.get("CR1", "RE"):
             self._lost += 1
             return
@@ -346,6 +351,7 @@ class Usart(Device):
         if self._receives_by_dma() and self._dma.available(f"{self.name}_RX"):
             self._hand_over()
         self._update()
+        self.on_received()
 
     def _receives_by_dma(self) -> int:
         return self.words["CR3"] & self._receiving_dma

@@ -25,6 +25,7 @@ typedef void (*write_callback)(void *user, uint32_t window, uint32_t offset, uin
 typedef void (*alarm_callback)(void *user, uint32_t alarm);
 typedef void (*flash_callback)(void *user, uint32_t address, uint32_t size, uint32_t value);
 typedef void (*sleep_callback)(void *user);
+typedef void (*rom_callback)(void *user);
 
 struct callbacks {
 	read_callback read;
@@ -32,6 +33,7 @@ struct callbacks {
 	alarm_callback alarm;
 	flash_callback flash; /* the program stores into flash */
 	sleep_callback sleep; /* time is about to pass while the core sleeps; NULL: nobody is told */
+	rom_callback rom;     /* the program has come to system memory: what it does there is the callback's */
 	void *user;
 };
 

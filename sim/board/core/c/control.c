@@ -83,7 +83,7 @@ void engine_reset(struct engine *e, uint32_t vectors)
 	exceptions_reset(e);
 	system_reset_registers(e);
 	e->s.vtor = vectors;
-	e->s.sleeping = e->s.itcm_closed = false;
+	e->s.sleeping = e->s.itcm_closed = e->s.in_rom = false;
 	e->s.flash_busy = e->s.flash_rested = e->s.stalled = 0;
 	for (uint32_t i = 0; i < ALARM_MAX; ++i)
 		e->s.due[i] = NEVER;

@@ -36,6 +36,7 @@ enum {
 #define FLASH_BYTES 0x80000u
 #define SYSTEM_BASE 0x1FF00000u
 #define SYSTEM_BYTES 0x10000u
+#define SYSTEM_ALIAS_BASE 0x00100000u /* BOOT_ADD1's default */
 #define RAM_BASE 0x20000000u /* DTCM, SRAM1, SRAM2 without a gap */
 #define RAM_BYTES 0x40000u
 #define DTCM_BYTES 0x10000u
@@ -168,6 +169,7 @@ struct state {
 	uint32_t node;               /* of the call tree, where the program is */
 	uint32_t called;             /* the address behind a call that was the last instruction; NOWHERE: none */
 	bool sleeping, itcm_closed;
+	bool in_rom; /* system memory is what the program counter points to, and the callback knows */
 	/* System control space. */
 	uint32_t vtor, aircr, scr, ccr, cpacr, cfsr, hfsr, dfsr, mmfar, bfar, csselr, shcsr;
 	uint32_t fpccr, fpcar, actlr, itcmcr, dtcmcr, ahbpcr, cacr;

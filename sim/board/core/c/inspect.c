@@ -25,6 +25,7 @@ void engine_set_pc(struct engine *e, uint32_t pc)
 {
 	e->s.pc = pc & ~1u;
 	e->s.last_end = NOWHERE;
+	e->s.in_rom = false;
 }
 
 uint32_t engine_register(struct engine *e, int name)

@@ -48,6 +48,8 @@ uint8_t *host(struct engine *e, uint32_t address, uint32_t size)
 		return e->itcm + address;
 	if (inside(address, size, SYSTEM_BASE, SYSTEM_BYTES))
 		return e->system + (address - SYSTEM_BASE);
+	if (inside(address, size, SYSTEM_ALIAS_BASE, SYSTEM_BYTES))
+		return e->system + (address - SYSTEM_ALIAS_BASE);
 	return NULL;
 }
 

@@ -88,6 +88,11 @@ static bool run_is_hint(struct engine *e, uint32_t address)
 	return code != NULL && code[1] == 0xBFu && (code[0] == 0x10u || code[0] == 0x20u);
 }
 
+static bool run_is_rom(uint32_t address)
+{
+	return inside(address, 2, SYSTEM_BASE, SYSTEM_BYTES) || inside(address, 2, SYSTEM_ALIAS_BASE, SYSTEM_BYTES);
+}
+
 /* Unicorn has come back by itself or because of us. */
 static void run_settle(struct engine *e, uc_err error)
 {
@@ -116,6 +121,8 @@ static void run_settle(struct engine *e, uc_err error)
 		return;
 	if (e->interrupt == INTERRUPT_PREFETCH)
 		error = UC_ERR_FETCH_UNMAPPED;
+	if (error != UC_ERR_OK && run_is_rom(e->s.pc))
+		return; /* a jump into the ROM: the loop finds it there */
 	if (error != UC_ERR_OK) {
 		run_explain(e, error);
 		if (!e->failed)
@@ -189,6 +196,28 @@ static void run_pass_asleep(struct engine *e)
 		e->last_pc = e->s.pc - 2u;
 }
 
+/* The program in the ROM is its maker's and not at hand: a callback is told that it begins and acts for it by alarms, while
+ * time passes from one to the next. It uses no interrupt. Returns false once nothing more can happen. */
+static bool run_rom(struct engine *e)
+{
+	if (!e->s.in_rom) {
+		e->s.in_rom = true;
+		e->s.sleeping = false;
+		if (e->callbacks.rom == NULL)
+			fail(e, "execution at 0x%08X, in a system memory that is empty", e->s.pc);
+		else
+			e->callbacks.rom(e->callbacks.user);
+		return true;
+	}
+	if (e->next_due == NEVER && e->until == NEVER)
+		return false;
+	if (e->callbacks.sleep != NULL)
+		e->callbacks.sleep(e->callbacks.user);
+	if (!e->failed)
+		e->s.time = e->next_due < e->until ? e->next_due : e->until;
+	return true;
+}
+
 int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 {
 	e->until = cycle > NEVER >> FRACTION ? NEVER : cycle << FRACTION;
@@ -204,6 +233,13 @@ int engine_run(struct engine *e, uint64_t cycle, uint64_t instructions)
 		events_fire(e);
 		if (e->failed || e->reset_wanted)
 			continue;
+		if (run_is_rom(e->s.pc)) {
+			if (!run_rom(e))
+				return RUN_ASLEEP;
+			if (e->limit != NEVER)
+				return RUN_LIMIT; /* a debugger counts instructions, of which there are none */
+			continue;
+		}
 		if (e->s.sleeping) {
 			if (exceptions_wake(e)) {
 				e->s.sleeping = false;

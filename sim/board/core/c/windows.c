@@ -100,6 +100,7 @@ uc_err windows_map(struct engine *e)
 	error = error ? error : uc_mem_map_ptr(uc, ALIAS_BASE, FLASH_BYTES, code, e->flash);
 	error = error ? error : uc_mem_map_ptr(uc, FLASH_BASE, FLASH_BYTES, code, e->flash);
 	error = error ? error : uc_mem_map_ptr(uc, SYSTEM_BASE, SYSTEM_BYTES, UC_PROT_READ, e->system);
+	error = error ? error : uc_mem_map_ptr(uc, SYSTEM_ALIAS_BASE, SYSTEM_BYTES, UC_PROT_READ, e->system);
 	error = error ? error : uc_mem_map_ptr(uc, RAM_BASE, RAM_BYTES, data, e->ram);
 	error = error ? error : windows_map_region(e, 0, APB_BASE, APB_BYTES);
 	error = error ? error : windows_map_region(e, 1, AHB2_BASE, AHB2_BYTES);

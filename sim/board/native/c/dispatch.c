@@ -112,6 +112,13 @@ static void dispatch_flash(void *user, uint32_t address, uint32_t size, uint32_t
 	n->python.flash(n->python.user, address, size, value);
 }
 
+static void dispatch_rom(void *user)
+{
+	struct native *const n = user;
+
+	n->python.rom(n->python.user);
+}
+
 static void dispatch_sleep(void *user)
 {
 	struct native *const n = user;
@@ -149,7 +156,7 @@ struct native *native_new(struct engine *e, const struct callbacks *python, cons
 		for (uint32_t k = 0; k < SHARED; ++k)
 			n->s.streams[i / STREAMS][i % STREAMS].sources[k] = -1;
 	const struct callbacks own = {
-		dispatch_read, dispatch_write, dispatch_alarm, dispatch_flash, dispatch_sleep, n,
+		dispatch_read, dispatch_write, dispatch_alarm, dispatch_flash, dispatch_sleep, dispatch_rom, n,
 	};
 
 	engine_callbacks(e, &own);

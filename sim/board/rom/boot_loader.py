@@ -1,0 +1,269 @@
+"""The boot loader in the chip's ROM, as far as USART1 goes: what a program in system memory does.
+
+ST's program is not at hand, so no instruction is executed while the core stands in system memory. This stands
+for it: it sets up pins and UART by their registers, measures the length of a bit of the first 0x7F, speaks
+AN3155, and erases and programs through the flash controller's registers, which takes the time that it takes
+on the chip and can lose power in the middle. The real one listens on USB, CAN, I2C, SPI and USART3 as well.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import Enum, auto
+from typing import Any
+
+from sim.board.core.engine import POWER_UP, Engine
+from sim.board.peripherals.flash import KEYS, Flash
+from sim.board.peripherals.iwdg import Iwdg
+from sim.board.peripherals.rcc import Rcc
+from sim.board.peripherals.usart import Format, Usart
+from sim.board.registers.bus import load_table
+from sim.board.rom.protocol import (
+    ACCEPTED,
+    ACK,
+    FLASH,
+    OWN_RAM_BYTES,
+    START,
+    SYNC,
+    SYSTEM_MEMORY,
+    Action,
+    Erase,
+    Go,
+    Read,
+    Send,
+    State,
+    Write,
+    feed,
+)
+from toolchain.contract import DTCM
+
+UART = "USART1"
+BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155, choosing the baud rate
+_BAUD_TOLERANCE = 1.03
+STACK, RESET = DTCM.address + 0x3000, SYSTEM_MEMORY.address + 0x201  # where ours are, not where ST's are
+VERSION_ADDRESS, VERSION = 0x1FF0EDBE, 0x90  # AN2606: boot loader V9.0
+CONTENT = ((SYSTEM_MEMORY.address, struct.pack("<2I", STACK, RESET)), (VERSION_ADDRESS, bytes([VERSION])))
+PARALLELISM = 0  # FLASH_CR PSIZE: by bytes, as fits the lowest supply, which the ROM has to reckon with
+_UNIT = 1 << PARALLELISM  # bytes programmed at once
+_MASS = -1  # in place of a sector's number
+_HSI_HZ = 16_000_000
+_SYSTICK_CTRL, _NVIC_ISER0, _NVIC_WORDS = 0xE000E010, 0xE000E100, 4
+
+
+class Stage(Enum):
+    """How far the program has come."""
+
+    OFF = auto()  # the core is not in the ROM
+    MEASURING = auto()  # waiting for the first 0x7F
+    SERVING = auto()
+
+
+class BootLoader:
+    """The program in the ROM. Its state goes into snapshots beside USART1's."""
+
+    _kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start")
+
+    def __init__(self, engine: Engine, rcc: Rcc, flash: Flash, usart: Usart, iwdg: Iwdg) -> None:
+        """To be made after the devices that it uses, whose alarms then go first."""
+        self._engine, self._rcc, self._flash, self._usart, self._iwdg = engine, rcc, flash, usart, iwdg
+        self._next = engine.alarm("rom", self._go_on)
+        self._leave()
+        engine.on_rom = self._enter
+        engine.on_system_reset(lambda cause: self._leave())
+        usart.on_measured, usart.on_received = self._measure, self._poll
+        for address, data in CONTENT:
+            engine.set_memory(address, data)
+
+    @property
+    def runs(self) -> bool:
+        """Whether the core is in the ROM."""
+        return self.stage is not Stage.OFF
+
+    def state(self) -> Any:  # noqa: ANN401
+        """See Companion."""
+        return {name: getattr(self, name) for name in self._kept}
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        """See Companion."""
+        for name in self._kept:
+            setattr(self, name, state[name])
+
+    # ---- in and out of the ROM ----
+
+    def _leave(self) -> None:
+        self.stage = Stage.OFF
+        self._state: State = START
+        self._sending = b""  # what is left to answer
+        self._sectors: tuple[int, ...] = ()  # still to be erased
+        self._address, self._data = 0, b""  # still to be programmed
+        self._answers = False  # ACK is due when nothing is left to erase and to program
+        self._start: int | None = None  # address to start from when the answer has gone
+
+    def _enter(self) -> None:
+        """The core has come to system memory, by reset or by a jump."""
+        self._expect_reset_state()
+        self._leave()
+        self.stage = Stage.MEASURING
+        self._engine.set_memory(DTCM.address, bytes([POWER_UP ^ 0xFF]) * OWN_RAM_BYTES)
+        self._set("RCC", "AHB1ENR", "GPIOAEN", 1)
+        self._set("RCC", "APB2ENR", "USART1EN", 1)
+        for pin in (9, 10):
+            self._set("GPIOA", "AFRH", f"AFRH{pin}", 7)
+            self._set("GPIOA", "MODER", f"MODER{pin}", 2)
+
+    def _expect_reset_state(self) -> None:
+        """Fail where ST's program would not find the chip as it needs it (AN2606: as after a reset)."""
+        engine, entered = self._engine, "the ROM's boot loader is entered"
+        if self._iwdg.running:
+            engine.fail(
+                f"{entered} while the watchdog runs, expected it off: it would reset the chip amid an "
+                f"erasure; restart, and jump before it is started"
+            )
+        stack, pc = engine.register(13), engine.pc | 1
+        if (stack, pc & 0xFFFF) != (STACK, RESET & 0xFFFF):
+            engine.fail(
+                f"{entered} at 0x{pc:08X} with stack pointer 0x{stack:08X}, expected both from the two words "
+                f"at 0x{SYSTEM_MEMORY.address:08X}: 0x{RESET:08X} and 0x{STACK:08X}"
+            )
+        if self._rcc.clocks.core != _HSI_HZ:
+            engine.fail(
+                f"{entered} with a core clock of {self._rcc.clocks.core} Hz, expected HSI's {_HSI_HZ}: "
+                f"restart before the jump"
+            )
+        interrupts = any(engine.load(_NVIC_ISER0 + 4 * i, 4) for i in range(_NVIC_WORDS))
+        if interrupts or engine.load(_SYSTICK_CTRL, 4) & 1:
+            engine.fail(
+                f"{entered} with interrupts or SysTick on, expected them off: restart before the jump"
+            )
+
+    def _start_program(self, address: int) -> None:
+        """Peripherals as after a reset, then what the two words at `address` say."""
+        stack, reset = struct.unpack("<2I", self._engine.memory(address, 8))
+        if not reset & 1:
+            self._engine.fail(
+                f"the ROM's boot loader is told to start at 0x{address:08X}, where the reset vector is "
+                f"0x{reset:08X}, expected an odd address"
+            )
+        for register, field in (("APB2RSTR", "USART1RST"), ("AHB1RSTR", "GPIOARST")):
+            self._set("RCC", register, field, 1)
+            self._set("RCC", register, field, 0)
+        self._set("RCC", "APB2ENR", "USART1EN", 0)
+        self._set("RCC", "AHB1ENR", "GPIOAEN", 0)
+        if not self._flash.get("CR", "LOCK"):
+            self._set("FLASH", "CR", "LOCK", 1)
+        self._leave()
+        self._engine.set_register(13, stack & ~3)
+        self._engine.pc = reset & ~1
+
+    def _set(self, block: str, register: str, field: str, value: int) -> None:
+        """Set a field as a program does: read, change, write."""
+        found = load_table().blocks[block]
+        row = found.registers[register]
+        address, bits = found.base + row.offset, row.fields[field]
+        word = self._engine.load(address, 4) & ~bits.mask
+        self._engine.store(address, 4, word | value << bits.lsb)
+
+    # ---- bytes ----
+
+    def _measure(self, byte: int, sender: Format) -> bool:
+        """A byte on the line while its speed is unknown: the first 0x7F tells it."""
+        if self.stage is not Stage.MEASURING:
+            return False
+        if byte == SYNC and BAUD_MIN / _BAUD_TOLERANCE <= sender.baud <= BAUD_MAX * _BAUD_TOLERANCE:
+            divider = round(self._rcc.kernel_clock(UART) / sender.baud)
+            self._set(UART, "BRR", "BRR", divider)
+            for field in ("M0", "PCE", "TE", "RE", "UE"):  # 8 bits and even parity
+                self._set(UART, "CR1", field, 1)
+            self.stage = Stage.SERVING
+            self._act(ACCEPTED)
+        return True
+
+    def _poll(self) -> None:
+        """Take what has come, unless something is still to be done."""
+        while self.stage is Stage.SERVING and not self._busy and self._usart.get("ISR", "RXNE"):
+            byte = self._usart.read_rdr() & 0xFF
+            self._usart.write_icr(self._usart.mask("ICR", "ORECF", "FECF", "PECF"))
+            self._state, action = feed(self._state, byte)
+            if action is not None:
+                self._act(action)
+
+    @property
+    def _busy(self) -> bool:
+        return bool(
+            self._sending or self._sectors or self._data or self._answers or self._next.due is not None
+        )
+
+    def _act(self, action: Action) -> None:
+        match action:
+            case Send(data):
+                self._sending = data
+            case Read(address, size):
+                self._sending = bytes([ACK]) + self._engine.memory(address, size)
+            case Erase(sectors):
+                self._sectors, self._answers = (_MASS,) if sectors is None else sectors, True
+                self._unlock()
+            case Write(address, data):
+                self._answers = True
+                if address < FLASH.address or address >= FLASH.address + FLASH.size:
+                    self._engine.set_memory(address, data)
+                else:
+                    self._address, self._data = address, data
+                    self._unlock()
+            case Go(address):
+                self._sending, self._start = bytes([ACK]), address
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """The next byte to send, the next sector to erase or the next bytes to program."""
+        if self._sectors:
+            self._erase_next()
+        elif self._data:
+            self._program_next()
+        elif self._answers:
+            self._answers = False
+            self._sending = bytes([ACK])
+            self._go_on()
+        elif self._sending:
+            self._usart.write_tdr(self._sending[0])
+            self._sending = self._sending[1:]
+            self._next.set(self._engine.cycle + self._usart.format.byte_cycles)
+        elif self._start is not None:
+            self._start_program(self._start)
+        else:
+            self._poll()
+
+    # ---- flash ----
+
+    def _unlock(self) -> None:
+        if self._flash.get("CR", "LOCK"):
+            for key in KEYS:
+                self._flash.write_keyr(key)
+
+    def _erase_next(self) -> None:
+        """Begin with the first of the sectors. One that is write-protected stays, and nobody is told."""
+        sector, self._sectors = self._sectors[0], self._sectors[1:]
+        command = ("MER",) if sector == _MASS else ("SER",)
+        number = 0 if sector == _MASS else sector << self._field_lsb("SNB")
+        self._order(self._flash.mask("CR", *command, "STRT") | number)
+
+    def _program_next(self) -> None:
+        """Program the next unit. Where something stands, flash keeps the bits that both have set."""
+        flash, address = self._flash, self._address
+        size = _UNIT if not address % _UNIT and len(self._data) >= _UNIT else 1
+        raw, self._data = self._data[:size], self._data[size:]
+        self._address += size
+        old = int.from_bytes(self._engine.memory(address, size), "little")
+        flash.write_cr(flash.mask("CR", "PG") | (size.bit_length() - 1) << self._field_lsb("PSIZE"))
+        flash.program(address, size, int.from_bytes(raw, "little") & old)
+        self._wait()
+
+    def _order(self, value: int) -> None:
+        self._flash.write_cr(value | PARALLELISM << self._field_lsb("PSIZE"))
+        self._wait()
+
+    def _wait(self) -> None:
+        until = self._flash.busy_until
+        self._next.set(self._engine.cycle if until is None else until)
+
+    def _field_lsb(self, field: str) -> int:
+        return self._flash.block.registers["CR"].fields[field].lsb
