@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "MATEKF722"
 BAUD_MAX = 10_000_000
+VECTORS_BYTES = 8  # stack and reset vector
 VOLTS_MAX = 36.0  # what the converter's pin can see
 
 
@@ -37,6 +38,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--image", type=Path, metavar="FILE.bin", help="what is flashed")
     what.add_argument("--build", type=Path, metavar="DIR", help="its build; default: build/MATEKF722")
+    what.add_argument(
+        "--chip",
+        type=Path,
+        metavar="FILE",
+        help="flash nothing: the chip holds what this file holds, and is erased where there is no such file; "
+        "what is written to the chip is kept there",
+    )
+    parser.add_argument(
+        "--boot0",
+        action="store_true",
+        help="the BOOT button is held at power-up: the boot loader in the chip's ROM runs, not the image",
+    )
     parser.add_argument(
         "--serial",
         action="append",
@@ -78,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the end. Returns 0; raises BoardError for what the image does wrong."""
     serials = {"uart1": ("pty", 0), **parse_serials(args.serial or ())}
     _check(args)
-    image = args.image or (args.build or BUILD) / "neuroflight.bin"
+    image = args.chip or args.image or (args.build or BUILD) / "neuroflight.bin"
 
     from sim.board.debug.gdb import GdbServer
     from sim.board.matekf722 import GYROS
@@ -87,25 +100,30 @@ def run(args: argparse.Namespace) -> int:
     from sim.board.serial.idle_board import IdleBoard, Keeper, serve, with_image
     from toolchain.image.elf import read_flashable
 
-    flashed = read_flashable(image)
+    flashed = b"" if args.chip else read_flashable(image)
     elf = image.with_suffix(".elf")
+    option, file = ("--chip", args.chip) if args.chip else ("--flash", args.flash)
     with ExitStack() as ends:
-        _claim(args.flash, ends)
-        kept = _kept(args.flash)
+        _claim(option, file, ends)
+        kept = _kept(option, file)
+        content = (kept or b"") if args.chip else with_image(flashed, kept)
+        if not args.boot0:
+            _check_bootable(image, content)
         opened = {}
         for name, serial in serials.items():
             opened[name] = open_end(serial)
             ends.callback(opened[name].close)
         idle = IdleBoard(
-            with_image(flashed, kept),
-            elf=elf if elf.is_file() else None,
+            content,
+            elf=elf if elf.is_file() and not args.chip else None,
             volts=args.volts,
             gyro=GYROS[args.gyro],
+            boot_button=args.boot0,
         )
         ends.callback(idle.close)
-        keeper = Keeper(idle, lambda content: _keep(args.flash, content))
-        if args.flash is not None and kept is None:
-            _keep(args.flash, idle.flash())
+        keeper = Keeper(idle, lambda content: _keep(option, file, content))
+        if file is not None and kept is None:
+            _keep(option, file, idle.flash())
         ends.callback(keeper.update, at_once=True)
         idle.boot()  # what is sent before would be lost
         bridges = []
@@ -119,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
             ends.callback(debugger.close)
             idle.run_core = debugger.run_to
         interrupt = ends.enter_context(Interrupt(debugger))
-        _tell(image, bridges, debugger)
+        _tell(image, bridges, debugger, in_rom=idle.board.hardware.rom.runs)
         watch = _SpeedWatch(bridges[0])
 
         def update() -> None:
@@ -157,7 +175,20 @@ class _SpeedWatch:
             )
 
 
+def _check_bootable(path: Path, content: bytes) -> None:
+    """Refuse a chip that has nothing to start from: a real one stands still without a word."""
+    if content[:VECTORS_BYTES].strip(b"\xff") == b"":
+        raise NeuroflightError(
+            f"{path}: the chip is erased where its boot part should be, expected an image; start it with "
+            f"--boot0 and write one with `neuroflight rescue`"
+        )
+
+
 def _check(args: argparse.Namespace) -> None:
+    if args.chip and args.flash:
+        raise NeuroflightError("--flash: got it beside --chip, which keeps the whole flash; leave one out")
+    if args.boot0 and args.serial and any(text.startswith("uart3") for text in args.serial):
+        raise NeuroflightError("--serial uart3: got it with --boot0, whose ROM is emulated on UART1 only")
     if not 1 <= args.baud <= BAUD_MAX:
         raise NeuroflightError(f"--baud: got {args.baud}, expected 1 to {BAUD_MAX}")
     check_gdb(args.gdb)
@@ -167,17 +198,19 @@ def _check(args: argparse.Namespace) -> None:
         raise NeuroflightError(f"--seconds: got {args.seconds:g}, expected a number above 0")
 
 
-def _claim(path: Path | None, ends: ExitStack) -> None:
+def _claim(option: str, path: Path | None, ends: ExitStack) -> None:
     """Keep the file for this board until the end. Raises NeuroflightError where another one has it."""
     if path is None or not path.parent.is_dir():
         return
     try:
         ends.enter_context(claimed_file(path, "board"))
     except OSError as error:
-        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
+        raise NeuroflightError(
+            f"{option} {path}: {error.strerror}; name a file that can be written"
+        ) from None
 
 
-def _kept(path: Path | None) -> bytes | None:
+def _kept(option: str, path: Path | None) -> bytes | None:
     """What the file holds; None: there is none yet."""
     if path is None or not path.exists():
         return None
@@ -185,23 +218,23 @@ def _kept(path: Path | None) -> bytes | None:
         size = file_size(path)
         data = path.read_bytes() if size == FLASH_BYTES else b""
     except OSError as error:
-        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be read") from None
+        raise NeuroflightError(f"{option} {path}: {error.strerror}; name a file that can be read") from None
     if len(data) != FLASH_BYTES:
         raise NeuroflightError(
-            f"--flash {path}: {size} bytes, expected the {FLASH_BYTES} of a flash that this command has "
+            f"{option} {path}: {size} bytes, expected the {FLASH_BYTES} of a flash that this command has "
             f"kept; it is left alone, name another one"
         )
     for sector in FLASH_SECTORS:
         start = sector.address - FLASH_BASE
         if not any(data[start : start + sector.size]):
             raise NeuroflightError(
-                f"--flash {path}: {sector.name} is all zeros, which flash never is: it was not written "
+                f"{option} {path}: {sector.name} is all zeros, which flash never is: it was not written "
                 f"whole; remove it or name another one"
             )
     return data
 
 
-def _keep(path: Path | None, content: bytes) -> None:
+def _keep(option: str, path: Path | None, content: bytes) -> None:
     from toolchain.files import write_bytes
 
     if path is None:
@@ -209,7 +242,9 @@ def _keep(path: Path | None, content: bytes) -> None:
     try:
         write_bytes(path, content)
     except OSError as error:
-        raise NeuroflightError(f"--flash {path}: {error.strerror}; name a file that can be written") from None
+        raise NeuroflightError(
+            f"{option} {path}: {error.strerror}; name a file that can be written"
+        ) from None
 
 
 def _baud(idle: IdleBoard) -> float:
@@ -226,11 +261,12 @@ def _baud(idle: IdleBoard) -> float:
     return min(MSP_BAUDS, key=lambda baud: abs(baud - uart.format.baud))
 
 
-def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None) -> None:
+def _tell(image: Path, bridges: Sequence[Bridge], debugger: GdbServer | None, *, in_rom: bool) -> None:
     print(f"board  {image}")
-    for label, bridge in zip(("MSP", "UART3"), bridges, strict=False):
+    for label, bridge in zip(("ROM" if in_rom else "MSP", "UART3"), bridges, strict=False):
         name = bridge.end.name
-        print(f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight msp --port {name} info")
+        then = f"rescue IMAGE --port {name}" if label == "ROM" else f"msp --port {name} info"
+        print(f"{label:7}{name}, {bridge.line.format.baud:.0f} baud; neuroflight {then}")
     if debugger is not None:
         elf = image.with_suffix(".elf")
         remote = f"-ex 'target remote :{debugger.port}'"

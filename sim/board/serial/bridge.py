@@ -18,11 +18,13 @@ import select
 import socket
 import tty
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.peripherals.usart import Format
+from sim.board.rom.boot_loader import UART as ROM_UART
 from toolchain.contract import MSP_BAUD_DEFAULT
 from toolchain.errors import LinkError
 
@@ -314,10 +316,15 @@ class TcpEnd:
 
 
 class Bridge:
-    """Carries bytes between a line and its other end, as fast as the line does and no faster."""
+    """Carries bytes between a line and its other end, as fast as the line does and no faster.
+
+    Pseudo terminals and TCP know no parity. The boot loader in the chip's ROM wants an even one: its line has
+    it while that runs.
+    """
 
     def __init__(self, line: UartLine, end: End) -> None:
         self.line, self.end = line, end
+        self._format = line.format
         self.lost = 0  # bytes from the board that nobody took in time
         self._out = b""
 
@@ -326,6 +333,8 @@ class Bridge:
 
         More than the line can carry meanwhile is left where it is: a sender that is too fast has to wait.
         """
+        in_rom = self.line.uart == ROM_UART and self.line.board.hardware.rom.runs
+        self.line.format = replace(self._format, parity="E") if in_rom else self._format
         room = min(self.line.room(cycles), READ_MAX)
         if room and (data := self.end.receive(room)):
             self.line.send(data)

@@ -52,12 +52,15 @@ class IdleBoard:
         volts: float = FULL_VOLTS,
         gyro: Gyro = GYRO,
         seed: int = 0,
+        boot_button: bool = False,
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
+        boot_button: held at power-up, so that the boot loader in the chip's ROM runs.
+
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
-        self.board = Board(flash, elf=elf, chip=gyro.chip)
+        self.board = Board(flash, elf=elf, chip=gyro.chip, boot_button=boot_button)
         self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
@@ -74,10 +77,10 @@ class IdleBoard:
             self.run_core(min(cycle, self._measured))
 
     def boot(self) -> None:
-        """Run until the image hears its MSP line, or for 2 s. Raises BoardError."""
+        """Run until the image hears its MSP line, or the ROM runs, or for 2 s. Raises BoardError."""
         end = self.board.cycle + round(BOOT_S * TIME_HZ)
-        uart = self.board.hardware.usarts[MSP_UART]
-        while self.board.cycle < end and not uart.words["CR1"] & 1:
+        uart, rom = self.board.hardware.usarts[MSP_UART], self.board.hardware.rom
+        while self.board.cycle < end and not (uart.words["CR1"] & 1 or rom.runs):
             self.run_to(self.board.cycle + STEP)
 
     def client(self, baud: float = MSP_BAUD_DEFAULT, uart: str = MSP_UART) -> Client:
