@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
 from toolchain.contract.modes import MODE_SLOT_COUNT
-from toolchain.contract.motors import MOTOR_TEST_MAGIC
+from toolchain.contract.motors import MOTOR_BENCH_MAGIC, MOTOR_TEST_MAGIC
 from toolchain.contract.msp import MSP_ADJUSTMENT_SLOTS, Msp
 from toolchain.contract.msp_configuration import CONFIGURATIONS
 from toolchain.contract.msp_layouts import (
@@ -228,7 +228,16 @@ _OWN = (
     request(Msp.CALIBRATE),
     request(Msp.ACKNOWLEDGE),
     request(Msp.SETTINGS_DEFAULT),
-    request(Msp.MOTOR_TEST, number("u32", "magic", "", f"0x{MOTOR_TEST_MAGIC:08X} opens, 0 closes")),
+    request(
+        Msp.MOTOR_TEST,
+        number(
+            "u32",
+            "magic",
+            "",
+            f"0x{MOTOR_TEST_MAGIC:08X} opens, 0 closes, 0x{MOTOR_BENCH_MAGIC:08X} opens for one rotor on a "
+            "dynamometer, up to its full speed",
+        ),
+    ),
     request(Msp.DSHOT_COMMAND, number("u8", "motor", "", "255: all"), number("u8", "command")),
     reply(
         Msp.SAFETY,

@@ -25,23 +25,25 @@ static bool motor_test_open(const struct motor_test *test)
 
 enum nf_refusal motor_test_ask(struct motor_test *test, uint32_t magic, bool stopped)
 {
-	const bool opens = magic == NF_MOTOR_TEST_MAGIC;
+	const bool bench = magic == NF_MOTOR_BENCH_MAGIC;
+	const bool opens = bench || magic == NF_MOTOR_TEST_MAGIC;
 
 	if (opens && !stopped)
 		return NF_REFUSAL_ARMED;
 	for (unsigned i = 0; i < NF_MOTOR_COUNT_MAX; ++i)
 		test->given[i] = NF_DSHOT_STOP;
+	test->most = bench ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;
 	fence();
 	test->wish += motor_test_wished(test) == opens ? 2u : 1u;
 	return opens || magic == 0 ? NF_REFUSAL_NONE : NF_REFUSAL_PAYLOAD;
 }
 
-static bool motor_test_within_range(const float fractions[], size_t count)
+static bool motor_test_within_range(float most, const float fractions[], size_t count)
 {
 	float sum = 0.0f;
 
 	for (size_t i = 0; i < count; ++i) {
-		if (!(fractions[i] >= 0.0f && fractions[i] <= NF_MOTOR_TEST_MAX))
+		if (!(fractions[i] >= 0.0f && fractions[i] <= most))
 			return false;
 		sum += fractions[i];
 	}
@@ -54,7 +56,7 @@ enum nf_refusal motor_test_give(struct motor_test *test, const float fractions[]
 		return NF_REFUSAL_ORDER;
 	if (count > test->motor_count)
 		return NF_REFUSAL_INDEX;
-	if (!motor_test_within_range(fractions, count))
+	if (!motor_test_within_range(test->most, fractions, count))
 		return NF_REFUSAL_RANGE;
 	for (size_t i = 0; i < test->motor_count; ++i)
 		test->given[i] = i < count && fractions[i] > 0.0f ? dshot_value(fractions[i]) : NF_DSHOT_STOP;

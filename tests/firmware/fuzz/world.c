@@ -60,7 +60,7 @@ static bool world_program(void *context, uint32_t address, const void *words, si
 static void world_check_motors(struct world *w, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	const struct motor_test *test = &w->firmware.motor_test;
-	const uint16_t most = dshot_value(NF_MOTOR_TEST_MAX);
+	const uint16_t most = dshot_value(test->most);
 	const uint32_t timeout = GYRO_HZ * NF_MOTOR_TEST_TIMEOUT_MS / 1000u;
 	unsigned sum = 0;
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from toolchain.contract import (
+    MOTOR_BENCH_MAGIC,
     MOTOR_TEST_MAGIC,
     MOTOR_TEST_MAX,
     MOTOR_TEST_SUM_MAX,
@@ -160,7 +161,50 @@ def test_old_values_are_forgotten_when_the_test_is_opened_again(bench: Test) -> 
     assert bench.run(20) == STOPPED, "also when it was not closed in between"
 
 
+def test_one_motor_reaches_its_full_speed_when_it_stands_on_a_dynamometer(bench: Test) -> None:
+    assert bench.ask(MOTOR_BENCH_MAGIC) == Refusal.NONE
+    assert bench.step() == STOPPED
+    assert bench.give(0.0, 1.0) == Refusal.NONE
+    assert bench.run(MOTOR_TEST_TIMEOUT_MS) == [0, 2047, 0, 0]
+    assert bench.step() == UNTOUCHED
+
+
 # --- Attempts to defeat it --------------------------------------------------------------------
+@pytest.mark.parametrize("wrong", [[1.0, 0.001], [0.6, 0.41], [1.0001], [0.0, math.nan], [0.0, -0.1]])
+def test_a_dynamometer_turns_no_second_motor_and_none_faster_when_it_is_asked_to(
+    bench: Test, wrong: list[float]
+) -> None:
+    bench.ask(MOTOR_BENCH_MAGIC)
+    assert bench.give(*wrong) == Refusal.RANGE
+    assert bench.step() == STOPPED
+
+
+@pytest.mark.parametrize("between", [[], [0], [7]])
+def test_the_limit_is_the_usual_one_when_a_test_follows_a_dynamometer(
+    bench: Test, between: list[int]
+) -> None:
+    bench.ask(MOTOR_BENCH_MAGIC)
+    bench.give(1.0)
+    bench.step()
+    for magic in between:
+        bench.ask(magic)
+    assert bench.ask() == Refusal.NONE
+    assert bench.give(MOTOR_TEST_MAX + 1e-6) == Refusal.RANGE
+    assert bench.step() == STOPPED
+
+
+@pytest.mark.parametrize("view", [{"stopped": False}, {"switch_on": True}, {"link": GOOD}])
+def test_a_dynamometer_stops_at_once_when_what_ends_a_test_happens(bench: Test, view: dict[str, Any]) -> None:
+    assert bench.ask(MOTOR_BENCH_MAGIC, stopped=False) == Refusal.ARMED
+    bench.ask(MOTOR_BENCH_MAGIC)
+    bench.give(1.0)
+    bench.step()
+    bench.view = View(**view)
+    assert bench.forbids()
+    assert bench.step() == UNTOUCHED
+    assert bench.give(1.0) == Refusal.ORDER
+
+
 @pytest.mark.parametrize("magic", [1, MOTOR_TEST_MAGIC ^ 1, MOTOR_TEST_MAGIC ^ 1 << 31, 0xFFFFFFFF])
 def test_nothing_opens_when_the_magic_is_wrong(bench: Test, magic: int) -> None:
     assert bench.ask(magic) == Refusal.PAYLOAD

@@ -326,8 +326,15 @@ CONTROL_MUTANTS = (
     Mutant(
         name="one motor of a test may turn too fast",
         file=BENCH,
-        old="fractions[i] <= NF_MOTOR_TEST_MAX",
-        new="fractions[i] <= NF_MOTOR_TEST_SUM_MAX",
+        old="fractions[i] <= most",
+        new="fractions[i] <= 2.0f * most",
+        tests=(OF_BENCH,),
+    ),
+    Mutant(
+        name="a test keeps the limit of the dynamometer before it",
+        file=BENCH,
+        old="\ttest->most = bench ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;",
+        new="\ttest->most = bench || test->most > 0.5f ? NF_MOTOR_BENCH_MAX : NF_MOTOR_TEST_MAX;",
         tests=(OF_BENCH,),
     ),
     Mutant(
