@@ -119,6 +119,7 @@ def run(args: argparse.Namespace) -> int:
             volts=args.volts,
             gyro=GYROS[args.gyro],
             boot_button=args.boot0,
+            newly_installed=args.chip is not None,
         )
         ends.callback(idle.close)
         keeper = Keeper(idle, lambda content: _keep(option, file, content))

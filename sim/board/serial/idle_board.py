@@ -23,6 +23,7 @@ from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
 from toolchain.contract import (
     FLASH_BANK_A,
+    FLASH_BANK_B,
     FLASH_BASE,
     FLASH_BOOT,
     FLASH_BYTES,
@@ -53,14 +54,17 @@ class IdleBoard:
         gyro: Gyro = GYRO,
         seed: int = 0,
         boot_button: bool = False,
+        newly_installed: bool = False,
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
-        boot_button: held at power-up, so that the boot loader in the chip's ROM runs.
-
+        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. newly_installed: as
+        Board takes it.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
-        self.board = Board(flash, elf=elf, chip=gyro.chip, boot_button=boot_button)
+        self.board = Board(
+            flash, elf=elf, chip=gyro.chip, boot_button=boot_button, newly_installed=newly_installed
+        )
         self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
         self.board.hardware.adc.set_battery(volts, 0.0)
         self.run_core = self.board.run_to  # to a cycle; a debugger may stand in for it
@@ -158,7 +162,7 @@ def serve(
 
 
 def with_image(image: bytes, kept: bytes | None) -> bytes:
-    """Flash that holds `image` in its two sectors, and in all others what `kept` holds.
+    """Flash that holds `image` in its two sectors, nothing in bank B, and elsewhere what `kept` holds.
 
     Raises LinkError when `kept` has not the size of the flash.
     """
@@ -167,7 +171,7 @@ def with_image(image: bytes, kept: bytes | None) -> bytes:
     if len(kept) != FLASH_BYTES:
         raise LinkError(f"{len(kept)} bytes, expected the {FLASH_BYTES} of a whole flash")
     flash, full = bytearray(kept), image.ljust(FLASH_BYTES, b"\xff")
-    for sector in (FLASH_BOOT, FLASH_BANK_A):
+    for sector in (FLASH_BOOT, FLASH_BANK_A, FLASH_BANK_B):
         span = slice(sector.address - FLASH_BASE, sector.address - FLASH_BASE + sector.size)
         flash[span] = full[span]
     return bytes(flash)

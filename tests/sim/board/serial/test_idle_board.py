@@ -21,6 +21,7 @@ from sim.board.serial.idle_board import TEMPERATURE_DEG_C, IdleBoard, Keeper, co
 from toolchain.contract import (
     ARMING_DELAY_MS,
     FLASH_BANK_A,
+    FLASH_BANK_B,
     FLASH_BASE,
     FLASH_BOOT,
     FLASH_BYTES,
@@ -182,7 +183,9 @@ def test_all_but_the_image_stays_when_another_image_is_flashed(image: Path) -> N
         begin = sector.address - FLASH_BASE
         flashed = new[begin : begin + sector.size].ljust(sector.size, b"\xff")
         assert flash[begin : begin + sector.size] == flashed
-    assert flash.count(0) >= FLASH_BYTES - FLASH_BOOT.size - FLASH_BANK_A.size
+    banks = FLASH_BANK_A.size + FLASH_BANK_B.size
+    assert flash[FLASH_BANK_B.address - FLASH_BASE :][: FLASH_BANK_B.size] == b"\xff" * FLASH_BANK_B.size
+    assert flash.count(0) >= FLASH_BYTES - FLASH_BOOT.size - banks
     assert with_image(new, None) == new
     with pytest.raises(LinkError, match="5 bytes, expected the 524288 of a whole flash"):
         with_image(new, b"photo")
