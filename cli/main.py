@@ -24,7 +24,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
     "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
-    "flash": ("msp",),
+    "flash": ("msp", "rescue"),
 }
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
@@ -45,6 +45,7 @@ COMMANDS = {
     "board": "run the image on an emulated board that lies still; other programs use its serial ports",
     "twin": "measure gyro noise and bias of a recording, for the aircraft file",
     "aircraft": "check and draw an aircraft file",
+    "rescue": "put an image on a board through the boot loader in its chip's ROM, whatever its flash holds",
     "msp": "ask a running firmware over MSP, change and keep its settings",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by

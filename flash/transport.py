@@ -7,7 +7,9 @@ with a line becomes a LinkError of one sentence that says how to mend it.
 from __future__ import annotations
 
 import errno
+import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +23,7 @@ from toolchain.errors import LinkError
 CONNECT_TIMEOUT_S = 3.0
 WRITE_TIMEOUT_S = 2.0
 READ_BYTES_MAX = 4096
+PSEUDO_TERMINALS = range(136, 144)  # major numbers of their devices on Linux
 
 PORT_FORMS = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0"
 
@@ -79,10 +82,13 @@ def parse_port(text: str) -> TcpPort | SerialPort:
     raise LinkError(f"port {text!r} is of no known form, expected {PORT_FORMS}")
 
 
-def open_transport(text: str) -> Transport:
-    """Open the port that `text` names. Raises LinkError when it is malformed or cannot be opened."""
+def open_transport(text: str, parity: str = "N") -> Transport:
+    """Open the port that `text` names. Raises LinkError when it is malformed or cannot be opened.
+
+    parity: of a serial port, "N" or "E"; TCP has none, and a pseudo terminal ignores it.
+    """
     port = parse_port(text)
-    return TcpTransport(port) if isinstance(port, TcpPort) else SerialTransport(port)
+    return TcpTransport(port) if isinstance(port, TcpPort) else SerialTransport(port, parity)
 
 
 def _parse_tcp(text: str, rest: str) -> TcpPort:
@@ -169,14 +175,16 @@ class TcpTransport:
 
 
 class SerialTransport:
-    """A serial port, 8N1, held for this program alone."""
+    """A serial port, 8N1 or 8E1, held for this program alone."""
 
-    def __init__(self, port: SerialPort) -> None:
+    def __init__(self, port: SerialPort, parity: str = "N") -> None:
         """Open the device. Raises LinkError when it is missing, busy, forbidden or no serial port."""
         self._name = str(port)
+        if _is_pseudo_terminal(port.device):
+            parity = "N"  # the system refuses any other
         try:
             self._serial = serial.Serial(
-                port.device, port.baud, write_timeout=WRITE_TIMEOUT_S, exclusive=True
+                port.device, port.baud, parity=parity, write_timeout=WRITE_TIMEOUT_S, exclusive=True
             )
         except (OSError, ValueError, OverflowError) as error:
             got, mend = _OPEN_FAILURES.get(getattr(error, "errno", None) or 0, _OPEN_FAILURE_UNKNOWN)
@@ -211,6 +219,15 @@ class SerialTransport:
             yield
         except (OSError, TypeError) as error:  # TypeError: pyserial's reaction to its closed handle
             raise _lost(self._name, error) from None
+
+
+def _is_pseudo_terminal(device: str) -> bool:
+    """Whether it is one of Linux: such a line carries bytes, not bits."""
+    try:
+        status = os.stat(device)  # noqa: PTH116 - whatever was written, a path or not
+    except (OSError, ValueError):
+        return False
+    return stat.S_ISCHR(status.st_mode) and os.major(status.st_rdev) in PSEUDO_TERMINALS
 
 
 _PLUG = "plug the board in and check the device's name"

@@ -1,0 +1,168 @@
+"""`neuroflight rescue`: first installation, and a board that nothing else reaches, by the chip's ROM.
+
+`neuroflight flash --rom` does the same: `add_options` and `run_rom` are for both.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolchain.contract import (
+    FLASH_BANK_A,
+    FLASH_BANK_B,
+    FLASH_BOOT,
+    FLASH_FAULT_RECORD,
+    FLASH_POLICY_SLOTS,
+    FLASH_SECTORS,
+    FLASH_SETTINGS,
+)
+from toolchain.errors import LinkError
+
+if TYPE_CHECKING:
+    from flash.rom.client import RomClient
+    from flash.rom.rescue import Plan, Progress
+
+IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.hex"
+BAUD_MIN, BAUD_MAX = 1200, 115_200  # AN3155: what the ROM measures
+WORDS = {"erase": "erasing", "write": "writing", "verify": "comparing"}
+PURPOSES = (
+    *((FLASH_BOOT, "boot part"), (FLASH_BANK_A, "bank A"), (FLASH_BANK_B, "bank B")),
+    *((sector, "settings") for sector in FLASH_SETTINGS),
+    (FLASH_FAULT_RECORD, "fault log"),
+    *((slot, "policy slot") for slot in FLASH_POLICY_SLOTS),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare image, port and options."""
+    parser.add_argument(
+        "image",
+        type=Path,
+        nargs="?",
+        default=IMAGE,
+        metavar="IMAGE",
+        help="a build's neuroflight.hex, .bin or .elf; default: build/MATEKF722/neuroflight.hex",
+    )
+    parser.add_argument(
+        "--port",
+        required=True,
+        metavar="PORT",
+        help="the adapter on UART1, such as /dev/ttyUSB0 or serial:/dev/ttyUSB0:57600; tcp:HOST:PORT",
+    )
+    add_options(parser)
+
+
+def add_options(parser: argparse._ActionsContainer) -> None:
+    """Declare what belongs to flashing by the ROM alone."""
+    parser.add_argument(
+        "--all", action="store_true", help="erase bank B as well, so that only this image is left"
+    )
+    how = parser.add_mutually_exclusive_group() if isinstance(parser, argparse.ArgumentParser) else parser
+    how.add_argument("--dry-run", action="store_true", help="find the chip and print the plan; write nothing")
+    how.add_argument("--verify-only", action="store_true", help="compare flash with the image; write nothing")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Flash by the ROM. Returns 0; raises LinkError of one line that says what was not written."""
+    return run_rom(args)
+
+
+def run_rom(args: argparse.Namespace) -> int:
+    """Likewise; `args` has image, port, all, dry_run and verify_only."""
+    from flash.rom.client import RomClient
+    from flash.rom.rescue import install, make_plan, start, verify
+    from flash.rom.segments import read_segments
+    from flash.transport import open_transport
+
+    baud = _baud(args.port)
+    plan = make_plan(read_segments(args.image), erase_bank_b=args.all)
+    with RomClient(open_transport(args.port, "E")) as client:
+        chip = client.connect()
+        print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
+        _tell(args.image, plan, baud)
+        if args.dry_run:
+            print("nothing was written")
+            return 0
+        with _progress() as progress:
+            if args.verify_only:
+                verify(client, plan, progress)
+            else:
+                _install(client, plan, progress, install)
+        if args.verify_only:
+            print(f"equal  {plan.bytes:,} bytes; nothing was written")
+            return 0
+        print(f"done   {plan.bytes:,} bytes written and read back equal", end="")
+        print(f", {client.repeated} commands repeated" if client.repeated else "")
+        _tell_start(start(client))
+    return 0
+
+
+def _install(
+    client: RomClient,
+    plan: Plan,
+    progress: Progress,
+    install: Callable[[RomClient, Plan, Progress], None],
+) -> None:
+    try:
+        install(client, plan, progress)
+    except KeyboardInterrupt:
+        raise LinkError(
+            f"{client.name}: stopped by Ctrl-C before the image was whole: the board does not start before "
+            f"this is done again"
+        ) from None
+
+
+def _tell(image: Path, plan: Plan, baud: float) -> None:
+    print(f"image  {image}, {plan.bytes:,} bytes")
+    print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
+    print(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")
+    print(f"takes  about {plan.seconds(baud):.0f} s at {baud:.0f} baud", flush=True)
+
+
+def _tell_start(started: bool) -> None:
+    if started:
+        print("start  the image runs; let BOOT go, and plug the board out and in once")
+    else:
+        print("start  let BOOT go, and plug the board out and in: the image starts then")
+
+
+def _purpose(number: int) -> str:
+    """What lies in a sector."""
+    sector = FLASH_SECTORS[number]
+    return next((what for place, what in PURPOSES if place.address == sector.address), "unused")
+
+
+def _baud(port: str) -> int:
+    """The speed that the user asks for. Raises LinkError for one that the ROM does not measure."""
+    from flash.transport import SerialPort, parse_port
+
+    parsed = parse_port(port)
+    baud = parsed.baud if isinstance(parsed, SerialPort) else BAUD_MAX
+    if not BAUD_MIN <= baud <= BAUD_MAX:
+        raise LinkError(
+            f"{port}: got {baud} baud, expected {BAUD_MIN} to {BAUD_MAX}, what the boot loader in the ROM "
+            f"measures; nothing was written"
+        )
+    return baud
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar for each of erasing, writing and comparing; nothing where nobody looks."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description:10}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def update(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(WORDS[what], total=total)
+            bars.update(tasks[what], completed=done)
+
+        yield update

@@ -1,0 +1,167 @@
+"""First installation and rescue through the chip's ROM: a plan, then its execution.
+
+Only the sectors that an image touches are erased: settings, policies and fault log stay. The boot part is
+erased first and written last, so that a board whose flashing was cut short starts nothing; it is then still
+in reach of its BOOT button, which no image can take away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from flash.rom.client import DATA_MAX, RomClient
+from flash.rom.segments import ERASED, Segment, touched_sectors
+from toolchain.contract import DTCM, FLASH_BANK_B, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_SECTORS
+from toolchain.errors import LinkError
+
+FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
+BITS_PER_BYTE = 11  # on the line: start, 8, parity, stop
+OVERHEAD_BYTES = 2 + 1 + 5 + 1 + 2 + 1  # of a write or read beside its data
+ERASE_S = {16: 0.4, 64: 1.2, 128: 2.0}  # typical, by sector size [KiB]
+PROGRAM_S = 16e-6  # a byte
+_WORD = 4
+
+Progress = Callable[[str, int, int], None]  # what is being done, how much of it, of how much
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be done to a chip."""
+
+    segments: tuple[Segment, ...]  # ascending
+    sectors: tuple[int, ...]  # to be erased, ascending
+
+    @property
+    def bytes(self) -> int:
+        """To be written."""
+        return sum(len(segment.data) for segment in self.segments)
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """Sectors that stay as they are."""
+        return tuple(number for number in range(len(FLASH_SECTORS)) if number not in self.sectors)
+
+    def seconds(self, baud: float) -> float:
+        """About how long erasing, writing and reading back take."""
+        commands = -(-self.bytes // DATA_MAX)
+        line = (self.bytes + commands * OVERHEAD_BYTES) * BITS_PER_BYTE / baud
+        erasing = sum(ERASE_S[FLASH_SECTORS[number].size >> 10] for number in self.sectors)
+        return erasing + 2 * line + self.bytes * PROGRAM_S
+
+
+def make_plan(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Plan:
+    """What putting `segments` (of `read_segments`) on a chip takes. Raises LinkError: it would not start.
+
+    erase_bank_b: so that no image there can be started in place of this one.
+    """
+    _check_boot_part(segments)
+    padded = _aligned(segments)
+    sectors = set(touched_sectors(padded))
+    if erase_bank_b:
+        sectors.add(FLASH_SECTORS.index(FLASH_BANK_B))
+    return Plan(padded, tuple(sorted(sectors)))
+
+
+def install(client: RomClient, plan: Plan, progress: Progress = lambda what, done, total: None) -> None:
+    """Erase, write and read back. Raises LinkError of one line that says how far it came.
+
+    The chip must have been found by `client.connect`. Nothing is started.
+    """
+    erased: list[int] = []
+    written = 0
+    try:
+        for number in plan.sectors:
+            progress("erase", len(erased), len(plan.sectors))
+            client.erase(number)
+            erased.append(number)
+        progress("erase", len(erased), len(plan.sectors))
+        for segment in reversed(plan.segments):
+            for address, data in _pieces(segment):
+                progress("write", written, plan.bytes)
+                client.write(address, data)
+                written += len(data)
+        progress("write", written, plan.bytes)
+    except LinkError as error:
+        raise type(error)(f"{error}; {_state(plan, erased, written)}") from None
+    verify(client, plan, progress)
+
+
+def verify(client: RomClient, plan: Plan, progress: Progress = lambda what, done, total: None) -> None:
+    """Read back what the plan writes and compare. Raises LinkError with the first difference."""
+    compared = different = 0
+    first: int | None = None
+    for segment in plan.segments:
+        for address, data in _pieces(segment):
+            progress("verify", compared, plan.bytes)
+            try:
+                found = client.read(address, len(data))
+            except LinkError as error:
+                raise type(error)(
+                    f"{error}; {compared} of {plan.bytes} bytes are compared, the others are not"
+                ) from None
+            wrong = [i for i, (got, wanted) in enumerate(zip(found, data, strict=True)) if got != wanted]
+            if wrong and first is None:
+                first = address + wrong[0]
+            different += len(wrong)
+            compared += len(data)
+    progress("verify", compared, plan.bytes)
+    if first is not None:
+        raise LinkError(
+            f"{client.name}: {different} of {plan.bytes} bytes in flash differ from the image, the first at "
+            f"0x{first:08X}; flash it again, and if that stays, a sector is write-protected or worn"
+        )
+
+
+def start(client: RomClient) -> bool:
+    """Start what is in flash. Returns whether the ROM has agreed; if not, power without BOOT does it."""
+    return client.go(FLASH_BOOT.address)
+
+
+def _state(plan: Plan, erased: Sequence[int], written: int) -> str:
+    """How far a flashing that failed has come."""
+    if not erased:
+        return "nothing was written"
+    numbers = ", ".join(map(str, erased))
+    return (
+        f"sector {numbers} erased, {written} of {plan.bytes} bytes written, none compared: the board does "
+        f"not start before this is done again"
+    )
+
+
+def _check_boot_part(segments: Sequence[Segment]) -> None:
+    """An image whose vectors would not start leaves a board that only its BOOT button reaches."""
+    first = segments[0]
+    if first.address != FLASH_BASE or len(first.data) < 2 * _WORD:
+        raise LinkError(
+            f"the image begins at 0x{first.address:08X}, expected a boot part at 0x{FLASH_BASE:08X}: it "
+            f"would not start; nothing was written; take neuroflight.hex, .bin or .elf of a build"
+        )
+    stack, reset = (int.from_bytes(first.data[i : i + _WORD], "little") for i in (0, _WORD))
+    in_flash = any(0 < reset - base < FLASH_BYTES for base in (FLASH_BASE, FLASH_ALIAS))
+    if not (DTCM.address < stack <= DTCM.address + 256 * 1024 and stack % 8 == 0 and in_flash and reset & 1):
+        raise LinkError(
+            f"the image begins with stack 0x{stack:08X} and reset 0x{reset:08X}, expected vectors of an "
+            f"STM32F722's program; nothing was written; it is no image of this board"
+        )
+
+
+def _aligned(segments: Iterable[Segment]) -> tuple[Segment, ...]:
+    """From word to word, as the ROM writes; what is added is erased."""
+    filler = bytes([ERASED])
+    aligned: list[Segment] = []
+    for segment in segments:
+        address = segment.address - segment.address % _WORD
+        data = (segment.address - address) * filler + segment.data
+        if aligned and address < aligned[-1].end:  # both have bytes in one word
+            before = aligned.pop()
+            kept = before.data[: segment.address - before.address]
+            address, data = before.address, kept + segment.data
+        aligned.append(Segment(address, data + -len(data) % _WORD * filler))
+    return tuple(aligned)
+
+
+def _pieces(segment: Segment) -> list[tuple[int, bytes]]:
+    """Address and at most 256 bytes each."""
+    data, address = segment.data, segment.address
+    return [(address + i, data[i : i + DATA_MAX]) for i in range(0, len(data), DATA_MAX)]
