@@ -81,26 +81,32 @@ class RomClient:
 
     def connect(self) -> Chip:
         """Find the boot loader. Raises NoBootLoaderError: silence, somebody else, or another chip."""
+        try:
+            return self._introduce()
+        except LinkError as error:
+            raise NoBootLoaderError(f"{error}; nothing was written") from None
+
+    def _introduce(self) -> Chip:
         heard = self._synchronise()
         if heard is not None:
             raise NoBootLoaderError(
-                f"{self.name}: {_describe(heard)}, expected the boot loader of the chip's ROM: is the "
-                f"board in it? Hold BOOT while it gets power; check TX, RX and ground; nothing was written"
+                f"{self.name}: {_describe(heard)}, expected the boot loader of the chip's ROM: is the board "
+                f"in it? Hold BOOT while it gets power; check TX, RX and ground"
             )
-        commands = self._try("tell its commands", self._commands, GET)
-        missing = [f"0x{code:02X}" for code in NEEDED if code not in commands[1:]]
-        if missing:
+        version, *commands = self._ask("tell its commands", GET, lambda answer: not _missing(answer[1:]))
+        if missing := _missing(bytes(commands)):
             raise NoBootLoaderError(
-                f"{self.name}: a boot loader without the command {', '.join(missing)}, expected that of an "
-                f"STM32F722; it is another board"
+                f"{self.name}: a boot loader without the command {missing}, expected that of an STM32F722; "
+                f"it is another board"
             )
-        product = int.from_bytes(self._try("tell its chip", self._commands, GET_ID), "big")
+        raw = self._ask("tell its chip", GET_ID, lambda answer: answer == PRODUCT_ID.to_bytes(2, "big"))
+        product = int.from_bytes(raw, "big")
         if product != PRODUCT_ID:
             raise NoBootLoaderError(
                 f"{self.name}: the boot loader of chip 0x{product:03X}, expected 0x{PRODUCT_ID:03X}, an "
                 f"STM32F72x; it is another board"
             )
-        return Chip(product, commands[0])
+        return Chip(product, version)
 
     def read(self, address: int, size: int) -> bytes:
         """At most 256 bytes from `address` on. Raises RefusedError for a protected chip, LinkError."""
@@ -181,8 +187,13 @@ class RomClient:
 
     # ---- several ----
 
+    def _ask(self, what: str, command: int, is_right: Callable[[bytes], bool]) -> bytes:
+        """What `command` answers. It carries no checksum: what is not right is asked for once more."""
+        answer = self._try(what, self._commands, command)
+        return answer if is_right(answer) else self._try(what, self._commands, command)
+
     def _try(self, what: str, command: Callable[..., bytes], *arguments: object) -> bytes:
-        """Do `command` until it succeeds, TRIES times at most. Raises LinkError that says what was not done."""
+        """Do `command` until it succeeds, TRIES times at most. Raises LinkError: `what` was not done."""
         failure = _LineError("")
         for tried in range(TRIES):
             self.repeated += tried > 0
@@ -229,6 +240,11 @@ class RomClient:
             if len(heard) > DRAIN_BYTES_MAX or self._clock() > end:
                 break
         return heard
+
+
+def _missing(commands: bytes) -> str:
+    """Those that flashing needs and that are not among `commands`, as text; "" where there is none."""
+    return ", ".join(f"0x{code:02X}" for code in NEEDED if code not in commands)
 
 
 def _with_complement(value: int) -> bytes:

@@ -96,6 +96,8 @@ def verify(client: RomClient, plan: Plan, progress: Progress = lambda what, done
             progress("verify", compared, plan.bytes)
             try:
                 found = client.read(address, len(data))
+                if found != data:  # what is read carries no checksum: it may have been the line
+                    found = client.read(address, len(data))
             except LinkError as error:
                 raise type(error)(
                     f"{error}; {compared} of {plan.bytes} bytes are compared, the others are not"

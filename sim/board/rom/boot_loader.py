@@ -61,7 +61,7 @@ class Stage(Enum):
 class BootLoader:
     """The program in the ROM. Its state goes into snapshots beside USART1's."""
 
-    _kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start")
+    _kept = ("stage", "_state", "_sending", "_sectors", "_address", "_data", "_answers", "_start", "_waits")
 
     def __init__(self, engine: Engine, rcc: Rcc, flash: Flash, usart: Usart, iwdg: Iwdg) -> None:
         """To be made after the devices that it uses, whose alarms then go first."""
@@ -97,6 +97,7 @@ class BootLoader:
         self._sectors: tuple[int, ...] = ()  # still to be erased
         self._address, self._data = 0, b""  # still to be programmed
         self._answers = False  # ACK is due when nothing is left to erase and to program
+        self._waits = False  # for the alarm that makes it go on
         self._start: int | None = None  # address to start from when the answer has gone
 
     def _enter(self) -> None:
@@ -189,9 +190,7 @@ class BootLoader:
 
     @property
     def _busy(self) -> bool:
-        return bool(
-            self._sending or self._sectors or self._data or self._answers or self._next.due is not None
-        )
+        return bool(self._waits or self._sending or self._sectors or self._data or self._answers)
 
     def _act(self, action: Action) -> None:
         match action:
@@ -215,6 +214,7 @@ class BootLoader:
 
     def _go_on(self) -> None:
         """The next byte to send, the next sector to erase or the next bytes to program."""
+        self._waits = False
         if self._sectors:
             self._erase_next()
         elif self._data:
@@ -226,7 +226,7 @@ class BootLoader:
         elif self._sending:
             self._usart.write_tdr(self._sending[0])
             self._sending = self._sending[1:]
-            self._next.set(self._engine.cycle + self._usart.format.byte_cycles)
+            self._set_alarm(self._engine.cycle + self._usart.format.byte_cycles)
         elif self._start is not None:
             self._start_program(self._start)
         else:
@@ -253,7 +253,9 @@ class BootLoader:
         raw, self._data = self._data[:size], self._data[size:]
         self._address += size
         old = int.from_bytes(self._engine.memory(address, size), "little")
-        flash.write_cr(flash.mask("CR", "PG") | (size.bit_length() - 1) << self._field_lsb("PSIZE"))
+        programming = flash.mask("CR", "PG") | (size.bit_length() - 1) << self._field_lsb("PSIZE")
+        if flash.words["CR"] != programming:
+            flash.write_cr(programming)
         flash.program(address, size, int.from_bytes(raw, "little") & old)
         self._wait()
 
@@ -263,7 +265,11 @@ class BootLoader:
 
     def _wait(self) -> None:
         until = self._flash.busy_until
-        self._next.set(self._engine.cycle if until is None else until)
+        self._set_alarm(self._engine.cycle if until is None else until)
+
+    def _set_alarm(self, cycle: int) -> None:
+        self._waits = True
+        self._next.set(cycle)
 
     def _field_lsb(self, field: str) -> int:
         return self._flash.block.registers["CR"].fields[field].lsb

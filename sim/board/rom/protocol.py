@@ -10,7 +10,7 @@ chip or lock it, which nobody should try out unknowingly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, auto
 from functools import reduce
 from operator import xor
@@ -101,7 +101,7 @@ ACCEPTED, REFUSED = Send(bytes([ACK])), Send(bytes([NACK]))
 
 def feed(state: State, byte: int) -> tuple[State, Action | None]:
     """The state behind `byte`, and what is to be done now, if anything."""
-    state = replace(state, taken=state.taken + bytes([byte]))
+    state = State(state.step, state.command, state.address, state.count, state.taken + bytes([byte]))
     if len(state.taken) < _wanted(state):
         return state, None
     return _COMPLETE[state.step](state)
