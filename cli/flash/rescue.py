@@ -74,16 +74,22 @@ def run(args: argparse.Namespace) -> int:
 def run_rom(args: argparse.Namespace) -> int:
     """Likewise; `args` has image, port, all, dry_run and verify_only."""
     from flash.rom.client import RomClient
+    from flash.rom.image_check import check_image
     from flash.rom.rescue import install, make_plan, start, verify
     from flash.rom.segments import read_segments
     from flash.transport import open_transport
 
     baud = _baud(args.port)
-    plan = make_plan(read_segments(args.image), erase_bank_b=args.all)
+    segments = read_segments(args.image)
+    try:
+        facts = check_image(segments)
+    except LinkError as error:
+        raise LinkError(f"{args.image}: {error}") from None
+    plan = make_plan(segments, erase_bank_b=args.all)
     with RomClient(open_transport(args.port, "E")) as client:
         chip = client.connect()
         print(f"chip   0x{chip.product_id:03X}, boot loader in its ROM, on {client.name}")
-        _tell(args.image, plan, baud)
+        _tell(f"{args.image}, {facts}", plan, baud)
         if args.dry_run:
             print("nothing was written")
             return 0
@@ -116,7 +122,7 @@ def _install(
         ) from None
 
 
-def _tell(image: Path, plan: Plan, baud: float) -> None:
+def _tell(image: str, plan: Plan, baud: float) -> None:
     print(f"image  {image}, {plan.bytes:,} bytes")
     print(f"erase  {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.sectors)}")
     print(f"keep   {'; '.join(f'sector {n} ({_purpose(n)})' for n in plan.kept)}")

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 from flash.rom.client import DATA_MAX, RomClient
 from flash.rom.segments import ERASED, Segment, touched_sectors
-from toolchain.contract import DTCM, FLASH_BANK_B, FLASH_BASE, FLASH_BOOT, FLASH_BYTES, FLASH_SECTORS
+from toolchain.contract import FLASH_BANK_B, FLASH_BOOT, FLASH_SECTORS
 from toolchain.errors import LinkError
 
-FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
 BITS_PER_BYTE = 11  # on the line: start, 8, parity, stop
 OVERHEAD_BYTES = 2 + 1 + 5 + 1 + 2 + 1  # of a write or read beside its data
 ERASE_S = {16: 0.4, 64: 1.2, 128: 2.0}  # typical, by sector size [KiB]
@@ -51,11 +50,10 @@ class Plan:
 
 
 def make_plan(segments: Sequence[Segment], *, erase_bank_b: bool = False) -> Plan:
-    """What putting `segments` (of `read_segments`) on a chip takes. Raises LinkError: it would not start.
+    """What putting `segments` on a chip takes: those of `read_segments`, which `check_image` has accepted.
 
     erase_bank_b: so that no image there can be started in place of this one.
     """
-    _check_boot_part(segments)
     padded = _aligned(segments)
     sectors = set(touched_sectors(padded))
     if erase_bank_b:
@@ -129,23 +127,6 @@ def _state(plan: Plan, erased: Sequence[int], written: int) -> str:
         f"sector {numbers} erased, {written} of {plan.bytes} bytes written, none compared: the board does "
         f"not start before this is done again"
     )
-
-
-def _check_boot_part(segments: Sequence[Segment]) -> None:
-    """An image whose vectors would not start leaves a board that only its BOOT button reaches."""
-    first = segments[0]
-    if first.address != FLASH_BASE or len(first.data) < 2 * _WORD:
-        raise LinkError(
-            f"the image begins at 0x{first.address:08X}, expected a boot part at 0x{FLASH_BASE:08X}: it "
-            f"would not start; nothing was written; take neuroflight.hex, .bin or .elf of a build"
-        )
-    stack, reset = (int.from_bytes(first.data[i : i + _WORD], "little") for i in (0, _WORD))
-    in_flash = any(0 < reset - base < FLASH_BYTES for base in (FLASH_BASE, FLASH_ALIAS))
-    if not (DTCM.address < stack <= DTCM.address + 256 * 1024 and stack % 8 == 0 and in_flash and reset & 1):
-        raise LinkError(
-            f"the image begins with stack 0x{stack:08X} and reset 0x{reset:08X}, expected vectors of an "
-            f"STM32F722's program; nothing was written; it is no image of this board"
-        )
 
 
 def _aligned(segments: Iterable[Segment]) -> tuple[Segment, ...]:

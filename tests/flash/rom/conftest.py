@@ -62,7 +62,7 @@ def rig() -> Iterator[Callable[..., Rig]]:
     boards = []
 
     def make(flash: bytes = b"") -> Rig:
-        boards.append(IdleBoard(flash, boot_button=True))
+        boards.append(IdleBoard(flash, boot_button=True, newly_installed=True))
         boards[-1].boot()
         return Rig(boards[-1])
 
@@ -75,7 +75,7 @@ class Served:
     """A chip whose UART1 other programs reach at `end`; it runs as fast as it can, in a thread of its own."""
 
     def __init__(self, end: End, flash: bytes = b"") -> None:
-        self.idle = IdleBoard(flash, boot_button=True)
+        self.idle = IdleBoard(flash, boot_button=True, newly_installed=True)
         self.idle.boot()
         self._bridge = Bridge(UartLine(self.idle.board, "USART1", Format(BAUD)), end)
         self._ended = threading.Event()

@@ -16,7 +16,6 @@ from sim.board.peripherals.flash import Cut
 from tests.flash.rom.conftest import BANK, BOOT, SMALL, Rig, flash_with
 from toolchain.contract import (
     FLASH_BANK_A,
-    FLASH_BANK_B,
     FLASH_BASE,
     FLASH_BYTES,
     FLASH_SECTORS,
@@ -312,29 +311,6 @@ def test_the_line_is_told_when_the_board_is_gone_amid_writing(rig: Callable[...,
     assert "sector 0, 5 erased, " in line and "none compared" in line and "silence" in line
     put(chip.client())
     assert chip.idle.flash()[: len(BOOT)] == BOOT
-
-
-# --- Images that would not start -----------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("segments", "said"),
-    [
-        ((Segment(FLASH_BANK_A.address, BANK),), "expected a boot part"),
-        ((Segment(FLASH_BASE + 4, BOOT),), "expected a boot part"),
-        ((Segment(FLASH_BASE, b"abcd"),), "expected a boot part"),
-        ((Segment(FLASH_BASE, bytes(64)),), "stack 0x00000000"),
-        ((Segment(FLASH_BASE, b"random data, " * 9),), "expected vectors"),
-        ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("40000008") + BOOT[8:]),), "reset 0x08000040"),
-        ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("01000020") + BOOT[8:]),), "reset 0x20000001"),
-    ],
-)
-def test_image_is_refused_when_it_would_not_start(segments: tuple[Segment, ...], said: str) -> None:
-    with pytest.raises(LinkError, match="nothing was written") as caught:
-        make_plan(segments)
-    assert said in str(caught.value)
-
-
-def test_bank_b_is_a_sector_of_its_own() -> None:
-    assert FLASH_SECTORS[6] == FLASH_BANK_B
 
 
 def test_nobody_is_written_to_before_he_is_known() -> None:

@@ -1,0 +1,112 @@
+"""Whether an image would start on this board: its vectors, its header, its checksum."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flash.rom.segments import ERASED, Segment
+from toolchain.contract import (
+    DTCM,
+    FLASH_BANKS,
+    FLASH_BASE,
+    FLASH_BYTES,
+    IMAGE_FIELDS,
+    IMAGE_HEADER_FORMAT,
+    IMAGE_HEADER_OFFSET,
+    IMAGE_LAYOUT,
+    IMAGE_MAGIC,
+    Region,
+)
+from toolchain.errors import LinkError
+
+BOARD = "MATEKF722"
+FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
+_RAM_BYTES = 256 * 1024  # from DTCM on, without a gap
+_WORD = 4
+_NAMES = [field.name for field in IMAGE_FIELDS]
+_CRC_OFFSET = IMAGE_HEADER_OFFSET + struct.calcsize(
+    "<" + "".join(field.format for field in IMAGE_FIELDS[: _NAMES.index("crc")])
+)
+
+
+@dataclass(frozen=True)
+class ImageFacts:
+    """What an image says of itself."""
+
+    board: str
+    bank: int  # 0: A, 1: B
+    version: str
+    build: bytes  # the same in both banks of a build
+
+    def __str__(self) -> str:
+        return f"{self.board} {self.version}, build {self.build.hex()}, bank {'AB'[self.bank]}"
+
+
+def check_image(segments: Sequence[Segment]) -> ImageFacts:
+    """The facts of an image of boot part and bank. Raises LinkError of one line: why it would not start."""
+    _check_boot_part(segments)
+    for number, bank in enumerate(FLASH_BANKS):
+        content = _content(segments, bank)
+        if content:
+            return _check_bank(number, content)
+    raise LinkError(
+        "the image is a boot part without a bank, expected both; nothing was written; take neuroflight.hex, "
+        ".bin or .elf of a build"
+    )
+
+
+def _check_boot_part(segments: Sequence[Segment]) -> None:
+    first = segments[0]
+    if first.address != FLASH_BASE or len(first.data) < 2 * _WORD:
+        raise LinkError(
+            f"the image begins at 0x{first.address:08X}, expected a boot part at 0x{FLASH_BASE:08X}: it "
+            f"would not start; nothing was written; take neuroflight.hex, .bin or .elf of a build"
+        )
+    stack, reset = (int.from_bytes(first.data[i : i + _WORD], "little") for i in (0, _WORD))
+    in_flash = any(0 < reset - base < FLASH_BYTES for base in (FLASH_BASE, FLASH_ALIAS))
+    if not (DTCM.address < stack <= DTCM.address + _RAM_BYTES and stack % 8 == 0 and in_flash and reset & 1):
+        raise LinkError(
+            f"the image begins with stack 0x{stack:08X} and reset 0x{reset:08X}, expected vectors of an "
+            f"STM32F722's program; nothing was written; it is no image of this board"
+        )
+
+
+def _check_bank(number: int, content: bytes) -> ImageFacts:
+    head = content[IMAGE_HEADER_OFFSET : IMAGE_HEADER_OFFSET + struct.calcsize(IMAGE_HEADER_FORMAT)]
+    if len(head) < struct.calcsize(IMAGE_HEADER_FORMAT):
+        _refuse(number, "is too short for a header")
+    magic, layout, bank, _, size, crc, _, version, build, board = struct.unpack(IMAGE_HEADER_FORMAT, head)
+    if magic != IMAGE_MAGIC:
+        _refuse(number, "has no header of Neuroflight; stm32flash and dfu-util write other firmware")
+    name = board.rstrip(b"\0").decode("ascii", "replace")
+    if name != BOARD:
+        _refuse(number, f"is for the board {name!r}, expected {BOARD!r}")
+    if layout != IMAGE_LAYOUT or bank != number:
+        _refuse(number, f"has layout {layout} and bank {bank}, expected {IMAGE_LAYOUT} and {number}")
+    image = content[:size]
+    if not _CRC_OFFSET + _WORD < size <= len(content):
+        _refuse(number, f"has {len(content)} bytes, expected the {size} that its header says")
+    found = zlib.crc32(image[_CRC_OFFSET + _WORD :], zlib.crc32(image[:_CRC_OFFSET]))
+    if found != crc:
+        _refuse(number, f"has CRC-32 {found:08x}, expected {crc:08x} as its header says: it is damaged")
+    return ImageFacts(name, bank, ".".join(map(str, version[:3])), build)
+
+
+def _refuse(number: int, why: str) -> None:
+    raise LinkError(f"the image for bank {'AB'[number]} {why}; nothing was written")
+
+
+def _content(segments: Sequence[Segment], region: Region) -> bytes:
+    """What the segments put into a region from its begin on; b"" for nothing."""
+    content = bytearray([ERASED]) * region.size
+    end = 0
+    for segment in segments:
+        if segment.address < region.address + region.size and region.address < segment.end:
+            start = max(segment.address, region.address)
+            data = segment.data[start - segment.address : region.address + region.size - segment.address]
+            content[start - region.address : start - region.address + len(data)] = data
+            end = max(end, start - region.address + len(data))
+    return bytes(content[:end])

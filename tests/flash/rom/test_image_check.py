@@ -1,0 +1,81 @@
+"""Whether an image would start: its boot part, its header, its checksum."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flash.rom.image_check import check_image
+from flash.rom.segments import Segment, read_segments
+from tests.flash.rom.conftest import BANK, BOOT
+from toolchain.contract import FLASH_BANK_A, FLASH_BANK_B, FLASH_BASE, IMAGE_HEADER_OFFSET
+from toolchain.errors import LinkError
+
+BOARD_OFFSET = IMAGE_HEADER_OFFSET + 32
+
+
+def refusal(segments: tuple[Segment, ...]) -> str:
+    with pytest.raises(LinkError, match="nothing was written") as caught:
+        check_image(segments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture
+def image(board_image: Path) -> tuple[Segment, ...]:
+    return read_segments(board_image.with_suffix(".hex"))
+
+
+def changed(image: tuple[Segment, ...], at: int, data: bytes) -> tuple[Segment, ...]:
+    """With other bytes at `at` of its bank."""
+    boot, bank = image
+    return boot, Segment(bank.address, bank.data[:at] + data + bank.data[at + len(data) :])
+
+
+@pytest.mark.parametrize("suffix", [".hex", ".bin", ".elf"])
+def test_an_image_of_the_build_is_accepted(board_image: Path, suffix: str) -> None:
+    facts = check_image(read_segments(board_image.with_suffix(suffix)))
+    assert (facts.board, facts.bank, facts.version) == ("MATEKF722", 0, "0.1.0")
+    assert str(facts) == f"MATEKF722 0.1.0, build {facts.build.hex()}, bank A"
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [
+        ((Segment(FLASH_BANK_A.address, BANK),), "expected a boot part"),
+        ((Segment(FLASH_BASE + 4, BOOT),), "expected a boot part"),
+        ((Segment(FLASH_BASE, b"abcd"),), "expected a boot part"),
+        ((Segment(FLASH_BASE, bytes(64)),), "stack 0x00000000"),
+        ((Segment(FLASH_BASE, b"random data, " * 9),), "expected vectors"),
+        ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("40000008") + BOOT[8:]),), "reset 0x08000040"),
+        ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("01000020") + BOOT[8:]),), "reset 0x20000001"),
+        ((Segment(FLASH_BASE, BOOT),), "a boot part without a bank"),
+        ((Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, BANK)), "too short for a header"),
+        ((Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, bytes(1024))), "no header of Neuroflight"),
+    ],
+)
+def test_image_is_refused_when_it_would_not_start(segments: tuple[Segment, ...], said: str) -> None:
+    assert said in refusal(segments)
+
+
+def test_image_is_refused_when_it_is_of_another_board(image: tuple[Segment, ...]) -> None:
+    assert image[1].data[BOARD_OFFSET:].startswith(b"MATEKF722\0")
+    assert "for the board 'OMNIBUSF4', expected" in refusal(changed(image, BOARD_OFFSET, b"OMNIBUSF4"))
+
+
+def test_image_is_refused_when_it_is_linked_for_the_other_bank(image: tuple[Segment, ...]) -> None:
+    boot, bank = image
+    assert "bank 0, expected 1 and 1" in refusal((boot, Segment(FLASH_BANK_B.address, bank.data)))
+
+
+def test_image_is_refused_when_any_of_its_bytes_is_another(image: tuple[Segment, ...]) -> None:
+    size = len(image[1].data)
+    for at in (0, 4, 100, BOARD_OFFSET - 20, 5000, size // 2, size - 8):
+        refusal(changed(image, at, bytes([image[1].data[at] ^ 1])))
+
+
+def test_image_is_refused_when_it_is_cut_short(image: tuple[Segment, ...]) -> None:
+    boot, bank = image
+    for size in (IMAGE_HEADER_OFFSET + 48, 1000, len(bank.data) - 4):
+        assert "expected the" in refusal((boot, Segment(bank.address, bank.data[:size])))
