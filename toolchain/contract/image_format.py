@@ -8,6 +8,10 @@ power leaves the old state or the new one.
 
 from __future__ import annotations
 
+import struct
+import zlib
+from dataclasses import dataclass
+
 from toolchain.contract.policy_format import HeaderField
 
 __all__ = [
@@ -25,6 +29,10 @@ __all__ = [
     "IMAGE_STATE_FIELDS",
     "IMAGE_STATE_FORMAT",
     "IMAGE_TAIL_BYTES",
+    "ImageHeader",
+    "image_checksum",
+    "image_field_offset",
+    "image_header",
 ]
 IMAGE_MAGIC = 0x4D49464E  # "NFIM"
 IMAGE_LAYOUT = 1  # of header, state and flash map; a boot part and an image with another one do not fit
@@ -72,3 +80,52 @@ IMAGE_STATE_FIELDS = (
 )
 IMAGE_STATE_FORMAT = "<" + "".join(field.format for field in IMAGE_STATE_FIELDS)
 IMAGE_TAIL_BYTES = 128  # of the bank, its last: they begin with the state
+
+
+def image_field_offset(name: str) -> int:
+    """Where a field of the header begins, from the bank's begin [bytes]."""
+    names = [field.name for field in IMAGE_FIELDS]
+    before = "<" + "".join(field.format for field in IMAGE_FIELDS[: names.index(name)])
+    return IMAGE_HEADER_OFFSET + struct.calcsize(before)
+
+
+def image_checksum(image: bytes | bytearray) -> int:
+    """The CRC-32 of an image, from its bank's begin to its end, as its header has it."""
+    at = image_field_offset("crc")
+    return zlib.crc32(image[at + 4 :], zlib.crc32(image[:at]))
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image says about itself. Nothing of it is checked but that it begins as a header does."""
+
+    layout: int
+    bank: int
+    image_bytes: int
+    crc: int
+    version: str  # major.minor.patch
+    build: bytes
+    board: str  # whatever is not printable shows as ?
+    raw: bytes  # as it lies in flash
+
+
+def image_header(image: bytes | bytearray) -> ImageHeader | None:
+    """The header of an image, given from its bank's begin; None: there is none."""
+    end = IMAGE_HEADER_OFFSET + struct.calcsize(IMAGE_HEADER_FORMAT)
+    if len(image) < end:
+        return None
+    values = struct.unpack_from(IMAGE_HEADER_FORMAT, image, IMAGE_HEADER_OFFSET)
+    told = dict(zip((field.name for field in IMAGE_FIELDS), values, strict=True))
+    if told["magic"] != IMAGE_MAGIC:
+        return None
+    board = told["board"].partition(b"\0")[0].decode("latin-1")
+    return ImageHeader(
+        layout=told["layout"],
+        bank=told["bank"],
+        image_bytes=told["image_bytes"],
+        crc=told["crc"],
+        version=".".join(str(part) for part in told["version"][:3]),
+        build=told["build"],
+        board="".join(c if " " <= c <= "~" else "?" for c in board),
+        raw=bytes(image[IMAGE_HEADER_OFFSET:end]),
+    )

@@ -31,13 +31,14 @@ from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
 from toolchain.errors import BuildError, PolicyError
 from toolchain.files import locked, replacing, write_text, write_text_if_changed
 from toolchain.image.elf import FLASH, RAM, image_budgets, memory_use, read_image
-from toolchain.image.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage
+from toolchain.image.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage, bank_images
 from toolchain.policy.model import PolicyModel, read_policy
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
 BOARD_MEMORY = (*RAM, FLASH)
+NFI = "neuroflight.nfi"  # both banks' images, one behind the other
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
 NO_STACK = "the operating system gives this program its stack"
@@ -75,7 +76,7 @@ TARGETS = {
             packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
             products=(
                 *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
-                *("neuroflight-b.elf", "neuroflight.nfi"),
+                *("neuroflight-b.elf", NFI),
             ),
             has_board_memory=True,
         ),
@@ -144,6 +145,7 @@ def build(
             budgets=image_budgets(image) if known.has_board_memory else (),
             stack=stack,
             stack_reason=no_stack,
+            images=bank_images((out / NFI).read_bytes()) if NFI in known.products else (),
         )
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
     return report

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.contract import IDLE_MAX
+from toolchain.contract import FLASH_BANKS, IDLE_MAX, image_header
 from toolchain.cortex_m7.cycles import CORE_HZ
 from toolchain.cortex_m7.stack_use import StackUse
 from toolchain.errors import BuildError
@@ -68,6 +68,28 @@ class OutputFile:
 
 
 @dataclass(frozen=True)
+class BankImage:
+    """The image for one bank of a board: what a board that runs it tells."""
+
+    bank: str  # A or B
+    build: str  # 16 hexadecimal digits, the same for both banks
+    version: str
+    bytes: int
+    sha256: str
+
+
+def bank_images(content: bytes) -> tuple[BankImage, ...]:
+    """Those that a neuroflight.nfi holds, one behind the other."""
+    found: list[BankImage] = []
+    while (header := image_header(content)) is not None and header.image_bytes > 0:
+        image, content = content[: header.image_bytes], content[header.image_bytes :]
+        sha256 = hashlib.sha256(image).hexdigest()
+        bank = "AB"[header.bank] if header.bank < len(FLASH_BANKS) else str(header.bank)
+        found.append(BankImage(bank, header.build.hex(), header.version, len(image), sha256))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
 class BuildReport:
     """All that is known of a finished build."""
 
@@ -84,6 +106,7 @@ class BuildReport:
     budgets: tuple[MemoryUse, ...] = ()  # of the image's flash and RAM; empty on the host
     stack: StackUse | None = None  # at its deepest, by analysis
     stack_reason: str | None = None  # why it is not known
+    images: tuple[BankImage, ...] = ()  # one for each bank; none on the host
 
     def document(self) -> dict[str, object]:
         """The content of report.json."""
@@ -180,6 +203,9 @@ def print_report(report: BuildReport, console: Console) -> None:
     if report.memory:
         sections = " · ".join(f"{section.name} {section.size:,}" for section in report.sections)
         table.add_row("", "sections", sections)
+    if report.images:
+        first = report.images[0]
+        table.add_row("build", first.build, f"version {first.version}, as the board tells it")
     for index, file in enumerate(report.files):
         table.add_row("" if index else "files", f"{file.size:,} bytes", file.path)
     console.print(table)

@@ -11,7 +11,6 @@ import argparse
 import hashlib
 import struct
 import sys
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +21,9 @@ from elftools.elf.elffile import ELFFile
 from toolchain.contract import (
     FLASH_BANKS,
     IMAGE_BUILD_BYTES,
-    IMAGE_FIELDS,
-    IMAGE_HEADER_FORMAT,
-    IMAGE_HEADER_OFFSET,
-    IMAGE_MAGIC,
+    image_checksum,
+    image_field_offset,
+    image_header,
 )
 from toolchain.errors import BuildError, NeuroflightError
 
@@ -37,19 +35,6 @@ class _Span:
     offset: int
     position: int
     size: int
-
-
-def field_offset(name: str) -> int:
-    """Where a field of the header begins, from the bank's begin [bytes]."""
-    names = [field.name for field in IMAGE_FIELDS]
-    before = "<" + "".join(field.format for field in IMAGE_FIELDS[: names.index(name)])
-    return IMAGE_HEADER_OFFSET + struct.calcsize(before)
-
-
-def checksum(image: bytes | bytearray) -> int:
-    """The CRC-32 of an image, from its bank's begin to its end, as its header has it."""
-    at = field_offset("crc")
-    return zlib.crc32(image[at + 4 :], zlib.crc32(image[:at]))
 
 
 def stamp(path: Path, build_of: Path | None = None) -> None:
@@ -67,10 +52,10 @@ def stamp(path: Path, build_of: Path | None = None) -> None:
         _put(image, "crc", bytes(4))
         build = hashlib.sha256(image).digest()[:IMAGE_BUILD_BYTES]
     else:
-        at = field_offset("build")
+        at = image_field_offset("build")
         build = bytes(_image(build_of.read_bytes(), _spans(build_of)[1])[at : at + IMAGE_BUILD_BYTES])
     _put(image, "build", build)
-    _put(image, "crc", struct.pack("<I", checksum(image)))
+    _put(image, "crc", struct.pack("<I", image_checksum(image)))
     for span in spans:
         file[span.position : span.position + span.size] = image[span.offset : span.offset + span.size]
     path.write_bytes(file)
@@ -119,11 +104,11 @@ def _image(file: bytes | bytearray, spans: tuple[_Span, ...]) -> bytearray:
 
 
 def _check(path: Path, image: bytearray, spans: tuple[_Span, ...]) -> None:
-    values = struct.unpack_from(IMAGE_HEADER_FORMAT, image, IMAGE_HEADER_OFFSET)
-    header = dict(zip((field.name for field in IMAGE_FIELDS), values, strict=True))
-    if header["magic"] != IMAGE_MAGIC or header["image_bytes"] != len(image):
+    header = image_header(image)
+    if header is None or header.image_bytes != len(image):
+        told = "it has no header" if header is None else f"its header says {header.image_bytes} bytes"
         raise BuildError(
-            f"cannot stamp {path}: its header says {header['image_bytes']} bytes, it has {len(image)}; "
+            f"cannot stamp {path}: {told}, it has {len(image)} bytes; "
             "the linker script puts something behind image_end"
         )
     if sum(span.size for span in spans) != len(image):
@@ -134,7 +119,7 @@ def _check(path: Path, image: bytearray, spans: tuple[_Span, ...]) -> None:
 
 
 def _put(image: bytearray, name: str, value: bytes) -> None:
-    at = field_offset(name)
+    at = image_field_offset(name)
     image[at : at + len(value)] = value
 
 

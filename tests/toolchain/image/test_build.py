@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import MOTOR_COUNT_MAX
+from toolchain.contract import MOTOR_COUNT_MAX, image_header
 from toolchain.cortex_m7.llvm_mca import find_pricer
 from toolchain.errors import BuildError, NeuroflightError, PolicyError
 from toolchain.image.build import TARGETS, MakeError, build, check_fit
@@ -288,3 +289,18 @@ def test_board_image_and_host_program_are_what_the_targets_promise(
     if find_pricer():
         assert report["predicted_cycles"] > multiply_accumulates
     assert read_image(board_image).machine == "ARM"
+
+
+def test_the_report_tells_the_image_of_each_bank_as_the_board_does(
+    board_image: Path, host_program: Path
+) -> None:
+    report = json.loads((board_image.parent / "report.json").read_text())
+    content = board_image.with_suffix(".nfi").read_bytes()
+    a, b = report["images"]
+    assert (a["bank"], b["bank"], a["build"]) == ("A", "B", b["build"])
+    assert a["bytes"] + b["bytes"] == len(content)
+    for told, image in ((a, content[: a["bytes"]]), (b, content[a["bytes"] :])):
+        assert told["sha256"] == hashlib.sha256(image).hexdigest()
+        header = image_header(image)
+        assert header is not None and told["build"] == header.build.hex()
+    assert json.loads((host_program.parent / "report.json").read_text())["images"] == []
