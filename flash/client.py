@@ -9,7 +9,7 @@ from collections.abc import Callable
 from flash import requests
 from flash.msp import Corrupt, Decoder, Direction, Message, encode, request
 from flash.transport import Transport
-from toolchain.contract import Msp
+from toolchain.contract import Msp, Refusal
 from toolchain.errors import LinkError
 
 TIMEOUT_S = 1.0  # a board answers within a few milliseconds, the emulated one within tenths of a second
@@ -27,12 +27,25 @@ class NoAnswerError(LinkError):
 class RefusedError(LinkError):
     """The firmware refused a request."""
 
+    def __init__(self, message: str, reason: Refusal | None = None) -> None:
+        """reason: as the firmware told it; None: it told none, as for what it does not know."""
+        super().__init__(message)
+        self.reason = reason
+
 
 class Client:
     """Speaks MSP over an open transport, which it owns: use it in a `with`, or close it."""
 
-    def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
-        """clock: seconds, never going back."""
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        timeout: float = TIMEOUT_S,
+        retries: int = RETRIES,
+    ) -> None:
+        """clock: seconds, never going back. timeout [s], retries: of requests that name none of their own."""
+        self._timeout, self._retries = timeout, retries
         self._transport = transport
         self._clock = clock
         self._decoder = Decoder()
@@ -61,15 +74,15 @@ class Client:
         """Ask for `command` and return the payload of the reply.
 
         timeout: seconds to wait for each try; None: as long as the command may take. retries: how often to
-        ask again after silence or corruption; None: RETRIES, but never for a command that acts where doing
-        it twice is not doing it once. A firmware that refuses is not asked again.
+        ask again after silence or corruption; None: as the client was made, but never for a command that acts
+        where doing it twice is not doing it once. A firmware that refuses is not asked again.
         Raises RefusedError for a refusal, NoAnswerError for silence and for corruption, LinkError for a line
         that is gone.
         """
         if timeout is None:
-            timeout = STORING_TIMEOUT_S if command in requests.STORING else TIMEOUT_S
+            timeout = STORING_TIMEOUT_S if command in requests.STORING else self._timeout
         if retries is None:
-            retries = RETRIES if requests.repeatable(command, payload) else 0
+            retries = self._retries if requests.repeatable(command, payload) else 0
         if command in self._late:
             self._pass_late_replies()
         failures: list[Corrupt] = []
@@ -133,7 +146,8 @@ class Client:
 
     def _refused(self, command: Msp, payload: bytes) -> RefusedError:
         if why := requests.refusal(payload):
-            return RefusedError(f"{self._transport.name}: the firmware refuses MSP {command.name}: {why}")
+            message = f"{self._transport.name}: the firmware refuses MSP {command.name}: {why}"
+            return RefusedError(message, requests.refusal_reason(payload))
         return RefusedError(
             f"{self._transport.name}: the firmware refuses MSP {command.name} ({command:d}), "
             "expected a reply; it does not know it: bring it and this tool to the same version"

@@ -197,3 +197,10 @@ def refusal(payload: bytes) -> str:
     setting = SETTINGS[detail].name if 0 <= detail < len(SETTINGS) else f"setting {detail}"
     text = known.get(reason, f"reason {reason}, which this tool does not know")
     return text.format(detail=detail, setting=setting)
+
+
+def refusal_reason(payload: bytes) -> Refusal | None:
+    """The reason in the payload of a refused request; None where it tells none that this tool knows."""
+    if len(payload) != struct.calcsize("<Bh") or payload[0] not in set(Refusal):
+        return None
+    return Refusal(payload[0])

@@ -33,6 +33,7 @@ ROOMS = (
     "toolchain/verification",
     "toolchain/image",
     "flash",
+    "flash/motors",
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",

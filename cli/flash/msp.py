@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from cli.flash.state import PORT_HELP
+
 COMMANDS = {  # in the order of --help: the summary
     "info": "who the firmware is, which policy it flies and what forbids arming",
     "status": "state, what forbids arming and how to lift it, battery, receiver, attitude, load",
@@ -31,12 +33,7 @@ PRINTING = frozenset({"info", "status", "tasks", "get", "diff", "dump", "stream"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the port and the commands."""
-    parser.add_argument(
-        "--port",
-        required=True,
-        metavar="PORT",
-        help="tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0",
-    )
+    parser.add_argument("--port", required=True, metavar="PORT", help=PORT_HELP)
     commands = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
     declared = {}
     for name, summary in COMMANDS.items():

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from flash.records import Fault, Tasks
 
 
+PORT_HELP = "tcp:HOST:PORT, serial:DEVICE[:BAUD] or a device such as /dev/ttyUSB0"
+
+
 def connect(args: argparse.Namespace) -> Client:
     """A client on the port that the user named, whose other end speaks an MSP that this tool knows."""
     from flash.client import Client
@@ -144,7 +147,7 @@ def tasks(args: argparse.Namespace) -> int:
 
     with connect(args) as client:
         told = records.tasks(client.request(Msp.TASKS))
-    rows = _task_rows(told)
+    rows = task_rows(told)
     if args.json:
         print_json({"cycles_hz": told.cycles_hz, "tasks": rows})
         return 0
@@ -166,7 +169,7 @@ def tasks(args: argparse.Namespace) -> int:
     return 0
 
 
-def _task_rows(told: Tasks) -> list[dict[str, str | int | float]]:
+def task_rows(told: Tasks) -> list[dict[str, str | int | float]]:
     us = 1e6 / told.cycles_hz
     return [
         {

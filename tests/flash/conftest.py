@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from yamspy import MSPy
 
+from tests.flash.lockstep import booted as booted
+
 Answer = Callable[[bytes], bytes]
 
 

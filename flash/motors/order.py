@@ -1,0 +1,31 @@
+"""Which output each motor's ESC is wired to: from which motor turned to the settings that say so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from toolchain.errors import LinkError
+
+
+def outputs_of(outputs: Sequence[int], turned: Sequence[int]) -> tuple[int, ...]:
+    """The output of each motor, motor order, from 1.
+
+    outputs: that each motor was believed to be wired to; turned[i]: index of the motor that turned when
+    motor i was to turn, a permutation. Raises LinkError where it is none: two answers name the same motor.
+    """
+    if sorted(turned) != list(range(len(outputs))):
+        told = ", ".join(str(motor + 1) for motor in turned)
+        raise LinkError(
+            f"motors that turned: got {told}, expected each of 1 to {len(outputs)} once; nothing is set; "
+            "look again, and check that no two ESCs share a signal wire"
+        )
+    found = [0] * len(outputs)
+    for believed, motor in enumerate(turned):
+        found[motor] = outputs[believed]
+    return tuple(found)
+
+
+def order_changes(before: Sequence[int], after: Sequence[int]) -> Mapping[str, float]:
+    """The settings to change, by name."""
+    pairs = enumerate(zip(before, after, strict=True), 1)
+    return {f"motor{number}_output": float(new) for number, (old, new) in pairs if old != new}

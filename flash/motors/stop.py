@@ -1,0 +1,35 @@
+"""Stops motors that a test turns, whoever opened it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from flash.client import Client, RefusedError
+from flash.motors.readiness import await_standing, check_ours
+from flash.motors.session import close_test, end_commands
+from toolchain.contract import Refusal
+from toolchain.errors import LinkError
+
+
+def stop(
+    client: Client,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Stop at once, close the test, end DShot commands; then see that the motors stand.
+
+    Raises LinkError when they do not, and for an armed board, whose motors only its arm switch stops.
+    """
+    try:
+        close_test(client)  # first, before anything is asked
+        end_commands(client)
+    except RefusedError as error:
+        if error.reason is Refusal.ARMED:
+            raise LinkError(
+                f"{client.name}: the board is armed, which no motor test is: nothing was stopped; "
+                "put the arm switch off"
+            ) from None
+        check_ours(client)
+        raise
+    await_standing(client, clock, sleep)
