@@ -34,6 +34,7 @@ ROOMS = (
     "toolchain/image",
     "flash",
     "flash/motors",
+    "flash/channels",
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",

@@ -1,0 +1,23 @@
+"""Why a board takes no channels over MSP, and how to make it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flash.setting_text import Value, value_text
+from toolchain.errors import LinkError
+
+SETTING, MSP = "receiver_protocol", "msp"
+
+
+def not_listening(name: str, get: Callable[[str], Value]) -> LinkError:
+    """The error of a board that refused a frame as ABSENT. name: of the port; get: a setting's value by name.
+
+    Settings are told as they are stored: what the board flies since its last start may be another.
+    """
+    told = value_text(SETTING, get(SETTING))
+    why = "and not flown before a restart" if told == MSP else "so the board listens to its receiver"
+    return LinkError(
+        f"{name}: receiver_protocol is {told}, {why}, expected {MSP}; no channel was taken; run: "
+        f"neuroflight msp --port {name} set {SETTING}={MSP} --save --reboot"
+    )
