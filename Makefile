@@ -35,7 +35,7 @@ READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
-setup: $(READY) ## the Python environment: [EXTRA=firmware|sim|train|sweep|dev] [PYTHON=] [TORCH=cuda]
+setup: $(READY) ## the Python environment: [EXTRA=firmware|gateway|sim|train|sweep|dev] [PYTHON=] [TORCH=cuda]
 
 $(READY): setup.sh pyproject.toml constraints.txt
 	@PYTHON='$(PYTHON)' TORCH='$(TORCH)' ./setup.sh $(EXTRA)

@@ -2,7 +2,7 @@
 # Brings .venv to what one extra of pyproject.toml needs. The Makefile calls it when the extra's stamp is missing or
 # older than pyproject.toml, constraints.txt or this file.
 #
-#   setup.sh firmware|sim|train|sweep|dev
+#   setup.sh firmware|gateway|sim|train|sweep|dev
 #
 # The stamp .venv/.NAME says that the extra NAME is installed whole. An extra brings what the smaller ones bring, so
 # their stamps are written with its own; all of them are written at the very end.
@@ -14,7 +14,7 @@ set -eu
 trap 'exit 130' INT TERM # a shell goes on when pip answers Ctrl-C by ending with an error
 cd "$(dirname "$0")"
 
-EXTRAS="firmware sim train sweep dev" # from the smallest to the largest
+EXTRAS="firmware gateway sim train sweep dev" # from the smallest to the largest
 PYTHONS="3.11 3.12 3.13 3.14"         # with wheels of everything that an image needs, in the order tried
 PYBULLET_PYTHON=3.11                  # the newest that pybullet has wheels for, and these for x86_64 alone
 TORCH_INDEX=https://download.pytorch.org/whl/cpu
@@ -96,7 +96,7 @@ if [ -n "$PYTHON" ]; then
 	asked=$(version "$PYTHON" ensurepip)
 	[ -n "$asked" ] || fail "PYTHON=$PYTHON does not run or lacks venv; give one of Python 3.11 or newer with it"
 	[ "$asked" = "$have" ] || make_environment "$PYTHON"
-elif [ "$extra" = firmware ]; then
+elif [ "$extra" = firmware ] || [ "$extra" = gateway ]; then
 	if [ -z "$have" ]; then
 		base=$(find_python "$PYTHONS")
 		[ -n "$base" ] || fail "no Python 3.11 to 3.14 with venv on the PATH; run: sudo apt-get install python3 python3-venv"

@@ -51,6 +51,7 @@ COMMANDS = {
     "rc": "send a firmware its channels over MSP, from a script or a gamepad",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
+    "gateway": ("pymavlink",),
     "sim": ("cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
     "train": ("gymnasium", "onnxruntime", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"),
     "sweep": ("ray",),

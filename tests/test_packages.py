@@ -18,7 +18,7 @@ from cli.main import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-SIZES = ("firmware", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
+SIZES = ("firmware", "gateway", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")  # that an image is built with
 PROCESSORS = ("x86_64", "aarch64")
 GLIBCS = ("2014", "_2_17", "_2_24", "_2_26", "_2_27", "_2_28")  # of manylinux, up to that of Debian 10

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SIZES = ("firmware", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
+SIZES = ("firmware", "gateway", "sim", "train", "sweep", "dev")  # of extras, from the smallest to the largest
 NEEDS = {
     "firmware": "firmware",
     "host": "firmware",
