@@ -24,7 +24,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
     "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
-    "flash": ("msp", "flash", "rescue", "motor", "rc"),
+    "flash": ("msp", "rescue", "motor", "rc"),
 }
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",

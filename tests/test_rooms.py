@@ -35,6 +35,7 @@ ROOMS = (
     "flash",
     "flash/motors",
     "flash/channels",
+    "flash/mavlink",
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",

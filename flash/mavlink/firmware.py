@@ -1,0 +1,153 @@
+"""The firmware behind the gateway: who it is, what it told last, and channels to it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+from flash import messages, records, requests
+from flash.client import Client, NoAnswerError, RefusedError
+from flash.info import check_api, is_ours
+from flash.mavlink.parameters import Parameter, parameter_list
+from flash.mavlink.sticks import Sticks, sticks_of
+from flash.mavlink.telemetry import Vehicle
+from flash.mavlink.texts import Condition
+from flash.messages import Attitude, BatteryState, PolicyInfo, StatusEx
+from flash.records import FaultKind, Safety
+from flash.setting_text import Value, value_text
+from flash.settings import Settings
+from flash.stream import Sample, Stream, decode_sample
+from toolchain.contract import Msp, Refusal
+from toolchain.errors import LinkError
+
+ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second
+CHANNELS_S = 0.1  # for the answer to channels, while a companion waits
+SAMPLES_HZ_MIN, SAMPLES_HZ_MAX = 10, 100
+RECEIVER, MSP_RECEIVER = "receiver_protocol", "msp"
+
+
+class Firmware:
+    """A firmware of this project. Every method raises LinkError once the line is gone, NoAnswerError for
+    silence."""
+
+    def __init__(self, client: Client) -> None:
+        """Read all that does not change. Raises LinkError for another make of firmware."""
+        self._client = client
+        check_api(client)
+        if not is_ours(client):
+            raise LinkError(
+                f"{client.name}: the firmware is of another make, expected one of this project; "
+                "the gateway needs what only it tells: flash it, or speak MSP to that one"
+            )
+        self.settings = Settings(client)
+        stored = self.settings.read()
+        self.parameters = parameter_list(one.info for one in stored)
+        self.by_name = {parameter.name: parameter for parameter in self.parameters}
+        values: dict[str, Value] = {one.name: one.value for one in stored}
+        self.sticks: Sticks = sticks_of(values)
+        self.receiver = value_text(RECEIVER, values[RECEIVER])
+        self.policy: PolicyInfo = messages.policy_info(client.request(Msp.POLICY_INFO))
+        version = messages.fc_version(client.request(Msp.FC_VERSION)).split(".")
+        self.vehicle = Vehicle(
+            motor_count=self.policy.action_count,
+            version=(int(version[0]), int(version[1]), int(version[2])),
+            uid=messages.uid(client.request(Msp.UID)),
+            capacity_mah=int(values["battery_capacity_mah"]),
+        )
+        self.boots = records.faults(client.request(Msp.FAULTS)).boots
+        self.fault: FaultKind | None = None
+        self.restarted = False
+        self.sample: Sample | None = None
+        self._stream = Stream(client, SAMPLES_HZ_MIN, self.policy.control_rate_hz)
+        self._stream.begin()
+        self.look()
+        self.look_further()
+
+    def close(self) -> None:
+        """End the stream, as far as the line still lives."""
+        self._stream.stop()
+
+    def ask(self, command: Msp, payload: bytes = b"") -> bytes:
+        """One question that is not repeated."""
+        return self._client.request(command, payload, timeout=ASK_S, retries=0)
+
+    def look(self) -> None:
+        """Bring `safety`, `status` and `sample` up to date."""
+        self.safety: Safety = records.safety(self.ask(Msp.SAFETY))
+        self.status: StatusEx = messages.status_ex(self.ask(Msp.STATUS_EX))
+        self._take_samples()
+
+    def _take_samples(self) -> None:
+        """The last one that came beside the answers so far."""
+        while (payload := self._client.receive(Msp.STREAM_SAMPLE, 0.0)) is not None:
+            self.sample = decode_sample(payload)
+
+    def look_further(self) -> None:
+        """Bring `battery` and `fault` up to date; `restarted` says whether it is another start by now."""
+        self.battery: BatteryState = messages.battery_state(self.ask(Msp.BATTERY_STATE))
+        faults = records.faults(self.ask(Msp.FAULTS))
+        self.fault = faults.pending.kind if faults.pending is not None else None
+        self.restarted = faults.boots != self.boots
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self.status.status.armed
+
+    @property
+    def condition(self) -> Condition:
+        """What changes are told of."""
+        return Condition(self.safety, self.armed, self.battery.level, self.fault)
+
+    @property
+    def boot_ms(self) -> int:
+        """Time of the last sample since the start [ms], of 32 bits; 0 before the first."""
+        step = self.sample.step if self.sample is not None else 0
+        return round(1000 * step / self.policy.control_rate_hz) & 0xFFFFFFFF
+
+    @property
+    def gyro(self) -> tuple[float, ...]:
+        """Rates [rad/s] about the house's axes, of the last sample."""
+        return self.sample.gyro if self.sample is not None else (0.0, 0.0, 0.0)
+
+    def stream_at(self, rate_hz: float) -> None:
+        """Ask for samples as often as rates are told, within what a line bears."""
+        wanted = min(max(math.ceil(rate_hz), SAMPLES_HZ_MIN), SAMPLES_HZ_MAX)
+        if wanted != self._stream.rate_hz:
+            self._stream = Stream(self._client, wanted, self.policy.control_rate_hz)
+            self._stream.begin()
+
+    def attitude(self) -> Attitude:
+        """Ask for it; `gyro` is up to date as well."""
+        told = messages.attitude(self.ask(Msp.ATTITUDE))
+        self._take_samples()
+        return told
+
+    def channels(self) -> tuple[int, ...]:
+        """Ask for what the receiver hears [us], in the order of MSP's RC."""
+        return messages.rc(self.ask(Msp.RC))
+
+    def motors(self) -> tuple[int, ...]:
+        """Ask for the motors' outputs [us]."""
+        return messages.motor(self.ask(Msp.MOTOR))
+
+    def reboot(self) -> None:
+        """Ask it to start anew. Raises LinkError when it refuses; an answer need not come."""
+        with contextlib.suppress(NoAnswerError):
+            self.ask(Msp.REBOOT)
+
+    def value(self, parameter: Parameter) -> Value:
+        """What a parameter is now."""
+        index = requests.setting_index(parameter.number)
+        return requests.setting_value(self.ask(Msp.SETTING_GET, index))
+
+    def send_channels(self, frame: tuple[int, ...]) -> bool:
+        """Send channels as a receiver would; returns whether the firmware has an MSP receiver at all."""
+        try:
+            self._client.request(Msp.SET_RAW_RC, requests.set_raw_rc(frame), timeout=CHANNELS_S)
+        except RefusedError as error:
+            # Refusal.ORDER: the last ones were not taken yet; the next frame makes up for it.
+            return error.reason != Refusal.ABSENT
+        except NoAnswerError:
+            pass  # looking at the firmware tells whether it is gone
+        return True

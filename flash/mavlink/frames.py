@@ -1,0 +1,21 @@
+"""Body axes: the house has x forward, y left, z up; MAVLink has x forward, y right, z down."""
+
+from __future__ import annotations
+
+import math
+
+from flash.messages import Attitude
+
+Vector = tuple[float, float, float]
+
+
+def swap_frame(vector: Vector) -> Vector:
+    """A vector or rate in the one frame, given in the other: half a turn about the common x."""
+    x, y, z = vector
+    return x, -y, -z
+
+
+def euler_frd(attitude: Attitude) -> Vector:
+    """Roll right +, pitch nose up +, yaw right + within +-pi [rad]: MAVLink's Euler angles."""
+    yaw_deg = (attitude.heading_deg + 180.0) % 360.0 - 180.0
+    return math.radians(attitude.roll_deg), math.radians(-attitude.pitch_deg), math.radians(yaw_deg)

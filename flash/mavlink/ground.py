@@ -1,0 +1,69 @@
+"""All peers together: who sent what, texts and messages for everybody, answers for one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from flash.mavlink.endpoint import Peer, Wire
+from flash.mavlink.offboard import Source
+from flash.mavlink.texts import Text, status_texts
+
+PACKETS_MAX = 32  # of a peer at a time: none keeps the others waiting
+COMPLAINT_PERIOD_S = 1.0  # between two complaints
+EVERYBODY = 0  # as a target's id
+COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
+
+
+class Ground:
+    """The peers of one aircraft."""
+
+    def __init__(
+        self,
+        peers: Sequence[Peer],
+        system: int,
+        clock: Callable[[], float],
+        say: Callable[[str], None],
+    ) -> None:
+        """system: MAVLink's id of the aircraft. say: gets each text that goes to the peers."""
+        self._wires = [Wire(peer, system) for peer in peers]
+        self._system, self._clock, self._say = system, clock, say
+        self._texts = 0
+        self._complained = clock() - COMPLAINT_PERIOD_S
+
+    def heard(self) -> Iterator[tuple[Source, Any]]:
+        """Messages that have come for this aircraft or for everybody, and who sent them."""
+        for index, wire in enumerate(self._wires):
+            for message in wire.messages(PACKETS_MAX):
+                source = (index, message.get_srcSystem(), message.get_srcComponent())
+                if source[1:] != (self._system, COMPONENT) and self._is_meant(message):
+                    yield source, message
+
+    def _is_meant(self, message: Any) -> bool:  # noqa: ANN401 - pymavlink's are untyped
+        system = getattr(message, "target_system", getattr(message, "target", EVERYBODY))
+        component = getattr(message, "target_component", EVERYBODY)
+        return system in (EVERYBODY, self._system) and component in (EVERYBODY, COMPONENT)
+
+    def broadcast(self, message: Any) -> None:  # noqa: ANN401
+        """Send to all."""
+        for wire in self._wires:
+            wire.send(message)
+
+    def answer(self, source: Source, message: Any) -> None:  # noqa: ANN401
+        """Send to the peer of `source`."""
+        self._wires[source[0]].send(message)
+
+    def tell(self, severity: int, line: str) -> None:
+        """A text for all."""
+        self._texts = self._texts % 0xFFFF + 1
+        for message in status_texts(Text(severity, line), self._texts):
+            self.broadcast(message)
+        self._say(line)
+
+    def complain(self, line: str) -> None:
+        """A text about what a peer sends again and again: one a second at most."""
+        if self._clock() >= self._complained + COMPLAINT_PERIOD_S:
+            self._complained = self._clock()
+            self.tell(mavlink.MAV_SEVERITY_WARNING, line)

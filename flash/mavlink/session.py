@@ -1,0 +1,293 @@
+"""The gateway: what MAVLink peers say goes to the firmware, what the firmware tells goes to them.
+
+`Session.step` does one thing that is due and never waits but for the firmware's answer to it: between any
+two questions packets are read, and a companion's channels go out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from flash.client import Client, NoAnswerError
+from flash.mavlink import commands, telemetry, texts
+from flash.mavlink.commands import Request
+from flash.mavlink.endpoint import Peer
+from flash.mavlink.firmware import MSP_RECEIVER, Firmware
+from flash.mavlink.ground import Ground
+from flash.mavlink.offboard import TIMEOUT_S, Offboard, Source
+from flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
+from flash.mavlink.parameter_server import ParameterServer
+from flash.mavlink.setpoints import STEERING
+from flash.mavlink.steering import Steering
+from flash.mavlink.texts import Condition
+from toolchain.errors import LinkError
+
+LOOK, LOOK_FURTHER = "look", "look further"  # at the firmware: tasks beside the messages of DEFAULT_HZ
+LOOK_S, LOOK_FURTHER_S, RETRY_S = 0.1, 1.0, 0.5  # their periods; of looking whether it is back
+SILENCES_MAX = 3  # questions in a row without an answer: the firmware is gone
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE
+DEFAULT_HZ = {
+    HEARTBEAT: 1.0,
+    ATTITUDE: 10.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 2.0,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 2.0,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: 0.0,  # when asked for
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user allows."""
+
+    offboard: bool = False
+    allow_arm: bool = False
+    timeout_s: float = TIMEOUT_S
+    system: int = 1  # MAVLink's id of the aircraft
+
+
+class Session:
+    """A firmware with MAVLink peers around it."""
+
+    def __init__(
+        self,
+        client: Client,
+        peers: Sequence[Peer],
+        options: Options,
+        clock: Callable[[], float],
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """clock: seconds, never going back. say: gets each text that goes to the peers.
+
+        Raises LinkError where nobody answers, and where offboard is wanted and cannot be.
+        """
+        self._client, self._options, self._clock = client, options, clock
+        self._ground = Ground(peers, options.system, clock, say)
+        self._silences, self._gone = 0, False
+        self._told: Condition | None = None
+        self._periods: dict[int | str, float] = {
+            LOOK: LOOK_S,
+            LOOK_FURTHER: LOOK_FURTHER_S,
+            **{message: _period(message) for message in DEFAULT_HZ},
+        }
+        self._due = dict.fromkeys(self._periods, clock())
+        self._attach()
+        if options.offboard and self.firmware.receiver != MSP_RECEIVER:
+            raise LinkError(
+                f"{client.name}: the setting receiver_protocol is {self.firmware.receiver}, expected msp for "
+                "--offboard; no channels were sent: run neuroflight msp --port PORT set "
+                "receiver_protocol=msp --save --reboot"
+            )
+
+    def close(self) -> None:
+        """Nothing goes to the firmware any more."""
+        self._steering.release()
+        self.firmware.close()
+
+    @property
+    def steered(self) -> bool:
+        """Whether a companion steers."""
+        return self._steering.steered
+
+    def step(self) -> float:
+        """Do what is due, or a part of it; returns the seconds until something is. Raises LinkError once the
+        line is gone."""
+        try:
+            self._steering.expire()  # before later setpoints are heard that came while the firmware was slow
+            for source, message in self._ground.heard():
+                self._handle(source, message)
+            self._steering.send()
+            if self._work():
+                self._silences = 0
+        except NoAnswerError:
+            self._silences += 1
+            if self._silences >= SILENCES_MAX and not self._gone:
+                self._gone = True
+                self._steering.release()
+                self._ground.tell(texts.CRITICAL, "The flight controller does not answer")
+        return self._pause()
+
+    # --- What is due -------------------------------------------------------------------------------
+    def _pause(self) -> float:
+        now = self._clock()
+        if self._gone:
+            return max(0.0, self._due[LOOK] - now)
+        if self._parameters.busy:
+            return 0.0
+        times = [self._due[task] for task, period in self._periods.items() if period]
+        if self._steering.due is not None:
+            times.append(self._steering.due)
+        return max(0.0, min(times) - now)
+
+    def _work(self) -> bool:
+        """Do the first task that is due; returns whether there was one."""
+        now = self._clock()
+        for task, period in self._periods.items():
+            if not period or now < self._due[task]:
+                continue
+            period = RETRY_S if self._gone else period
+            later = self._due[task] + period
+            self._due[task] = later if later > now else now + period
+            if task == LOOK:
+                self._look()
+            elif self._gone:
+                continue
+            elif task == LOOK_FURTHER:
+                self._look_further()
+            elif isinstance(task, int):
+                self._ground.broadcast(self._message(task))
+            return True
+        if self._parameters.busy and not self._gone:
+            self._parameters.tell_one()
+            return True
+        return False
+
+    def _look(self) -> None:
+        self.firmware.look()
+        if self._gone:
+            self._attach()
+            return
+        condition = self.firmware.condition
+        for text in texts.changes(self._told, condition):
+            self._ground.tell(text.severity, text.text)
+        self._told = condition
+        self._steering.look()
+
+    def _look_further(self) -> None:
+        self.firmware.look_further()
+        if self.firmware.restarted:
+            self._attach()
+
+    def _attach(self) -> None:
+        """It answers, perhaps as another start: all that is known of it is read anew, nobody steers."""
+        self.firmware = Firmware(self._client)
+        allowed = self._options.offboard and self.firmware.receiver == MSP_RECEIVER
+        offboard = Offboard(
+            allowed=allowed, may_arm=self._options.allow_arm, timeout_s=self._options.timeout_s
+        )
+        self._steering = Steering(self.firmware, self._ground, offboard, self._clock)
+        self._parameters = ParameterServer(self.firmware, self._ground)
+        self._stream_fast_enough()
+        self._gone, self._told = False, None
+        version, policy = ".".join(map(str, self.firmware.vehicle.version)), self.firmware.policy
+        self._ground.tell(texts.INFO, f"Neuroflight {version}, policy {policy.name} {policy.sha256[:8]}")
+
+    def _message(self, number: int) -> Any:  # noqa: ANN401 - pymavlink's are untyped
+        """The message of that number, which is in DEFAULT_HZ."""
+        fw = self.firmware
+        match number:
+            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                steered = self._steering.steered
+                return telemetry.heartbeat(fw.vehicle, fw.safety, armed=fw.armed, offboard=steered)
+            case mavlink.MAVLINK_MSG_ID_ATTITUDE:
+                told = fw.attitude()  # before the time and the rates beside it
+                return telemetry.attitude(fw.boot_ms, told, fw.gyro)
+            case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
+                return telemetry.sys_status(fw.vehicle, fw.safety, fw.status, fw.battery)
+            case mavlink.MAVLINK_MSG_ID_BATTERY_STATUS:
+                return telemetry.battery_status(fw.vehicle, fw.battery)
+            case mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
+                return telemetry.rc_channels(fw.boot_ms, fw.channels(), fw.safety.receiver_percent)
+            case mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW:
+                return telemetry.servo_output_raw(fw.boot_ms, fw.motors())
+            case _:
+                return telemetry.autopilot_version(fw.vehicle)
+
+    # --- What peers want ---------------------------------------------------------------------------
+    def _handle(self, source: Source, message: Any) -> None:  # noqa: ANN401
+        kind = message.get_type()
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            request = commands.read_request(message, source)
+            result = commands.REJECTED if self._gone else commands.carry_out(request, self)
+            self._ground.answer(source, commands.acknowledgement(request, result))
+        elif self._gone:
+            return
+        elif kind in STEERING:
+            self._steering.handle(source, message)
+        elif kind in PARAMETER_MESSAGES:
+            self._parameters.handle(message)
+        elif kind == "MISSION_REQUEST_LIST":  # there are none: ground stations ask until they know
+            self._ground.answer(
+                source, mavlink.MAVLink_mission_count_message(*source[1:], 0, message.mission_type)
+            )
+
+    def send_once(self, message: int) -> int:
+        """See commands.Actions; so are those below."""
+        if message not in DEFAULT_HZ:
+            return int(commands.UNSUPPORTED)
+        self._ground.broadcast(self._message(message))
+        return int(commands.ACCEPTED)
+
+    def set_interval(self, message: int, interval_us: int) -> int:
+        """The heartbeat's stays: it tells that the aircraft lives."""
+        if message not in DEFAULT_HZ:
+            return int(commands.UNSUPPORTED)
+        if message == HEARTBEAT:
+            return int(commands.DENIED)
+        told = {commands.INTERVAL_DEFAULT: _period(message), commands.INTERVAL_OFF: 0.0}
+        self._periods[message] = told.get(interval_us, interval_us / 1e6)
+        self._due[message] = self._clock()
+        self._stream_fast_enough()
+        return int(commands.ACCEPTED)
+
+    def tell_interval(self, message: int) -> int:
+        """0 for a message that there is not, -1 for one that is told only when asked for."""
+        told = round(self._periods[message] * 1e6) or commands.INTERVAL_OFF if message in DEFAULT_HZ else 0
+        self._ground.broadcast(mavlink.MAVLink_message_interval_message(message, told))
+        return int(commands.ACCEPTED)
+
+    def store(self, *, defaults: bool) -> int:
+        """Settings into flash; the defaults are set first if so wanted."""
+        if self.firmware.armed:
+            return int(commands.REJECTED)
+        if not defaults:
+            return self._attempt(self.firmware.settings.save)
+        result = self._attempt(lambda: self.firmware.settings.set_defaults(save=True))
+        self._parameters.tell_all()
+        return result
+
+    def reboot(self) -> int:
+        """Nobody steers any more; it is attached anew when it answers as another start."""
+        if self.firmware.armed:
+            return int(commands.REJECTED)
+        self._steering.release()
+        return self._attempt(self.firmware.reboot)
+
+    def set_offboard(self, source: Source, *, on: bool) -> int:
+        """Let `source` steer, or nobody."""
+        return self._steering.enable(source) if on else self._steering.disable()
+
+    def arm(self, request: Request) -> int:
+        """See Steering."""
+        return self._steering.arm(request)
+
+    def disarm(self, request: Request) -> int:
+        """See Steering."""
+        return self._steering.disarm(request)
+
+    def _attempt(self, action: Callable[[], None]) -> int:
+        """Whether the firmware did it; why not is told."""
+        try:
+            action()
+        except NoAnswerError:
+            raise
+        except LinkError as error:
+            self._ground.tell(texts.WARNING, str(error).removeprefix(f"{self._client.name}: "))
+            return int(commands.FAILED)
+        return int(commands.ACCEPTED)
+
+    def _stream_fast_enough(self) -> None:
+        period = self._periods[ATTITUDE]
+        self.firmware.stream_at(1 / period if period else 0.0)
+
+
+def _period(message: int) -> float:
+    """Between two of them [s] unless asked otherwise; 0: only when asked for."""
+    hz = DEFAULT_HZ[message]
+    return 1 / hz if hz else 0.0

@@ -1,0 +1,58 @@
+"""Compares the setpoints that a firmware flies with those that its channels were meant to give.
+
+They differ where its settings were changed since it started: it flies the old ones until the next start.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from flash.stream import Sample
+from toolchain.contract import FlightState
+
+WINDOW_S = 0.4  # a sample is so old at most
+PAUSE_S = 0.1  # without channels, after which the firmware centres the sticks
+TOLERANCE = 0.02  # rad/s, and of the rate
+SAMPLES = 3  # in a row
+OBEYED = frozenset({FlightState.DISARMED.name, FlightState.ARMED.name})  # states in which sticks are obeyed
+
+Rates = tuple[float, ...]
+
+
+class SetpointCheck:
+    """What was asked for lately, and whether it is flown."""
+
+    def __init__(self) -> None:
+        self.wrong = False  # for good
+        self._asked: deque[tuple[float, Rates]] = deque()
+        self._since = 0.0  # the first of an unbroken row of channels
+        self._misses = 0
+
+    def sent(self, setpoint: Rates, now: float) -> None:
+        """Channels went out that mean `setpoint` [rad/s]."""
+        if self._asked and now - self._asked[-1][0] > PAUSE_S:
+            self._asked.clear()
+        if not self._asked:
+            self._since = now
+        self._asked.append((now, setpoint))
+        while self._asked[0][0] < now - WINDOW_S:
+            self._asked.popleft()
+
+    def see(self, sample: Sample, now: float) -> bool:
+        """A sample that is no older than WINDOW_S; returns whether it has just become clear that the
+        setpoints are wrong."""
+        steered = bool(self._asked) and now - self._asked[-1][0] < PAUSE_S and now - self._since >= WINDOW_S
+        if self.wrong or not steered or sample.state not in OBEYED:
+            return False
+        self._misses = 0 if self._is_asked(sample.setpoint) else self._misses + 1
+        self.wrong = self._misses >= SAMPLES
+        return self.wrong
+
+    def _is_asked(self, setpoint: Rates) -> bool:
+        """Whether each axis lies between the least and the most that was asked of it lately."""
+        for told, *asked in zip(setpoint, *(rates for _, rates in self._asked), strict=True):
+            low, high = min(asked), max(asked)
+            room = TOLERANCE * (1 + max(abs(low), abs(high)))
+            if not low - room <= told <= high + room:
+                return False
+        return True

@@ -1,0 +1,165 @@
+"""A companion's setpoints on their way to the firmware, and the arm switch beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from flash.mavlink import commands, texts
+from flash.mavlink.commands import Request
+from flash.mavlink.firmware import Firmware
+from flash.mavlink.ground import Ground
+from flash.mavlink.offboard import Offboard, Source
+from flash.mavlink.setpoint_check import SetpointCheck
+from flash.mavlink.setpoints import STEERING
+from toolchain.contract import FlightState
+
+PERIOD_S = 0.02  # between channels that say the same; new ones go at once
+SWITCHED_S = 1.0  # in which the firmware obeys the arm switch
+FLYING = (FlightState.ARMED, FlightState.FAILSAFE_HOLD)
+
+
+@dataclass(frozen=True)
+class _Switching:
+    """An arm or disarm command whose effect is awaited."""
+
+    request: Request
+    armed: bool
+    deadline: float
+
+
+class Steering:
+    """Channels for one firmware."""
+
+    def __init__(
+        self, firmware: Firmware, ground: Ground, offboard: Offboard, clock: Callable[[], float]
+    ) -> None:
+        self._firmware, self._ground, self._offboard, self._clock = firmware, ground, offboard, clock
+        self._check = SetpointCheck()
+        self._due = clock()
+        self._switching: _Switching | None = None
+
+    @property
+    def steered(self) -> bool:
+        """Whether a companion steers."""
+        return self._offboard.owner is not None
+
+    @property
+    def due(self) -> float | None:
+        """When channels go out next, None: none do."""
+        return self._due if self._offboard.told(self._clock()) is not None else None
+
+    def release(self) -> None:
+        """Send nothing more; who waits for the arm switch hears that it is off."""
+        self._answer(commands.CANCELLED)
+        self._offboard.release()
+
+    def expire(self) -> None:
+        """End offboard if the companion has been silent for the time-out."""
+        if self._offboard.expire(self._clock()):
+            self._answer(commands.CANCELLED)
+            silence = f"{self._offboard.timeout_s:g} s"
+            self._ground.tell(texts.CRITICAL, f"Companion silent for {silence}: offboard ends, failsafe acts")
+
+    def send(self) -> None:
+        """Send channels if they are due."""
+        self.expire()
+        now = self._clock()
+        told = self._offboard.told(now)
+        if told is None or now < self._due:
+            return
+        self._due = now + PERIOD_S
+        sticks = self._firmware.sticks
+        if self._firmware.send_channels(sticks.frame(told.channels_us, armed=told.armed)):
+            self._check.sent(sticks.setpoint(told.channels_us), now)
+            return
+        self.release()
+        self._ground.tell(texts.ERROR, "No channels taken: receiver_protocol msp is not flown yet, reboot")
+
+    def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401 - pymavlink's are untyped
+        """A message of setpoints.STEERING."""
+        owner = self._offboard.owner
+        if not self._offboard.allowed:
+            self._ground.complain("Setpoints are not taken: start the gateway with --offboard")
+            return
+        if owner is not None and owner != source:
+            self._ground.complain(f"Setpoints of system {source[1]} are not taken: another steers")
+            return
+        try:
+            setpoint = STEERING[message.get_type()](message, self._firmware.sticks)
+        except ValueError as error:
+            self._ground.complain(str(error))
+            return
+        self._offboard.hear(source, setpoint, self._clock())
+        if owner == source:
+            self._due = self._clock()
+            if setpoint.beyond:
+                self._ground.complain("Setpoint beyond full stick: its end is flown")
+
+    def look(self) -> None:
+        """The firmware has told of itself: what follows for the arm switch and the setpoints."""
+        sample = self._firmware.sample
+        if sample is not None and self._check.see(sample, self._clock()):
+            self._ground.tell(texts.ERROR, "Rates flown are not those of the settings: disarm, reboot")
+        armed, switching = self._firmware.armed, self._switching
+        if switching is None:
+            # Whoever disarmed, a crash say: arming again takes a new command.
+            self._offboard.armed &= armed
+        elif armed == switching.armed:
+            self._answer(commands.ACCEPTED)
+        elif self._clock() >= switching.deadline:
+            self._offboard.armed &= armed
+            for text in texts.arming_texts(self._firmware.safety.arming_flags) if switching.armed else ():
+                self._ground.tell(text.severity, text.text)
+            self._answer(commands.FAILED)
+
+    # --- Commands: a MAV_RESULT each -------------------------------------------------------------------
+    def enable(self, source: Source) -> int:
+        """Let `source` steer."""
+        self._firmware.look()
+        flies = self._firmware.safety.state in FLYING
+        steered = self.steered
+        if why := self._offboard.enable(source, self._clock(), armed=flies):
+            self._ground.tell(texts.WARNING, f"Offboard denied: {why}")
+            return int(commands.REJECTED if self._offboard.allowed else commands.DENIED)
+        if not steered:
+            self._ground.tell(texts.INFO, f"Offboard: system {source[1]} steers")
+        return int(commands.ACCEPTED)
+
+    def disable(self) -> int:
+        """Send no more channels."""
+        if self.steered:
+            self.release()
+            self._ground.tell(texts.WARNING, "Offboard ends: no more channels are sent")
+        return int(commands.ACCEPTED)
+
+    def arm(self, request: Request) -> int:
+        """Put the arm switch on; the result comes once the firmware has obeyed."""
+        why = ""
+        if not self._firmware.sticks.arm:
+            why = "no mode range switches arm on"
+        elif self._check.wrong:
+            why = "rates flown are not those of the settings: reboot"
+        if why := why or self._offboard.arm(request.source, self._clock()):
+            self._ground.tell(texts.WARNING, f"Arming denied: {why}")
+            return int(commands.REJECTED if self._offboard.may_arm else commands.DENIED)
+        return self._switch(request, armed=True)
+
+    def disarm(self, request: Request) -> int:
+        """Put the arm switch off; the result comes once the firmware has obeyed."""
+        if why := self._offboard.disarm(self._clock()):
+            self._ground.tell(texts.WARNING, f"Disarming denied: {why}")
+            return int(commands.DENIED)
+        self._due = self._clock()
+        return self._switch(request, armed=False)
+
+    def _switch(self, request: Request, *, armed: bool) -> int:
+        self._answer(commands.CANCELLED)
+        self._switching = _Switching(request, armed, self._clock() + SWITCHED_S)
+        return int(commands.IN_PROGRESS)
+
+    def _answer(self, result: int) -> None:
+        if self._switching is not None:
+            request, self._switching = self._switching.request, None
+            self._ground.answer(request.source, commands.acknowledgement(request, result))

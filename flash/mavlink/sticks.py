@@ -1,0 +1,156 @@
+"""The way back through the firmware's sticks: which channels make a rate, a thrust and an arm switch.
+
+`firmware/src/receiver/rates.c` has the curves, `receiver.c` the order of channels on the wire and `modes.c`
+the ranges. A channel is whole microseconds, so the nearest of 1001 rates is flown.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
+from toolchain.contract import (
+    CHANNEL_AUX1,
+    CHANNEL_COUNT,
+    CHANNEL_MAPPED_COUNT,
+    CHANNEL_MAX_US,
+    CHANNEL_MID_US,
+    CHANNEL_MIN_US,
+    CHANNEL_PITCH,
+    CHANNEL_ROLL,
+    CHANNEL_UNTOLD_US,
+    CHANNEL_YAW,
+    MODE_SLOT_COUNT,
+    RATE_MAX_DEG_S,
+    Mode,
+    ModeRange,
+)
+
+HALF_STICK_US = CHANNEL_MAX_US - CHANNEL_MID_US
+AXES = ("roll", "pitch", "yaw")
+CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
+SIGNS = (1, 1, -1)  # of the rate about the house's axes, for the upper half of the channel
+MAP = ("roll", "pitch", "throttle", "yaw", "aux1", "aux2", "aux3", "aux4")  # settings map_..., by channel
+# Of the style betaflight, as in rates.c.
+RC_RATE_DEG_S, RC_RATE_STEEP, RC_RATE_STEEPER, SUPER_ROOM_MIN = 200.0, 2.0, 14.54, 0.01
+ROUNDING = 1e-6  # relative: so far the firmware's float32 and this float64 may be apart
+
+
+@dataclass(frozen=True)
+class Sticks:
+    """What the settings of a firmware make of channels."""
+
+    curves: tuple[tuple[float, ...], ...]  # for roll, pitch, yaw: |rate| [rad/s] at 0..500 us off the centre
+    wire: tuple[int, ...]  # place in SET_RAW_RC of each channel
+    arm: Mapping[int, int]  # channels [us] that switch the mode ARM on; empty where no range does
+    arming: frozenset[int]  # all channels that any range of ARM looks at
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """The largest rates about roll, pitch and yaw [rad/s]."""
+        return tuple(curve[-1] for curve in self.curves)
+
+    def rate_channels(self, rates: tuple[float, float, float]) -> tuple[dict[int, int], bool]:
+        """Channels [us] whose setpoint is nearest to `rates` [rad/s] about the house's axes, and whether a
+        stick's end is nearer to the centre than what was asked for."""
+        channels = {}
+        beyond = False
+        for curve, channel, sign, rate in zip(self.curves, CHANNELS, SIGNS, rates, strict=True):
+            offset = nearest(curve, abs(rate))
+            channels[channel] = CHANNEL_MID_US + (offset if rate * sign > 0 else -offset)
+            beyond |= abs(rate) > curve[-1] * (1 + ROUNDING)
+        return channels, beyond
+
+    def setpoint(self, channels_us: Mapping[int, int]) -> tuple[float, ...]:
+        """The rates [rad/s] about the house's axes that the firmware makes of `channels_us`."""
+        return tuple(
+            math.copysign(curve[min(abs(offset), HALF_STICK_US)], offset * sign)
+            for curve, channel, sign in zip(self.curves, CHANNELS, SIGNS, strict=True)
+            for offset in (channels_us[channel] - CHANNEL_MID_US,)
+        )
+
+    def frame(self, channels_us: Mapping[int, int], *, armed: bool) -> tuple[int, ...]:
+        """SET_RAW_RC's channels in the order of the wire. Channels that are not given are left out, which
+        switches no mode on; those that could arm are left to `armed`, whatever was given."""
+        told = {channel: us for channel, us in channels_us.items() if channel not in self.arming}
+        told |= self.arm if armed else {}
+        frame = [CHANNEL_UNTOLD_US] * CHANNEL_COUNT
+        for channel, us in told.items():
+            frame[self.wire[channel]] = us
+        return tuple(frame)
+
+
+def thrust_channel(thrust: float) -> tuple[int, bool]:
+    """The throttle channel [us] of a thrust 0..1, and whether it lay beyond."""
+    kept = min(max(thrust, 0.0), 1.0)
+    return CHANNEL_MIN_US + round(kept * (CHANNEL_MAX_US - CHANNEL_MIN_US)), kept != thrust
+
+
+def nearest(curve: tuple[float, ...], rate: float) -> int:
+    """The smallest way off the centre [us] whose rate is nearest to `rate`, both >= 0."""
+    above = bisect_left(curve, rate)
+    if above == len(curve):
+        return bisect_left(curve, curve[-1])
+    if above > 0 and rate - curve[above - 1] <= curve[above] - rate:
+        return bisect_left(curve, curve[above - 1])
+    return above
+
+
+def sticks_of(settings: Mapping[str, Value]) -> Sticks:
+    """What `settings`, by name, make of channels."""
+    wire = [int(settings[f"map_{name}"]) for name in MAP]
+    ranges = _arm_ranges(settings)
+    return Sticks(
+        curves=tuple(_curve(settings, axis) for axis in AXES),
+        wire=(*wire, *range(CHANNEL_MAPPED_COUNT, CHANNEL_COUNT)),
+        arm=_arm_channels(ranges),
+        arming=frozenset(_channel(found) for found in ranges),
+    )
+
+
+def _curve(settings: Mapping[str, Value], axis: str) -> tuple[float, ...]:
+    rate, top, expo = (float(settings[f"{axis}_{name}"]) for name in ("rate", "max", "expo"))
+    deadband = int(settings["yaw_deadband_us" if axis == "yaw" else "deadband_us"])
+    betaflight = settings[STYLE] == STYLE_BETAFLIGHT
+    curve = []
+    for offset in range(HALF_STICK_US + 1):
+        x = max(offset - deadband, 0) / (HALF_STICK_US - deadband)
+        rate_deg_s = _betaflight(x, rate, top, expo) if betaflight else _actual(x, rate, top, expo)
+        curve.append(math.radians(min(rate_deg_s, RATE_MAX_DEG_S)))
+    return tuple(curve)
+
+
+def _actual(x: float, rate: float, top: float, expo: float) -> float:
+    return x * rate + max(top - rate, 0.0) * x * (x**5 * expo + x * (1 - expo))
+
+
+def _betaflight(x: float, rate: float, top: float, expo: float) -> float:
+    rate += RC_RATE_STEEPER * max(rate - RC_RATE_STEEP, 0.0)
+    command = x * (x**3 * expo + 1 - expo)
+    return RC_RATE_DEG_S * rate * command / max(1 - x * top, SUPER_ROOM_MIN)
+
+
+def _channel(found: ModeRange) -> int:
+    return CHANNEL_AUX1 + found.aux - 1
+
+
+def _arm_ranges(settings: Mapping[str, Value]) -> list[ModeRange]:
+    packed = [int(settings[f"mode{slot}"]) for slot in range(1, MODE_SLOT_COUNT + 1)]
+    found = [ModeRange.unpack(value) for value in packed if value & 0xFF == Mode.ARM]
+    return [one for one in found if one is not None]
+
+
+def _arm_channels(ranges: list[ModeRange]) -> dict[int, int]:
+    """Of the ranges of ARM the first that is enough alone, else all those that must hold together; a value
+    in the middle of each."""
+    alone = [found for found in ranges if not found.and_others][:1]
+    spans: dict[int, tuple[int, int]] = {}
+    for found in alone or ranges:
+        low, high = spans.get(_channel(found), (0, 1 << 16))
+        spans[_channel(found)] = max(low, found.low_us), min(high, found.high_us)
+    if any(low >= high for low, high in spans.values()):
+        return {}
+    return {channel: (low + high) // 2 for channel, (low, high) in spans.items()}

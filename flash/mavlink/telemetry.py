@@ -1,0 +1,196 @@
+"""What a firmware tells over MSP, as MAVLink messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from flash.mavlink.frames import euler_frd, swap_frame
+from flash.messages import Attitude, BatteryLevel, BatteryState, StatusEx
+from flash.records import Safety
+from toolchain.contract import FallbackCause, FlightState, GyroHealth
+
+Msg = Any  # a message of pymavlink, which has no types
+
+# The autopilot's modes, in HEARTBEAT.custom_mode and MAV_CMD_DO_SET_MODE.
+MODE_RECEIVER = 0  # whoever the firmware's receiver hears; the gateway sends no channels
+MODE_OFFBOARD = 1  # a companion steers through the gateway
+
+TYPES = {
+    3: mavlink.MAV_TYPE_TRICOPTER,
+    4: mavlink.MAV_TYPE_QUADROTOR,
+    6: mavlink.MAV_TYPE_HEXAROTOR,
+    8: mavlink.MAV_TYPE_OCTOROTOR,
+}
+STATES = {
+    FlightState.BOOT: mavlink.MAV_STATE_BOOT,
+    FlightState.CALIBRATING: mavlink.MAV_STATE_CALIBRATING,
+    FlightState.DISARMED: mavlink.MAV_STATE_STANDBY,
+    FlightState.ARMED: mavlink.MAV_STATE_ACTIVE,
+    FlightState.FAILSAFE_HOLD: mavlink.MAV_STATE_CRITICAL,
+    FlightState.FAILSAFE_DROP: mavlink.MAV_STATE_EMERGENCY,
+    FlightState.CRASHED: mavlink.MAV_STATE_EMERGENCY,
+    FlightState.FAULT: mavlink.MAV_STATE_EMERGENCY,
+}
+SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    | mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+    | mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+)
+CHARGES = {
+    BatteryLevel.GOOD: mavlink.MAV_BATTERY_CHARGE_STATE_OK,
+    BatteryLevel.WARNING: mavlink.MAV_BATTERY_CHARGE_STATE_LOW,
+    BatteryLevel.CRITICAL: mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL,
+}
+CELLS, CELLS_LATER = 10, 4  # fields of BATTERY_STATUS
+SERVOS = 16
+UNKNOWN = 0xFFFF  # of voltages and channels
+MILLIVOLTS_MAX = UNKNOWN - 1
+CHANNELS = 18  # fields of RC_CHANNELS
+RSSI_MAX = 254
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What does not change while a firmware runs."""
+
+    motor_count: int
+    version: tuple[int, int, int]
+    uid: str  # 24 hexadecimal digits
+    capacity_mah: int  # of the pack; 0: not told
+
+
+def heartbeat(vehicle: Vehicle, safety: Safety, *, armed: bool, offboard: bool) -> Msg:
+    """HEARTBEAT of a firmware that has just answered."""
+    mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+    mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if offboard else 0
+    return mavlink.MAVLink_heartbeat_message(
+        type=TYPES.get(vehicle.motor_count, mavlink.MAV_TYPE_GENERIC),
+        autopilot=mavlink.MAV_AUTOPILOT_GENERIC,
+        base_mode=mode,
+        custom_mode=MODE_OFFBOARD if offboard else MODE_RECEIVER,
+        system_status=system_status(safety),
+        mavlink_version=3,
+    )
+
+
+def system_status(safety: Safety) -> int:
+    """MAV_STATE: a PID that took over in flight is an emergency that can be flown home."""
+    fell_back = safety.pid_flies and safety.fallback_cause not in (FallbackCause.NONE, FallbackCause.SWITCH)
+    if safety.state is FlightState.ARMED and fell_back:
+        return int(mavlink.MAV_STATE_CRITICAL)
+    return int(STATES[safety.state])
+
+
+def attitude(boot_ms: int, told: Attitude, gyro: tuple[float, ...]) -> Msg:
+    """ATTITUDE. gyro: rates [rad/s] about the house's axes."""
+    roll, pitch, yaw = euler_frd(told)
+    rollspeed, pitchspeed, yawspeed = swap_frame((gyro[0], gyro[1], gyro[2]))
+    return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed)
+
+
+def sys_status(vehicle: Vehicle, safety: Safety, status: StatusEx, battery: BatteryState) -> Msg:
+    """SYS_STATUS. The link's losses are not known to the firmware: they are 0."""
+    wrong = 0
+    if safety.gyro_health is not GyroHealth.GOOD:
+        wrong |= mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    if safety.receiver_percent == 0:
+        wrong |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+    if battery.level is not BatteryLevel.GOOD:
+        wrong |= mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    if not (safety.policy_good or safety.pid_built_in):
+        wrong |= mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    return mavlink.MAVLink_sys_status_message(
+        onboard_control_sensors_present=SENSORS,
+        onboard_control_sensors_enabled=SENSORS,
+        onboard_control_sensors_health=SENSORS & ~wrong,
+        load=min(1000, 10 * status.status.load_percent),
+        voltage_battery=millivolts(battery),
+        current_battery=round(100 * battery.current_a),
+        battery_remaining=remaining(vehicle, battery),
+        drop_rate_comm=0,
+        errors_comm=0,
+        errors_count1=0,
+        errors_count2=0,
+        errors_count3=0,
+        errors_count4=0,
+    )
+
+
+def millivolts(battery: BatteryState) -> int:
+    """Voltage of the pack [mV], UNKNOWN where none is measured."""
+    absent = battery.level is BatteryLevel.ABSENT and battery.voltage_v == 0
+    return UNKNOWN if absent else min(round(1000 * battery.voltage_v), MILLIVOLTS_MAX)
+
+
+def remaining(vehicle: Vehicle, battery: BatteryState) -> int:
+    """What is left [%], -1 where the pack's capacity is not told."""
+    if vehicle.capacity_mah == 0:
+        return -1
+    return min(max(round(100 * (1 - battery.drawn_mah / vehicle.capacity_mah)), 0), 100)
+
+
+def battery_status(vehicle: Vehicle, battery: BatteryState) -> Msg:
+    """BATTERY_STATUS: the pack's voltage stands in the first cell, as cells are not measured."""
+    return mavlink.MAVLink_battery_status_message(
+        id=0,
+        battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
+        type=mavlink.MAV_BATTERY_TYPE_UNKNOWN,
+        temperature=0x7FFF,
+        voltages=[millivolts(battery)] + [UNKNOWN] * (CELLS - 1),
+        current_battery=round(100 * battery.current_a),
+        current_consumed=battery.drawn_mah,
+        energy_consumed=-1,
+        battery_remaining=remaining(vehicle, battery),
+        time_remaining=0,
+        charge_state=CHARGES.get(battery.level, mavlink.MAV_BATTERY_CHARGE_STATE_UNDEFINED),
+        voltages_ext=[0] * CELLS_LATER,
+    )
+
+
+def rc_channels(boot_ms: int, told: Sequence[int], percent: int) -> Msg:
+    """RC_CHANNELS: roll, pitch, throttle, yaw, aux 1.. told: in the order of MSP's RC; percent: the link's
+    quality."""
+    roll, pitch, yaw, throttle, *aux = told
+    channels = [roll, pitch, throttle, yaw, *aux][:CHANNELS]
+    fields = channels + [UNKNOWN] * (CHANNELS - len(channels))
+    rssi = round(percent * RSSI_MAX / 100)
+    return mavlink.MAVLink_rc_channels_message(boot_ms, len(channels), *fields, rssi)
+
+
+def servo_output_raw(boot_ms: int, motors_us: Sequence[int]) -> Msg:
+    """SERVO_OUTPUT_RAW: the motors' outputs, 1000 stopped, 2000 full; 0 where there is none."""
+    fields = [*motors_us, *[0] * SERVOS][:SERVOS]
+    return mavlink.MAVLink_servo_output_raw_message(boot_ms * 1000 & 0xFFFFFFFF, 0, *fields)
+
+
+def autopilot_version(vehicle: Vehicle) -> Msg:
+    """AUTOPILOT_VERSION. Builds are reproducible and know no revision: the custom versions are zeros."""
+    capabilities = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+        | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    )
+    major, minor, patch = vehicle.version
+    uid = bytes.fromhex(vehicle.uid)
+    return mavlink.MAVLink_autopilot_version_message(
+        capabilities=capabilities,
+        flight_sw_version=major << 24 | minor << 16 | patch << 8 | mavlink.FIRMWARE_VERSION_TYPE_DEV,
+        middleware_sw_version=0,
+        os_sw_version=0,
+        board_version=0,
+        flight_custom_version=[0] * 8,
+        middleware_custom_version=[0] * 8,
+        os_custom_version=[0] * 8,
+        vendor_id=0,
+        product_id=0,
+        uid=int.from_bytes(uid[-8:], "big"),
+        uid2=[*uid, *[0] * (18 - len(uid))],
+    )

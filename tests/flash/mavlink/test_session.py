@@ -1,0 +1,481 @@
+"""The gateway against the host program in lockstep, with pymavlink as the ground station."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from flash.client import Client
+from flash.mavlink.endpoint import UdpPeer, parse_address
+from flash.mavlink.parameter_names import parameter_name
+from flash.mavlink.session import Options, Session
+from flash.setting_text import BY_NAME
+from flash.transport import TcpPort, TcpTransport
+from tests.flash.mavlink.conftest import FLYING, LOOPBACK, READY_MS, MakeLockstep, Station
+from toolchain.contract import SETTINGS, FlightState, Mode, ModeRange
+from toolchain.errors import LinkError
+
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
+WATCHING = Options()
+ESC_STATUS = 291  # the dialect of pymavlink that is used here does not know it either
+PARAMETERS = [setting for setting in SETTINGS if setting.kind != "text"]
+ATTITUDE = mavlink.MAVLINK_MSG_ID_ATTITUDE
+
+
+def number(message: Any) -> float:
+    """The value in a PARAM_VALUE."""
+    if message.param_type == mavlink.MAV_PARAM_TYPE_REAL32:
+        return float(message.param_value)
+    return float(struct.unpack("<I", struct.pack("<f", message.param_value))[0])
+
+
+def field(value: float, kind: int) -> float:
+    """The float of a PARAM_SET."""
+    if kind == mavlink.MAV_PARAM_TYPE_REAL32:
+        return value
+    return float(struct.unpack("<f", struct.pack("<I", int(value)))[0])
+
+
+def set_parameter(station: Station, name: str, value: float) -> None:
+    kind = BY_NAME[next(s.name for s in SETTINGS if parameter_name(s.name) == name)][1].kind
+    told = mavlink.MAV_PARAM_TYPE_REAL32 if kind == "float" else mavlink.MAV_PARAM_TYPE_UINT32
+    station.link.mav.param_set_send(1, 1, name.encode(), field(value, told), told)
+
+
+# --- Telemetry -------------------------------------------------------------------------------------
+def test_the_heartbeat_tells_type_state_and_mode_once_a_second(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.run(3000)
+    beats = gateway.station.got("HEARTBEAT")
+    assert 3 <= len(beats) <= 4
+    assert {(b.type, b.autopilot) for b in beats} == {
+        (mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC)
+    }
+    assert beats[0].system_status in (mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
+    assert beats[-1].system_status == mavlink.MAV_STATE_STANDBY
+    assert not any(beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED for beat in beats)
+    assert {beat.get_srcSystem() for beat in beats} == {1}
+
+
+def test_every_message_comes_at_its_rate_and_at_another_when_asked(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    station = gateway.station
+    gateway.run(500)
+    station.forget()
+    gateway.run(2000)
+    counts = {
+        kind: len(station.got(kind)) for kind in ("ATTITUDE", "SYS_STATUS", "RC_CHANNELS", "SERVO_OUTPUT_RAW")
+    }
+    hz = {"ATTITUDE": 10, "SYS_STATUS": 1, "RC_CHANNELS": 2, "SERVO_OUTPUT_RAW": 2}
+    assert all(abs(counts[kind] - 2 * rate) <= 1 for kind, rate in hz.items()), counts
+    assert not station.got("ESC_STATUS")  # the firmware hears nothing of its ESCs
+    station.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, ATTITUDE, 20_000)
+    gateway.settle()
+    station.forget()
+    gateway.run(1000)
+    assert abs(len(station.got("ATTITUDE")) - 50) <= 1
+    times = [message.time_boot_ms for message in station.got("ATTITUDE")]
+    assert len(set(times)) > 40, "samples come as often"
+    station.command(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, ATTITUDE)
+    station.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, ATTITUDE, -1)
+    gateway.settle()
+    assert station.got("MESSAGE_INTERVAL")[-1].interval_us == 20_000
+    station.forget()
+    gateway.run(500)
+    assert not station.got("ATTITUDE")
+
+
+def test_a_message_is_told_once_when_it_is_requested(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    gateway.settle()
+    (version,) = gateway.station.got("AUTOPILOT_VERSION")
+    assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    assert gateway.station.acks(mavlink.MAV_CMD_REQUEST_MESSAGE) == [ACCEPTED]
+
+
+RESULTS: list[tuple[int, tuple[float, ...], int]] = [
+    (mavlink.MAV_CMD_NAV_TAKEOFF, (), UNSUPPORTED),
+    (65535, (), UNSUPPORTED),
+    (mavlink.MAV_CMD_REQUEST_MESSAGE, (ESC_STATUS,), UNSUPPORTED),
+    (mavlink.MAV_CMD_REQUEST_MESSAGE, (math.nan,), DENIED),
+    (mavlink.MAV_CMD_REQUEST_MESSAGE, (1e30,), DENIED),
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (0, 1e6), DENIED),  # the heartbeat's
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (ATTITUDE, 1), DENIED),
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (ATTITUDE, math.inf), DENIED),
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (999, 1e6), UNSUPPORTED),
+    (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (ATTITUDE, 0), ACCEPTED),
+    (mavlink.MAV_CMD_PREFLIGHT_STORAGE, (0,), DENIED),
+    (mavlink.MAV_CMD_PREFLIGHT_STORAGE, (math.nan,), DENIED),
+    (mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (2,), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (0, 1), DENIED),  # no custom mode
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 2), DENIED),
+    (mavlink.MAV_CMD_DO_SET_MODE, (1, 0), ACCEPTED),
+    (mavlink.MAV_CMD_NAV_GUIDED_ENABLE, (math.nan,), DENIED),
+    (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (2,), DENIED),
+    (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (math.nan,), DENIED),
+]
+
+
+def test_every_command_is_answered(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    for command, params, result in RESULTS:
+        gateway.station.forget()
+        gateway.station.command(command, *params)
+        values = [*params, 0, 0, 0, 0][:4]
+        gateway.station.link.mav.command_int_send(1, 1, 0, command, 0, 0, *values, 0, 0, 0)
+        gateway.settle()
+        assert gateway.station.acks(command) == [result, result], (command, params)
+
+
+def test_what_is_meant_for_others_is_passed_over(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    mav = gateway.station.link.mav
+    mav.command_long_send(2, 1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, *[0] * 7)
+    mav.command_long_send(1, 154, mavlink.MAV_CMD_NAV_TAKEOFF, 0, *[0] * 7)
+    mav.param_request_list_send(2, 1)
+    mav.set_attitude_target_send(0, 2, 1, 0x80, [1, 0, 0, 0], 0, 0, 0, 0)
+    gateway.settle()
+    assert not gateway.station.got("COMMAND_ACK") and not gateway.station.got("PARAM_VALUE")
+    gateway.station.command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1)
+    gateway.settle()
+    assert gateway.station.acks(mavlink.MAV_CMD_NAV_GUIDED_ENABLE) == [REJECTED]
+
+
+def test_a_ground_station_learns_that_there_is_no_mission(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.station.link.mav.mission_request_list_send(1, 1)
+    gateway.settle()
+    assert [message.count for message in gateway.station.got("MISSION_COUNT")] == [0]
+
+
+def test_states_and_reasons_are_told_as_texts(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    gateway.run(READY_MS)
+    texts = gateway.station.texts()
+    assert texts[0].startswith("Neuroflight 0.1.0, policy nf1 ")
+    assert "State: disarmed" in texts
+    assert any(text.startswith("Not ready: receiver lost: switch the transmitter on") for text in texts)
+    assert texts == gateway.lines
+
+
+# --- Parameters ------------------------------------------------------------------------------------
+def test_all_settings_go_round_as_parameters(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    station = gateway.station
+    station.link.mav.param_request_list_send(1, 1)
+    gateway.settle()
+    told = station.got("PARAM_VALUE")
+    assert [message.param_id for message in told] == [parameter_name(s.name) for s in PARAMETERS]
+    assert [message.param_index for message in told] == list(range(len(PARAMETERS)))
+    assert {message.param_count for message in told} == {len(PARAMETERS)}
+    values = {message.param_id: number(message) for message in told}
+    assert values["rx_protocol"] == 2 and values["mode1"] == BY_NAME["mode1"][1].default
+    for setting in PARAMETERS:
+        name = parameter_name(setting.name)
+        wanted = setting.low if values[name] != setting.low else setting.high
+        if setting.kind == "mode":
+            wanted = ModeRange(Mode.BEEPER, 12, 900, 1300, and_others=True).packed
+        for value in (wanted, values[name]):
+            station.forget()
+            set_parameter(station, name, value)
+            gateway.settle()
+            got = next(m for m in station.got("PARAM_VALUE") if m.param_id == name)
+            assert number(got) == pytest.approx(value, rel=1e-6), name
+
+
+def test_a_parameter_is_read_by_name_and_by_number(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    mav = gateway.station.link.mav
+    mav.param_request_read_send(1, 1, b"roll_rate", -1)
+    mav.param_request_read_send(1, 1, b"", 0)
+    mav.param_request_read_send(1, 1, b"nothing", -1)
+    mav.param_request_read_send(1, 1, b"", 9999)
+    mav.param_request_read_send(1, 1, b"", -2)
+    mav.param_request_read_send(1, 1, b"craft_name", -1)  # a text is no parameter
+    gateway.settle()
+    assert sorted((m.param_id, number(m)) for m in gateway.station.got("PARAM_VALUE")) == [
+        ("gyro_rate_hz", 4000.0),
+        ("roll_rate", 1000.0),
+    ]
+
+
+def test_the_old_value_is_the_answer_when_a_new_one_is_refused(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    for name, value, kind in [
+        ("roll_expo", 1.5, 9),
+        ("roll_expo", math.nan, 9),
+        ("roll_expo", 0.5, 5),
+        ("deadband_us", field(101, 5), 5),
+        ("deadband_us", 0.5, 9),
+        ("deadband_us", 1.0, 2),
+    ]:
+        gateway.station.forget()
+        gateway.station.link.mav.param_set_send(1, 1, name.encode(), value, kind)
+        gateway.settle()
+        (told,) = gateway.station.got("PARAM_VALUE")
+        assert (told.param_id, number(told)) == (name, 0.0)
+        assert [text for text in gateway.station.texts() if text.startswith(f"{name}: ")], (name, value)
+
+
+def test_no_parameter_changes_while_armed(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    assert gateway.arm() == ACCEPTED
+    set_parameter(gateway.station, "roll_expo", 0.5)
+    gateway.station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1)
+    gateway.station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
+    gateway.settle()
+    assert number(gateway.station.got("PARAM_VALUE")[-1]) == 0.0
+    assert "roll_expo: the motors are armed; disarm first" in gateway.station.texts()
+    assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_STORAGE) == [REJECTED]
+    assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN) == [REJECTED]
+    assert gateway.reply.armed
+
+
+def test_all_rates_are_told_when_their_style_changes(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    set_parameter(gateway.station, "rates_style", 1)
+    gateway.settle()
+    told = {m.param_id: number(m) for m in gateway.station.got("PARAM_VALUE")}
+    assert len(told) == 10
+    assert [told[name] for name in ("rates_style", "roll_rate", "roll_max")] == pytest.approx([1, 1, 0.7])
+
+
+def test_what_is_stored_is_there_after_a_restart_and_defaults_too(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    station = gateway.station
+    set_parameter(station, "roll_expo", 0.5)
+    station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1)
+    gateway.settle()
+    assert station.acks(mavlink.MAV_CMD_PREFLIGHT_STORAGE) == [ACCEPTED]
+    station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
+    gateway.settle()
+    assert station.acks(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN) == [ACCEPTED]
+    again = lockstep.again()
+    again.station.link.mav.param_request_read_send(1, 1, b"roll_expo", -1)
+    again.settle()
+    assert number(again.station.got("PARAM_VALUE")[-1]) == 0.5
+    again.station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2)
+    again.settle()
+    told = {m.param_id: number(m) for m in again.station.got("PARAM_VALUE")}
+    assert len(told) == len(PARAMETERS) and (told["roll_expo"], told["rx_protocol"]) == (0.0, 0.0)
+
+
+def test_settings_that_contradict_each_other_are_not_stored_and_told(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(WATCHING)
+    set_parameter(gateway.station, "map_roll", 1)
+    gateway.station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1)
+    gateway.settle()
+    assert gateway.station.acks(mavlink.MAV_CMD_PREFLIGHT_STORAGE) == [FAILED]
+    assert any("does not fit" in text for text in gateway.station.texts())
+
+
+# --- Interlocks ------------------------------------------------------------------------------------
+def test_the_line_is_left_alone_when_the_receiver_is_another(lockstep: MakeLockstep) -> None:
+    with pytest.raises(LinkError, match=r"receiver_protocol is crsf, expected msp .* no channels were sent"):
+        lockstep(stored={"receiver_protocol": 1.0})
+
+
+def steer(gateway: Any) -> None:
+    """All that a companion may try."""
+    mav = gateway.station.link.mav
+    gateway.station.rates(1.0, 0.0, 0.0, 0.0)
+    mav.manual_control_send(1, 500, 500, 0, 500, 0)
+    mav.rc_channels_override_send(1, 1, 1600, 1600, 1000, 1600, 1900, 1900, 1900, 1900, *[1900] * 10)
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, 21196)
+
+
+@pytest.mark.parametrize("options", [WATCHING, FLYING], ids=["not allowed", "not enabled"])
+def test_no_channel_is_sent_unless_offboard_is_allowed_and_enabled(
+    lockstep: MakeLockstep, options: Options, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from flash import requests
+
+    sent: list[object] = []
+
+    def note(frame: object) -> bytes:
+        sent.append(frame)
+        return b""
+
+    monkeypatch.setattr(requests, "set_raw_rc", note)
+    gateway = lockstep(options)
+    gateway.run(READY_MS + 500, lambda: steer(gateway))
+    if options is WATCHING:
+        gateway.station.command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1)
+        gateway.station.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 1)
+        gateway.run(200, lambda: steer(gateway))
+        assert gateway.station.acks(mavlink.MAV_CMD_NAV_GUIDED_ENABLE) == [DENIED]
+        assert gateway.station.acks(mavlink.MAV_CMD_DO_SET_MODE) == [DENIED]
+    assert not sent
+    assert gateway.session.firmware.safety.receiver_percent == 0
+    assert set(gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) <= {DENIED, REJECTED}
+    assert not gateway.reply.armed
+
+
+def test_arming_is_refused_without_permission_whatever_is_tried(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(Options(offboard=True))
+    gateway.run(READY_MS)
+    assert gateway.enable() == ACCEPTED
+    gateway.run(1500, lambda: steer(gateway))
+    assert gateway.session.firmware.safety.receiver_percent > 50, "channels come"
+    assert set(gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)) == {DENIED}
+    assert not gateway.reply.armed
+    assert any("--allow-arm" in text for text in gateway.station.texts())
+
+
+def test_arming_is_refused_with_thrust_and_from_others(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(stations=2)
+    first, second = gateway.stations
+    gateway.run(READY_MS)
+    assert gateway.enable() == ACCEPTED
+    gateway.run(400, lambda: first.rates(0, 0, 0, 0.0))
+    gateway.run(40, lambda: second.rates(0, 0, 0, 0.0))
+    second.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    second.command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1)
+    gateway.settle()
+    assert second.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [REJECTED]
+    assert second.acks(mavlink.MAV_CMD_NAV_GUIDED_ENABLE) == [REJECTED]
+    first.rates(0, 0, 0, 0.3)
+    first.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(200, lambda: first.rates(0, 0, 0, 0.3))
+    assert first.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [REJECTED]
+    assert not gateway.reply.armed
+
+
+def test_the_switch_goes_off_again_when_the_firmware_does_not_arm(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    idle: Callable[[], None] = lambda: gateway.station.rates(0, 0, 0, 0)  # noqa: E731
+    assert gateway.enable() == ACCEPTED  # while it calibrates
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(1200, idle)
+    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [IN_PROGRESS, FAILED]
+    assert any("Not ready" in text for text in gateway.station.texts())
+    gateway.run(1000, idle)
+    assert not gateway.reply.armed
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(200, idle)
+    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)[-1] == ACCEPTED
+    assert gateway.reply.armed
+
+
+def test_arming_is_refused_when_the_rates_flown_are_not_those_of_the_settings(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(flown={"roll_max": 200.0, "roll_rate": 200.0})
+    gateway.run(READY_MS)
+    assert gateway.enable() == ACCEPTED
+    gateway.run(1500, lambda: gateway.station.rates(2.0, 0, 0, 0))
+    assert "Rates flown are not those of the settings: disarm, reboot" in gateway.station.texts()
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(200, lambda: gateway.station.rates(0, 0, 0, 0))
+    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [REJECTED]
+    assert not gateway.reply.armed
+
+
+def test_offboard_ends_when_the_receiver_flown_is_another(lockstep: MakeLockstep) -> None:
+    gateway = lockstep(flown={"receiver_protocol": 0})
+    assert gateway.enable() == ACCEPTED
+    gateway.run(100, lambda: gateway.station.rates(0, 0, 0, 0))
+    assert "No channels taken: receiver_protocol msp is not flown yet, reboot" in gateway.station.texts()
+    assert gateway.station.got("HEARTBEAT") and not gateway.session.steered
+
+
+def test_garbage_changes_nothing(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    chance = random.Random(19)
+    packet = bytes(
+        mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0).pack(gateway.station.link.mav)
+    )
+
+    def garbage() -> None:
+        noise = bytearray(packet * chance.randrange(1, 10))
+        for _ in range(chance.randrange(1, 20)):
+            noise[chance.randrange(len(noise))] = chance.randrange(256)
+        gateway.station.raw(bytes(noise[: chance.randrange(len(noise))]))
+        gateway.station.raw(chance.randbytes(chance.randrange(1500)))
+        gateway.station.rates(math.nan, math.inf, -math.inf, math.nan)
+
+    gateway.run(1000, garbage, every_ms=2)
+    assert gateway.session.firmware.safety.state in (FlightState.CALIBRATING, FlightState.DISARMED)
+    assert len(gateway.station.got("HEARTBEAT")) >= 1
+    gateway.station.link.mav.param_request_read_send(1, 1, b"roll_rate", -1)
+    gateway.settle()
+    assert [number(m) for m in gateway.station.got("PARAM_VALUE")] == [1000.0]
+
+
+# --- A firmware that goes --------------------------------------------------------------------------
+class Mutable:
+    """A line to a firmware whose answers may stay away, with a clock that only waiting moves."""
+
+    def __init__(self, port: int) -> None:
+        self._inner = TcpTransport(TcpPort(LOOPBACK, port))
+        self.name = "tcp"
+        self.muted = False
+        self.now = 0.0
+
+    def read(self, timeout: float) -> bytes:
+        if self.muted:
+            self.now += timeout
+            return b""
+        return self._inner.read(timeout)
+
+    def write(self, data: bytes) -> None:
+        if not self.muted:
+            self._inner.write(data)
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def clock(self) -> float:
+        return self.now
+
+
+def test_no_heartbeat_comes_while_the_firmware_is_silent_and_nobody_steers_after_it(
+    resting_host: str,
+) -> None:
+    line = Mutable(int(resting_host.rpartition(":")[2]))
+    station = Station(201)
+    with Client(line, line.clock) as client:
+        session = Session(client, [UdpPeer(parse_address(station.address))], Options(), line.clock)
+
+        def run(seconds: float) -> None:
+            end = line.now + seconds
+            while line.now < end:
+                line.now += min(session.step(), 0.05) or 0.001
+
+        run(3.0)
+        assert len(station.got("HEARTBEAT")) >= 3
+        line.muted = True
+        run(3.0)
+        assert "The flight controller does not answer" in station.texts()
+        station.forget()
+        station.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 1)
+        run(5.0)
+        assert not station.got("HEARTBEAT")
+        assert station.acks(mavlink.MAV_CMD_DO_SET_MODE) == [REJECTED]
+        line.muted = False
+        run(3.0)
+        assert station.got("HEARTBEAT")
+        assert station.texts()[0].startswith("Neuroflight 0.1.0")
+    station.close()
+
+
+def test_a_firmware_of_another_make_is_refused(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> None:
+    from flash.msp import Decoder, Message, encode, error, reply
+    from toolchain.contract import Msp
+
+    def answer(data: bytes) -> bytes:
+        (asked,) = [event for event in Decoder().feed(data) if isinstance(event, Message)]
+        if asked.command == Msp.API_VERSION:
+            return encode(reply(asked, bytes([0, 1, 46])))
+        return encode(error(asked))
+
+    with (
+        Client(TcpTransport(TcpPort(LOOPBACK, int(tcp_server(answer).rpartition(":")[2])))) as client,
+        pytest.raises(LinkError, match="another make"),
+    ):
+        Session(client, [], Options(), lambda: 0.0)
