@@ -32,7 +32,8 @@ SETTING_KINDS = ("uint32_t", "float", "mode", "text")  # by number: enum setting
 STORING = frozenset(  # commands that wait for the flash
     {
         *(Msp.EEPROM_WRITE, Msp.RESET_CONF, Msp.FAULTS, Msp.ACKNOWLEDGE),
-        *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END),
+        *(Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.POLICY_SLOT_REVERT),
+        *(Msp.IMAGE_BEGIN, Msp.IMAGE_WRITE, Msp.IMAGE_END, Msp.IMAGE_SWITCH),
     }
 )
 # Commands that act, where doing it twice is not doing it once: they are never sent again unasked.
@@ -55,6 +56,7 @@ REASONS = {
     Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
     Refusal.SPOILT: "a change before it was refused; nothing is stored, and what was not stored is undone",
+    Refusal.IMAGE: "the image is none for this board's other bank (error {detail} of nf_err.h)",
 }
 
 

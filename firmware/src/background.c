@@ -48,6 +48,7 @@ static enum nf_err background_load_settings(struct background *background)
 static bool background_choose_policy(struct background *background)
 {
 	const struct background_config *config = &background->config;
+	const struct image_bank_marks marks = image_bank_marks(&config->hal->flash, config->bank);
 	const struct policy_blob_identity running = {
 		.architecture_hash = POLICY_ARCHITECTURE_HASH,
 		.filters_hash = filters_hash(&background->settings),
@@ -58,7 +59,8 @@ static bool background_choose_policy(struct background *background)
 	};
 
 	/* The policy's state is the firmware's, which is initialised after this. */
-	return policy_slots_choose(&background->slots, &config->hal->flash, &running, &policy_blob, sizeof policy_blob,
+	return policy_slots_choose(&background->slots, &config->hal->flash, &running,
+				   marks.has_floor ? &marks.policy_floor : NULL, &policy_blob, sizeof policy_blob,
 				   &config->firmware->control.policy, config->weights) == NF_OK;
 }
 
@@ -270,11 +272,13 @@ static void background_offer_services(struct background *background)
 	const struct background_config *config = &background->config;
 
 	background_offer_commands(background);
+	image_update_init(&background->image, &config->hal->flash, config->bank, config->identity->target);
 	background->services = (struct msp_services){
 		.flash = &config->hal->flash,
 		.settings = &background->edited,
 		.slots = &background->slots,
 		.faults = &background->faults,
+		.image = &background->image,
 		.tasks = config->stats,
 		.command_line = &background->commands,
 		.cycles_hz = config->cycles_hz,

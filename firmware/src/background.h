@@ -20,6 +20,7 @@
 #include "receiver/gesture.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
+#include "storage/image_update.h"
 #include "storage/policy_slots.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
@@ -50,6 +51,7 @@ struct background {
 	size_t weights_checked; /* those before this one, since the check last began at the first */
 	bool weights_bad; /* not what flash has */
 	bool weights_lost; /* flash has no good ones either */
+	struct image_update image;
 	struct fault_log faults;
 	struct scheduler scheduler;
 	struct battery battery;

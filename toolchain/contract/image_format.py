@@ -59,8 +59,8 @@ IMAGE_FIELDS = (
 IMAGE_HEADER_FORMAT = "<" + "".join(field.format for field in IMAGE_FIELDS)
 
 # At the end of the bank. A flag is set by a word of zeros. The bank's number stands in the first entry of
-# `numbers` whose check holds: sequence, policy floor, 1 where that counts else 0, check. A loss of power may
-# spoil an entry; then the next one is used.
+# `numbers` whose check holds: sequence, policy floor, 1 where that counts else 0, CRC-32 of these three. A
+# loss of power may spoil an entry; then the next one is used.
 IMAGE_NUMBER_ENTRIES = 4
 IMAGE_NUMBER_WORDS = 4
 IMAGE_STATE_FIELDS = (

@@ -125,8 +125,16 @@ class Msp(IntEnum):
     POLICY_SLOT_BEGIN = 0x4E30  # v2, ours: erases the slot that is not flown
     POLICY_SLOT_WRITE = 0x4E31  # v2, ours: offset and bytes
     POLICY_SLOT_END = 0x4E32  # v2, ours: checks the blob; flown from the next boot on
+    POLICY_SLOT_REVERT = 0x4E33  # v2, ours: the flown slot's policy is none any more from the next boot on
+    POLICY_SLOT_INFO = 0x4E34  # v2, ours: what a slot holds
     STREAM = 0x4E40  # v2, ours: records of control steps unasked from now on, at the rate told
     STREAM_SAMPLE = 0x4E41  # v2, ours: one of them; never a request
+    IMAGE_INFO = 0x4E50  # v2, ours: what the two banks of images hold
+    IMAGE_BEGIN = 0x4E51  # v2, ours: erases the bank that is not run, for the image of that header
+    IMAGE_WRITE = 0x4E52  # v2, ours: offset and bytes
+    IMAGE_END = 0x4E53  # v2, ours: checks that all of it has arrived
+    IMAGE_HASH = 0x4E54  # v2, ours: SHA-256 of a bank's image as flash has it
+    IMAGE_SWITCH = 0x4E55  # v2, ours: the image of that SHA-256 is started from the next boot on
 
 
 MSP_PROTOCOL_VERSION = 0
@@ -150,6 +158,10 @@ MSP_BAUD_DEFAULT = 115200  # the ecosystem's
 MSP_MODE_ARMED = 0x01  # bit of the flight modes in STATUS and STATUS_EX
 MSP_STREAM_RATE_MAX_HZ = 500
 MSP_STREAM_ARMED, MSP_STREAM_PID = 0x01, 0x02  # flags of a record: motors obey; the PID flies
+# Flags of a bank in IMAGE_INFO.
+MSP_IMAGE_FITS, MSP_IMAGE_NUMBERED, MSP_IMAGE_CONFIRMED, MSP_IMAGE_REJECTED, MSP_IMAGE_INSTALLED = (
+    1 << bit for bit in range(5)
+)
 VERSION = (0, 1, 0)
 CRC8_DVB_S2_POLY = 0xD5
 
@@ -175,8 +187,9 @@ class Refusal(IntEnum):
     RANGE = 4  # beyond a setting's limits, or no number
     CONFLICT = 5  # settings that do not go together
     FLASH = 6  # did not take what was written
-    ORDER = 7  # not what comes next: a policy slot is begun, written from its beginning, ended
+    ORDER = 7  # not what comes next: a policy slot or a bank is begun, written from its beginning, ended
     BLOB = 8  # the policy is not one for this image
     SEQUENCE = 9  # of the policy is not newer than the one that stays
     ABSENT = 10  # this build has no such thing
     SPOILT = 11  # a change before it was refused: nothing is stored, all unsaved changes are gone
+    IMAGE = 12  # the image is not one for this board's other bank, or not whole, or not the one that was told

@@ -32,6 +32,7 @@ class Access:
 _R = Refusal
 _STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
 _SLOT = "no command of ours sends it, only programs of your own (`flash/requests.py`)"
+_STARTED = "REBOOT starts it; may be repeated: the number and the floor of the policies stay"
 _READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
 # SETs of lists; those of single values are in CONFIGURATIONS.
 _LISTS = (
@@ -103,11 +104,31 @@ _ACTS = {
     ),
     Msp.RESET_CONF: Access(_STORING, (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT), "stores the defaults"),
     Msp.ACKNOWLEDGE: Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),
-    Msp.POLICY_SLOT_BEGIN: Access(_STORING, (_R.PAYLOAD, _R.FLASH, _R.ABSENT), _SLOT),
+    Msp.POLICY_SLOT_BEGIN: Access(
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), f"`order` after a revert; {_SLOT}"
+    ),
     Msp.POLICY_SLOT_WRITE: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), _SLOT),
     Msp.POLICY_SLOT_END: Access(
         _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT), _SLOT
     ),
+    Msp.POLICY_SLOT_REVERT: Access(
+        _STORING,
+        (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT),
+        "`order` where no slot is flown, and after an update until the restart; may be repeated",
+    ),
+    Msp.POLICY_SLOT_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.INDEX)),
+    Msp.IMAGE_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT)),
+    Msp.IMAGE_BEGIN: Access(
+        _STORING,
+        (_R.PAYLOAD, _R.IMAGE, _R.FLASH, _R.ABSENT),
+        "`image` before anything is erased; erasing takes one to two seconds, in which nothing is answered",
+    ),
+    Msp.IMAGE_WRITE: Access(
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "the last one may be repeated"
+    ),
+    Msp.IMAGE_END: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.ABSENT), "may be repeated"),
+    Msp.IMAGE_HASH: Access(_STOPPED, (_R.PAYLOAD, _R.INDEX, _R.IMAGE, _R.ABSENT)),
+    Msp.IMAGE_SWITCH: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.FLASH, _R.ABSENT), _STARTED),
 }
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import struct
+
+from toolchain.contract.image_format import IMAGE_BUILD_BYTES, IMAGE_FIELDS, IMAGE_HEADER_FORMAT
 from toolchain.contract.msp import MSP_STREAM_RATE_MAX_HZ, Msp
 from toolchain.contract.msp_layouts import MspField, MspGroup, number, reply, request
+from toolchain.contract.policy_format import SHA256_BYTES
 from toolchain.contract.settings import SETTING_TEXT_BYTES
 
 __all__ = ["OWN_LAYOUTS"]
@@ -12,6 +16,7 @@ _FAULT_REGISTER_COUNT = 13
 _FAULT_FILE_BYTES = 24
 _SETTING = number("u16", "setting", "", "its index: place in docs/settings.md, from 0")
 _KIND = number("u8", "kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
+_HEADER_FIELDS = ", ".join(field.name for field in IMAGE_FIELDS)
 _LIMIT = "as the kind says; of a text its length"
 
 
@@ -73,6 +78,82 @@ OWN_LAYOUTS = (
         MspField("data", "bytes", "", "of the blob, a multiple of 4", 0),
     ),
     request(Msp.POLICY_SLOT_END),
+    request(Msp.POLICY_SLOT_REVERT),
+    request(
+        Msp.POLICY_SLOT_INFO,
+        number("u8", "source", "", "0 slot A, 1 slot B, 2 compiled in"),
+    ),
+    reply(
+        Msp.POLICY_SLOT_INFO,
+        number("i8", "found", "", "0 good, else an error of nf_err.h: why it could not be flown now"),
+        number("u8", "flown", "", "1: by this boot"),
+        number("u32", "sequence", "", "this and what follows: zeros where there is no whole policy"),
+        number("u32", "architecture_hash"),
+        number("u32", "filters_hash"),
+        number("u32", "control_rate", "Hz"),
+        number("f32", "idle", "", "motor fraction at zero thrust"),
+        MspField("aircraft", "counted", "", "that it was trained on"),
+        MspField("policy_sha256", "bytes", "", "of the ONNX file", SHA256_BYTES),
+    ),
+    reply(
+        Msp.IMAGE_INFO,
+        number("u8", "running", "", "bank that this image runs from: 0 A, 1 B"),
+        MspGroup(
+            "banks",
+            (
+                number(
+                    "u8",
+                    "flags",
+                    "bits",
+                    "0 its header fits bank and board, else all of it is zeros; 1 numbered, 2 confirmed, "
+                    "3 rejected, 4 installed by the ROM and not numbered yet",
+                ),
+                number("u8", "starts", "", "counted ones of an image that is not confirmed"),
+                number("u32", "sequence", "", "of two numbered images the newer one is started"),
+                number("u32", "image_bytes", "bytes"),
+                number("u32", "crc"),
+                MspField("version", "bytes", "", "major, minor, patch, 0", 4),
+                MspField(
+                    "build",
+                    "bytes",
+                    "",
+                    "number of the build, the same in both banks' images",
+                    IMAGE_BUILD_BYTES,
+                ),
+            ),
+            counted=True,
+        ),
+    ),
+    request(
+        Msp.IMAGE_BEGIN,
+        MspField(
+            "header", "bytes", "", f"of the image: {_HEADER_FIELDS}", struct.calcsize(IMAGE_HEADER_FORMAT)
+        ),
+    ),
+    reply(
+        Msp.IMAGE_BEGIN,
+        number("u32", "offset", "bytes", "to go on from: not 0 where the same image was under way"),
+    ),
+    request(
+        Msp.IMAGE_WRITE,
+        number("u32", "offset", "bytes", "a multiple of 4: where the last one ended"),
+        MspField("data", "bytes", "", "of the image, a multiple of 4", 0),
+    ),
+    request(Msp.IMAGE_END),
+    reply(Msp.IMAGE_END, number("u32", "crc", "", "of the image as flash has it")),
+    request(Msp.IMAGE_HASH, number("u8", "bank", "", "0 A, 1 B")),
+    reply(Msp.IMAGE_HASH, MspField("sha256", "bytes", "", "of the image as flash has it", SHA256_BYTES)),
+    request(
+        Msp.IMAGE_SWITCH,
+        MspField("sha256", "bytes", "", "of the image that is not run", SHA256_BYTES),
+        number(
+            "u8",
+            "keep_policy",
+            "",
+            "1: it may fly the policies that the slots hold now; 0: only those written later",
+        ),
+    ),
+    reply(Msp.IMAGE_SWITCH, number("u32", "sequence", "", "number that the image has got")),
     request(Msp.STREAM, number("u16", "rate", "Hz", "0 ends it")),
     reply(
         Msp.STREAM,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 from toolchain.contract import (
     FLASH_BANK_A,
@@ -22,12 +23,12 @@ _AT = FLASH_BANK_A.address - FLASH_BASE
 
 def state(*, sequence: int, confirmed: bool, written: bool = False) -> bytes:
     """The state of a bank whose image has the number `sequence`: its first words, at the bank's tail."""
-    number = (sequence, 0, 0, sequence ^ _ERASED)
-    erased = (_ERASED,) * IMAGE_NUMBER_WORDS * (IMAGE_NUMBER_ENTRIES - 1)
+    number = struct.pack("<3I", sequence, 0, 0)
+    number += struct.pack("<I", zlib.crc32(number))
     return struct.pack(
         IMAGE_STATE_FORMAT,
         0 if written else _ERASED,
-        struct.pack(f"<{IMAGE_NUMBER_WORDS * IMAGE_NUMBER_ENTRIES}I", *number, *erased),
+        number.ljust(4 * IMAGE_NUMBER_WORDS * IMAGE_NUMBER_ENTRIES, b"\xff"),
         struct.pack(f"<{IMAGE_STARTS_MAX}I", *(_ERASED,) * IMAGE_STARTS_MAX),
         _ERASED,
         0 if confirmed else _ERASED,

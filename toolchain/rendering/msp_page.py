@@ -75,6 +75,7 @@ REFUSALS = {
     Refusal.SEQUENCE: "the policy is not newer than the one that stays",
     Refusal.ABSENT: "this build, or its settings, have no such thing",
     Refusal.SPOILT: "a change before it was refused; nothing is stored, what was not stored is undone",
+    Refusal.IMAGE: "the image is none for the board's other bank, or not whole, or not the one that was told",
 }
 SHORT = {
     MspWhen.ALWAYS: "always",

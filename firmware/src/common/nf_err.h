@@ -22,6 +22,18 @@ enum nf_err {
 	NF_ERR_BLOB_IDLE = -14,         /* an idle that no policy is trained with */
 
 	NF_ERR_SETTINGS = -15, /* beyond their limits, or they contradict each other */
+
+	NF_ERR_BLOB_OLD = -16, /* not newer than the policies that this image was to leave behind */
+
+	/* An image for a bank, in the order of the checks. */
+	NF_ERR_IMAGE_MAGIC = -17,  /* not an image */
+	NF_ERR_IMAGE_LAYOUT = -18, /* of another layout version */
+	NF_ERR_IMAGE_BOARD = -19,  /* for another board */
+	NF_ERR_IMAGE_BANK = -20,   /* linked for another bank */
+	NF_ERR_IMAGE_SIZE = -21,   /* a size that no image has, or that does not fit the bank */
+	NF_ERR_IMAGE_HEADER = -22, /* flash has another header than the one that was told */
+	NF_ERR_IMAGE_CRC = -23,    /* damaged, or not all of it is there */
+	NF_ERR_IMAGE_SHA256 = -24, /* whole, but not the image of that SHA-256 */
 };
 
 #endif

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "common/sha256.h"
 #include "policy.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
@@ -235,6 +236,151 @@ static enum nf_refusal command_slot_end(struct request *q)
 	return refusal;
 }
 
+static enum nf_refusal command_slot_revert(struct request *q)
+{
+	return policy_slots_revert(q->services->slots);
+}
+
+static enum nf_refusal command_slot_info(struct request *q)
+{
+	const struct policy_slots *slots = q->services->slots;
+	const unsigned source = msp_take_u8(&q->payload);
+	struct nf_policy_blob_header header;
+
+	if (source >= POLICY_SOURCE_COUNT)
+		return NF_REFUSAL_INDEX;
+	/* An enum nf_err: a signed byte. */
+	msp_put_u8(q->reply, (unsigned)policy_slots_info(slots, (enum policy_source)source, &header));
+	msp_put_u8(q->reply, slots->flown == source);
+	msp_put_u32(q->reply, header.sequence);
+	msp_put_u32(q->reply, header.architecture_hash);
+	msp_put_u32(q->reply, header.filters_hash);
+	msp_put_u32(q->reply, header.control_rate_hz);
+	msp_put_float(q->reply, header.idle);
+	msp_put_counted_text(q->reply, header.aircraft, sizeof header.aircraft);
+	msp_put_bytes(q->reply, header.policy_sha256, sizeof header.policy_sha256);
+	return NF_REFUSAL_NONE;
+}
+
+/* --- Images ------------------------------------------------------------------------------------------- */
+/* Flags of a bank with an image. */
+static unsigned command_image_flags(const struct image_bank_marks *marks)
+{
+	return NF_MSP_IMAGE_FITS | (marks->numbered ? NF_MSP_IMAGE_NUMBERED : 0u) |
+	       (marks->confirmed ? NF_MSP_IMAGE_CONFIRMED : 0u) | (marks->rejected ? NF_MSP_IMAGE_REJECTED : 0u) |
+	       (marks->installed ? NF_MSP_IMAGE_INSTALLED : 0u);
+}
+
+static enum nf_refusal command_image_info(struct request *q)
+{
+	const struct image_update *image = q->services->image;
+
+	if (!image)
+		return NF_REFUSAL_ABSENT;
+	msp_put_u8(q->reply, image->running);
+	msp_put_u8(q->reply, IMAGE_BANK_COUNT);
+	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank) {
+		struct nf_image_header header = image_bank_header(image->flash, bank);
+		struct image_bank_marks marks = image_bank_marks(image->flash, bank);
+		const bool fits = image_bank_fits(&header, bank, image->board);
+		if (!fits) {
+			header = (struct nf_image_header){ 0 };
+			marks = (struct image_bank_marks){ 0 };
+		}
+		msp_put_u8(q->reply, fits ? command_image_flags(&marks) : 0);
+		msp_put_u8(q->reply, marks.starts);
+		msp_put_u32(q->reply, marks.sequence);
+		msp_put_u32(q->reply, header.image_bytes);
+		msp_put_u32(q->reply, header.crc);
+		msp_put_bytes(q->reply, header.version, sizeof header.version);
+		msp_put_bytes(q->reply, header.build, sizeof header.build);
+	}
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal command_image_begin(struct request *q)
+{
+	struct nf_image_header header;
+	uint32_t offset;
+	enum nf_err why = NF_OK;
+
+	if (!q->services->image)
+		return NF_REFUSAL_ABSENT;
+	memcpy(&header, q->payload.at, sizeof header);
+	const enum nf_refusal refusal = image_update_begin(q->services->image, &header, &offset, &why);
+	q->detail = why;
+	if (refusal == NF_REFUSAL_NONE)
+		msp_put_u32(q->reply, offset);
+	return refusal;
+}
+
+static enum nf_refusal command_image_write(struct request *q)
+{
+	const uint32_t offset = msp_take_u32(&q->payload);
+
+	if (!q->services->image)
+		return NF_REFUSAL_ABSENT;
+	return image_update_write(q->services->image, offset, q->payload.at, q->payload.left);
+}
+
+static enum nf_refusal command_image_end(struct request *q)
+{
+	uint32_t crc;
+	enum nf_err why = NF_OK;
+
+	if (!q->services->image)
+		return NF_REFUSAL_ABSENT;
+	const enum nf_refusal refusal = image_update_end(q->services->image, &crc, &why);
+	q->detail = why;
+	if (refusal == NF_REFUSAL_NONE)
+		msp_put_u32(q->reply, crc);
+	return refusal;
+}
+
+static enum nf_refusal command_image_hash(struct request *q)
+{
+	const unsigned bank = msp_take_u8(&q->payload);
+	uint8_t digest[SHA256_BYTES];
+
+	if (!q->services->image)
+		return NF_REFUSAL_ABSENT;
+	if (bank >= IMAGE_BANK_COUNT)
+		return NF_REFUSAL_INDEX;
+	q->detail = image_update_hash(q->services->image, bank, digest);
+	if (q->detail != NF_OK)
+		return NF_REFUSAL_IMAGE;
+	msp_put_bytes(q->reply, digest, sizeof digest);
+	return NF_REFUSAL_NONE;
+}
+
+static enum nf_refusal command_image_switch(struct request *q)
+{
+	const struct msp_services *s = q->services;
+	struct image_update_floor floor = { 0 };
+	uint8_t told[SHA256_BYTES];
+	uint32_t sequence;
+	enum nf_err why = NF_OK;
+
+	if (!s->image)
+		return NF_REFUSAL_ABSENT;
+	memcpy(told, q->payload.at, sizeof told);
+	q->payload.at += sizeof told;
+	q->payload.left -= sizeof told;
+	const unsigned keep = msp_take_u8(&q->payload);
+	if (keep > 1)
+		return NF_REFUSAL_PAYLOAD;
+	if (keep) {
+		floor = (struct image_update_floor){ s->slots->has_floor, s->slots->floor };
+	} else {
+		floor.counts = policy_slots_floor(s->slots, &floor.sequence);
+	}
+	const enum nf_refusal refusal = image_update_switch(s->image, told, &floor, &sequence, &why);
+	q->detail = why;
+	if (refusal == NF_REFUSAL_NONE)
+		msp_put_u32(q->reply, sequence);
+	return refusal;
+}
+
 static enum nf_refusal command_stream(struct request *q)
 {
 	const unsigned rate_hz = msp_take_u16(&q->payload);
@@ -288,6 +434,15 @@ static const struct command {
 	{ NF_MSP_POLICY_SLOT_BEGIN, STORING, 4, 4, command_slot_begin },
 	{ NF_MSP_POLICY_SLOT_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_slot_write },
 	{ NF_MSP_POLICY_SLOT_END, STORING, 0, 0, command_slot_end },
+	{ NF_MSP_POLICY_SLOT_REVERT, STORING, 0, 0, command_slot_revert },
+	{ NF_MSP_POLICY_SLOT_INFO, ALWAYS, 1, 1, command_slot_info },
+	{ NF_MSP_IMAGE_INFO, ALWAYS, 0, 0, command_image_info },
+	{ NF_MSP_IMAGE_BEGIN, STORING, sizeof(struct nf_image_header), sizeof(struct nf_image_header),
+	  command_image_begin },
+	{ NF_MSP_IMAGE_WRITE, STORING, 8, NF_MSP_PAYLOAD_MAX, command_image_write },
+	{ NF_MSP_IMAGE_END, STORING, 0, 0, command_image_end },
+	{ NF_MSP_IMAGE_HASH, STOPPED, 1, 1, command_image_hash },
+	{ NF_MSP_IMAGE_SWITCH, STORING, SHA256_BYTES + 1, SHA256_BYTES + 1, command_image_switch },
 	{ NF_MSP_STREAM, ALWAYS, 2, 2, command_stream },
 	{ NF_MSP_REBOOT, STOPPED, 0, 1, command_reboot },
 };

@@ -15,6 +15,7 @@
 #include "nf_contract.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
+#include "storage/image_update.h"
 #include "storage/policy_slots.h"
 
 /* What the commands act on. All of it belongs to the context that msp_serve is called from, the background; the
@@ -24,6 +25,7 @@ struct msp_services {
 	struct nf_settings *settings;   /* as changed and perhaps not saved; not those that are flown */
 	const struct pid_gains *pid;    /* that are built in; NULL: none are */
 	struct policy_slots *slots;
+	struct image_update *image;     /* the bank that is not run; NULL: there is none */
 	struct fault_log *faults;
 	const struct task_stats *tasks; /* [TASK_COUNT] */
 	const struct command_line_services *command_line; /* NULL: ports have none */
@@ -58,7 +60,7 @@ struct msp_services {
 
 /* Carries out `command` of `peer`, with a payload of `size` bytes, aligned to 4, and writes the reply.
  * Returns false if the command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is
- * enum nf_refusal (1 byte) and a detail (2 bytes, signed): of BLOB the enum nf_err, of CONFLICT the index of a setting,
+ * enum nf_refusal (1 byte) and a detail (2 bytes, signed): of BLOB and IMAGE the enum nf_err, of CONFLICT the index of a setting,
  * else 0. */
 bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
 		 uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,

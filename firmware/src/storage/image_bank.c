@@ -47,10 +47,10 @@ struct number {
 };
 _Static_assert(sizeof(struct number) == NF_IMAGE_NUMBER_WORDS * sizeof(uint32_t), "as the contract has it");
 
-/* Neither erased nor all-zero words pass. */
+/* Neither erased nor all-zero words pass, nor any of which only some bits were programmed. */
 static uint32_t image_bank_check_of(const struct number *number)
 {
-	return ~(number->sequence ^ (number->policy_floor << 8 | number->policy_floor >> 24) ^ number->has_floor);
+	return crc32_more(0, number, offsetof(struct number, check));
 }
 
 static bool image_bank_find_number(const struct nf_image_state *state, struct number *found)
@@ -66,11 +66,12 @@ static bool image_bank_find_number(const struct nf_image_state *state, struct nu
 struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned bank)
 {
 	const struct nf_image_state state = image_bank_state(flash, bank);
-	struct image_bank_marks marks = { .confirmed = state.confirmed == 0, .rejected = state.rejected == 0 };
+	struct image_bank_marks marks = { .rejected = state.rejected == 0 };
 	struct number number;
 
 	if (image_bank_find_number(&state, &number)) {
 		marks.numbered = true;
+		marks.confirmed = state.confirmed == 0;
 		marks.sequence = number.sequence;
 		marks.has_floor = number.has_floor != 0;
 		marks.policy_floor = number.policy_floor;
@@ -81,11 +82,25 @@ struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned ban
 	return marks;
 }
 
+enum nf_err image_bank_check(const struct nf_image_header *header, unsigned bank, const char *board)
+{
+	if (header->magic != NF_IMAGE_MAGIC)
+		return NF_ERR_IMAGE_MAGIC;
+	if (header->layout != NF_IMAGE_LAYOUT)
+		return NF_ERR_IMAGE_LAYOUT;
+	if (memcmp(header->board, board, sizeof header->board) != 0)
+		return NF_ERR_IMAGE_BOARD;
+	if (header->bank != bank)
+		return NF_ERR_IMAGE_BANK;
+	if (header->image_bytes < LEAST_BYTES || header->image_bytes > BYTES_MAX ||
+	    header->image_bytes % FLASH_WORD_BYTES != 0)
+		return NF_ERR_IMAGE_SIZE;
+	return NF_OK;
+}
+
 bool image_bank_fits(const struct nf_image_header *header, unsigned bank, const char *board)
 {
-	return header->magic == NF_IMAGE_MAGIC && header->layout == NF_IMAGE_LAYOUT && header->bank == bank &&
-	       header->image_bytes >= LEAST_BYTES && header->image_bytes <= BYTES_MAX &&
-	       header->image_bytes % FLASH_WORD_BYTES == 0 && memcmp(header->board, board, sizeof header->board) == 0;
+	return image_bank_check(header, bank, board) == NF_OK;
 }
 
 bool image_bank_whole_behind(const struct flash *flash, unsigned bank, const struct nf_image_header *header,
@@ -150,6 +165,11 @@ static bool image_bank_mark(const struct flash *flash, unsigned bank, size_t mem
 	if (word == value)
 		return true;
 	return (value & ~word) == 0 && flash_program(flash, address, &value, sizeof value);
+}
+
+bool image_bank_claim(const struct flash *flash, unsigned bank)
+{
+	return image_bank_mark(flash, bank, offsetof(struct nf_image_state, written), 0);
 }
 
 bool image_bank_count_start(const struct flash *flash, unsigned bank)

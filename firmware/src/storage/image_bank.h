@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "common/nf_err.h"
 #include "nf_contract.h"
 #include "storage/flash.h"
 
@@ -25,18 +26,20 @@ extern const struct image_bank_place {
 struct image_bank_marks {
 	bool installed;     /* by the chip's ROM, and not numbered yet */
 	bool numbered;      /* `sequence` counts */
-	bool confirmed;     /* it has run well */
+	bool confirmed; /* it has run well: only of a numbered one, for what an interrupted erase leaves is none */
 	bool rejected;
-	bool has_floor;     /* policy slots count only where they are newer than `policy_floor` */
-	uint32_t sequence;  /* serial number (common/serial_number.h) */
+	bool has_floor; /* policy slots count only where they are newer than `policy_floor` */
+	uint32_t sequence; /* serial number (common/serial_number.h) */
 	uint32_t policy_floor;
-	unsigned starts;    /* counted ones */
+	unsigned starts; /* counted ones */
 };
 
 struct nf_image_header image_bank_header(const struct flash *flash, unsigned bank);
 struct image_bank_marks image_bank_marks(const struct flash *flash, unsigned bank);
 
-/* Does the header fit bank and board (NF_IMAGE_BOARD_BYTES, then 0s)? Reads no more than the header. */
+/* Does the header fit bank and board (NF_IMAGE_BOARD_BYTES, 0s behind the name)? Reads no more than the header. NF_OK,
+ * or the first of NF_ERR_IMAGE_MAGIC, _LAYOUT, _BOARD, _BANK, _SIZE. */
+enum nf_err image_bank_check(const struct nf_image_header *header, unsigned bank, const char *board);
 bool image_bank_fits(const struct nf_image_header *header, unsigned bank, const char *board);
 
 /* Is the image that `header` tells of whole, its first bytes taken from `first`, `count` of them, instead of from flash? Reads all
@@ -53,6 +56,8 @@ bool image_bank_whole(const struct flash *flash, unsigned bank, const char *boar
 unsigned image_bank_choose(const struct image_bank_marks marks[IMAGE_BANK_COUNT], const bool good[IMAGE_BANK_COUNT]);
 
 /* Marks. Each may be repeated after a loss of power; false: flash did not take it. */
+/* What the bank holds is the firmware's, not the ROM's: it is not started without a number. */
+bool image_bank_claim(const struct flash *flash, unsigned bank);
 bool image_bank_count_start(const struct flash *flash, unsigned bank);
 bool image_bank_confirm(const struct flash *flash, unsigned bank);
 bool image_bank_reject(const struct flash *flash, unsigned bank);

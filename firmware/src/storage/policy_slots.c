@@ -45,8 +45,13 @@ static uint32_t policy_slots_sequence_of(const uint8_t *blob)
 static enum nf_err policy_slots_check(const struct policy_slots *slots, enum policy_source source)
 {
 	const size_t size = source == POLICY_COMPILED_IN ? slots->compiled_in_bytes : places[source].size;
+	const uint8_t *blob = policy_slots_blob_of(slots, source);
+	const enum nf_err err = policy_blob_check(blob, size, &slots->running);
+	const bool bound = source != POLICY_COMPILED_IN && slots->has_floor;
 
-	return policy_blob_check(policy_slots_blob_of(slots, source), size, &slots->running);
+	if (err == NF_OK && bound && !serial_number_newer(policy_slots_sequence_of(blob), slots->floor))
+		return NF_ERR_BLOB_OLD;
+	return err;
 }
 
 /* Replays the policy's self-test vectors: they detect one wrong bit in weights, compiler or FPU. `header` has been
@@ -107,12 +112,15 @@ static enum policy_source policy_slots_best(const struct policy_slots *slots)
 }
 
 enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
-				const struct policy_blob_identity *running, const void *compiled_in,
-				size_t compiled_in_bytes, struct policy *policy, float weights[POLICY_WEIGHT_COUNT])
+				const struct policy_blob_identity *running, const uint32_t *floor,
+				const void *compiled_in, size_t compiled_in_bytes, struct policy *policy,
+				float weights[POLICY_WEIGHT_COUNT])
 {
 	*slots = (struct policy_slots){
 		.flash = flash,
 		.running = *running,
+		.has_floor = floor != NULL,
+		.floor = floor ? *floor : 0,
 		.compiled_in = compiled_in,
 		.compiled_in_bytes = compiled_in_bytes,
 		.flown = POLICY_SOURCE_COUNT,
@@ -182,11 +190,12 @@ static enum policy_source policy_slots_to_be_written(const struct policy_slots *
 	return policy_slots_holds(slots, POLICY_SLOT_A) && !b_is_best ? POLICY_SLOT_B : POLICY_SLOT_A;
 }
 
-/* The newest sequence of the complete policies in the slots, also of one that failed its self-test; 0, the compiled-in
- * policy's, where there is none. */
+/* The newest sequence of the complete policies in the slots, also of one that failed its self-test; where there is none
+ * the floor or 0, the compiled-in policy's. Those above a floor are less than half of all numbers apart: one is the
+ * newest. */
 static uint32_t policy_slots_newest_sequence(const struct policy_slots *slots)
 {
-	uint32_t newest = 0;
+	uint32_t newest = slots->floor;
 	bool first = true;
 
 	for (enum policy_source slot = POLICY_SLOT_A; slot <= POLICY_SLOT_B; ++slot) {
@@ -216,9 +225,12 @@ enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total)
 {
 	const enum policy_source target = policy_slots_to_be_written(slots);
 
+	if (slots->reverted)
+		return policy_slots_give_up(slots, NF_REFUSAL_ORDER);
 	if (total % FLASH_WORD_BYTES || total < NF_POLICY_BLOB_HEADER_BYTES || total > places[target].size)
 		return policy_slots_give_up(slots, NF_REFUSAL_PAYLOAD);
 	slots->update = (struct policy_update){ .target = target, .total = total };
+	slots->found[target] = NF_ERR_BLOB_MAGIC;
 	return flash_erase(slots->flash, places[target].sector) ? NF_REFUSAL_NONE :
 								  policy_slots_give_up(slots, NF_REFUSAL_FLASH);
 }
@@ -258,6 +270,13 @@ enum nf_refusal policy_slots_write(struct policy_slots *slots, uint32_t offset, 
 	return NF_REFUSAL_NONE;
 }
 
+/* May the next policy have this number? One far ahead of the newest may be newer than that and yet not than the floor. */
+static bool policy_slots_takes(const struct policy_slots *slots, uint32_t sequence)
+{
+	return serial_number_newer(sequence, policy_slots_newest_sequence(slots)) &&
+	       (!slots->has_floor || serial_number_newer(sequence, slots->floor));
+}
+
 enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 {
 	const struct policy_update update = slots->update;
@@ -271,11 +290,71 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why)
 	*why = policy_blob_check_behind(update.head, blob, update.total, &slots->running);
 	if (*why != NF_OK)
 		return policy_slots_give_up(slots, NF_REFUSAL_BLOB);
-	if (!serial_number_newer(policy_slots_sequence_of(blob), policy_slots_newest_sequence(slots)))
+	if (!policy_slots_takes(slots, policy_slots_sequence_of(blob)))
 		return policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);
 	if (!flash_program(slots->flash, places[update.target].address, &update.head, sizeof update.head))
 		return policy_slots_give_up(slots, NF_REFUSAL_FLASH);
 	slots->found[update.target] = NF_OK;
 	slots->update = (struct policy_update){ .target = POLICY_SOURCE_COUNT, .ended = true };
 	return NF_REFUSAL_NONE;
+}
+
+/* --- Going back, and what there is -------------------------------------------------------------------- */
+enum nf_refusal policy_slots_revert(struct policy_slots *slots)
+{
+	static const uint32_t none = 0;
+	const enum policy_source source = slots->flown;
+
+	if (slots->reverted)
+		return NF_REFUSAL_NONE;
+	if ((source != POLICY_SLOT_A && source != POLICY_SLOT_B) || slots->update.ended)
+		return NF_REFUSAL_ORDER;
+	if (!flash_program(slots->flash, places[source].address, &none, sizeof none))
+		return NF_REFUSAL_FLASH;
+	slots->found[source] = NF_ERR_BLOB_MAGIC;
+	slots->reverted = true;
+	return policy_slots_give_up(slots, NF_REFUSAL_NONE);
+}
+
+/* Does the header of a blob that was found so tell something? */
+static bool policy_slots_told(enum nf_err found)
+{
+	switch (found) {
+	case NF_ERR_BLOB_SHORT:
+	case NF_ERR_BLOB_MAGIC:
+	case NF_ERR_BLOB_LAYOUT:
+	case NF_ERR_BLOB_SIZE:
+	case NF_ERR_BLOB_CRC:
+		return false;
+	default:
+		return true;
+	}
+}
+
+enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_source source,
+			      struct nf_policy_blob_header *header)
+{
+	const enum nf_err now = policy_slots_check(slots, source);
+
+	*header = (struct nf_policy_blob_header){ 0 };
+	if (policy_slots_told(now))
+		*header = policy_slots_header_of(policy_slots_blob_of(slots, source));
+	return now == NF_OK && slots->found[source] == NF_ERR_POLICY ? NF_ERR_POLICY : now;
+}
+
+bool policy_slots_floor(const struct policy_slots *slots, uint32_t *floor)
+{
+	bool found = false;
+
+	for (enum policy_source slot = POLICY_SLOT_A; slot <= POLICY_SLOT_B; ++slot) {
+		const struct nf_policy_blob_header header = policy_slots_header_of(policy_slots_blob_of(slots, slot));
+		if (header.magic != NF_POLICY_BLOB_MAGIC)
+			continue;
+		if (!found || serial_number_newer(header.sequence, *floor))
+			*floor = header.sequence;
+		found = true;
+	}
+	if (!found)
+		*floor = slots->floor;
+	return found || slots->has_floor;
 }

@@ -2,7 +2,9 @@
  *
  * The compiled-in policy and two slots of flash hold blobs (docs/policy-blob.md). At boot the one with the newest
  * sequence number that is whole, made for this image and passes its own self-test is taken; the compiled-in one is the
- * last. Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word is written last, so that one half written is none. */
+ * last. Numbers wrap (common/serial_number.h): whatever number a policy has, another one can follow. A slot's first word
+ * is written last, so that one half written is none. An image may be told a floor when it is switched to
+ * (storage/image_update.h): it flies only what came into the slots afterwards. */
 #ifndef NF_POLICY_SLOTS_H
 #define NF_POLICY_SLOTS_H
 
@@ -38,21 +40,25 @@ struct policy_slots {
 	struct policy_blob_identity running;
 	const void *compiled_in;
 	size_t compiled_in_bytes;
+	bool has_floor;
+	uint32_t floor; /* slots count only where they are newer, if `has_floor`; else 0 */
 	/* NF_OK, or what was wrong with it at boot, NF_ERR_POLICY being its self-test; NF_OK once written anew. */
 	enum nf_err found[POLICY_SOURCE_COUNT];
 	enum policy_source flown;               /* POLICY_SOURCE_COUNT: none is good */
 	uint32_t sequence;                      /* of the flown one */
 	float idle;                             /* of the flown one: motor fraction at zero thrust */
 	struct policy_update update;
+	bool reverted;                          /* the flown slot's policy is none any more */
 };
 
 /* Chooses for this boot: leaves the chosen one's weights in `weights` and `policy` initialized with them. `running`:
  * what this image and its settings ask for. `compiled_in`: the image's own blob, of so many bytes. Blob and flash
- * outlive `slots`.
+ * outlive `slots`. `floor`: NULL, or what slots have to be newer than (NF_ERR_BLOB_OLD).
  * NF_ERR_POLICY: none is good, do not fly `policy`; slots->found tells why, and a slot can still be written. */
 enum nf_err policy_slots_choose(struct policy_slots *slots, const struct flash *flash,
-				const struct policy_blob_identity *running, const void *compiled_in,
-				size_t compiled_in_bytes, struct policy *policy, float weights[POLICY_WEIGHT_COUNT]);
+				const struct policy_blob_identity *running, const uint32_t *floor,
+				const void *compiled_in, size_t compiled_in_bytes, struct policy *policy,
+				float weights[POLICY_WEIGHT_COUNT]);
 
 /* Header of the flown blob. Returns false, `header` unset, if none is flown. */
 bool policy_slots_header(const struct policy_slots *slots, struct nf_policy_blob_header *header);
@@ -67,7 +73,8 @@ bool policy_slots_restore(struct policy_slots *slots, struct policy *policy, flo
 
 /* Begins an update with a blob of `total` bytes: erases the slot that is not flown; if none is, one that does not hold
  * the best policy. Waits for the flash, as the next two do; only while nothing can arm.
- * NF_REFUSAL_PAYLOAD: no blob has that size. NF_REFUSAL_FLASH. */
+ * NF_REFUSAL_PAYLOAD: no blob has that size. NF_REFUSAL_ORDER: after a revert, when that slot has what is flown next.
+ * NF_REFUSAL_FLASH. */
 enum nf_refusal policy_slots_begin(struct policy_slots *slots, uint32_t total);
 
 /* The blob's bytes from `offset` on, in order; both are multiples of 4, `words` is aligned to 4. What was just written
@@ -81,5 +88,19 @@ enum nf_refusal policy_slots_end(struct policy_slots *slots, enum nf_err *why);
 
 /* The sequence number that the next policy has to have, or a newer one. Reads all blobs: some milliseconds. */
 uint32_t policy_slots_next_sequence(const struct policy_slots *slots);
+
+/* Goes back to the policy before the flown one, from the next boot on: the flown slot's first word becomes 0, the other
+ * slot's policy is flown if it is good, else the compiled-in one. A loss of power leaves either. May be repeated.
+ * NF_REFUSAL_ORDER: no slot is flown, or one has been written since the boot. NF_REFUSAL_FLASH. */
+enum nf_refusal policy_slots_revert(struct policy_slots *slots);
+
+/* What is wrong with the policy that stands there now, and its header; zeros where that is not to be trusted. Reads
+ * all of it: some milliseconds. */
+enum nf_err policy_slots_info(const struct policy_slots *slots, enum policy_source source,
+			      struct nf_policy_blob_header *header);
+
+/* A number that no policy in the slots is newer than, whichever image it is for. With empty slots the floor of this
+ * image. False: there is none. */
+bool policy_slots_floor(const struct policy_slots *slots, uint32_t *floor);
 
 #endif

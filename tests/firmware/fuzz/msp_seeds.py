@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from dataclasses import replace
 from enum import IntEnum
 
 from tests.firmware.conftest import scripted_blob
+from tests.firmware.images import header_of, make_image
 from toolchain import contract
 from toolchain.contract import DshotCommand, Msp
 from toolchain.policy.blob import pack
@@ -60,7 +62,8 @@ SAVE = ask(Msp.EEPROM_WRITE)
 STICKS = struct.pack("<16H", 1500, 1500, 1500, 1000, 2000, *[1500] * 11)
 IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that the target's firmware takes
 BEGIN = struct.pack("<I", len(IMAGE))
-PIECE = 128  # bytes of it in a request
+BANK_IMAGE = make_image(1)  # for its spare bank
+PIECE = 128  # bytes of them in a request
 
 
 def upload(image: bytes) -> bytes:
@@ -72,6 +75,17 @@ def upload(image: bytes) -> bytes:
     return ask(Msp.POLICY_SLOT_BEGIN, BEGIN) + b"".join(written) + ask(Msp.POLICY_SLOT_END)
 
 
+def bank_upload(image: bytes) -> bytes:
+    """An image as a client writes it into the spare bank, and switches to it."""
+    written = (
+        ask(Msp.IMAGE_WRITE, struct.pack("<I", at) + image[at : at + PIECE])
+        for at in range(0, len(image), PIECE)
+    )
+    end = ask(Msp.IMAGE_END) + ask(Msp.IMAGE_HASH, b"\1")
+    switch = ask(Msp.IMAGE_SWITCH, hashlib.sha256(image).digest() + b"\0")
+    return ask(Msp.IMAGE_BEGIN, header_of(image)) + b"".join(written) + end + switch
+
+
 # A payload that a command takes; any other command is asked without one, and with a few bytes.
 PAYLOADS = {
     Msp.SET_RAW_RC: STICKS,
@@ -80,6 +94,11 @@ PAYLOADS = {
     Msp.DSHOT_COMMAND: bytes([contract.DSHOT_ALL_MOTORS, DshotCommand.BEACON_1]),
     Msp.POLICY_SLOT_BEGIN: BEGIN,
     Msp.POLICY_SLOT_WRITE: struct.pack("<I", 0) + IMAGE[:16],
+    Msp.POLICY_SLOT_INFO: b"\2",
+    Msp.IMAGE_BEGIN: header_of(BANK_IMAGE),
+    Msp.IMAGE_WRITE: struct.pack("<I", 0) + BANK_IMAGE[:16],
+    Msp.IMAGE_HASH: b"\1",
+    Msp.IMAGE_SWITCH: hashlib.sha256(BANK_IMAGE).digest() + b"\1",
     Msp.FAULTS: struct.pack("<I", 1),
     Msp.STREAM: struct.pack("<H", 500),
 }
@@ -105,6 +124,8 @@ def msp_seeds() -> dict[str, bytes]:
     ready, other = bytes([READY]), OTHER
     seeds |= {
         "nothing": b"",
+        "image": ready + bank_upload(BANK_IMAGE) + ask(Msp.IMAGE_INFO),
+        "image_damaged": ready + bank_upload(BANK_IMAGE[:-4] + bytes(4)) + ask(Msp.IMAGE_INFO),
         "noise": ready + raw(bytes(range(250))),
         "boot": bytes([BOOTING]) + ask(Msp.STATUS) + SAVE + wait(2000) + ask(Msp.STATUS),
         "motor_test": ready + OPEN + wait(5) + TURN + wait(100) + TURN + wait(100),

@@ -7,6 +7,7 @@ short, in between another peer's requests, and while something forbids it.
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from flash import requests
 from flash.layouts import decode, encode
 from flash.msp import Decoder, Message, Version
 from tests.firmware.conftest import Core, scripted_blob
+from tests.firmware.images import header_of, make_image
 from tests.firmware.joined.ground import API_VERSION, STANDING, Ground, Request, State
 from toolchain import contract
 from toolchain.contract import MOTOR_TEST_MAGIC, MOTOR_TEST_TIMEOUT_MS, MSP_PAYLOAD_MAX, SETTINGS, Msp
@@ -27,9 +29,13 @@ from toolchain.contract.msp_messages import layout_of
 from toolchain.policy.blob import pack
 
 IMAGE = pack(replace(scripted_blob(), sequence=1))  # a policy that it takes
+BANK_IMAGE = make_image(1)  # an image for its spare bank
+SWITCH = Request(Msp.IMAGE_SWITCH, hashlib.sha256(BANK_IMAGE).digest() + b"\0")
 LENGTHS = (*range(42), 64, 100, MSP_PAYLOAD_MAX)
 FEW_LENGTHS = (0, 1, 2, 8)
-OTHER_NUMBERS = (*range(256), *range(0x1000, 0x1010), *range(0x3000, 0x3010), *range(0x4E00, 0x4E50))
+OTHER_NUMBERS = (*range(256), *range(0x1000, 0x1010), *range(0x3000, 0x3010), *range(0x4E00, 0x4E60))
+LAST_AT = (len(BANK_IMAGE) - 1) // 64 * 64
+LAST_OF_IMAGE = Request(Msp.IMAGE_WRITE, struct.pack("<I", LAST_AT) + BANK_IMAGE[LAST_AT:])
 STEP_MS = 30  # in which a request has its effect
 HALF_READ_MAX = (MSP_PAYLOAD_MAX + 16) // len(API_VERSION)  # requests that one cut short can swallow
 OPENERS = {
@@ -65,6 +71,7 @@ MEANT = [
     Request(Msp.SETTING_SET, requests.setting_set(SETTING, 700, "uint32_t")),
     Request(Msp.SETTING_SET, requests.setting_set(TEXT, "NF", "text")),
     Request(Msp.POLICY_SLOT_BEGIN, struct.pack("<I", len(IMAGE))),
+    Request(Msp.IMAGE_BEGIN, header_of(BANK_IMAGE)),
     made(Msp.SET_TEXT, kind=2, text="NF"),
     made(Msp.SET_MODE_RANGE, slot=9, mode=13, aux=3, low=20, high=30, logic=0, linked=0),
     made(Msp.SET_MOTOR_OUTPUT_REORDERING, outputs=[{"output": output} for output in (1, 0, 2, 3)]),
@@ -172,6 +179,35 @@ def slot_full(ground: Ground, slot_begun: State) -> State:
     return ground.keep()
 
 
+@pytest.fixture(scope="module")
+def image_begun(ground: Ground, ready: State) -> State:
+    """The spare bank is erased, and an image is written into it but for its end."""
+    ground.go_back(ready)
+    assert ground.ask(Request(Msp.IMAGE_BEGIN, header_of(BANK_IMAGE)))
+    for at in range(0, len(BANK_IMAGE) - 64, 64):
+        assert ground.ask(Request(Msp.IMAGE_WRITE, struct.pack("<I", at) + BANK_IMAGE[at : at + 64]))
+    return ground.keep()
+
+
+@pytest.fixture(scope="module")
+def image_full(ground: Ground, image_begun: State) -> State:
+    """All of it is written, and was found whole."""
+    ground.go_back(image_begun)
+    assert ground.ask(LAST_OF_IMAGE)
+    assert ground.ask(Request(Msp.IMAGE_END))
+    return ground.keep()
+
+
+@pytest.fixture(scope="module")
+def slot_flown(ground: Ground, ready: State) -> State:
+    """The policy in slot A flies, as after a restart with it."""
+    ground.go_back(ready)
+    ground.chip.fill(contract.FLASH_POLICY_SLOTS[0].address, IMAGE)
+    ground.board.flash.operations += 1  # so that going back takes the flash along
+    ground.background.slots.flown, ground.background.slots.sequence = 0, 1
+    return ground.keep()
+
+
 @dataclass(frozen=True)
 class Act:
     """A request that changes something, and where it does."""
@@ -208,12 +244,17 @@ def everywhere(
     under_test: State,
     slot_begun: State,
     slot_full: State,
+    image_begun: State,
+    image_full: State,
+    slot_flown: State,
     acting: list[Request],
 ) -> list[Act]:
     """Those, and requests that change something only after others."""
     at = (len(IMAGE) - 1) // 64 * 64
     last = Request(Msp.POLICY_SLOT_WRITE, struct.pack("<I", at) + IMAGE[at:])
     after = [(under_test, TURN), (slot_begun, last), (slot_full, Request(Msp.POLICY_SLOT_END))]
+    after += [(image_begun, LAST_OF_IMAGE), (image_full, SWITCH)]
+    after += [(slot_flown, Request(Msp.POLICY_SLOT_REVERT))]
     for state, request in after:
         assert acts(ground, state, [request]) == [request]
     return [Act(ready, request) for request in acting] + [Act(*one) for one in after]
@@ -229,7 +270,10 @@ def test_each_command_of_the_contract_is_carried_out_with_some_payload(
     ground: Ground, ready: State, every_request: list[Request]
 ) -> None:
     """Else the tests below do not reach it, and it needs a row in MEANT."""
-    needs_another = {Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.SET_RAW_RC, Msp.SET_MOTOR}
+    needs_another = {
+        *(Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.POLICY_SLOT_REVERT, Msp.SET_RAW_RC, Msp.SET_MOTOR),
+        *(Msp.IMAGE_WRITE, Msp.IMAGE_END, Msp.IMAGE_HASH, Msp.IMAGE_SWITCH),
+    }
     accepted = set()
     for request in every_request:
         if request.command not in accepted:
@@ -243,7 +287,7 @@ def test_each_command_of_the_contract_is_carried_out_with_some_payload(
 def test_the_commands_that_act_are_found(acting: list[Request]) -> None:
     found = {request.command for request in acting}
     assert {Msp.EEPROM_WRITE, Msp.SETTING_SET, Msp.MOTOR_TEST, Msp.DSHOT_COMMAND, Msp.REBOOT} <= found
-    assert {Msp.POLICY_SLOT_BEGIN} <= found
+    assert {Msp.POLICY_SLOT_BEGIN, Msp.IMAGE_BEGIN} <= found
     assert not found & {Msp.API_VERSION, Msp.STATUS, Msp.TASKS, Msp.SETTING_INFO, Msp.SETTING_GET}
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from flash import messages, records, requests
 from flash.msp import Decoder, Direction, Message, Version, encode
+from tests.firmware.images import HEADER_BYTES, header_of, make_image
 from toolchain.contract import (
     CHANNEL_UNTOLD_US,
     FLASH_POLICY_SLOTS,
@@ -23,6 +24,7 @@ from toolchain.contract import (
 from toolchain.policy.blob import PolicyBlob, pack
 
 MakeChip = Callable[..., Any]
+IMAGE = make_image(1)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
 FUNCTIONS = ("storing", "channels", "motor_test", "motors", "dshot_command", "acknowledge", "reboot")
 
@@ -37,6 +39,8 @@ class Server:
         self.answers = dict.fromkeys(FUNCTIONS, int(Refusal.NONE))
         self.settings = self.core.new("struct nf_settings *")
         self.slots = self.core.new("struct policy_slots *")
+        self.image = self.core.new("struct image_update *")
+        lib.image_update_init(self.image, chip.flash, 0, b"HOST")
         self.faults = self.core.new("struct fault_log *")
         self.tasks = self.core.new(f"struct task_stats[{len(Task)}]")
         self._policy, self._weights = self.core.new("struct policy *"), self.core.new("float[2]")
@@ -57,6 +61,7 @@ class Server:
                 "flash": chip.flash,
                 "settings": self.settings,
                 "slots": self.slots,
+                "image": self.image,
                 "faults": self.faults,
                 "tasks": self.tasks,
                 "cycles_hz": 216_000_000,
@@ -86,7 +91,7 @@ class Server:
         known = self.core.new("struct policy_blob_identity *", running)
         blob = ffi.addressof(lib, "policy_blob")
         flash, size = self.chip.flash, ffi.sizeof("struct policy_blob")
-        lib.policy_slots_choose(self.slots, flash, known, blob, size, self._policy, self._weights)
+        lib.policy_slots_choose(self.slots, flash, known, ffi.NULL, blob, size, self._policy, self._weights)
 
     def _on(self, name: str) -> Callable[..., int]:
         def call(_context: object, *arguments: int) -> int:
@@ -148,10 +153,15 @@ GOOD: dict[Msp, bytes] = {
     Msp.SET_MOTOR: requests.set_motor([1000] * 4),
     Msp.DSHOT_COMMAND: requests.dshot_command(1),
     Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
+    Msp.POLICY_SLOT_INFO: b"\0",
+    Msp.IMAGE_INFO: b"",
+    Msp.IMAGE_BEGIN: header_of(IMAGE),
     Msp.ACKNOWLEDGE: b"",
     Msp.REBOOT: b"",
 }
-READS = {Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET}
+READS = {
+    *(Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET, Msp.POLICY_SLOT_INFO, Msp.IMAGE_INFO),
+}
 
 
 # --- When commands are carried out ---------------------------------------------------------------
@@ -167,7 +177,7 @@ def test_commands_are_unknown_when_only_reading_is_offered(
 
 def test_a_command_is_unknown_when_nobody_knows_it(server: Callable[..., Server]) -> None:
     s = server()
-    for command in (0, 11, 225, 0x4E00, 0x4E33, 0xFFFF):
+    for command in (0, 11, 225, 0x4E00, 0x4E35, 0x4E56, 0xFFFF):
         answer = s.ask(command, b"1234")
         assert (answer.direction, answer.payload) == (Direction.ERROR, b"")
 
@@ -195,6 +205,11 @@ STORED = {
     Msp.POLICY_SLOT_BEGIN: requests.slot_begin(608),
     Msp.POLICY_SLOT_WRITE: requests.slot_write(0, bytes(8)),
     Msp.POLICY_SLOT_END: b"",
+    Msp.POLICY_SLOT_REVERT: b"",
+    Msp.IMAGE_BEGIN: header_of(IMAGE),
+    Msp.IMAGE_WRITE: requests.slot_write(0, bytes(8)),
+    Msp.IMAGE_END: b"",
+    Msp.IMAGE_SWITCH: bytes(33),
 }
 
 
@@ -253,6 +268,14 @@ def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[...,
         (Msp.POLICY_SLOT_BEGIN, {4}),
         (Msp.POLICY_SLOT_WRITE, set(range(8, 100))),
         (Msp.POLICY_SLOT_END, {0}),
+        (Msp.POLICY_SLOT_REVERT, {0}),
+        (Msp.POLICY_SLOT_INFO, {1}),
+        (Msp.IMAGE_INFO, {0}),
+        (Msp.IMAGE_BEGIN, {HEADER_BYTES}),
+        (Msp.IMAGE_WRITE, set(range(8, 100))),
+        (Msp.IMAGE_END, {0}),
+        (Msp.IMAGE_HASH, {1}),
+        (Msp.IMAGE_SWITCH, {33}),
         (Msp.REBOOT, {0, 1}),
     ],
 )

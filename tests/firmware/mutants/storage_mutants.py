@@ -80,8 +80,7 @@ STORAGE_MUTANTS = (
     Mutant(
         name="an update is good although it has an old number",
         file=SLOTS,
-        old="\tif (!serial_number_newer(policy_slots_sequence_of(blob), "
-        "policy_slots_newest_sequence(slots)))\n"
+        old="\tif (!policy_slots_takes(slots, policy_slots_sequence_of(blob)))\n"
         "\t\treturn policy_slots_give_up(slots, NF_REFUSAL_SEQUENCE);\n",
         new="",
         tests=(OF_SLOTS,),

@@ -56,13 +56,14 @@ class Slots:
         self.policy = self.core.new("struct policy *")
         self.weights = self.core.new("uint64_t[]", self.image.weights.size // 2 + 1)
 
-    def boot(self, **running: int) -> Boot:
+    def boot(self, *, floor: int | None = None, **running: int) -> Boot:
         ffi, lib = self.core.ffi, self.core.lib
         known = self.core.new("struct policy_blob_identity *", self.running | running)
         weights = ffi.cast("float *", self.weights)
         ffi.memmove(self.weights, bytes(len(ffi.buffer(self.weights))), len(ffi.buffer(self.weights)))
+        bound = ffi.NULL if floor is None else self.core.new("uint32_t *", floor)
         error = lib.policy_slots_choose(
-            self.slots, self.chip.flash, known, self._blob, len(self.compiled_in), self.policy, weights
+            self.slots, self.chip.flash, known, bound, self._blob, len(self.compiled_in), self.policy, weights
         )
         s, count = self.slots, 4 * self.image.weights.size
         return Boot(error, s.flown, s.sequence, s.idle, tuple(s.found), bytes(ffi.buffer(weights, count)))
