@@ -17,6 +17,7 @@ void host_board_init(struct host_board *board, uint8_t *bytes)
 {
 	*board = (struct host_board){ .power = convert_power(NF_SIM_BATTERY_MV / 1000.0, 0.0) };
 	flash_model_init(&board->flash, bytes);
+	board->flash.running = HOST_BANK;
 }
 
 struct imu_sample host_board_sample(const double rates_frd[3], const double force_frd[3])

@@ -13,6 +13,7 @@
 extern const struct msp_identity host_identity;
 
 #define HOST_GYRO_ALIGNMENT ((enum board_alignment)NF_SIM_GYRO_ALIGNMENT)
+#define HOST_BANK 0u /* of images, that it stands for one of: its flash has none there */
 
 struct host_board {
 	struct receiver_line line;

@@ -6,7 +6,9 @@
 
 void flash_model_init(struct flash_model *model, uint8_t *bytes)
 {
-	*model = (struct flash_model){ .bytes = bytes, .cut_at = FLASH_MODEL_NEVER, .random = 1 };
+	*model = (struct flash_model){
+		.bytes = bytes, .cut_at = FLASH_MODEL_NEVER, .random = 1, .running = NF_FLASH_BANKS_COUNT
+	};
 }
 
 void flash_model_cut(struct flash_model *model, uint32_t at, enum flash_cut cut, uint32_t seed)
@@ -70,6 +72,17 @@ static void flash_model_change(struct flash_model *model, uint32_t offset, uint3
 	memcpy(model->bytes + offset, &word, sizeof word);
 }
 
+/* Would a change of these bytes change what runs? The last `tail` bytes of the bank are none of it. */
+static bool flash_model_runs(const struct flash_model *model, uint32_t address, size_t bytes, uint32_t tail)
+{
+	static const uint32_t banks[NF_FLASH_BANKS_COUNT] = { NF_FLASH_BANK_A_ADDRESS, NF_FLASH_BANK_B_ADDRESS };
+
+	if (model->running >= NF_FLASH_BANKS_COUNT)
+		return false;
+	const uint32_t begin = banks[model->running], end = begin + NF_FLASH_BANK_A_SIZE - tail;
+	return address < NF_FLASH_BOOT_ADDRESS + NF_FLASH_BOOT_SIZE || (address < end && address + bytes > begin);
+}
+
 const uint8_t *flash_model_at(const struct flash_model *model, uint32_t address)
 {
 	const uint32_t offset = address - NF_FLASH_BASE;
@@ -81,7 +94,8 @@ bool flash_model_erase(struct flash_model *model, unsigned sector)
 {
 	bool cut;
 
-	if (sector >= NF_FLASH_SECTORS_COUNT)
+	if (sector >= NF_FLASH_SECTORS_COUNT ||
+	    flash_model_runs(model, flash_sectors[sector].address, flash_sectors[sector].size, 0))
 		return false;
 	const bool whole = flash_model_powered(model, &cut);
 	const uint32_t begin = flash_sectors[sector].address - NF_FLASH_BASE;
@@ -110,7 +124,7 @@ bool flash_model_program(struct flash_model *model, uint32_t address, const void
 	bool good = true;
 
 	if (offset % FLASH_WORD_BYTES || bytes % FLASH_WORD_BYTES || offset > NF_FLASH_BYTES ||
-	    bytes > NF_FLASH_BYTES - offset)
+	    bytes > NF_FLASH_BYTES - offset || flash_model_runs(model, address, bytes, NF_IMAGE_TAIL_BYTES))
 		return false;
 	for (uint32_t at = 0; at < bytes; at += FLASH_WORD_BYTES) {
 		uint32_t wanted;

@@ -29,9 +29,11 @@ struct flash_model {
 	enum flash_cut cut;
 	uint32_t random;      /* what arbitrary bits are made of; any value but 0 */
 	bool dark;            /* power has gone: nothing happens any more */
+	unsigned running;     /* bank whose image runs, NF_FLASH_BANKS_COUNT: none. But for the marks at its end it is
+				 refused to be changed, and so is the boot part, as the board refuses it */
 };
 
-/* A model over `bytes` as they are, power on, no cut to come. */
+/* A model over `bytes` as they are, power on, no cut to come, nothing running. */
 void flash_model_init(struct flash_model *model, uint8_t *bytes);
 
 /* Power will go at the operation `at` from here, 0 being the next. `seed`: of the bits it leaves. */

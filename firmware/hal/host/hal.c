@@ -117,6 +117,7 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	}
 	host.time_s = (double)NAN;
 	*info = (struct hal_info){
+		.bank = HOST_BANK,
 		.hal = &host.hal,
 		.alignment = HOST_GYRO_ALIGNMENT,
 		.gyro_rate_hz = host.options.gyro_hz,

@@ -38,6 +38,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 		.alignment = HOST_GYRO_ALIGNMENT,
 		.pid = &pid_gains_built_in,
 		.identity = &host_identity,
+		.bank = HOST_BANK,
 		.changes = r->changes,
 		.change_count = count,
 		.gyro_rate_hz = gyro_hz,

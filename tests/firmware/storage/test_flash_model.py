@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from toolchain.contract import FLASH_BASE, FLASH_BYTES, FLASH_SECTORS
+from toolchain.contract import FLASH_BANKS, FLASH_BASE, FLASH_BYTES, FLASH_SECTORS, IMAGE_TAIL_BYTES
 
 MakeChip = Callable[..., Any]
 SECTOR = FLASH_SECTORS[1]
@@ -89,6 +89,26 @@ def test_nothing_comes_behind_the_operation_that_power_goes_at(chip: MakeChip, a
     c.power_on()
     assert erase(c, 1)
     assert program(c, SECTOR.address, data)
+
+
+@pytest.mark.parametrize("running", [0, 1])
+def test_what_runs_is_left_alone_when_a_bank_runs(chip: MakeChip, running: int) -> None:
+    c, bank, spare = chip(), FLASH_BANKS[running], FLASH_BANKS[1 - running]
+    marks = bank.address + bank.size - IMAGE_TAIL_BYTES
+    c.model.running = running
+    assert not erase(c, 5 + running)
+    assert not erase(c, 0)
+    for address in (bank.address, marks - 4, FLASH_BASE, FLASH_BASE + 0x3FFC):
+        assert not program(c, address, bytes(4)), hex(address)
+    for address in (bank.address - 4, marks - 4):
+        assert not program(c, address, bytes(8)), "a word of it is enough"
+    assert c.content == b"\xff" * FLASH_BYTES
+    assert c.operations == 0
+    assert program(c, marks, bytes(IMAGE_TAIL_BYTES))
+    assert program(c, spare.address, bytes(8))
+    assert erase(c, 6 - running)
+    assert all(erase(c, sector) for sector in (1, 2, 3, 4, 7))
+    assert c.region(bank) == b"\xff" * (bank.size - IMAGE_TAIL_BYTES) + bytes(IMAGE_TAIL_BYTES)
 
 
 def left_of_a_word(chip: MakeChip, kind: int, seeds: range) -> set[int]:
