@@ -48,10 +48,10 @@ struct hal {
 	void (*led)(void *context, bool on);
 	/* Feeds the watchdog; without it the board resets within a second. */
 	void (*watchdog_feed)(void *context);
-	/* From `link`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run then never
-	 * returns (board; 2.5 s from now at the latest) or returns with success (host). Nothing may arm from here
-	 * on. */
-	void (*reset)(void *context);
+	/* From `link` and `background`: resets the board, motors stopped, after the MSP replies so far are sent: hal_run
+	 * then never returns (board; 2.5 s from now at the latest) or returns with success (host). Nothing may arm from
+	 * here on. False, and nothing happens: this chip knows no such restart. */
+	bool (*reset)(void *context, enum nf_reboot kind);
 
 	/* Erasing and programming wait, feed the watchdog, and stop samples meanwhile. The caller ensures that the
 	 * motors are stopped. */

@@ -197,7 +197,7 @@ static enum nf_refusal background_acknowledge(void *context)
 	return refusal;
 }
 
-static enum nf_refusal background_reboot(void *context)
+static enum nf_refusal background_reboot(void *context, enum nf_reboot kind)
 {
 	struct background *background = context;
 	const struct hal *hal = background->config.hal;
@@ -205,8 +205,11 @@ static enum nf_refusal background_reboot(void *context)
 
 	if (refusal != NF_REFUSAL_NONE)
 		return refusal;
+	if (!hal->reset(hal->context, kind)) {
+		(void)background_storing(context, false);
+		return NF_REFUSAL_ABSENT;
+	}
 	background->rebooting = true; /* nothing arms while the reply is on its way */
-	hal->reset(hal->context);
 	return NF_REFUSAL_NONE;
 }
 

@@ -177,6 +177,13 @@ class Task(IntEnum):
     MSP = 5
 
 
+class Reboot(IntEnum):
+    """What REBOOT starts; numbers are the ecosystem's, and what it has beside them is refused."""
+
+    FIRMWARE = 0
+    ROM = 1  # the boot loader in the chip's ROM
+
+
 class Refusal(IntEnum):
     """Why a request that would change something is refused."""
 

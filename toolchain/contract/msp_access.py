@@ -96,7 +96,11 @@ _ACTS = {
         (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.ABSENT),
         "one command a message; otherwise as DSHOT_COMMAND",
     ),
-    Msp.REBOOT: Access(_STOPPED, (_R.PAYLOAD, _R.ABSENT), "kind 0 only: no boot loader"),
+    Msp.REBOOT: Access(
+        _STOPPED,
+        (_R.PAYLOAD, _R.ABSENT),
+        "kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, `absent` on the host program",
+    ),
     Msp.EEPROM_WRITE: Access(
         _STORING,
         (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT, _R.SPOILT),

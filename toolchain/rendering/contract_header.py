@@ -197,6 +197,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_gyro_health", "NF_GYRO_HEALTH", contract.GyroHealth, "NF_GYRO_HEALTHS"),
         _enumeration("nf_task", "NF_TASK", contract.Task, "NF_TASKS"),
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
+        _enumeration("nf_reboot", "NF_REBOOT", contract.Reboot),
         _enumeration("nf_mode", "NF_MODE", contract.Mode, "NF_MODES"),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )

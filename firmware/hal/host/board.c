@@ -83,6 +83,12 @@ static void host_board_nothing(void *context)
 	(void)context;
 }
 
+static bool host_board_reset(void *context, enum nf_reboot kind)
+{
+	(void)context;
+	return kind == NF_REBOOT_FIRMWARE;
+}
+
 struct hal host_board_hal(struct host_board *board)
 {
 	return (struct hal){
@@ -96,7 +102,7 @@ struct hal host_board_hal(struct host_board *board)
 		.beeper = host_board_switch,
 		.led = host_board_switch,
 		.watchdog_feed = host_board_nothing,
-		.reset = host_board_nothing,
+		.reset = host_board_reset,
 		.flash = flash_model_interface(&board->flash),
 	};
 }

@@ -86,10 +86,13 @@ static uint32_t host_cycles(void *context)
 	return (uint32_t)host_now_ns();
 }
 
-static void host_reset(void *context)
+static bool host_reset(void *context, enum nf_reboot kind)
 {
 	(void)context;
+	if (kind != NF_REBOOT_FIRMWARE)
+		return false;
 	ended = 1;
+	return true;
 }
 
 int hal_init(int argc, char **argv, struct hal_info *info)

@@ -31,6 +31,7 @@ extern const char bank_start[]; /* linker script */
 /* The background's alone. */
 static struct {
 	bool wanted;
+	enum nf_reboot kind;
 	uint32_t since_ms;
 } restart;
 
@@ -98,11 +99,13 @@ static bool hal_flash_program(void *context, uint32_t address, const void *words
 	return flash_memory_program(address, words, bytes);
 }
 
-static void hal_reset(void *context)
+static bool hal_reset(void *context, enum nf_reboot kind)
 {
 	(void)context;
 	restart.wanted = true;
+	restart.kind = kind;
 	restart.since_ms = time_ms();
+	return true;
 }
 
 static const struct hal functions = {
@@ -184,7 +187,7 @@ int hal_run(const struct hal_handlers *handlers, const struct nf_settings *setti
 		if (!restart.wanted)
 			msp_uart_serve(handlers);
 		else if (!msp_uart_finish() || time_ms() - restart.since_ms > RESET_WAIT_MS)
-			fault_reset();
+			fault_reset(restart.kind == NF_REBOOT_ROM);
 		/* Most interrupts only begin to read a sample: there is work after a sample or a millisecond. */
 		while (gyro_samples() == samples && time_ms() == milliseconds)
 			wait_for_interrupt();

@@ -9,7 +9,7 @@ PYTHON ?= $(firstword $(wildcard ../.venv/bin/python) python3)
 # The boot part is made of its own sources and of what it shares with the image, compiled once more; of its names only
 # those remain that the linker needs, so that the image's may be the same.
 BOOT_SOURCES := $(sort $(wildcard hal/stm32f7/boot/*.c)) hal/stm32f7/core/gpio.c hal/stm32f7/startup/memory.c \
-	src/storage/image_bank.c src/storage/flash.c src/common/crc32.c
+	src/storage/image_bank.c src/storage/flash.c
 BOOT_OBJECTS := $(BOOT_SOURCES:%.c=$(OBJ)/boot/%.o)
 HAL_SOURCES := $(filter-out hal/stm32f7/boot/%,$(sort $(wildcard hal/stm32f7/*.c hal/stm32f7/*/*.c)))
 

@@ -100,7 +100,7 @@ bool command_dump(const struct task_line *t)
 /* Ends the session with a restart, unless motors are under test. The words are the ones that configurators know. */
 static void listing_restart(const struct task_line *t)
 {
-	if (t->services->reboot(t->services->context) != NF_REFUSAL_NONE) {
+	if (t->services->reboot(t->services->context, NF_REBOOT_FIRMWARE) != NF_REFUSAL_NONE) {
 		command_error(t);
 		printer_text(t->out, "no restart: ");
 		command_say_armed(t);

@@ -48,7 +48,7 @@ struct command_line_services {
 	enum nf_refusal (*motor_test)(void *context, uint32_t magic);
 	enum nf_refusal (*motors)(void *context, const uint16_t values_us[], size_t count);
 	enum nf_refusal (*acknowledge)(void *context);
-	enum nf_refusal (*reboot)(void *context);
+	enum nf_refusal (*reboot)(void *context, enum nf_reboot kind);
 };
 
 /* A motor that a command turns. */

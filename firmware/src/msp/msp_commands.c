@@ -395,10 +395,11 @@ static enum nf_refusal command_reboot(struct request *q)
 {
 	const struct msp_services *s = q->services;
 
-	/* Other kinds of restart, into a boot loader for instance, are not to be had. */
-	if (msp_take_u8(&q->payload) != 0)
+	const unsigned kind = msp_take_u8(&q->payload);
+
+	if (kind != NF_REBOOT_FIRMWARE && kind != NF_REBOOT_ROM)
 		return NF_REFUSAL_PAYLOAD;
-	return s->reboot ? s->reboot(s->context) : NF_REFUSAL_ABSENT;
+	return s->reboot ? s->reboot(s->context, (enum nf_reboot)kind) : NF_REFUSAL_ABSENT;
 }
 
 /* When a command may be carried out. */

@@ -52,8 +52,8 @@ struct msp_services {
 	enum nf_refusal (*calibrate)(void *context);
 	/* The pilot knows of all logged faults and of the refused policy. While `storing`. */
 	enum nf_refusal (*acknowledge)(void *context);
-	/* Starts anew, once the reply is on its way. */
-	enum nf_refusal (*reboot)(void *context);
+	/* Starts anew, once the reply is on its way. NF_REFUSAL_ABSENT: not into what `kind` says. */
+	enum nf_refusal (*reboot)(void *context, enum nf_reboot kind);
 	/* The last control step. */
 	void (*record)(void *context, struct control_record *record);
 };

@@ -54,11 +54,13 @@ TICKS_MAX = 2000  # milliseconds that a start-up sleeps, at most
 
 CHIP_READ = 0x80  # of a register's address on the gyro chip's bus
 CHIP_SELECT = 2  # of port C, active low
+MSP_RX = 10  # of port A: the line rests high
 
 # Ready bit <- enable bit, in the same or a neighbouring register.
 FOLLOWS = {
     "RCC_CR": (("HSIRDY", "RCC_CR", "HSION"), ("HSERDY", "RCC_CR", "HSEON"), ("PLLRDY", "RCC_CR", "PLLON")),
     "RCC_CFGR": (("SWS", "RCC_CFGR", "SW"),),
+    "SYST_CSR": (("COUNTFLAG", "SYST_CSR", "ENABLE"),),
     "PWR_CSR1": (("ODRDY", "PWR_CR1", "ODEN"), ("ODSWRDY", "PWR_CR1", "ODSWEN")),
 }
 CLOCK_OF = {
@@ -190,6 +192,7 @@ class Sketch:
         """As after a reset; memory keeps what it holds."""
         for register in self.by_address.values():
             self.poke(register.address, register.reset or 0)
+        self.poke(self.by_name["GPIO_IDR", "GPIOA"].address, 1 << MSP_RX)
 
     def copy(self) -> Sketch:
         """Another board, whose memory and stack are as this one's: for calls of functions."""

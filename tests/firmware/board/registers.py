@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from sim.board.registers.bus import Table, load_table
 from sim.board.registers.core_registers import CORE_REGISTERS, Register
 
-_GPIO = "MODER OTYPER OSPEEDR PUPDR BSRR AFRL AFRH"
+_GPIO = "MODER OTYPER OSPEEDR PUPDR IDR BSRR AFRL AFRH"
 _DMA = "LISR HISR LIFCR HIFCR SCR SNDTR SPAR SM0AR"
 _USART = "CR1 CR2 CR3 BRR ISR ICR RDR TDR"
 _IN_USE = {

@@ -165,6 +165,7 @@ def test_the_chips_own_reset_is_told_with_the_step_it_came_at(flags: int, kind: 
     assert board.take() is None
 
 
+STEPS = 8  # of struct kept: control steps, then the mark that the motors were armed
 TRACE = "<I7fBB"  # struct control_trace: step, setpoint, gyro, throttle, armed, motor_count
 
 
@@ -175,8 +176,8 @@ def test_a_dip_of_the_supply_is_told_when_memory_says_that_the_motors_were_armed
     """With the brown-out detector off, as the chip is delivered: the flags are those of power-on."""
     board.sketch.uc.mem_write(SCRATCH, struct.pack(TRACE, 4711, *[0.0] * 7, armed, 4))
     board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)
-    place, board_was = board.symbols["last"], board.sketch.peek(board.symbols["last"])
-    assert board_was == 4711
+    place = board.symbols["kept"] + STEPS
+    assert board.sketch.peek(place) == 4711
     board.boot(POWER_ON)
     record = board.take()
     assert (record and (record.kind, record.uptime_steps)) == (kind and (kind, 4711))
@@ -190,7 +191,7 @@ def test_a_dip_of_the_supply_is_told_when_memory_says_that_the_motors_were_armed
 def test_a_loss_of_power_is_no_dip_when_memory_did_not_outlive_it(bit: int, board: Board) -> None:
     board.sketch.uc.mem_write(SCRATCH, struct.pack(TRACE, 4711, *[0.0] * 7, 1, 4))
     board.sketch.call_with(board.symbols["hal_trace_write"], 0, SCRATCH)
-    at = board.symbols["last"] + bit // 32 * 4
+    at = board.symbols["kept"] + STEPS + bit // 32 * 4
     board.sketch.poke(at, board.sketch.peek(at) ^ 1 << bit % 32)
     board.boot(POWER_ON)
     assert board.take() is None
@@ -223,7 +224,7 @@ def test_the_board_rests_and_shows_it_when_it_faults_again_and_again(board: Boar
 
 
 def test_a_board_that_was_asked_starts_anew_with_its_motors_low(board: Board) -> None:
-    board.sketch.call_to_reset(board.symbols["fault_reset"])
+    board.sketch.call_to_reset(board.symbols["fault_reset"], 0)
     assert board.sketch.peek(0x40020800) >> 12 & 0xFF == 0b01010101  # PC6..PC9 outputs
     board.boot(SOFTWARE)
     assert board.take() is None
@@ -236,7 +237,7 @@ def test_the_watchdog_waits_half_a_second_and_stands_still_for_a_debugger_when_s
     keys: list[int] = []
     sketch.on_write = lambda register, value: keys.append(value) if register.name == "IWDG_KR" else None
     sketch.run(symbols["power_start"])
-    assert keys[:3] == [0xCCCC, 0x5555, 0xAAAA]
+    assert keys[:4] == [0xCCCC, 0xCCCC, 0x5555, 0xAAAA], "the boot part starts it, too"
     divider, reload = 4 << sketch.field("IWDG_PR", "PR"), sketch.field("IWDG_RLR", "RL")
     slow, typical, fast = (reload * divider / hz for hz in (17_000, 32_000, 47_000))
     assert typical == pytest.approx(0.5, abs=0.01)

@@ -176,7 +176,7 @@ def test_the_motors_are_held_low_when_the_clock_does_not_come_up(
     assert sketch.sins == []
 
 
-def test_the_boot_part_stays_put_when_the_bank_is_erased(sketch: Any, symbols: dict[str, int]) -> None:
+def test_the_boot_part_enters_the_rom_when_the_bank_is_erased(sketch: Any, symbols: dict[str, int]) -> None:
     sketch.uc.mem_write(FLASH_BANK_A.address, b"\xff" * FLASH_BANK_A.size)
-    sketch.run(symbols["boot_fault"])
+    sketch.run(symbols["boot_enter_rom"])
     assert symbols["reset_handler"] & ~1 not in sketch.seen

@@ -101,12 +101,15 @@ static void world_motors_write(void *context, const uint16_t dshot[], size_t cou
 	memcpy(w->board.dshot, dshot, count * sizeof dshot[0]);
 }
 
-static void world_reset(void *context)
+static bool world_reset(void *context, enum nf_reboot kind)
 {
 	struct world *w = context;
 
 	PROMISE(!w->firmware.status.trace.armed);
+	if (kind != NF_REBOOT_FIRMWARE)
+		return false;
 	w->resets = true;
+	return true;
 }
 
 /* --- Beginnings ------------------------------------------------------------------------------------------ */

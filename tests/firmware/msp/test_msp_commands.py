@@ -18,6 +18,7 @@ from toolchain.contract import (
     MSP_PAYLOAD_MAX,
     SETTINGS,
     Msp,
+    Reboot,
     Refusal,
     Task,
 )
@@ -53,7 +54,7 @@ class Server:
                 "enum nf_refusal(void *, unsigned, unsigned)", self._on("dshot_command")
             ),
             "acknowledge": ffi.callback("enum nf_refusal(void *)", self._on("acknowledge")),
-            "reboot": ffi.callback("enum nf_refusal(void *)", self._on("reboot")),
+            "reboot": ffi.callback("enum nf_refusal(void *, enum nf_reboot)", self._on("reboot")),
         }
         self.services = self.core.new(
             "struct msp_services *",
@@ -400,13 +401,15 @@ def test_bench_commands_go_through_with_their_answers_when_sent(server: Callable
     s.reply(Msp.DSHOT_COMMAND, requests.dshot_command(20, 3))
     s.reply(Msp.DSHOT_COMMAND, requests.dshot_command(1))
     s.reply(Msp.REBOOT)
-    s.reply(Msp.REBOOT, b"\0")
+    s.reply(Msp.REBOOT, bytes([Reboot.FIRMWARE]))
+    s.reply(Msp.REBOOT, bytes([Reboot.ROM]))
     assert s.calls == [
         ("motor_test", 0xFEDCBA98),
         ("dshot_command", 3, 20),
         ("dshot_command", 255, 1),
-        ("reboot",),
-        ("reboot",),
+        ("reboot", Reboot.FIRMWARE),
+        ("reboot", Reboot.FIRMWARE),
+        ("reboot", Reboot.ROM),
     ]
     for name, command in (
         ("motor_test", Msp.MOTOR_TEST),
@@ -418,9 +421,12 @@ def test_bench_commands_go_through_with_their_answers_when_sent(server: Callable
         assert s.refusal(command, GOOD[command]) == (Refusal.ORDER, 0)
 
 
-def test_a_boot_loader_is_refused_when_asked_for(server: Callable[..., Server]) -> None:
+@pytest.mark.parametrize("kind", [2, 3, 4, 255])
+def test_a_restart_into_what_no_board_has_is_refused_when_asked_for(
+    server: Callable[..., Server], kind: int
+) -> None:
     s = server()
-    assert s.refusal(Msp.REBOOT, b"\x01") == (Refusal.PAYLOAD, 0)
+    assert s.refusal(Msp.REBOOT, bytes([kind])) == (Refusal.PAYLOAD, 0)
     assert s.calls == []
 
 

@@ -1,13 +1,26 @@
-/* The boot part in sector 0: starts the image of one of the two banks.
+/* The boot part in sector 0: starts the image of one of the two banks, or the boot loader in the chip's ROM.
  *
- * Runs from reset on its own: no .data, no .bss, nothing from a bank but what it checks. */
+ * Runs from reset on its own: no .data, no .bss, nothing from a bank but what it checks; at 16 MHz, interrupts never
+ * enabled. */
 #include <stdbool.h>
 #include <stdint.h>
 
 #include "board.h"
+#include "hal/stm32f7/boot/boot_flash.h"
 #include "hal/stm32f7/core/gpio.h"
+#include "hal/stm32f7/core/kept.h"
 #include "hal/stm32f7/core/registers.h"
+#include "hal/stm32f7/core/watchdog.h"
 #include "storage/image_bank.h"
+
+#define CYCLES_PER_US 16u
+#define PULL_UP_US 20u  /* until a line that nobody drives has risen: 50 kOhm and 100 pF take 5 us each time constant */
+#define BREAK_MS 50u    /* far longer than a character at any speed, in which a talking line is low too */
+
+/* Of the chip's boot loader (AN2606: STM32F72x). */
+#define ROM_ADDRESS 0x1FF00000u
+#define ROM_END 0x1FF0EDC0u
+#define RAM_END 0x20040000u
 
 /* Linker script. */
 extern uint32_t stack_top[];
@@ -18,68 +31,22 @@ void boot_fault(void);
 
 extern void (*const boot_vectors[])(void);
 
-struct bank_head {
+/* How a program begins: the head of its vector table. */
+struct head {
 	uint32_t stack;
 	uint32_t reset;
 };
 
-static const uint8_t *boot_flash_at(void *context, uint32_t address)
+static const struct head *boot_head(uint32_t address)
 {
-	(void)context;
-	return (const uint8_t *)address;
+	return (const struct head *)address;
 }
 
-static const struct flash boot_flash = { .at = boot_flash_at };
-
-/* Whatever the checksum says, the core is not sent to where no image can be. */
-static bool boot_is_head(const struct bank_head *head, uint32_t bank_address)
+/* --- Into another program --------------------------------------------------------------------------------- */
+static _Noreturn void boot_enter(uint32_t address)
 {
-	return head->stack > (uint32_t)dtcm_start && head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u &&
-	       head->reset > bank_address && head->reset < bank_address + NF_FLASH_BANK_A_SIZE &&
-	       head->reset % 2u == 1u;
-}
+	const struct head *const head = boot_head(address);
 
-/* No image, or a fault before it took over: LED0 lit for ever. Motor pins are inputs since reset. */
-void boot_fault(void)
-{
-	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
-	(void)RCC_AHB1ENR;
-	gpio_output(BOARD_LED0, false);
-	for (;;)
-		__asm volatile("wfi");
-}
-
-/* The checksum of an image that has run well is not looked at again: it takes 0.1 s at the speed that the chip starts with,
- * and after a reset in flight motors wait for their stop frames. The image itself checks it. */
-static unsigned boot_choose(void)
-{
-	static const char board[NF_IMAGE_BOARD_BYTES] = BOARD_TARGET;
-	struct image_bank_marks marks[IMAGE_BANK_COUNT];
-	bool good[IMAGE_BANK_COUNT];
-
-	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank) {
-		const struct nf_image_header header = image_bank_header(&boot_flash, bank);
-		marks[bank] = image_bank_marks(&boot_flash, bank);
-		good[bank] = image_bank_fits(&header, bank, board);
-	}
-	for (;;) {
-		const unsigned bank = image_bank_choose(marks, good);
-		if (bank == IMAGE_BANK_NONE || marks[bank].confirmed || image_bank_whole(&boot_flash, bank, board))
-			return bank;
-		good[bank] = false;
-	}
-}
-
-void boot_reset(void)
-{
-	const unsigned bank = boot_choose();
-
-	if (bank == IMAGE_BANK_NONE)
-		boot_fault();
-	const uint32_t address = image_bank_places[bank].address;
-	const struct bank_head *const head = (const struct bank_head *)address;
-	if (!boot_is_head(head, address))
-		boot_fault();
 	SCB_VTOR = address;
 	__asm volatile("dsb\n\t"
 		       "isb\n\t"
@@ -87,6 +54,162 @@ void boot_reset(void)
 		       "bx %1" ::"r"(head->stack),
 		       "r"(head->reset));
 	__builtin_unreachable();
+}
+
+static void boot_light(void)
+{
+	RCC_AHB1ENR |= BOARD_PORT_CLOCKS;
+	(void)RCC_AHB1ENR;
+	gpio_output(BOARD_LED0, false);
+}
+
+/* A fault before an image took over: LED0 lit for ever. Motor pins are inputs since reset. */
+void boot_fault(void)
+{
+	boot_light();
+	for (;;)
+		__asm volatile("wfi");
+}
+
+/* The chip's boot loader takes an image by USB DFU or UART. It finds the chip as after a reset, but for the lit LED; the
+ * watchdog does not run, or it would reset the chip amid an erasure. */
+static __attribute__((noinline)) _Noreturn void boot_enter_rom(void)
+{
+	const struct head *const head = boot_head(ROM_ADDRESS);
+
+	boot_light();
+	if (head->stack > (uint32_t)dtcm_start && head->stack <= RAM_END && head->reset > ROM_ADDRESS &&
+	    head->reset < ROM_END && head->reset % 2u == 1u)
+		boot_enter(ROM_ADDRESS);
+	boot_fault();
+	__builtin_unreachable();
+}
+
+/* --- A way into the ROM without a button -------------------------------------------------------------------- */
+#define RESETS (RCC_CSR_SFTRSTF | RCC_CSR_WDGRSTF | RCC_CSR_PORRSTF)
+
+/* The image clears the causes of resets when it starts: they are those of this reset, and of starts that never came so
+ * far. */
+static bool boot_reset_was(uint32_t cause)
+{
+	return (RCC_CSR & RESETS) == cause;
+}
+
+/* What the image left word of before it reset the chip. */
+static bool boot_is_asked(void)
+{
+	const bool asked = kept.request == KEPT_ENTER_ROM;
+
+	kept.request = 0;
+	return asked && boot_reset_was(RCC_CSR_SFTRSTF);
+}
+
+static void boot_timer_start(uint32_t microseconds)
+{
+	SYST_RVR = microseconds * CYCLES_PER_US - 1u;
+	SYST_CVR = 0;
+	SYST_CSR = SYST_CSR_CLKSOURCE | SYST_CSR_ENABLE;
+}
+
+static bool boot_timer_over(void)
+{
+	return (SYST_CSR & SYST_CSR_COUNTFLAG) != 0u;
+}
+
+static bool boot_line_low(void)
+{
+	return (GPIO_IDR(BOARD_MSP_RX.port) >> BOARD_MSP_RX.number & 1u) == 0u;
+}
+
+/* Is the MSP line held low? One look tells where it is not. */
+static bool boot_hears_break(void)
+{
+	RCC_AHB1ENR |= RCC_AHB1ENR_GPIOAEN;
+	(void)RCC_AHB1ENR;
+	gpio_input(BOARD_MSP_RX, GPIO_PULL_UP);
+	boot_timer_start(PULL_UP_US);
+	while (!boot_timer_over())
+		;
+	bool low = boot_line_low();
+	if (low) {
+		boot_timer_start(BREAK_MS * 1000u);
+		while (low && !boot_timer_over())
+			low = boot_line_low();
+	}
+	SYST_CSR = 0;
+	gpio_input(BOARD_MSP_RX, GPIO_FLOATING);
+	RCC_AHB1ENR &= ~RCC_AHB1ENR_GPIOAEN;
+	return low;
+}
+
+/* Only where the board has just got its power: after a reset in flight no line may keep the image from its motors. A
+ * dip of the supply in flight looks like power-on (fault.c), but memory then tells that the motors were armed. */
+static bool boot_is_broken_into(void)
+{
+	return boot_reset_was(RCC_CSR_PORRSTF) && !kept_armed() && boot_hears_break();
+}
+
+/* --- Which bank --------------------------------------------------------------------------------------------- */
+/* Whatever the checksum says, the core is not sent to where no image can be. */
+static bool boot_is_image(unsigned bank)
+{
+	static const char board[NF_IMAGE_BOARD_BYTES] = BOARD_TARGET;
+	const struct nf_image_header header = image_bank_header(&boot_flash, bank);
+	const uint32_t address = image_bank_places[bank].address;
+	const struct head *const head = boot_head(address);
+
+	return image_bank_fits(&header, bank, board) && head->stack > (uint32_t)dtcm_start &&
+	       head->stack <= (uint32_t)dtcm_end && head->stack % 8u == 0u && head->reset > address &&
+	       head->reset < address + NF_FLASH_BANK_A_SIZE && head->reset % 2u == 1u;
+}
+
+/* The header has been looked at. */
+static bool boot_is_whole(unsigned bank)
+{
+	const struct nf_image_header header = image_bank_header(&boot_flash, bank);
+
+	return image_bank_whole_behind(&boot_flash, bank, &header, NULL, 0);
+}
+
+/* An image on probation is checked, and its start counted; where that cannot be, another goes before it. One that has
+ * run well is not checked here: that takes 30 ms, and after a reset in flight motors wait for their stop frames. It
+ * checks itself (storage/image_probation.h). */
+static unsigned boot_choose(void)
+{
+	struct image_bank_marks marks[IMAGE_BANK_COUNT];
+	bool good[IMAGE_BANK_COUNT];
+	unsigned last = IMAGE_BANK_NONE;
+
+	for (unsigned bank = 0; bank < IMAGE_BANK_COUNT; ++bank) {
+		marks[bank] = image_bank_marks(&boot_flash, bank);
+		good[bank] = boot_is_image(bank);
+	}
+	for (;;) {
+		const unsigned bank = image_bank_choose(marks, good);
+		if (bank == IMAGE_BANK_NONE)
+			return last;
+		if (marks[bank].confirmed)
+			return bank;
+		good[bank] = boot_is_whole(bank);
+		if (good[bank] && image_bank_count_start(&boot_flash, bank))
+			return bank;
+		if (good[bank])
+			last = bank;
+		good[bank] = false;
+	}
+}
+
+void boot_reset(void)
+{
+	if (boot_is_asked() || boot_is_broken_into())
+		boot_enter_rom();
+	const unsigned bank = boot_choose();
+
+	if (bank == IMAGE_BANK_NONE)
+		boot_enter_rom();
+	/* An image that hangs before its own watchdog runs is started again, and at last gives way to the other one. */
+	watchdog_start_as_reset();
+	boot_enter(image_bank_places[bank].address);
 }
 
 /* Reset, NMI and the faults are all that can happen before VTOR moves to the bank. */

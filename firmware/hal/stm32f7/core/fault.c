@@ -4,14 +4,17 @@
 
 #include "hal/stm32f7/core/core.h"
 #include "hal/stm32f7/core/handlers.h"
+#include "hal/stm32f7/core/kept.h"
 #include "hal/stm32f7/core/motor_pins.h"
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/stop.h"
+#include "nf_contract.h"
 
 #define NOTE_MAGIC 0x544C4146u /* "FALT" */
 /* A board that faults at each start would reset for ever: after so many faults in a row without fault_clear it stops
  * and shows them by the LED. */
 #define FAULTS_IN_A_ROW_MAX 3u
+_Static_assert(NF_IMAGE_STARTS_MAX < FAULTS_IN_A_ROW_MAX, "a new image that faults gives way to the old one before");
 
 enum { EXCEPTION_NMI = 2 };            /* SCB_ICSR VECTACTIVE: only the clock failure raises it */
 enum { RESET_KEY = 0x05FA };           /* SCB_AIRCR VECTKEY */
@@ -29,13 +32,6 @@ static struct note {
 	struct fault_record record;
 	uint32_t checksum;
 } note __attribute__((section(".noinit")));
-
-/* Of the control path, this boot's or the last's. RAM outlives a dip of the supply that is short. */
-static struct {
-	uint32_t steps;
-	uint32_t armed; /* ARMED_MARK plus `steps`: the motors were armed in that step */
-} last __attribute__((section(".noinit")));
-#define ARMED_MARK 0x444D5241u /* "ARMD" */
 
 /* Set by fault_start. */
 static uint32_t reset_flags;       /* RCC_CSR as it was */
@@ -63,16 +59,16 @@ void fault_start(void)
 {
 	reset_flags = RCC_CSR;
 	RCC_CSR |= RCC_CSR_RMVF;
-	steps_before_reset = last.steps;
-	armed_before_reset = last.armed == ARMED_MARK + last.steps;
-	last.steps = 0;
-	last.armed = 0;
+	steps_before_reset = kept.steps;
+	armed_before_reset = kept_armed();
+	kept.steps = 0;
+	kept.armed = 0;
 }
 
 void fault_note_steps(uint32_t steps, bool armed)
 {
-	last.steps = steps;
-	last.armed = armed ? ARMED_MARK + steps : 0u;
+	kept.steps = steps;
+	kept.armed = armed ? KEPT_ARMED + steps : 0u;
 }
 
 /* The cause of a reset that no software requested. BORRSTF without PORRSTF is the brown-out detector's, where the option
@@ -120,10 +116,11 @@ static _Noreturn void fault_reset_chip(void)
 		;
 }
 
-_Noreturn void fault_reset(void)
+_Noreturn void fault_reset(bool into_rom)
 {
 	interrupts_disable();
 	motor_pins_force_low();
+	kept.request = into_rom ? KEPT_ENTER_ROM : 0u;
 	fault_reset_chip();
 }
 
@@ -132,7 +129,7 @@ static _Noreturn void fault_keep(struct fault_record *record)
 {
 	const uint32_t before = fault_noted() ? note.in_a_row : 0u;
 
-	record->uptime_steps = last.steps;
+	record->uptime_steps = kept.steps;
 	note.magic = NOTE_MAGIC;
 	note.in_a_row = before + 1u;
 	note.record = *record;

@@ -31,7 +31,7 @@ void fault_clear(void);
 /* Control steps since boot, and whether the motors are armed, for the record. From the sample handler. */
 void fault_note_steps(uint32_t steps, bool armed);
 
-/* Motors low, then the chip starts anew. */
-_Noreturn void fault_reset(void);
+/* Motors low, then the chip starts anew: the image, or the boot loader in the ROM. */
+_Noreturn void fault_reset(bool into_rom);
 
 #endif

@@ -100,6 +100,7 @@
 #define RCC_CSR_RMVF BIT(24)
 #define RCC_CSR_BORRSTF BIT(25)
 #define RCC_CSR_PORRSTF BIT(27)
+#define RCC_CSR_SFTRSTF BIT(28)
 #define RCC_CSR_WDGRSTF BIT(29)
 
 /* --- General-purpose I/Os (RM0431 chapter 6); two, one or four bits a pin ------------------- */
@@ -110,6 +111,7 @@
 #define GPIO_OTYPER(port) REGISTER((port) + 0x04u)
 #define GPIO_OSPEEDR(port) REGISTER((port) + 0x08u)
 #define GPIO_PUPDR(port) REGISTER((port) + 0x0Cu)
+#define GPIO_IDR(port) REGISTER((port) + 0x10u)
 #define GPIO_BSRR(port) REGISTER((port) + 0x18u)
 #define GPIO_AFRL(port) REGISTER((port) + 0x20u)
 #define GPIO_AFRH(port) REGISTER((port) + 0x24u)
@@ -290,6 +292,7 @@
 #define SYST_CSR_ENABLE BIT(0)
 #define SYST_CSR_TICKINT BIT(1)
 #define SYST_CSR_CLKSOURCE BIT(2)
+#define SYST_CSR_COUNTFLAG BIT(16)
 #define SYST_RVR REGISTER(0xE000E014u)
 #define SYST_CVR REGISTER(0xE000E018u)
 #define NVIC_ISER(word) REGISTER(0xE000E100u + 4u * (word)) /* 32 interrupts a word */

@@ -5,9 +5,7 @@
 #include "hal/stm32f7/core/clock.h"
 #include "hal/stm32f7/core/time.h"
 
-/* Values of IWDG_KR (RM0431 IWDG). */
-#define START 0xCCCCu
-#define UNLOCK 0x5555u
+#define UNLOCK 0x5555u /* IWDG_KR (RM0431 IWDG) */
 
 /* LSI is 32 kHz, somewhere from 17 to 47 (data sheet): 0.34 to 0.94 s. */
 enum { DIVIDE_BY_32 = 3 }; /* IWDG_PR */
@@ -19,8 +17,7 @@ enum { DIVIDE_BY_32 = 3 }; /* IWDG_PR */
 
 void watchdog_start(void)
 {
-	DBGMCU_APB1FZ |= DBGMCU_APB1FZ_DBG_IWDG_STOP;
-	IWDG_KR = START;
+	watchdog_start_as_reset();
 	IWDG_KR = UNLOCK;
 	IWDG_PR = FIELD(IWDG_PR_PR, DIVIDE_BY_32);
 	IWDG_RLR = FIELD(IWDG_RLR_RL, RELOAD);

@@ -5,15 +5,9 @@
 #include "hal/stm32f7/core/registers.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "hal/stm32f7/peripherals/flash_registers.h"
 #include "nf_contract.h"
 #include "storage/flash.h"
-
-/* FLASH_KEYR (RM0431 3.3.5). */
-#define KEY_1 0x45670123u
-#define KEY_2 0xCDEF89ABu
-
-enum { PARALLEL_32 = 2 };         /* FLASH_CR PSIZE: words, at 2.7 to 3.6 V */
-#define ERRORS (FLASH_SR_OPERR | FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_ERSERR)
 
 /* Waits are counted in reads of the register, each after a pause of so many loop turns of at least a cycle: the cycle
  * counter may wrap before a sector is erased. The data sheet's times are 31 ms a kilobyte and 0.1 ms a word at most, 16
@@ -49,8 +43,8 @@ static void flash_memory_unlock(void)
 {
 	if ((FLASH_CR & FLASH_CR_LOCK) == 0u)
 		return;
-	FLASH_KEYR = KEY_1;
-	FLASH_KEYR = KEY_2;
+	FLASH_KEYR = FLASH_KEY_1;
+	FLASH_KEYR = FLASH_KEY_2;
 }
 
 static void flash_memory_pause(void)
@@ -74,7 +68,7 @@ static bool flash_memory_wait(uint32_t looks)
 
 static bool flash_memory_succeeded(uint32_t looks)
 {
-	return flash_memory_wait(looks) && (FLASH_SR & ERRORS) == 0u;
+	return flash_memory_wait(looks) && (FLASH_SR & FLASH_ERRORS) == 0u;
 }
 
 /* The caches hold the old contents of flash. Other modified lines are written to memory first. */
@@ -94,7 +88,7 @@ static bool flash_memory_begin(void)
 	interrupts_disable();
 	flash_memory_unlock();
 	const bool ready = flash_memory_wait(WORD_READS);
-	FLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */
+	FLASH_SR = FLASH_ERRORS | FLASH_SR_EOP; /* of earlier operations */
 	return ready;
 }
 
@@ -111,7 +105,7 @@ static __attribute__((noinline)) bool flash_memory_erase_sector(unsigned sector,
 	bool good = flash_memory_begin();
 
 	if (good) {
-		FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_SER | FIELD(FLASH_CR_SNB, sector);
+		FLASH_CR = FIELD(FLASH_CR_PSIZE, FLASH_PARALLEL_32) | FLASH_CR_SER | FIELD(FLASH_CR_SNB, sector);
 		FLASH_CR |= FLASH_CR_STRT;
 		barrier();
 		good = flash_memory_succeeded(size / 1024u * ERASE_READS_A_KILOBYTE);
@@ -124,7 +118,7 @@ static __attribute__((noinline)) bool flash_memory_program_words(uint32_t addres
 {
 	bool good = flash_memory_begin();
 
-	FLASH_CR = FIELD(FLASH_CR_PSIZE, PARALLEL_32) | FLASH_CR_PG;
+	FLASH_CR = FIELD(FLASH_CR_PSIZE, FLASH_PARALLEL_32) | FLASH_CR_PG;
 	for (size_t i = 0; good && i < count; ++i) {
 		REGISTER(address + sizeof(uint32_t) * i) = words[i];
 		barrier(); /* one word at a time reaches flash */
