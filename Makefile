@@ -20,6 +20,7 @@ RUN  := $(VENV)/bin/python -m cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
+PEER_PACKAGES := dfu-util stm32flash
 
 IN_DEV   := setup test prove coverage bench lint
 IN_TRAIN := train
@@ -30,7 +31,7 @@ PYTHON   :=
 TORCH    :=
 READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 
-.PHONY: coverage help setup arm clang cppcheck firmware host train fly emulate test prove bench lint clean
+.PHONY: coverage help setup arm clang cppcheck peers firmware host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -66,10 +67,10 @@ emulate: firmware ## the image to be flashed flies on an emulated board: roll, f
 	@$(RUN) fly --on emulator --build build/$(TARGET) --aircraft "$(AIRCRAFT)" --seed $(SEED) \
 	  --scenario roll flip sim/scenarios/split_s.toml pulses --count 14 $(ARGS)
 
-test: firmware host ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
+test: firmware host peers ## the tests, on all cores: [JOBS=4] [ARGS=tests/sim]
 	@$(PYTEST) $(ARGS)
 
-prove: firmware host clang ## the long version of what the tests sample: [JOBS=] [ARGS=]
+prove: firmware host clang peers ## the long version of what the tests sample: [JOBS=] [ARGS=]
 	@$(PYTEST) -m "slow or not slow" $(ARGS)
 
 clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
@@ -78,6 +79,13 @@ clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
 	    echo "installing $(CLANG_PACKAGES)"; \
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(CLANG_PACKAGES) >/dev/null; \
 	  else echo "clang is missing; run: sudo apt-get install $(CLANG_PACKAGES)" >&2; exit 1; fi; }
+
+peers: # programs of others that tests hold ours against, brought as the ARM compiler is
+	@command -v stm32flash >/dev/null && command -v dfu-suffix >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing $(PEER_PACKAGES)"; \
+	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PEER_PACKAGES) >/dev/null; \
+	  else echo "stm32flash or dfu-util is missing; run: sudo apt-get install $(PEER_PACKAGES)" >&2; exit 1; fi; }
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)

@@ -76,7 +76,7 @@ TARGETS = {
             packages="gcc-arm-none-eabi libnewlib-arm-none-eabi",
             products=(
                 *("neuroflight.elf", "neuroflight.hex", "neuroflight.bin", "neuroflight.map"),
-                *("neuroflight-b.elf", NFI),
+                *("neuroflight.dfu", "neuroflight-b.elf", NFI),
             ),
             has_board_memory=True,
         ),

@@ -3,7 +3,7 @@ CROSS := arm-none-eabi-
 CPUFLAGS := -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -mno-unaligned-access \
 	-fno-common -fno-unwind-tables -fno-asynchronous-unwind-tables -fstack-usage -fmacro-prefix-map=hal/stm32f7/=
 
-OUTPUTS := $(addprefix $(BUILD)/neuroflight,.elf .bin .hex -b.elf .nfi)
+OUTPUTS := $(addprefix $(BUILD)/neuroflight,.elf .bin .hex .dfu -b.elf .nfi)
 PYTHON ?= $(firstword $(wildcard ../.venv/bin/python) python3)
 
 # The boot part is made of its own sources and of what it shares with the image, compiled once more; of its names only
@@ -54,6 +54,10 @@ $(BUILD)/neuroflight.bin: $(BUILD)/neuroflight.elf
 
 $(BUILD)/neuroflight.hex: $(BUILD)/neuroflight.elf
 	$(CROSS)objcopy -O ihex $< $@
+
+# The same two parts for the ROM's USB DFU.
+$(BUILD)/neuroflight.dfu: $(BUILD)/neuroflight.elf
+	PYTHONPATH=.. '$(subst ','\'',$(PYTHON))' -m toolchain.image.dfu $< $@
 
 # Both banks' images, one behind the other: what is sent to a board that runs one of them.
 $(BUILD)/neuroflight.nfi: $(BUILD)/neuroflight.elf $(BUILD)/neuroflight-b.elf

@@ -77,6 +77,7 @@ class Served:
     def __init__(self, end: End, flash: bytes = b"") -> None:
         self.idle = IdleBoard(flash, boot_button=True, newly_installed=True)
         self.idle.boot()
+        self.end = end
         self._bridge = Bridge(UartLine(self.idle.board, "USART1", Format(BAUD)), end)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._live)
