@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 from flash.rom.segments import ERASED, Segment
 from toolchain.contract import (
@@ -13,12 +12,11 @@ from toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     FLASH_BYTES,
-    IMAGE_FIELDS,
-    IMAGE_HEADER_FORMAT,
     IMAGE_HEADER_OFFSET,
     IMAGE_LAYOUT,
-    IMAGE_MAGIC,
     Region,
+    image_checksum,
+    image_header,
 )
 from toolchain.errors import LinkError
 
@@ -26,10 +24,6 @@ BOARD = "MATEKF722"
 FLASH_ALIAS = 0x00200000  # the same flash as the core fetches it
 _RAM_BYTES = 256 * 1024  # from DTCM on, without a gap
 _WORD = 4
-_NAMES = [field.name for field in IMAGE_FIELDS]
-_CRC_OFFSET = IMAGE_HEADER_OFFSET + struct.calcsize(
-    "<" + "".join(field.format for field in IMAGE_FIELDS[: _NAMES.index("crc")])
-)
 
 
 @dataclass(frozen=True)
@@ -75,27 +69,25 @@ def _check_boot_part(segments: Sequence[Segment]) -> None:
 
 
 def _check_bank(number: int, content: bytes) -> ImageFacts:
-    head = content[IMAGE_HEADER_OFFSET : IMAGE_HEADER_OFFSET + struct.calcsize(IMAGE_HEADER_FORMAT)]
-    if len(head) < struct.calcsize(IMAGE_HEADER_FORMAT):
-        _refuse(number, "is too short for a header")
-    magic, layout, bank, _, size, crc, _, version, build, board = struct.unpack(IMAGE_HEADER_FORMAT, head)
-    if magic != IMAGE_MAGIC:
+    header = image_header(content)
+    if header is None:
         _refuse(number, "has no header of Neuroflight; stm32flash and dfu-util write other firmware")
-    name = board.rstrip(b"\0").decode("ascii", "replace")
-    if name != BOARD:
-        _refuse(number, f"is for the board {name!r}, expected {BOARD!r}")
-    if layout != IMAGE_LAYOUT or bank != number:
-        _refuse(number, f"has layout {layout} and bank {bank}, expected {IMAGE_LAYOUT} and {number}")
-    image = content[:size]
-    if not _CRC_OFFSET + _WORD < size <= len(content):
-        _refuse(number, f"has {len(content)} bytes, expected the {size} that its header says")
-    found = zlib.crc32(image[_CRC_OFFSET + _WORD :], zlib.crc32(image[:_CRC_OFFSET]))
-    if found != crc:
-        _refuse(number, f"has CRC-32 {found:08x}, expected {crc:08x} as its header says: it is damaged")
-    return ImageFacts(name, bank, ".".join(map(str, version[:3])), build)
+    if header.board != BOARD:
+        _refuse(number, f"is for the board {header.board!r}, expected {BOARD!r}")
+    if (header.layout, header.bank) != (IMAGE_LAYOUT, number):
+        _refuse(
+            number,
+            f"has layout {header.layout} and bank {header.bank}, expected {IMAGE_LAYOUT} and {number}",
+        )
+    if not IMAGE_HEADER_OFFSET < header.image_bytes <= len(content):
+        _refuse(number, f"has {len(content)} bytes, expected the {header.image_bytes} that its header says")
+    found = image_checksum(content[: header.image_bytes])
+    if found != header.crc:
+        _refuse(number, f"has CRC-32 {found:08x}, expected its header's {header.crc:08x}: it is damaged")
+    return ImageFacts(header.board, header.bank, header.version, header.build)
 
 
-def _refuse(number: int, why: str) -> None:
+def _refuse(number: int, why: str) -> NoReturn:
     raise LinkError(f"the image for bank {'AB'[number]} {why}; nothing was written")
 
 

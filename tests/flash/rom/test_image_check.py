@@ -9,10 +9,10 @@ import pytest
 from flash.rom.image_check import check_image
 from flash.rom.segments import Segment, read_segments
 from tests.flash.rom.conftest import BANK, BOOT
-from toolchain.contract import FLASH_BANK_A, FLASH_BANK_B, FLASH_BASE, IMAGE_HEADER_OFFSET
+from toolchain.contract import FLASH_BANK_A, FLASH_BANK_B, FLASH_BASE, IMAGE_HEADER_OFFSET, image_field_offset
 from toolchain.errors import LinkError
 
-BOARD_OFFSET = IMAGE_HEADER_OFFSET + 32
+BOARD_OFFSET = image_field_offset("board")
 
 
 def refusal(segments: tuple[Segment, ...]) -> str:
@@ -51,7 +51,7 @@ def test_an_image_of_the_build_is_accepted(board_image: Path, suffix: str) -> No
         ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("40000008") + BOOT[8:]),), "reset 0x08000040"),
         ((Segment(FLASH_BASE, BOOT[:4] + bytes.fromhex("01000020") + BOOT[8:]),), "reset 0x20000001"),
         ((Segment(FLASH_BASE, BOOT),), "a boot part without a bank"),
-        ((Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, BANK)), "too short for a header"),
+        ((Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, BANK)), "no header of Neuroflight"),
         ((Segment(FLASH_BASE, BOOT), Segment(FLASH_BANK_A.address, bytes(1024))), "no header of Neuroflight"),
     ],
 )
@@ -77,5 +77,5 @@ def test_image_is_refused_when_any_of_its_bytes_is_another(image: tuple[Segment,
 
 def test_image_is_refused_when_it_is_cut_short(image: tuple[Segment, ...]) -> None:
     boot, bank = image
-    for size in (IMAGE_HEADER_OFFSET + 48, 1000, len(bank.data) - 4):
+    for size in (IMAGE_HEADER_OFFSET + 64, 1000, len(bank.data) - 4):
         assert "expected the" in refusal((boot, Segment(bank.address, bank.data[:size])))
