@@ -91,15 +91,20 @@ def whole(chip: Served, image: Path, folder: Path) -> None:
     assert "100.00%" in stm32flash("-w", str(image), "-v", chip.end.name)
 
 
-@pytest.mark.parametrize("write", [by_parts, pytest.param(whole, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("flash", "write"),
+    [(FULL, by_parts), pytest.param(b"", whole, marks=pytest.mark.slow)],
+    ids=["parts on a chip that held other things", "whole on an erased chip"],
+)
 def test_our_image_boots_when_it_wrote_it_and_our_tool_verified_it(
     serve: Callable[..., Served],
     board_image: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    flash: bytes,
     write: Callable[[Served, Path, Path], None],
 ) -> None:
-    chip = serve()
+    chip = serve(flash)
     path = board_image.with_suffix(".hex")
     write(chip, path, tmp_path)
     assert main(["rescue", str(path), "--port", chip.end.name, "--verify-only"]) == 0
