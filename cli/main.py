@@ -38,7 +38,7 @@ COMMANDS = {
     "evaluate": "measure a policy or the PID on unseen commands",
     "compare": "compare policies and PIDs on the same unseen commands",
     "robustness": "measure controllers on aircraft whose parameters differ from their file",
-    "dyno": "measure a rotor on a simulated dynamometer, or fit one to a real one's log",
+    "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",
     "fly": "fly a firmware against the twin and print tracking figures",

@@ -1,4 +1,7 @@
-"""`neuroflight dyno`: simulate a rotor on the dynamometer; fit a rotor's model to a log."""
+"""`neuroflight dyno`: a rotor on a simulated dynamometer or a real one; fit a rotor's model to a log.
+
+What needs hardware stands in dyno_bench.py and dyno_calibrate.py.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.sim import dyno_bench, dyno_calibrate
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -24,7 +28,7 @@ RATE_HZ_DEFAULT = 500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare `dyno run` and `dyno fit`."""
+    """Declare the actions."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     summary = "simulate step (25, 50, 75, 100 %%) and ramp (0-100-0 %% in 40 s) experiments of one rotor"
     run = actions.add_parser("run", help=summary, description=summary)
@@ -72,11 +76,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument("--inertia", type=float, metavar="KG_M2", help="rotor inertia, instead of the file's")
     fit.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the model beside the data")
     fit.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    for name, module in (("bench", dyno_bench), ("calibrate", dyno_calibrate)):
+        action = actions.add_parser(name, help=module.SUMMARY, description=module.SUMMARY)
+        module.add_arguments(action)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run one of the two. Returns 0."""
-    return _run(args) if args.action == "run" else _fit(args)
+    """Run the action. Returns 0."""
+    return {"run": _run, "fit": _fit, "bench": dyno_bench.run, "calibrate": dyno_calibrate.run}[args.action](
+        args
+    )
 
 
 def _run(args: argparse.Namespace) -> int:

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 STEP_LEVELS = (0.25, 0.5, 0.75, 1.0)  # throttle; Koch 2019, chapter 5
 RAMP_S = 40.0  # 0 to 1 and back; Koch 2019, chapter 5
 REST_S, HOLD_S = 1.0, 2.0  # [s], throttle off before the first step and after each, throttle held
+HELD_S = 0.95  # [s] that throttle has to be held for to count as a step: Koch holds it for 1 s
 SIMULATION_HZ = 2000  # fine against the fastest rotor's lag of some 10 ms
 RATE_HZ_MIN, RATE_HZ_MAX = 10, SIMULATION_HZ
 JITTER, LOST = 0.5, 0.05  # of an uneven log: part of a period that rows are off, part of rows missing
@@ -123,7 +124,7 @@ def disturbed(
 
 
 def steps(recording: Recording) -> tuple[Step, ...]:
-    """Figures of every jump of throttle from rest that is held for at least SETTLED_S."""
+    """Figures of every jump of throttle from rest that is held for at least HELD_S."""
     rows = jumps(recording)
     ends = np.append(rows, len(recording.time))
     speed = without_spikes(recording.speed, recording.starts)
@@ -132,7 +133,7 @@ def steps(recording: Recording) -> tuple[Step, ...]:
         end = min([end, *(start for start in recording.starts if start > row)])
         time = recording.time[row:end] - recording.time[row]
         level = float(np.median(recording.throttle[row:end]))
-        if recording.throttle[row - 1] > JUMP or level <= JUMP or time[-1] < 2 * SETTLED_S:
+        if recording.throttle[row - 1] > JUMP or level <= JUMP or time[-1] < HELD_S:
             continue
         if np.ptp(without_spikes(recording.throttle[row:end])) > JUMP:  # a ramp begins with this jump
             continue

@@ -1,0 +1,178 @@
+"""What a bench does: steps and ramps of throttle, how often; which runs stand in a folder, which lack."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.identification.bench.drive import Log
+from sim.identification.bench.sensor import Layout
+from sim.identification.dyno.bench import Phase, duration
+from sim.identification.dyno.recording import ROWS_MAX, Recording, read_recordings, write_recording
+from toolchain.errors import DynoError
+from toolchain.files import file_size, write_text
+
+Array = NDArray[np.float64]
+
+KINDS = ("steps", "ramp")
+LEVELS = (0.25, 0.5, 0.75, 1.0)  # of the limit; Koch 2019, chapter 5
+REPEATS = 20  # Koch 2019, chapter 5
+HOLD_S, RAMP_S = 1.0, 40.0  # [s], each level and the rest after it; up and down; Koch 2019, chapter 5
+REST_S = 1.0  # [s] before, in which the zeros of load cells are taken
+COAST_S = 2.0  # [s] after a ramp, in which the rotor comes to rest
+APART_S = 2.0  # [s] between two runs in one file; `dyno fit` takes 0.5 s for the beginning of another
+PLAN_FILE = "plan.json"
+PLAN_BYTES_MAX = 64 << 10
+
+
+@dataclass(frozen=True)
+class Run:
+    """One repeat of one experiment."""
+
+    kind: str  # of KINDS
+    number: int  # from 1
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.kind}-{self.number:02d}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that must be the same for runs to be repeats of each other."""
+
+    kinds: tuple[str, ...]
+    repeats: int
+    limit: float  # throttle that the largest level and the top of the ramp are, 0..1
+    hold_s: float
+    ramp_s: float
+    motor: int  # from 1
+    blades: int
+    window_s: float
+    columns: tuple[str, ...]  # of the sensor
+    cells: dict[str, dict[str, float | str]]  # load cells, by column
+
+    def runs(self) -> tuple[Run, ...]:
+        """In their order: the experiments take turns, so that a battery ages alike in all."""
+        return tuple(Run(kind, number + 1) for number in range(self.repeats) for kind in self.kinds)
+
+    def experiment(self, kind: str) -> tuple[Phase, ...]:
+        """The phases of one run."""
+        rest = Phase(REST_S, 0.0, 0.0)
+        if kind == "steps":
+            levels = [self.limit * level for level in LEVELS]
+            held = [(Phase(self.hold_s, u, u), Phase(self.hold_s, 0.0, 0.0)) for u in levels]
+            return (rest, *(phase for pair in held for phase in pair))
+        half = self.ramp_s / 2
+        return (
+            rest,
+            Phase(half, 0.0, self.limit),
+            Phase(half, self.limit, 0.0),
+            Phase(COAST_S, 0.0, 0.0),
+        )
+
+    def seconds(self, runs: Sequence[Run]) -> float:
+        """What these runs take [s]."""
+        return sum(duration(self.experiment(run.kind)) for run in runs)
+
+
+def recording_file(folder: Path, run: Run) -> Path:
+    """Where a finished run stands, as `dyno fit` reads it."""
+    return folder / f"{run.name}.csv"
+
+
+def missing_runs(plan: Plan, folder: Path) -> tuple[Run, ...]:
+    """Runs that are not in `folder`."""
+    return tuple(run for run in plan.runs() if not recording_file(folder, run).is_file())
+
+
+def check_folder(plan: Plan, folder: Path, resume: bool) -> None:
+    """Raise DynoError where runs of `folder` would be lost, or are of another plan."""
+    path = folder / PLAN_FILE
+    if not path.is_file():
+        if resume:
+            raise DynoError(f"{folder}: no run to resume stands there; leave --resume out")
+        return
+    if not resume:
+        raise DynoError(
+            f"{folder} holds {len(plan.runs()) - len(missing_runs(plan, folder))} finished runs; go on with "
+            f"--resume, remove it, or choose another --out"
+        )
+    before = _read_plan(path)
+    now = json.loads(_plan_text(plan))
+    different = [name for name in now if before.get(name) != now[name] and name not in ("repeats", "kinds")]
+    if different:
+        name = different[0]
+        raise DynoError(
+            f"{path}: {name} was {str(before.get(name))[:200]}, is {str(now[name])[:200]}, expected the same "
+            f"for all repeats; give what was given then, or choose another --out"
+        )
+
+
+def begin_folder(plan: Plan, folder: Path) -> None:
+    """Make the folder and put the plan into it."""
+    write_text(folder / PLAN_FILE, _plan_text(plan))
+
+
+def keep_run(folder: Path, run: Run, recording: Recording, log: Log, layout: Layout) -> None:
+    """Write a finished run: what came and what was sent, and last, as it says that all is there, the
+    recording."""
+    _write_rows(folder / f"{run.name}.sensor.csv", ("arrival_s", *layout.names), log.arrival, log.values)
+    _write_rows(
+        folder / f"{run.name}.commands.csv", ("time_s", "throttle"), log.command_time, log.throttle[:, None]
+    )
+    write_recording(recording_file(folder, run), recording)
+
+
+def read_runs(folder: Path, runs: Sequence[Run]) -> list[Recording]:
+    """Recordings of finished runs."""
+    return [read_recordings([recording_file(folder, run)]) for run in runs]
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """One recording of all, each a run of its own. Raises DynoError where `dyno fit` could not read it."""
+    times, starts, end, rows = [], [], 0.0, 0
+    for recording in recordings:
+        times.append(recording.time - recording.time[0] + end)
+        end = float(times[-1][-1]) + APART_S
+        starts.append(rows)
+        rows += len(recording.time)
+    if rows > ROWS_MAX:
+        raise DynoError(f"{rows} rows in all, expected at most {ROWS_MAX}; fit fewer of the single runs")
+    throttle, speed, thrust, torque = (
+        np.concatenate([getattr(recording, name) for recording in recordings])
+        for name in ("throttle", "speed", "thrust", "torque")
+    )
+    return Recording(np.concatenate(times), throttle, speed, thrust, torque, tuple(starts))
+
+
+def _plan_text(plan: Plan) -> str:
+    return json.dumps(asdict(plan), indent=2) + "\n"
+
+
+def _read_plan(path: Path) -> dict[str, object]:
+    try:
+        if file_size(path) > PLAN_BYTES_MAX:
+            raise ValueError("too large")
+        document = json.loads(path.read_text("utf-8"))
+        if not isinstance(document, dict):
+            raise ValueError("not a table")
+    except ValueError as error:  # JSON's and UTF-8's errors are some
+        raise DynoError(f"{path}: damaged ({' '.join(str(error).split())}); choose another --out") from error
+    return document
+
+
+def _write_rows(path: Path, names: Sequence[str], time: Array, values: Array) -> None:
+    """Times, (N,), beside values, (N, C)."""
+    lines = [",".join(names)]
+    lines += [
+        ",".join([f"{t:.6f}", *(f"{value:.10g}" for value in row)])
+        for t, row in zip(time.tolist(), values.tolist(), strict=True)
+    ]
+    write_text(path, "\n".join(lines) + "\n")
