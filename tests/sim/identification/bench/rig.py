@@ -195,7 +195,10 @@ class Rig:
             "amps": 0.3 + 30.0 * self.throttle**2,
             "temperature_c": 25.0 + 20.0 * self.throttle,
         }
-        cells = [f"{values[name] * self.faults.scale.get(name, 1.0):.10g}" for name in kind.columns]
+        cells = [
+            f"{values[name] * self.faults.scale.get(name, 1.0):.10g}" if name in values else "ok"
+            for name in kind.columns
+        ]
         line = ",".join(cells).encode() + b"\r\n"
         if now >= self.faults.frozen_after:
             line = self._last
@@ -234,6 +237,13 @@ class SensorLine:
         rig.open = True
         if rig.kind.heading:  # a board that starts anew when its port is opened
             rig.write(",".join(rig.kind.columns).encode() + b"\n")
+
+    @property
+    def name(self) -> str:
+        return self._serial.name
+
+    def write(self, data: bytes) -> None:
+        self._serial.write(data)
 
     def read(self, timeout: float) -> bytes:
         end = self._rig.clock() + timeout
