@@ -36,6 +36,7 @@ ROOMS = (
     "flash/motors",
     "flash/channels",
     "flash/mavlink",
+    "flash/monitoring",
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",

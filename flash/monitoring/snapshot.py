@@ -1,0 +1,46 @@
+"""What a firmware does at one moment, all that it tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash import messages, records
+from flash.client import Client
+from flash.info import Info
+from flash.overview import Overview, read_overview
+from flash.records import Tasks
+from toolchain.contract import CHANNEL_COUNT, Msp
+
+# MSP tells the channels in this order, whatever the receiver's is.
+CHANNELS = ("roll", "pitch", "yaw", "throttle", *(f"aux{n}" for n in range(1, CHANNEL_COUNT - 3)))
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Read one after the other, within tens of milliseconds."""
+
+    overview: Overview
+    rates_deg_s: tuple[int, int, int]  # roll, pitch, yaw
+    channels_us: dict[str, int]  # by name
+    motors_us: tuple[int, ...]  # 1000 (stopped) to 2000, motor order
+    tasks: Tasks | None  # None from a firmware of another make
+
+
+def read_snapshot(client: Client, info: Info) -> Snapshot:
+    """Ask for all of it. info: of that firmware. Raises LinkError."""
+    overview = read_overview(client)
+    widths = messages.rc(client.request(Msp.RC))
+    ours = overview.flight is not None
+    count = info.policy.action_count if info.policy is not None else None
+    return Snapshot(
+        overview=overview,
+        rates_deg_s=messages.raw_imu(client.request(Msp.RAW_IMU)).gyro,
+        channels_us=dict(zip(CHANNELS, widths, strict=False)),
+        motors_us=_there(messages.motor(client.request(Msp.MOTOR)), count),
+        tasks=records.tasks(client.request(Msp.TASKS)) if ours else None,
+    )
+
+
+def _there(outputs: tuple[int, ...], count: int | None) -> tuple[int, ...]:
+    """Those of the motors that are there."""
+    return outputs[:count] if count is not None else tuple(us for us in outputs if us)

@@ -1,0 +1,108 @@
+"""`neuroflight motor` and `monitor` over the emulated board's UART: what its ESCs hear, by its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from flash.client import Client
+from flash.monitoring.watch import Watch
+from flash.motors.direction import set_direction
+from flash.motors.readiness import read_bench
+from flash.motors.session import MotorTest
+from flash.motors.spin import Spin, spin
+from flash.motors.stop import stop
+from sim.board.core.context import TIME_HZ
+from sim.board.devices.esc import Frame
+from sim.board.serial.bridge import LineTransport, UartLine
+from sim.board.serial.idle_board import IdleBoard, with_image
+from toolchain.contract import DSHOT_MIN, DSHOT_SPAN, MOTOR_TEST_TIMEOUT_MS, DshotCommand, Msp
+from toolchain.image.elf import read_flashable
+
+READY_S = 1.5  # after boot: grace and calibration are over
+
+
+class Desk:
+    """An idle board, a line to it, and what each ESC was told where it differs from before."""
+
+    def __init__(self, image: Path, elf: Path) -> None:
+        self.idle = IdleBoard(with_image(read_flashable(image), None), elf=elf)
+        self.told: list[Frame] = []
+        last: dict[int, int] = {}
+
+        def hear(frame: Frame) -> None:
+            if last.get(frame.motor) != frame.value:
+                self.told.append(frame)
+            last[frame.motor] = frame.value
+
+        self.idle.board.hardware.on_frame = hear
+        self.last = last
+        self.idle.boot()
+        self.line = UartLine(self.idle.board)
+        self.sleep(READY_S)
+
+    def transport(self) -> LineTransport:
+        return LineTransport(self.line, self.idle.run_to)
+
+    def clock(self) -> float:
+        return self.idle.board.cycle / TIME_HZ
+
+    def sleep(self, seconds: float) -> None:
+        self.idle.run_to(self.idle.board.cycle + round(seconds * TIME_HZ))
+
+
+@pytest.fixture
+def desk(board_image: Path) -> Iterator[Desk]:
+    one = Desk(board_image.with_suffix(".bin"), board_image)
+    yield one
+    one.idle.close()
+
+
+def test_escs_hear_what_the_commands_ask_for(desk: Desk) -> None:
+    with Client(desk.transport(), desk.clock) as client:
+        assert read_bench(client).outputs == (1, 2, 3, 4)
+        spin(client, Spin([1], 4, 0.1, seconds=0.3, ramp_s=0.1), desk.clock, desk.sleep)
+        desk.sleep(0.01)
+        turned = [frame for frame in desk.told if frame.value >= DSHOT_MIN]
+        assert {frame.motor for frame in turned} == {2}
+        assert max(frame.value for frame in turned) == DSHOT_MIN + int(DSHOT_SPAN * 0.1 + 0.5)
+        assert set(desk.last.values()) == {0}
+        stop(client, desk.clock, desk.sleep)
+
+        desk.told.clear()
+        set_direction(
+            client, [0, 2], DshotCommand.DIRECTION_REVERSED, save=True, clock=desk.clock, sleep=desk.sleep
+        )
+        desk.sleep(0.1)
+        heard = [(frame.motor, frame.value) for frame in desk.told if frame.value]
+        assert heard == [(1, 21), (1, 12), (3, 21), (3, 12)]
+
+
+def test_motors_stop_by_the_boards_own_time_when_the_cable_is_pulled(desk: Desk) -> None:
+    with Client(desk.transport(), desk.clock) as client:
+        test = MotorTest(client, 4)
+        test.__enter__()
+        test.turn([0.1, 0, 0, 0])
+        given = desk.clock()
+        desk.sleep(0.05)
+        assert desk.last[1] > DSHOT_MIN
+    desk.sleep(MOTOR_TEST_TIMEOUT_MS / 1000)
+    (stopped,) = [
+        frame for frame in desk.told if frame.motor == 1 and not frame.value and frame.cycle / TIME_HZ > given
+    ]
+    assert stopped.cycle / TIME_HZ - given == pytest.approx(MOTOR_TEST_TIMEOUT_MS / 1000, abs=0.01)
+
+
+def test_the_monitor_sees_a_restart_and_goes_on(desk: Desk) -> None:
+    with Watch(desk.transport, desk.clock) as watch:
+        first = watch.look()
+        assert first.problem == "" and first.info is not None
+        assert first.info.board.target == "MATEKF722" and first.answer_ms < 200
+        with Client(desk.transport(), desk.clock) as other:
+            other.request(Msp.REBOOT)
+        sights = [watch.look() for _ in range(4)]
+    assert sights[-1].problem == "" and sights[-1].restarts == 1
+    assert sights[-1].snapshot is not None and sights[-1].snapshot.overview.flight is not None
+    assert sights[-1].snapshot.overview.flight.boots == 2
