@@ -15,6 +15,7 @@ import pytest
 from yamspy import MSPy
 
 from tests.flash.lockstep import booted as booted
+from tests.flash.virtual_pad import plugged as plugged
 
 Answer = Callable[[bytes], bytes]
 

@@ -15,8 +15,10 @@ import pytest
 from cli.flash import rc
 from cli.main import main, parser
 from flash import messages, records
+from flash.channels.gamepad import Gamepad, Mapping
 from flash.msp import Decoder, Message
 from tests.flash.lockstep import Lockstep, lockstep
+from tests.flash.virtual_pad import AXES, FULL, Pad
 from toolchain.contract import Msp, StopCause
 from toolchain.errors import NeuroflightError
 
@@ -106,6 +108,40 @@ def test_how_to_set_the_receiver_is_said_when_it_is_another(booted: Lockstep, sc
     assert main(["msp", "--port", booted.port, "set", "receiver_protocol=msp"]) == 0
     with pytest.raises(NeuroflightError, match="receiver_protocol is msp, and not flown before a restart"):
         run(booted, *words)
+
+
+def test_a_gamepad_flies_and_its_unplugging_disarms(
+    flown: Lockstep, capsys: pytest.CaptureFixture[str], plugged: Pad
+) -> None:
+    pads: list[Gamepad] = []
+
+    def sleep(seconds: float) -> None:
+        """What a hand does, by the firmware's time."""
+        flown.sleep(seconds)
+        if flown.samples > 2500:
+            plugged.button(pads[0], 4, True)  # held: armed
+        if flown.samples > 3000:
+            plugged.axis(pads[0], 1, -FULL // 4)
+        if 4000 < flown.samples < 4050 and any(flown.turned[-1]):
+            plugged.unplug()
+
+    class Held(Gamepad):
+        def __init__(self, index: int, mapping: Mapping) -> None:
+            super().__init__(index, mapping)
+            pads.append(self)
+            for axis in range(AXES):
+                plugged.axis(self, axis, 0)
+
+    words = ["rc", "--port", flown.port, "--gamepad", str(plugged.index), "--allow-arm", "--props-off"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("flash.channels.gamepad.Gamepad", Held)
+        with pytest.raises(NeuroflightError, match=r"the gamepad 'Virtual .*' is gone"):
+            rc.carry_out(parser().parse_args(words), rc.Desk(flown.clock, sleep))
+    assert capsys.readouterr().out.endswith("the board is disarmed\n")
+    assert max(flown.most) > 0.2 and flown.run(1) == (0, 0, 0, 0)
+    with flown.client() as client:
+        assert records.safety(client.request(Msp.SAFETY)).stop_cause is StopCause.SWITCH
+    assert 4.0 < flown.clock() < 4.5
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -161,6 +161,18 @@ def test_an_armed_board_gets_no_frame(flown: Lockstep) -> None:
         assert messages.status(client.request(Msp.STATUS)).armed
 
 
+def test_it_disarms_when_the_board_arms_by_a_switch_that_its_settings_do_not_tell(host_program: Path) -> None:
+    """Settings are told as they are stored: what is flown since the last start may be another."""
+    options = ("--set=receiver_protocol=msp", "--set=mode1=arm aux5 1700 2100")
+    with lockstep(host_program, *options, receiver=False) as one:
+        switched = with_aux(aux5=2000)
+        with pytest.raises(LinkError, match="the board armed though no channel that its settings name is on"):
+            fly(one, Told(lambda elapsed_s: switched if elapsed_s > 0.5 else REST))
+        armed = [motors for motors in one.turned if any(motors)]
+        assert armed and one.clock() < 1.3 + 0.5 + 1.5
+        assert one.run(1) == (0, 0, 0, 0)
+
+
 def test_it_says_so_once_a_second_when_sending_falls_behind(flown: Lockstep) -> None:
     def slow(seconds: float) -> None:
         flown.sleep(seconds + 0.05)
