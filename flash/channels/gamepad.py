@@ -177,6 +177,7 @@ def _library() -> Any:  # noqa: ANN401 - a module
         import pygame
     except ModuleNotFoundError:
         raise LinkError(
-            "--gamepad needs pygame-ce, which is not installed; run: pip install 'neuroflight[gamepad]'"
+            "--gamepad needs pygame-ce, which is not installed; run: pip install pygame-ce, "
+            "or pip install 'neuroflight[gamepad]'"
         ) from None
     return pygame

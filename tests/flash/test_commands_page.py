@@ -1,0 +1,36 @@
+"""docs/commands.md prints commands and scripts that are."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from cli.main import parser
+from flash.channels.script import check_script, parse_script
+from tests.flash.channels.test_layout import layout
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "commands.md").read_text()
+COMMANDS = re.findall(r"^neuroflight (.+)$", PAGE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_printed_command_is_understood(line: str) -> None:
+    args = parser().parse_args(shlex.split(line, comments=True))
+    assert args.port == "PORT"
+
+
+def test_all_commands_are_printed() -> None:
+    assert len(COMMANDS) >= 15
+    for word in ("motor test", "motor spin", "motor direction", "motor order", "motor stop", "rc --script"):
+        assert any(line.startswith(word) for line in COMMANDS)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "toml"])
+def test_a_printed_script_is_read(suffix: str) -> None:
+    (text,) = re.findall(rf"```{suffix}\n(.+?)```", PAGE, re.DOTALL)
+    script = parse_script(text.encode(), "docs/commands.md", f".{suffix}")
+    check_script(script, layout(), may_arm=True)
+    assert any(layout().arms(row) for row in script.rows)
