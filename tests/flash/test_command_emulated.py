@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from flash.channels.layout import read_layout
+from flash.channels.script import parse_script
+from flash.channels.sender import Sender
 from flash.client import Client
 from flash.monitoring.watch import Watch
 from flash.motors.direction import set_direction
@@ -14,11 +17,21 @@ from flash.motors.readiness import read_bench
 from flash.motors.session import MotorTest
 from flash.motors.spin import Spin, spin
 from flash.motors.stop import stop
+from flash.records import safety
+from flash.settings import Settings
 from sim.board.core.context import TIME_HZ
 from sim.board.devices.esc import Frame
 from sim.board.serial.bridge import LineTransport, UartLine
 from sim.board.serial.idle_board import IdleBoard, with_image
-from toolchain.contract import DSHOT_MIN, DSHOT_SPAN, MOTOR_TEST_TIMEOUT_MS, DshotCommand, Msp
+from toolchain.contract import (
+    ARMING_DELAY_MS,
+    DSHOT_MIN,
+    DSHOT_SPAN,
+    MOTOR_TEST_TIMEOUT_MS,
+    DshotCommand,
+    Msp,
+    StopCause,
+)
 from toolchain.image.elf import read_flashable
 
 READY_S = 1.5  # after boot: grace and calibration are over
@@ -93,6 +106,28 @@ def test_motors_stop_by_the_boards_own_time_when_the_cable_is_pulled(desk: Desk)
         frame for frame in desk.told if frame.motor == 1 and not frame.value and frame.cycle / TIME_HZ > given
     ]
     assert stopped.cycle / TIME_HZ - given == pytest.approx(MOTOR_TEST_TIMEOUT_MS / 1000, abs=0.01)
+
+
+def test_channels_arm_the_board_and_disarm_it_over_its_uart(desk: Desk) -> None:
+    with Client(desk.transport(), desk.clock) as client:
+        Settings(client).change({"receiver_protocol": 2.0}, save=True)
+        client.request(Msp.REBOOT)
+    desk.sleep(0.1)
+    desk.idle.boot()
+    desk.sleep(ARMING_DELAY_MS / 1000)
+    script = parse_script(b"t_s,throttle,aux1\n0,1000,1000\n0.3,1000,2000\n0.5,1100,\n0.8,,\n", "it", ".csv")
+    with Client(desk.transport(), desk.clock) as client:
+        layout = read_layout(Settings(client).get)
+        one = Sender(client, layout, may_arm=True, rate_hz=100, clock=desk.clock, sleep=desk.sleep)
+        with one:
+            one.begin()
+            desk.told.clear()
+            one.run(script)
+            assert all(desk.last[motor] > DSHOT_MIN for motor in (1, 2, 3, 4))
+        told = safety(client.request(Msp.SAFETY))
+    assert one.disarmed and told.stop_cause is StopCause.SWITCH
+    assert set(desk.last.values()) == {0}
+    assert (one.count.late, one.count.unanswered) == (0, 0)
 
 
 def test_the_monitor_sees_a_restart_and_goes_on(desk: Desk) -> None:
