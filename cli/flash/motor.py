@@ -143,7 +143,7 @@ def _judged(desk: Desk, motor: int, place: Place) -> list[str]:
     elif place.turns and not _yes(desk, f"  did it turn {place.turns}, seen from above? yes or no: "):
         wrong.append(
             f"motor {motor + 1}: it turns the wrong way; swap two of its wires, or "
-            f"`neuroflight motor direction {motor + 1} reversed --save`"
+            f"`neuroflight motor direction {motor + 1} reversed --save`, or normal where it is reversed now"
         )
     return wrong
 
@@ -154,7 +154,8 @@ def spin(args: argparse.Namespace, desk: Desk) -> int:
     _motors(args.motor, MOTOR_COUNT_MAX)
     with connect(args) as client:
         what = "all motors" if args.motor == ALL else f"motor {args.motor}"
-        bench, _ = _prepare(client, args, f"spin turns {what} at {args.fraction:g} for {args.seconds:g} s")
+        told = f"spin turns {what} at {args.fraction:g} for {args.seconds:g} s"
+        bench, _ = _prepare(client, args, told, args.motor)
         _spin(client, _motors(args.motor, bench.motor_count), bench, args, desk)
     print(f"{what} turned at {args.fraction:g} for {args.seconds:g} s and stopped")
     return 0
@@ -239,15 +240,20 @@ def _turned(client: Client, motor: int, bench: Bench, args: argparse.Namespace, 
 
 
 # --- Shared ----------------------------------------------------------------------------------------
-def _prepare(client: Client, args: argparse.Namespace, what: str) -> tuple[Bench, tuple[Place, ...]]:
-    """Look at the board and have the propellers taken off. Raises NeuroflightError before anything turns."""
+def _prepare(
+    client: Client, args: argparse.Namespace, what: str, motor: str = "1"
+) -> tuple[Bench, tuple[Place, ...]]:
+    """Look at the board and have the propellers taken off. Raises NeuroflightError before anything turns.
+
+    motor: that is turned, as the user named it; one of several that are turned one after the other.
+    """
     from flash.motors.readiness import read_bench
 
     bench = read_bench(client)
     places = motor_places(
         getattr(args, "aircraft", None), bench.aircraft, bench.motor_count, reverse=bench.reversed
     )
-    _wanted([0], bench, args)  # a fraction or time that is wrong is told before anybody is asked
+    _wanted(_motors(motor, bench.motor_count), bench, args)  # what is wrong is told before anybody is asked
     if bench.warning:
         print(f"neuroflight: {bench.warning}", file=sys.stderr)
     confirm_props_off(args.props_off, what)

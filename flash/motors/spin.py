@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from flash.client import Client
-from flash.motors.session import REFRESH_S, MotorTest, check_fraction, check_limit, check_sum
+from flash.motors.session import LIMIT_DEFAULT, REFRESH_S, MotorTest, check_fraction, check_limit, check_sum
 from toolchain.errors import LinkError
 
 RAMP_DEFAULT_S = 0.5
@@ -25,7 +25,7 @@ class Spin:
     fraction: float  # motor fraction at the end of the ramp
     seconds: float = SECONDS_DEFAULT  # from the first value to the stop, the ramp included
     ramp_s: float = RAMP_DEFAULT_S
-    limit: float = 0.15  # that `fraction` must not be above
+    limit: float = LIMIT_DEFAULT  # that `fraction` must not be above
 
     def __post_init__(self) -> None:
         check_limit(self.limit)

@@ -121,6 +121,15 @@ def test_one_line_says_what_is_wrong(words: list[str], told: str, capsys: pytest
     assert err.count("\n") == 1 and told in err
 
 
+def test_one_line_says_so_when_the_device_is_someone_elses(
+    tcp_server: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = tcp_server(lambda data: b"$GPGGA,123519,4807.038,N,01131.000,E,1,08\r\n")
+    assert main(["monitor", "--port", port, "--once"]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "bytes that are no MSP" in err
+
+
 def test_it_says_so_when_there_is_no_terminal(resting_host: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", "--port", resting_host]) == 1
     assert capsys.readouterr().err == "neuroflight: stdout is no terminal; give --once or --json\n"

@@ -16,6 +16,8 @@ import pytest
 from cli.flash import motor
 from cli.flash.motor_places import motor_places
 from cli.main import main, parser
+from flash.motors.session import LIMIT_DEFAULT
+from flash.motors.spin import Spin
 from flash.msp import Decoder, Message
 from flash.settings import Settings
 from tests.flash.lockstep import Lockstep, lockstep
@@ -109,6 +111,18 @@ def test_nothing_turns_above_a_limit(booted: Lockstep, words: list[str], told: s
     assert booted.most == (0, 0, 0, 0)
 
 
+def test_the_commands_defaults_are_the_rooms() -> None:
+    given = Spin([0], 4, motor.FRACTION_DEFAULT)
+    assert (given.seconds, given.ramp_s) == (motor.SECONDS_DEFAULT, motor.RAMP_DEFAULT)
+    assert given.limit == motor.LIMIT_DEFAULT == LIMIT_DEFAULT
+
+
+def test_what_is_wrong_is_told_before_anybody_is_asked(booted: Lockstep) -> None:
+    with typed("props off\n"), pytest.raises(LinkError, match=r"all motors together got 1\.2"):
+        Person(booted).run("spin", "all", "--fraction", "0.3", "--limit", "0.3")
+    assert booted.most == (0, 0, 0, 0)
+
+
 def test_a_higher_limit_is_let_through_when_it_is_said(booted: Lockstep) -> None:
     words = ("spin", "4", "--fraction", "0.3", "--limit", "0.4", "--ramp", "0", "--seconds", "0.1")
     assert Person(booted).run(*words, "--props-off") == 0
@@ -140,7 +154,7 @@ def test_what_is_wrong_is_said_with_its_mend(booted: Lockstep, capsys: pytest.Ca
     assert person.run("test", "--props-off", "--seconds", "0.1", "--ramp", "0") == 1
     out = capsys.readouterr().out
     assert "motor 1: another one turned, or none; see `neuroflight motor order`\n" in out
-    assert "`neuroflight motor direction 2 reversed --save`\n" in out
+    assert "`neuroflight motor direction 2 reversed --save`" in out
     assert booted.most == pytest.approx((0.1, 0.1, 0, 0), abs=1e-3)
 
 
