@@ -128,9 +128,9 @@ def _panel(title: str, inside: RenderableType, old: bool) -> Panel:
 
 
 def _facts(rows: Sequence[tuple[str, Text | str]]) -> Table:
-    table = Table.grid(padding=(0, 1), expand=True)
+    table = Table.grid(padding=(0, 1))
     table.add_column(style="bold", no_wrap=True)
-    table.add_column(ratio=1)
+    table.add_column()
     for label, told in rows:  # as Text: what a board says is no markup
         table.add_row(label, Text(told, no_wrap=True, overflow="ellipsis") if isinstance(told, str) else told)
     return table

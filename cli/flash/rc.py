@@ -110,7 +110,7 @@ def carry_out(args: argparse.Namespace, desk: Desk) -> int:
         except KeyboardInterrupt:
             pass  # its usual end
         finally:
-            if sender.began:
+            if sender.count.taken:
                 print(_summary(sender), flush=True)
         return 0 if sender.disarmed else 1
 

@@ -98,13 +98,16 @@ def test_a_scenario_is_refused_when_its_switch_does_not_arm_this_board(flown: Lo
         run(flown, "--scenario", "roll", "--allow-arm", "--props-off")
 
 
-def test_how_to_set_the_receiver_is_said_when_it_is_another(booted: Lockstep, script: str) -> None:
+def test_how_to_set_the_receiver_is_said_when_it_is_another(
+    booted: Lockstep, script: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ("--script", script, "--allow-arm", "--props-off")
     with pytest.raises(NeuroflightError) as error:
         run(booted, *words)
     command = f"run: neuroflight msp --port {booted.port} set receiver_protocol=msp --save --reboot"
     assert "receiver_protocol is sbus, so the board listens to its receiver" in str(error.value)
     assert str(error.value).endswith(command)
+    assert capsys.readouterr().out == ""
     assert main(["msp", "--port", booted.port, "set", "receiver_protocol=msp"]) == 0
     with pytest.raises(NeuroflightError, match="receiver_protocol is msp, and not flown before a restart"):
         run(booted, *words)
