@@ -85,6 +85,7 @@ def test_an_image_is_built_when_only_the_base_dependencies_are_installed(target:
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
+        ("gateway --port /dev/null --mavlink udp:127.0.0.1:14550", "gateway"),
         ("fly --controller pid", "sim"),
         ("aircraft check nf1", "sim"),
         ("board", "sim"),

@@ -13,10 +13,12 @@ from flash.mavlink.ground import Ground
 from flash.mavlink.offboard import Offboard, Source
 from flash.mavlink.setpoint_check import SetpointCheck
 from flash.mavlink.setpoints import STEERING
-from toolchain.contract import FlightState
+from flash.stream import Sample
+from toolchain.contract import RECEIVER_OFF_FRAMES, FlightState
 
 PERIOD_S = 0.02  # between channels that say the same; new ones go at once
 SWITCHED_S = 1.0  # in which the firmware obeys the arm switch
+OFF_FRAMES = RECEIVER_OFF_FRAMES + 1  # until the firmware has surely heard that the switch is off
 FLYING = (FlightState.ARMED, FlightState.FAILSAFE_HOLD)
 
 
@@ -39,6 +41,9 @@ class Steering:
         self._check = SetpointCheck()
         self._due = clock()
         self._switching: _Switching | None = None
+        self._seen: Sample | None = None
+        self._on = False  # the arm switch in the last channels
+        self._offs = 0  # channels in a row without it
 
     @property
     def steered(self) -> bool:
@@ -71,11 +76,18 @@ class Steering:
             return
         self._due = now + PERIOD_S
         sticks = self._firmware.sticks
-        if self._firmware.send_channels(sticks.frame(told.channels_us, armed=told.armed)):
+        self._on = told.armed and self._may_switch_on()
+        self._offs = 0 if self._on else self._offs + 1
+        if self._firmware.send_channels(sticks.frame(told.channels_us, armed=self._on)):
             self._check.sent(sticks.setpoint(told.channels_us), now)
             return
         self.release()
         self._ground.tell(texts.ERROR, "No channels taken: receiver_protocol msp is not flown yet, reboot")
+
+    def _may_switch_on(self) -> bool:
+        """A switch that is moved too early, or was not off for long enough to be heard, arms nothing."""
+        ready = self._offs >= OFF_FRAMES and not self._firmware.safety.arming_flags
+        return self._on or ready
 
     def handle(self, source: Source, message: Any) -> None:  # noqa: ANN401 - pymavlink's are untyped
         """A message of setpoints.STEERING."""
@@ -99,8 +111,9 @@ class Steering:
 
     def look(self) -> None:
         """The firmware has told of itself: what follows for the arm switch and the setpoints."""
-        sample = self._firmware.sample
-        if sample is not None and self._check.see(sample, self._clock()):
+        sample, before = self._firmware.sample, self._seen
+        self._seen = sample
+        if sample is not None and sample is not before and self._check.see(sample, self._clock()):
             self._ground.tell(texts.ERROR, "Rates flown are not those of the settings: disarm, reboot")
         armed, switching = self._firmware.armed, self._switching
         if switching is None:
@@ -124,6 +137,7 @@ class Steering:
             self._ground.tell(texts.WARNING, f"Offboard denied: {why}")
             return int(commands.REJECTED if self._offboard.allowed else commands.DENIED)
         if not steered:
+            self._on, self._offs = flies, 0
             self._ground.tell(texts.INFO, f"Offboard: system {source[1]} steers")
         return int(commands.ACCEPTED)
 

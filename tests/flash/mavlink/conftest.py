@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import cache
 from pathlib import Path
@@ -115,8 +115,10 @@ class Lockstep:
         options: Options = FLYING,
         flown: dict[str, float] | None = None,
         stations: int = 1,
+        also: Sequence[str] = (),
     ) -> None:
-        """flown: settings that are flown without being stored, as if they had changed since the start."""
+        """flown: settings that are flown without being stored, as if they had changed since the start.
+        also: addresses of other peers."""
         self.port = stack.enter_context(closing(HostPort(program, GYRO_HZ, flown)))
         rng = np.random.default_rng(1)
         twin = Twin(load_aircraft("nf1"), rate_hz=GYRO_HZ, mount=Mount.CENTRE, rng=rng)
@@ -128,12 +130,11 @@ class Lockstep:
         systems = range(201, 201 + stations)
         self.stations = [stack.enter_context(closing(Station(system))) for system in systems]
         self.station = self.stations[0]
-        peers = [
-            stack.enter_context(closing(UdpPeer(parse_address(station.address)))) for station in self.stations
-        ]
+        addresses = [*(station.address for station in self.stations), *also]
+        self.peers = [stack.enter_context(closing(UdpPeer(parse_address(address)))) for address in addresses]
         client = stack.enter_context(Client(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port))))
         self.lines: list[str] = []
-        self.session = Session(client, peers, options, self.clock, self.lines.append)
+        self.session = Session(client, self.peers, options, self.clock, self.lines.append)
         stack.enter_context(closing(self.session))
         self.settle()
         for station in self.stations:

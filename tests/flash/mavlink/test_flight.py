@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from flash.mavlink.session import Options
-from tests.flash.mavlink.conftest import FLYING, Lockstep, MakeLockstep
+from tests.flash.mavlink.conftest import FLYING, GYRO_HZ, Lockstep, MakeLockstep
 from toolchain.contract import (
     RATE_FULL_STICK_DEG_S,
     RECEIVER_HOLD_MS,
@@ -127,6 +127,28 @@ def test_the_failsafe_acts_in_time_when_the_companion_is_lost(
     texts = gateway.station.texts()
     assert f"Companion silent for {timeout_s:g} s: offboard ends, failsafe acts" in texts
     assert texts.index("State: failsafe hold") < texts.index("State: failsafe drop")
+
+
+def test_setpoints_that_waited_while_the_gateway_could_not_run_are_not_flown(lockstep: MakeLockstep) -> None:
+    gateway = armed(lockstep)
+    gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    for _ in range(350 * GYRO_HZ // 1000):
+        gateway.step()
+    for _ in range(10):
+        gateway.station.rates(2.0, 0, 0, 0.3)
+    gateway.settle()
+    assert not gateway.session.steered
+    assert "Companion silent for 0.3 s: offboard ends, failsafe acts" in gateway.station.texts()
+    gateway.run(100, lambda: gateway.station.rates(2.0, 0, 0, 0.3))
+    assert gateway.reply.setpoint.tolist() == [0, 0, 0]
+
+
+def test_nobody_steers_after_the_firmware_has_started_anew(lockstep: MakeLockstep) -> None:
+    gateway = armed(lockstep)
+    gateway.session.firmware.boots -= 1  # as if it had been the start before
+    gateway.run(1500, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    assert len([text for text in gateway.station.texts() if text.startswith("Neuroflight")]) == 2
+    assert not gateway.session.steered and not gateway.reply.dshot.any()
 
 
 def test_a_companion_that_sends_no_numbers_is_a_lost_one(lockstep: MakeLockstep) -> None:

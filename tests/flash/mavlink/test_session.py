@@ -12,6 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from flash.client import Client
+from flash.mavlink.commands import CANCELLED
 from flash.mavlink.endpoint import UdpPeer, parse_address
 from flash.mavlink.parameter_names import parameter_name
 from flash.mavlink.session import Options, Session
@@ -349,18 +350,39 @@ def test_arming_is_refused_with_thrust_and_from_others(lockstep: MakeLockstep) -
 
 
 def test_the_switch_goes_off_again_when_the_firmware_does_not_arm(lockstep: MakeLockstep) -> None:
-    gateway = lockstep()
-    idle: Callable[[], None] = lambda: gateway.station.rates(0, 0, 0, 0)  # noqa: E731
-    assert gateway.enable() == ACCEPTED  # while it calibrates
-    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-    gateway.run(1200, idle)
-    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [IN_PROGRESS, FAILED]
-    assert any("Not ready" in text for text in gateway.station.texts())
-    gateway.run(1000, idle)
+    gateway = lockstep(flown={"arming_delay_ms": 3000})
+    station = gateway.station
+    assert gateway.enable() == ACCEPTED
+    station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(1200, lambda: station.rates(0, 0, 0, 0))
+    assert station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [IN_PROGRESS, FAILED]
+    assert station.texts()[-1].startswith("Not ready: boot grace: it has just started")
+    gateway.run(2200, lambda: station.rates(0, 0, 0, 0))
+    assert not gateway.session.firmware.safety.arming_flags, "it could arm now"
     assert not gateway.reply.armed
+    station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(200, lambda: station.rates(0, 0, 0, 0))
+    assert station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)[-1] == ACCEPTED
+    assert gateway.reply.armed
+
+
+def test_a_command_to_arm_waits_until_the_firmware_is_ready(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    gateway.run(700, lambda: gateway.station.rates(0, 0, 0, 0))
+    assert gateway.enable() == ACCEPTED
     gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
-    gateway.run(200, idle)
-    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)[-1] == ACCEPTED
+    gateway.run(900, lambda: gateway.station.rates(0, 0, 0, 0))
+    assert gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) == [IN_PROGRESS, ACCEPTED]
+
+
+def test_arming_goes_on_at_once_after_disarming(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    assert gateway.arm() == ACCEPTED
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
+    gateway.station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    gateway.run(500, lambda: gateway.station.rates(0, 0, 0, 0))
+    acks = gateway.station.acks(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert acks[-4:] == [IN_PROGRESS, CANCELLED, IN_PROGRESS, ACCEPTED]
     assert gateway.reply.armed
 
 

@@ -1,0 +1,103 @@
+"""`neuroflight gateway` as a program, against the running host program; what it refuses."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.main import main
+from tests.flash.mavlink.conftest import LOOPBACK, Station
+from toolchain.contract import SETTINGS
+
+ROOT = Path(__file__).resolve().parents[3]
+WAIT_S = 10.0  # how long anything may take before the test fails
+ANYWHERE = f"udp:{LOOPBACK}:14550"
+
+
+def until(station: Station, done: Callable[[], Any]) -> Any:
+    """The first true value of `done`, asked after each packet that comes."""
+    deadline = time.monotonic() + WAIT_S
+    while not (found := done()):
+        assert time.monotonic() < deadline
+        station.link.select(0.1)
+    return found
+
+
+@pytest.fixture
+def station() -> Iterator[Station]:
+    made = Station(255)
+    yield made
+    made.close()
+
+
+def test_a_ground_station_sees_the_aircraft_and_its_parameters(resting_host: str, station: Station) -> None:
+    command = [sys.executable, "-m", "cli.main", "gateway", "--port", resting_host]
+    with subprocess.Popen(
+        [*command, "--mavlink", station.address],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as gateway:
+        try:
+            until(station, lambda: station.got("HEARTBEAT"))
+            station.raw(bytes(range(256)) * 4)
+            station.link.mav.param_request_list_send(1, 1)
+            count = sum(setting.kind != "text" for setting in SETTINGS)
+            until(station, lambda: len(station.got("PARAM_VALUE")) == count)
+            station.forget()
+            until(station, lambda: len(station.got("HEARTBEAT")) == 2)
+            assert gateway.poll() is None
+        finally:
+            gateway.send_signal(signal.SIGINT)
+            out, errors = gateway.communicate(timeout=WAIT_S)
+    assert (gateway.returncode, errors) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("Neuroflight 0.1.0, policy nf1 ")
+    assert f"gateway between {resting_host} and {station.address}; Ctrl-C ends it" in lines
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line of an error."""
+    assert main(["gateway", *words]) == 1
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1
+    return output.err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--mavlink", "udp:192.0.2.1:14550"), "another computer"),
+        (("--mavlink", "tcp:127.0.0.1:1"), "expected udp:HOST:PORT"),
+        (("--mavlink", ANYWHERE, "--allow-arm"), "--allow-arm got no --offboard"),
+        (("--mavlink", ANYWHERE, "--timeout", "0"), "--timeout got 0"),
+        (("--mavlink", ANYWHERE, "--timeout", "nan"), "--timeout got nan"),
+        (("--mavlink", ANYWHERE, "--timeout", "60"), "--timeout got 60"),
+        (("--mavlink", ANYWHERE, "--system", "0"), "--system got 0"),
+        (("--mavlink", ANYWHERE) * 9, "9 peers"),
+    ],
+)
+def test_a_mistake_is_one_line_before_anything_is_opened(
+    words: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert line in refused(capsys, "--port", "/dev/does-not-exist", *words)
+
+
+def test_a_port_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str], free_tcp_port: int) -> None:
+    port = f"tcp:{LOOPBACK}:{free_tcp_port}"
+    assert "nobody listens" in refused(capsys, "--port", port, "--mavlink", ANYWHERE)
+
+
+def test_offboard_is_refused_at_the_start_when_the_receiver_is_not_msp(
+    resting_host: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "--port", resting_host, "--mavlink", ANYWHERE, "--offboard")
+    assert "receiver_protocol is sbus, expected msp" in line and "no channels were sent" in line
