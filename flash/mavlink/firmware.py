@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+from functools import cached_property
 
 from flash import messages, records, requests
+from flash.channels import receiver
 from flash.client import Client, NoAnswerError, RefusedError
 from flash.info import check_api, is_ours
 from flash.mavlink.parameters import Parameter, parameter_list
@@ -23,7 +25,6 @@ from toolchain.errors import LinkError
 ASK_S = 0.5  # for one answer: a board takes milliseconds, the emulated one tenths of a second
 CHANNELS_S = 0.1  # for the answer to channels, while a companion waits
 SAMPLES_HZ_MIN, SAMPLES_HZ_MAX = 10, 100
-RECEIVER, MSP_RECEIVER = "receiver_protocol", "msp"
 
 
 class Firmware:
@@ -44,8 +45,7 @@ class Firmware:
         self.parameters = parameter_list(one.info for one in stored)
         self.by_name = {parameter.name: parameter for parameter in self.parameters}
         values: dict[str, Value] = {one.name: one.value for one in stored}
-        self.sticks: Sticks = sticks_of(values)
-        self.receiver = value_text(RECEIVER, values[RECEIVER])
+        self._values = values
         self.policy: PolicyInfo = messages.policy_info(client.request(Msp.POLICY_INFO))
         version = messages.fc_version(client.request(Msp.FC_VERSION)).split(".")
         self.vehicle = Vehicle(
@@ -62,6 +62,20 @@ class Firmware:
         self._stream.begin()
         self.look()
         self.look_further()
+
+    @cached_property
+    def sticks(self) -> Sticks:
+        """What channels mean. Raises LinkError where its settings leave that open."""
+        return sticks_of(self._values)
+
+    @property
+    def hears_msp(self) -> bool:
+        """Whether it takes channels over MSP, as its settings say."""
+        return value_text(receiver.SETTING, self._values[receiver.SETTING]) == receiver.MSP
+
+    def not_listening(self) -> LinkError:
+        """The error where it does not."""
+        return receiver.not_listening(self._client.name, self._values.__getitem__)
 
     def close(self) -> None:
         """End the stream, as far as the line still lives."""

@@ -16,7 +16,7 @@ from flash.client import Client, NoAnswerError
 from flash.mavlink import commands, telemetry, texts
 from flash.mavlink.commands import Request
 from flash.mavlink.endpoint import Peer
-from flash.mavlink.firmware import MSP_RECEIVER, Firmware
+from flash.mavlink.firmware import Firmware
 from flash.mavlink.ground import Ground
 from flash.mavlink.offboard import TIMEOUT_S, Offboard, Source
 from flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
@@ -78,12 +78,8 @@ class Session:
         }
         self._due = dict.fromkeys(self._periods, clock())
         self._attach()
-        if options.offboard and self.firmware.receiver != MSP_RECEIVER:
-            raise LinkError(
-                f"{client.name}: the setting receiver_protocol is {self.firmware.receiver}, expected msp for "
-                "--offboard; no channels were sent: run neuroflight msp --port PORT set "
-                "receiver_protocol=msp --save --reboot"
-            )
+        if options.offboard and not self.firmware.hears_msp:
+            raise self.firmware.not_listening()
 
     def close(self) -> None:
         """Nothing goes to the firmware any more."""
@@ -167,7 +163,9 @@ class Session:
     def _attach(self) -> None:
         """It answers, perhaps as another start: all that is known of it is read anew, nobody steers."""
         self.firmware = Firmware(self._client)
-        allowed = self._options.offboard and self.firmware.receiver == MSP_RECEIVER
+        allowed = self._options.offboard and self.firmware.hears_msp
+        if allowed:
+            _ = self.firmware.sticks  # raises now where it would later
         offboard = Offboard(
             allowed=allowed, may_arm=self._options.allow_arm, timeout_s=self._options.timeout_s
         )

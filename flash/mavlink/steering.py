@@ -150,12 +150,13 @@ class Steering:
 
     def arm(self, request: Request) -> int:
         """Put the arm switch on; the result comes once the firmware has obeyed."""
-        why = ""
-        if not self._firmware.sticks.arm:
-            why = "no mode range switches arm on"
-        elif self._check.wrong:
+        if self._check.wrong:
             why = "rates flown are not those of the settings: reboot"
-        if why := why or self._offboard.arm(request.source, self._clock()):
+        elif self._offboard.allowed and not self._firmware.sticks.arm:
+            why = "no mode range switches arm on"
+        else:
+            why = self._offboard.arm(request.source, self._clock())
+        if why:
             self._ground.tell(texts.WARNING, f"Arming denied: {why}")
             return int(commands.REJECTED if self._offboard.may_arm else commands.DENIED)
         return self._switch(request, armed=True)

@@ -1,21 +1,21 @@
 """The way back through the firmware's sticks: which channels make a rate, a thrust and an arm switch.
 
-`firmware/src/receiver/rates.c` has the curves, `receiver.c` the order of channels on the wire and `modes.c`
-the ranges. A channel is whole microseconds, so the nearest of 1001 rates is flown.
+`firmware/src/receiver/rates.c` has the curves. A channel is whole microseconds, so the nearest of 1001 rates
+is flown.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from flash.channels.layout import read_layout
 from flash.setting_text import STYLE, STYLE_BETAFLIGHT, Value
 from toolchain.contract import (
     CHANNEL_AUX1,
     CHANNEL_COUNT,
-    CHANNEL_MAPPED_COUNT,
     CHANNEL_MAX_US,
     CHANNEL_MID_US,
     CHANNEL_MIN_US,
@@ -23,9 +23,7 @@ from toolchain.contract import (
     CHANNEL_ROLL,
     CHANNEL_UNTOLD_US,
     CHANNEL_YAW,
-    MODE_SLOT_COUNT,
     RATE_MAX_DEG_S,
-    Mode,
     ModeRange,
 )
 
@@ -33,7 +31,6 @@ HALF_STICK_US = CHANNEL_MAX_US - CHANNEL_MID_US
 AXES = ("roll", "pitch", "yaw")
 CHANNELS = (CHANNEL_ROLL, CHANNEL_PITCH, CHANNEL_YAW)
 SIGNS = (1, 1, -1)  # of the rate about the house's axes, for the upper half of the channel
-MAP = ("roll", "pitch", "throttle", "yaw", "aux1", "aux2", "aux3", "aux4")  # settings map_..., by channel
 # Of the style betaflight, as in rates.c.
 RC_RATE_DEG_S, RC_RATE_STEEP, RC_RATE_STEEPER, SUPER_ROOM_MIN = 200.0, 2.0, 14.54, 0.01
 ROUNDING = 1e-6  # relative: so far the firmware's float32 and this float64 may be apart
@@ -100,14 +97,14 @@ def nearest(curve: tuple[float, ...], rate: float) -> int:
 
 
 def sticks_of(settings: Mapping[str, Value]) -> Sticks:
-    """What `settings`, by name, make of channels."""
-    wire = [int(settings[f"map_{name}"]) for name in MAP]
-    ranges = _arm_ranges(settings)
+    """What `settings`, by name, make of channels. Raises LinkError where their map or their arm switch is
+    none."""
+    layout = read_layout(settings.__getitem__)
     return Sticks(
         curves=tuple(_curve(settings, axis) for axis in AXES),
-        wire=(*wire, *range(CHANNEL_MAPPED_COUNT, CHANNEL_COUNT)),
-        arm=_arm_channels(ranges),
-        arming=frozenset(_channel(found) for found in ranges),
+        wire=layout.wire,
+        arm=_arm_channels(layout.arm),
+        arming=frozenset(map(_channel, layout.arm)),
     )
 
 
@@ -137,13 +134,7 @@ def _channel(found: ModeRange) -> int:
     return CHANNEL_AUX1 + found.aux - 1
 
 
-def _arm_ranges(settings: Mapping[str, Value]) -> list[ModeRange]:
-    packed = [int(settings[f"mode{slot}"]) for slot in range(1, MODE_SLOT_COUNT + 1)]
-    found = [ModeRange.unpack(value) for value in packed if value & 0xFF == Mode.ARM]
-    return [one for one in found if one is not None]
-
-
-def _arm_channels(ranges: list[ModeRange]) -> dict[int, int]:
+def _arm_channels(ranges: Sequence[ModeRange]) -> dict[int, int]:
     """Of the ranges of ARM the first that is enough alone, else all those that must hold together; a value
     in the middle of each."""
     alone = [found for found in ranges if not found.and_others][:1]

@@ -120,7 +120,7 @@ RANGES = {
     "several": [ModeRange(ARM, 2, 1700, 2100), ModeRange(ARM, 3, 900, 1100)],
     "together": [ModeRange(ARM, 2, 1700, 2100, True), ModeRange(ARM, 12, 900, 1100, True)],
     "both": [ModeRange(ARM, 4, 1700, 2100, True), ModeRange(ARM, 5, 1200, 1300)],
-    "the same channel twice": [ModeRange(ARM, 2, 1200, 2100, True), ModeRange(ARM, 2, 900, 1400, True)],
+    "the same channel twice": [ModeRange(ARM, 2, 1200, 1800, True), ModeRange(ARM, 2, 900, 1400, True)],
     "another mode": [ModeRange(Mode.PID, 1, 900, 2100), ModeRange(ARM, 6, 1700, 2100)],
 }
 

@@ -279,7 +279,7 @@ def test_settings_that_contradict_each_other_are_not_stored_and_told(lockstep: M
 
 # --- Interlocks ------------------------------------------------------------------------------------
 def test_the_line_is_left_alone_when_the_receiver_is_another(lockstep: MakeLockstep) -> None:
-    with pytest.raises(LinkError, match=r"receiver_protocol is crsf, expected msp .* no channels were sent"):
+    with pytest.raises(LinkError, match=r"receiver_protocol is crsf, .* expected msp; no channel was taken"):
         lockstep(stored={"receiver_protocol": 1.0})
 
 
