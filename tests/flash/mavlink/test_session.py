@@ -429,6 +429,35 @@ def test_garbage_changes_nothing(lockstep: MakeLockstep) -> None:
     assert [number(m) for m in gateway.station.got("PARAM_VALUE")] == [1000.0]
 
 
+def test_nothing_arms_and_nothing_is_raised_whatever_good_packets_hold(lockstep: MakeLockstep) -> None:
+    gateway = lockstep()
+    chance = random.Random(19)
+    mav = gateway.station.link.mav
+    numbers = [mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT, *mavlink.mavlink_map]
+    commands = [row[0] for row in RESULTS]
+
+    def packets() -> None:
+        for number in (*numbers[:2] * 4, *numbers):
+            kind = mavlink.mavlink_map[number]
+            payload = bytearray(chance.randbytes(kind.unpacker.size))
+            if number in numbers[:2]:  # meant for the aircraft, of a command that it knows, one parameter
+                payload = bytearray(struct.pack("<7f", *[chance.choice((0, 1, 2, math.nan))] * 7))
+                command = chance.choice(commands)
+                if command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+                    continue
+                payload += struct.pack("<HBBBBB", command, 1, 1, 0, 0, 0)[: kind.unpacker.size - 28]
+            message = mavlink.MAVLink_message(number, kind.msgname)
+            gateway.station.raw(bytes(message._pack(mav, kind.crc_extra, bytes(payload))))
+            gateway.settle()
+
+    gateway.run(400, packets, every_ms=100)
+    assert not gateway.reply.armed
+    assert gateway.station.got("COMMAND_ACK")
+    gateway.station.forget()
+    gateway.run(1100)
+    assert gateway.station.got("HEARTBEAT")
+
+
 # --- A firmware that goes --------------------------------------------------------------------------
 class Mutable:
     """A line to a firmware whose answers may stay away, with a clock that only waiting moves."""
