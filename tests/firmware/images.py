@@ -8,7 +8,6 @@ import struct
 import numpy as np
 
 from toolchain import contract
-from toolchain.image.stamp import checksum, field_offset
 
 HEADER_BYTES = struct.calcsize(contract.IMAGE_HEADER_FORMAT)
 LEAST_BYTES = contract.IMAGE_HEADER_OFFSET + HEADER_BYTES
@@ -29,15 +28,15 @@ def make_image(seed: int, size: int = LEAST_BYTES + 64, *, bank: int = 1, board:
 
 def changed(image: bytes, field: str, value: bytes) -> bytes:
     """The image with another value of a field of its header, and a checksum that holds."""
-    other, at = bytearray(image), field_offset(field)
+    other, at = bytearray(image), contract.image_field_offset(field)
     other[at : at + len(value)] = value
     return stamped(other)
 
 
 def stamped(image: bytes | bytearray) -> bytes:
     """The image with a checksum that holds."""
-    at = field_offset("crc")
-    return bytes(image[:at]) + struct.pack("<I", checksum(image)) + bytes(image[at + 4 :])
+    at = contract.image_field_offset("crc")
+    return bytes(image[:at]) + struct.pack("<I", contract.image_checksum(image)) + bytes(image[at + 4 :])
 
 
 def header_of(image: bytes) -> bytes:
@@ -47,4 +46,4 @@ def header_of(image: bytes) -> bytes:
 
 def crc_of(image: bytes) -> int:
     """The checksum in its header."""
-    return int(struct.unpack_from("<I", image, field_offset("crc"))[0])
+    return int(struct.unpack_from("<I", image, contract.image_field_offset("crc"))[0])

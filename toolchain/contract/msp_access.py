@@ -99,7 +99,8 @@ _ACTS = {
     Msp.REBOOT: Access(
         _STOPPED,
         (_R.PAYLOAD, _R.ABSENT),
-        "kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, `absent` on the host program",
+        "kind 0, or none, starts the firmware, 1 the boot loader in the chip's ROM, "
+        "`absent` on the host program",
     ),
     Msp.EEPROM_WRITE: Access(
         _STORING,

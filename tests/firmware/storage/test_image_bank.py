@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -153,7 +153,7 @@ PAIRS_OF_NUMBERS = [
 ]
 
 
-def should_start(marks: tuple[Marks, Marks], good: tuple[bool, bool]) -> int:
+def should_start(marks: tuple[Marks, Marks], good: Sequence[bool]) -> int:
     """What image_bank.h says, in other words: by a rank of three, and the numbers among equals."""
 
     def rank(bank: int) -> tuple[bool, bool]:
@@ -304,12 +304,13 @@ def test_no_bits_pass_for_a_number_that_were_programmed_in_part(banks: Callable[
 
 @pytest.mark.parametrize("name", ["claim", "confirm", "reject", "count_start"])
 def test_a_mark_can_be_made_again_when_power_goes(banks: Callable[[], Banks], name: str) -> None:
-    make = {
+    makes: dict[str, Callable[[Banks], bool]] = {
         "claim": lambda b: b.lib.image_bank_claim(b.chip.flash, 1),
         "confirm": lambda b: b.lib.image_bank_confirm(b.chip.flash, 1),
         "reject": lambda b: b.lib.image_bank_reject(b.chip.flash, 1),
         "count_start": lambda b: b.lib.image_bank_count_start(b.chip.flash, 1),
-    }[name]
+    }
+    make = makes[name]
     for kind, seed in itertools.product(KINDS, range(8)):
         b = banks()
         b.put(1, make_image(1), state(sequence=3, confirmed=False))
