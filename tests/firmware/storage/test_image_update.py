@@ -1,0 +1,444 @@
+"""image_update.c: every refusal, what may be repeated, and which image a switch makes the boot start."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.firmware.images import HEADER_BYTES, MOST_BYTES, changed, crc_of, header_of, make_image
+from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
+from tests.firmware.storage.test_policy_slots import COMPILED_IN, SLOT_A, SLOT_B, floats, like
+from toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal
+from toolchain.policy.blob import pack
+
+MakeChip = Callable[..., Any]
+MAGIC, LAYOUT, BOARD, BANK, SIZE, HEADER, CRC, SHA256 = range(-17, -25, -1)  # enum nf_err
+BLOB_MAGIC, BLOB_OLD = -7, -16
+OLD, OLDER, NEW = make_image(1, bank=0), make_image(2), make_image(3, 4000)
+
+
+def digest(image: bytes) -> bytes:
+    return hashlib.sha256(image).digest()
+
+
+@pytest.fixture
+def board(chip: MakeChip) -> BankBoard:
+    """It runs bank A's image; bank B has one from before."""
+    chip_ = chip()
+    chip_.core.lib.scripted_action = [0.0] * 4
+    made = BankBoard(chip_, [confirmed(OLD, 7), confirmed(OLDER, 6)])
+    assert made.boot().image == OLD
+    return made
+
+
+def test_the_new_image_is_started_when_all_of_it_arrived_and_it_was_switched_to(board: BankBoard) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.crc == crc_of(NEW)
+    assert board.hash(0) == digest(OLD)
+    assert board.hash(1) == digest(NEW)
+    content = board.chip.content
+    assert board.boot().image == OLD, "it has no number yet"
+    board.chip.content = content
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.sequence == 8
+    assert board.boot().image == NEW
+    marks = board.lib.image_bank_marks(board.chip.flash, 1)
+    assert (marks.numbered, marks.confirmed, marks.starts, marks.has_floor) == (True, False, 0, False)
+    assert board.settle()
+    assert board.boot().image == NEW
+
+
+def test_the_next_image_goes_into_the_other_bank_when_bank_b_runs(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.boot().bank == 1
+    assert board.begin(header_of(NEW)) == (Refusal.IMAGE, 0)
+    assert board.why == BANK
+    assert board.settle()
+    newer = make_image(4, 3000, bank=0)
+    assert board.arrive(newer) == Refusal.NONE
+    assert board.switch(digest(newer)) == Refusal.NONE
+    assert (board.sequence, board.boot().image) == (9, newer)
+
+
+# --- Begin ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("header", "why"),
+    [
+        (bytes(HEADER_BYTES), MAGIC),
+        (b"\xff" * HEADER_BYTES, MAGIC),
+        (header_of(changed(NEW, "magic", b"NFPB")), MAGIC),
+        (header_of(changed(NEW, "layout", b"\2\0")), LAYOUT),
+        (header_of(changed(NEW, "board", b"MATEKF722\0")), BOARD),
+        (header_of(make_image(3, bank=0)), BANK),
+        (header_of(changed(NEW, "bank", b"\2")), BANK),
+        (header_of(changed(NEW, "image_bytes", struct.pack("<I", MOST_BYTES + 4))), SIZE),
+        (header_of(changed(NEW, "image_bytes", struct.pack("<I", 1001))), SIZE),
+        (header_of(changed(NEW, "image_bytes", bytes(4))), SIZE),
+    ],
+)
+def test_nothing_is_erased_when_the_header_does_not_fit(board: BankBoard, header: bytes, why: int) -> None:
+    before = board.chip.content
+    assert board.begin(header)[0] == Refusal.IMAGE
+    assert board.why == why
+    assert board.write(0, bytes(8)) == board.end() == Refusal.ORDER
+    assert (board.chip.content, board.chip.operations) == (before, 0)
+
+
+def test_an_update_goes_on_where_it_was_when_the_same_image_is_begun_again(board: BankBoard) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.write(0, NEW[:400]) == Refusal.NONE
+    operations = board.chip.operations
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 400)
+    assert board.begin(header_of(make_image(3, bank=0))) == (Refusal.IMAGE, 400), "a wrong one ends nothing"
+    assert board.chip.operations == operations
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, len(NEW)), "also when all of it is there"
+    assert board.end() == Refusal.NONE
+    other = make_image(9)
+    assert board.begin(header_of(other)) == (Refusal.NONE, 0)
+    assert board.chip.region(FLASH_BANKS[1])[:4000] == b"\xff" * 4000
+    assert board.arrive(other) == Refusal.NONE
+
+
+def test_an_update_begins_anew_when_the_board_was_started_meanwhile(board: BankBoard) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.write(0, NEW[:400]) == Refusal.NONE
+    assert board.boot().image == OLD
+    assert board.write(400, NEW[400:800]) == Refusal.ORDER
+    assert board.end() == Refusal.ORDER
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.arrive(NEW) == Refusal.NONE
+
+
+# --- Write ----------------------------------------------------------------------------------------
+def test_a_block_is_refused_when_it_is_none_or_not_the_next(board: BankBoard) -> None:
+    assert board.write(0, NEW[:8]) == Refusal.ORDER
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.write(0, NEW[:256]) == Refusal.NONE
+    operations = board.chip.operations
+    for offset, data in ((0, b""), (256, NEW[256:257]), (256, NEW[256:258]), (256, NEW[256:263])):
+        assert board.write(offset, data) == Refusal.PAYLOAD
+    for offset in (len(NEW), len(NEW) - 4, 2**32 - 4, 2**32 - 8, 2**31):
+        assert board.write(offset, bytes(8)) == Refusal.PAYLOAD, offset
+    for offset in (4, 252, 260, 512, len(NEW) - 8, 255, 257):
+        assert board.write(offset, NEW[offset : offset + 8]) == Refusal.ORDER, offset
+    assert board.chip.operations == operations
+    assert board.write(256, NEW[256:512]) == Refusal.NONE
+
+
+def test_the_last_block_may_be_repeated_and_no_other(board: BankBoard) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    for offset in range(0, len(NEW), 400):
+        for _ in range(3):
+            assert board.write(offset, NEW[offset : offset + 400]) == Refusal.NONE
+        assert board.write(offset, bytes(400)) == Refusal.ORDER, "other bytes are no repetition"
+        if offset:
+            assert board.write(offset - 400, NEW[offset - 400 : offset]) == Refusal.ORDER
+    assert board.end() == Refusal.NONE
+    assert board.write(3600, NEW[3600:]) == Refusal.NONE, "a late one harms nothing"
+
+
+def test_an_update_has_to_be_begun_anew_when_flash_refuses(board: BankBoard) -> None:
+    for at in (0, 1, 2, 3, 40):  # the magic, the erasing, the claim, words
+        board.boot()
+        board.chip.cut(at, 0, 1)
+        assert board.arrive(NEW) == Refusal.FLASH
+        assert board.write(0, NEW[:8]) == board.end() == Refusal.ORDER
+    board.boot()
+    assert board.arrive(NEW) == Refusal.NONE
+
+
+# --- End ------------------------------------------------------------------------------------------
+def test_an_image_is_refused_when_bytes_are_missing(board: BankBoard) -> None:
+    assert board.end() == Refusal.ORDER
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    for offset in range(0, len(NEW), 400):
+        assert board.end() == Refusal.ORDER
+        assert board.write(offset, NEW[offset : offset + 400]) == Refusal.NONE
+    for _ in range(3):
+        assert board.end() == Refusal.NONE
+        assert board.crc == crc_of(NEW)
+
+
+def flipped(image: bytes, at: int) -> bytes:
+    return image[:at] + bytes([image[at] ^ 1]) + image[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        *((flipped(NEW, 0), CRC), (flipped(NEW, 511), CRC), (flipped(NEW, len(NEW) - 1), CRC)),
+        *(
+            (flipped(NEW, at), HEADER)
+            for at in range(IMAGE_HEADER_OFFSET, IMAGE_HEADER_OFFSET + HEADER_BYTES)
+        ),
+        (flipped(NEW, IMAGE_HEADER_OFFSET + HEADER_BYTES), CRC),
+        (make_image(4, len(NEW)), HEADER),
+    ],
+)
+def test_an_image_is_refused_when_other_bytes_were_sent_than_told(
+    board: BankBoard, sent: bytes, why: int
+) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    for offset in range(0, len(sent), 400):
+        assert board.write(offset, sent[offset : offset + 400]) == Refusal.NONE
+    assert board.end() == Refusal.IMAGE
+    assert board.why == why
+    assert board.end() == Refusal.ORDER, "it has to be begun anew"
+    assert board.switch(digest(NEW)) == Refusal.IMAGE
+    assert board.boot().image == OLD
+    assert board.arrive(NEW) == Refusal.NONE
+
+
+# --- Hash and switch ------------------------------------------------------------------------------
+def test_no_hash_is_told_when_a_bank_has_no_image(board: BankBoard) -> None:
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.hash(1) == MAGIC
+    assert board.hash(0) == digest(OLD)
+    board.chip.fill(FLASH_BANKS[1].address, changed(NEW, "image_bytes", struct.pack("<I", 2**31)))
+    assert board.hash(1) == SIZE
+
+
+def test_nothing_is_switched_when_it_is_not_the_image_of_that_hash(board: BankBoard) -> None:
+    assert board.switch(digest(NEW)) == Refusal.IMAGE
+    assert board.why == SHA256
+    assert board.arrive(NEW) == Refusal.NONE
+    operations = board.chip.operations
+    for told in (digest(OLD), bytes(32), flipped(digest(NEW), 0), flipped(digest(NEW), 31)):
+        assert board.switch(told) == Refusal.IMAGE
+        assert board.why == SHA256
+    board.chip.fill(FLASH_BANKS[1].address + 100, b"\0")
+    damaged = board.chip.region(FLASH_BANKS[1])[: len(NEW)]
+    assert board.switch(digest(damaged)) == Refusal.IMAGE, "told or not, it is not whole"
+    assert board.why == CRC
+    assert board.chip.operations == operations
+    assert board.boot().image == OLD
+
+
+def test_a_switch_changes_nothing_when_it_is_repeated(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW), floor=5) == Refusal.NONE
+    operations = board.chip.operations
+    for floor in (5, 6, None):
+        assert board.switch(digest(NEW), floor=floor) == Refusal.NONE
+        assert board.sequence == 8
+    assert board.chip.operations == operations
+    marks = board.lib.image_bank_marks(board.chip.flash, 1)
+    assert (marks.has_floor, marks.policy_floor) == (True, 5)
+
+
+def test_a_switch_needs_no_update_when_the_image_is_there_already(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.boot().image == OLD
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.boot().image == NEW
+
+
+def test_an_older_image_is_not_switched_to_as_it_has_its_number(board: BankBoard) -> None:
+    assert board.switch(digest(OLDER)) == Refusal.ORDER
+    assert board.chip.operations == 0
+    assert board.arrive(OLDER) == Refusal.NONE, "it has to be written anew"
+    assert board.switch(digest(OLDER)) == Refusal.NONE
+    assert board.boot().image == OLDER
+
+
+def test_a_failed_image_is_not_switched_to_until_it_is_written_anew(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    for _ in range(2):
+        assert board.boot().image == NEW
+        assert board.lib.image_bank_count_start(board.chip.flash, 1)
+    assert board.boot().image == OLD, "the third start is the old one's"
+    assert board.switch(digest(NEW)) == Refusal.ORDER
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.boot().image == NEW
+    assert board.lib.image_bank_reject(board.chip.flash, 1)
+    assert board.boot().image == OLD
+
+
+@pytest.mark.parametrize("spare", ["erased", "written", "installed"])
+def test_a_switch_counts_when_the_rom_has_installed_what_runs(chip: MakeChip, spare: str) -> None:
+    made = chip()
+    made.core.lib.scripted_action = [0.0] * 4
+    installed = Held(NEW) if spare == "installed" else confirmed(OLDER, 3) if spare == "written" else Held()
+    b = BankBoard(made, [Held(OLD), installed])
+    assert b.boot().image == OLD
+    if spare != "installed":
+        assert b.arrive(NEW) == Refusal.NONE
+    assert b.switch(digest(NEW)) == Refusal.NONE
+    assert b.sequence == 2
+    assert b.boot().image == NEW
+
+
+# --- Policies that a new image leaves behind ------------------------------------------------------
+def put_policies(board: BankBoard, a: int | None, b: int | None, **changes: Any) -> None:
+    for slot, sequence in ((SLOT_A, a), (SLOT_B, b)):
+        if sequence is not None:
+            board.slots.put(slot, like(board.slots.image, sequence, sequence % 1000, 0.5, **changes))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "floor"),
+    [
+        *((None, None, None), (3, None, 3), (None, 3, 3), (3, 4, 4), (4, 3, 4), (2**32 - 1, 0, 0)),
+        *((0, 2**32 - 1, 0), (5, 5, 5), (0, 2**31, 0), (2**31 + 3, 3, 2**31 + 3)),
+    ],
+)
+@pytest.mark.parametrize("foreign", [False, True])
+def test_no_policy_of_before_is_flown_by_the_new_image_unless_it_is_to(
+    board: BankBoard, a: int | None, b: int | None, floor: int | None, foreign: bool
+) -> None:
+    changes = {"control_rate_hz": 500} if foreign else {}
+    put_policies(board, a, b, **changes)
+    board.boot()
+    assert board.policy_floor() == floor
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW), floor=board.policy_floor()) == Refusal.NONE
+    started = board.boot()
+    assert (started.image, started.flown) == (NEW, COMPILED_IN)
+    if foreign:  # the new image is made for them, and yet they are none of its
+        flown = board.slots.boot(floor=floor, control_rate_hz=500)
+        assert flown.flown == 3, "the compiled-in one does not fit this test's rate either"
+        assert {flown.found[SLOT_A], flown.found[SLOT_B]} <= {BLOB_OLD, BLOB_MAGIC}
+    board.boot()
+    following = board.slots.next_sequence
+    assert following == ((floor + 1) % 2**32 if floor is not None else 1)
+    assert board.slots.update(pack(like(board.slots.image, following, 9, 9))) == Refusal.NONE
+    assert board.boot().weights == floats(9, 9)
+    board.lib.image_bank_reject(board.chip.flash, 1)
+    assert board.boot().image == OLD
+
+
+def test_policies_are_kept_when_the_floor_is_that_of_the_running_image(board: BankBoard) -> None:
+    put_policies(board, 4, 5)
+    assert board.boot().flown == SLOT_B
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    started = board.boot()
+    assert (started.image, started.flown) == (NEW, SLOT_B)
+
+
+@pytest.mark.parametrize("floor", [0, 7, 2**31 - 1, 2**31, 2**32 - 1])
+def test_only_policies_above_the_floor_count_whatever_it_is(board: BankBoard, floor: int) -> None:
+    for ahead, flown in ((0, False), (1, True), (2**31 - 1, True), (2**31, False), (2**32 - 1, False)):
+        board.slots.put(SLOT_A, like(board.slots.image, (floor + ahead) % 2**32, 3, 4))
+        found = board.slots.boot(floor=floor)
+        assert (found.flown == SLOT_A) == flown
+        assert found.found == ((0 if flown else BLOB_OLD), BLOB_MAGIC, 0)
+    for a, b, flown_slot in ((1, 2, SLOT_B), (2, 1, SLOT_A), (2**31 - 1, 1, SLOT_A), (0, 1, SLOT_B)):
+        put = [like(board.slots.image, (floor + ahead) % 2**32, ahead % 99, 4) for ahead in (a, b)]
+        board.slots.put(SLOT_A, put[0])
+        board.slots.put(SLOT_B, put[1])
+        assert board.slots.boot(floor=floor).flown == flown_slot
+
+
+@pytest.mark.parametrize("floor", [0, 7, 2**31 - 1, 2**32 - 1])
+def test_a_policy_is_refused_when_it_would_not_be_flown_for_its_number(board: BankBoard, floor: int) -> None:
+    s = board.slots
+    for ahead, refusal in ((0, 9), (-1, 9), (2**31, 9), (2**31 + 1, 9), (1, 0)):
+        s.boot(floor=floor)
+        assert s.next_sequence == (floor + 1) % 2**32
+        assert s.update(pack(like(s.image, (floor + ahead) % 2**32, 3, 4))) == refusal, ahead
+        assert s.boot(floor=floor).flown == (COMPILED_IN if refusal else SLOT_A)
+    assert s.update(pack(like(s.image, (floor + 2**31) % 2**32, 5, 6))) == Refusal.SEQUENCE
+    assert s.boot(floor=floor).weights == floats(3, 4)
+
+
+def test_a_slot_that_does_not_count_is_written_before_the_one_that_does(board: BankBoard) -> None:
+    s = board.slots
+    s.put(SLOT_A, like(s.image, 5, 3, 4))
+    s.put(SLOT_B, like(s.image, 9, 5, 6))
+    assert s.boot(floor=5).flown == SLOT_B
+    assert s.update(pack(like(s.image, s.next_sequence, 7, 8))) == Refusal.NONE
+    booted = s.boot(floor=5)
+    assert (booted.flown, booted.sequence, booted.weights) == (SLOT_A, 10, floats(7, 8))
+
+
+# --- Going back to the policy before --------------------------------------------------------------
+def revert(board: BankBoard) -> int:
+    return int(board.lib.policy_slots_revert(board.slots.slots))
+
+
+@pytest.mark.parametrize(("a", "b", "then"), [(4, 5, SLOT_A), (5, 4, SLOT_B), (5, None, COMPILED_IN)])
+def test_the_policy_before_is_flown_when_it_is_gone_back_to(
+    board: BankBoard, a: int | None, b: int | None, then: int
+) -> None:
+    put_policies(board, a, b)
+    assert board.boot().weights == floats(5, 0.5)
+    for _ in range(3):
+        assert revert(board) == Refusal.NONE, "it may be repeated"
+        assert board.chip.operations == 1
+    assert board.slots.begin(1000) == Refusal.ORDER, "it would erase what is flown next"
+    started = board.boot()
+    assert started.flown == then
+    assert started.weights == (floats(1, -2) if then == COMPILED_IN else floats(4, 0.5))
+    assert board.slots.update(pack(like(board.slots.image, board.slots.next_sequence, 8, 8))) == Refusal.NONE
+    assert board.boot().weights == floats(8, 8)
+
+
+def test_nothing_is_gone_back_to_when_the_compiled_in_policy_flies(board: BankBoard) -> None:
+    assert revert(board) == Refusal.ORDER
+    put_policies(board, 5, None)
+    board.slots.boot(floor=5)
+    assert revert(board) == Refusal.ORDER, "the one in the slot is not flown"
+    assert board.chip.operations == 0
+
+
+def test_nothing_is_gone_back_to_when_another_policy_waits_for_the_restart(board: BankBoard) -> None:
+    put_policies(board, 4, 5)
+    board.boot()
+    assert board.slots.update(pack(like(board.slots.image, 6, 8, 8))) == Refusal.NONE
+    operations = board.chip.operations
+    assert revert(board) == Refusal.ORDER
+    assert board.chip.operations == operations
+    assert board.boot().weights == floats(8, 8)
+    assert revert(board) == Refusal.NONE
+    assert board.boot().weights == floats(5, 0.5)
+
+
+def test_an_update_under_way_ends_when_it_is_gone_back(board: BankBoard) -> None:
+    put_policies(board, None, 5)
+    board.boot()
+    new = pack(like(board.slots.image, 6, 8, 8))
+    assert board.slots.begin(len(new)) == Refusal.NONE
+    assert revert(board) == Refusal.NONE
+    assert board.slots.write(0, new) == Refusal.ORDER
+    assert board.boot().flown == COMPILED_IN
+
+
+def test_flash_is_told_to_have_refused_when_it_cannot_be_gone_back(board: BankBoard) -> None:
+    put_policies(board, 4, 5)
+    board.boot()
+    board.chip.cut(0, 0, 1)
+    assert revert(board) == Refusal.FLASH
+    assert board.boot().weights == floats(5, 0.5)
+
+
+# --- What a slot holds ----------------------------------------------------------------------------
+def test_a_slot_tells_what_it_holds_now(board: BankBoard) -> None:
+    header = board.core.new("struct nf_policy_blob_header *")
+
+    def info(source: int) -> tuple[int, int, int]:
+        found = board.lib.policy_slots_info(board.slots.slots, source, header)
+        return int(found), int(header.sequence), int(header.control_rate_hz)
+
+    put_policies(board, 4, 5)
+    board.slots.put(SLOT_B, like(board.slots.image, 5, control_rate_hz=500))
+    board.boot()
+    assert [info(source) for source in range(3)] == [(0, 4, 1000), (-11, 5, 500), (0, 0, 1000)]
+    assert board.slots.begin(1000) == Refusal.NONE
+    assert info(SLOT_B) == (BLOB_MAGIC, 0, 0)
+    board.slots.put(SLOT_B, flipped(pack(like(board.slots.image, 5)), 300))
+    assert info(SLOT_B) == (-10, 0, 0), "a damaged header is not told"
+    board.slots.put(SLOT_B, like(board.slots.image, 9, selftest_action=board.slots.image.selftest_action + 1))
+    assert board.boot().flown == SLOT_A
+    assert info(SLOT_B) == (-5, 9, 1000)
+    assert revert(board) == Refusal.NONE
+    assert info(SLOT_A) == (BLOB_MAGIC, 0, 0)
