@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -153,7 +153,7 @@ PAIRS_OF_NUMBERS = [
 ]
 
 
-def should_start(marks: tuple[Marks, Marks], good: Sequence[bool]) -> int:
+def should_start(marks: tuple[Marks, Marks], good: tuple[bool, bool]) -> int:
     """What image_bank.h says, in other words: by a rank of three, and the numbers among equals."""
 
     def rank(bank: int) -> tuple[bool, bool]:
@@ -177,7 +177,7 @@ def test_the_bank_is_the_right_one_whatever_the_marks_are(scripted: Core) -> Non
         for numbers in PAIRS_OF_NUMBERS:
             marks = (replace(a, sequence=numbers[0]), replace(b, sequence=numbers[1]))
             both[0], both[1] = asdict(marks[0]), asdict(marks[1])
-            for flags in itertools.product((False, True), repeat=2):
+            for flags in itertools.product((False, True), (False, True)):
                 good[0:2] = flags
                 assert scripted.lib.image_bank_choose(both, good) == should_start(marks, flags), (
                     marks,
@@ -304,13 +304,9 @@ def test_no_bits_pass_for_a_number_that_were_programmed_in_part(banks: Callable[
 
 @pytest.mark.parametrize("name", ["claim", "confirm", "reject", "count_start"])
 def test_a_mark_can_be_made_again_when_power_goes(banks: Callable[[], Banks], name: str) -> None:
-    makes: dict[str, Callable[[Banks], bool]] = {
-        "claim": lambda b: b.lib.image_bank_claim(b.chip.flash, 1),
-        "confirm": lambda b: b.lib.image_bank_confirm(b.chip.flash, 1),
-        "reject": lambda b: b.lib.image_bank_reject(b.chip.flash, 1),
-        "count_start": lambda b: b.lib.image_bank_count_start(b.chip.flash, 1),
-    }
-    make = makes[name]
+    def make(b: Banks) -> bool:
+        return bool(getattr(b.lib, f"image_bank_{name}")(b.chip.flash, 1))
+
     for kind, seed in itertools.product(KINDS, range(8)):
         b = banks()
         b.put(1, make_image(1), state(sequence=3, confirmed=False))

@@ -194,7 +194,7 @@ def length(story: Story, content: bytes) -> int:
     """Operations of the story that begins with that flash, when power stays."""
     story.board.chip.content = content
     assert story.tell()
-    operations = story.board.chip.operations
+    operations = int(story.board.chip.operations)
     assert story.boot() == story.new
     story.board.chip.content = content
     return operations

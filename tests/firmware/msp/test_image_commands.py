@@ -1,0 +1,314 @@
+"""Images and policy slots over MSP: what is told and refused; lines that spoil, lose and mix frames."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flash import layouts, requests
+from flash.msp import Direction, Message, Version, encode
+from tests.firmware.conftest import Chip, Core
+from tests.firmware.images import crc_of, header_of, make_image
+from tests.firmware.msp.test_msp_commands import Server, server
+from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
+from toolchain.contract import (
+    FLASH_BANKS,
+    FLASH_POLICY_SLOTS,
+    IMAGE_BUILD_BYTES,
+    IMAGE_TAIL_BYTES,
+    MSP_IMAGE_CONFIRMED,
+    MSP_IMAGE_FITS,
+    MSP_IMAGE_INSTALLED,
+    MSP_IMAGE_NUMBERED,
+    MSP_IMAGE_REJECTED,
+    Msp,
+    Refusal,
+)
+from toolchain.contract.msp_layouts import Direction as Speaks
+from toolchain.contract.msp_messages import layout_of
+from toolchain.image.bank_state import state
+from toolchain.policy.blob import PolicyBlob, pack
+
+__all__ = ["server"]  # the fixture
+OLD, ONE, OTHER = make_image(1, 700, bank=0), make_image(2, 700), make_image(3, 700)
+PIECE = 128
+BOARD, SHA256, BLOB_MAGIC = -19, -24, -7
+MakeServer = Callable[..., Server]
+
+
+def digest(image: bytes) -> bytes:
+    return hashlib.sha256(image).digest()
+
+
+def told(s: Server, command: Msp, payload: bytes = b"") -> dict[str, Any]:
+    """The reply, read by its layout."""
+    layout = layout_of(command, Speaks.REPLY)
+    assert layout is not None
+    return dict(layouts.decode(layout, s.reply(command, payload), whole=True))
+
+
+def upload(image: bytes) -> list[tuple[Msp, bytes]]:
+    """The requests that bring it, up to its end."""
+    pieces = (
+        (Msp.IMAGE_WRITE, requests.slot_write(at, image[at : at + PIECE]))
+        for at in range(0, len(image), PIECE)
+    )
+    return [(Msp.IMAGE_BEGIN, header_of(image)), *pieces, (Msp.IMAGE_END, b"")]
+
+
+def switch_to(image: bytes, *, keep: int = 0) -> bytes:
+    return digest(image) + bytes([keep])
+
+
+def put(s: Server, bank: int, image: bytes, marks: bytes) -> None:
+    region = FLASH_BANKS[bank]
+    tail = region.size - IMAGE_TAIL_BYTES
+    s.chip.fill(region.address, image.ljust(tail, b"\xff") + marks.ljust(IMAGE_TAIL_BYTES, b"\xff"))
+
+
+# --- What is told ---------------------------------------------------------------------------------
+def test_the_banks_are_told_when_asked_for(server: MakeServer) -> None:
+    s = server()
+    nothing = {
+        **dict.fromkeys(("flags", "starts", "sequence", "image_bytes", "crc"), 0),
+        "version": bytes(4),
+        "build": bytes(IMAGE_BUILD_BYTES),
+    }
+    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [nothing, nothing]}
+    put(s, 0, OLD, state(sequence=5, confirmed=True))
+    put(s, 1, ONE, b"")
+    first: dict[str, Any] = {
+        **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED | MSP_IMAGE_CONFIRMED, "starts": 0, "sequence": 5},
+        **{"image_bytes": 700, "crc": crc_of(OLD), "version": b"\0\1\0\0", "build": header_of(OLD)[24:32]},
+    }
+    second: dict[str, Any] = {
+        **{"flags": MSP_IMAGE_FITS | MSP_IMAGE_INSTALLED, "starts": 0, "sequence": 0},
+        **{"image_bytes": 700, "crc": crc_of(ONE), "version": b"\0\1\0\0", "build": header_of(ONE)[24:32]},
+    }
+    assert told(s, Msp.IMAGE_INFO) == {"running": 0, "banks": [first, second]}
+    s.core.lib.image_bank_count_start(s.chip.flash, 1)
+    s.core.lib.image_bank_reject(s.chip.flash, 1)
+    (_, now) = told(s, Msp.IMAGE_INFO)["banks"]
+    assert (now["flags"], now["starts"]) == (second["flags"] | MSP_IMAGE_REJECTED, 1)
+    s.image.running = 1
+    assert told(s, Msp.IMAGE_INFO)["running"] == 1
+    put(s, 1, make_image(2, bank=0), state(sequence=5, confirmed=True))
+    assert told(s, Msp.IMAGE_INFO)["banks"] == [first, nothing], "an image for another bank is none"
+
+
+def test_an_image_is_written_hashed_and_switched_to_when_sent(server: MakeServer) -> None:
+    s = server()
+    put(s, 0, OLD, state(sequence=5, confirmed=True))
+    assert told(s, Msp.IMAGE_BEGIN, header_of(ONE)) == {"offset": 0}
+    for command, payload in upload(ONE)[1:-1]:
+        assert s.reply(command, payload) == b""
+        assert (
+            told(s, Msp.IMAGE_BEGIN, header_of(ONE))["offset"]
+            == struct.unpack_from("<I", payload)[0] + len(payload) - 4
+        )
+    assert told(s, Msp.IMAGE_END) == {"crc": crc_of(ONE)}
+    assert told(s, Msp.IMAGE_HASH, b"\1") == {"sha256": digest(ONE)}
+    assert told(s, Msp.IMAGE_HASH, b"\0") == {"sha256": digest(OLD)}
+    assert told(s, Msp.IMAGE_SWITCH, switch_to(ONE)) == {"sequence": 6}
+    assert told(s, Msp.IMAGE_INFO)["banks"][1]["flags"] == MSP_IMAGE_FITS | MSP_IMAGE_NUMBERED
+    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+
+
+@pytest.mark.parametrize(
+    ("command", "payload", "refusal"),
+    [
+        (Msp.IMAGE_BEGIN, header_of(make_image(1, board="MATEKF722")), (Refusal.IMAGE, BOARD)),
+        (Msp.IMAGE_WRITE, requests.slot_write(0, bytes(8)), (Refusal.ORDER, 0)),
+        (Msp.IMAGE_END, b"", (Refusal.ORDER, 0)),
+        (Msp.IMAGE_HASH, b"\1", (Refusal.IMAGE, -17)),
+        (Msp.IMAGE_HASH, b"\2", (Refusal.INDEX, 0)),
+        (Msp.IMAGE_SWITCH, bytes(33), (Refusal.IMAGE, -17)),
+        (Msp.IMAGE_SWITCH, bytes(32) + b"\2", (Refusal.PAYLOAD, 0)),
+        (Msp.POLICY_SLOT_INFO, b"\3", (Refusal.INDEX, 0)),
+        (Msp.POLICY_SLOT_REVERT, b"", (Refusal.ORDER, 0)),
+    ],
+)
+def test_a_refusal_says_why_when_nothing_can_be_done(
+    server: MakeServer, command: Msp, payload: bytes, refusal: tuple[int, int]
+) -> None:
+    s = server()
+    assert s.refusal(command, payload) == refusal
+    assert s.chip.operations == 0
+
+
+def test_a_damaged_image_is_refused_and_not_switched_to(server: MakeServer) -> None:
+    s = server()
+    for command, payload in upload(ONE[:-4] + bytes(4))[:-1]:
+        s.reply(command, payload)
+    assert s.refusal(Msp.IMAGE_END) == (Refusal.IMAGE, -23)
+    assert s.refusal(Msp.IMAGE_SWITCH, switch_to(ONE)) == (Refusal.IMAGE, SHA256 + 1)
+
+
+@pytest.mark.parametrize(
+    "command", [message for message in Msp if message.name.startswith("IMAGE_")], ids=lambda m: m.name
+)
+def test_images_are_absent_when_there_are_no_banks(server: MakeServer, command: Msp) -> None:
+    s = server()
+    s.services.image = s.core.ffi.NULL
+    sizes = {
+        Msp.IMAGE_BEGIN: len(header_of(ONE)),
+        Msp.IMAGE_WRITE: 8,
+        Msp.IMAGE_HASH: 1,
+        Msp.IMAGE_SWITCH: 33,
+    }
+    assert s.refusal(command, bytes(sizes.get(command, 0))) == (Refusal.ABSENT, 0)
+
+
+@pytest.mark.parametrize(("keep", "floor"), [(0, 8), (1, 3)])
+def test_a_switch_leaves_policies_behind_unless_they_are_kept(
+    server: MakeServer, scripted_policy_blob: PolicyBlob, keep: int, floor: int
+) -> None:
+    s = server()
+    s.slots.has_floor, s.slots.floor = True, 3
+    s.chip.fill(FLASH_POLICY_SLOTS[1].address, pack(replace(scripted_policy_blob, sequence=8)))
+    for command, payload in upload(ONE):
+        s.reply(command, payload)
+    s.reply(Msp.IMAGE_SWITCH, switch_to(ONE, keep=keep))
+    marks = s.core.lib.image_bank_marks(s.chip.flash, 1)
+    assert (marks.has_floor, marks.policy_floor) == (True, floor)
+
+
+def test_slots_are_told_and_gone_back_to_when_asked(
+    server: MakeServer, scripted_policy_blob: PolicyBlob
+) -> None:
+    s = server()
+    for slot, sequence in enumerate((4, 5)):
+        blob = replace(scripted_policy_blob, sequence=sequence, aircraft=f"craft{sequence}", idle=0.25)
+        s.chip.fill(FLASH_POLICY_SLOTS[slot].address, pack(blob))
+    s.boot()
+    expected = {
+        **{
+            "found": 0,
+            "flown": 1,
+            "sequence": 5,
+            "architecture_hash": scripted_policy_blob.architecture_hash,
+        },
+        **{"filters_hash": scripted_policy_blob.filters_hash, "control_rate": 1000, "idle": 0.25},
+        **{"aircraft": "craft5", "policy_sha256": bytes.fromhex(scripted_policy_blob.policy_sha256)},
+    }
+    assert told(s, Msp.POLICY_SLOT_INFO, b"\1") == expected
+    assert told(s, Msp.POLICY_SLOT_INFO, b"\0") == expected | {
+        "flown": 0,
+        "sequence": 4,
+        "aircraft": "craft4",
+    }
+    compiled_in = told(s, Msp.POLICY_SLOT_INFO, b"\2")
+    assert (compiled_in["sequence"], compiled_in["aircraft"], compiled_in["found"]) == (0, "scripted", 0)
+    for _ in range(2):
+        assert s.reply(Msp.POLICY_SLOT_REVERT) == b""
+    gone = told(s, Msp.POLICY_SLOT_INFO, b"\1")
+    assert (gone["found"], gone["flown"], gone["sequence"], gone["aircraft"]) == (BLOB_MAGIC, 1, 0, "")
+    assert not any(gone["policy_sha256"])
+    s.boot()
+    assert told(s, Msp.POLICY_SLOT_INFO, b"\0")["flown"] == 1
+
+
+# --- Lines that spoil frames ----------------------------------------------------------------------
+def frame(command: Msp, payload: bytes) -> bytes:
+    return encode(Message(Version.V2, Direction.REQUEST, command, payload))
+
+
+def serve(s: Server, data: bytes) -> bytes:
+    """Bytes as they are, and a pause behind them."""
+    out = s.core.new("uint8_t[4096]")
+    count = s.core.lib.msp_port_serve(s._port, s.status, data, len(data), out, 4096)
+    s.core.lib.msp_port_pause(s._port)
+    return bytes(out)[:count]
+
+
+def test_nothing_is_written_when_any_byte_of_a_frame_is_another(server: MakeServer) -> None:
+    s = server()
+    put(s, 0, OLD, state(sequence=5, confirmed=True))
+    spoilt = 0
+    for command, payload in [*upload(ONE), (Msp.IMAGE_SWITCH, switch_to(ONE))]:
+        good = frame(command, payload)
+        before, written = s.chip.operations, s.image.written
+        for at in range(len(good)):
+            for wrong in (0x01, 0x80, 0xFF):
+                serve(s, good[:at] + bytes([good[at] ^ wrong]) + good[at + 1 :])
+                assert (s.chip.operations, s.image.written) == (before, written), (command, at)
+                spoilt += 1
+        s.reply(command, payload)
+    assert spoilt > 3 * 700
+    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+
+
+def test_nothing_is_written_when_a_frame_is_cut_anywhere(server: MakeServer) -> None:
+    s = server()
+    for command, payload in upload(ONE):
+        good = frame(command, payload)
+        before = s.chip.operations
+        for at in range(len(good)):
+            serve(s, good[:at])
+        assert s.chip.operations == before
+        s.reply(command, payload)
+    assert s.chip.region(FLASH_BANKS[1])[:700] == ONE
+
+
+STEPS = st.one_of(
+    st.tuples(
+        st.just("send"), st.integers(0, 1), st.integers(0, 8)
+    ),  # a request of one of two images' uploads
+    st.tuples(st.just("switch"), st.integers(0, 1), st.integers(0, 1)),
+    st.tuples(st.just("restart"), st.just(0), st.just(0)),
+)
+# Mostly in order, as a line does that loses, doubles and overtakes a frame now and then.
+RUNS = st.lists(
+    st.one_of(
+        STEPS.map(lambda step: [step]),
+        st.tuples(st.integers(0, 1), st.lists(st.integers(0, 8), max_size=4), st.integers(0, 8)).map(
+            lambda run: [
+                ("send", run[0], index)
+                for index in sorted([*(set(range(9)) - set(run[1][:1])), *run[1][1:]])
+                for _ in range(1 + (index == run[2]))
+            ]
+        ),
+    ),
+    max_size=6,
+).map(lambda runs: [step for run in runs for step in run])
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(steps=RUNS)
+def test_never_a_wrong_image_is_accepted_when_frames_are_lost_doubled_and_mixed(
+    scripted: Core, steps: list[tuple[str, int, int]]
+) -> None:
+    images = (ONE, OTHER)
+    chip = Chip(scripted)
+    scripted.lib.scripted_action = [0.0] * 4
+    board = BankBoard(chip, [confirmed(OLD, 5), Held()])
+    s = Server(chip)
+    for kind, which, detail in steps:
+        if kind == "send":
+            command, payload = upload(images[which])[detail % len(upload(images[which]))]
+            answer = s.ask(command, payload)
+            if command is Msp.IMAGE_END and answer.direction is Direction.REPLY:
+                crc = struct.unpack("<I", answer.payload)[0]
+                (whole,) = (image for image in images if crc_of(image) == crc)
+                assert chip.region(FLASH_BANKS[1])[:700] == whole
+        elif kind == "switch":
+            answer = s.ask(Msp.IMAGE_SWITCH, switch_to(images[which], keep=detail))
+            if answer.direction is Direction.REPLY:
+                assert board.boot().image == images[which]
+                return
+        else:
+            s.core.lib.image_update_init(s.image, chip.flash, 0, b"HOST")
+        assert board.boot().image == OLD
+    for command, payload in upload(ONE):  # and then an undisturbed line finishes it
+        s.ask(command, payload)
+    offset = told(s, Msp.IMAGE_BEGIN, header_of(ONE))["offset"]
+    assert offset == len(ONE)
+    assert told(s, Msp.IMAGE_SWITCH, switch_to(ONE))["sequence"] == 6
+    assert board.boot().image == ONE
