@@ -160,16 +160,19 @@ def _state(told: Overview, room: int, width: int) -> Table:
 
 
 def _reasons(held: dict[str, str], room: int, width: int) -> list[tuple[str, Text | str]]:
-    """What forbids arming and how to lift it: as many as there is room for, in whole or cut to a row each."""
+    """What forbids arming and how to lift it: as many as there is room for, in whole where it suffices."""
     if not held:
         return [("arming", Text("nothing forbids it", style="green"))]
     told = [
         Text.assemble((words(name), "yellow"), f": {hint}" if hint else "") for name, hint in held.items()
     ]
-    # Words are not split: the end of a row may stay empty.
-    if sum(math.ceil(len(text) / (width - WORD)) for text in told) > room:
-        for text in told:
+    spare = room - len(told)
+    for text in told:
+        more = math.ceil(len(text) / (width - WORD)) - 1  # rows: words are not split, ends may stay empty
+        if more > spare:
             text.no_wrap, text.overflow = True, "ellipsis"
+        else:
+            spare -= more
     if len(told) > room:
         told[room - 1 :] = [Text(f"and {len(told) - room + 1} more; see `msp status`", "yellow")]
     return [("held by" if index == 0 else "", text) for index, text in enumerate(told)]
