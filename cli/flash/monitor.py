@@ -99,9 +99,12 @@ def _keys() -> Iterator[Callable[[float], bool]]:
     if not sys.stdin.isatty():
         yield _pause
         return
-    import termios
-    import tty
-
+    try:
+        import termios
+        import tty
+    except ImportError:  # a system without them: Ctrl-C ends it
+        yield _pause
+        return
     handle = sys.stdin.fileno()
     before = termios.tcgetattr(handle)
     tty.setcbreak(handle)

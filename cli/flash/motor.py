@@ -102,11 +102,10 @@ def carry_out(args: argparse.Namespace, desk: Desk) -> int:
         try:
             return HANDLERS[args.action](args, desk)
         except KeyboardInterrupt:
-            print(
-                f"neuroflight: interrupted; the motors were stopped (without an answer they stop within "
-                f"{MOTOR_TEST_TIMEOUT_MS} ms)",
-                file=sys.stderr,
-            )
+            told = f"the motors were stopped (without an answer they stop within {MOTOR_TEST_TIMEOUT_MS} ms)"
+            if args.action == "stop":  # somebody else may turn them on
+                told = "whether the motors stand was not seen; ask again"
+            print(f"neuroflight: interrupted; {told}", file=sys.stderr)
             return INTERRUPTED
 
 

@@ -267,6 +267,22 @@ def test_stop_says_that_motors_stand(booted: Lockstep, capsys: pytest.CaptureFix
     assert booted.run(1) == (0, 0, 0, 0)
 
 
+def test_an_interrupted_stop_does_not_say_that_motors_stand(
+    booted: Lockstep, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def sleep(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    with booted.client() as other:
+        other.request(Msp.ARMING_DISABLE, b"\0\1")
+        booted.run(5)
+        args = parser().parse_args(["motor", "stop", "--port", booted.port])
+        assert motor.carry_out(args, motor.Desk(lambda question: "", booted.clock, sleep)) == 130
+    assert capsys.readouterr().err == (
+        "neuroflight: interrupted; whether the motors stand was not seen; ask again\n"
+    )
+
+
 # --- A process that ends in the middle -----------------------------------------------------------------
 class Spinning:
     """`motor spin` as a process of its own behind a cable; each value that it sends is 50 ms to the firmware.
