@@ -337,7 +337,7 @@ def _print(
             "limit": plan.limit,
             "unreadable_lines": bad,
             "steps": [asdict(item) for item in steps],
-            "ramp_peak": None if top is None else asdict(top),
+            "ramp_top": None if top is None else asdict(top),
         }
         print(json.dumps(document, indent=2))
         return
@@ -362,7 +362,7 @@ def _print(
         )
     if top is not None:
         largest = (cell(top.rpm, 1, 0), cell(top.thrust_n, 1, 3), cell(top.torque_n_m, 1, 5))
-        table.add_row(f"ramp to {plan.limit:.1%}, largest", "", *largest)
+        table.add_row("top of the ramp", "", *largest)
     Console().print(table)
     if bad:
         print(f"{bad} lines of the sensor were no reading and were passed over")

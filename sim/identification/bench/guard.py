@@ -17,8 +17,8 @@ from toolchain.errors import DynoError
 
 Array = NDArray[np.float64]
 
-SILENCE_S = 0.5  # without a fresh reading
-LATE_S = 0.5  # by which readings may be older than the first was, beyond the drift of a clock
+SILENCE_S = 0.5  # [s] without a fresh reading
+LATE_S = 0.25  # [s] by which readings may be older than the first was, beyond the drift of a clock
 BLIND_THROTTLE, BLIND_S = 0.1, 0.6  # the slowest rotor turns within that time at that throttle
 BLIND_RPM = 60.0  # below this it does not turn
 ZERO_ROWS_MIN = 5  # from which the zero of a load cell is taken
