@@ -125,6 +125,7 @@ class Lockstep:
         self._twin = stack.enter_context(closing(twin))
         self._sample = Sample(0.0, *(np.zeros(3), np.eye(3)), *np.zeros((3, 3)))
         self.samples = 0
+        self.tumbling: tuple[float, float, float] | None = None  # at these rates [rad/s], whatever motors do
         self.reply: Reply
         self.step()  # the first sample: the client below is answered from then on
         systems = range(201, 201 + stations)
@@ -134,11 +135,16 @@ class Lockstep:
         self.peers = [stack.enter_context(closing(UdpPeer(parse_address(address)))) for address in addresses]
         client = stack.enter_context(Client(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port))))
         self.lines: list[str] = []
-        self.session = Session(client, self.peers, options, self.clock, self.lines.append)
-        stack.enter_context(closing(self.session))
-        self.settle()
+        self._client, self._options = client, options
+        self.restart_gateway()
+        stack.callback(lambda: self.session.close())
         for station in self.stations:
             station.read()
+
+    def restart_gateway(self) -> None:
+        """Another gateway on the same lines; the one before it ends without a word."""
+        self.session = Session(self._client, self.peers, self._options, self.clock, self.lines.append)
+        self.settle()
 
     def clock(self) -> float:
         return self.samples / GYRO_HZ
@@ -148,6 +154,8 @@ class Lockstep:
         live, sample = self._twin.live, self._sample
         sample.time_s = self.samples / GYRO_HZ
         sample.gyro[:] = live.gyro
+        if self.tumbling is not None:  # with a gyro's noise, lest it be taken for a stuck one
+            sample.gyro[:] = np.array(self.tumbling) + 0.02 * (self.samples % 2)
         sample.specific_force[:] = live.accelerometer
         sample.rotation[:] = live.rotation
         self.reply = self.port.exchange(sample, None)
@@ -237,10 +245,12 @@ class MakeLockstep:
         self._program = flash.with_suffix(".sh")
         self._program.write_text(f'#!/bin/sh\nexec "{self._built}" "--settings={flash}" "$@"\n')
         self._program.chmod(0o755)
-        return Lockstep(self._program, self._stack, options, **more)
+        self._last = Lockstep(self._program, self._stack, options, **more)
+        return self._last
 
     def again(self, options: Options = Options()) -> Lockstep:  # noqa: B008
         """Another start with what the last one stored."""
+        self._last.port.close()  # it holds its flash until it has ended
         return Lockstep(self._program, self._stack, options)
 
 

@@ -182,6 +182,30 @@ def test_the_flight_goes_on_when_it_enables_again_in_time(lockstep: MakeLockstep
     assert gateway.reply.dshot.all()
 
 
+def test_another_gateway_takes_over_what_flies(lockstep: MakeLockstep) -> None:
+    gateway = armed(lockstep)
+    gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    gateway.restart_gateway()
+    gateway.run(300, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    assert gateway.session.firmware.safety.state is FlightState.FAILSAFE_HOLD
+    assert gateway.enable() == ACCEPTED
+    gateway.run(SETTLED_MS, lambda: gateway.station.rates(1.0, 0, 0, 0.3))
+    assert gateway.reply.armed and gateway.reply.dshot.all() and gateway.reply.setpoint[0] > 0.9
+
+
+def test_it_takes_a_new_command_to_arm_after_a_crash(lockstep: MakeLockstep) -> None:
+    gateway = armed(lockstep)
+    gateway.run(SETTLED_MS, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    gateway.tumbling = 20.0, 0.0, 0.0
+    gateway.run(600, lambda: gateway.station.rates(0, 0, 0, 0.3))
+    assert not gateway.reply.dshot.any()
+    assert {"State: crashed", "Motors stopped: crash"} & set(gateway.station.texts())
+    gateway.tumbling = None
+    gateway.run(2000, lambda: gateway.station.rates(0, 0, 0, 0))
+    assert gateway.session.firmware.safety.state is FlightState.DISARMED
+    assert not gateway.reply.armed
+
+
 def test_after_the_failsafe_it_takes_enabling_and_arming_to_fly_again(lockstep: MakeLockstep) -> None:
     gateway = armed(lockstep)
     gateway.run(SETTLED_MS)
