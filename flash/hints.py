@@ -25,6 +25,8 @@ HINTS = {  # by the names of contract.ArmingReason
     "LOAD": "a gyro sample took too long: choose a lower gyro_rate_hz",
     "MSP": "a configurator holds arming: close it or disconnect it",
     "CLI": "a command line is open: leave it with `exit`",
+    "PROBATION": "a new image is tried: wait 2 s, with a gyro that works",
+    "IMAGE_BAD": "flash does not hold the image whole: flash it again",
 }
 FAULTS = {  # by the names of records.FaultKind
     "NONE": "of no known kind",

@@ -447,6 +447,36 @@ static void background_watch_load(struct background *background)
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_LOAD, background->overloaded > 0);
 }
 
+static void background_judge_image(const struct background *background)
+{
+	struct firmware *fw = background->config.firmware;
+
+	firmware_forbid(fw, NF_ARMING_REASON_PROBATION, image_probation_holds(&background->probation));
+	firmware_forbid(fw, NF_ARMING_REASON_IMAGE_BAD, image_probation_spoilt(&background->probation));
+}
+
+/* What the image's trial comes to is written while nothing can arm; else it is asked again. */
+static void background_try_image(struct background *background)
+{
+	const struct firmware *fw = background->config.firmware;
+	const struct image_report report = {
+		.policy_good = background->slots.flown != POLICY_SOURCE_COUNT && !background->weights_lost,
+		.steps = fw->status.trace.step,
+		.ms = background_ms(background),
+	};
+	const enum image_verdict verdict = image_probation_step(&background->probation, &report);
+
+	if (verdict != IMAGE_STAYS && !background->rebooting &&
+	    background_storing(background, true) == NF_REFUSAL_NONE) {
+		if (verdict == IMAGE_CONFIRM)
+			(void)image_probation_confirm(&background->probation);
+		else if (image_probation_reject(&background->probation))
+			(void)background_reboot(background, NF_REBOOT_FIRMWARE);
+		(void)background_storing(background, false);
+	}
+	background_judge_image(background);
+}
+
 /* A fault that was acknowledged forbids nothing any more. */
 static void background_run_storage(void *context)
 {
@@ -456,6 +486,7 @@ static void background_run_storage(void *context)
 	background_renew_fault_log(background);
 	background_check_weights(background);
 	background_watch_load(background);
+	background_try_image(background);
 	firmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 }
 
@@ -486,6 +517,8 @@ enum nf_err background_start(struct background *background, const struct backgro
 	fault_log_boot(&background->faults, &background->config.hal->flash, config->fault);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_FAULT, background->faults.pending);
 	background_judge_board(background);
+	image_probation_init(&background->probation, &background->config.hal->flash, config->bank);
+	background_judge_image(background);
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert, &background->settings);
 	gesture_init(&background->gesture);

@@ -20,6 +20,7 @@
 #include "receiver/gesture.h"
 #include "storage/fault_log.h"
 #include "storage/flash.h"
+#include "storage/image_probation.h"
 #include "storage/image_update.h"
 #include "storage/policy_slots.h"
 #include "storage/settings.h"
@@ -53,6 +54,7 @@ struct background {
 	bool weights_lost; /* flash has no good ones either */
 	struct image_update image;
 	struct fault_log faults;
+	struct image_probation probation;
 	struct scheduler scheduler;
 	struct battery battery;
 	struct alert alert;

@@ -55,6 +55,7 @@ HEADERS = (
     "storage/settings_store.h",
     "storage/policy_slots.h",
     "storage/image_bank.h",
+    "storage/image_probation.h",
     "storage/image_update.h",
     "storage/fault_log.h",
     "hal/host/flash_model.h",

@@ -25,6 +25,8 @@ __all__ = [
     "IMAGE_MAGIC",
     "IMAGE_NUMBER_ENTRIES",
     "IMAGE_NUMBER_WORDS",
+    "IMAGE_PROBATION_MAX_MS",
+    "IMAGE_PROBATION_MS",
     "IMAGE_STARTS_MAX",
     "IMAGE_STATE_FIELDS",
     "IMAGE_STATE_FORMAT",
@@ -40,6 +42,9 @@ IMAGE_HEADER_OFFSET = 512  # bytes from the bank's begin: behind the vectors
 IMAGE_BOARD_BYTES = 16
 IMAGE_BUILD_BYTES = 8
 IMAGE_STARTS_MAX = 2  # of an image that was not confirmed; then the other bank's is started
+# An image on probation is confirmed when its control steps and its policy have gone well for so long; it
+# gives up when it was not within the other time, silences of the gyro not counted.
+IMAGE_PROBATION_MS, IMAGE_PROBATION_MAX_MS = 2000, 10000
 IMAGE_FILE_BYTES_MAX = 4 << 20  # of any file that an image is read from; an ELF brings its names and lines
 
 IMAGE_FIELDS = (

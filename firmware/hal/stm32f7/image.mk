@@ -18,6 +18,7 @@ STARTUP := $(OBJ)/hal/stm32f7/startup
 $(STARTUP)/startup.o $(BOOT_OBJECTS): CFLAGS += -mgeneral-regs-only
 $(STARTUP)/startup.o $(STARTUP)/memory.o $(BOOT_OBJECTS): CFLAGS += -fno-tree-loop-distribute-patterns
 $(BOOT_OBJECTS): CFLAGS += -Os
+$(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there; hal.c only joins the drivers.

@@ -7,10 +7,10 @@
 #define FORBIDS_ARMING (REASONS & ~OWN_REASONS)
 #define LOST SAFETY_REASON(RECEIVER_LOST)
 
-/* Conditions that safety adds itself. */
-#define READY (1u << 30)   /* the switch was off at the last update */
-#define DROPPED (1u << 31) /* in FAILSAFE_DROP the motors have stopped */
-_Static_assert(REASONS < SAFETY_SWITCH_ON && SAFETY_NO_CONTROLLER < READY, "conditions overlap");
+/* Conditions that safety adds itself, in the bits of the reasons that nobody tells it. */
+#define READY SAFETY_REASON(SWITCH_NOT_CYCLED) /* the switch was off at the last update */
+#define DROPPED SAFETY_REASON(CRASHED)         /* in FAILSAFE_DROP the motors have stopped */
+_Static_assert(REASONS < SAFETY_SWITCH_ON && OWN_REASONS == (READY | DROPPED), "conditions overlap");
 
 #define IN(state) (1u << NF_FLIGHT_##state)
 #define FLYING (IN(ARMED) | IN(FAILSAFE_HOLD))
@@ -80,7 +80,8 @@ static uint32_t safety_own_conditions(const struct safety *safety)
 bool safety_update(struct safety *safety, uint32_t conditions)
 {
 	const enum nf_flight_state before = safety->state;
-	const struct transition *t = safety_matching(before, conditions | safety_own_conditions(safety));
+	const struct transition *t = safety_matching(before,
+						     (conditions & ~OWN_REASONS) | safety_own_conditions(safety));
 
 	if (t) {
 		safety->state = t->to;

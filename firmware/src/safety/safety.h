@@ -7,19 +7,19 @@
 
 #include "nf_contract.h"
 
-/* Conditions: bits of enum nf_arming_reason that hold now, and these above the twenty that are kept for them.
+/* Conditions: bits of enum nf_arming_reason that hold now, and these above the 22 that are kept for them.
  * SWITCH_NOT_CYCLED and CRASHED are computed by safety and ignored on input. */
 #define SAFETY_REASON(name) (1u << NF_ARMING_REASON_##name)
-#define SAFETY_SWITCH_ON (1u << 20)
-#define SAFETY_OFF_HEARD (1u << 21)      /* the last frame says off, whatever the link's state */
-#define SAFETY_RECEIVER_HELD (1u << 22)  /* silent, but not yet lost */
-#define SAFETY_GYRO_INVALID (1u << 23)   /* this, stuck and silent: with the reason GYRO_BAD */
-#define SAFETY_GYRO_STUCK (1u << 24)
-#define SAFETY_GYRO_SATURATED (1u << 25) /* for NF_GYRO_SATURATED_MS */
-#define SAFETY_GYRO_SILENT (1u << 26)
-#define SAFETY_CRASH (1u << 27)
-#define SAFETY_RUNAWAY (1u << 28)
-#define SAFETY_NO_CONTROLLER (1u << 29)
+#define SAFETY_SWITCH_ON (1u << 22)
+#define SAFETY_OFF_HEARD (1u << 23)      /* the last frame says off, whatever the link's state */
+#define SAFETY_RECEIVER_HELD (1u << 24)  /* silent, but not yet lost */
+#define SAFETY_GYRO_INVALID (1u << 25)   /* this, stuck and silent: with the reason GYRO_BAD */
+#define SAFETY_GYRO_STUCK (1u << 26)
+#define SAFETY_GYRO_SATURATED (1u << 27) /* for NF_GYRO_SATURATED_MS */
+#define SAFETY_GYRO_SILENT (1u << 28)
+#define SAFETY_CRASH (1u << 29)
+#define SAFETY_RUNAWAY (1u << 30)
+#define SAFETY_NO_CONTROLLER (1u << 31)
 
 struct safety {
 	enum nf_flight_state state;

@@ -271,6 +271,7 @@ def test_status_tells_arming_and_its_reasons_when_asked(server: Callable[..., Se
         *((ArmingReason.POLICY_BAD, 25), (ArmingReason.POLICY_REFUSED, 25), (ArmingReason.PID_MISSING, 25)),
         *((ArmingReason.BATTERY_UNKNOWN, 26), (ArmingReason.FAULT, 27), (ArmingReason.STORING, 28)),
         *((ArmingReason.GYRO_ALIGNMENT, 29), (ArmingReason.CLOCK, 30)),
+        *((ArmingReason.PROBATION, 9), (ArmingReason.IMAGE_BAD, 27)),
     ],
 )
 def test_each_reason_has_the_ecosystems_number_when_status_is_asked(

@@ -11,16 +11,16 @@ import pytest
 from toolchain.contract import ArmingReason, FlightState, StopCause
 
 BITS = {
-    "on": 1 << 20,
-    "off_heard": 1 << 21,
-    "held": 1 << 22,
-    "invalid": 1 << 23,
-    "stuck": 1 << 24,
-    "saturated": 1 << 25,
-    "silent": 1 << 26,
-    "crash": 1 << 27,
-    "runaway": 1 << 28,
-    "no_controller": 1 << 29,
+    "on": 1 << 22,
+    "off_heard": 1 << 23,
+    "held": 1 << 24,
+    "invalid": 1 << 25,
+    "stuck": 1 << 26,
+    "saturated": 1 << 27,
+    "silent": 1 << 28,
+    "crash": 1 << 29,
+    "runaway": 1 << 30,
+    "no_controller": 1 << 31,
     "lost": 1 << ArmingReason.RECEIVER_LOST,
     "uncalibrated": 1 << ArmingReason.GYRO_NOT_CALIBRATED,
     "forbidden": 1 << ArmingReason.THROTTLE_HIGH,  # one that stands for all that only forbid

@@ -14,8 +14,8 @@
 #include "storage/image_bank.h"
 
 #define CYCLES_PER_US 16u
-#define PULL_UP_US 20u  /* until a line that nobody drives has risen: 50 kOhm and 100 pF take 5 us each time constant */
-#define BREAK_MS 50u    /* far longer than a character at any speed, in which a talking line is low too */
+#define PULL_UP_US 20u /* until a line that nobody drives has risen: 50 kOhm and 100 pF take 5 us each time constant */
+#define BREAK_MS 50u /* far longer than a character at any speed, in which a talking line is low too */
 
 /* Of the chip's boot loader (AN2606: STM32F72x). */
 #define ROM_ADDRESS 0x1FF00000u

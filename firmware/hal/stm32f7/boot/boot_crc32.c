@@ -32,7 +32,7 @@ static void boot_crc32_make(uint32_t tables[SLICES][ENTRIES])
 
 uint32_t crc32_more(uint32_t crc, const void *bytes, size_t count)
 {
-	uint32_t(*const tables)[ENTRIES] = boot_scratch;
+	uint32_t (*const tables)[ENTRIES] = boot_scratch;
 	const uint8_t *in = bytes;
 
 	if (count == 0u)

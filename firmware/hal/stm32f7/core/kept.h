@@ -12,8 +12,8 @@
 struct kept {
 	uint32_t reserved;
 	uint32_t request; /* KEPT_ENTER_ROM: the boot part is to enter the chip's boot loader; it takes and clears it */
-	uint32_t steps;   /* control steps of this boot, the last's until the image starts */
-	uint32_t armed;   /* KEPT_ARMED plus `steps`: the motors were armed in that step */
+	uint32_t steps; /* control steps of this boot, the last's until the image starts */
+	uint32_t armed; /* KEPT_ARMED plus `steps`: the motors were armed in that step */
 };
 
 extern volatile struct kept kept; /* linker script */

@@ -1,0 +1,214 @@
+"""Flash composed of boot part, images and their marks; images that go wrong, and a board that tries them."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+
+from flash.client import Client
+from flash.info import Info, read_info
+from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
+from sim.board.matekf722 import FULL_VOLTS
+from sim.board.peripherals.usart import Format
+from sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from toolchain.contract import (
+    FLASH_BANKS,
+    FLASH_BASE,
+    FLASH_BOOT,
+    FLASH_BYTES,
+    IMAGE_FIELDS,
+    IMAGE_HEADER_FORMAT,
+    IMAGE_HEADER_OFFSET,
+    IMAGE_NUMBER_ENTRIES,
+    IMAGE_NUMBER_WORDS,
+    IMAGE_STARTS_MAX,
+    IMAGE_STATE_FORMAT,
+    IMAGE_TAIL_BYTES,
+    MSP_BAUD_DEFAULT,
+    POLICY_BLOB_CRC_BYTES,
+    POLICY_BLOB_FIELDS,
+    POLICY_BLOB_HEADER_FORMAT,
+    image_checksum,
+    image_field_offset,
+)
+from toolchain.image.bank_state import state
+
+A, B = range(2)
+UNDEFINED, LOOP = bytes.fromhex("00de"), bytes.fromhex("fee7")  # udf #0; b .
+ERASED = 0xFFFFFFFF
+STEP = TIME_HZ // 1000
+
+
+@dataclass(frozen=True)
+class Build:
+    """An image for each bank, of one build, and the boot part."""
+
+    boot: bytes
+    images: tuple[bytes, bytes]
+    symbols: tuple[dict[str, int], dict[str, int]]
+    elf: Path
+
+
+def read_build(elf: Path) -> Build:
+    """The products beside bank A's ELF."""
+    both = elf.with_suffix(".nfi").read_bytes()
+    size = header(both)["image_bytes"]
+    flash = elf.with_suffix(".bin").read_bytes()
+    other = elf.with_name("neuroflight-b.elf")
+    return Build(flash[: FLASH_BOOT.size], (both[:size], both[size:]), (_symbols(elf), _symbols(other)), elf)
+
+
+def _symbols(elf: Path) -> dict[str, int]:
+    with elf.open("rb") as file:
+        table = ELFFile(file).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        return {s.name: s["st_value"] for s in table.iter_symbols() if s["st_shndx"] != "SHN_UNDEF"}
+
+
+def header(image: bytes) -> dict[str, Any]:
+    """The fields of an image's header, by name."""
+    values = struct.unpack_from(IMAGE_HEADER_FORMAT, image, IMAGE_HEADER_OFFSET)
+    return dict(zip((field.name for field in IMAGE_FIELDS), values, strict=True))
+
+
+def stamped(image: bytes) -> bytes:
+    """The image with the checksum of what it holds."""
+    at = image_field_offset("crc")
+    return image[:at] + struct.pack("<I", image_checksum(image)) + image[at + 4 :]
+
+
+def patched(build: Build, bank: int, function: str, code: bytes) -> bytes:
+    """Its image with other instructions at the beginning of a function that lies in flash."""
+    at = (build.symbols[bank][function] & ~1) - FLASH_BANKS[bank].address
+    image = build.images[bank]
+    assert 0 <= at < len(image)
+    return stamped(image[:at] + code + image[at + len(code) :])
+
+
+def with_bad_policy(build: Build, bank: int) -> bytes:
+    """Its image around a policy of which one bit of a weight is another, its checksums right."""
+    image = bytearray(build.images[bank])
+    at = (
+        int.from_bytes(image[image_field_offset("policy_address") :][:4], "little")
+        - FLASH_BANKS[bank].address
+    )
+    names = [field.name for field in POLICY_BLOB_FIELDS]
+    fields = dict(zip(names, struct.unpack_from(POLICY_BLOB_HEADER_FORMAT, image, at), strict=False))
+    end = at + int(fields["total_bytes"]) - POLICY_BLOB_CRC_BYTES
+    image[at + int(fields["weight_offset"]) + 2] ^= 0x40
+    struct.pack_into("<I", image, end, zlib.crc32(image[at:end]))
+    return stamped(bytes(image))
+
+
+def compose(build: Build, *banks: tuple[bytes, bytes] | None) -> bytes:
+    """Flash with the boot part and, by bank, an image and its marks; None: erased."""
+    flash = bytearray(build.boot.ljust(FLASH_BYTES, b"\xff"))
+    for region, content in zip(FLASH_BANKS, banks, strict=False):
+        if content is None:
+            continue
+        image, marks = content
+        at = region.address - FLASH_BASE
+        flash[at : at + len(image)] = image
+        tail = at + region.size - IMAGE_TAIL_BYTES
+        flash[tail : tail + len(marks)] = marks
+    return bytes(flash)
+
+
+RUN_WELL = state(sequence=1, confirmed=True)
+NEW = state(sequence=2, confirmed=False, written=True)
+INSTALLED = b""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What a bank's marks say."""
+
+    numbers: tuple[int, ...]  # sequences in entries whose check holds
+    starts: int
+    rejected: bool
+    confirmed: bool
+
+
+class Trial:
+    """A board that has got its power; it lies still, but for its gyro's noise."""
+
+    def __init__(self, flash: bytes, elf: Path) -> None:
+        self.board = Board(flash, elf=elf, strict=False, watchdog_resets=True, newly_installed=True)
+        self.board.hardware.adc.set_battery(FULL_VOLTS, 0.0)
+        self._symbols = self.board.symbols
+        self._measured = 0
+
+    def close(self) -> None:
+        self.board.close()
+
+    def run(self, seconds: float) -> None:
+        self.run_to(self.board.cycle + round(seconds * TIME_HZ))
+
+    def run_to(self, cycle: int) -> None:
+        while self.board.cycle < cycle:
+            self.step(min(STEP, cycle - self.board.cycle))
+
+    def step(self, cycles: int = STEP) -> None:
+        """Run for so long, a millisecond at most."""
+        self._measured += 1
+        self.board.hardware.gyro.measure((0, 0, 2048 + self._measured % 2), 0, (self._measured % 2, 0, 0))
+        self.board.run_to(self.board.cycle + cycles)
+
+    def until(self, happened: Callable[[], bool], seconds: float) -> None:
+        """Run until it has. AssertionError when it does not."""
+        end = self.board.cycle + round(seconds * TIME_HZ)
+        while not happened():
+            assert self.board.cycle < end, f"not within {seconds} s; resets: {self.board.engine.resets}"
+            self.step()
+
+    @property
+    def bank(self) -> int | None:
+        """The bank whose image serves its line; None: none does."""
+        if not self.board.hardware.usarts[MSP_UART].words["CR1"] & 1 or self.board.hardware.rom.runs:
+            return None
+        vectors = self.board.engine.memory(self._symbols["fast_vectors"], 8)
+        reset = struct.unpack("<2I", vectors)[1]
+        return next(i for i, r in enumerate(FLASH_BANKS) if r.address <= reset < r.address + r.size)
+
+    def client(self) -> Client:
+        """On the other end of its MSP line."""
+        transport = LineTransport(UartLine(self.board, MSP_UART, Format(MSP_BAUD_DEFAULT)), self.run_to)
+        return Client(transport, transport.clock)
+
+    def info(self) -> Info:
+        """What it says of itself."""
+        with self.client() as client:
+            return read_info(client)
+
+    @property
+    def led_lit(self) -> bool:
+        port = self.board.hardware.pins.ports["B"]
+        return port.mode(9) == 1 and not port.words["ODR"] >> 9 & 1
+
+    @property
+    def starts(self) -> int:
+        """From the power on."""
+        return len(self.board.engine.resets)
+
+    def marks(self, bank: int) -> Marks:
+        region = FLASH_BANKS[bank]
+        tail = self.board.engine.memory(region.address + region.size - IMAGE_TAIL_BYTES, IMAGE_TAIL_BYTES)
+        _, *words = struct.unpack_from(f"<{struct.calcsize(IMAGE_STATE_FORMAT) // 4}I", tail)
+        size = IMAGE_NUMBER_WORDS
+        entries = [words[size * i : size * i + size] for i in range(IMAGE_NUMBER_ENTRIES)]
+        starts = words[size * IMAGE_NUMBER_ENTRIES :][:IMAGE_STARTS_MAX]
+        rejected, confirmed = words[size * IMAGE_NUMBER_ENTRIES + IMAGE_STARTS_MAX :]
+        whole = tuple(
+            entry[0]
+            for entry in entries
+            if entry[3] == ERASED ^ entry[0] ^ (entry[1] << 8 & ERASED | entry[1] >> 24) ^ entry[2]
+        )
+        return Marks(whole, sum(word != ERASED for word in starts), not rejected, not confirmed)
