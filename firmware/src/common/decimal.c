@@ -165,7 +165,8 @@ static unsigned decimal_digits(uint32_t fraction, int exponent, char digits[SHOR
 		const bool low = order < 0 || (order == 0 && s.ends_count), high = decimal_reaches(&s, &sum);
 		const bool last = low || high || count + 1 == SHORTEST_DIGITS;
 		const struct large twice = decimal_add(&s.rest, &s.rest);
-		const bool up = low != high ? high : decimal_compare(&twice, &s.unit) >= 0;
+		const int half = decimal_compare(&twice, &s.unit); /* of two that are as near, the even digit */
+		const bool up = low != high ? high : half > 0 || (half == 0 && digit % 2 != 0);
 		digits[count++] = (char)(digit + (last && up));
 		if (last)
 			return count;

@@ -33,7 +33,8 @@ CORE = (
     *("msp/msp", "msp/msp_commands", "msp/msp_payload", "msp/msp_port", "msp/msp_replies", "msp/msp_stream"),
     *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
-    *("storage/mode_range", "storage/settings", "storage/settings_store"),
+    *("storage/mode_range", "storage/settings", "storage/settings_store", "common/sha256"),
+    *("storage/image_bank", "storage/image_update"),
 )
 SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 3000
