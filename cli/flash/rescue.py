@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse._ActionsContainer) -> None:
     """Declare what belongs to flashing by the ROM alone."""
     parser.add_argument(
-        "--all", action="store_true", help="erase bank B as well, so that only this image is left"
+        "--all", action="store_true", help="erase bank B as well: no other image is left to fall back to"
     )
     how = parser.add_mutually_exclusive_group() if isinstance(parser, argparse.ArgumentParser) else parser
     how.add_argument("--dry-run", action="store_true", help="find the chip and print the plan; write nothing")

@@ -158,3 +158,28 @@ def test_refusal_comes_when_the_device_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "notes").write_text("not a port")
     assert "cannot be opened as a serial port" in refusal(f"{tmp_path}/notes")
     assert (tmp_path / "notes").read_text() == "not a port"
+
+
+# --- Parity ----------------------------------------------------------------------------------
+def test_parity_is_even_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+
+    def remember(*_: object, parity: str, **__: object) -> None:
+        opened.append(parity)
+
+    monkeypatch.setattr("serial.Serial", remember)
+    for device in ("/dev/null", "/dev/ttyUSB0"):
+        open_transport(device, "E")
+        open_transport(device)
+    assert opened == ["E", "N"] * 2
+
+
+def test_pseudo_terminal_carries_bytes_when_parity_is_asked_for(pty_pair: tuple[int, str]) -> None:
+    """The system refuses a parity there."""
+    ours, name = pty_pair
+    transport = open_transport(name, "E")
+    transport.write(b"\x7f")
+    assert os.read(ours, 10) == b"\x7f"
+    os.write(ours, b"\x79")
+    assert transport.read(1.0) == b"\x79"
+    transport.close()

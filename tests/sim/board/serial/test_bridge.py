@@ -236,3 +236,37 @@ def _drain(end: PtyEnd) -> bytes:
     while more := end.receive(4096):
         data += more
     return data
+
+
+# --- The chip's ROM ----------------------------------------------------------------------------------
+def test_a_bridge_has_parity_while_the_rom_runs_and_none_behind_it(board_image: Path) -> None:
+    """Its other end knows no parity."""
+    board = Board(board_image.with_suffix(".bin").read_bytes(), boot_button=True)
+    end = PtyEnd()
+    bridge = Bridge(UartLine(board, format=Format(115_200)), end)
+    program = os.open(end.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+    def answer(question: bytes) -> bytes:
+        os.write(program, question)
+        for _ in range(20):
+            bridge.exchange(MILLISECOND)
+            board.run_to(board.cycle + MILLISECOND)
+        bridge.exchange(MILLISECOND)
+        try:
+            return os.read(program, 100)
+        except BlockingIOError:
+            return b""
+
+    try:
+        board.run(0.001)
+        assert answer(b"\x7f") == b"\x79"
+        assert bridge.line.format.parity == "E"
+        board.hold_boot_button(False)
+        board.reset()
+        board.run(BOOT_S)
+        assert answer(QUESTION) == ANSWER
+        assert bridge.line.format == Format(115_200)
+    finally:
+        os.close(program)
+        bridge.close()
+        board.close()
