@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="the adapter on UART1, such as /dev/ttyUSB0 or serial:/dev/ttyUSB0:57600; tcp:HOST:PORT",
     )
+    parser.add_argument("--dry-run", action="store_true", help="find the chip, print the plan, write nothing")
     add_options(parser)
 
 
@@ -61,9 +62,9 @@ def add_options(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--all", action="store_true", help="erase bank B as well: no other image is left to fall back to"
     )
-    how = parser.add_mutually_exclusive_group() if isinstance(parser, argparse.ArgumentParser) else parser
-    how.add_argument("--dry-run", action="store_true", help="find the chip and print the plan; write nothing")
-    how.add_argument("--verify-only", action="store_true", help="compare flash with the image; write nothing")
+    parser.add_argument(
+        "--verify-only", action="store_true", help="compare flash with the image, write nothing"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,10 +73,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_rom(args: argparse.Namespace) -> int:
-    """Likewise; `args` has image, port, all, dry_run and verify_only."""
+    """The same; `args` has image, port, dry_run, and what `add_options` declares. A dry run comes first."""
     from flash.rom.client import RomClient
     from flash.rom.image_check import check_image
-    from flash.rom.rescue import install, make_plan, start, verify
+    from flash.rom.rescue import make_plan, start, verify
     from flash.rom.segments import read_segments
     from flash.transport import open_transport
 
@@ -93,11 +94,13 @@ def run_rom(args: argparse.Namespace) -> int:
         if args.dry_run:
             print("nothing was written")
             return 0
+        if not args.verify_only:
+            print("safety propellers off: the image starts when it is written", flush=True)
         with _progress() as progress:
             if args.verify_only:
                 verify(client, plan, progress)
             else:
-                _install(client, plan, progress, install)
+                _install(client, plan, progress)
         if args.verify_only:
             print(f"equal  {plan.bytes:,} bytes; nothing was written")
             return 0
@@ -107,12 +110,9 @@ def run_rom(args: argparse.Namespace) -> int:
     return 0
 
 
-def _install(
-    client: RomClient,
-    plan: Plan,
-    progress: Progress,
-    install: Callable[[RomClient, Plan, Progress], None],
-) -> None:
+def _install(client: RomClient, plan: Plan, progress: Progress) -> None:
+    from flash.rom.rescue import install
+
     try:
         install(client, plan, progress)
     except KeyboardInterrupt:

@@ -82,6 +82,7 @@ def test_it_tells_the_plan_writes_compares_and_starts(
     assert "MATEKF722 0.1.0, build 6162636465666768, bank A" in told
     assert "erase  sector 0 (boot part); sector 5 (bank A)\n" in told
     assert "sector 1 (settings); sector 2 (settings); sector 3 (fault log); sector 4 (policy slot)" in told
+    assert "safety propellers off" in told
     assert "676 bytes written and read back equal" in told
     assert "start  the image runs; let BOOT go" in told
     chip.stop()

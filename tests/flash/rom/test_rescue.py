@@ -281,15 +281,14 @@ def test_reading_names_the_protection_when_it_is_refused() -> None:
 # --- Without power -------------------------------------------------------------------------------
 @pytest.mark.parametrize("cut", [Cut.BETWEEN, Cut.NOISE, Cut.BEFORE])
 @pytest.mark.parametrize("operation", [0, 1, 2, 3, 200, len(BANK) + 2, len(BANK) + len(BOOT) + 1])
-def test_the_next_try_works_when_power_is_lost_and_the_button_was_let_go(
+def test_the_next_try_works_when_power_is_lost_amid_an_operation(
     rig: Callable[..., Rig], operation: int, cut: Cut
 ) -> None:
-    """An erased boot part starts nothing: the emulator says so as an error, the client as a line."""
+    """With the button still held, the ROM is there again at once, and the very first try may succeed."""
     chip = rig(FULL)
     board = chip.idle.board
     flash = board.hardware.flash
     flash.cut_at, flash.cut = operation, cut
-    board.hold_boot_button(True)
     try:
         put(chip.client())  # the ROM answers again after the cut
     except LinkError as error:
@@ -299,6 +298,29 @@ def test_the_next_try_works_when_power_is_lost_and_the_button_was_let_go(
     assert board.engine.resets == ["power", "power"]
     assert chip.idle.flash()[0x20000 : 0x20000 + len(BANK)] == BANK
     assert chip.idle.flash()[: len(BOOT)] == BOOT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("second", [None, 0, 1, 2, 5, 150])
+def test_the_image_is_whole_in_the_end_wherever_power_is_lost_once_or_twice(
+    rig: Callable[..., Rig], second: int | None
+) -> None:
+    """Every operation of an installation; then, counted from there, another one of what mends it."""
+    chip = rig()
+    flash = chip.idle.board.hardware.flash
+    for operation in range(2 + len(BANK) + len(BOOT)):
+        chip.renew(FULL)
+        flash.cut_at, flash.cut = flash.operations + operation, Cut.NOISE
+        for left in (1, 0):
+            try:
+                put(chip.client())
+            except LinkError as error:
+                assert "differ from the image" in str(error)
+            flash.cut_at = flash.operations + second if left and second is not None else None
+        put(chip.client())
+        assert chip.idle.flash()[: len(BOOT)] == BOOT
+        assert chip.idle.flash()[0x20000 : 0x20000 + len(BANK)] == BANK
+        assert chip.idle.flash()[0x4000:0x20000] == FULL[0x4000:0x20000]
 
 
 def test_the_line_is_told_when_the_board_is_gone_amid_writing(rig: Callable[..., Rig]) -> None:
