@@ -98,7 +98,7 @@ def test_the_rotor_is_found_again_when_it_was_driven_at_full_throttle(
     top = document["steps"][3]
     assert top["count"] == 1 and top["rpm"]["mean"] == pytest.approx(24_983, rel=0.005)
     assert top["rise_s"]["mean"] == pytest.approx(0.21, abs=0.01)
-    assert document["ramp_top"]["thrust_n"]["mean"] == pytest.approx(6.40, rel=0.01)
+    assert document["ramp_top"]["thrust_n"]["mean"] == pytest.approx(6.36, rel=0.01), "a quick ramp lags"
     assert document["unreadable_lines"] == 0
     recording = read_recordings([out])
     assert len(recording.starts) == 2 and len(recording.time) == document["rows"]

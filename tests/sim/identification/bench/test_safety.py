@@ -95,7 +95,7 @@ def test_the_rotor_turns_as_told_and_rests_when_nothing_happens(stand: Stand) ->
     ("fault", "says", "within"),
     [
         ("silent_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
-        ("frozen_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
+        ("frozen_after", "older than at the start", 0.25 / 0.95 + 5 * TICK_S),
         ("late_after", "no fresh reading for 0.5", 0.5 + 3 * TICK_S),
         ("blocked_after", "expected a rotor that turns", 0.6 + 4 * TICK_S),
     ],
