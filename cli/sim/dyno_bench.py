@@ -277,7 +277,7 @@ def _turn(
 ) -> None:
     from flash.client import Client
     from flash.info import check_api
-    from flash.motor_bench import MotorBench
+    from flash.motors.bench import MotorBench
     from flash.transport import open_transport
     from sim.identification.bench.session import run_session
 

@@ -11,7 +11,7 @@ import pytest
 
 from flash import requests
 from flash.client import Client, RefusedError
-from flash.motor_bench import MotorBench
+from flash.motors.bench import MotorBench
 from flash.transport import TcpPort, TcpTransport, Transport
 from sim.identification.bench.drive import Log, Sensor, drive
 from sim.identification.bench.guard import Guard, Limits, StoppedError
@@ -284,6 +284,20 @@ def test_a_look_at_the_board_finds_a_test_that_ended_when_no_value_was_sent_sinc
         with pytest.raises(RefusedError):
             motor.give(0.1)
     assert stand.rig.throttle == 0.0
+
+
+def test_nothing_turns_when_the_arm_switch_is_on_or_the_battery_is_low_before_the_run(stand: Stand) -> None:
+    stand.rig.channels = [1500, 1500, 1000, 1500, 2000, *[1000] * 11]
+    stand.rig.advance(0.5)
+    with pytest.raises(LinkError, match="the arm switch is on"):
+        stand.run()
+    stand.rig.channels = None
+    stand.rig.advance(2.0)
+    stand.rig.port.set_battery(12.0, 0.0)
+    stand.rig.advance(2.0)
+    with pytest.raises(LinkError, match="the battery is low"):
+        stand.run()
+    assert max(stand.rig.turned) == 0.0
 
 
 @pytest.mark.parametrize("motor", [-1, 4, 7])

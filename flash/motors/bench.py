@@ -1,4 +1,4 @@
-"""One motor on a bench, turned by the firmware's motor test: it turns only while values come.
+"""One motor on a dynamometer, up to its full speed; it turns only while values come.
 
 The firmware ends the test by itself: without fresh values for MOTOR_TEST_TIMEOUT_MS, by the arm switch, by
 any change of the receiver's link. Up to MOTOR_TEST_MAX this is the motor test of everybody; above it the test
@@ -12,6 +12,8 @@ from types import TracebackType
 from flash import messages, records, requests
 from flash.client import Client, RefusedError
 from flash.hints import words
+from flash.motors.readiness import check_ours, check_ready
+from flash.motors.session import close_test
 from toolchain.contract import (
     CHANNEL_MAX_US,
     CHANNEL_MIN_US,
@@ -27,7 +29,6 @@ from toolchain.contract import (
 from toolchain.errors import LinkError, NeuroflightError
 
 REPLY_S = 0.2  # a board answers within some milliseconds; two of these are less than the firmware's time-out
-STOP_TRIES = 3
 SPAN_US = CHANNEL_MAX_US - CHANNEL_MIN_US
 
 
@@ -37,17 +38,18 @@ class MotorBench:
     def __init__(self, client: Client, motor: int, most: float = MOTOR_TEST_MAX) -> None:
         """motor: its index, from 0. most: largest fraction that will be asked for, 0..1.
 
-        Raises LinkError where the firmware has no such motor, or is in no state for a test.
+        Raises LinkError where the firmware is another's, has no such motor, or may turn none (readiness.py).
         """
         if not 0.0 < most <= MOTOR_BENCH_MAX:
             raise ValueError(f"most {most}, expected above 0 to {MOTOR_BENCH_MAX:g}")
         self._client, self._motor, self._most = client, motor, most
+        check_ours(client)
         count = messages.policy_info(client.request(Msp.POLICY_INFO)).action_count
         if not 0 <= motor < count:
             raise LinkError(
                 f"{client.name}: motor {motor + 1}, expected 1 to {count}; the firmware has no other"
             )
-        self._disarmed()
+        check_ready(client)
 
     def __enter__(self) -> MotorBench:
         magic = MOTOR_TEST_MAGIC if self._most <= MOTOR_TEST_MAX else MOTOR_BENCH_MAGIC
@@ -83,7 +85,12 @@ class MotorBench:
 
     def check(self) -> None:
         """Raise LinkError unless the firmware is disarmed and its motor test open."""
-        safety = self._disarmed()
+        safety = records.safety(self._client.request(Msp.SAFETY, timeout=REPLY_S, retries=1))
+        if safety.state is not FlightState.DISARMED:
+            raise LinkError(
+                f"{self._client.name}: the firmware is {words(safety.state.name)}, expected disarmed; switch "
+                "off and wait until it is ready"
+            )
         if not safety.arming_flags >> ArmingReason.MOTOR_TEST & 1:
             raise LinkError(
                 f"{self._client.name}: the firmware has ended the motor test, expected it open; was the arm "
@@ -97,19 +104,10 @@ class MotorBench:
             mend = f"; below {MOTOR_TEST_MAX:.0%} throttle an older firmware turns it too"
             raise RefusedError(f"{error}{mend if magic == MOTOR_BENCH_MAGIC else ''}") from error
 
-    def _disarmed(self) -> records.Safety:
-        safety = records.safety(self._client.request(Msp.SAFETY, timeout=REPLY_S, retries=1))
-        if safety.state is not FlightState.DISARMED:
-            raise LinkError(
-                f"{self._client.name}: the firmware is {words(safety.state.name)}, expected disarmed; switch "
-                "off and wait until it is ready"
-            )
-        return safety
-
     def _stopped(self) -> bool:
         """Stop the motor and close the test. Returns whether the firmware confirmed."""
         try:
-            self._client.request(Msp.MOTOR_TEST, requests.motor_test(0), REPLY_S, STOP_TRIES - 1)
+            close_test(self._client)
         except LinkError:
             return False
         return True
