@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from flash import requests
-from flash.client import Client, NoAnswerError
+from flash.client import Client, NoAnswerError, RefusedError
 from flash.requests import SettingInfo
 from flash.setting_rules import broken_rules
 from flash.setting_text import (
@@ -184,7 +184,10 @@ class Settings:
     def _find(self, name: str) -> tuple[int, SettingInfo]:
         if name not in self._known:
             guess = BY_NAME[name][0] if name in BY_NAME else 0  # in a firmware of this version
-            first = self._query(guess)
+            try:
+                first = self._query(guess)
+            except RefusedError:  # another version, with fewer settings
+                guess, first = 0, self._query(0)
             for index in range(first.count):
                 if name in self._known:
                     break
