@@ -16,6 +16,7 @@ from toolchain.errors import LinkError
 WAIT_S = 15.0  # a board is back within a second, the emulated one within some
 GOING_S = 5.0  # in which a firmware without a count of its boots falls silent
 ASK_S = 0.5  # for one answer
+LOST_S = 1.0  # in which a firmware that took the request has gone
 PAUSE_S = 0.1  # between two attempts on a line that is gone
 
 
@@ -39,15 +40,20 @@ def restart(
         if before is None and answered:
             client = _gone(client, reopen, clock, sleep)
         deadline = clock() + WAIT_S
+        asked = clock()
         while clock() < deadline:
             try:
                 if _has_started(client, before):
                     return client
+                if not answered and clock() - asked > LOST_S:  # neither it nor its reply has got through
+                    asked = clock()
+                    client.request(Msp.REBOOT, timeout=ASK_S)
+                    answered = True
             except NoAnswerError:
                 continue
             except LinkError:  # the line is gone
                 client.close()
-                client = _opened(client, reopen, sleep)
+                client = opened(client, reopen, sleep)
     except BaseException:
         client.close()
         raise
@@ -76,7 +82,7 @@ def _gone(
             return client
         except LinkError:
             client.close()
-            return _opened(client, reopen, sleep)
+            return opened(client, reopen, sleep)
     raise LinkError(
         f"{client.name}: the firmware took the request and answers without a break for {GOING_S:g} s; "
         "it did not start anew, or too fast to be seen: look at its state"
@@ -90,7 +96,7 @@ def _has_started(client: Client, before: int | None) -> bool:
     return records.faults(client.request(Msp.FAULTS, timeout=ASK_S, retries=0)).boots != before
 
 
-def _opened(client: Client, reopen: Callable[[], Transport], sleep: Callable[[float], None]) -> Client:
+def opened(client: Client, reopen: Callable[[], Transport], sleep: Callable[[float], None]) -> Client:
     """A client on the line opened again, or the closed one where it does not open."""
     sleep(PAUSE_S)
     try:
