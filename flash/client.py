@@ -84,7 +84,7 @@ class Client:
         if retries is None:
             retries = self._retries if requests.repeatable(command, payload) else 0
         if command in self._late:
-            self._pass_late_replies()
+            self.settle()
         failures: list[Corrupt] = []
         skipped = self._decoder.skipped
         for tried in range(1 + retries):
@@ -114,8 +114,11 @@ class Client:
                 return None
             self._unasked.extend(self._messages(left, []))
 
-    def _pass_late_replies(self) -> None:
-        """Replies come in the order of requests: behind that to another one, none to an earlier try comes."""
+    def settle(self) -> None:
+        """Wait until no reply to an earlier request can come any more, however often the line doubled one.
+
+        Replies come in the order of requests: behind that to another one, none to an earlier comes.
+        """
         self._late.clear()
         self.request(Msp.API_VERSION)  # whose replies are all the same
 

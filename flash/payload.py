@@ -32,6 +32,14 @@ class Reader:
         self.at = end
         return field
 
+    def check(self, holds: bool, got: str, expected: str) -> None:
+        """Raise LinkError unless what was read makes sense."""
+        if not holds:
+            raise LinkError(
+                f"MSP {self.command.name} reply tells of {got}, expected {expected}; "
+                "the firmware is newer: bring it and this tool to the same version"
+            )
+
     def one_of(self, kind: type[Kind]) -> Kind:
         """The next byte as a member of `kind`."""
         (value,) = self.fields("B")

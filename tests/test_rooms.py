@@ -33,6 +33,8 @@ ROOMS = (
     "toolchain/verification",
     "toolchain/image",
     "flash",
+    "flash/rom",
+    "flash/image",
     "flash/motors",
     "flash/channels",
     "flash/mavlink",

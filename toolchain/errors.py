@@ -23,6 +23,10 @@ class BuildError(NeuroflightError):
     """A firmware build that cannot go on: unknown target, missing compiler, image too large."""
 
 
+class ImageError(NeuroflightError):
+    """A file that holds no image for the board, or a damaged one."""
+
+
 class LinkError(NeuroflightError):
     """A port (socket or serial) that nobody answers on, or that answers with nonsense."""
 

@@ -1,0 +1,105 @@
+"""Who is at the other end of the line, and whether an image may be written there now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flash import messages
+from flash.client import Client, RefusedError
+from flash.image.messages import Banks, image_info
+from flash.info import check_api
+from flash.messages import BatteryLevel, BatteryState, PolicyInfo
+from flash.payload import Reader
+from toolchain.contract import MSP_FIRMWARE, Msp
+from toolchain.errors import LinkError
+
+_OTHERS = {
+    "BTFL": "Betaflight",
+    "INAV": "INAV",
+    "CLFL": "Cleanflight",
+    "EMUF": "EmuFlight",
+    "ARDU": "ArduPilot",
+}
+_RESCUE = "install Neuroflight with `neuroflight rescue`"
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board with our firmware."""
+
+    port: str  # as the user would write it
+    target: str
+    version: str
+    uid: str
+    armed: bool
+    battery: BatteryState
+    policy: PolicyInfo
+    banks: Banks
+
+
+def read_board(client: Client) -> Board:
+    """Ask the board who it is and how it is. Raises LinkError, one line, for whoever else answers."""
+    api_checked = _check_is_ours(client)
+    return Board(
+        port=client.name,
+        target=api_checked[0],
+        version=api_checked[1],
+        uid=messages.uid(client.request(Msp.UID)),
+        armed=messages.status_ex(client.request(Msp.STATUS_EX)).status.armed,
+        battery=messages.battery_state(client.request(Msp.BATTERY_STATE)),
+        policy=messages.policy_info(client.request(Msp.POLICY_INFO)),
+        banks=_banks(client),
+    )
+
+
+def _check_is_ours(client: Client) -> tuple[str, str]:
+    """Target and version. Raises LinkError for a firmware of another make."""
+    try:
+        check_api(client)  # first: it closes a command line that another program left open on this port
+        payload = client.request(Msp.IDENTITY)
+    except RefusedError:
+        raise LinkError(
+            f"{client.name}: {_other_firmware(client)}, expected {MSP_FIRMWARE}; {_RESCUE} if this is a "
+            "board that it is meant for"
+        ) from None
+    reader = Reader(Msp.IDENTITY, payload)
+    firmware = reader.counted_text()
+    if firmware != MSP_FIRMWARE:
+        raise LinkError(f"{client.name}: a firmware that calls itself {firmware!r}, expected {MSP_FIRMWARE}")
+    version = ".".join(str(part) for part in reader.fields("3B"))
+    reader.fields("BB")
+    return reader.counted_text(), version
+
+
+def _other_firmware(client: Client) -> str:
+    """What another make of firmware tells about itself."""
+    try:
+        variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
+        version = messages.fc_version(client.request(Msp.FC_VERSION))
+        board = messages.board_info(client.request(Msp.BOARD_INFO))
+    except LinkError:
+        return "a device that speaks MSP and does not say what it is"
+    on = board.target or board.identifier
+    return f"{_OTHERS.get(variant, variant)} {version} on {on or 'a board without a name'}"
+
+
+def _banks(client: Client) -> Banks:
+    try:
+        return image_info(client.request(Msp.IMAGE_INFO))
+    except RefusedError:
+        raise LinkError(
+            f"{client.name}: the {MSP_FIRMWARE} there takes no images over MSP: it is of an older layout, "
+            f"expected one with two banks of images; {_RESCUE} once"
+        ) from None
+
+
+def check_ready(board: Board) -> None:
+    """Raise LinkError where flash must not be written now."""
+    if board.armed:
+        raise LinkError(f"{board.port}: the motors are armed, expected a disarmed board; disarm first")
+    battery = board.battery
+    if battery.level is BatteryLevel.CRITICAL:
+        raise LinkError(
+            f"{board.port}: the battery is low, {battery.voltage_v:.2f} V of {battery.cells} cells, expected "
+            "one above `battery_low_v` a cell, or USB power alone; charge or unplug it"
+        )

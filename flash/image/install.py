@@ -1,0 +1,127 @@
+"""An image from its file onto a board, whole: settings kept, bank written, checked, switched, proven.
+
+    settings read  ->  bank written  ->  checked  ->  switched  ->  restarted, trial  ->  settings compared
+    BEFORE             WRITING           WRITTEN      SWITCHED                            ENDED
+
+Wherever it ends early, `Installation.consequence` says what that means for the board: until the switch the
+old image stays, after it the board itself decides by whether the new image proves good.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from flash.client import Client
+from flash.image.files import bank_name
+from flash.image.plan import Plan
+from flash.image.settings_kept import Kept, keep_settings, read_settings
+from flash.image.trial import Ending, Trial, await_image
+from flash.image.update import Clock, Progress, patiently, switch, write_image
+from flash.restart import restart
+from flash.setting_text import Value
+from flash.transport import Transport
+from toolchain.errors import LinkError
+
+
+class Stage(Enum):
+    """How far an installation is."""
+
+    BEFORE = auto()
+    WRITING = auto()
+    WRITTEN = auto()
+    SWITCHED = auto()
+    ENDED = auto()
+
+
+@dataclass(frozen=True)
+class Installed:
+    """How an installation ended."""
+
+    trial: Trial
+    kept: Kept | None  # None: the new image does not run
+    restarts: int
+
+
+class Installation:
+    """Carries out a plan. It owns the client from `run` on."""
+
+    def __init__(
+        self,
+        client: Client,
+        plan: Plan,
+        reopen: Callable[[], Transport],
+        progress: Progress,
+        clock: Clock = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """reopen: opens the line again where it goes as the board restarts. clock, sleep: in seconds."""
+        self.client = client
+        self.plan = plan
+        self.stage = Stage.BEFORE
+        self._reopen, self._progress = reopen, progress
+        self._clock, self._sleep = clock, sleep
+        self._written = 0
+
+    @property
+    def consequence(self) -> str:
+        """What it means for the board if nothing more happens, as the end of a sentence."""
+        new, old = bank_name(self.plan.bank), bank_name(self.plan.board.banks.running)
+        match self.stage:
+            case Stage.BEFORE:
+                return "nothing was written"
+            case Stage.WRITING:
+                return (
+                    f"{new} has {self._written:,} of {self.plan.bytes:,} bytes of the new image and is not "
+                    f"started, {old} was not written and stays; the same command goes on from there, or "
+                    "begins anew if the board was off meanwhile"
+                )
+            case Stage.WRITTEN:
+                return (
+                    f"{new} was written and {old} was not; which of them the next boot starts the same "
+                    "command tells and mends"
+                )
+            case Stage.SWITCHED:
+                return (
+                    f"{new} was written and is started from the next boot on, {old} was not written; the "
+                    "board goes back to it by itself unless the new image proves good"
+                )
+            case Stage.ENDED:
+                return "the image was written and decided on; its settings were not compared"
+
+    def run(self, settings: Mapping[str, Value], *, keep_policy: bool) -> Installed:
+        """All of it. settings: those from before. Raises LinkError, which ends with the consequence."""
+        try:
+            return self._run(settings, keep_policy)
+        except LinkError as error:
+            raise LinkError(f"{error}; {self.consequence}") from None
+
+    def _run(self, settings: Mapping[str, Value], keep_policy: bool) -> Installed:
+        image = self.plan.image
+        self.stage = Stage.WRITING
+        write_image(self.client, image, self._count, self._clock)
+        self.stage = Stage.WRITTEN
+        switch(self.client, image, self._clock, keep_policy=keep_policy)
+        self.stage = Stage.SWITCHED
+        self._restart()
+        self._progress("prove", 0, 1)
+        self.client, trial = await_image(self.client, image, self._reopen, self._clock, self._sleep)
+        self._progress("prove", 1, 1)
+        self.stage = Stage.ENDED
+        if trial.ending not in (Ending.KEPT, Ending.POLICY_BAD):
+            return Installed(trial, None, 1)
+        now = patiently(self.client, lambda: read_settings(self.client), self._clock)
+        kept = keep_settings(self.client, settings, now)
+        if kept.restored:
+            self._restart()  # they are flown from the next boot on
+        return Installed(trial, kept, 2 if kept.restored else 1)
+
+    def _restart(self) -> None:
+        self.client = restart(self.client, self._reopen, self._clock, self._sleep)
+
+    def _count(self, what: str, done: int, total: int) -> None:
+        if what == "write":
+            self._written = done
+        self._progress(what, done, total)

@@ -1,0 +1,88 @@
+"""What installing an image will do to a board: where it goes, how much is written, how long that takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+from flash.image.board import Board
+from flash.image.files import Image, ImageFile, image_for
+from flash.image.messages import DATA_BYTES_MAX, OFFSET_BYTES, Bank
+from flash.msp import FRAME_OVERHEAD_MAX
+from flash.requests import WORD_BYTES
+from toolchain.contract import FLASH_BANKS, FLASH_SECTORS, MSP_PAYLOAD_MAX
+from toolchain.errors import ImageError
+
+# Of the chip, typical, 32 bits at once: DS11853, flash memory programming; and of the board's line.
+ERASE_S = 1.0  # a sector of 128 KB
+WORD_S = 16e-6
+FRAME_S = 0.003  # from a frame's last byte to the first of the next: the board's reply, a USB adapter's delay
+START_S = 4.0  # boot, and 2 s in which the image proves itself
+BITS_PER_BYTE = 10  # 8N1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An image that goes to a board's spare bank."""
+
+    board: Board
+    image: Image
+    same_build: bool  # the board runs it already
+    failed_before: bool  # the board tried this very build and went back
+
+    @property
+    def bank(self) -> int:
+        """The bank that is written."""
+        return self.image.bank
+
+    @property
+    def sectors(self) -> tuple[int, ...]:
+        """Numbers of the flash sectors that are erased."""
+        region = FLASH_BANKS[self.bank]
+        return tuple(
+            number
+            for number, sector in enumerate(FLASH_SECTORS)
+            if sector.address < region.address + region.size and region.address < sector.address + sector.size
+        )
+
+    @property
+    def bytes(self) -> int:
+        """How many are written."""
+        return len(self.image.data)
+
+    @property
+    def frames(self) -> int:
+        """Requests that carry them."""
+        return ceil(self.bytes / DATA_BYTES_MAX)
+
+    def seconds(self, baud: int | None) -> float:
+        """About how long erasing, writing and the new image's proof take. baud: None for no serial line."""
+        line_bytes = self.bytes + self.frames * (2 * FRAME_OVERHEAD_MAX + OFFSET_BYTES)
+        line_s = 0.0 if baud is None else line_bytes * BITS_PER_BYTE / baud
+        write_s = self.bytes / WORD_BYTES * WORD_S + self.frames * FRAME_S
+        return ERASE_S * len(self.sectors) + line_s + write_s + START_S
+
+
+def make_plan(board: Board, file: ImageFile) -> Plan:
+    """The plan for the file's image on that board. Raises ImageError for another board's, or of no use."""
+    if file.header.board != board.target:
+        raise ImageError(
+            f"{file.path}: it is built for the board {file.header.board or 'without a name'}, and "
+            f"{board.port} is a {board.target}; build it with `make firmware TARGET={board.target}`"
+        )
+    image = image_for(file, board.banks.spare)
+    spare = board.banks.banks[board.banks.spare]
+    now = board.banks.now
+    return Plan(
+        board=board,
+        image=image,
+        same_build=now.fits and now.build == file.build,
+        failed_before=_failed(spare) and spare.build == file.build,
+    )
+
+
+def _failed(bank: Bank) -> bool:
+    return bank.fits and not bank.confirmed and (bank.rejected or bank.starts > 0)
+
+
+assert DATA_BYTES_MAX + OFFSET_BYTES == MSP_PAYLOAD_MAX

@@ -1,0 +1,82 @@
+"""Settings across an update: a file before, a comparison and what is put back after.
+
+Settings lie in flash sectors of their own, which no update touches. A new version may still read them
+otherwise, where it has others, or other limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from flash.client import Client
+from flash.image.board import Board
+from flash.setting_text import Value, same, set_line, value_text
+from flash.settings import Settings, in_order
+from toolchain.errors import LinkError
+from toolchain.files import write_text
+
+
+@dataclass(frozen=True)
+class Kept:
+    """How the settings came through an update."""
+
+    restored: dict[str, Value]  # that the new version read otherwise, and have their values again
+    unknown: dict[str, Value]  # that the new version has no more
+    refused: dict[str, str]  # that it does not take any more: why
+    new: tuple[str, ...]  # that the old version had not; they have their defaults
+
+    @property
+    def lines(self) -> list[str]:
+        """What the pilot should know, a sentence each."""
+        told = []
+        if self.restored:
+            told.append(f"put back as they were: {', '.join(self.restored)}")
+        told += [
+            f"the new version knows no {name}; it was {value_text(name, value)}"
+            for name, value in self.unknown.items()
+        ]
+        told += [f"{name} has another value now: {why}" for name, why in self.refused.items()]
+        if self.new:
+            told.append(f"new, at their defaults: {', '.join(self.new)}")
+        return told
+
+
+def read_settings(client: Client) -> dict[str, Value]:
+    """All settings, as they are stored or were changed since. Raises LinkError."""
+    return {stored.name: stored.value for stored in Settings(client).read()}
+
+
+def write_backup(path: Path, board: Board, values: Mapping[str, Value]) -> None:
+    """Write them as `neuroflight msp dump` does. Raises OSError."""
+    head = f"# dump of {board.target} {board.version}: neuroflight msp --port PORT restore FILE"
+    lines = [head, *(set_line(name, value) for name, value in in_order(values).items())]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def keep_settings(client: Client, before: Mapping[str, Value], now: Mapping[str, Value]) -> Kept:
+    """Compare the settings as they are `now` with those `before`, and store again what differs."""
+    settings = Settings(client)
+    differ = {
+        name: value for name, value in before.items() if name in now and not same(name, now[name], value)
+    }
+    refused: dict[str, str] = {}
+    for name, value in in_order(differ).items():
+        try:
+            settings.check({name: value})
+        except LinkError as error:
+            refused[name] = str(error)
+    restored = {name: value for name, value in differ.items() if name not in refused}
+    if restored:
+        try:
+            settings.change(restored, save=True)
+        except LinkError as error:
+            refused |= dict.fromkeys(restored, str(error))
+            restored = {}
+    return Kept(
+        restored=restored,
+        unknown={name: value for name, value in before.items() if name not in now},
+        refused=refused,
+        new=tuple(name for name in now if name not in before),
+    )
