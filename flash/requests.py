@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flash.payload import Reader
+from flash.policy_errors import policy_error
 from toolchain.contract import (
     CHANNEL_COUNT,
     CHANNEL_MAX_US,
@@ -52,7 +53,7 @@ REASONS = {
     Refusal.CONFLICT: "{setting} does not fit the policy or the settings beside it, see docs/settings.md",
     Refusal.FLASH: "flash did not take it; what was stored before still holds",
     Refusal.ORDER: "something has to come before it: opening, beginning, reading",
-    Refusal.BLOB: "the policy is none for this firmware (error {detail} of nf_err.h)",
+    Refusal.BLOB: "the policy is none for this firmware: {policy} (error {detail} of nf_err.h)",
     Refusal.SEQUENCE: "the policy's sequence number is not newer than that of the policy which stays",
     Refusal.ABSENT: "this firmware or its settings have no such thing",
     Refusal.SPOILT: "a change before it was refused; nothing is stored, and what was not stored is undone",
@@ -198,7 +199,7 @@ def refusal(payload: bytes) -> str:
     known = {int(reason): text for reason, text in REASONS.items()}
     setting = SETTINGS[detail].name if 0 <= detail < len(SETTINGS) else f"setting {detail}"
     text = known.get(reason, f"reason {reason}, which this tool does not know")
-    return text.format(detail=detail, setting=setting)
+    return text.format(detail=detail, setting=setting, policy=policy_error(detail))
 
 
 def refusal_reason(payload: bytes) -> Refusal | None:

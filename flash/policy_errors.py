@@ -1,0 +1,22 @@
+"""Why a firmware does not fly a policy, in words, by the numbers of firmware/src/common/nf_err.h."""
+
+from __future__ import annotations
+
+POLICY_ERRORS = {
+    -5: "fails its self-test: its answers differ from those that the compiler computed",
+    -6: "too short for a policy",
+    -7: "empty",
+    -8: "of another layout: written for a firmware of another version",
+    -9: "its sizes contradict each other: not written by this tool",
+    -10: "damaged: its checksum does not hold",
+    -11: "trained for another control rate than this image's",
+    -12: "trained behind other gyro filters than those that are set",
+    -13: "of another architecture than this image's policy",
+    -14: "its idle is beyond what a policy is trained with",
+    -16: "older than the image: flashing that without --keep-policy left it behind",
+}
+
+
+def policy_error(number: int) -> str:
+    """The words of an error."""
+    return POLICY_ERRORS.get(number, f"error {number} of nf_err.h, which this tool does not know")
