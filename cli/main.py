@@ -24,7 +24,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
     "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
-    "flash": ("msp", "rescue", "motor", "rc", "monitor", "gateway"),
+    "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
 }
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
@@ -51,6 +51,7 @@ COMMANDS = {
     "rc": "send a firmware its channels over MSP, from a script or a gamepad",
     "monitor": "watch a running firmware live: state, attitude, channels, motors, battery, load",
     "gateway": "a running firmware as a MAVLink aircraft: QGroundControl, companion computers",
+    "flash": "fly another policy, list what the policy slots hold, go back to the one before",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "gateway": ("pymavlink",),

@@ -31,7 +31,6 @@ class Access:
 
 _R = Refusal
 _STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
-_SLOT = "no command of ours sends it, only programs of your own (`flash/requests.py`)"
 _STARTED = "REBOOT starts it; may be repeated: the number and the floor of the policies stay"
 _READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
 # SETs of lists; those of single values are in CONFIGURATIONS.
@@ -110,11 +109,13 @@ _ACTS = {
     Msp.RESET_CONF: Access(_STORING, (_R.PAYLOAD, _R.CONFLICT, _R.FLASH, _R.ABSENT), "stores the defaults"),
     Msp.ACKNOWLEDGE: Access(_STORING, (_R.PAYLOAD, _R.INDEX, _R.FLASH, _R.ABSENT)),
     Msp.POLICY_SLOT_BEGIN: Access(
-        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), f"`order` after a revert; {_SLOT}"
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "`order` after a revert, until the restart"
     ),
-    Msp.POLICY_SLOT_WRITE: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), _SLOT),
+    Msp.POLICY_SLOT_WRITE: Access(
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "the last one may be repeated"
+    ),
     Msp.POLICY_SLOT_END: Access(
-        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT), _SLOT
+        _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.BLOB, _R.SEQUENCE, _R.ABSENT), "may be repeated"
     ),
     Msp.POLICY_SLOT_REVERT: Access(
         _STORING,

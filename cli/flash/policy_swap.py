@@ -1,0 +1,348 @@
+"""`neuroflight flash` --policy, --list and --revert: the policy that a board flies, without a new image."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.flash.state import connect
+from cli.flash.tables import print_facts, print_json, print_table
+from toolchain.errors import LinkError, PolicyError
+
+if TYPE_CHECKING:
+    from flash.client import Client
+    from flash.policy.candidate import Candidate
+    from flash.policy.slots import Place, Policies
+    from flash.policy.swap import Board, Progress
+
+NOT_WRITTEN = "nothing was written"
+LOOK = "`neuroflight flash --list` tells"
+LATER = "from its next start on (`neuroflight msp reboot`), if it passes its self-test"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be asked of the slots; --port, --dry-run, --force, --json are the command's."""
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--policy",
+        type=Path,
+        metavar="FILE",
+        help="fly another policy of the same architecture: write its weights into a policy slot (seconds)",
+    )
+    what.add_argument(
+        "--list", action="store_true", help="what each policy slot holds, and which policy is flown"
+    )
+    what.add_argument(
+        "--revert", action="store_true", help="give the policy in the flown slot up: back to the one before"
+    )
+    parser.add_argument(
+        "--other-aircraft", action="store_true", help="a policy trained for another aircraft is meant"
+    )
+    parser.add_argument(
+        "--no-reboot",
+        action="store_true",
+        help="with --policy and --revert: do not start the board anew, it flies what it flew until then",
+    )
+
+
+def wanted(args: argparse.Namespace) -> bool:
+    """Whether the user asks for something of this module."""
+    return args.policy is not None or args.list or args.revert
+
+
+def run_policy(args: argparse.Namespace) -> int:
+    """Carry out --policy, --list or --revert. Returns 0; raises NeuroflightError for what cannot be done."""
+    if args.policy is not None:
+        return swap(args)
+    return revert(args) if args.revert else list_(args)
+
+
+@contextmanager
+def _connected(args: argparse.Namespace, unwritten: str) -> Iterator[Client]:
+    """A client on the user's port. Raises LinkError that says what is not done where nobody is there."""
+    try:
+        client = connect(args)
+    except LinkError as error:
+        raise LinkError(f"{error}; {unwritten}") from error
+    with client:
+        yield client
+
+
+def _board(args: argparse.Namespace) -> Board:
+    from flash.policy.swap import Board
+    from flash.transport import open_transport
+
+    return Board(lambda: open_transport(args.port))
+
+
+# --- list --------------------------------------------------------------------------------------------
+def list_(args: argparse.Namespace) -> int:
+    """Print what each place of a policy holds."""
+    from flash.policy.ready import check_ours
+    from flash.policy.slots import read_policies
+
+    with _connected(args, "nothing is listed") as client:
+        check_ours(client, "nothing is listed")
+        policies = read_policies(client)
+    networks = _networks(policies)
+    if args.json:
+        print_json(_list_document(policies, networks))
+        return 0
+    heads = ("place", "flown", "number", "aircraft", "sha256", "network", "state")
+    print_table(heads, [_row(place, policies, networks) for place in policies.places], frozenset({"number"}))
+    return 0
+
+
+def _networks(policies: Policies) -> dict[str, str]:
+    from cli.flash.known_policies import known_networks
+
+    return known_networks((place.sha256 for place in policies.places if place.good), Path.cwd())
+
+
+def _row(place: Place, policies: Policies, networks: dict[str, str]) -> tuple[str, ...]:
+    from flash.policy.slots import EMPTY, SHA_SHOWN
+
+    if place.found == EMPTY and not place.flown:
+        return (place.name, "", "", "", "", "", "empty")
+    return (
+        place.name,
+        "flown" if place.flown else "",
+        str(place.sequence),
+        place.aircraft,
+        place.sha256[:SHA_SHOWN],
+        networks.get(place.sha256, ""),
+        _state(place, policies),
+    )
+
+
+def _state(place: Place, policies: Policies) -> str:
+    from flash.policy_errors import policy_error
+
+    if place.flown and policies.given_up:
+        return "given up; flown until the next start"
+    if not place.good:
+        return f"not flown: {policy_error(place.found)}"
+    if place.flown:
+        return "good" if policies.info.good else "BAD: it does not fly"
+    return "good, flown from the next start on" if place is policies.after_start() else "good"
+
+
+def _list_document(policies: Policies, networks: dict[str, str]) -> list[dict[str, Any]]:
+    after = policies.after_start()
+    return [
+        {
+            **asdict(place),
+            "source": place.source.name,
+            "state": _state(place, policies),
+            "network": networks.get(place.sha256),
+            "next": place is after,
+        }
+        for place in policies.places
+    ]
+
+
+# --- policy ------------------------------------------------------------------------------------------
+def candidate_of(path: Path) -> Candidate:
+    """The policy in an ONNX file, compiled. Raises PolicyError, one line."""
+    from flash.policy.candidate import Candidate
+    from toolchain.codegen.compiler import compile_policy
+    from toolchain.policy.blob import pack
+    from toolchain.policy.model import read_policy
+
+    try:
+        policy = read_policy(path)
+        blob = compile_policy(policy).blob
+        pack(blob)  # raises for what no blob can say
+    except PolicyError as error:
+        text = str(error) if str(path) in str(error) else f"{path}: {error}"
+        raise PolicyError(f"{text}; {NOT_WRITTEN}") from error
+    return Candidate(
+        file=path.name,
+        network=policy.network.text,
+        observation=policy.observation,
+        observation_count=blob.observation_count,
+        action_count=blob.action_count,
+        weight_count=int(blob.weights.size),
+        architecture_hash=blob.architecture_hash,
+        filters_hash=blob.filters_hash,
+        control_rate_hz=blob.control_rate_hz,
+        idle=blob.idle,
+        aircraft=blob.aircraft,
+        sha256=blob.policy_sha256,
+        blob=lambda sequence: pack(replace(blob, sequence=sequence)),
+    )
+
+
+def swap(args: argparse.Namespace) -> int:
+    """Write a policy into the slot that is not flown, and start the board with it."""
+    from flash import messages
+    from flash.policy import candidate as candidates
+    from flash.policy.ready import check_ready, check_started
+    from flash.policy.slots import read_policies
+    from toolchain.contract import Msp
+
+    candidate = candidate_of(args.policy)
+    with _connected(args, NOT_WRITTEN) as client:
+        check_ready(client, NOT_WRITTEN)
+        policies = read_policies(client)
+        check_started(client.name, policies, NOT_WRITTEN)
+        networks = _networks(policies)
+        target_name = messages.board_info(client.request(Msp.BOARD_INFO)).target or "MATEKF722"
+        candidates.check_fits(
+            candidate,
+            policies,
+            network=networks.get(policies.info.sha256),
+            mend=f"make firmware TARGET={target_name} POLICY={args.policy}",
+            other_aircraft=args.other_aircraft,
+        )
+        return _carry_out(args, client, candidate, policies)
+
+
+def _carry_out(args: argparse.Namespace, client: Client, candidate: Candidate, policies: Policies) -> int:
+    from flash.policy import swap as swaps
+
+    flown, waiting = policies.flown, policies.after_start()
+    held = waiting if waiting is not None and waiting.sha256 == candidate.sha256 and not args.force else None
+    document = _plan(args, candidate, policies, held)
+    if held is not None and held is flown:
+        return _told(args, document, f"the board flies {candidate.file} already, {held.text}; {NOT_WRITTEN}")
+    if not args.json:
+        print_facts(_plan_rows(document, candidate, policies))
+    if args.dry_run:
+        return _told(args, document, f"a plan only (--dry-run): {NOT_WRITTEN}")
+    board = _board(args)
+    place = held
+    if place is None:
+        kept = f"the board goes on with the policy that it flew, unless all was written; {LOOK}"
+        with _stopped(kept), _bar(args) as progress:
+            client, place = swaps.write(client, candidate, board, progress)
+    document["written"], document["sequence"] = place.name, place.sequence
+    if args.no_reboot:
+        client.close()
+        return _told(args, document, f"{candidate.file} stands in {place.name}; the board flies it {LATER}")
+    with _stopped(f"{candidate.file} stands in {place.name} and is flown from the next start on; {LOOK}"):
+        swaps.start(client, candidate, place, board).close()
+    document["flown"] = True
+    return _told(
+        args, document, f"the board flies {candidate.file} from {place.name}: its self-test passed there"
+    )
+
+
+def _plan(
+    args: argparse.Namespace, candidate: Candidate, policies: Policies, held: Place | None
+) -> dict[str, Any]:
+    """As --json prints it; `flown` tells whether the board flies it now."""
+    from flash.policy import swap as swaps
+    from flash.policy.slots import NAMES
+    from flash.transport import SerialPort, parse_port
+
+    port, slot = parse_port(args.port), swaps.target(policies)
+    baud = port.baud if isinstance(port, SerialPort) else None
+    size = candidate.size
+    return {
+        "file": str(args.policy),
+        "network": candidate.network,
+        "aircraft": candidate.aircraft,
+        "sha256": candidate.sha256,
+        "idle": candidate.idle,
+        "bytes": 0 if held else size,
+        "slot": held.name if held else NAMES[slot],
+        "seconds": 0.0 if held else round(swaps.seconds(size, slot, baud, start=not args.no_reboot), 2),
+        "written": None,
+        "sequence": None,
+        "flown": held is not None and held is policies.flown,
+    }
+
+
+def _plan_rows(document: dict[str, Any], candidate: Candidate, policies: Policies) -> list[tuple[str, str]]:
+    from flash.policy.slots import SHA_SHOWN
+
+    sha, idle = candidate.sha256[:SHA_SHOWN], policies.info.idle
+    rows = [
+        ("policy", f"{candidate.file}: {candidate.network}, aircraft {candidate.aircraft}, sha256 {sha}"),
+        ("flown now", policies.flown_text),
+    ]
+    if candidate.idle != idle:
+        rows.append(
+            ("idle", f"{candidate.idle:g} of full throttle, until now {idle:g}: it comes with the policy")
+        )
+    if document["bytes"]:
+        told = (
+            f"erase {document['slot']}, write {document['bytes']:,} bytes: about {document['seconds']:.1f} s"
+        )
+    else:
+        told = f"nothing to write: {document['slot']} holds it and waits for a start"
+    return [*rows, ("plan", told)]
+
+
+@contextmanager
+def _stopped(consequence: str) -> Iterator[None]:
+    """Ctrl-C in the block ends the command, which says what that means for the board."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"neuroflight: stopped by Ctrl-C: {consequence}", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+@contextmanager
+def _bar(args: argparse.Namespace) -> Iterator[Progress]:
+    """A progress bar on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True, quiet=args.json or not sys.stderr.isatty())
+    with Bar(console=console, transient=True) as bar:
+        task = bar.add_task("policy", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _told(args: argparse.Namespace, document: dict[str, Any], text: str) -> int:
+    if args.json:
+        print_json(document)
+    else:
+        print(text)
+    return 0
+
+
+# --- revert ------------------------------------------------------------------------------------------
+def revert(args: argparse.Namespace) -> int:
+    """Give the flown slot up, and start the board with the policy before."""
+    from flash.policy import revert as reverts
+    from flash.policy.ready import check_ready, check_started
+    from flash.policy.slots import read_policies
+
+    with _connected(args, reverts.UNTOUCHED) as client:
+        check_ready(client, reverts.UNTOUCHED)
+        policies = read_policies(client)
+        check_started(client.name, policies, reverts.UNTOUCHED)
+        try:
+            flown, before = reverts.plan(policies, other_aircraft=args.other_aircraft)
+        except LinkError as error:
+            raise LinkError(f"{client.name}: {error}") from error
+        document = {
+            "given_up": {**asdict(flown), "source": flown.source.name},
+            "afterwards": {**asdict(before), "source": before.source.name},
+            "done": False,
+            "flown": False,
+        }
+        if not args.json:
+            print_facts([("flown now", flown.text), ("afterwards", before.text)])
+        if args.dry_run:
+            return _told(args, document, f"a plan only (--dry-run): {reverts.UNTOUCHED}")
+        with _stopped(f"whether {flown.name} was given up is not known; {LOOK}"):
+            reverts.revert(client)
+        document["done"] = True
+        if args.no_reboot:
+            return _told(args, document, f"{flown.name} is given up; the board flies {before.text} {LATER}")
+        with _stopped(
+            f"{flown.name} was given up: the board flies the other one from its next start on; {LOOK}"
+        ):
+            reverts.start(client, flown, before, _board(args)).close()
+        document["flown"] = True
+    return _told(args, document, f"the board flies {before.text}: its self-test passed")

@@ -1,0 +1,76 @@
+"""A compiled policy that is to be flown, held against the image that would fly it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from flash.policy.slots import Policies
+from toolchain.errors import LinkError
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A policy, compiled."""
+
+    file: str  # as the user wrote it
+    network: str  # such as 19-64-64-4 tanh
+    observation: str  # its terms, comma-separated
+    observation_count: int
+    action_count: int
+    weight_count: int
+    architecture_hash: int
+    filters_hash: int
+    control_rate_hz: int
+    idle: float  # motor fraction at zero thrust
+    aircraft: str
+    sha256: str  # of the ONNX file
+    blob: Callable[[int], bytes]  # its bytes with that sequence number, always as many
+
+    @property
+    def size(self) -> int:
+        """Bytes of its blob."""
+        return len(self.blob(0))
+
+
+def differences(candidate: Candidate, policies: Policies) -> list[str]:
+    """What keeps the running image from flying it: each what it is, and what the image asks for."""
+    info, flown = policies.info, policies.flown
+    figures = (
+        ("control rate [Hz]", candidate.control_rate_hz, info.control_rate_hz),
+        ("observed values", candidate.observation_count, info.observation_count),
+        ("motors", candidate.action_count, info.action_count),
+        ("weights", candidate.weight_count, info.weight_count),
+    )
+    told = [f"{what} {has}, the image {asks}" for what, has, asks in figures if has != asks]
+    if flown is not None and flown.good and candidate.filters_hash != flown.filters_hash:
+        told.append(f"gyro filters {candidate.filters_hash:08x} (CRC-32), the image {flown.filters_hash:08x}")
+    if not told and candidate.architecture_hash != info.architecture_hash:
+        told.append(
+            f"as many values, weights and motors as the image's, but other layers or observed terms "
+            f"({candidate.observation}; architecture {candidate.architecture_hash:08x}, the image "
+            f"{info.architecture_hash:08x})"
+        )
+    return told
+
+
+def check_fits(
+    candidate: Candidate, policies: Policies, *, network: str | None, mend: str, other_aircraft: bool
+) -> None:
+    """Raise LinkError, one line, unless the running image can fly it and it is for the same aircraft.
+
+    network: of the policy that is flown, where it is known. mend: the command that builds an image with it.
+    other_aircraft: a policy for another aircraft is meant.
+    """
+    if told := differences(candidate, policies):
+        flies = f" ({network})" if network else ""
+        raise LinkError(
+            f"{candidate.file}: {candidate.network} does not fit the image that runs{flies}: "
+            f"{'; '.join(told)}; nothing was written: build an image with it: {mend}"
+        )
+    if candidate.aircraft != policies.info.name and not other_aircraft:
+        raise LinkError(
+            f"{candidate.file}: trained for the aircraft {candidate.aircraft!r}, the policy that the board "
+            f"flies is for {policies.info.name!r}; nothing was written: choose a policy for this aircraft, "
+            "or give --other-aircraft if that is meant"
+        )

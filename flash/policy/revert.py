@@ -1,0 +1,84 @@
+"""Back to the policy that was flown before."""
+
+from __future__ import annotations
+
+from flash.client import Client, NoAnswerError
+from flash.messages import PolicySource
+from flash.policy.slots import Place, Policies, read_policies
+from flash.policy.swap import Board
+from flash.policy_errors import policy_error
+from flash.restart import restart
+from toolchain.contract import Msp
+from toolchain.errors import LinkError
+
+UNTOUCHED = "nothing was changed"
+
+
+def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
+    """The policy that a revert gives up, and the one that is flown after it.
+
+    Raises LinkError where there is none to go back to, a newer one waits for its first start, or the one
+    before is for another aircraft and that is not meant.
+    """
+    flown = policies.flown
+    if flown is None:
+        raise LinkError(f"the board flies no policy; {UNTOUCHED}: flash one with --policy FILE")
+    if flown.source is PolicySource.COMPILED_IN:
+        raise LinkError(
+            f"the board flies {flown.text}, and there is none before it; {UNTOUCHED}: "
+            "flash another with --policy FILE, or an image"
+        )
+    if (waiting := policies.after_start()) is not flown and waiting is not None:
+        raise LinkError(
+            f"{waiting.text} is flown from the next start on in place of the one that would be given up; "
+            f"{UNTOUCHED}: start the board anew first (`neuroflight msp reboot`)"
+        )
+    before = policies.after_start(without=flown)
+    if before is None:
+        raise LinkError(
+            f"the board flies {flown.text} and has no other good one; {UNTOUCHED}: "
+            "flash one with --policy FILE"
+        )
+    if before.aircraft != flown.aircraft and not other_aircraft:
+        raise LinkError(
+            f"the policy before, in {before.name}, is for the aircraft {before.aircraft!r}, the one that the "
+            f"board flies for {flown.aircraft!r}; {UNTOUCHED}: give --other-aircraft if that is meant"
+        )
+    return flown, before
+
+
+def revert(client: Client) -> None:
+    """Make the flown slot hold none; asked twice, it is done once. Raises LinkError."""
+    try:
+        client.request(Msp.POLICY_SLOT_REVERT)
+    except NoAnswerError as error:
+        raise LinkError(
+            f"{error}; whether the flown slot was given up is not known: `neuroflight flash --list` tells"
+        ) from error
+
+
+def start(client: Client, flown: Place, before: Place, board: Board) -> Client:
+    """Start the firmware anew and check that it flies `before`. Returns a client of the new start.
+
+    Raises LinkError, the client closed.
+    """
+    client = restart(client, board.reopen, board.clock, board.sleep)
+    try:
+        check_reverted(client.name, read_policies(client), flown, before)
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+def check_reverted(name: str, policies: Policies, flown: Place, before: Place) -> None:
+    """Raise LinkError unless the board flies `before` and no longer `flown`; name: the board's line."""
+    info = policies.info
+    if (info.source, info.sha256) == (before.source, before.sha256) and info.good:
+        return
+    now = next(each for each in policies.places if each.source is before.source)
+    why = "" if now.good else f" ({now.name}: {policy_error(now.found)})"
+    raise LinkError(
+        f"{name}: the board flies {policies.flown_text}, expected {before.text}{why} after "
+        f"{flown.text} was given up; `neuroflight flash --list` tells what each place holds"
+    )

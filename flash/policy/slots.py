@@ -1,0 +1,142 @@
+"""What each place of a policy holds, which one is flown, and which one after the next start."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from flash import messages
+from flash.client import Client
+from flash.messages import PolicyInfo, PolicySource
+from flash.payload import Reader
+from toolchain.contract import Msp
+
+PLACES = (PolicySource.SLOT_A, PolicySource.SLOT_B, PolicySource.COMPILED_IN)
+NAMES = {
+    PolicySource.SLOT_A: "slot A",
+    PolicySource.SLOT_B: "slot B",
+    PolicySource.COMPILED_IN: "compiled in",
+    PolicySource.NONE: "none",
+}
+GOOD, EMPTY = 0, -7  # of firmware/src/common/nf_err.h: no error; no blob begins there
+SEQUENCE_SPAN = 1 << 32
+SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
+
+
+@dataclass(frozen=True)
+class Place:
+    """A policy slot, or the compiled-in policy; where it holds no whole one, what follows `flown` is 0."""
+
+    source: PolicySource
+    found: int  # GOOD, else an error of nf_err.h: why it could not be flown now
+    flown: bool  # by this start of the firmware
+    sequence: int  # 0: compiled in
+    architecture_hash: int
+    filters_hash: int
+    control_rate_hz: int
+    idle: float  # motor fraction at zero thrust
+    aircraft: str  # that it was trained for
+    sha256: str  # of its ONNX file, 64 hexadecimal digits
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return NAMES[self.source]
+
+    @property
+    def good(self) -> bool:
+        """Whether it may be flown."""
+        return self.found == GOOD
+
+    @property
+    def text(self) -> str:
+        """Its policy and place, for people."""
+        return _text(self.source, self.sequence, self.aircraft, self.sha256)
+
+
+@dataclass(frozen=True)
+class Policies:
+    """All that a firmware has, as of one moment."""
+
+    info: PolicyInfo  # of the flown one
+    places: tuple[Place, ...]  # in the order of PLACES
+
+    @property
+    def flown(self) -> Place | None:
+        """The one that is flown; None: none is good."""
+        return next((place for place in self.places if place.flown), None)
+
+    @property
+    def flown_text(self) -> str:
+        """The one that is flown, for people; known also where its slot was given up since."""
+        info = self.info
+        if info.source is PolicySource.NONE:
+            return "no policy"
+        return _text(info.source, info.sequence, info.name, info.sha256)
+
+    @property
+    def given_up(self) -> bool:
+        """Whether the flown slot was made invalid, and the firmware has not started since."""
+        return self.flown is not None and self.flown.found == EMPTY
+
+    def after_start(self, without: Place | None = None) -> Place | None:
+        """The one that is flown from the next start on, if it passes its self-test; None: none is good.
+
+        without: a place that will hold none. As `policy_slots_best` of the firmware decides.
+        """
+        good = [place for place in self.places if place.good and place is not without]
+        slots = [place for place in good if place.source is not PolicySource.COMPILED_IN]
+        if len(slots) == 2 and newer(slots[1].sequence, slots[0].sequence):
+            return slots[1]
+        return next(iter(slots or good), None)
+
+    def holding(self, sha256: str, sequence: int) -> Place | None:
+        """The place of the policy with that sequence number."""
+        found = (place for place in self.places if (place.sha256, place.sequence) == (sha256, sequence))
+        return next(found, None)
+
+
+def _text(source: PolicySource, sequence: int, aircraft: str, sha256: str) -> str:
+    told = f"aircraft {aircraft}, sha256 {sha256[:SHA_SHOWN]}"
+    if source is PolicySource.COMPILED_IN:
+        return f"the compiled-in policy ({told})"
+    return f"the policy in {NAMES[source]} (number {sequence}, {told})"
+
+
+def newer(a: int, b: int) -> bool:
+    """Whether sequence number `a` comes after `b`: they wrap (RFC 1982)."""
+    return 0 < (a - b) % SEQUENCE_SPAN < SEQUENCE_SPAN // 2
+
+
+def slot_info(source: PolicySource) -> bytes:
+    """Encode POLICY_SLOT_INFO."""
+    return struct.pack("<B", source)
+
+
+def place_of(source: PolicySource, payload: bytes) -> Place:
+    """Decode POLICY_SLOT_INFO of that place. Raises LinkError."""
+    reader = Reader(Msp.POLICY_SLOT_INFO, payload)
+    found, flown, sequence, architecture, filters, rate, idle = reader.fields("bB4If")
+    aircraft, sha256 = reader.counted_text(), reader.bytes(32).hex()
+    return Place(
+        source=source,
+        found=found,
+        flown=bool(flown),
+        sequence=sequence,
+        architecture_hash=architecture,
+        filters_hash=filters,
+        control_rate_hz=rate,
+        idle=idle,
+        aircraft=aircraft,
+        sha256=sha256,
+    )
+
+
+def read_policies(client: Client) -> Policies:
+    """Ask a firmware for all of them. Raises LinkError."""
+    info = messages.policy_info(client.request(Msp.POLICY_INFO))
+    places = []
+    for source in PLACES:
+        client.settle()  # the replies do not say which place they are of
+        places.append(place_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
+    return Policies(info, tuple(places))

@@ -1,0 +1,184 @@
+"""Another policy into the slot that is not flown, and a start with it.
+
+    begin   the firmware erases the slot that is not flown, and names a sequence number
+    write   the blob with that number, block after block; its first word stays in memory
+    end     the firmware checks all of it, then programs the first word: from here on it counts
+    start   the firmware takes the newest good policy that passes its self-test
+
+Before `end` the slot holds none, so that whatever ends the swap early leaves the policy that is flown. The
+last block and the end may be sent again when their reply was lost; anything else starts over at `begin`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from flash import requests
+from flash.client import Client, NoAnswerError, RefusedError
+from flash.messages import PolicySource
+from flash.policy.candidate import Candidate
+from flash.policy.slots import Place, Policies, read_policies
+from flash.policy_errors import policy_error
+from flash.restart import restart
+from flash.transport import Transport
+from toolchain.contract import Msp, Refusal
+from toolchain.errors import LinkError
+
+ATTEMPTS = 3  # of a whole swap
+RESENDS = 2  # of a block or the end whose reply did not come
+REOPEN_S = 10.0  # in which a line that went comes again
+PAUSE_S = 0.2  # between two attempts to open it
+# What a frame that was damaged on its way, and passed its checksum of 8 bits, may be answered with.
+DAMAGE = frozenset({Refusal.ORDER, Refusal.PAYLOAD, Refusal.SEQUENCE, Refusal.BLOB})
+
+# What erasing and programming take: STM32F722 datasheet, 32 bits at a time, typical.
+ERASE_S = {PolicySource.SLOT_A: 0.55, PolicySource.SLOT_B: 1.0}
+PROGRAM_S = 16e-6 / 4  # a byte
+LINE_BITS = 10  # of a byte on a serial line
+TURN_S = 0.001  # of a block, from its last byte to the reply's
+START_S = 1.0  # until the firmware answers again
+
+Progress = Callable[[int, int], None]  # bytes written, of so many
+
+
+@dataclass(frozen=True)
+class Board:
+    """The line to a firmware, and how time passes on it."""
+
+    reopen: Callable[[], Transport]
+    clock: Callable[[], float] = field(default=time.monotonic)
+    sleep: Callable[[float], None] = field(default=time.sleep)
+
+
+def target(policies: Policies) -> PolicySource:
+    """The slot that a swap erases: the one that is not flown, as `policy_slots_to_be_written` decides."""
+    slots = [place for place in policies.places if place.source is not PolicySource.COMPILED_IN]
+    kept = next((place for place in slots if place.flown), None) or policies.after_start()
+    return PolicySource.SLOT_B if kept is slots[0] else PolicySource.SLOT_A
+
+
+def seconds(size: int, slot: PolicySource, baud: int | None, *, start: bool) -> float:
+    """About how long `size` bytes take; baud: of a serial line, None: another. start: the restart, too."""
+    blocks = -(-size // requests.SLOT_BYTES_MAX)
+    line = size * LINE_BITS / baud if baud else 0.0
+    return ERASE_S[slot] + line + size * PROGRAM_S + blocks * TURN_S + (START_S if start else 0.0)
+
+
+def write(client: Client, candidate: Candidate, board: Board, progress: Progress) -> tuple[Client, Place]:
+    """Put it into the slot that is not flown. Returns the client, another where the line went, and the place.
+
+    Raises LinkError, `client` closed, after ATTEMPTS, and at once where the firmware refuses for good: then
+    the board goes on with the policy that it flies.
+    """
+    ending = False  # the end was sent and nobody knows whether it came
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            sequence, size = _begin(client, candidate)
+            ending = False
+            _write_blocks(client, candidate.blob(sequence), progress)
+            ending = True
+            client.request(Msp.POLICY_SLOT_END, retries=RESENDS)
+            place = read_policies(client).holding(candidate.sha256, sequence)
+            if place is not None and place.good:
+                return client, place
+            failure = LinkError(
+                f"{client.name}: the slot of {size} bytes reads otherwise than it was written"
+            )
+        except RefusedError as error:
+            ending, failure = False, error
+            if error.reason not in DAMAGE:
+                break
+        except NoAnswerError as error:
+            failure = error
+        except LinkError as error:
+            failure = error
+            if attempt < ATTEMPTS and (again := _reopened(client, board)) is not None:
+                client = again
+                continue
+            break
+        except BaseException:
+            client.close()
+            raise
+    client.close()
+    raise LinkError(f"{failure}; {_left(candidate, ending)}") from failure
+
+
+def _begin(client: Client, candidate: Candidate) -> tuple[int, int]:
+    size = candidate.size
+    reply = client.request(Msp.POLICY_SLOT_BEGIN, requests.slot_begin(size), retries=RESENDS)
+    return requests.slot_begun(reply), size
+
+
+def _write_blocks(client: Client, blob: bytes, progress: Progress) -> None:
+    for offset in range(0, len(blob), requests.SLOT_BYTES_MAX):
+        block = blob[offset : offset + requests.SLOT_BYTES_MAX]
+        progress(offset, len(blob))
+        client.request(Msp.POLICY_SLOT_WRITE, requests.slot_write(offset, block), retries=RESENDS)
+    progress(len(blob), len(blob))
+
+
+def _reopened(client: Client, board: Board) -> Client | None:
+    """A client on the line opened again; None: it does not open within REOPEN_S."""
+    client.close()
+    deadline = board.clock() + REOPEN_S
+    while board.clock() < deadline:
+        try:
+            return Client(board.reopen(), board.clock)
+        except LinkError:
+            board.sleep(PAUSE_S)
+    return None
+
+
+def _left(candidate: Candidate, ending: bool) -> str:
+    if ending:
+        return (
+            f"whether {candidate.file} was written to its end is not known: the board flies it from its next "
+            "start on, or the policy that it flew: `neuroflight flash --list` tells"
+        )
+    return f"{candidate.file} was not written: the board goes on with the policy that it flew"
+
+
+def start(client: Client, candidate: Candidate, place: Place, board: Board) -> Client:
+    """Start the firmware anew and check that it flies what is in `place`. Returns a client of the new start.
+
+    Raises LinkError, the client closed, when the board does not come back, and when it flies another policy.
+    """
+    try:
+        client = restart(client, board.reopen, board.clock, board.sleep)
+    except LinkError as error:
+        raise LinkError(
+            f"{error}; {candidate.file} stands in {place.name} and is flown from the next start on if it "
+            "passes its self-test: `neuroflight flash --list` tells"
+        ) from error
+    try:
+        check_flown(client.name, read_policies(client), candidate, place)
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+def check_flown(name: str, policies: Policies, candidate: Candidate, place: Place) -> None:
+    """Raise LinkError unless the board flies the policy in `place`; name: the board's line."""
+    now = next(each for each in policies.places if each.source is place.source)
+    info = policies.info
+    told = (info.source, info.sequence, info.sha256)
+    if now.flown and info.good and told == (place.source, place.sequence, candidate.sha256):
+        return
+    if not now.good:
+        why = f"the one in {place.name} {_was(now.found)}"
+    elif now.flown and not info.good:
+        why = "its self-test failed"
+    else:
+        why = f"{place.name} holds the policy number {now.sequence}, expected {place.sequence}"
+    raise LinkError(
+        f"{name}: the board flies {policies.flown_text} and not {candidate.file}: {why}; "
+        "the policies before it are untouched"
+    )
+
+
+def _was(found: int) -> str:
+    words = policy_error(found)
+    return words if words.startswith("fails") else f"is {words}"

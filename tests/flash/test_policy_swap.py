@@ -1,0 +1,545 @@
+"""`neuroflight flash` --policy, --list and --revert with the real firmware of the host program."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.flash.policy_swap import candidate_of
+from cli.main import main
+from flash.client import Client, RefusedError
+from flash.messages import PolicySource
+from flash.msp import Decoder, Message, encode, error, reply
+from flash.policy import swap as swaps
+from flash.policy.slots import Policies, place_of, read_policies
+from flash.policy.swap import Board
+from flash.policy_errors import POLICY_ERRORS, policy_error
+from flash.transport import Transport, open_transport
+from tests.flash.policies import HostBoard, another_policy, host_board
+from tests.flash.test_noisy_line import FastTransport
+from toolchain.contract import ArmingReason, FlightState, Msp
+from toolchain.errors import LinkError
+from toolchain.policy.blob import pack, parse
+
+ROOT = Path(__file__).resolve().parents[2]
+Run = Callable[..., tuple[int, str, str]]
+Serve = Callable[..., str]
+
+
+@pytest.fixture
+def board(host_program: Path, tmp_path: Path) -> Iterator[HostBoard]:
+    """A host program with erased slots, which starts anew when it is told to."""
+    with host_board(host_program, tmp_path / "flash.bin") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def other(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy of the shipped one's architecture."""
+    return another_policy(shipped_policy, tmp_path_factory.mktemp("policy") / "other.onnx")
+
+
+@pytest.fixture(scope="module")
+def third(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """And one more."""
+    return another_policy(shipped_policy, tmp_path_factory.mktemp("policy") / "third.onnx", seed=2)
+
+
+@pytest.fixture
+def run(board: HostBoard, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Give it words behind `flash`: exit code, stdout, stderr. `port`: another than the board's."""
+
+    def call(*words: object, port: str | None = None) -> tuple[int, str, str]:
+        code = main(["flash", "--port", port or board.port, *map(str, words)])
+        output = capsys.readouterr()
+        assert output.err.count("\n") <= 1
+        assert (code == 0) == (output.err == "")
+        return code, " ".join(output.out.split()), output.err
+
+    return call
+
+
+def places(board: HostBoard) -> Policies:
+    with Client(open_transport(board.port)) as client:
+        return read_policies(client)
+
+
+def sha(path: Path) -> str:
+    return candidate_of(path).sha256
+
+
+def flown(board: HostBoard) -> tuple[PolicySource, int, str, bool]:
+    info = places(board).info
+    return info.source, info.sequence, info.sha256, info.good
+
+
+# --- The swap, and back ---------------------------------------------------------------------------
+def test_the_board_flies_each_policy_and_goes_back_one_by_one_when_asked(
+    run: Run, board: HostBoard, other: Path, third: Path, shipped_policy: Path
+) -> None:
+    code, out, _ = run("--policy", other)
+    assert code == 0
+    assert "flown now the compiled-in policy (aircraft nf1" in out
+    assert "plan erase slot A, write 2" in out
+    assert "the board flies other.onnx from slot A: its self-test passed there" in out
+    assert flown(board) == (PolicySource.SLOT_A, 1, sha(other), True)
+    assert board.starts == 2
+
+    assert "from slot B" in run("--policy", third)[1]
+    assert flown(board) == (PolicySource.SLOT_B, 2, sha(third), True)
+    listed = {row["source"]: row for row in json.loads(run("--list", "--json")[1])}
+    assert [listed[name]["flown"] for name in ("SLOT_A", "SLOT_B", "COMPILED_IN")] == [False, True, False]
+    assert listed["SLOT_A"]["sha256"] == sha(other)
+    assert listed["COMPILED_IN"]["network"] == "19-64-64-4 tanh"
+    assert [row["next"] for row in listed.values()] == [False, True, False]
+
+    code, out, _ = run("--revert")
+    assert "afterwards the policy in slot A (number 1, aircraft nf1" in out
+    assert flown(board) == (PolicySource.SLOT_A, 1, sha(other), True)
+    assert run("--revert")[0] == 0
+    assert flown(board) == (PolicySource.COMPILED_IN, 0, sha(shipped_policy), True)
+    code, _, err = run("--revert")
+    assert code == 1
+    assert "flies the compiled-in policy" in err and "nothing was changed" in err
+    assert "empty" in run("--list")[1]
+
+    assert run("--policy", third)[0] == 0
+    assert flown(board)[2:] == (sha(third), True)
+
+
+def test_the_list_names_networks_of_known_files(
+    run: Run, board: HostBoard, other: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run("--policy", other)[0] == 0
+    (row,) = [row for row in json.loads(run("--list", "--json")[1]) if row["source"] == "SLOT_A"]
+    assert (row["network"], row["state"]) == (None, "good")
+    monkeypatch.chdir(other.parent)
+    out = run("--list")[1]
+    assert re.search(rf"slot A flown 1 nf1 {sha(other)[:12]} 19-64-64-4 tanh good", out)
+    assert re.search(r"slot B empty", out)
+
+
+def test_nothing_is_written_when_it_is_flown_already_or_only_planned(
+    run: Run, board: HostBoard, other: Path, shipped_policy: Path
+) -> None:
+    before = board.flash.read_bytes()
+    code, out, _ = run("--policy", shipped_policy)
+    assert code == 0
+    assert "the board flies policy.onnx already" in out and "nothing was written" in out
+    assert "a plan only (--dry-run): nothing was written" in run("--policy", other, "--dry-run")[1]
+    document = json.loads(run("--policy", other, "--dry-run", "--json")[1])
+    assert (document["slot"], document["written"], document["flown"]) == ("slot A", None, False)
+    assert document["bytes"] == candidate_of(other).size
+    assert board.flash.read_bytes() == before
+    assert run("--policy", shipped_policy, "--force")[0] == 0
+    assert flown(board) == (PolicySource.SLOT_A, 1, sha(shipped_policy), True)
+    written = board.flash.read_bytes()
+    assert "nothing was changed" in run("--revert", "--dry-run")[1]
+    assert board.flash.read_bytes() == written
+
+
+def test_a_policy_waits_for_the_next_start_when_none_is_wanted_now(
+    run: Run, board: HostBoard, other: Path, third: Path
+) -> None:
+    assert (
+        "stands in slot A; the board flies it from its next start on"
+        in run("--policy", other, "--no-reboot")[1]
+    )
+    assert (flown(board)[0], board.starts) == (PolicySource.COMPILED_IN, 1)
+    assert "good, flown from the next start on" in run("--list")[1]
+    out = run("--policy", other)[1]
+    assert "nothing to write: slot A holds it and waits for a start" in out
+    assert flown(board)[:2] == (PolicySource.SLOT_A, 1)
+
+    run("--policy", third, "--no-reboot")
+    code, _, err = run("--revert")
+    assert code == 1 and "is flown from the next start on in place of the one" in err
+    run("--policy", third)
+    assert "is given up; the board flies the policy in slot A" in run("--revert", "--no-reboot")[1]
+    assert "given up; flown until the next start" in run("--list")[1]
+    for words in (("--policy", third), ("--revert",)):
+        code, _, err = run(*words)
+        assert code == 1 and "was given up and is flown until the next start" in err
+    assert main(["msp", "--port", board.port, "reboot"]) == 0
+    assert flown(board)[:3] == (PolicySource.SLOT_A, 1, sha(other))
+
+
+# --- Files and policies that are refused ------------------------------------------------------------
+def broken(kind: str, policy: Path, folder: Path) -> Path:
+    data, path = policy.read_bytes(), folder / "broken.onnx"
+    if kind == "huge":
+        with path.open("wb") as file:
+            file.truncate(10 << 20)
+    elif kind == "random":
+        path.write_bytes(random.Random(5).randbytes(20_000))
+    elif kind == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    elif kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "directory":
+        path.mkdir()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["truncated", "random", "huge", "empty", "missing", "directory"])
+def test_one_line_says_that_nothing_was_written_when_the_file_is_none(
+    run: Run, board: HostBoard, other: Path, tmp_path: Path, kind: str
+) -> None:
+    before = board.flash.read_bytes()
+    code, out, err = run("--policy", broken(kind, other, tmp_path))
+    assert (code, out) == (1, "")
+    assert "broken.onnx" in err and "nothing was written" in err
+    assert board.flash.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("metadata", "words"),
+    [
+        ({"neuroflight.control_rate_hz": "500"}, "control rate [Hz] 500, the image 1000"),
+        (
+            {"neuroflight.filters": '[{"kind": "lowpass1", "cutoff_hz": 90}]'},
+            "gyro filters",
+        ),
+        (
+            {
+                "neuroflight.observation": "rate_error,rate_error_integral,rate,rate~20Hz,"
+                "rate_error_delta,previous_action"
+            },
+            "weights and motors as the image's, but other layers or observed terms (rate_error,",
+        ),
+    ],
+)
+def test_one_line_names_the_difference_when_the_image_cannot_fly_it(
+    run: Run, board: HostBoard, shipped_policy: Path, tmp_path: Path, metadata: dict[str, str], words: str
+) -> None:
+    before = board.flash.read_bytes()
+    policy = another_policy(shipped_policy, tmp_path / "wrong.onnx", metadata=metadata)
+    code, _, err = run("--policy", policy)
+    assert code == 1
+    assert words in err and "nothing was written" in err
+    assert f"make firmware TARGET=HOST POLICY={policy}" in err
+    assert board.flash.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nf1-six", "6-64-64-4 relu does not fit the image that runs (19-64-64-4 tanh): observed values 6, "),
+        ("hexa", "motors 6, the image 4"),
+    ],
+)
+def test_one_line_names_both_networks_when_the_architecture_is_another(
+    run: Run, board: HostBoard, name: str, words: str
+) -> None:
+    before = board.flash.read_bytes()
+    code, _, err = run("--policy", ROOT / "training" / "policies" / name / "policy.onnx")
+    assert code == 1
+    assert words in err and "nothing was written" in err
+    assert board.flash.read_bytes() == before
+
+
+def test_a_policy_of_another_aircraft_is_flown_only_when_that_is_meant(
+    run: Run, board: HostBoard, shipped_policy: Path, tmp_path: Path
+) -> None:
+    metadata = {"neuroflight.aircraft": "other", "neuroflight.idle": "0.1"}
+    policy = another_policy(shipped_policy, tmp_path / "alien.onnx", metadata=metadata)
+    before = board.flash.read_bytes()
+    code, _, err = run("--policy", policy)
+    assert code == 1
+    assert "trained for the aircraft 'other'" in err and "is for 'nf1'; nothing was written" in err
+    assert board.flash.read_bytes() == before
+    code, out, _ = run("--policy", policy, "--other-aircraft")
+    assert code == 0
+    assert "idle 0.1 of full throttle, until now 0.23" in out
+    assert flown(board)[2:] == (sha(policy), True)
+    code, _, err = run("--revert")
+    assert code == 1
+    assert "is for the aircraft 'nf1'" in err and "nothing was changed" in err
+    assert run("--revert", "--other-aircraft")[0] == 0
+    assert flown(board)[0] is PolicySource.COMPILED_IN
+
+
+# --- Boards that are refused ------------------------------------------------------------------------
+Replies = dict[int, Callable[[bytes], bytes | None]]
+
+
+def between(port: str, changed: Replies, asked: list[int]) -> Callable[[bytes], bytes]:
+    """Hands requests on to `port`; replies of `changed` are made of the true ones, None refuses."""
+    client, decoder = Client(open_transport(port)), Decoder()
+
+    def one(message: Message) -> bytes:
+        asked.append(message.command)
+        try:
+            payload = client.request(Msp(message.command), message.payload)
+        except RefusedError:
+            return encode(error(message))
+        change = changed.get(message.command)
+        told = payload if change is None else change(payload)
+        return encode(error(message) if told is None else reply(message, told))
+
+    return lambda data: b"".join(one(event) for event in decoder.feed(data) if isinstance(event, Message))
+
+
+def state(of: FlightState) -> Replies:
+    return {Msp.SAFETY: lambda payload: bytes([of]) + payload[1:]}
+
+
+def under_test(payload: bytes) -> bytes:
+    (flags,) = struct.unpack_from("<I", payload, 4)
+    return payload[:4] + struct.pack("<I", flags | 1 << ArmingReason.MOTOR_TEST) + payload[8:]
+
+
+REFUSED: dict[str, tuple[Replies, str]] = {
+    "armed": (state(FlightState.ARMED), "the board is in state armed"),
+    "failsafe": (state(FlightState.FAILSAFE_HOLD), "the board is in state failsafe hold"),
+    "crashed": (state(FlightState.CRASHED), "the board is in state crashed"),
+    "motor-test": ({Msp.SAFETY: under_test}, "a motor test is open"),
+    "battery": (
+        {Msp.BATTERY_STATE: lambda _: struct.pack("<BHBHhBH", 4, 0, 130, 0, 0, 2, 1304)},
+        "the battery is low, 13.04 V of 4 cells",
+    ),
+    "another make": ({Msp.IDENTITY: lambda _: None}, "a firmware of another make answers (BTFL)"),
+    "older": (
+        {Msp.POLICY_SLOT_INFO: lambda _: None},
+        "it does not know it: bring it and this tool to the same",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+@pytest.mark.parametrize("words", [("--policy",), ("--revert",)], ids=lambda words: words[0])
+def test_nothing_is_sent_that_writes_when_the_board_is_not_ready(
+    run: Run, board: HostBoard, tcp_server: Serve, other: Path, kind: str, words: tuple[str, ...]
+) -> None:
+    changed, told = REFUSED[kind]
+    asked: list[int] = []
+    port = tcp_server(between(board.port, changed, asked))
+    code, out, err = run(*words, *([other] if words == ("--policy",) else []), port=port)
+    assert (code, out) == (1, "")
+    assert told in err
+    assert (
+        "nothing was written" if words == ("--policy",) else "nothing was changed"
+    ) in err or kind == "older"
+    writing = {Msp.POLICY_SLOT_BEGIN, Msp.POLICY_SLOT_WRITE, Msp.POLICY_SLOT_END, Msp.POLICY_SLOT_REVERT}
+    assert asked and not writing & set(asked) and Msp.REBOOT not in asked
+
+
+def test_one_line_says_so_when_nobody_is_there(run: Run, other: Path, free_tcp_port: int) -> None:
+    code, _, err = run("--policy", other, port=f"tcp:127.0.0.1:{free_tcp_port}")
+    assert code == 1 and "nothing was written" in err
+    code, _, err = run("--policy", other, port="/dev/there-is-none")
+    assert code == 1 and "nothing was written" in err
+
+
+def test_the_refusal_is_told_when_the_motors_are_armed_meanwhile(
+    run: Run, board: HostBoard, tcp_server: Serve, other: Path
+) -> None:
+    """The firmware itself refuses what comes after the check."""
+    count = 0
+
+    def refusing(data: bytes) -> bytes:
+        nonlocal count
+        (message,) = (event for event in Decoder().feed(data) if isinstance(event, Message))
+        count += message.command == Msp.POLICY_SLOT_WRITE
+        if message.command == Msp.POLICY_SLOT_WRITE and count == 20:
+            return encode(replace(error(message), payload=struct.pack("<Bh", 1, 0)))
+        return through(data)
+
+    through = between(board.port, {}, [])
+    code, _, err = run("--policy", other, port=tcp_server(refusing))
+    assert code == 1
+    assert "the motors are armed or under test" in err and "other.onnx was not written" in err
+    assert count == 20, "it is not tried again"
+    assert flown(board)[0] is PolicySource.COMPILED_IN
+
+
+# --- A policy that the board does not fly after all ----------------------------------------------------
+def test_the_board_flies_the_old_one_and_says_why_when_the_new_one_fails_its_selftest(
+    board: HostBoard, other: Path, third: Path
+) -> None:
+    good, candidate = candidate_of(third), candidate_of(other)
+    blob = parse(candidate.blob(0))
+    wrong = np.clip(blob.selftest_action + np.float32(1e-6), 0, 1).astype(np.float32)
+    bad = replace(
+        candidate, blob=lambda sequence: pack(replace(blob, sequence=sequence, selftest_action=wrong))
+    )
+    line = Board(lambda: open_transport(board.port))
+    client, place = swaps.write(Client(line.reopen()), good, line, lambda done, total: None)
+    swaps.start(client, good, place, line).close()
+    client, place = swaps.write(Client(line.reopen()), bad, line, lambda done, total: None)
+    assert place.source is PolicySource.SLOT_B
+    with pytest.raises(
+        LinkError, match=r"flies the policy in slot A .* and not other.onnx: the one in slot B fails"
+    ):
+        swaps.start(client, bad, place, line)
+    assert flown(board) == (PolicySource.SLOT_A, 1, good.sha256, True)
+
+
+def test_it_is_told_as_refused_when_the_blob_is_none_for_the_image(board: HostBoard, other: Path) -> None:
+    candidate = candidate_of(other)
+    blob = parse(candidate.blob(0))
+    alien = replace(candidate, blob=lambda n: pack(replace(blob, sequence=n, architecture_hash=1)))
+    line = Board(lambda: open_transport(board.port))
+    with pytest.raises(
+        LinkError,
+        match=r"of another architecture than this image's policy \(error -13 .*; other.onnx was not",
+    ):
+        swaps.write(Client(line.reopen()), alien, line, lambda done, total: None)
+    assert flown(board)[0] is PolicySource.COMPILED_IN
+
+
+# --- Lines that fail ----------------------------------------------------------------------------------
+def test_the_swap_starts_over_when_the_line_is_lost(
+    run: Run, board: HostBoard, tcp_server: Serve, other: Path
+) -> None:
+    seen, lost = 0, [3, 30]  # blocks that are not answered
+
+    def answer(data: bytes) -> bytes:
+        nonlocal seen
+        (message,) = (event for event in Decoder().feed(data) if isinstance(event, Message))
+        seen += message.command == Msp.POLICY_SLOT_WRITE
+        if seen in lost:
+            lost.remove(seen)
+            return b"HANG UP"
+        return through(data)
+
+    through = between(board.port, {}, [])
+    port = tcp_server(answer)
+    code, out, _ = run("--policy", other, "--no-reboot", port=port)
+    assert (code, lost) == (0, [])
+    assert "stands in slot A" in out
+    assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
+
+
+def test_one_line_says_what_it_means_for_the_board_when_ctrl_c_stops_it(
+    board: HostBoard, other: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    words = ["flash", "--port", board.port, "--policy", str(other)]
+    monkeypatch.setattr(swaps, "_write_blocks", stop)
+    with pytest.raises(SystemExit, match="130"):
+        main(words)
+    assert "the board goes on with the policy that it flew, unless all was" in capsys.readouterr().err
+    assert places(board).after_start() == places(board).flown
+    monkeypatch.undo()
+    monkeypatch.setattr(swaps, "start", stop)
+    with pytest.raises(SystemExit, match="130"):
+        main(words)
+    assert "other.onnx stands in slot A and is flown from the next start on" in capsys.readouterr().err
+    assert places(board).after_start().sha256 == sha(other)  # type: ignore[union-attr]
+
+
+def test_it_is_told_what_flies_when_the_line_is_lost_for_good(
+    run: Run, board: HostBoard, tcp_server: Serve, other: Path
+) -> None:
+    def answer(data: bytes) -> bytes:
+        (message,) = (event for event in Decoder().feed(data) if isinstance(event, Message))
+        return b"HANG UP" if message.command == Msp.POLICY_SLOT_WRITE else through(data)
+
+    through = between(board.port, {}, [])
+    code, _, err = run("--policy", other, port=tcp_server(answer))
+    assert code == 1
+    assert "other.onnx was not written: the board goes on with the policy that it flew" in err
+    assert flown(board)[0] is PolicySource.COMPILED_IN
+
+
+class Noise:
+    """What a bad line does to pieces on their way: corrupts, drops, doubles, swaps, holds them back."""
+
+    def __init__(self, seed: int, rate: float) -> None:
+        self.rng, self.rate = random.Random(seed), rate
+        self.held: list[bytes] = []
+        self.done = 0
+
+    def __call__(self, data: bytes) -> bytes:
+        before, self.held = b"".join(self.held), []
+        if self.rng.random() >= self.rate:
+            return before + data
+        self.done += 1
+        kind = self.rng.randrange(5)
+        if kind == 0:  # some bytes; their number, at first, stays: see test_noisy_line.SIZES
+            damaged = bytearray(data)
+            for _ in range(self.rng.randrange(1, 4)):
+                damaged[self.rng.choice([at for at in range(len(data)) if at not in (3, 6, 7)])] ^= (
+                    self.rng.randrange(1, 256)
+                )
+            return before + bytes(damaged)
+        if kind == 1:
+            return before
+        if kind == 2:
+            return before + data + data
+        if kind == 3:
+            return data + before
+        self.held = [data]
+        return before
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(s, marks=pytest.mark.slow) for s in range(3, 40))]
+)
+def test_the_board_flies_the_whole_policy_or_the_old_one_when_the_line_is_bad(
+    board: HostBoard, pty_line: Callable[..., str], other: Path, shipped_policy: Path, seed: int
+) -> None:
+    candidate = candidate_of(other)
+    rate = (0.05, 0.15, 0.4)[seed % 3]
+    down, up = Noise(seed, rate), Noise(100 + seed, rate / 2)
+    device = pty_line(board.port, down=down, up=up)
+
+    def reopen() -> Transport:
+        return FastTransport(device)
+
+    line = reopen()
+    client = Client(line, line.clock)  # type: ignore[attr-defined]
+    told = "written"
+    try:
+        swaps.write(client, candidate, Board(reopen), lambda done, total: None)
+    except LinkError as failure:
+        told = str(failure)
+    else:
+        assert places(board).after_start().sha256 == candidate.sha256  # type: ignore[union-attr]
+    after = places(board).after_start()
+    assert after is not None
+    assert after.sha256 in (candidate.sha256, sha(shipped_policy))
+    assert down.done + up.done > 0
+    print(f"{down.done} changes on the way down, {up.done} up: {told}")
+
+
+# --- Words and orders -------------------------------------------------------------------------------
+def test_each_error_of_a_policy_has_words_when_the_firmware_has_a_number_for_it() -> None:
+    text = (ROOT / "firmware" / "src" / "common" / "nf_err.h").read_text()
+    numbers = {name: int(number) for name, number in re.findall(r"NF_ERR_(\w+) = (-\d+)", text)}
+    of_policies = {number for name, number in numbers.items() if name.startswith("BLOB_") or name == "POLICY"}
+    assert set(POLICY_ERRORS) == of_policies
+    assert policy_error(-99) == "error -99 of nf_err.h, which this tool does not know"
+
+
+SLOT_REPLY = struct.pack("<bB4If", -10, 0, 7, 1, 2, 1000, 0.25) + b"\x03nf1" + bytes(range(32))
+
+
+def test_a_place_is_read_field_by_field_when_told() -> None:
+    place = place_of(PolicySource.SLOT_B, SLOT_REPLY)
+    assert (place.found, place.flown, place.sequence, place.control_rate_hz) == (-10, False, 7, 1000)
+    assert (place.architecture_hash, place.filters_hash, place.idle) == (1, 2, 0.25)
+    assert (place.aircraft, place.sha256) == ("nf1", bytes(range(32)).hex())
+    assert not place.good
+    assert policy_error(place.found) == "damaged: its checksum does not hold"
+    for size in range(len(SLOT_REPLY)):
+        with pytest.raises(LinkError, match="MSP POLICY_SLOT_INFO reply has"):
+            place_of(PolicySource.SLOT_B, SLOT_REPLY[:size])
+
+
+def test_a_swap_takes_seconds_by_its_line_when_planned() -> None:
+    over_usb = swaps.seconds(27_000, PolicySource.SLOT_B, None, start=False)
+    slow = swaps.seconds(27_000, PolicySource.SLOT_B, 115_200, start=False)
+    assert slow - over_usb == pytest.approx(27_000 * 10 / 115_200)
+    assert swaps.seconds(27_000, PolicySource.SLOT_A, None, start=True) > over_usb - 0.45
