@@ -126,8 +126,10 @@ _ACTS = {
     Msp.IMAGE_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT)),
     Msp.IMAGE_BEGIN: Access(
         _STORING,
-        (_R.PAYLOAD, _R.IMAGE, _R.FLASH, _R.ABSENT),
-        "`image` before anything is erased; erasing takes one to two seconds, in which nothing is answered",
+        (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.FLASH, _R.ABSENT),
+        "`image` before anything is erased; `order` while the running image is not confirmed and the other "
+        "bank's is, to which the board may have to go back; erasing takes one to two seconds, in which "
+        "nothing is answered",
     ),
     Msp.IMAGE_WRITE: Access(
         _STORING, (_R.PAYLOAD, _R.ORDER, _R.FLASH, _R.ABSENT), "the last one may be repeated"

@@ -43,26 +43,23 @@ static uint32_t sha256_schedule(uint32_t schedule[SCHEDULE], unsigned t)
 
 static void sha256_block(uint32_t state[WORDS], const uint8_t block[BLOCK_BYTES])
 {
-	enum { A, B, C, D, E, F, G, H };
-	uint32_t schedule[SCHEDULE], s[WORDS];
+	uint32_t a = state[0], b = state[1], c = state[2], d = state[3], e = state[4], f = state[5], g = state[6],
+		 h = state[7], schedule[SCHEDULE];
 
-	memcpy(s, state, sizeof s);
 	for (unsigned t = 0; t < ROUNDS; ++t) {
 		if (t < SCHEDULE)
 			schedule[t] = sha256_big_endian(block + 4u * t);
 		const uint32_t word = t < SCHEDULE ? schedule[t] : sha256_schedule(schedule, t);
-		const uint32_t sum1 = sha256_right(s[E], 6) ^ sha256_right(s[E], 11) ^ sha256_right(s[E], 25);
-		const uint32_t choice = (s[E] & s[F]) ^ (~s[E] & s[G]);
-		const uint32_t first = s[H] + sum1 + choice + constants[t] + word;
-		const uint32_t sum0 = sha256_right(s[A], 2) ^ sha256_right(s[A], 13) ^ sha256_right(s[A], 22);
-		const uint32_t majority = (s[A] & s[B]) ^ (s[A] & s[C]) ^ (s[B] & s[C]);
-		for (unsigned i = H; i > A; --i)
-			s[i] = s[i - 1u];
-		s[E] += first;
-		s[A] = first + sum0 + majority;
+		const uint32_t sum1 = sha256_right(e, 6) ^ sha256_right(e, 11) ^ sha256_right(e, 25);
+		const uint32_t first = h + sum1 + ((e & f) ^ (~e & g)) + constants[t] + word;
+		const uint32_t sum0 = sha256_right(a, 2) ^ sha256_right(a, 13) ^ sha256_right(a, 22);
+		const uint32_t second = sum0 + ((a & b) ^ (a & c) ^ (b & c));
+		h = g, g = f, f = e, e = d + first;
+		d = c, c = b, b = a, a = first + second;
 	}
+	const uint32_t after[WORDS] = { a, b, c, d, e, f, g, h };
 	for (unsigned i = 0; i < WORDS; ++i)
-		state[i] += s[i];
+		state[i] += after[i];
 }
 
 void sha256(const void *bytes, size_t count, uint8_t digest[SHA256_BYTES])

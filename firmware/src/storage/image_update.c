@@ -42,6 +42,16 @@ static bool image_update_clear(const struct flash *flash, unsigned bank)
 	return flash_erase(flash, place->sector) && image_bank_claim(flash, bank);
 }
 
+/* Is the spare bank's image the one to go back to, should the running one, which has yet to run well, fail? */
+static bool image_update_needed(const struct image_update *update)
+{
+	const unsigned spare = image_update_spare(update);
+	const struct image_bank_marks marks = image_bank_marks(update->flash, spare);
+
+	return !image_bank_marks(update->flash, update->running).confirmed && marks.confirmed && !marks.rejected &&
+	       image_bank_whole(update->flash, spare, update->board);
+}
+
 enum nf_refusal image_update_begin(struct image_update *update, const struct nf_image_header *header, uint32_t *offset,
 				   enum nf_err *why)
 {
@@ -51,6 +61,8 @@ enum nf_refusal image_update_begin(struct image_update *update, const struct nf_
 	if (*why != NF_OK)
 		return NF_REFUSAL_IMAGE;
 	if (!update->begun || !image_update_is_header(update, header)) {
+		if (image_update_needed(update))
+			return image_update_give_up(update, NF_REFUSAL_ORDER);
 		update->begun = true;
 		update->header = *header;
 		update->written = 0;

@@ -36,7 +36,8 @@ void image_update_init(struct image_update *update, const struct flash *flash, u
 
 /* Begins an update with the image of that header: erases the spare bank. Where that image is under way already it goes on
  * instead. *offset: where. Waits for the flash, as the next one does.
- * NF_REFUSAL_IMAGE: *why tells what of the header does not fit; nothing is erased. NF_REFUSAL_FLASH. */
+ * NF_REFUSAL_IMAGE: *why tells what of the header does not fit. NF_REFUSAL_ORDER: the running image has yet to be confirmed,
+ * and the spare bank has one that was: the board may have to go back to it. Then nothing is erased. NF_REFUSAL_FLASH. */
 enum nf_refusal image_update_begin(struct image_update *update, const struct nf_image_header *header, uint32_t *offset,
 				   enum nf_err *why);
 

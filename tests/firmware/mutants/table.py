@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
 from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
+from tests.firmware.mutants.image_mutants import IMAGE_MUTANTS
 from tests.firmware.mutants.joined_mutants import JOINED_MUTANTS
 from tests.firmware.mutants.mutant import Mutant
 from tests.firmware.mutants.receiver_mutants import RECEIVER_MUTANTS
@@ -17,6 +18,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *CONTROL_MUTANTS,
     *SAFETY_MUTANTS,
     *STORAGE_MUTANTS,
+    *IMAGE_MUTANTS,
     *JOINED_MUTANTS,
     *COMMAND_LINE_MUTANTS,
 )

@@ -13,6 +13,7 @@ from tests.firmware.images import HEADER_BYTES, MOST_BYTES, changed, crc_of, hea
 from tests.firmware.storage.bank_board import BankBoard, Held, confirmed
 from tests.firmware.storage.test_policy_slots import COMPILED_IN, SLOT_A, SLOT_B, floats, like
 from toolchain.contract import FLASH_BANKS, IMAGE_HEADER_OFFSET, Refusal
+from toolchain.image.bank_state import state
 from toolchain.policy.blob import pack
 
 MakeChip = Callable[..., Any]
@@ -90,6 +91,15 @@ def test_nothing_is_erased_when_the_header_does_not_fit(board: BankBoard, header
     assert (board.chip.content, board.chip.operations) == (before, 0)
 
 
+@pytest.mark.parametrize("kind", range(5))
+def test_the_old_image_is_none_when_its_erasing_was_interrupted(board: BankBoard, kind: int) -> None:
+    board.chip.cut(1, kind, 3)
+    assert board.begin(header_of(NEW))[0] == Refusal.FLASH
+    assert board.boot().image == OLD
+    assert board.hash(1) == MAGIC, "whatever else of it is left"
+    assert board.arrive(NEW) == Refusal.NONE
+
+
 def test_an_update_goes_on_where_it_was_when_the_same_image_is_begun_again(board: BankBoard) -> None:
     assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
     assert board.write(0, NEW[:400]) == Refusal.NONE
@@ -114,6 +124,28 @@ def test_an_update_begins_anew_when_the_board_was_started_meanwhile(board: BankB
     assert board.end() == Refusal.ORDER
     assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
     assert board.arrive(NEW) == Refusal.NONE
+
+
+def test_the_image_to_go_back_to_stays_until_the_running_one_has_run_well(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    assert board.boot().image == NEW
+    next_one = make_image(4, 3000, bank=0)
+    before = board.chip.content
+    assert board.arrive(next_one) == Refusal.ORDER
+    assert (board.chip.content, board.chip.operations) == (before, 0)
+    assert board.lib.image_bank_reject(board.chip.flash, 0)
+    assert board.arrive(next_one) == Refusal.NONE, "it is not gone back to"
+    board.chip.content = before
+    board.boot()
+    board.chip.fill(FLASH_BANKS[0].address + 100, b"\0")
+    assert board.arrive(next_one) == Refusal.NONE, "it cannot be gone back to"
+    board.chip.content = before
+    board.boot()
+    assert board.settle()
+    assert board.arrive(next_one) == Refusal.NONE
+    assert board.switch(digest(next_one)) == Refusal.NONE
+    assert board.boot().image == next_one
 
 
 # --- Write ----------------------------------------------------------------------------------------
@@ -267,8 +299,9 @@ def test_a_failed_image_is_not_switched_to_until_it_is_written_anew(board: BankB
 def test_a_switch_counts_when_the_rom_has_installed_what_runs(chip: MakeChip, spare: str) -> None:
     made = chip()
     made.core.lib.scripted_action = [0.0] * 4
-    installed = Held(NEW) if spare == "installed" else confirmed(OLDER, 3) if spare == "written" else Held()
-    b = BankBoard(made, [Held(OLD), installed])
+    unproven = Held(OLDER, state(sequence=3, confirmed=False, written=True))
+    held = {"erased": Held(), "written": unproven, "installed": Held(NEW)}
+    b = BankBoard(made, [Held(OLD), held[spare]])
     assert b.boot().image == OLD
     if spare != "installed":
         assert b.arrive(NEW) == Refusal.NONE
