@@ -19,7 +19,7 @@ IMAGE_MUTANTS = (
         file=BANK,
         old="\tif (memcmp(header->board, board, sizeof header->board) != 0)\n"
         "\t\treturn NF_ERR_IMAGE_BOARD;\n",
-        new="",
+        new="\t(void)board;\n",
         tests=(OF_BANK, OF_UPDATE),
     ),
     Mutant(
@@ -167,7 +167,7 @@ IMAGE_MUTANTS = (
         name="an image that would not be started is switched to",
         file=UPDATE,
         old="\tif (!image_update_starts(update))\n\t\treturn NF_REFUSAL_ORDER;\n",
-        new="",
+        new="\t(void)image_update_starts(update);\n",
         tests=(OF_UPDATE,),
     ),
     Mutant(
@@ -181,7 +181,7 @@ IMAGE_MUTANTS = (
         name="a switch forgets the policies to leave behind",
         file=UPDATE,
         old="floor->counts ? &floor->sequence : NULL",
-        new="NULL",
+        new="!floor->counts ? &floor->sequence : NULL",
         tests=(OF_UPDATE, OF_COMMANDS),
     ),
     Mutant(
