@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from sim.flight.trace import Trace
 from sim.ports.emulator import EmulatedPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Sample
+from tests.firmware.board.banks import RUN_WELL, compose, read_build
+from toolchain.contract import FLASH_BANK_B
 from toolchain.errors import BuildError, LinkError
 
 Flown = Callable[..., Trace]
@@ -39,6 +42,23 @@ def test_crsf_at_another_gyro_rate_flies_the_same_bits_when_the_image_is_set_so(
 ) -> None:
     on_board = flown(EmulatedPort(image, 1000, receiver="crsf"), BUSY)
     assert flown(ReferencePort(reference_library, 1000), BUSY).same(on_board)
+
+
+def test_the_image_for_bank_b_flies_the_same_bits(
+    board_image: Path, reference_library: Path, flown: Flown, tmp_path: Path
+) -> None:
+    build = read_build(board_image)
+    image = tmp_path / "neuroflight-b.bin"
+    image.write_bytes(compose(build, None, (build.images[1], RUN_WELL)))
+    shutil.copy(board_image.with_name("neuroflight-b.elf"), tmp_path)
+    port = EmulatedPort(image)
+    bank_b = range(FLASH_BANK_B.address, FLASH_BANK_B.address + FLASH_BANK_B.size)
+    assert (
+        int.from_bytes(port.board.engine.memory(port.board.symbols["fast_vectors"] + 4, 4), "little")
+        in bank_b
+    )
+    on_board = flown(port, BUSY)
+    assert flown(ReferencePort(reference_library), BUSY).same(on_board)
 
 
 def test_a_frame_is_refused_when_it_was_not_announced_in_time(image: Path) -> None:

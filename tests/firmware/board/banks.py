@@ -169,6 +169,11 @@ class Trial:
             assert self.board.cycle < end, f"not within {seconds} s; resets: {self.board.engine.resets}"
             self.step()
 
+    def await_start(self, seconds: float) -> None:
+        """Run until it has been reset."""
+        known = self.starts
+        self.until(lambda: self.starts > known, seconds)
+
     @property
     def bank(self) -> int | None:
         """The bank whose image serves its line; None: none does."""

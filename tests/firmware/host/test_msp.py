@@ -18,6 +18,7 @@ from yamspy import MSPy
 
 from flash import messages, records, requests
 from flash.client import Client
+from flash.info import read_info
 from flash.msp import Decoder, Message, encode, request
 from flash.transport import open_transport
 from tests.firmware.telemetry import gaps, samples
@@ -221,6 +222,15 @@ def test_the_reply_comes_before_the_end_when_it_is_told_to_start_anew(start: Sta
     with ask(p) as client:
         assert client.request(Msp.REBOOT, retries=0) == b""
     assert p.process.wait(WAIT_S) == 0
+
+
+def test_it_goes_on_when_it_is_told_to_start_a_boot_loader_that_it_has_not(start: Start) -> None:
+    with ask(start()) as client:
+        with pytest.raises(
+            LinkError, match="refuses MSP REBOOT: this firmware or its settings have no such thing"
+        ):
+            client.request(Msp.REBOOT, bytes([contract.Reboot.ROM]))
+        assert "STORING" not in read_info(client).arming_reasons
 
 
 def test_a_setting_is_forgotten_when_it_was_not_saved(start: Start, tmp_path: Path) -> None:

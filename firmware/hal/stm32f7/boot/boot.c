@@ -172,7 +172,7 @@ static bool boot_is_whole(unsigned bank)
 }
 
 /* An image on probation is checked, and its start counted; where that cannot be, another goes before it. One that has
- * run well is not checked here: that takes 30 ms, and after a reset in flight motors wait for their stop frames. It
+ * run well is not checked here: that takes 50 ms, and after a reset in flight motors wait for their stop frames. It
  * checks itself (storage/image_probation.h). */
 static unsigned boot_choose(void)
 {
