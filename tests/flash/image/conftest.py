@@ -96,6 +96,10 @@ class RevivingHost:
                 return
             self._process = self._start(self._number)
 
+    def interrupt(self) -> None:
+        """End the program; it is started again, as when the cable that powers a board is pulled."""
+        self._process.kill()
+
     def close(self) -> None:
         self._ending = True
         self._process.terminate()
