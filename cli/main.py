@@ -51,7 +51,7 @@ COMMANDS = {
     "rc": "send a firmware its channels over MSP, from a script or a gamepad",
     "monitor": "watch a running firmware live: state, attitude, channels, motors, battery, load",
     "gateway": "a running firmware as a MAVLink aircraft: QGroundControl, companion computers",
-    "flash": "fly another policy, list what the policy slots hold, go back to the one before",
+    "flash": "put an image or another policy onto a board that runs Neuroflight; list, go back",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "gateway": ("pymavlink",),

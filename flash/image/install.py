@@ -91,20 +91,29 @@ class Installation:
             case Stage.ENDED:
                 return "the image was written and decided on; its settings were not compared"
 
-    def run(self, settings: Mapping[str, Value], *, keep_policy: bool) -> Installed:
-        """All of it. settings: those from before. Raises LinkError, which ends with the consequence."""
+    def run(
+        self, settings: Mapping[str, Value], *, keep_policy: bool, reboot: bool = True
+    ) -> Installed | None:
+        """All of it; without `reboot` up to the switch, then None. settings: those from before.
+
+        Raises LinkError, which ends with the consequence.
+        """
         try:
-            return self._run(settings, keep_policy)
+            self._write_and_switch(keep_policy)
+            return self._prove(settings) if reboot else None
         except LinkError as error:
             raise LinkError(f"{error}; {self.consequence}") from None
 
-    def _run(self, settings: Mapping[str, Value], keep_policy: bool) -> Installed:
+    def _write_and_switch(self, keep_policy: bool) -> None:
         image = self.plan.image
         self.stage = Stage.WRITING
         write_image(self.client, image, self._count, self._clock)
         self.stage = Stage.WRITTEN
         switch(self.client, image, self._clock, keep_policy=keep_policy)
         self.stage = Stage.SWITCHED
+
+    def _prove(self, settings: Mapping[str, Value]) -> Installed:
+        image = self.plan.image
         self._restart()
         self._progress("prove", 0, 1)
         self.client, trial = await_image(self.client, image, self._reopen, self._clock, self._sleep)

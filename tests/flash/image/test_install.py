@@ -66,7 +66,9 @@ class Tried:
         return ModelLine(self.board)
 
     def run(self, *, keep_policy: bool = False) -> Installed:
-        return self.installation.run(self.settings, keep_policy=keep_policy)
+        done = self.installation.run(self.settings, keep_policy=keep_policy)
+        assert done is not None
+        return done
 
 
 # --- The new image's fate -----------------------------------------------------------------------------

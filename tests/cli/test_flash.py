@@ -1,0 +1,314 @@
+"""`neuroflight flash`: against the host program, a board in memory, and whatever is no board for it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from cli.main import main
+from flash.image import update
+from flash.image.messages import image_write
+from flash.msp import Decoder, Message, encode
+from tests.flash.conftest import TcpServer
+from tests.flash.image.board_model import BoardModel, Fate, Setting, board_with
+from tests.flash.image.conftest import RevivingHost, for_board, stamped
+from tests.flash.image.conftest import board_images as board_images
+from tests.flash.image.conftest import host_file as host_file
+from tests.flash.image.conftest import host_images as host_images
+from tests.flash.image.conftest import reviving_host as reviving_host
+from toolchain.contract import FLASH_BANK_B, FLASH_BASE, FLASH_BYTES, IMAGE_TAIL_BYTES
+from toolchain.image.stamp import stamp
+
+Run = Callable[..., tuple[int, str, str]]
+BANK_B = FLASH_BANK_B.address - FLASH_BASE
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a backup without a name goes."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def flash(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Give it an image, a port and more words behind `flash`: exit code, stdout, stderr."""
+
+    def run(image: Path, port: str, *words: str) -> tuple[int, str, str]:
+        code = main(["flash", str(image), "--port", port, *words])
+        output = capsys.readouterr()
+        assert output.err.count("\n") == (code != 0)
+        return code, " ".join(output.out.split()), output.err
+
+    return run
+
+
+class ServedBoard:
+    """A board in memory behind a TCP port; half a second passes with each request."""
+
+    def __init__(self, board: BoardModel) -> None:
+        self.board = board
+        self._decoder = Decoder()
+        self._server = TcpServer(self._answer)
+        self.port = self._server.port
+
+    def _answer(self, data: bytes) -> bytes:
+        replies = b""
+        for event in self._decoder.feed(data):
+            if isinstance(event, Message):
+                replies += encode(self.board.answer(event))
+            busy = self.board.answers_from - self.board.now  # erasing, starting: here over at once
+            self.board.advance(0.5 + max(0.0, busy))
+        return replies
+
+    def close(self) -> None:
+        self._server.close()
+
+
+@pytest.fixture
+def serve(board_images: list[bytes]) -> Iterator[Callable[..., ServedBoard]]:
+    """Serve a board that runs an older build."""
+    served: list[ServedBoard] = []
+
+    def start(**facts: Any) -> ServedBoard:
+        served.append(ServedBoard(board_with(stamped(board_images[0], build=b"oldbuild"), **facts)))
+        return served[-1]
+
+    yield start
+    for one in served:
+        one.close()
+
+
+@pytest.fixture
+def nfi(board_image: Path) -> Path:
+    """Both banks' images of a build."""
+    return board_image.with_suffix(".nfi")
+
+
+# --- The whole flow -------------------------------------------------------------------------------------
+def test_the_image_is_written_switched_to_and_seen_to_run(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path, board_images: list[bytes], tmp_path: Path
+) -> None:
+    served = serve()
+    code, out, _ = flash(nfi, served.port)
+    assert code == 0
+    assert "plan bank B: erase sector 6, write" in out
+    assert "settings: all as they were done: the new image runs and has proven itself" in out
+    assert served.board.running == 1 and served.board.banks[1].data == board_images[1]
+    (backup,) = tmp_path.glob("neuroflight-settings-*.txt")
+    assert backup.read_text().splitlines()[1:] == ["set deadband_us = 7", "set roll_expo = 1"]
+
+    code, out, _ = flash(nfi, served.port)
+    assert code == 0 and out.endswith(
+        "the board runs this build already; --force writes it again: nothing was written"
+    )
+    assert served.board.erased == 1
+    assert flash(nfi, served.port, "--force", "--no-backup", "--keep-policy")[0] == 0
+    assert served.board.erased == 2 and served.board.running == 0 and served.board.keep_policy
+    assert len(list(tmp_path.glob("neuroflight-settings-*.txt"))) == 1
+
+
+def test_json_tells_board_image_plan_and_result(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path, tmp_path: Path
+) -> None:
+    served = serve()
+    told = json.loads(flash(nfi, served.port, "--json", "--dry-run")[1])
+    assert told["result"] == "dry run" and told["plan"]["bank"] == 1 and not told["plan"]["same_build"]
+    assert served.board.erased == 0
+    report = json.loads(nfi.with_name("report.json").read_text())["images"][1]
+    assert (told["image"]["sha256"], told["image"]["build"]) == (report["sha256"], report["build"])
+    served.board.of_new_image = {"deadband_us": Setting(0)}
+    code, out, _ = flash(nfi, served.port, "--json", "--backup", str(tmp_path / "kept.txt"))
+    told = json.loads(out)
+    assert code == 0 and told["result"] == "kept" and told["backup"] == str(tmp_path / "kept.txt")
+    assert told["settings"][0] == "put back as they were: deadband_us"
+    told = json.loads(flash(nfi, served.port, "--json")[1])
+    assert told["result"] == "same build"
+
+
+@pytest.mark.parametrize(
+    ("fate", "result"),
+    [(Fate.CRASHES, "went back"), (Fate.POLICY_BAD, "policy bad"), (Fate.UNPROVEN, "unproven")],
+)
+def test_the_exit_code_is_1_when_the_new_image_is_no_good(
+    flash: Run,
+    serve: Callable[..., ServedBoard],
+    nfi: Path,
+    fate: Fate,
+    result: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("flash.image.trial.WAIT_S", 1.0)
+    served = serve(fate=fate)
+    code, out, err = flash(nfi, served.port, "--json", "--no-backup")
+    assert code == 1 and json.loads(out)["result"] == result
+    assert err.startswith(f"neuroflight: {served.port}: the ")
+
+
+def test_the_tool_says_that_the_board_went_back_when_the_host_program_cannot_run_it(
+    flash: Run, reviving_host: RevivingHost, host_file: Path, host_images: list[bytes], tmp_path: Path
+) -> None:
+    """It stands for bank A, whatever is switched to."""
+    before = (tmp_path / "flash.bin").read_bytes()
+    code, _, err = flash(host_file, reviving_host.port, "--no-backup")
+    assert code == 1 and reviving_host.starts == 2
+    assert "the board went back to bank A, version 0.1.0: the new image was not started" in err
+    after = (tmp_path / "flash.bin").read_bytes()
+    assert after[BANK_B:].startswith(host_images[1])
+    slot_b = BANK_B + FLASH_BANK_B.size
+    # All but bank B, the fault log, and bank A's marks: the old image gets a number before the new one does.
+    kept = [(0x0, 0xC000), (0x10000, BANK_B - IMAGE_TAIL_BYTES), (slot_b, FLASH_BYTES)]
+    assert all(after[start:end] == before[start:end] for start, end in kept)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_is_stopped_and_goes_on_where_it_was(
+    flash: Run,
+    reviving_host: RevivingHost,
+    host_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+) -> None:
+    offsets: list[int] = []
+
+    def write(offset: int, data: bytes) -> bytes:
+        offsets.append(offset)
+        if len(offsets) == 100:
+            os.kill(os.getpid(), number)
+        return image_write(offset, data)
+
+    monkeypatch.setattr(update, "image_write", write)
+    code, _, err = flash(host_file, reviving_host.port, "--no-backup")
+    assert code == 128 + number
+    by = "Ctrl-C" if number == signal.SIGINT else "SIGTERM"
+    assert err.startswith(f"neuroflight: stopped by {by}: bank B has 5") and "goes on from there" in err
+    stopped_at = offsets[-1]
+    assert flash(host_file, reviving_host.port, "--no-backup")[0] == 1
+    assert stopped_at <= offsets[100] <= stopped_at + 508
+
+
+# --- Refusals: nothing is written -----------------------------------------------------------------------
+@pytest.fixture
+def refused(flash: Run, reviving_host: RevivingHost, tmp_path: Path) -> Callable[..., str]:
+    """Flash that onto the host program: the one line, its flash being as it was."""
+
+    def run(image: Path, port: str = "") -> str:
+        before = (tmp_path / "flash.bin").read_bytes()
+        code, out, err = flash(image, port or reviving_host.port)
+        assert code == 1 and out == "" and err.endswith("; nothing was written\n")
+        assert (tmp_path / "flash.bin").read_bytes() == before
+        assert not list(tmp_path.glob("neuroflight-settings-*"))
+        return err
+
+    return run
+
+
+def test_an_image_or_elf_of_another_board_is_refused(
+    refused: Callable[..., str], nfi: Path, board_image: Path, tmp_path: Path
+) -> None:
+    assert "it is built for the board MATEKF722, and " in refused(nfi)
+    elf = Path(shutil.copy(board_image, tmp_path / "other.elf"))
+    content = elf.read_bytes()
+    names = re.finditer(b"MATEKF722\0", content)
+    (at,) = [name.start() for name in names if content[name.start() - 32 :].startswith(b"NFIM")]
+    elf.write_bytes(content[:at] + b"MAMBAF405".ljust(16, b"\0") + content[at + 16 :])
+    assert "it is damaged" in refused(elf)
+    stamp(elf)
+    assert "it is built for the board MAMBAF405, and " in refused(elf)
+
+
+@pytest.mark.parametrize("suffix", [".nfi", ".elf", ".hex", ".bin"])
+def test_a_file_is_refused_when_it_is_damaged(
+    refused: Callable[..., str], board_image: Path, suffix: str, tmp_path: Path
+) -> None:
+    whole = board_image.with_suffix(suffix).read_bytes()
+    path = tmp_path / f"image{suffix}"
+    for content in (whole[:90_000], random.Random(1).randbytes(90_000), bytes(10 << 20), b""):
+        path.write_bytes(content)
+        refused(path)
+
+
+def test_a_file_is_refused_when_it_is_of_an_older_layout_or_not_there(
+    refused: Callable[..., str], host_images: list[bytes], tmp_path: Path
+) -> None:
+    older = [stamped(image, layout=struct.pack("<H", 0)) for image in host_images]
+    (tmp_path / "older.nfi").write_bytes(b"".join(older))
+    assert "its layout is 0, older than 1" in refused(tmp_path / "older.nfi")
+    assert "No such file" in refused(tmp_path / "missing.nfi")
+    (tmp_path / "a.nfi").write_bytes(for_board(host_images[0], "HOST"))
+    assert "it holds the image for bank A alone and the board needs that for bank B" in refused(
+        tmp_path / "a.nfi"
+    )
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        ({"armed": True}, "the motors are armed"),
+        ({"battery_level": 2}, "the battery is low"),
+        ({"firmware": "other"}, "Betaflight 0.1.0 on MATEKF722, expected Neuroflight"),
+        ({"has_images": False}, "it is of an older layout"),
+    ],
+)
+def test_a_board_is_refused_when_it_is_not_ready(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path, facts: dict[str, Any], words: str
+) -> None:
+    served = serve(**facts)
+    code, _, err = flash(nfi, served.port)
+    assert code == 1 and words in err and err.endswith("; nothing was written\n")
+    assert served.board.erased == 0 and not served.board.header
+
+
+def test_a_port_is_refused_when_no_board_of_ours_answers_there(
+    refused: Callable[..., str],
+    host_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tcp_server: Callable[..., str],
+    free_tcp_port: int,
+) -> None:
+    assert "nobody listens there" in refused(host_file, f"tcp:127.0.0.1:{free_tcp_port}")
+    assert "there is no such device" in refused(host_file, "/dev/ttyUSB99")
+    assert "is of no known form" in refused(host_file, "usb")
+    assert "the other end closed the connection" in refused(host_file, tcp_server(lambda data: b"HANG UP"))
+    garbage = tcp_server(lambda data: b"$GPGGA,092750.000,5321.6802,N\r\n")
+    assert "bytes that are no MSP" in refused(host_file, garbage)
+    for number, words in (
+        (errno.EACCES, "permission denied"),
+        (errno.EBUSY, "close the other program that has it open"),
+    ):
+
+        def fail(*_: object, number: int = number, **__: object) -> None:
+            raise serial.SerialException(number, os.strerror(number))
+
+        monkeypatch.setattr(serial, "Serial", fail)
+        assert words in refused(host_file, "/dev/ttyUSB0")
+
+
+def test_it_says_what_is_written_when_the_port_is_unplugged_meanwhile(
+    flash: Run, reviving_host: RevivingHost, host_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = 0
+
+    def write(offset: int, data: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        if count == 50:
+            threading.Thread(target=reviving_host.interrupt).start()
+        return image_write(offset, data)
+
+    monkeypatch.setattr(update, "image_write", write)
+    code, _, err = flash(host_file, reviving_host.port, "--no-backup")
+    assert code == 1
+    assert "bank B has " in err and "bank A was not written and stays" in err
