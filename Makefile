@@ -12,6 +12,7 @@ SCENARIO ?= pulses
 COUNT    ?= 10
 ON       ?= host
 JOBS     ?= auto
+PORT     ?=
 ARGS     ?=
 
 VENV := .venv
@@ -31,7 +32,7 @@ PYTHON   :=
 TORCH    :=
 READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 
-.PHONY: coverage help setup arm clang cppcheck peers firmware host train fly emulate test prove bench lint clean
+.PHONY: coverage help setup arm clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -52,6 +53,10 @@ arm: # the ARM compiler and llvm-mca, from the system's packages where that is a
 
 firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
 	@$(RUN) build --target $(TARGET) --policy "$(POLICY)"
+
+flash: firmware ## the image onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
+	$(if $(PORT),,$(error PORT is missing; run: make flash PORT=/dev/ttyUSB0, or the device that the board has))
+	@$(RUN) flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine
 	@$(RUN) build --target HOST --policy "$(POLICY)"

@@ -133,8 +133,11 @@ def test_the_right_image_arrives_when_every_byte_of_a_frame_is_wrong_in_turn(
 
 
 class Shuffled:
-    """Drops, doubles, holds back or cuts one piece in six. It cuts little off: a board gives half a frame up when
-    its line rests, the host program, whose TCP loses nothing, waits for as many bytes as it was told."""
+    """Drops, doubles, holds back or cuts one piece in six.
+
+    It cuts little off: a board gives half a frame up when its line rests, while the host program, whose TCP
+    loses nothing, waits for as many bytes as it was told.
+    """
 
     def __init__(self, seed: int) -> None:
         self._rng = random.Random(seed)
