@@ -173,7 +173,7 @@ def _backup(args: argparse.Namespace, board: Board, settings: dict[str, Value]) 
 
 
 def _tell(args: argparse.Namespace, facts: dict[str, object], done: Installed | None) -> int:
-    """Say how it ended. Raises NeuroflightError unless the new image runs well. done: None without a restart."""
+    """Say how it ended; done: None without a restart. Raises NeuroflightError unless the image runs well."""
     from flash.image.trial import Ending
 
     if done is None:

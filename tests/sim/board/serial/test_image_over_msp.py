@@ -15,10 +15,9 @@ from flash.info import read_info
 from sim.board.core.context import TIME_HZ
 from sim.board.serial.idle_board import IdleBoard, configured
 from tests.firmware.images import header_of
-from toolchain.contract import ARMING_DELAY_MS, MSP_IMAGE_NUMBERED, Msp
+from toolchain.contract import ARMING_DELAY_MS, MSP_IMAGE_NUMBERED, Msp, image_field_offset
 from toolchain.contract.msp_layouts import Direction
 from toolchain.contract.msp_messages import layout_of
-from toolchain.image.stamp import field_offset
 
 BAUD = 921600
 WRITTEN_S = 10.0  # from the erasing to the switch
@@ -35,7 +34,7 @@ def told(client: Client, command: Msp, payload: bytes = b"") -> dict[str, Any]:
 def image_of_bank_b(board_image: Path) -> bytes:
     """The second of the two images in the .nfi file."""
     both = board_image.with_suffix(".nfi").read_bytes()
-    return both[int(struct.unpack_from("<I", both, field_offset("image_bytes"))[0]) :]
+    return both[int(struct.unpack_from("<I", both, image_field_offset("image_bytes"))[0]) :]
 
 
 @pytest.mark.slow
