@@ -32,6 +32,12 @@ PYTHON   :=
 TORCH    :=
 READY    := $(VENV)/.$(EXTRA)$(TORCH:%=-%)
 
+ifneq ($(call asked,flash),)
+  ifeq ($(PORT),)
+    $(error PORT is missing; run: make flash PORT=/dev/ttyUSB0, or whatever the device is called)
+  endif
+endif
+
 .PHONY: coverage help setup arm clang cppcheck peers firmware flash host train fly emulate test prove bench lint clean
 
 help: ## this list
@@ -55,7 +61,6 @@ firmware: $(READY) arm ## the flash image: TARGET=MATEKF722 [POLICY=path.onnx]
 	@$(RUN) build --target $(TARGET) --policy "$(POLICY)"
 
 flash: firmware ## the image onto a board that runs Neuroflight: PORT=/dev/ttyUSB0 [ARGS="--dry-run"]
-	$(if $(PORT),,$(error PORT is missing; run: make flash PORT=/dev/ttyUSB0, or the device that the board has))
 	@$(RUN) flash build/$(TARGET)/neuroflight.nfi --port "$(PORT)" $(ARGS)
 
 host: $(READY) ## the same firmware as a program of this machine

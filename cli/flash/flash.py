@@ -70,7 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rom.add_argument("--rom", action="store_true", help="write to a board that nothing else reaches")
     rom.add_argument("--all", action="store_true", help="with --rom: erase bank B as well")
     rom.add_argument("--verify-only", action="store_true", help="with --rom: compare, write nothing")
-    parser.add_argument("--no-reboot", action="store_true", help="do not start the board anew")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -173,7 +172,7 @@ def _backup(args: argparse.Namespace, board: Board, settings: dict[str, Value]) 
 
 
 def _tell(args: argparse.Namespace, facts: dict[str, object], done: Installed | None) -> int:
-    """Say how it ended; done: None without a restart. Raises NeuroflightError unless the image runs well."""
+    """Say how it ended. Raises NeuroflightError unless the new image runs well. done: None: no restart."""
     from flash.image.trial import Ending
 
     if done is None:

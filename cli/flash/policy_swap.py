@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-reboot",
         action="store_true",
-        help="with --policy and --revert: do not start the board anew, it flies what it flew until then",
+        help="do not start the board anew: until somebody does it flies what it flew",
     )
 
 

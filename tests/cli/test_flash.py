@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import struct
+import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,6 +33,7 @@ from tests.flash.image.conftest import reviving_host as reviving_host
 from toolchain.contract import FLASH_BANK_B, FLASH_BASE, FLASH_BYTES, IMAGE_TAIL_BYTES
 from toolchain.image.stamp import stamp
 
+ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., tuple[int, str, str]]
 BANK_B = FLASH_BANK_B.address - FLASH_BASE
 
@@ -197,6 +199,29 @@ def test_it_is_stopped_and_goes_on_where_it_was(
     stopped_at = offsets[-1]
     assert flash(host_file, reviving_host.port, "--no-backup")[0] == 1
     assert stopped_at <= offsets[100] <= stopped_at + 508
+
+
+def test_the_board_is_left_running_when_no_reboot_is_asked_for(
+    flash: Run, serve: Callable[..., ServedBoard], nfi: Path
+) -> None:
+    served = serve()
+    code, out, _ = flash(nfi, served.port, "--no-reboot", "--no-backup")
+    assert code == 0 and "the next boot starts the new image" in out
+    assert served.board.running == 0 and served.board.banks[1].numbered and served.board.boots == 5
+
+
+def test_rom_and_image_are_not_mixed_with_what_they_do_not_go_with(flash: Run, nfi: Path) -> None:
+    port = "/dev/ttyUSB99"
+    assert "--all and --verify-only go with --rom" in flash(nfi, port, "--all")[2]
+    assert "got an image or --rom, expected neither" in flash(nfi, port, "--list")[2]
+    assert "expected an image: .elf, .hex or .bin" in flash(nfi, port, "--rom")[2]
+    assert "there is no such device" in flash(nfi.with_suffix(".hex"), port, "--rom", "--verify-only")[2]
+
+
+def test_make_flash_asks_for_the_port_before_it_builds(tmp_path: Path) -> None:
+    done = subprocess.run(["make", "-C", str(ROOT), "flash", "PORT="], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout.count("\n") <= 2
+    assert "PORT is missing; run: make flash PORT=/dev/ttyUSB0" in done.stderr
 
 
 # --- Refusals: nothing is written -----------------------------------------------------------------------
