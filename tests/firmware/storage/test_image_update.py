@@ -18,6 +18,7 @@ from toolchain.policy.blob import pack
 
 MakeChip = Callable[..., Any]
 MAGIC, LAYOUT, BOARD, BANK, SIZE, HEADER, CRC, SHA256 = range(-17, -25, -1)  # enum nf_err
+BEFORE = 0  # kind of a cut: enum flash_cut
 BLOB_MAGIC, BLOB_OLD = -7, -16
 OLD, OLDER, NEW = make_image(1, bank=0), make_image(2), make_image(3, 4000)
 
@@ -97,6 +98,9 @@ def test_the_old_image_is_none_when_its_erasing_was_interrupted(board: BankBoard
     assert board.begin(header_of(NEW))[0] == Refusal.FLASH
     assert board.boot().image == OLD
     assert board.hash(1) == MAGIC, "whatever else of it is left"
+    if kind == BEFORE:  # all of it, but for the magic, which went before the erasing
+        gone = OLDER[:IMAGE_HEADER_OFFSET] + bytes(4) + OLDER[IMAGE_HEADER_OFFSET + 4 :]
+        assert board.chip.region(FLASH_BANKS[1])[: len(OLDER)] == gone
     assert board.arrive(NEW) == Refusal.NONE
 
 
