@@ -41,7 +41,8 @@ class Board:
         hal = {"cycles": self.cycles, "power_read": self.power, "beeper": self.switch, "led": self.switch}
         self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
-        self.pid, self.identity = core.new("struct pid_gains *"), core.new("struct msp_identity *")
+        self.pid, self.target = core.new("struct pid_gains *"), core.new("char[]", b"TARGET")
+        self.identity = core.new("struct msp_identity *", {"target": self.target})
         self.weights = core.new("double[]", 8)
         settings = {"gyro_alignment": alignment, "arming_delay_ms": BOOT_GRACE_MS}
         self.change = core.new("struct setting_change[]", len(settings))

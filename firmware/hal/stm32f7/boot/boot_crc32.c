@@ -4,12 +4,28 @@
 
 #define POLYNOMIAL 0xEDB88320u /* reflected */
 enum { SLICES = 4, ENTRIES = 256 };
+#define FEW_BYTES 64u /* so many are done before the tables would be made */
 
 /* Linker script. */
 extern uint32_t boot_scratch[SLICES][ENTRIES];
 
 /* A word that may lie over anything. */
 typedef uint32_t __attribute__((may_alias)) word;
+
+/* What eight more bits of 0 make of the register. */
+static uint32_t boot_crc32_shift(uint32_t crc)
+{
+	for (unsigned bit = 0; bit < 8u; ++bit)
+		crc = crc >> 1 ^ (crc % 2u != 0u ? POLYNOMIAL : 0u);
+	return crc;
+}
+
+static uint32_t boot_crc32_few(uint32_t crc, const uint8_t *in, size_t count)
+{
+	for (; count != 0u; --count)
+		crc = boot_crc32_shift(crc ^ *in++);
+	return crc;
+}
 
 /* tables[s][b]: what a byte b makes of the register that s more bytes of 0 follow. It is linear: an entry is the sum of
  * those of its bits. */
@@ -35,18 +51,17 @@ uint32_t crc32_more(uint32_t crc, const void *bytes, size_t count)
 	uint32_t (*const tables)[ENTRIES] = boot_scratch;
 	const uint8_t *in = bytes;
 
-	if (count == 0u)
-		return crc;
+	if (count <= FEW_BYTES)
+		return ~boot_crc32_few(~crc, in, count);
 	boot_crc32_make(tables);
-	crc = ~crc;
-	for (; count != 0u && (uintptr_t)in % sizeof(word) != 0u; --count)
-		crc = crc >> 8 ^ tables[0][(crc ^ *in++) & 0xFFu];
+	const size_t before = -(uintptr_t)in % sizeof(word);
+	crc = boot_crc32_few(~crc, in, before);
+	in += before;
+	count -= before;
 	for (; count >= sizeof(word); count -= sizeof(word), in += sizeof(word)) {
 		crc ^= *(const word *)(const void *)in;
 		crc = tables[3][crc & 0xFFu] ^ tables[2][crc >> 8 & 0xFFu] ^ tables[1][crc >> 16 & 0xFFu] ^
 		      tables[0][crc >> 24];
 	}
-	for (; count != 0u; --count)
-		crc = crc >> 8 ^ tables[0][(crc ^ *in++) & 0xFFu];
-	return ~crc;
+	return ~boot_crc32_few(crc, in, count);
 }
