@@ -35,6 +35,7 @@ ROOMS = (
     "flash",
     "flash/rom",
     "flash/image",
+    "flash/policy",
     "flash/motors",
     "flash/channels",
     "flash/mavlink",

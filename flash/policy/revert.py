@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flash.client import Client, NoAnswerError
 from flash.messages import PolicySource
-from flash.policy.slots import Place, Policies, read_policies
+from flash.policy.slots import Place, Policies, read_patiently
 from flash.policy.swap import Board
 from flash.policy_errors import policy_error
 from flash.restart import restart
@@ -64,7 +64,7 @@ def start(client: Client, flown: Place, before: Place, board: Board) -> Client:
     """
     client = restart(client, board.reopen, board.clock, board.sleep)
     try:
-        check_reverted(client.name, read_policies(client), flown, before)
+        check_reverted(client.name, read_patiently(client, board.clock), flown, before)
     except BaseException:
         client.close()
         raise

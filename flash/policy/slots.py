@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from flash import messages
-from flash.client import Client
+from flash.client import Client, NoAnswerError
 from flash.messages import PolicyInfo, PolicySource
 from flash.payload import Reader
 from toolchain.contract import Msp
@@ -19,6 +20,7 @@ NAMES = {
     PolicySource.NONE: "none",
 }
 GOOD, EMPTY = 0, -7  # of firmware/src/common/nf_err.h: no error; no blob begins there
+PATIENCE_S = 15.0  # in which a line that stalls carries an answer
 SEQUENCE_SPAN = 1 << 32
 SHA_SHOWN = 12  # digits of a SHA-256 that tell two policies apart for people
 
@@ -140,3 +142,14 @@ def read_policies(client: Client) -> Policies:
         client.settle()  # the replies do not say which place they are of
         places.append(place_of(source, client.request(Msp.POLICY_SLOT_INFO, slot_info(source))))
     return Policies(info, tuple(places))
+
+
+def read_patiently(client: Client, clock: Callable[[], float]) -> Policies:
+    """The same, asked again while nobody answers: nothing is changed by it. Raises LinkError."""
+    deadline = clock() + PATIENCE_S
+    while True:
+        try:
+            return read_policies(client)
+        except NoAnswerError:
+            if clock() >= deadline:
+                raise

@@ -19,7 +19,7 @@ from flash import requests
 from flash.client import Client, NoAnswerError, RefusedError
 from flash.messages import PolicySource
 from flash.policy.candidate import Candidate
-from flash.policy.slots import Place, Policies, read_policies
+from flash.policy.slots import Place, Policies, read_patiently
 from flash.policy_errors import policy_error
 from flash.restart import restart
 from flash.transport import Transport
@@ -80,7 +80,7 @@ def write(client: Client, candidate: Candidate, board: Board, progress: Progress
             _write_blocks(client, candidate.blob(sequence), progress)
             ending = True
             client.request(Msp.POLICY_SLOT_END, retries=RESENDS)
-            place = read_policies(client).holding(candidate.sha256, sequence)
+            place = read_patiently(client, board.clock).holding(candidate.sha256, sequence)
             if place is not None and place.good:
                 return client, place
             failure = LinkError(
@@ -153,7 +153,7 @@ def start(client: Client, candidate: Candidate, place: Place, board: Board) -> C
             "passes its self-test: `neuroflight flash --list` tells"
         ) from error
     try:
-        check_flown(client.name, read_policies(client), candidate, place)
+        check_flown(client.name, read_patiently(client, board.clock), candidate, place)
     except BaseException:
         client.close()
         raise

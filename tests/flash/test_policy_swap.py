@@ -453,6 +453,114 @@ def test_it_is_told_what_flies_when_the_line_is_lost_for_good(
     assert flown(board)[0] is PolicySource.COMPILED_IN
 
 
+class Timed:
+    """A line to a firmware whose time passes as a test wants it: no wait takes long."""
+
+    def __init__(self, port: str) -> None:
+        self._inner = open_transport(port)
+        self.name, self.close = self._inner.name, self._inner.close
+        self.now, self.writes = 0.0, 0
+
+    def clock(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+    def read(self, timeout: float) -> bytes:
+        self.now += 0.001
+        return self._inner.read(timeout)
+
+    def write(self, data: bytes) -> None:
+        self.writes += 1
+        self._inner.write(data)
+
+
+class Stalling(Timed):
+    """Carries nothing for 10 s from a request on: no requests, or only no replies; then all of it."""
+
+    def __init__(self, port: str, at: int, *, requests: bool) -> None:
+        super().__init__(port)
+        self.at, self.requests, self.until = at, requests, 0.0
+        self.held: list[bytes] = []
+
+    def read(self, timeout: float) -> bytes:
+        if self.now < self.until:
+            self.now = min(self.until, self.now + timeout)
+            return b""
+        for data in self.held:
+            super().write(data)
+        self.held = []
+        return super().read(timeout)
+
+    def write(self, data: bytes) -> None:
+        if self.at == self.writes + len(self.held):
+            self.at, self.until = -1, self.now + STALL_S
+        if self.requests and self.now < self.until:
+            self.held.append(data)
+        else:
+            super().write(data)
+
+
+STALL_S = 10.0
+BLOCKS = 54  # of the shipped policy's blob, about: a request each, between the beginning and the end
+
+
+@pytest.mark.parametrize("requests", [True, False], ids=["both ways", "replies"])
+@pytest.mark.parametrize("at", [0, 1, 2, 20, BLOCKS, BLOCKS + 2])
+def test_the_swap_goes_on_when_the_line_stalls_for_ten_seconds(
+    board: HostBoard, other: Path, at: int, requests: bool
+) -> None:
+    candidate, line = candidate_of(other), Stalling(board.port, at, requests=requests)
+    client, place = swaps.write(
+        Client(line, line.clock),
+        candidate,
+        Board(lambda: line, line.clock, line.sleep),
+        lambda done, total: None,
+    )
+    client.close()
+    assert line.at == -1 and line.now > STALL_S
+    assert (place.source, places(board).after_start()) == (PolicySource.SLOT_A, place)
+
+
+class Pulled(Timed):
+    """A cable that is pulled before a request."""
+
+    def __init__(self, port: str, at: int) -> None:
+        super().__init__(port)
+        self.at = at
+
+    def write(self, data: bytes) -> None:
+        if self.writes == self.at:
+            raise LinkError(f"{self.name}: gone")
+        super().write(data)
+
+
+def test_the_swap_is_whole_when_the_cable_was_pulled_at_twenty_moments_before(
+    board: HostBoard, other: Path, shipped_policy: Path
+) -> None:
+    candidate, rng = candidate_of(other), random.Random(3)
+
+    def gone() -> Transport:
+        raise LinkError("no such device")
+
+    for at in sorted(rng.sample(range(BLOCKS), 20)):
+        line = Pulled(board.port, at)
+        with pytest.raises(LinkError, match=r"gone; other.onnx was not written: the board goes on"):
+            swaps.write(
+                Client(line, line.clock),
+                candidate,
+                Board(gone, line.clock, line.sleep),
+                lambda done, total: None,
+            )
+        after = places(board).after_start()
+        assert after is not None and after.sha256 == sha(shipped_policy)
+    plain = Board(lambda: open_transport(board.port))
+    client, place = swaps.write(Client(plain.reopen()), candidate, plain, lambda done, total: None)
+    swaps.start(client, candidate, place, plain).close()
+    assert flown(board)[2:] == (candidate.sha256, True)
+
+
 class Noise:
     """What a bad line does to pieces on their way: corrupts, drops, doubles, swaps, holds them back."""
 
