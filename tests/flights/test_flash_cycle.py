@@ -1,0 +1,141 @@
+"""From an erased chip to a flight: the ROM, a second image and a policy over the line, all on one board."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from cli.flash.policy_swap import candidate_of
+from flash.image.board import read_board
+from flash.image.files import image_for, read_images
+from flash.image.trial import Ending
+from flash.image.update import hash_of
+from flash.info import read_info
+from flash.messages import PolicySource
+from flash.policy import swap as swaps
+from flash.rom import rescue
+from flash.rom.segments import read_segments
+from flash.settings import Settings
+from sim.aircraft.model import load_aircraft
+from sim.board.serial.idle_board import IdleBoard
+from sim.control.pid_table import pid_table
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.ports.emulator import EmulatedPort
+from sim.ports.library import ReferencePort
+from tests.conftest import BUILD, ROOT
+from tests.flash.image.emulated import BAUD, Wired
+from tests.flash.policies import another_policy
+from tests.flash.rom.conftest import Rig
+from toolchain.contract import IMAGE_PROBATION_MS, MSP_BAUD_DEFAULT
+from toolchain.image.build import build
+
+IMAGE_S, SWAP_S = 30.0, 5.0  # what an image and a policy may take of the board's time, restarts included
+A, B = range(2)
+FLIGHT = Scenario(
+    "cycle", tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(6))
+)
+
+
+@pytest.fixture(scope="module")
+def second_image(shipped_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ELF of another build, for bank A: its policy is another."""
+    policy = another_policy(shipped_policy, tmp_path_factory.mktemp("second") / "second.onnx", seed=11)
+    build("MATEKF722", policy, ROOT, BUILD / "second", pid_table(load_aircraft("nf1")))
+    return BUILD / "second" / "MATEKF722" / "neuroflight.elf"
+
+
+@pytest.fixture
+def chip() -> Iterator[IdleBoard]:
+    """An erased one whose BOOT button is held as it gets its power."""
+    idle = IdleBoard(b"", boot_button=True, newly_installed=True)
+    idle.boot()
+    assert idle.board.hardware.rom.runs
+    yield idle
+    idle.close()
+
+
+def install_by_rom(chip: IdleBoard, image: Path) -> None:
+    """Then the button is released and the plug pulled once."""
+    with Rig(chip).client() as client:
+        client.connect()
+        rescue.install(client, rescue.make_plan(read_segments(image.with_suffix(".hex"))))
+    chip.board.hold_boot_button(False)
+    chip.board.reset()
+    chip.boot()
+
+
+def store(wired: Wired, name: str, value: float) -> None:
+    """A setting that is flown from the next power-up on."""
+    with wired.client() as client:
+        settings = Settings(client)
+        settings.set(name, value)
+        settings.save()
+    wired.powered.board.reset()
+    assert isinstance(wired.powered, IdleBoard)
+    wired.powered.boot()
+
+
+def check_proves_itself(wired: Wired) -> None:
+    """An image that the ROM installed is on probation; then it has a number and is kept."""
+    with wired.client() as client:
+        before = read_board(client).banks
+        assert (before.running, before.now.installed, before.now.confirmed) == (A, True, False)
+        assert "PROBATION" in read_info(client).arming_reasons
+        wired.sleep(IMAGE_PROBATION_MS / 1000 + 0.5)
+        after = read_board(client).banks
+        assert after.now.confirmed and after.now.numbered and after.now.sequence == 1
+        assert not after.banks[B].fits
+        assert "PROBATION" not in read_info(client).arming_reasons
+
+
+def swap(wired: Wired, policy: Path) -> float:
+    """A policy into a slot and a start with it. Returns how long that took."""
+    began, candidate = wired.seconds, candidate_of(policy)
+    client, place = swaps.write(wired.client(), candidate, wired.for_swaps(), lambda done, total: None)
+    assert place.source is PolicySource.SLOT_A
+    swaps.start(client, candidate, place, wired.for_swaps()).close()
+    return wired.seconds - began
+
+
+def test_an_erased_chip_becomes_a_board_that_flies_a_second_image_with_a_swapped_policy(
+    chip: IdleBoard,
+    board_image: Path,
+    second_image: Path,
+    shipped_policy: Path,
+    reference_library: Path,
+    flown: Callable[..., Trace],
+    tmp_path: Path,
+) -> None:
+    install_by_rom(chip, board_image)
+    factory = Wired(chip, MSP_BAUD_DEFAULT)
+    check_proves_itself(factory)
+    store(factory, "msp_baud", BAUD)
+    wired = Wired(chip)
+
+    file, began = read_images(second_image.with_suffix(".nfi")), wired.seconds
+    installed = wired.install(file)
+    image_s = wired.seconds - began
+    print(f"an image: {image_s:.2f} s of emulated time")
+    assert (installed.trial.ending, image_s < IMAGE_S) == (Ending.KEPT, True)
+    with wired.client() as client:
+        banks = read_board(client).banks
+        assert (banks.running, banks.now.build, banks.now.sequence) == (B, file.build, 2)
+        assert hash_of(client, B, lambda: wired.seconds) == image_for(file, B).sha256
+        info = read_info(client)
+        assert info.policy is not None and info.policy.sha256 != candidate_of(shipped_policy).sha256
+
+    swap_s = swap(wired, shipped_policy)
+    print(f"a policy: {swap_s:.2f} s of emulated time")
+    assert swap_s < SWAP_S
+
+    store(wired, "msp_baud", MSP_BAUD_DEFAULT)  # which the port below talks at
+    image = tmp_path / "chip.bin"
+    image.write_bytes(chip.flash())
+    shutil.copy(second_image.with_name("neuroflight-b.elf"), image.with_suffix(".elf"))
+    on_board = flown(EmulatedPort(image), FLIGHT)
+    assert (on_board.dshot > 0).all()
+    assert on_board.same(flown(ReferencePort(reference_library), FLIGHT))
