@@ -67,6 +67,8 @@ class Wired:
             client, plan, self.transport, lambda *step: None, lambda: self.seconds, self.sleep
         )
         try:
-            return installation.run(settings, keep_policy=False)
+            done = installation.run(settings, keep_policy=False)
+            assert done is not None
+            return done
         finally:
             installation.client.close()
