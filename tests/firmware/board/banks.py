@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
@@ -19,14 +18,12 @@ from sim.board.core.context import TIME_HZ
 from sim.board.matekf722 import FULL_VOLTS
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, LineTransport, UartLine
+from tests.firmware.images import stamped
 from toolchain.contract import (
     FLASH_BANKS,
     FLASH_BASE,
     FLASH_BOOT,
     FLASH_BYTES,
-    IMAGE_FIELDS,
-    IMAGE_HEADER_FORMAT,
-    IMAGE_HEADER_OFFSET,
     IMAGE_NUMBER_ENTRIES,
     IMAGE_NUMBER_WORDS,
     IMAGE_STARTS_MAX,
@@ -36,8 +33,8 @@ from toolchain.contract import (
     POLICY_BLOB_CRC_BYTES,
     POLICY_BLOB_FIELDS,
     POLICY_BLOB_HEADER_FORMAT,
-    image_checksum,
     image_field_offset,
+    image_header,
 )
 from toolchain.image.bank_state import state
 
@@ -60,7 +57,9 @@ class Build:
 def read_build(elf: Path) -> Build:
     """The products beside bank A's ELF."""
     both = elf.with_suffix(".nfi").read_bytes()
-    size = header(both)["image_bytes"]
+    told = image_header(both)
+    assert told is not None
+    size = told.image_bytes
     flash = elf.with_suffix(".bin").read_bytes()
     other = elf.with_name("neuroflight-b.elf")
     return Build(flash[: FLASH_BOOT.size], (both[:size], both[size:]), (_symbols(elf), _symbols(other)), elf)
@@ -71,18 +70,6 @@ def _symbols(elf: Path) -> dict[str, int]:
         table = ELFFile(file).get_section_by_name(".symtab")
         assert isinstance(table, SymbolTableSection)
         return {s.name: s["st_value"] for s in table.iter_symbols() if s["st_shndx"] != "SHN_UNDEF"}
-
-
-def header(image: bytes) -> dict[str, Any]:
-    """The fields of an image's header, by name."""
-    values = struct.unpack_from(IMAGE_HEADER_FORMAT, image, IMAGE_HEADER_OFFSET)
-    return dict(zip((field.name for field in IMAGE_FIELDS), values, strict=True))
-
-
-def stamped(image: bytes) -> bytes:
-    """The image with the checksum of what it holds."""
-    at = image_field_offset("crc")
-    return image[:at] + struct.pack("<I", image_checksum(image)) + image[at + 4 :]
 
 
 def patched(build: Build, bank: int, function: str, code: bytes) -> bytes:
@@ -211,9 +198,5 @@ class Trial:
         entries = [words[size * i : size * i + size] for i in range(IMAGE_NUMBER_ENTRIES)]
         starts = words[size * IMAGE_NUMBER_ENTRIES :][:IMAGE_STARTS_MAX]
         rejected, confirmed = words[size * IMAGE_NUMBER_ENTRIES + IMAGE_STARTS_MAX :]
-        whole = tuple(
-            entry[0]
-            for entry in entries
-            if entry[3] == ERASED ^ entry[0] ^ (entry[1] << 8 & ERASED | entry[1] >> 24) ^ entry[2]
-        )
+        whole = tuple(entry[0] for entry in entries if entry[3] == zlib.crc32(struct.pack("<3I", *entry[:3])))
         return Marks(whole, sum(word != ERASED for word in starts), not rejected, not confirmed)

@@ -1,8 +1,7 @@
-"""image_probation.c and the boot part's choice: an image's trial over starts, power going at its marks."""
+"""image_probation.c and the boot part's choice: an image's trial from start to start, losses of power."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -10,18 +9,13 @@ from typing import Any
 
 import pytest
 
+from tests.firmware.images import LEAST_BYTES, make_image
 from toolchain.contract import (
     FLASH_BANKS,
-    IMAGE_HEADER_FORMAT,
-    IMAGE_HEADER_OFFSET,
-    IMAGE_LAYOUT,
-    IMAGE_MAGIC,
     IMAGE_PROBATION_MAX_MS,
     IMAGE_PROBATION_MS,
     IMAGE_STARTS_MAX,
     IMAGE_TAIL_BYTES,
-    image_checksum,
-    image_field_offset,
 )
 from toolchain.image.bank_state import state
 
@@ -30,7 +24,7 @@ A, B, NONE = range(3)
 STAYS, CONFIRM, REJECT = range(3)  # enum image_verdict
 PERIOD_MS = 100  # of the storage task
 RATE_HZ = 1000  # of the scripted policy
-BOARD = b"BOARD"
+BOARD = b"HOST"
 SMALL, LARGE = 1024, 100 * 1024  # bytes of an image
 KINDS = range(5)  # of cuts: enum flash_cut
 RUN_WELL = state(sequence=5, confirmed=True)
@@ -39,14 +33,9 @@ INSTALLED = b""
 
 
 def image(bank: int, size: int = SMALL, *, wrong: bool = False) -> bytes:
-    """An image of `size` bytes with a header; wrong: not its checksum."""
-    content = bytearray(bytes(i * 7 % 251 for i in range(size)))
-    header = (IMAGE_MAGIC, IMAGE_LAYOUT, bank, 0, size, 0, 0, bytes(4), bytes(8), BOARD)
-    flat = [item for part in header[:7] for item in [part]]
-    packed = struct.pack("<IHBBIII4s8s16s", *flat, *header[7:])
-    assert len(packed) == struct.calcsize(IMAGE_HEADER_FORMAT)
-    content[IMAGE_HEADER_OFFSET : IMAGE_HEADER_OFFSET + len(packed)] = packed
-    struct.pack_into("<I", content, image_field_offset("crc"), image_checksum(content) ^ wrong)
+    """An image of `size` bytes; wrong: one bit of it is."""
+    content = bytearray(make_image(bank, size, bank=bank))
+    content[-1] ^= wrong
     return bytes(content)
 
 
@@ -105,9 +94,7 @@ def board(chip: MakeChip) -> Board:
 
 
 @pytest.mark.parametrize("bank", [A, B])
-@pytest.mark.parametrize(
-    "size", [IMAGE_HEADER_OFFSET + 64, SMALL, LARGE, FLASH_BANKS[A].size - IMAGE_TAIL_BYTES]
-)
+@pytest.mark.parametrize("size", [LEAST_BYTES + 64, SMALL, LARGE, FLASH_BANKS[A].size - IMAGE_TAIL_BYTES])
 def test_an_image_confirms_itself_when_it_has_run_well_for_long_enough(
     board: Board, bank: int, size: int
 ) -> None:
