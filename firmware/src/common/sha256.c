@@ -46,9 +46,9 @@ static void sha256_block(uint32_t state[WORDS], const uint8_t block[BLOCK_BYTES]
 	uint32_t a = state[0], b = state[1], c = state[2], d = state[3], e = state[4], f = state[5], g = state[6],
 		 h = state[7], schedule[SCHEDULE];
 
+	for (unsigned t = 0; t < SCHEDULE; ++t)
+		schedule[t] = sha256_big_endian(block + 4u * t);
 	for (unsigned t = 0; t < ROUNDS; ++t) {
-		if (t < SCHEDULE)
-			schedule[t] = sha256_big_endian(block + 4u * t);
 		const uint32_t word = t < SCHEDULE ? schedule[t] : sha256_schedule(schedule, t);
 		const uint32_t sum1 = sha256_right(e, 6) ^ sha256_right(e, 11) ^ sha256_right(e, 25);
 		const uint32_t first = h + sum1 + ((e & f) ^ (~e & g)) + constants[t] + word;

@@ -205,11 +205,12 @@ void boot_reset(void)
 		boot_enter_rom();
 	const unsigned bank = boot_choose();
 
-	if (bank == IMAGE_BANK_NONE)
-		boot_enter_rom();
-	/* An image that hangs before its own watchdog runs is started again, and at last gives way to the other one. */
-	watchdog_start_as_reset();
-	boot_enter(image_bank_places[bank].address);
+	if (bank < IMAGE_BANK_COUNT) {
+		/* An image that hangs before its own watchdog runs is started again, and at last gives way to the other one. */
+		watchdog_start_as_reset();
+		boot_enter(image_bank_places[bank].address);
+	}
+	boot_enter_rom();
 }
 
 /* Reset, NMI and the faults are all that can happen before VTOR moves to the bank. */
