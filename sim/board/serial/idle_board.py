@@ -55,15 +55,21 @@ class IdleBoard:
         seed: int = 0,
         boot_button: bool = False,
         newly_installed: bool = False,
+        watchdog_resets: bool = False,
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
-        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. newly_installed: as
-        Board takes it.
+        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. newly_installed,
+        watchdog_resets: as Board takes them.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
         self.board = Board(
-            flash, elf=elf, chip=gyro.chip, boot_button=boot_button, newly_installed=newly_installed
+            flash,
+            elf=elf,
+            chip=gyro.chip,
+            boot_button=boot_button,
+            newly_installed=newly_installed,
+            watchdog_resets=watchdog_resets,
         )
         self._alignment, self._temperature = gyro.alignment, gyro.chip.temperature(TEMPERATURE_DEG_C)
         self.board.hardware.adc.set_battery(volts, 0.0)
