@@ -80,8 +80,8 @@ class Installation:
                 )
             case Stage.WRITTEN:
                 return (
-                    f"{new} was written and {old} was not; which of them the next boot starts the same "
-                    "command tells and mends"
+                    f"{new} was written, {old} was not; whether the switch got through is not known, the "
+                    "same command tells it or does it again"
                 )
             case Stage.SWITCHED:
                 return (
