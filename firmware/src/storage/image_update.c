@@ -60,7 +60,8 @@ enum nf_refusal image_update_begin(struct image_update *update, const struct nf_
 	*why = image_bank_check(header, spare, update->board);
 	if (*why != NF_OK)
 		return NF_REFUSAL_IMAGE;
-	if (!update->begun || !image_update_is_header(update, header)) {
+	if (!update->begun || !image_update_is_header(update, header) ||
+	    image_bank_marks(update->flash, spare).numbered) {
 		if (image_update_needed(update))
 			return image_update_give_up(update, NF_REFUSAL_ORDER);
 		update->begun = true;

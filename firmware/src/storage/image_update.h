@@ -34,8 +34,8 @@ struct image_update_floor {
 /* board: at most NF_IMAGE_BOARD_BYTES letters. `flash` outlives `update`. */
 void image_update_init(struct image_update *update, const struct flash *flash, unsigned running, const char *board);
 
-/* Begins an update with the image of that header: erases the spare bank. Where that image is under way already it goes on
- * instead. *offset: where. Waits for the flash, as the next one does.
+/* Begins an update with the image of that header: erases the spare bank. Where that image is under way already, and not
+ * switched to, it goes on instead. *offset: where. Waits for the flash, as the next one does.
  * NF_REFUSAL_IMAGE: *why tells what of the header does not fit. NF_REFUSAL_ORDER: the running image has yet to be confirmed,
  * and the spare bank has one that was: the board may have to go back to it. Then nothing is erased. NF_REFUSAL_FLASH. */
 enum nf_refusal image_update_begin(struct image_update *update, const struct nf_image_header *header, uint32_t *offset,

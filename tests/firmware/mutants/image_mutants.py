@@ -88,16 +88,24 @@ IMAGE_MUTANTS = (
     Mutant(
         name="an update begins anew instead of going on",
         file=UPDATE,
-        old="if (!update->begun || !image_update_is_header(update, header)) {",
+        old="if (!update->begun || !image_update_is_header(update, header) ||\n"
+        "\t    image_bank_marks(update->flash, spare).numbered) {",
         new="{",
         tests=(OF_UPDATE,),
     ),
     Mutant(
         name="an image goes on where another one was",
         file=UPDATE,
-        old="if (!update->begun || !image_update_is_header(update, header)) {",
-        new="if (!update->begun) {",
+        old="if (!update->begun || !image_update_is_header(update, header) ||",
+        new="if (!update->begun ||",
         tests=(OF_UPDATE, OF_COMMANDS),
+    ),
+    Mutant(
+        name="an image that was switched to keeps its floor",
+        file=UPDATE,
+        old=" ||\n\t    image_bank_marks(update->flash, spare).numbered) {",
+        new=") {",
+        tests=(OF_UPDATE,),
     ),
     Mutant(
         name="the image to go back to is erased",

@@ -269,6 +269,17 @@ def test_a_switch_changes_nothing_when_it_is_repeated(board: BankBoard) -> None:
     assert (marks.has_floor, marks.policy_floor) == (True, 5)
 
 
+def test_an_image_is_written_anew_when_it_was_switched_to_with_another_floor(board: BankBoard) -> None:
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW), floor=5) == Refusal.NONE
+    assert board.begin(header_of(NEW)) == (Refusal.NONE, 0)
+    assert board.boot().image == OLD, "that takes the switch back"
+    assert board.arrive(NEW) == Refusal.NONE
+    assert board.switch(digest(NEW)) == Refusal.NONE
+    marks = board.lib.image_bank_marks(board.chip.flash, 1)
+    assert (marks.has_floor, marks.sequence) == (False, 8)
+
+
 def test_a_switch_needs_no_update_when_the_image_is_there_already(board: BankBoard) -> None:
     assert board.arrive(NEW) == Refusal.NONE
     assert board.boot().image == OLD
