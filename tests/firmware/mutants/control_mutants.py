@@ -355,8 +355,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="values of the motor test before are kept",
         file=BENCH,
-        old="\t\ttest->given[i] = NF_DSHOT_STOP;\n\tfence();",
-        new="\t\ttest->given[i] |= NF_DSHOT_STOP;\n\tfence();",
+        old="\t\ttest->given[i] = NF_DSHOT_STOP;\n\ttest->most",
+        new="\t\ttest->given[i] |= NF_DSHOT_STOP;\n\ttest->most",
         tests=(OF_BENCH,),
     ),
 )

@@ -405,10 +405,10 @@ JOINED_MUTANTS = (
     Mutant(
         name="an acknowledged fault forbids arming",
         file=BACKGROUND,
-        old="\tbackground_watch_load(background);\n"
+        old="\tbackground_try_image(background);\n"
         "\tfirmware_forbid(background->config.firmware, NF_ARMING_REASON_FAULT, "
         "background->faults.pending);\n",
-        new="\tbackground_watch_load(background);\n",
+        new="\tbackground_try_image(background);\n",
         tests=(OF_ACKNOWLEDGE,),
     ),
     Mutant(
