@@ -90,7 +90,17 @@ def _begin(client: Client, image: Image, progress: Progress, clock: Clock) -> in
     """Where to go on from [bytes]."""
 
     def ask() -> int:
-        return image_begun(client.request(Msp.IMAGE_BEGIN, image.header.raw, timeout=FLASH_TIMEOUT_S))
+        try:
+            return image_begun(client.request(Msp.IMAGE_BEGIN, image.header.raw, timeout=FLASH_TIMEOUT_S))
+        except RefusedError as error:
+            if error.reason is not Refusal.ORDER:
+                raise
+            raise RefusedError(
+                f"{client.name}: the running image has not proven itself yet, and {bank_name(image.bank)} "
+                "holds the one that the board would go back to, expected a proven image to run; wait some "
+                "seconds, or see what holds it up with `neuroflight msp status`",
+                error.reason,
+            ) from None
 
     progress("erase", 0, 1)
     at = patiently(client, ask, clock)

@@ -183,6 +183,8 @@ class BoardModel:
     def image_begin(self, payload: bytes) -> bytes | Refusal:
         if self.armed:
             return Refusal.ARMED
+        if self.banks[1 - self.running].confirmed and not self.banks[self.running].confirmed:
+            return Refusal.ORDER
         if payload != self.header:
             self.header, self.written, self.banks[1 - self.running] = payload, 0, Bank()
             self.erased += 1

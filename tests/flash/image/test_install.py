@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -288,6 +289,17 @@ def test_a_board_is_refused_when_it_is_not_ready(
         Tried(board, file)
     assert words in str(caught.value)
     assert board.erased == 0
+
+
+def test_the_image_to_go_back_to_stays_when_the_running_one_is_not_proven(
+    board: BoardModel, file: ImageFile
+) -> None:
+    board.banks[1 - board.running] = replace(board.banks[board.running])
+    board.banks[board.running].confirmed, board.fate = False, Fate.UNPROVEN
+    kept = board.banks[1 - board.running].data
+    with pytest.raises(LinkError, match="has not proven itself yet, and bank B holds the one"):
+        Tried(board, file).run()
+    assert board.banks[1 - board.running].data == kept and board.erased == 0
 
 
 def test_usb_power_alone_is_enough(board: BoardModel, file: ImageFile) -> None:
