@@ -1,0 +1,297 @@
+"""Power that goes at any moment of an image flash over UART1, and again while that is repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from flash.image.files import Image, read_images
+from flash.image.messages import DATA_BYTES_MAX, Banks, image_ended, image_info, image_switch, image_write
+from flash.info import read_info
+from flash.msp import Decoder, Message, encode, request
+from sim.board.core.context import TIME_HZ
+from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
+from sim.board.peripherals.flash import Cut
+from sim.board.serial.idle_board import IdleBoard, configured
+from tests.flash.image.conftest import stamped
+from tests.flash.image.emulated import BAUD, Wired
+from toolchain.contract import (
+    FLASH_BANKS,
+    FLASH_BASE,
+    IMAGE_PROBATION_MS,
+    IMAGE_TAIL_BYTES,
+    Msp,
+    image_header,
+)
+from toolchain.image.bank_state import state
+
+A, B = range(2)
+EXCHANGE_S = 3.0  # of a request: more than an erase and a restart
+STEP = TIME_HZ // 10_000
+SHOWN = frozenset({"POLICY_BAD", "FAULT"})
+WRITTEN = bytes(4)  # the marks of an image that arrived and was not switched to
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Something of an update; `operations` of flash belong to it."""
+
+    name: str
+    operations: int = 0
+    block: int | None = None  # of the body: which one is sent
+
+    def __str__(self) -> str:
+        return self.name if self.block is None else f"{self.name}{self.block}"
+
+
+BEGIN = Stage("begin", 3)  # the old image's header, the sector, the mark that the firmware writes
+END = Stage("end")
+SWITCH = Stage("switch", 4)  # the number's words; the last makes it one
+RESTART = Stage("restart", 26)  # the boot part counts the start, the image logs it
+CONFIRM = Stage("confirm", 1)
+BLOCK_WORDS = DATA_BYTES_MAX // 4
+SAMPLED = (0, 100)  # blocks
+
+
+def block(number: int) -> Stage:
+    return Stage("block", BLOCK_WORDS, number)
+
+
+def built(image: bytes, build: bytes) -> Image:
+    """The same as if it were of another build."""
+    data = stamped(image, build=build)
+    header = image_header(data)
+    assert header is not None
+    return Image(header, data)
+
+
+class Bench:
+    """An idle board that runs bank A's image and gets another one."""
+
+    def __init__(self, idle: IdleBoard, old: Image, new: Image) -> None:
+        self.idle, self.old, self.new = idle, old, new
+        self.wired = Wired(idle)
+        self.engine, self.flash = idle.board.engine, idle.board.hardware.flash
+        self.blocks = [block(number) for number in range(-(-len(new.data) // DATA_BYTES_MAX))]
+
+    # --- What the tool does, frame by frame -------------------------------------------------------
+    def frame(self, command: Msp, payload: bytes = b"") -> bytes | None:
+        """The reply to a request; None: power went."""
+        resets, line, decoder = len(self.engine.resets), self.wired.transport(), Decoder()
+        line.write(encode(request(command, payload)))
+        end = self.idle.board.cycle + round(EXCHANGE_S * TIME_HZ)
+        while self.idle.board.cycle < end:
+            for event in decoder.feed(line.read(STEP / TIME_HZ)):
+                assert isinstance(event, Message)
+                assert event.direction.name == "REPLY", event
+                return event.payload
+            if len(self.engine.resets) > resets:
+                assert self.engine.resets[resets:] == ["power"]
+                return None
+        raise AssertionError(f"no answer to {command.name}")
+
+    def carry_out(self, stage: Stage) -> bool:
+        """One stage. Returns whether power stayed all the time."""
+        resets = len(self.engine.resets)
+        if stage == BEGIN:
+            return self.frame(Msp.IMAGE_BEGIN, self.new.header.raw) is not None
+        if stage == END:
+            reply = self.frame(Msp.IMAGE_END)
+            return reply is not None and image_ended(reply) == self.new.header.crc
+        if stage == SWITCH:
+            return self.frame(Msp.IMAGE_SWITCH, image_switch(self.new.sha256, keep_policy=False)) is not None
+        if stage.block is not None:
+            at = stage.block * DATA_BYTES_MAX
+            data = self.new.data[at : at + DATA_BYTES_MAX]
+            return self.frame(Msp.IMAGE_WRITE, image_write(at, data)) is not None
+        if stage == RESTART:
+            if self.frame(Msp.REBOOT) is None:
+                return False
+            self.wired.sleep(0.01)
+            assert self.engine.resets[resets:] in (["software"], ["software", "power"])
+            self.idle.boot()
+        else:
+            self.wired.sleep(IMAGE_PROBATION_MS / 1000 + 0.3)
+        return "power" not in self.engine.resets[resets:]
+
+    def left(self) -> list[Stage]:
+        """What is left to do until the new image has confirmed itself."""
+        banks = self.banks()
+        if banks.running == A:
+            return [BEGIN, *self.blocks, END, SWITCH, RESTART, CONFIRM]
+        return [] if banks.now.confirmed else [CONFIRM]
+
+    def update(self) -> dict[Stage, Snapshot]:
+        """All of that. Returns the states before the stages that are cut."""
+        before = {}
+        for stage in self.left():
+            if stage.operations and (stage.block is None or stage.block in SAMPLED):
+                before[stage] = take_snapshot(self.engine)
+            assert self.carry_out(stage), stage
+        assert self.banks().now.confirmed and self.running() is self.new
+        return before
+
+    # --- What it looks at ---------------------------------------------------------------------------
+    def banks(self) -> Banks:
+        reply = self.frame(Msp.IMAGE_INFO)
+        assert reply is not None
+        return image_info(reply)
+
+    def running(self) -> Image:
+        """The whole image that runs, whose policy passed its self-test."""
+        with self.wired.client() as client:
+            info = read_info(client)
+        assert info.policy is not None and info.policy.good
+        assert not SHOWN & set(info.arming_reasons)
+        region, image = FLASH_BANKS[self.banks().running], (self.old, self.new)[self.banks().running]
+        assert self.engine.memory(region.address, len(image.data)) == image.data
+        return image
+
+    def cut(self, stage: Stage, operation: int, cut: Cut) -> Image:
+        """Power goes in that operation of the stage, which is the next one, and comes back: what runs."""
+        resets = len(self.engine.resets)
+        self.flash.cut_at, self.flash.cut = self.flash.operations + operation, cut
+        assert not self.carry_out(stage), "power did not go"
+        assert self.engine.resets[resets:].count("power") == 1
+        self.idle.boot()
+        runs = self.running()
+        assert runs is self.old or stage in (SWITCH, RESTART, CONFIRM)
+        return runs
+
+    def at(self, snapshot: Snapshot) -> Bench:
+        restore_snapshot(self.engine, snapshot)
+        return self
+
+
+def with_bank_b(flash: bytes, image: Image, marks: bytes) -> bytes:
+    region = FLASH_BANKS[B]
+    at = region.address - FLASH_BASE
+    bank = image.data.ljust(region.size - IMAGE_TAIL_BYTES, b"\xff") + marks.ljust(IMAGE_TAIL_BYTES, b"\xff")
+    return flash[:at] + bank + flash[at + region.size :]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A bench, and its states before an update and where all of the new image has arrived."""
+
+    bench: Bench
+    before: Snapshot
+    arrived: Snapshot
+
+    def ready_for(self, stage: Stage) -> Bench:
+        """One of the stages that need no block sent before."""
+        bench = self.bench.at(self.before if stage in (BEGIN, block(0)) else self.arrived)
+        for earlier in {block(0): [BEGIN], RESTART: [SWITCH], CONFIRM: [SWITCH, RESTART]}.get(stage, []):
+            assert bench.carry_out(earlier)
+        return bench
+
+
+@pytest.fixture(scope="module")
+def kept(board_image: Path) -> Iterator[Kept]:
+    old, other = read_images(board_image.with_suffix(".nfi")).images
+    flash = configured(board_image.with_suffix(".bin").read_bytes(), board_image, {"msp_baud": BAUD})
+    older, new = built(other.data, b"olderone"), built(other.data, b"newbuild")
+    idle = IdleBoard(with_bank_b(flash, older, state(sequence=0, confirmed=True)))
+    bench = Bench(idle, old, new)
+    idle.boot()
+    before = take_snapshot(bench.engine)
+    idle.board.engine.set_memory(FLASH_BASE, with_bank_b(flash, new, WRITTEN))
+    idle.board.reset()
+    idle.boot()
+    yield Kept(bench, before, take_snapshot(bench.engine))
+    idle.close()
+
+
+# --- Once -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("stage", [BEGIN, SWITCH, RESTART, CONFIRM, block(0)], ids=str)
+def test_a_stage_takes_as_many_operations_as_are_cut(kept: Kept, stage: Stage) -> None:
+    bench = kept.ready_for(stage)
+    operations = bench.flash.operations
+    assert bench.carry_out(stage)
+    assert bench.flash.operations == operations + stage.operations
+
+
+ONCE = [
+    *((BEGIN, at) for at in range(BEGIN.operations)),
+    *((block(0), at) for at in (0, 1, 60, BLOCK_WORDS - 1)),
+    *((SWITCH, at) for at in range(SWITCH.operations)),
+    *((RESTART, at) for at in range(RESTART.operations)),
+    (CONFIRM, 0),
+]
+SAMPLE = {
+    *((BEGIN, at, cut) for at, cut in ((0, Cut.BETWEEN), (1, Cut.NOISE), (2, Cut.WORDS))),
+    (block(0), 60, Cut.NOISE),
+    *((SWITCH, at, cut) for at, cut in ((0, Cut.NOISE), (1, Cut.BEFORE), (2, Cut.BETWEEN))),
+    *((SWITCH, 3, cut) for cut in (Cut.AFTER, Cut.BETWEEN, Cut.NOISE)),
+    *((RESTART, at, cut) for at, cut in ((0, Cut.BETWEEN), (12, Cut.NOISE))),
+    *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.NOISE)),
+}
+
+
+@pytest.mark.parametrize(
+    ("stage", "operation", "cut"),
+    [
+        pytest.param(
+            *(stage, at, cut),
+            marks=[] if (stage, at, cut) in SAMPLE else pytest.mark.slow,
+            id=f"{stage}-{at}-{cut.name.lower()}",
+        )
+        for stage, at in ONCE
+        for cut in Cut
+    ],
+)
+def test_a_whole_image_runs_when_power_goes(kept: Kept, stage: Stage, operation: int, cut: Cut) -> None:
+    bench = kept.ready_for(stage)
+    runs = bench.cut(stage, operation, cut)
+    if stage == SWITCH and operation < SWITCH.operations - 1:
+        assert runs is bench.old, "a number counts when its last word stands"
+    if (stage, cut) == (CONFIRM, Cut.AFTER):
+        assert runs is bench.new and bench.banks().now.confirmed
+
+
+def test_the_switch_is_done_again_when_it_was_cut_twice(kept: Kept) -> None:
+    bench = kept.ready_for(SWITCH)
+    for operation in (3, 0):
+        assert bench.cut(SWITCH, operation, Cut.NOISE) is bench.old
+    for stage in (SWITCH, RESTART, CONFIRM):
+        assert bench.carry_out(stage)
+    assert bench.running() is bench.new and bench.banks().now.confirmed
+
+
+# --- And again in the recovery, which is the whole update ---------------------------------------------
+FIRST = [
+    *((BEGIN, at, cut) for at in range(BEGIN.operations) for cut in (Cut.BETWEEN, Cut.NOISE)),
+    (block(0), 60, Cut.NOISE),
+    *((SWITCH, at, cut) for at in range(SWITCH.operations) for cut in (Cut.BETWEEN, Cut.NOISE)),
+    (SWITCH, 3, Cut.AFTER),
+    *((RESTART, 0, cut) for cut in (Cut.AFTER, Cut.NOISE)),
+    (RESTART, 12, Cut.NOISE),
+    *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.BETWEEN, Cut.NOISE)),
+]
+SECOND = [
+    *((BEGIN, at, Cut.NOISE) for at in range(BEGIN.operations)),
+    *((block(number), 60, Cut.NOISE) for number in SAMPLED),
+    *((SWITCH, at, Cut.NOISE) for at in (0, 3)),
+    (SWITCH, 3, Cut.BETWEEN),
+    *((RESTART, 0, cut) for cut in (Cut.AFTER, Cut.BETWEEN)),
+    *((CONFIRM, 0, cut) for cut in (Cut.BEFORE, Cut.NOISE)),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", FIRST, ids=[f"{stage}-{at}-{cut.name.lower()}" for stage, at, cut in FIRST])
+def test_a_whole_image_runs_when_power_goes_in_the_recovery_and_a_retry_ends_well(
+    kept: Kept, first: tuple[Stage, int, Cut]
+) -> None:
+    """A sample: tests/firmware/storage cuts at every operation, once and again."""
+    bench = kept.ready_for(first[0])
+    bench.cut(*first)
+    before = bench.update()
+    seconds = [second for second in SECOND if second[0] in before]
+    for second in seconds:
+        bench.at(before[second[0]]).cut(*second)
+    print(f"{len(seconds)} pairs")
+    bench.update()
