@@ -1,4 +1,4 @@
-"""Starts a firmware anew and waits until it answers."""
+"""Starts a firmware anew and waits until it answers, or the boot loader in the chip's ROM instead."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flash import records
 from flash.client import Client, NoAnswerError
 from flash.info import is_ours
 from flash.transport import Transport
-from toolchain.contract import Msp
+from toolchain.contract import Msp, Reboot
 from toolchain.errors import LinkError
 
 WAIT_S = 15.0  # a board is back within a second, the emulated one within some
@@ -62,6 +62,15 @@ def restart(
         f"{client.name}: the firmware took the request and did not answer again within {WAIT_S:g} s; "
         "a firmware that is a program ends there: start it again; a board may need its plug pulled"
     )
+
+
+def enter_rom(client: Client) -> None:
+    """Have the board start the boot loader in its chip's ROM. Its line is not to be written to until
+    `flash.rom` does: what the ROM hears first sets its speed.
+
+    Raises LinkError when the firmware refuses, as the host program does, or does not answer.
+    """
+    client.request(Msp.REBOOT, bytes([Reboot.ROM]))
 
 
 def _gone(

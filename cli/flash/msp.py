@@ -54,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     stream.add_argument("--rate", type=int, default=100, metavar="HZ", help="samples a second (default 100)")
     stream.add_argument("--seconds", type=float, metavar="S", help="end after so long; else by Ctrl-C")
     stream.add_argument("--out", type=Path, metavar="FILE", help="write the samples to FILE.csv or FILE.npz")
+    declared["reboot"].add_argument(
+        "--rom", action="store_true", help="start the boot loader in the chip's ROM instead, for `rescue`"
+    )
     declared["faults"].add_argument("--ack", action="store_true", help="acknowledge it")
 
 

@@ -262,10 +262,16 @@ def calibrate(args: argparse.Namespace) -> int:
 
 
 def reboot(args: argparse.Namespace) -> int:
-    """Start the firmware anew and wait until it answers."""
-    from flash.restart import restart
+    """Start the firmware anew and wait until it answers, or the chip's ROM."""
+    from flash.restart import enter_rom, restart
     from flash.transport import open_transport
 
+    if getattr(args, "rom", False):
+        with connect(args) as client:
+            enter_rom(client)
+            print(f"{client.name}: the board starts the boot loader in its chip's ROM")
+        print(f"next: neuroflight rescue IMAGE --port {args.port}; pulling the plug brings the firmware back")
+        return 0
     with closing(restart(connect(args), lambda: open_transport(args.port))) as client:
         print(f"{client.name}: the firmware has started anew and answers")
     return 0

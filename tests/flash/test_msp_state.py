@@ -112,6 +112,13 @@ def test_it_says_so_when_a_firmware_does_not_come_back(
     assert "nobody listens there" in err
 
 
+def test_a_firmware_without_a_rom_refuses_to_enter_one(msp: Run, resting_host: str) -> None:
+    code, out, err = msp(resting_host, "reboot", "--rom")
+    assert (code, out) == (1, "")
+    assert "refuses MSP REBOOT: this firmware or its settings have no such thing" in err
+    assert msp(resting_host, "info")[0] == 0  # it goes on
+
+
 # --- Scripted peers --------------------------------------------------------------------------
 REGISTERS = tuple(range(0x08000000, 0x08000000 + len(FAULT_REGISTERS)))
 

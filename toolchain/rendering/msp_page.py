@@ -59,6 +59,7 @@ EXAMPLES = (
     ("faults --ack", "the last fault, and that you know of it"),
     ("acknowledge", "all faults, and a policy that was refused in flight"),
     ("reboot", "starts it anew, waits until it answers"),
+    ("reboot --rom", "starts the boot loader in the chip's ROM instead, for `neuroflight rescue`"),
 )
 PORT = "neuroflight msp --port PORT "
 COLUMN = 58  # where an example's comment begins, if it fits

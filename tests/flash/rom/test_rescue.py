@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from flash import messages
+from flash.restart import enter_rom
 from flash.rom.client import NoBootLoaderError, RefusedError, RomClient
 from flash.rom.rescue import Plan, install, make_plan, start, verify
 from flash.rom.segments import Segment, read_segments
 from flash.transport import Transport
 from sim.board.peripherals.flash import Cut
+from sim.board.serial.idle_board import IdleBoard
 from tests.flash.rom.conftest import BANK, BOOT, SMALL, Rig, flash_with
 from toolchain.contract import (
     FLASH_BANK_A,
@@ -22,6 +25,7 @@ from toolchain.contract import (
     Msp,
 )
 from toolchain.errors import LinkError
+from toolchain.image.elf import read_flashable
 
 PLAN = make_plan(SMALL)
 FULL = bytes(i % 251 + 1 for i in range(FLASH_BYTES))  # a chip in use
@@ -91,6 +95,23 @@ def failure(client: RomClient, plan: Plan = PLAN) -> str:
     line = str(caught.value)
     assert "\n" not in line and len(line) < 400
     return line
+
+
+# --- The way in without the button ---------------------------------------------------------------
+def test_the_rom_takes_an_image_when_msp_asked_the_firmware_for_it(board_image: Path) -> None:
+    flash = read_flashable(board_image.with_suffix(".bin"))
+    with closing(IdleBoard(flash, elf=board_image)) as idle:
+        idle.boot()
+        with idle.client() as client:
+            enter_rom(client)
+        rig = Rig(idle)
+        with rig.client() as rom:
+            assert rom.connect().product_id == 0x452
+            verify(rom, make_plan(read_segments(board_image.with_suffix(".hex"))))
+        rig.idle.board.reset()
+        idle.boot()
+        with idle.client() as client:
+            assert messages.api_version(client.request(Msp.API_VERSION)).major == 1
 
 
 # --- Whole ---------------------------------------------------------------------------------------
