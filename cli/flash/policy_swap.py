@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NOT_WRITTEN = "nothing was written"
 LOOK = "`neuroflight flash --list` tells"
-LATER = "from its next start on (`neuroflight msp reboot`), if it passes its self-test"
+LATER = "from its next start on (`neuroflight msp --port PORT reboot`), if it passes its self-test"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -104,13 +104,13 @@ def _judge(client: Client, image: Image, banks: Banks, clock: Clock) -> Trial:
         return ended(
             Ending.POLICY_BAD,
             "the new image runs and its policy failed the self-test: the motors stay stopped; flash another "
-            "policy or image, or see `neuroflight msp status`",
+            "policy or image, or see `neuroflight msp --port PORT status`",
         )
     if not banks.now.confirmed:
         return ended(
             Ending.UNPROVEN,
             f"the new image runs and did not confirm itself within {WAIT_S:g} s: the board may go back at "
-            "the next start; see `neuroflight msp status`",
+            "the next start; see `neuroflight msp --port PORT status`",
         )
     return ended(Ending.KEPT, "the new image runs and has proven itself")
 

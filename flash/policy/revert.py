@@ -31,7 +31,7 @@ def plan(policies: Policies, *, other_aircraft: bool) -> tuple[Place, Place]:
     if (waiting := policies.after_start()) is not flown and waiting is not None:
         raise LinkError(
             f"{waiting.text} is flown from the next start on in place of the one that would be given up; "
-            f"{UNTOUCHED}: start the board anew first (`neuroflight msp reboot`)"
+            f"{UNTOUCHED}: start the board anew first (`neuroflight msp --port PORT reboot`)"
         )
     before = policies.after_start(without=flown)
     if before is None:
