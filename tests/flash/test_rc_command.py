@@ -181,7 +181,9 @@ def test_it_disarms_when_the_process_is_told_to_end(
         assert flying.wait(20)
         process.send_signal(number)
         out, err = process.communicate(timeout=20)
-    assert (process.returncode, err) == (0, "")
+    # A busy machine may send late, which is told; nothing else is.
+    told = [line for line in err.splitlines() if "sending falls behind" not in line]
+    assert (process.returncode, told) == (0, [])
     assert out.endswith("the board is disarmed\n")
     assert flown.run(1) == (0, 0, 0, 0)
     with flown.client() as client:

@@ -36,7 +36,7 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="no barrier when the vectors move to the bank",
-        file="hal/stm32f7/startup/boot.c",
+        file="hal/stm32f7/boot/boot.c",
         old='\t__asm volatile("dsb\\n\\t"\n\t\t       "isb\\n\\t"\n\t\t       "msr',
         new='\t__asm volatile("isb\\n\\t"\n\t\t       "msr',
         message=r"SCB_VTOR is changed without a DSB right after it",
@@ -172,8 +172,8 @@ CORE_MUTANTS = (
     Mutant(
         name="code in RAM",
         file=LINKER,
-        old="\t\titcm_end = .;\n\t} > ITCM AT > BANK_A",
-        new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK_A",
+        old="\t\titcm_end = .;\n\t} > ITCM AT > BANK",
+        new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK",
         message=r"execution at 0x2001\w{4}, in RAM; code runs from flash and ITCM",
         seconds=0.05,
     ),
@@ -262,7 +262,8 @@ CORE_MUTANTS = (
     Mutant(
         name="flash driven by code in flash",
         file=LINKER,
-        old="\t\t*hal/stm32f7/peripherals/flash_memory.o(.text .text.*)\n",
+        old="\t\t*hal/stm32f7/peripherals/flash_memory.o(.text.flash_memory_erase_sector "
+        ".text.flash_memory_program_words)\n",
         new="",
         message=r"data-ready edge \(EXTI3\) waited .*: the core waited for busy flash",
         seconds=1.2,
@@ -284,9 +285,9 @@ CORE_MUTANTS = (
     ),
     Mutant(
         name="flash unlocked by a wrong key",
-        file=FLASH,
-        old="#define KEY_2 0xCDEF89ABu",
-        new="#define KEY_2 0xCDEF89ACu",
+        file="hal/stm32f7/peripherals/flash_registers.h",
+        old="#define FLASH_KEY_2 0xCDEF89ABu",
+        new="#define FLASH_KEY_2 0xCDEF89ACu",
         message=r"FLASH_KEYR = 0xCDEF89AC, expected 0xCDEF89AB while locked",
         seconds=0.4,
         slow=True,
@@ -294,8 +295,8 @@ CORE_MUTANTS = (
     Mutant(
         name="option bytes written while they are locked",
         file=FLASH,
-        old="\tFLASH_SR = ERRORS | FLASH_SR_EOP; /* of earlier operations */\n",
-        new="\tFLASH_SR = ERRORS | FLASH_SR_EOP;\n\tFLASH_OPTCR |= BIT(1); /* OPTSTRT */\n",
+        old="\tFLASH_SR = FLASH_ERRORS | FLASH_SR_EOP; /* of earlier operations */\n",
+        new="\tFLASH_SR = FLASH_ERRORS | FLASH_SR_EOP;\n\tFLASH_OPTCR |= BIT(1); /* OPTSTRT */\n",
         message=r"FLASH_OPTCR is written while it is locked, expected both keys in FLASH_OPTKEYR before",
         place="flash_memory_begin",
         seconds=0.4,
