@@ -1,19 +1,62 @@
-"""Mistakes in image_bank.c and image_update.c, in what an image leaves behind, and in their commands."""
+"""Mistakes in the banks, their update and an image's probation, in what it leaves behind, and in commands."""
 
 from __future__ import annotations
 
 from tests.firmware.mutants.mutant import Mutant
 
 BANK, UPDATE, SLOTS = "storage/image_bank.c", "storage/image_update.c", "storage/policy_slots.c"
-COMMANDS, SHA256 = "msp/msp_commands.c", "common/sha256.c"
+COMMANDS, SHA256, PROBATION = "msp/msp_commands.c", "common/sha256.c", "storage/image_probation.c"
 OF_BANK, OF_UPDATE, OF_POWER = (
     "storage/test_image_bank.py",
     "storage/test_image_update.py",
     "storage/test_image_power.py",
 )
 OF_COMMANDS, OF_SHA256 = "msp/test_image_commands.py", "common/test_sha256.py"
+OF_PROBATION = "storage/test_image_probation.py"
 
 IMAGE_MUTANTS = (
+    Mutant(
+        name="an image with a bad policy confirms itself",
+        file=PROBATION,
+        old="probation->whole && report->policy_good && report->steps",
+        new="probation->whole && report->steps",
+        tests=(OF_PROBATION,),
+    ),
+    Mutant(
+        name="an image that is not whole confirms itself",
+        file=PROBATION,
+        old="if (probation->checked && probation->whole &&",
+        new="if (probation->checked &&",
+        tests=(OF_PROBATION,),
+    ),
+    Mutant(
+        name="an image confirms itself at its first step",
+        file=PROBATION,
+        old="report->steps >= STEPS",
+        new="report->steps >= 1u",
+        tests=(OF_PROBATION,),
+    ),
+    Mutant(
+        name="a silent gyro's time counts against the image",
+        file=PROBATION,
+        old="\tif (report->steps != probation->steps)\n\t\tprobation->ran_ms",
+        new="\tprobation->ran_ms",
+        tests=(OF_PROBATION,),
+    ),
+    Mutant(
+        name="an image gives way to one that has failed",
+        file=PROBATION,
+        old=" && !marks.rejected &&",
+        new=" &&",
+        tests=(OF_PROBATION,),
+    ),
+    Mutant(
+        name="an image that the ROM installed keeps no number",
+        file=PROBATION,
+        old="if (installed && !image_bank_number(flash, probation->bank, NULL))",
+        new="if (!installed && !image_bank_number(flash, probation->bank, NULL))",
+        tests=(OF_PROBATION,),
+    ),
     Mutant(
         name="an image for another board fits",
         file=BANK,

@@ -139,6 +139,7 @@ USED_UP = NEW[:-16] + bytes(8) + NEW[-8:]
 assert len(REJECTED) == len(RUN_WELL) and IMAGE_STARTS_MAX == 2
 
 
+@pytest.mark.parametrize("spoilt", [False, True], ids=["bad policy", "not whole"])
 @pytest.mark.parametrize(
     ("content", "marks"),
     [
@@ -152,11 +153,11 @@ assert len(REJECTED) == len(RUN_WELL) and IMAGE_STARTS_MAX == 2
     ids=["nothing", "wrong checksum", "wrong bank", "no number", "rejected", "failed"],
 )
 def test_it_stays_however_bad_when_the_other_bank_has_nothing_better(
-    board: Board, content: bytes, marks: bytes
+    board: Board, content: bytes, marks: bytes, spoilt: bool
 ) -> None:
     board.put(A, content, marks)
-    board.put(B, image(B), NEW)
-    assert board.run(B, policy=False, seconds=12.0)[0] == STAYS
+    board.put(B, image(B, wrong=spoilt), NEW)
+    assert board.run(B, policy=spoilt, seconds=12.0)[0] == STAYS
     assert not board.marks(B).rejected and board.chip.core.lib.image_probation_holds(board.start(B))
 
 

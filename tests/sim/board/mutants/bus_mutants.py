@@ -25,6 +25,7 @@ BUS_MUTANTS = (
         new="SPI_844K = 5,",
         message=r"register 0x6B of the MPU6500 at 1.6875 MHz, expected 1 MHz at most",
         seconds=0.2,
+        slow=True,
     ),
     Mutant(
         name="gyro addressed before its start-up time",
@@ -33,6 +34,7 @@ BUS_MUTANTS = (
         new="#define START_MS 5u",
         message=r"the MPU6500 is addressed \d+\.\d ms before it answers after power-up, expected a wait",
         seconds=0.1,
+        slow=True,
     ),
     Mutant(
         name="gyro addressed before its reset is over",
@@ -86,6 +88,7 @@ BUS_MUTANTS = (
         new="REGISTER(0x40013C0Cu) |= EXTI_RTSR_TR3; /* FTSR */",
         message=r"EXTI line 3 takes the falling edge of the gyro's data-ready pulse, 50 us after the sample",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="wrong DMA channel of the gyro",
@@ -95,6 +98,7 @@ BUS_MUTANTS = (
         message=r"DMA2 stream 3: channel 2 is driven by .*, but its peripheral address is SPI1_DR; expected",
         place="spi_start|dma_start|gyro_start_transfer",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="DMA stream of another request of the motors' timer",
@@ -156,6 +160,7 @@ BUS_MUTANTS = (
         new="TIM_ARR(bank->timer) = bit_ticks * 11u / 10u - 1u;",
         message=r"motor 1: a bit lasts 1\.833 us, expected 3\.333 us \(DShot300\) or 1\.667 us \(DShot600\)",
         seconds=0.4,
+        slow=True,
     ),
     Mutant(
         name="DShot at another speed than the ESCs'",
@@ -225,5 +230,6 @@ BUS_MUTANTS = (
         new="TIM_CR1(bank->timer) = TIM_CR1_ARPE;",
         message=r"DMA2 stream 1 has waited more than 10 ms to move 72 items to 0x4001044C, but nothing",
         seconds=0.4,
+        slow=True,
     ),
 )
