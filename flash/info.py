@@ -38,6 +38,17 @@ def is_ours(client: Client) -> bool:
     return True
 
 
+def check_ours(client: Client, consequence: str) -> None:
+    """Raise LinkError unless it is this project's firmware. consequence: what is not done then."""
+    if is_ours(client):
+        return
+    variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
+    raise LinkError(
+        f"{client.name}: a firmware of another make answers ({variant}), expected Neuroflight's; "
+        f"{consequence}: check that this is the right port"
+    )
+
+
 def check_api(client: Client) -> ApiVersion:
     """Which MSP the firmware speaks. Raises LinkError for one that this tool does not."""
     api = messages.api_version(client.request(Msp.API_VERSION))

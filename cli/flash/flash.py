@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.flash import policy_swap, rescue
+from cli.flash.progress import step_bars
 from cli.flash.tables import print_facts, print_json
 from toolchain.errors import NeuroflightError
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from flash.image.install import Installation, Installed
     from flash.image.messages import Bank
     from flash.image.plan import Plan
-    from flash.image.update import Progress
     from flash.setting_text import Value
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "MATEKF722" / "neuroflight.nfi"
@@ -134,7 +134,7 @@ def _flash(args: argparse.Namespace, under_way: _UnderWay) -> int:
                 return _leave(args, facts, plan)
             settings = read_settings(client)
             facts["backup"] = _backup(args, board, settings)
-        with _progress() as progress:
+        with step_bars(WORDS) as progress:
             under_way.installation = Installation(client, plan, lambda: open_transport(args.port), progress)
             try:
                 done = under_way.installation.run(
@@ -293,27 +293,6 @@ def _nothing_written() -> Iterator[None]:
         raise NeuroflightError(f"{error}; nothing was written") from None
     except OSError as error:
         raise NeuroflightError(f"{os_error_line(error)}; nothing was written") from None
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A bar for each step; nothing where nobody looks."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description:10}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    console = Console(stderr=True)
-    with Progress(
-        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
-    ) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def update(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bars.add_task(WORDS[what], total=total)
-            bars.update(tasks[what], completed=done)
-
-        yield update
 
 
 class _Terminated(KeyboardInterrupt):

@@ -83,7 +83,7 @@ def _board(args: argparse.Namespace) -> Board:
 # --- list --------------------------------------------------------------------------------------------
 def list_(args: argparse.Namespace) -> int:
     """Print what each place of a policy holds."""
-    from flash.policy.ready import check_ours
+    from flash.info import check_ours
     from flash.policy.slots import read_policies
 
     with _connected(args, "nothing is listed") as client:

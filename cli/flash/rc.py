@@ -134,10 +134,10 @@ def _fly(client: Client, sender: Sender, source: Source) -> None:
 def _layout(client: Client) -> Layout:
     """How the board reads channels. Raises LinkError for a firmware of another make."""
     from flash.channels.layout import read_layout
-    from flash.motors.readiness import check_ours
+    from flash.info import check_ours
     from flash.settings import Settings
 
-    check_ours(client)
+    check_ours(client, "nothing that acts was sent")
     return read_layout(Settings(client).get)
 
 

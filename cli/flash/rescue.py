@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.flash.progress import step_bars
 from toolchain.contract import (
     FLASH_BANK_A,
     FLASH_BANK_B,
@@ -96,7 +95,7 @@ def run_rom(args: argparse.Namespace) -> int:
             return 0
         if not args.verify_only:
             print("safety propellers off: the image starts when it is written", flush=True)
-        with _progress() as progress:
+        with step_bars(WORDS) as progress:
             if args.verify_only:
                 verify(client, plan, progress)
             else:
@@ -154,23 +153,3 @@ def _baud(port: str) -> int:
             f"measures; nothing was written"
         )
     return baud
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A bar for each of erasing, writing and comparing; nothing where nobody looks."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description:10}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    console = Console(stderr=True)
-    hidden = not console.is_terminal
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def update(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bars.add_task(WORDS[what], total=total)
-            bars.update(tasks[what], completed=done)
-
-        yield update

@@ -12,7 +12,8 @@ from types import TracebackType
 from flash import messages, records, requests
 from flash.client import Client, RefusedError
 from flash.hints import words
-from flash.motors.readiness import check_ours, check_ready
+from flash.info import check_ours
+from flash.motors.readiness import UNSENT, check_ready
 from flash.motors.session import close_test
 from toolchain.contract import (
     CHANNEL_MAX_US,
@@ -43,7 +44,7 @@ class MotorBench:
         if not 0.0 < most <= MOTOR_BENCH_MAX:
             raise ValueError(f"most {most}, expected above 0 to {MOTOR_BENCH_MAX:g}")
         self._client, self._motor, self._most = client, motor, most
-        check_ours(client)
+        check_ours(client, UNSENT)
         count = messages.policy_info(client.request(Msp.POLICY_INFO)).action_count
         if not 0 <= motor < count:
             raise LinkError(

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from flash import messages, records
 from flash.client import Client
 from flash.hints import HINTS, words
-from flash.info import is_ours
+from flash.info import check_ours
 from flash.messages import BatteryLevel
 from flash.settings import Settings
 from toolchain.contract import ARMING_FLAG_SWITCH, FlightState, Msp
 from toolchain.errors import LinkError
 
+UNSENT = "nothing that acts was sent"
 STANDING_US = (0, 1000)  # what MOTOR tells of a motor that stands, or is not there
 STAND_S = 3.0  # within which stopped motors are told as standing, and a closed test is forgotten
 PAUSE_S = 0.02  # between two looks
@@ -47,19 +48,9 @@ class Bench:
     warning: str  # what does not forbid it and should be known, "" for nothing
 
 
-def check_ours(client: Client) -> None:
-    """Raise LinkError unless it is this project's firmware."""
-    if not is_ours(client):
-        variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
-        raise LinkError(
-            f"{client.name}: got a firmware of another make ({variant}), expected this project's; nothing "
-            "that acts was sent; use its own tool"
-        )
-
-
 def read_bench(client: Client) -> Bench:
     """Look at the board. Raises LinkError unless its motors may turn: armed, not ready, battery."""
-    check_ours(client)
+    check_ours(client, UNSENT)
     policy = messages.policy_info(client.request(Msp.POLICY_INFO))
     settings = Settings(client)
     outputs = tuple(int(settings.get(f"motor{n}_output")) for n in range(1, policy.action_count + 1))

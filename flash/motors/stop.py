@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 
 from flash.client import Client, RefusedError
-from flash.motors.readiness import await_standing, check_ours
+from flash.info import check_ours
+from flash.motors.readiness import UNSENT, await_standing
 from flash.motors.session import close_test, end_commands
 from toolchain.contract import Refusal
 from toolchain.errors import LinkError
@@ -30,6 +31,6 @@ def stop(
                 f"{client.name}: the board is armed, which no motor test is: nothing was stopped; "
                 "put the arm switch off"
             ) from None
-        check_ours(client)
+        check_ours(client, UNSENT)
         raise
     await_standing(client, clock, sleep)

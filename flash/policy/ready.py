@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flash import messages, records
 from flash.client import Client
-from flash.info import is_ours
+from flash.info import check_ours
 from flash.messages import BatteryLevel
 from flash.policy.slots import Policies
 from toolchain.contract import ArmingReason, FlightState, Msp
@@ -13,17 +13,6 @@ from toolchain.errors import LinkError
 # FAULT stops the motors until the next start, with which a swap ends.
 STANDING = (FlightState.BOOT, FlightState.CALIBRATING, FlightState.DISARMED, FlightState.FAULT)
 TESTING = 1 << ArmingReason.MOTOR_TEST
-
-
-def check_ours(client: Client, unwritten: str) -> None:
-    """Raise LinkError unless it is this project's firmware. unwritten: what is not done then."""
-    if is_ours(client):
-        return
-    variant = messages.fc_variant(client.request(Msp.FC_VARIANT))
-    raise LinkError(
-        f"{client.name}: a firmware of another make answers ({variant}), expected Neuroflight's; "
-        f"{unwritten}: check that this is the right port"
-    )
 
 
 def check_ready(client: Client, unwritten: str) -> None:
