@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from flash.setting_text import Value, shortest
-from toolchain.contract import FILTER_STAGES, GYRO_RATES_HZ, MSP_BAUDS, SETTINGS
+from toolchain.contract import FILTER_STAGES, GYRO_RATES_HZ, LOG_BAUDS, LOG_DIVIDERS, MSP_BAUDS, SETTINGS
 
 _GYRO_RATE = "gyro_rate_hz"
 
@@ -83,6 +83,8 @@ RULES = (
     _one_of(_GYRO_RATE, tuple(GYRO_RATES_HZ)),
     _one_of("msp_baud", MSP_BAUDS),
     _one_of("uart3_baud", MSP_BAUDS),
+    _one_of("blackbox_baud", LOG_BAUDS),
+    _one_of("blackbox_divider", LOG_DIVIDERS),
     *(
         _below_half_the_gyro_rate(f"filter{stage}_kind", f"filter{stage}_hz")
         for stage in range(1, FILTER_STAGES + 1)

@@ -19,6 +19,7 @@ SHORT = {
     "failsafe_descend_ms": "fs_descend_ms",
     "failsafe_delay_ms": "fs_delay_ms",
     "battery_capacity_mah": "bat_capacity_mah",
+    "blackbox_disabled_mask": "blackbox_off",
     "beep_receiver_lost": "beep_rx_lost",
     "beep_policy_refused": "beep_pol_refused",
     "beep_battery_warn": "beep_bat_warn",

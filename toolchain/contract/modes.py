@@ -20,6 +20,7 @@ class Mode(IntEnum):
 
     ARM = 0
     BEEPER = 13
+    BLACKBOX = 26  # where it has a range, a log is written only while it is on
     PID = 40  # the PID flies instead of the policy
     TRIAL = 41  # with policy_trial on, the policy flies only while this is on
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+from toolchain.contract.blackbox import LOG_BAUD_DEFAULT, LOG_BAUDS, LOG_DIVIDERS, LogDevice, LogGroup
 from toolchain.contract.frame_time_sensors import (
     AXES,
     GYRO_EDGE_RATE_HZ,
@@ -113,6 +114,16 @@ FILTER_DELAY_MAX_MS = 3.5
 # P of 1.25 swings.
 PID_FACTOR_FILTER_DELAY_MAX_MS = 2.0
 _MSP_BAUD_MEANING = f"{', '.join(str(baud) for baud in MSP_BAUDS[:-1])} or {MSP_BAUDS[-1]}, on UART1"
+_LOG_BAUD_MEANING = (
+    f"{', '.join(str(baud) for baud in LOG_BAUDS[:-1])} or {LOG_BAUDS[-1]}, on UART3 with the log"
+)
+_LOG_STEPS_MEANING = (
+    f"{', '.join(str(divider) for divider in LOG_DIVIDERS[:-1])} or {LOG_DIVIDERS[-1]}: "
+    "each so many-th control step is logged; only 1 can be replayed"
+)
+_GROUPS_MEANING = "fields left out: " + ", ".join(
+    f"{group.value} {group.name.lower().replace('_', ' ')}" for group in LogGroup
+)
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
@@ -231,8 +242,22 @@ SETTINGS = (
         ("btfl", "nrfl"),
         "the firmware that MSP says it is; btfl: configurators connect",
     ),
-    _choice("uart3_function", "off", ("off", "msp"), "what UART3 does: a second MSP port"),
+    _choice(
+        "uart3_function",
+        "off",
+        ("off", "msp", "blackbox"),
+        "what UART3 does: msp a second MSP port, blackbox sends the log",
+    ),
     _whole("uart3_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", "of UART3, as msp_baud"),
+    _choice(
+        "blackbox_device", "card", tuple(device.name.lower() for device in LogDevice), "where the log goes"
+    ),
+    _choice("blackbox_mode", "normal", ("normal", "always"), "normal: while armed; always: from power-up"),
+    _whole(
+        "blackbox_divider", LOG_DIVIDERS[0], LOG_DIVIDERS[-1], LOG_DIVIDERS[0], "steps", _LOG_STEPS_MEANING
+    ),
+    _whole("blackbox_disabled_mask", 0, (1 << (max(LogGroup) + 1)) - 1, 0, "bits", _GROUPS_MEANING),
+    _whole("blackbox_baud", LOG_BAUDS[0], LOG_BAUDS[-1], LOG_BAUD_DEFAULT, "baud", _LOG_BAUD_MEANING),
     _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
     _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),

@@ -199,6 +199,11 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_refusal", "NF_REFUSAL", contract.Refusal),
         _enumeration("nf_reboot", "NF_REBOOT", contract.Reboot),
         _enumeration("nf_mode", "NF_MODE", contract.Mode, "NF_MODES"),
+        _enumeration("nf_log_device", "NF_LOG_DEVICE", contract.LogDevice, "NF_LOG_DEVICES"),
+        _enumeration("nf_log_state", "NF_LOG_STATE", contract.LogState, "NF_LOG_STATES"),
+        _enumeration("nf_log_error", "NF_LOG_ERROR", contract.LogError, "NF_LOG_ERRORS"),
+        _enumeration("nf_log_group", "NF_LOG_GROUP", contract.LogGroup),
+        _enumeration("nf_log_event", "NF_LOG_EVENT", contract.LogEvent),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 

@@ -157,16 +157,36 @@ enum nf_refusal settings_set_number(struct nf_settings *settings, unsigned index
 }
 
 /* --- What settings may not be together -------------------------------------------------------------- */
+static bool settings_is_one_of(const struct nf_settings *settings, unsigned index, const uint32_t known[], size_t count)
+{
+	union setting_value value;
+
+	settings_get(settings, index, &value);
+	for (size_t i = 0; i < count; ++i)
+		if (known[i] == value.as_uint32_t)
+			return true;
+	return false;
+}
+
 static bool settings_msp_baud_fits(const struct nf_settings *settings, unsigned first)
 {
 	static const uint32_t known[] = NF_MSP_BAUDS;
-	union setting_value baud;
 
-	settings_get(settings, first, &baud);
-	for (size_t i = 0; i < sizeof known / sizeof known[0]; ++i)
-		if (known[i] == baud.as_uint32_t)
-			return true;
-	return false;
+	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
+}
+
+static bool settings_log_baud_fits(const struct nf_settings *settings, unsigned first)
+{
+	static const uint32_t known[] = NF_LOG_BAUDS;
+
+	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
+}
+
+static bool settings_log_divider_fits(const struct nf_settings *settings, unsigned first)
+{
+	static const uint32_t known[] = NF_LOG_DIVIDERS;
+
+	return settings_is_one_of(settings, first, known, sizeof known / sizeof known[0]);
 }
 
 static bool settings_gyro_rate_fits(const struct nf_settings *settings, unsigned first)
@@ -329,6 +349,8 @@ static const struct rule {
 	{ settings_battery_fits, SETTING_AT_battery_warn_v, SETTING_AT_battery_low_v },
 	{ settings_msp_baud_fits, SETTING_AT_msp_baud, SETTING_AT_msp_baud },
 	{ settings_msp_baud_fits, SETTING_AT_uart3_baud, SETTING_AT_uart3_baud },
+	{ settings_log_baud_fits, SETTING_AT_blackbox_baud, SETTING_AT_blackbox_baud },
+	{ settings_log_divider_fits, SETTING_AT_blackbox_divider, SETTING_AT_blackbox_divider },
 	{ settings_outputs_fit, SETTING_AT_motor1_output, SETTING_AT_motor8_output },
 };
 _Static_assert(SETTING_AT_map_aux4 - SETTING_AT_map_roll == NF_CHANNEL_MAPPED_COUNT - 1,

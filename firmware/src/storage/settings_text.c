@@ -9,7 +9,7 @@
 #include "storage/mode_range.h"
 
 _Static_assert(SETTINGS_TEXT_BYTES >= DECIMAL_BYTES, "a float");
-_Static_assert(SETTINGS_TEXT_BYTES > sizeof "beeper aux12 1700 2100 and", "a mode range");
+_Static_assert(SETTINGS_TEXT_BYTES > sizeof "blackbox aux12 1700 2100 and", "a mode range");
 _Static_assert(SETTINGS_TEXT_BYTES > NF_SETTING_TEXT_BYTES + 2, "a text in quotes");
 
 #define NO_TEXT '-'
@@ -18,7 +18,7 @@ _Static_assert(SETTINGS_TEXT_BYTES > NF_SETTING_TEXT_BYTES + 2, "a text in quote
 #define MODE_NAME(name) { NF_MODE_##name, #name },
 static const struct {
 	uint8_t mode;
-	char name[7];
+	char name[9];
 } modes[] = { NF_MODES(MODE_NAME) };
 
 /* --- Words ---------------------------------------------------------------------------------------------------- */
