@@ -15,6 +15,7 @@ from sim.board.core.context import TIME_HZ
 from sim.board.core.engine import CPI, Engine, Note
 from sim.board.devices.esc import SILENT_S, Esc, Frame
 from sim.board.devices.gyro_chip import MPU6500, READY, GyroChip, GyroKind
+from sim.board.devices.sd_card import CardSlot, SdCard
 from sim.board.inspection import Inspection
 from sim.board.matekf722 import MOTORS
 from sim.board.native.library import Native, native_library
@@ -27,7 +28,7 @@ from sim.board.peripherals.iwdg import Iwdg
 from sim.board.peripherals.option_bytes import OptionBytes, signature
 from sim.board.peripherals.pwr import Pwr
 from sim.board.peripherals.rcc import MICROSECOND, Clocks, Rcc
-from sim.board.peripherals.spi import Spi
+from sim.board.peripherals.spi import GyroSpi, Spi
 from sim.board.peripherals.timer import TIMERS, Timer
 from sim.board.peripherals.usart import Usart
 from sim.board.registers.bus import Companion, Device, Registers, Touch, load_table
@@ -50,10 +51,14 @@ class Hardware:
         chip: GyroKind = MPU6500,
         *,
         options: OptionBytes | None = None,
+        card: SdCard | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
     ) -> None:
-        """watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error."""
+        """card: in its slot.
+
+        watchdog_resets: a missed watchdog resets the chip, as it does; else it is an error.
+        """
         self.context = context = engine
         self.native = native = Native(engine)
         self.rcc, self.pwr = Rcc(context), Pwr(context)
@@ -62,7 +67,9 @@ class Hardware:
         self.syscfg, self.exti = Syscfg(native), Exti(native)
         self.dma = DmaSystem(native)
         self.gyro = GyroChip(native, self.pins, chip)
-        self.spi = Spi(native, self.pins, self.gyro, seed)
+        self.spi = GyroSpi(native, self.pins, self.gyro, seed)
+        self.card_spi = Spi(native, "SPI3", self.pins)
+        self.card_slot = CardSlot(native, self.pins, card)
         self.timers = {name: Timer(native, name, self.dma, self.pins) for name in TIMERS}
         self.usarts = {
             name: Usart(context, name, self.dma, self.pins, self.rcc.kernel_clock) for name in USARTS
@@ -82,6 +89,7 @@ class Hardware:
         companions: tuple[Companion, ...] = (self.gyro, self.inspection, *self.escs, native)
         for companion in companions:
             self.registers.accompany(self.spi, companion)
+        self.registers.accompany(self.card_spi, self.card_slot)
         self.registers.accompany(self.usarts["USART1"], self.rom)
         self.registers.attach(engine)
         edge = f"EXTI{int(READY[2:])}"
@@ -107,6 +115,7 @@ class Hardware:
             self.exti,
             *self.dma.controllers.values(),
             self.spi,
+            self.card_spi,
             *self.timers.values(),
             *self.usarts.values(),
             self.adc_common,
@@ -172,7 +181,9 @@ class Hardware:
         esc.on_frame(esc.frame(cycle, data))
 
     def _set_clock(self, clocks: Clocks) -> None:
-        self.native.library.native_clocks(self.native.handle, clocks.apb2, clocks.timer1, clocks.timer2)
+        self.native.library.native_clocks(
+            self.native.handle, clocks.apb1, clocks.apb2, clocks.timer1, clocks.timer2
+        )
 
     def _on_frame(self, frame: Frame) -> None:
         self._hears_frame(frame)
@@ -180,6 +191,7 @@ class Hardware:
     def _on_reset(self, cause: str) -> None:
         if cause == "power":
             self.gyro.power_on()
+            self.card_slot.power_on()
         self.inspection.restart()
         for esc in self.escs:
             esc.silence(cause == "power")
@@ -237,6 +249,7 @@ class Board:
         strict: bool = True,
         profile: bool = False,
         options: OptionBytes | None = None,
+        card: SdCard | None = None,
         seed: int = 0,
         watchdog_resets: bool = False,
         dshot: int | None = None,
@@ -247,6 +260,7 @@ class Board:
 
         strict: a fault of the core is an error of the image instead of a case for its handler.
         watchdog_resets: a missed watchdog resets the chip, as it does, instead of being an error.
+        card: in its slot, which is empty by default; `close` closes it.
         boot_button: held at power-up, so that the boot loader in the ROM runs instead of the image.
         dshot: the speed that the ESCs are set to, 300 or 600; None: they take what comes first.
         newly_installed: the image has never run, so that the boot part and the image put it to the test;
@@ -258,7 +272,7 @@ class Board:
             flash, elf=elf, cpi=cpi, strict=strict, profile=profile, library=native_library()
         )
         self.hardware = Hardware(
-            self.engine, chip, options=options, seed=seed, watchdog_resets=watchdog_resets
+            self.engine, chip, options=options, card=card, seed=seed, watchdog_resets=watchdog_resets
         )
         for esc in self.hardware.escs:
             esc.fitted = dshot
@@ -287,8 +301,9 @@ class Board:
         self.engine.power_cycle()
 
     def brown_out(self) -> None:
-        """The supply dips: the processor resets with the next instruction, the gyro chip at once."""
+        """The supply dips: the processor resets with the next instruction, gyro chip and card at once."""
         self.hardware.gyro.power_on()
+        self.hardware.card_slot.power_on()
         self.engine.system_reset("brown-out")
 
     def run_to(self, cycle: int) -> None:
@@ -316,5 +331,6 @@ class Board:
         )
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Give the memory back, and the card's file."""
+        self.hardware.card_slot.close()
         self.engine.close()

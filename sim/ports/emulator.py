@@ -29,6 +29,7 @@ from sim.board.debug.snapshot import Snapshot, restore_snapshot, take_snapshot
 from sim.board.debug.variables import read_variables
 from sim.board.devices.gyro_chip import READY
 from sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from sim.board.devices.sd_card import SdCard
 from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.serial.idle_board import configured
 from sim.ports.port import Reply, Sample, control_divider, flight_settings
@@ -108,6 +109,7 @@ class EmulatedPort:
         *,
         receiver: str = "sbus",
         gyro: Gyro = GYRO,
+        card: SdCard | Path | None = None,
         dshot: int | None = None,
         faults: Sequence[Fault] = (),
         profile: bool = False,
@@ -118,6 +120,7 @@ class EmulatedPort:
 
         settings: other than the image's own; they, the gyro rate and the receiver are stored by the image
         itself before, as `configured` does. receiver: of RECEIVERS. gyro: what is fitted.
+        card: in its slot, or its image file; the port closes it. None: the slot is empty.
         dshot: the speed that the ESCs are set to, 300 or 600; None: as the setting motor_protocol says.
         profile: keep the tree of calls.
         attach: gets the powered board and returns what makes it run, `Board.run_to` or what stands before it.
@@ -127,6 +130,8 @@ class EmulatedPort:
         image does wrong.
         """
         elf = image.with_suffix(".elf")
+        if card is None and any(fault.kind.of_card for fault in faults):
+            raise LinkError("got a fault of the SD card, but no card; give one (--card IMG)")
         for path in (image, elf):
             if not path.is_file():
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
@@ -149,7 +154,8 @@ class EmulatedPort:
             chip=gyro.chip,
             profile=profile,
             strict=all(fault.name != "processor-fault" for fault in faults),
-            watchdog_resets=bool(faults),
+            card=SdCard(card) if isinstance(card, Path) else card,
+            watchdog_resets=any(not fault.kind.of_card for fault in faults),
             dshot=dshot or _dshot(settings or {}),
         )
         try:

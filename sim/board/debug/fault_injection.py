@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.core.engine import CPI
+from sim.board.devices.sd_card import CardFault
 from sim.board.peripherals.usart import Format
 from toolchain.errors import ScenarioError
 
@@ -35,6 +36,7 @@ class FaultKind:
     whole: bool = False
     begin: Callable[[Board, float], None] = lambda board, value: None
     end: Callable[[Board], None] | None = None  # after VALUE seconds, where it is a time
+    of_card: bool = False  # of the SD card, which the firmware flies on without
 
 
 def _silence(board: Board, silent: bool) -> None:
@@ -64,6 +66,10 @@ def _overload(board: Board, seconds: float) -> None:
     loop = (0x4A02, 0x3A01, 0xD1FD, 0x4A02, 0x4710, 0xBF00)  # ldr r2; subs r2, #1; bne; ldr r2; bx r2; nop
     engine.poke(stub, struct.pack("<6H2I", *loop, rounds, function))
     engine.poke(table + 4 * calls.index(function), struct.pack("<I", stub | 1))
+
+
+def _card(fault: CardFault) -> Callable[[Board, float], None]:
+    return lambda board, value: board.hardware.card_slot.strike(fault, value)
 
 
 def _hang(board: Board) -> None:
@@ -123,6 +129,53 @@ FAULTS = {
         0.1,
         begin=_overload,
     ),
+    "card-stall": FaultKind(
+        "the SD card takes longer for what it does, or does next",
+        "by so many seconds; default 0.5",
+        0.5,
+        0.0001,
+        SECONDS_MAX,
+        begin=_card(CardFault.STALL),
+        of_card=True,
+    ),
+    "card-removed": FaultKind(
+        "the SD card is pulled",
+        "for so many seconds; default: for good",
+        math.inf,
+        0.0001,
+        SECONDS_MAX,
+        begin=_card(CardFault.REMOVED),
+        end=lambda board: board.hardware.card_slot.strike(CardFault.INSERTED),
+        of_card=True,
+    ),
+    "card-errors": FaultKind(
+        "a bit of a command or block turns over between processor and SD card",
+        "in that share of them; default 0.01",
+        0.01,
+        1e-9,
+        1.0,
+        begin=_card(CardFault.ERRORS),
+        of_card=True,
+    ),
+    "card-worn": FaultKind(
+        "the SD card is worn: every block that is written is a write error",
+        "but so many first; default 0",
+        0,
+        0,
+        1e9,
+        whole=True,
+        begin=_card(CardFault.WORN),
+        of_card=True,
+    ),
+    "card-slow": FaultKind(
+        "all that the SD card does takes longer",
+        "so many times; default 10",
+        10.0,
+        0.1,
+        1000.0,
+        begin=_card(CardFault.SLOW),
+        of_card=True,
+    ),
     # The receiver is not the board's: `FaultPlan.damaged` takes its frames.
     "receiver-broken": FaultKind(
         "a bit of each receiver frame is turned over",
@@ -173,7 +226,7 @@ class FaultPlan:
 
     def __init__(self, faults: Sequence[Fault], rate_hz: int) -> None:
         """rate_hz: of the gyro samples. Those of the boot are due at once."""
-        self.begun = False  # one has come: nothing need keep step any more
+        self.begun = False  # one has come that nothing need keep step after
         self._rate_hz = rate_hz
         # What is to come: sample, fault, whether it ends then.
         self.due = [(0, fault, False) for fault in faults if fault.at_s is None]
@@ -199,8 +252,8 @@ class FaultPlan:
         while self.due and self.due[0][0] <= sample:
             _, fault, ends = self.due.pop(0)
             words.append(f"fault {fault}{' ends' if ends else ''}")
-            self.begun = True
             kind = fault.kind
+            self.begun = self.begun or not kind.of_card
             if ends:
                 assert kind.end is not None
                 kind.end(board)

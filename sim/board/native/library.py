@@ -47,6 +47,7 @@ class Native:
         self.drivers: dict[int, Driver] = {}  # by number of their request
         self.on_reject: Callable[[Device, int, int, int | None], None] = lambda *access: None
         self.on_exchange: Callable[[Any, int, float, int], bytes] = lambda *_: b""
+        self.on_card: Callable[[bytes, int, int, float, int], bytes] = lambda sent, *_: b"\xff" * len(sent)
         self.on_errors: Callable[[bytes], bytes] = lambda received: received
         self.on_frame: Callable[[int, int, int], None] = lambda motor, cycle, data: None
         self.on_sample: Callable[[int], None] = lambda number: None
@@ -55,6 +56,7 @@ class Native:
             "query": self._query,
             "source": self._guarded(self._source),
             "exchange": self._guarded(self._exchange),
+            "card": self._guarded(self._card),
             "errors": self._guarded(self._errors),
             "pulses": self._guarded(self._pulses),
             "frames": self._guarded(self._frames),
@@ -131,6 +133,10 @@ class Native:
 
     def _exchange(self, data: Any, count: int, transaction: int, hz: float, mode: int) -> None:  # noqa: ANN401
         self.ffi.memmove(data, self.on_exchange(data[0:count], transaction, hz, mode), count)
+
+    def _card(self, data: Any, count: int, cycle: int, length: int, hz: float, mode: int) -> None:  # noqa: ANN401
+        sent = bytes(self.ffi.buffer(data, count))
+        self.ffi.memmove(data, self.on_card(sent, cycle, length, hz, mode), count)
 
     def _errors(self, data: Any, count: int) -> None:  # noqa: ANN401
         self.ffi.memmove(data, self.on_errors(bytes(data[0:count])), count)

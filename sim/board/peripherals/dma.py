@@ -175,6 +175,8 @@ class DmaSystem:
         self._native, self._library = native, native.library
         self.number("SPI1_RX", self._library.SPI_RX)
         self.number("SPI1_TX", self._library.SPI_TX)
+        self.number("SPI3_RX", self._library.SPI3_RX)
+        self.number("SPI3_TX", self._library.SPI3_TX)
 
     def number(self, source: str, number: int) -> None:
         """C calls the request `source` by `number`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 # Which request drives a stream on a channel: (controller, stream, channel) (RM0431 8.3.3, DMA1 and DMA2
 # request mapping; where several share a place, all are named). Only peripherals that the emulator models.
 REQUESTS: dict[tuple[int, int, int], tuple[str, ...]] = {
+    (1, 0, 0): ("SPI3_RX",), (1, 2, 0): ("SPI3_RX",), (1, 5, 0): ("SPI3_TX",), (1, 7, 0): ("SPI3_TX",),
     (1, 0, 2): ("TIM4_CH1",), (1, 3, 2): ("TIM4_CH2",), (1, 6, 2): ("TIM4_UP",), (1, 7, 2): ("TIM4_CH3",),
     (1, 1, 3): ("TIM2_UP", "TIM2_CH3"), (1, 5, 3): ("TIM2_CH1",), (1, 6, 3): ("TIM2_CH2", "TIM2_CH4"),
     (1, 7, 3): ("TIM2_UP", "TIM2_CH4"),

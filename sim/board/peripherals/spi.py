@@ -1,4 +1,4 @@
-"""SPI1 as master: the rules of its set-up, and injected bit errors. Bytes move in C (native/c/spi.c)."""
+"""SPI1 and SPI3 as masters: the rules of their set-up, and bit errors. Bytes move in C (native/c/spi.c)."""
 
 from __future__ import annotations
 
@@ -19,23 +19,64 @@ class SpiSlave(Protocol):
         ...
 
 
-class Spi(NativeDevice):
-    """SPI1, frames of 8 bits."""
+SPIS = ("SPI1", "SPI3")  # in C's order
 
-    def __init__(self, native: Native, pins: Pins, slave: SpiSlave, seed: int = 0) -> None:
-        irq = load_table().interrupt("SPI1")
-        super().__init__(native, "SPI1", native.library.SPI, alarm="spi1.byte", interrupts=(irq,))
+
+class Spi(NativeDevice):
+    """One of SPIS, frames of 8 bits."""
+
+    def __init__(self, native: Native, name: str, pins: Pins) -> None:
+        irq, lib = load_table().interrupt(name), native.library
+        alarm = f"{name.lower()}.byte"
+        super().__init__(native, name, lib.SPI, SPIS.index(name), alarm=alarm, interrupts=(irq,))
         self._pins = pins
-        self._random = random.Random(seed)
-        self._bit_error_rate = 0.0
-        native.on_exchange = slave.exchange
-        native.on_errors = self._with_errors
-        lib = native.library
         self.queries = {
             lib.QUERY_SEND: lambda a, b: self.validate(),
             lib.QUERY_BUSY: lambda a, b: self.reject_busy(),
             lib.QUERY_FULL: lambda a, b: self.reject_full(),
         }
+
+    def reject_busy(self) -> NoReturn:
+        """CR1 changes meanwhile."""
+        self.context.fail(
+            f"{self.name}_CR1 is changed while a transfer is under way, expected {self.name}_SR BSY 0"
+        )
+
+    def reject_full(self) -> NoReturn:
+        """DR is written once too often."""
+        self.context.fail(
+            f"{self.name}_DR is written while its FIFO is full, expected {self.name}_SR TXE before"
+        )
+
+    def validate(self) -> None:
+        """Fail unless all is set up for bytes to be sent."""
+        name, fail = self.name, self.context.fail
+        if not self.get("CR1", "MSTR"):
+            fail(f"{name} sends with CR1 MSTR 0, expected a master")
+        if not (self.get("CR1", "SSM") and self.get("CR1", "SSI")):
+            fail(
+                f"{name} sends with CR1 SSM or SSI 0, expected both 1: "
+                "else it takes its own select for a fault"
+            )
+        if self.get("CR2", "DS") != 7:
+            fail(f"{name} sends frames of {self.get('CR2', 'DS') + 1} bits, expected 8")
+        if self.get("CR1", "LSBFIRST"):
+            fail(f"{name} sends with CR1 LSBFIRST 1, expected the most significant bit first")
+        if self.words["CR2"] & 1 and not self.get("CR2", "FRXTH"):
+            fail(f"{name} receives by DMA with CR2 FRXTH 0: bytes come in pairs, expected FRXTH 1")
+        for line in ("SCK", "MISO", "MOSI"):
+            self._pins.expect(f"{name}_{line}", f"{name} sends")
+
+
+class GyroSpi(Spi):
+    """SPI1 with the gyro chip, and bits that turn over on their way from it."""
+
+    def __init__(self, native: Native, pins: Pins, slave: SpiSlave, seed: int = 0) -> None:
+        super().__init__(native, "SPI1", pins)
+        self._random = random.Random(seed)
+        self._bit_error_rate = 0.0
+        native.on_exchange = slave.exchange
+        native.on_errors = self._with_errors
 
     @property
     def bit_error_rate(self) -> float:
@@ -54,32 +95,6 @@ class Spi(NativeDevice):
         for bit in range(8):
             byte ^= (self._random.random() < self._bit_error_rate) << bit
         return byte
-
-    def reject_busy(self) -> NoReturn:
-        """CR1 changes meanwhile."""
-        self.context.fail("SPI1_CR1 is changed while a transfer is under way, expected SPI1_SR BSY 0")
-
-    def reject_full(self) -> NoReturn:
-        """DR is written once too often."""
-        self.context.fail("SPI1_DR is written while its FIFO is full, expected SPI1_SR TXE before")
-
-    def validate(self) -> None:
-        """Fail unless all is set up for bytes to be sent."""
-        fail = self.context.fail
-        if not self.get("CR1", "MSTR"):
-            fail("SPI1 sends with CR1 MSTR 0, expected a master")
-        if not (self.get("CR1", "SSM") and self.get("CR1", "SSI")):
-            fail(
-                "SPI1 sends with CR1 SSM or SSI 0, expected both 1: else it takes its own select for a fault"
-            )
-        if self.get("CR2", "DS") != 7:
-            fail(f"SPI1 sends frames of {self.get('CR2', 'DS') + 1} bits, expected 8")
-        if self.get("CR1", "LSBFIRST"):
-            fail("SPI1 sends with CR1 LSBFIRST 1, expected the most significant bit first")
-        if self.words["CR2"] & 1 and not self.get("CR2", "FRXTH"):
-            fail("SPI1 receives by DMA with CR2 FRXTH 0: bytes come in pairs, expected FRXTH 1")
-        for signal in ("SPI1_SCK", "SPI1_MISO", "SPI1_MOSI"):
-            self._pins.expect(signal, "SPI1 sends")
 
     def state(self) -> Any:  # noqa: ANN401
         return {"rate": self._bit_error_rate, "random": self._random.getstate()}

@@ -56,6 +56,12 @@ _USART = {
     "RDR": _ALL,
     "TDR": _ALL,
 }
+_SPI = {
+    "CR1": "CPHA CPOL MSTR BR SPE LSBFIRST SSI SSM",
+    "CR2": "RXDMAEN TXDMAEN ERRIE RXNEIE TXEIE DS FRXTH",
+    "SR": _ALL,
+    "DR": _ALL,
+}
 _DMA = {
     **dict.fromkeys(["LISR", "HISR", "LIFCR", "HIFCR"], _ALL),
     **{f"S{i}CR": "CHSEL PL MSIZE PSIZE MINC CIRC DIR TCIE HTIE TEIE DMEIE EN"
@@ -72,10 +78,10 @@ MODELLED: dict[str, dict[str, str]] = {
         "CFGR": "SW SWS HPRE PPRE1 PPRE2",
         "CIR": _ALL,
         "AHB1RSTR": "GPIOARST GPIOBRST GPIOCRST GPIODRST DMA1RST DMA2RST",
-        "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST USART2RST USART3RST UART4RST UART5RST PWRRST",
+        "APB1RSTR": "TIM2RST TIM3RST TIM4RST TIM5RST SPI3RST USART2RST USART3RST UART4RST UART5RST PWRRST",
         "APB2RSTR": "TIM1RST TIM8RST USART1RST ADCRST SPI1RST SYSCFGRST",
         "AHB1ENR": "GPIOAEN GPIOBEN GPIOCEN GPIODEN DMA1EN DMA2EN DTCMRAMEN",
-        "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN USART2EN USART3EN UART4EN UART5EN PWREN",
+        "APB1ENR": "TIM2EN TIM3EN TIM4EN TIM5EN SPI3EN USART2EN USART3EN UART4EN UART5EN PWREN",
         "APB2ENR": "TIM1EN TIM8EN USART1EN ADC1EN SPI1EN SYSCFGEN",
         "CSR": _ALL,
         "DCKCFGR1": "TIMPRE",
@@ -103,12 +109,8 @@ MODELLED: dict[str, dict[str, str]] = {
     "TIM1": _ADVANCED_TIMER,
     "TIM8": _ADVANCED_TIMER,
     **{f"TIM{n}": _TIMER for n in (2, 3, 4, 5)},
-    "SPI1": {
-        "CR1": "CPHA CPOL MSTR BR SPE LSBFIRST SSI SSM",
-        "CR2": "RXDMAEN TXDMAEN ERRIE RXNEIE TXEIE DS FRXTH",
-        "SR": _ALL,
-        "DR": _ALL,
-    },
+    "SPI1": _SPI,
+    "SPI3": _SPI,
     "USART1": _USART,
     "USART2": _USART,
     "USART3": _USART,
@@ -126,7 +128,7 @@ MODELLED: dict[str, dict[str, str]] = {
 }
 
 # Accesses narrower than a word (RM0431: GPIO by byte, half-word and word; SPI_DR packs data by width).
-_NARROW = {"GPIO": (1, 2, 4), "SPI1.DR": (1, 2, 4), "TIM": (2, 4)}
+_NARROW = {"GPIO": (1, 2, 4), "SPI1.DR": (1, 2, 4), "SPI3.DR": (1, 2, 4), "TIM": (2, 4)}
 _ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w", None: "rw"}
 _CORE = 0xE0000000  # from here on it is the core's, which the engine knows (ARMv7-M B3.1)
 

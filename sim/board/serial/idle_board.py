@@ -18,6 +18,7 @@ from flash.settings import Settings, as_stored, in_order
 from sim.board.board import Board
 from sim.board.core.context import TIME_HZ
 from sim.board.devices.gyro_mount import accel_counts, gyro_counts
+from sim.board.devices.sd_card import SdCard
 from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.peripherals.usart import Format
 from sim.board.serial.bridge import MSP_UART, Bridge, LineTransport, UartLine
@@ -52,6 +53,7 @@ class IdleBoard:
         elf: Path | None = None,
         volts: float = FULL_VOLTS,
         gyro: Gyro = GYRO,
+        card: SdCard | None = None,
         seed: int = 0,
         boot_button: bool = False,
         newly_installed: bool = False,
@@ -59,14 +61,15 @@ class IdleBoard:
     ) -> None:
         """flash: its content; elf: the image's, for names and lines. seed: of the sensors' noise.
 
-        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. newly_installed,
-        watchdog_resets: as Board takes them.
+        boot_button: held at power-up, so that the boot loader in the chip's ROM runs. card,
+        newly_installed, watchdog_resets: as Board takes them.
         Raises BuildError when the engine cannot be built or `elf` is none.
         """
         self.board = Board(
             flash,
             elf=elf,
             chip=gyro.chip,
+            card=card,
             boot_button=boot_button,
             newly_installed=newly_installed,
             watchdog_resets=watchdog_resets,

@@ -161,7 +161,7 @@ class Bench:
         self.set("RCC_CFGR", PPRE1=5, PPRE2=4)
         self.set("RCC_CFGR", SW=2)
         self.set("RCC_AHB1ENR", GPIOAEN=1, GPIOBEN=1, GPIOCEN=1, GPIODEN=1, DMA1EN=1, DMA2EN=1)
-        self.set("RCC_APB1ENR", USART2EN=1, TIM3EN=1, USART3EN=1)
+        self.set("RCC_APB1ENR", USART2EN=1, TIM3EN=1, USART3EN=1, SPI3EN=1)
         self.set("RCC_APB2ENR", SPI1EN=1, TIM8EN=1, TIM1EN=1, USART1EN=1, ADC1EN=1, SYSCFGEN=1)
 
     def alternate(self, pin: str, function: int) -> None:

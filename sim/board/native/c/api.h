@@ -8,13 +8,13 @@
 enum {
 	NO_ADDRESS = 0xFFFFFFFF,
 	NO_FRAME = 0xFFFFFFFF,
-	PYTHON_SOURCE = 32, /* sources from here on are Python's */
+	PYTHON_SOURCE = 34, /* sources from here on are Python's */
 	GYRO_VALUES = 7,    /* accelerometer, temperature, gyro */
 	GYRO_BYTES = 14,
 };
 
 enum kind { PORT, SYSCFG, EXTI, DMA, SPI, TIMER };
-enum source { SPI_RX, SPI_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
+enum source { SPI_RX, SPI_TX, SPI3_RX, SPI3_TX, TIMER_SOURCE }; /* then five a timer: update, channels 1 to 4 */
 
 /* What C asks the class of a device, which raises an error for what is wrong. */
 enum query {
@@ -70,6 +70,13 @@ struct gyro {
 	uint8_t silent;         /* no data-ready pulses, as injected by a fault campaign */
 };
 
+/* What the SD card answers while nothing but 0xFF is sent: C does not ask Python for it until `until`. */
+struct card {
+	uint64_t until;       /* of the last bit of the answer [cycle]; 0: Python is asked for every byte */
+	uint32_t transaction; /* of the bus, for which that holds */
+	uint8_t answer;
+};
+
 struct watchdog {
 	uint64_t period;  /* from a feed to the reset [cycles]; 0: it stands */
 	uint64_t feeds;
@@ -83,6 +90,8 @@ typedef void (*reject_callback)(uint32_t device, uint32_t offset, uint32_t size,
 typedef bool (*query_callback)(uint32_t query, uint32_t device, uint32_t a, uint32_t b); /* true: it has failed */
 typedef void (*source_callback)(uint32_t source, bool sync);
 typedef void (*exchange_callback)(uint8_t *bytes, uint32_t count, uint32_t transaction, double hz, uint32_t mode);
+/* Of the bytes, the first begins at `cycle`, and each lasts `length` cycles at `hz`. */
+typedef void (*card_callback)(uint8_t *bytes, uint32_t count, uint64_t cycle, uint32_t length, double hz, uint32_t mode);
 typedef void (*errors_callback)(uint8_t *bytes, uint32_t count);
 typedef void (*pulses_callback)(uint32_t device, uint32_t channel, uint64_t start, uint64_t length, uint32_t count,
 	const uint32_t *highs);
@@ -95,6 +104,7 @@ struct native_callbacks {
 	query_callback query;
 	source_callback source;     /* a driver in Python brings itself up to now, or hears of a stream */
 	exchange_callback exchange; /* bytes that C does not answer for the gyro chip */
+	card_callback card;         /* bytes between the program and the SD card that C does not answer */
 	errors_callback errors;     /* bit errors on received bytes, if there are any */
 	pulses_callback pulses;     /* of a channel, that are no plain frame */
 	frames_callback frames;     /* frames that C has taken, if asked for */
@@ -123,8 +133,8 @@ uint32_t *native_words(struct native *n, uint32_t device);
 uint64_t native_touched(const struct native *n, uint32_t device, uint32_t word, bool writes);
 bool native_is_clocked(const struct native *n, uint32_t device);
 void native_clock(struct native *n, uint32_t device, bool on);
-/* The clock tree has changed: APB2, timers on APB1, timers on APB2 [Hz]. */
-void native_clocks(struct native *n, uint64_t apb2, uint64_t timer1, uint64_t timer2);
+/* The clock tree has changed: APB1, APB2, timers on APB1, timers on APB2 [Hz]. */
+void native_clocks(struct native *n, uint64_t apb1, uint64_t apb2, uint64_t timer1, uint64_t timer2);
 
 /* The board puts a level on a pin. */
 void native_drive(struct native *n, uint32_t port, uint32_t pin, bool level);
@@ -144,11 +154,21 @@ uint32_t native_available(struct native *n, uint32_t source);  /* items until th
 uint32_t native_until_flag(struct native *n, uint32_t source); /* items until it is half through or at its end */
 uint32_t native_target(struct native *n, uint32_t source);     /* peripheral address */
 bool native_circular(struct native *n, uint32_t source);
+/* Whether a stream for it is enabled that interrupts. */
+bool native_rings(const struct native *n, uint32_t source);
 /* Moves items from or to memory; returns how many there were. */
 uint32_t native_take(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
 uint32_t native_give(struct native *n, uint32_t source, uint32_t *items, uint32_t count);
 
-/* Received bytes have bit errors. */
+/* The SD card behind SPI3; none is fitted until Python asks for it here. */
+struct card *native_card(struct native *n);
+/* Whether the card is selected, and the number of its transaction. */
+bool native_card_selected(const struct native *n);
+uint32_t native_card_transaction(const struct native *n);
+/* Bytes to and from the card that have passed until now are handed over. */
+void native_card_sync(struct native *n);
+
+/* Received bytes of SPI1 have bit errors. */
 void native_bit_errors(struct native *n, bool any);
 
 /* The chip's alarms, the length of its data-ready pulse [cycles], and the fastest clock for its data. */

@@ -31,7 +31,7 @@ static uint32_t dispatch_read(void *user, uint32_t window, uint32_t offset, uint
 	switch (n->kinds[device]) {
 	case PORT: value = pins_read(n, (uint32_t)device, word); break;
 	case DMA: value = dma_read(n, (uint32_t)device, word); break;
-	case SPI: return spi_read(n, word, size);
+	case SPI: return spi_read(n, n->numbers[device], word, size);
 	case TIMER: value = timer_read(n, (uint32_t)device, word); break;
 	default: value = device_words(n, (uint32_t)device)[word]; break;
 	}
@@ -68,10 +68,13 @@ static void dispatch_write(void *user, uint32_t window, uint32_t offset, uint32_
 	}
 	++n->s.writes[device][word];
 	switch (n->kinds[device]) {
-	case PORT: pins_write(n, (uint32_t)device, word, value); break;
+	case PORT:
+		native_card_sync(n); /* it may be the card's select */
+		pins_write(n, (uint32_t)device, word, value);
+		break;
 	case EXTI: exti_write(n, word, value); break;
 	case DMA: dma_write(n, (uint32_t)device, word, value); break;
-	case SPI: spi_write(n, word, size, value); break;
+	case SPI: spi_write(n, n->numbers[device], word, size, value); break;
 	case TIMER: timer_write(n, (uint32_t)device, word, value); break;
 	default: device_keep(n, (uint32_t)device, word, value); break;
 	}
@@ -82,10 +85,12 @@ static void dispatch_alarm(void *user, uint32_t alarm)
 	struct native *const n = user;
 
 	n->failed = false;
-	if (alarm == n->alarms[n->spi]) {
-		spi_sync(n);
-		spi_start(n);
-		return;
+	for (uint32_t i = 0; i < SPIS; ++i) {
+		if (alarm == n->alarms[n->spis[i]]) {
+			spi_sync(n, i);
+			spi_start(n, i);
+			return;
+		}
 	}
 	if (alarm == n->gyro_alarm) {
 		gyro_sample(n);
@@ -138,11 +143,14 @@ struct native *native_new(struct engine *e, const struct callbacks *python, cons
 	n->e = e;
 	n->python = *python;
 	n->callbacks = *callbacks;
-	n->s.begun = NEVER;
+	for (uint32_t i = 0; i < SPIS; ++i) {
+		n->s.spis[i].begun = NEVER;
+		n->s.spis[i].clock = 16000000;
+	}
 	n->gyro_alarm = n->gyro_fall_alarm = UINT32_MAX;
 	n->watchdog_window = UINT32_MAX;
 	n->s.epoch = 1;
-	n->s.apb2 = n->s.timer_clock[0] = n->s.timer_clock[1] = 16000000;
+	n->s.timer_clock[0] = n->s.timer_clock[1] = 16000000;
 	for (uint32_t i = 0; i < WINDOWS; ++i)
 		n->device_of[i] = -1;
 	for (uint32_t i = 0; i < PYTHON_SOURCE; ++i)
@@ -181,7 +189,7 @@ uint32_t native_device(struct native *n, uint32_t kind, uint32_t number, uint32_
 	case SYSCFG: n->syscfg = device; break;
 	case EXTI: n->exti = device; break;
 	case DMA: n->controllers[number] = device; break;
-	case SPI: n->spi = device; break;
+	case SPI: n->spis[number] = device; break;
 	default: n->timer_devices[number] = device; n->advanced[number] = advanced; break;
 	}
 	return device;
@@ -214,13 +222,21 @@ void native_clock(struct native *n, uint32_t device, bool on)
 	n->s.clocked[device] = on;
 }
 
-void native_clocks(struct native *n, uint64_t apb2, uint64_t timer1, uint64_t timer2)
+void native_clocks(struct native *n, uint64_t apb1, uint64_t apb2, uint64_t timer1, uint64_t timer2)
 {
 	n->failed = false;
-	spi_sync(n);
-	n->s.apb2 = apb2;
-	spi_plan(n);
+	for (uint32_t i = 0; i < SPIS; ++i) {
+		spi_sync(n, i);
+		n->s.spis[i].clock = i == 0u ? apb2 : apb1;
+		spi_plan(n, i);
+	}
 	timer_clocks(n, timer1, timer2);
+}
+
+void native_card_sync(struct native *n)
+{
+	if (n->s.spis[1].begun != NEVER)
+		spi_sync(n, 1);
 }
 
 void native_reset(struct native *n, uint32_t device)
@@ -234,7 +250,7 @@ void native_reset(struct native *n, uint32_t device)
 	case PORT: pins_tell(n, number); break;
 	case EXTI: exti_update(n); break;
 	case DMA: dma_reset(n, number); break;
-	case SPI: spi_reset(n); break;
+	case SPI: spi_reset(n, number); break;
 	case TIMER: timer_reset(n, number); break;
 	default: break;
 	}

@@ -178,6 +178,17 @@ bool native_circular(struct native *n, uint32_t source)
 	       (dma_words(n, (uint32_t)place / STREAMS, (uint32_t)place % STREAMS)[0] & CR_CIRC) != 0u;
 }
 
+bool native_rings(const struct native *n, uint32_t source)
+{
+	const int16_t place = n->s.stream_of[source];
+
+	if (place < 0)
+		return false;
+	const uint32_t device = n->controllers[place / STREAMS];
+
+	return (n->s.words[device][S_CR + S_STEP * ((uint32_t)place % STREAMS)] & CR_INTERRUPTS) != 0u;
+}
+
 static void dma_advance(struct native *n, uint32_t controller, uint32_t stream, uint32_t count)
 {
 	struct stream *const s = &n->s.streams[controller][stream];

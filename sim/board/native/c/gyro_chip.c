@@ -49,7 +49,7 @@ void gyro_fall(struct native *n)
 bool gyro_exchange(struct native *n, uint8_t *bytes, uint32_t count, double hz, uint32_t mode)
 {
 	struct gyro *const g = &n->s.gyro;
-	const bool begins = g->transaction != n->s.transaction || g->address == NO_ADDRESS;
+	const bool begins = g->transaction != n->s.spis[0].transaction || g->address == NO_ADDRESS;
 	const uint32_t place = (begins ? bytes[0] & ~(uint32_t)READ : g->address) - DATA, rest = count - begins;
 
 	if ((mode != 0u && mode != 3u) || hz > n->gyro_data_hz || place > GYRO_BYTES || rest > GYRO_BYTES - place)
@@ -59,7 +59,7 @@ bool gyro_exchange(struct native *n, uint8_t *bytes, uint32_t count, double hz, 
 	if (begins ? (bytes[0] & READ) == 0u || native_now(n) < g->ready_at : !g->reads)
 		return false;
 	if (begins) {
-		g->transaction = n->s.transaction;
+		g->transaction = n->s.spis[0].transaction;
 		g->reads = 1;
 		memcpy(g->shadow, g->data, sizeof g->shadow);
 		*bytes++ = 0;

@@ -1,5 +1,5 @@
 /* The peripherals that a flight controller uses ten thousand times a second, between the engine and Python: GPIO,
- * SYSCFG, EXTI, DMA1 and 2, SPI1, the timers, and what hangs on them: the gyro chip, the ESCs and the watchdog. This
+ * SYSCFG, EXTI, DMA1 and 2, SPI1 and SPI3, the timers, and what hangs on them: gyro chip, ESCs and watchdog. This
  * file has the types that they share. C moves registers, data and time; the classes of the same names in Python know the
  * rules: C asks them once for each new set-up, and they say what is wrong. */
 #ifndef NATIVE_H
@@ -16,9 +16,10 @@
 enum {
 	WINDOWS = 128,
 	WORDS = 256,
-	DEVICES = 15,
+	DEVICES = 16,
 	PORTS = 4,
 	STREAMS = 8,
+	SPIS = 2,             /* SPI1 with the gyro chip, SPI3 with the SD card */
 	TIMERS = 6,
 	CHANNELS = 4,
 	MOTORS = 8,
@@ -54,6 +55,15 @@ struct timer {
 	struct esc escs[CHANNELS];
 };
 
+struct spi {
+	uint8_t sending[FIFO_BYTES + 1], received[FIFO_BYTES];
+	uint32_t sending_count, received_count, last;
+	uint64_t begun; /* NEVER: no byte is on the wire */
+	uint32_t overrun, epoch, cr1, cr2; /* the last three: of the set-up found right last */
+	uint32_t selected, transaction;    /* the chip behind it; every edge of its select begins a new one */
+	uint64_t clock;                    /* of its bus [Hz] */
+};
+
 struct native_state {
 	uint32_t words[DEVICES][WORDS];
 	uint64_t reads[DEVICES][WORDS], writes[DEVICES][WORDS];
@@ -66,13 +76,10 @@ struct native_state {
 	uint64_t quiet; /* sources of Python whose moves only a read of registers could show */
 	uint64_t due[SOURCES]; /* of Python's sources: cycle at which there is something to move; NEVER: nothing */
 	struct timer timers[TIMERS];
-	uint8_t sending[FIFO_BYTES + 1], received[FIFO_BYTES];
-	uint32_t sending_count, received_count, last;
-	uint64_t begun; /* NEVER: no byte is on the wire */
-	uint32_t overrun, spi_epoch, spi_cr1, spi_cr2;
-	uint32_t selected, transaction;
-	uint64_t apb2, timer_clock[2];
+	struct spi spis[SPIS];
+	uint64_t timer_clock[2];
 	struct gyro gyro;
+	struct card card;
 	struct watchdog watchdog;
 	struct frame frames[FRAMES];
 	uint32_t frame_count;
@@ -99,7 +106,7 @@ struct native {
 	uint8_t kinds[DEVICES], numbers[DEVICES]; /* number: among its kind */
 	int16_t device_of[WINDOWS];
 	uint32_t device_count;
-	uint32_t ports[PORTS], controllers[2], timer_devices[TIMERS], spi, exti, syscfg; /* devices */
+	uint32_t ports[PORTS], controllers[2], timer_devices[TIMERS], spis[SPIS], exti, syscfg; /* devices */
 	uint32_t bases[DEVICES];
 	uint32_t irqs[DEVICES][STREAMS];
 	uint32_t alarms[DEVICES];
@@ -111,7 +118,7 @@ struct native {
 	double gyro_data_hz;
 	const struct esc *motors[MOTORS];
 	bool samples_heard, frames_heard; /* by Python */
-	bool bit_errors;
+	bool bit_errors, card_fitted;
 	uint64_t lazy; /* sources of Python that move between their dues as well */
 	bool failed; /* Python has raised during this access */
 };

@@ -54,7 +54,8 @@ void exti_write(struct native *n, uint32_t word, uint32_t value)
 
 /* ---- GPIO ---- */
 
-enum { CS_PORT = 2, CS_PIN = 2 };
+enum { CS_PORT = 2 }; /* of both chips on SPI */
+static const uint8_t cs_pins[SPIS] = {2, 1};
 
 static bool pins_level(const struct native *n, uint32_t port, uint32_t pin)
 {
@@ -70,11 +71,12 @@ static bool pins_level(const struct native *n, uint32_t port, uint32_t pin)
 
 void pins_tell(struct native *n, uint32_t port)
 {
-	if (port == CS_PORT) {
-		const bool selected = !pins_level(n, CS_PORT, CS_PIN);
+	for (uint32_t i = 0; port == CS_PORT && i < SPIS; ++i) {
+		struct spi *const spi = &n->s.spis[i];
+		const bool selected = !pins_level(n, CS_PORT, cs_pins[i]);
 
-		n->s.transaction += selected != n->s.selected;
-		n->s.selected = selected;
+		spi->transaction += selected != spi->selected;
+		spi->selected = selected;
 	}
 	for (uint32_t pin = 0; n->watched[port] >> pin != 0u; ++pin) {
 		if ((n->watched[port] >> pin & 1u) == 0u)

@@ -1,0 +1,274 @@
+"""An SD card as it hangs on the line: bytes in, bytes out, its power, and what goes wrong with it.
+
+Time is the cycle at which each byte begins. Between two bytes nothing of the card is computed: what happens
+to it meanwhile takes effect, at its own cycle, when the next byte passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from sim.board.core.context import TIME_HZ, BoardError
+from sim.board.core.engine import NEVER
+from sim.board.devices.sd_card.delays import CardTiming, Delays
+from sim.board.devices.sd_card.faults import CardFault, Cut, Event, Events, LineErrors
+from sim.board.devices.sd_card.image import CardImage
+from sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol, State
+from sim.board.devices.sd_card.registers import BUSY, RELEASED
+from sim.board.devices.sd_card.store import Store
+from sim.board.registers.bus import Companion
+
+START_HZ, FULL_HZ = (
+    400_000,
+    25_000_000,
+)  # SCK at most, until the card is initialised and from then on (6.5, 7.5)
+START_CLOCKS = 74  # with the select line high, before the first command (6.4.1)
+SUPPLY = TIME_HZ // 1000  # from power to those clocks, 1 ms at least (6.4.1) [cycles]
+
+
+def _raise(message: str) -> NoReturn:
+    raise BoardError(message)
+
+
+class SdCard:
+    """One SDHC card. It has its image file alone until `close`."""
+
+    def __init__(
+        self, path: Path, *, seed: int = 0, timing: CardTiming | None = None, erased: int = 0x00
+    ) -> None:
+        """path: of a raw image. seed: of times and faults. erased: what erased bytes are, 0x00 or 0xFF.
+
+        Raises LinkError for a file that no card can be.
+        """
+        assert erased in (0x00, 0xFF)
+        self.image = CardImage(path)
+        self.fail: Callable[[str], NoReturn] = _raise  # hears what a card does not forgive; does not return
+        self.on_power_cut: Callable[[], None] = lambda: None  # a scripted one: the board loses its power
+        self._delays = Delays(timing or CardTiming(), seed)
+        self._store = Store(self.image, self._delays, erased)
+        self._line, self._events = LineErrors(seed), Events()
+        self._protocol = Protocol(self._store, self._delays, self._line, seed)
+        self._protocol.before_write = self._happen_with_write
+        self._parts: tuple[Companion, ...] = (self._delays, self._store, self._line, self._events)
+        self._fitted, self._powered = True, True
+        self._hot = False  # put into a slot with power, and has not heard a command since
+        self._powered_at = 0
+        self._clocks = 0  # with the select line high, since then
+        self._frame = b""  # of a command that is not complete
+        self._transaction: int | None = None
+
+    @property
+    def writes(self) -> int:
+        """Blocks that were to be written since the card was made, refused ones included."""
+        return self._store.writes
+
+    @property
+    def fitted(self) -> bool:
+        """Whether it is in its slot."""
+        return self._fitted
+
+    def schedule(
+        self,
+        kind: CardFault,
+        value: float = 0.0,
+        *,
+        cycle: int | None = None,
+        write: int | None = None,
+        cut: Cut | None = None,
+        kept_bytes: int | None = None,
+    ) -> None:
+        """Let a fault come at `cycle`, or with block write number `write`, counted from 1; see CardFault.
+
+        cut, kept_bytes: what a power cut leaves of the block; None: by chance.
+        """
+        self._events.add(Event(kind, value, cycle, write, cut, kept_bytes))
+
+    def power_off(self, cycle: int) -> None:
+        """The supply goes."""
+        if self._powered:
+            self._store.lose_power(cycle)
+        self._powered = False
+
+    def power_on(self, cycle: int) -> None:
+        """The supply comes back, or was away so shortly that only what was under way is lost."""
+        self.power_off(cycle)
+        self._powered, self._powered_at = True, cycle
+        self._clocks, self._frame = 0, b""
+        self._protocol.state = State()
+
+    def close(self) -> None:
+        """Let the image file go."""
+        self.image.close()
+
+    # ---- bytes ----
+
+    def exchange(
+        self, sent: bytes, cycle: int, length: int, hz: float, mode: int, *, selected: bool, transaction: int
+    ) -> bytes:
+        """Bytes in, as many bytes out.
+
+        cycle: at which the first one begins; length: of each [cycles]; hz: of the clock; mode: 0 to 3.
+        transaction: a number that changes with every edge of the select line.
+        """
+        if transaction != self._transaction:
+            self._transaction, self._frame = transaction, b""
+            self._protocol.deselect()
+        got, place = bytearray(), 0
+        while place < len(sent):
+            at = cycle + place * length
+            part = sent[place : place + self._happen(at, length)]
+            if not (self._fitted and self._powered):
+                got += bytes([RELEASED]) * len(part)
+            else:
+                got += self._hear(part, at, length, hz, mode, selected=selected)
+            place = len(got)
+        return bytes(got)
+
+    def steady(self, cycle: int, *, selected: bool) -> tuple[int, int]:
+        """What it answers while only 0xFF comes from `cycle` on, and until which cycle; 0: not known."""
+        state, until = self._protocol.state, self._events.next_cycle
+        limit = NEVER if until is None else until
+        if not (self._fitted and self._powered):
+            return RELEASED, limit
+        if not state.spi or self._frame or state.wanted:
+            return RELEASED, 0
+        if not selected:
+            return RELEASED, limit
+        if state.out:
+            return RELEASED, 0
+        if cycle < state.busy_until:
+            return BUSY, min(limit, state.busy_until)
+        if state.reading:
+            return RELEASED, min(limit, state.data_at)
+        return RELEASED, limit
+
+    def _hear(self, sent: bytes, at: int, length: int, hz: float, mode: int, *, selected: bool) -> bytes:
+        """Answer some of `sent`, one byte at least."""
+        if self._hot and hz > START_HZ:
+            return bytes([RELEASED]) * len(sent)  # the host cannot know yet that it has to begin anew
+        self._check(hz, mode)
+        if selected:
+            return self._answer(sent, at, length)
+        if at >= self._powered_at + SUPPLY:
+            self._clocks += 8 * len(sent)
+        return bytes([RELEASED]) * len(sent)
+
+    def _check(self, hz: float, mode: int) -> None:
+        if mode not in (0, 3):
+            self.fail(f"the SD card is addressed in SPI mode {mode}, expected 0 or 3")
+        limit = START_HZ if self._protocol.state.idle else FULL_HZ
+        if hz > limit:
+            when = "before it is initialised" if self._protocol.state.idle else "after its initialisation"
+            self.fail(
+                f"the SD card is clocked at {hz / 1e6:g} MHz {when}, expected {limit / 1e6:g} MHz at most"
+            )
+
+    def _answer(self, sent: bytes, at: int, length: int) -> bytes:
+        """Likewise, with the card selected and well clocked."""
+        state = self._protocol.state
+        if state.wanted:
+            part = sent[: state.wanted]
+            self._protocol.receive(part, at + len(part) * length)
+            return bytes([RELEASED]) * len(part)
+        quiet = len(sent) - len(sent.lstrip(b"\xff"))
+        if not quiet or self._frame:
+            return self._listen(sent[0], at, length)
+        if state.out:
+            part, state.out = state.out[:quiet], state.out[quiet:]
+            return part
+        if at < state.busy_until:
+            left = state.busy_until - at
+            if left < length:  # it lets go of the line within the byte
+                return bytes([0xFF >> -(-8 * left // length)])
+            return bytes([BUSY]) * min(quiet, left // length)
+        if state.reading:
+            if at < state.data_at:
+                return bytes([RELEASED]) * min(quiet, -(-(state.data_at - at) // length))
+            self._protocol.next_data(at)
+            return self._answer(sent, at, length)
+        return bytes([RELEASED]) * quiet
+
+    def _listen(self, byte: int, at: int, length: int) -> bytes:
+        """A byte that may mean something, while the card says what it has to say."""
+        state = self._protocol.state
+        busy = not state.out and at < state.busy_until
+        got, state.out = state.out[:1] or bytes([BUSY if busy else RELEASED]), state.out[1:]
+        if self._frame:
+            self._frame += bytes([byte])
+            if len(self._frame) == COMMAND_BYTES:
+                frame, self._frame = self._frame, b""
+                if state.spi or self._clocks >= START_CLOCKS:
+                    self._protocol.command(frame, at + length)
+                    self._hot = self._hot and not self._protocol.state.spi
+        elif state.writing and not busy and self._protocol.token(byte, at + length):
+            pass
+        elif byte & 0xC0 == 0x40:
+            self._frame = bytes([byte])
+        return got
+
+    # ---- what goes wrong ----
+
+    def _happen(self, at: int, length: int) -> int:
+        """Let happen what is due at cycle `at`; bytes of `length` cycles until the next thing."""
+        due = self._events.next_cycle
+        if due is None:
+            return 1 << 30
+        if due <= at:
+            for event in self._events.due(at):
+                self._apply(event, at if event.cycle is None else event.cycle)
+            due = self._events.next_cycle
+        return 1 << 30 if due is None else max(1, -(-(due - at) // length))
+
+    def _happen_with_write(self, address: int, data: bytes, at: int) -> bool:
+        """A block is about to be written; false: the power has gone or the card has been pulled."""
+        for event in self._events.with_write(self._store.writes + 1):
+            if event.kind is CardFault.POWER_CUT:
+                self._cut(event, address, data, at)
+            else:
+                self._apply(event, at)
+        return self._fitted and self._powered
+
+    def _cut(self, event: Event, address: int, data: bytes, at: int) -> None:
+        if self._store.write(address, data):
+            self._store.finish_at(NEVER)
+            self._store.lose_power(at, event.cut, event.kept_bytes)
+        self._powered = False
+        self.on_power_cut()
+
+    def _apply(self, event: Event, at: int) -> None:
+        kind, value = event.kind, event.value
+        if kind is CardFault.STALL:
+            self._protocol.stall(at, round(value * TIME_HZ))
+        elif kind is CardFault.SLOW:
+            self._delays.factor = value
+        elif kind is CardFault.WORN:
+            self._store.worn_after = self._store.writes + int(value)
+        elif kind is CardFault.WORN_FROM:
+            self._store.worn_from = int(value)
+        elif kind is CardFault.ERRORS:
+            self._line.rate = value
+        elif kind is CardFault.REMOVED:
+            self.power_off(at)
+            self._fitted = False
+        elif kind is CardFault.INSERTED:
+            self._fitted = self._hot = True
+            self.power_on(at)
+        else:
+            self.power_off(at)
+            self.on_power_cut()
+
+    _KEPT = ("_fitted", "_powered", "_hot", "_powered_at", "_clocks", "_frame", "_transaction")
+
+    def state(self) -> Any:  # noqa: ANN401
+        own = {name: getattr(self, name) for name in self._KEPT}
+        return (tuple(part.state() for part in self._parts), self._protocol.kept(), own)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        parts, protocol, own = state
+        for part, kept in zip(self._parts, parts, strict=True):
+            part.restore(kept)
+        self._protocol.restore(protocol)
+        for name, value in own.items():
+            setattr(self, name, value)

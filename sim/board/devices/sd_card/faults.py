@@ -1,0 +1,116 @@
+"""What may go wrong with an SD card, each at a moment or at a block write."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from sim.board.devices.sd_card.registers import BLOCK
+
+
+class Cut(Enum):
+    """What is in a block that was being written when the power went."""
+
+    OLD = "old"  # what was there before
+    NEW = "new"
+    TORN = "torn"  # its first bytes new, the others old
+
+
+class CardFault(Enum):
+    """Kinds of faults, and what their value is."""
+
+    STALL = "stall"  # what it is doing, or does next, takes so many seconds more
+    SLOW = "slow"  # from then on every time is multiplied by that
+    WORN = "worn"  # every block that is written from so many writes later on is a write error
+    WORN_FROM = "worn-from"  # likewise, in blocks from that address on
+    ERRORS = "errors"  # from then on a bit turns over in that share of the commands and blocks on the line
+    REMOVED = "removed"  # pulled out of its slot
+    INSERTED = "inserted"  # put back
+    POWER_CUT = "power-cut"  # the board loses its power while this block is written
+
+
+@dataclass(frozen=True)
+class Event:
+    """A fault, and when it comes."""
+
+    kind: CardFault
+    value: float = 0.0
+    cycle: int | None = None  # from then on
+    write: int | None = None  # with this block write, counted from 1 since the card was made
+    cut: Cut | None = None  # for a power cut; None: by chance
+    kept_bytes: int | None = None  # of a torn block, its new ones; None: by chance
+
+
+class Events:
+    """The faults that are to come."""
+
+    def __init__(self) -> None:
+        self._timed: list[Event] = []  # the next one first
+        self._counted: list[Event] = []
+
+    def add(self, event: Event) -> None:
+        """Let `event` come."""
+        assert (event.cycle is None) != (event.write is None), "a fault comes at a cycle or with a write"
+        if event.cycle is None:
+            self._counted.append(event)
+        else:
+            self._timed.append(event)
+            self._timed.sort(key=lambda timed: timed.cycle or 0)
+
+    @property
+    def next_cycle(self) -> int | None:
+        """When the next one comes; None: none does by time."""
+        return self._timed[0].cycle if self._timed else None
+
+    def due(self, cycle: int) -> list[Event]:
+        """Those that come at `cycle` or before, taken out."""
+        came = [event for event in self._timed if (event.cycle or 0) <= cycle]
+        self._timed = self._timed[len(came) :]
+        return came
+
+    def with_write(self, number: int) -> list[Event]:
+        """Those that come with block write `number`, taken out."""
+        came = [event for event in self._counted if event.write == number]
+        self._counted = [event for event in self._counted if event.write != number]
+        return came
+
+    def state(self) -> Any:  # noqa: ANN401
+        return (list(self._timed), list(self._counted))
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self._timed, self._counted = (list(events) for events in state)
+
+
+class LineErrors:
+    """Bits that turn over between host and card."""
+
+    def __init__(self, seed: int) -> None:
+        self.rate = 0.0  # share of commands and blocks
+        self._random = random.Random(f"line {seed}")
+
+    def damaged(self, data: bytes) -> bytes:
+        """`data` as it arrives."""
+        if not self.rate or self._random.random() >= self.rate:
+            return data
+        bit = self._random.randrange(8 * len(data))
+        return data[: bit // 8] + bytes([data[bit // 8] ^ 0x80 >> bit % 8]) + data[bit // 8 + 1 :]
+
+    def state(self) -> Any:  # noqa: ANN401
+        return (self.rate, self._random.getstate())
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        self.rate, kept = state
+        self._random.setstate(kept)
+
+
+def left_of(old: bytes, new: bytes, cut: Cut | None, kept: int | None, choose: Callable[[int], int]) -> bytes:
+    """A block that was to become `new` from `old` when the power went; choose(n): a number below n."""
+    if cut is None:
+        cut = list(Cut)[choose(len(Cut))]
+    if cut is not Cut.TORN:
+        return old if cut is Cut.OLD else new
+    part = choose(BLOCK + 1) if kept is None else kept
+    return new[:part] + old[part:]

@@ -1,0 +1,64 @@
+"""What an SD card keeps: blocks that are being written when the power goes, and blocks that are worn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sim.board.devices.sd_card.delays import Delays
+from sim.board.devices.sd_card.faults import Cut, left_of
+from sim.board.devices.sd_card.image import CardImage
+
+
+class Store:
+    """The card's memory."""
+
+    def __init__(self, image: CardImage, delays: Delays, erased: int) -> None:
+        """erased: what erased bytes are, 0x00 or 0xFF."""
+        self.image, self.erased = image, erased
+        self.writes = 0  # blocks that were to be written since the card was made
+        self.worn_after: int | None = None  # writes; those that follow fail
+        self.worn_from: int | None = None  # block; those from it on fail
+        self._delays = delays
+        self._unfinished: tuple[int, bytes, bytes, int] | None = None  # block, old, new, until which cycle
+
+    @property
+    def blocks(self) -> int:
+        """How many there are."""
+        return self.image.blocks
+
+    def read(self, block: int) -> bytes:
+        """What block `block` holds."""
+        return self.image.read(block)
+
+    def write(self, block: int, data: bytes) -> bool:
+        """Begin to write a block, which `finish_at` says the end of; whether it can be written."""
+        self.writes += 1
+        worn = self.worn_after is not None and self.writes > self.worn_after
+        if worn or (self.worn_from is not None and block >= self.worn_from):
+            return False
+        self._unfinished = (block, self.image.read(block), data, 0)
+        self.image.write(block, data)
+        return True
+
+    def finish_at(self, cycle: int) -> None:
+        """The block that was written last is safe from `cycle` on."""
+        if self._unfinished is not None:
+            self._unfinished = (*self._unfinished[:3], cycle)
+
+    def erase(self, first: int, last: int) -> None:
+        """Erase blocks `first` to `last`."""
+        self.image.erase(first, last, self.erased)
+
+    def lose_power(self, cycle: int, cut: Cut | None = None, kept_bytes: int | None = None) -> None:
+        """The power goes at `cycle`: a block that is not finished is old, new or torn."""
+        if self._unfinished is not None and cycle < self._unfinished[3]:
+            block, old, new, _ = self._unfinished
+            self.image.write(block, left_of(old, new, cut, kept_bytes, self._delays.choice))
+        self._unfinished = None
+
+    def state(self) -> Any:  # noqa: ANN401
+        return (self.image.state(), self.writes, self.worn_after, self.worn_from, self._unfinished)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        image, self.writes, self.worn_after, self.worn_from, self._unfinished = state
+        self.image.restore(image)
