@@ -10,7 +10,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.sim.board_serial import UARTS, Interrupt, add_gyro_argument, check_gdb, open_end, parse_serials
+from cli.sim.board_serial import (
+    UARTS,
+    Interrupt,
+    add_card_argument,
+    add_gyro_argument,
+    check_gdb,
+    open_end,
+    parse_serials,
+)
 from toolchain.contract import (
     FLASH_BASE,
     FLASH_BYTES,
@@ -72,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep settings, policies and fault log here between two runs; the image is always the one given",
     )
     add_gyro_argument(parser)
+    add_card_argument(parser)
     parser.add_argument(
         "--volts",
         type=float,
@@ -94,6 +103,7 @@ def run(args: argparse.Namespace) -> int:
     image = args.chip or args.image or (args.build or BUILD) / "neuroflight.bin"
 
     from sim.board.debug.gdb import GdbServer
+    from sim.board.devices.sd_card import SdCard
     from sim.board.matekf722 import GYROS
     from sim.board.peripherals.usart import Format
     from sim.board.serial.bridge import Bridge, UartLine
@@ -113,11 +123,13 @@ def run(args: argparse.Namespace) -> int:
         for name, serial in serials.items():
             opened[name] = open_end(serial)
             ends.callback(opened[name].close)
+        card = None if args.card is None else SdCard(args.card)
         idle = IdleBoard(
             content,
             elf=elf if elf.is_file() and not args.chip else None,
             volts=args.volts,
             gyro=GYROS[args.gyro],
+            card=card,
             boot_button=args.boot0,
             newly_installed=args.chip is not None,
         )

@@ -6,6 +6,7 @@ import argparse
 import re
 import signal
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from toolchain.errors import NeuroflightError
@@ -27,6 +28,16 @@ def add_gyro_argument(parser: argparse._ActionsContainer) -> None:
         choices=GYROS,
         default=GYROS[0],
         help=f"the chip that is fitted; default {GYROS[0]}",
+    )
+
+
+def add_card_argument(parser: argparse._ActionsContainer) -> None:
+    """Declare the SD card in its slot."""
+    parser.add_argument(
+        "--card",
+        type=Path,
+        metavar="IMG",
+        help="an SD card is in the slot: this raw image, which is written to; default: none",
     )
 
 

@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.sim.board_serial import GYROS as CHIPS
-from cli.sim.board_serial import UARTS, Interrupt, add_gyro_argument, check_gdb, open_end, parse_serials
+from cli.sim.board_serial import (
+    UARTS,
+    Interrupt,
+    add_card_argument,
+    add_gyro_argument,
+    check_gdb,
+    open_end,
+    parse_serials,
+)
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -25,6 +33,7 @@ ESCS = {"dshot300": 300, "dshot600": 600}
 OPTIONS: dict[str, object] = {  # and their defaults
     "receiver": "sbus",
     "gyro": CHIPS[0],
+    "card": None,
     "esc": None,
     "fault": [],
     "serial": None,
@@ -42,6 +51,7 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         "--receiver", choices=RECEIVERS, default=RECEIVERS[0], help="what speaks on the receiver's line"
     )
     add_gyro_argument(group)
+    add_card_argument(group)
     group.add_argument(
         "--esc",
         choices=ESCS,
@@ -53,7 +63,8 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME[=VALUE]@SECONDS",
         help="let something go wrong: gyro-silent, spi-bit-errors, brown-out, flash-cut, crystal, hang, "
-        "processor-fault, overload or receiver-broken; @boot: from power on. "
+        "processor-fault, overload or receiver-broken; with --card also card-stall, card-removed, "
+        "card-errors, card-worn or card-slow; @boot: from power on. "
         f"Exit code {STOPPED} if the motors stop before the end",
     )
     group.add_argument(
@@ -80,6 +91,8 @@ def check_emulator(args: argparse.Namespace) -> None:
         raise NeuroflightError(
             "--serial uart3: got a board whose UART3 is off, expected MSP there; add --set uart3_function=msp"
         )
+    if args.card is None and (of_card := [text for text in args.fault if text.startswith("card-")]):
+        raise NeuroflightError(f"--fault {of_card[0]}: got no card that it could happen to; add --card IMG")
     check_gdb(args.gdb)
     if args.profile is not None and args.profile.exists() and not args.profile.is_dir():
         raise NeuroflightError(f"--profile: {args.profile} is a file, expected a directory")
@@ -99,6 +112,7 @@ def open_image(
         settings,
         receiver=args.receiver,
         gyro=GYROS[args.gyro],
+        card=args.card,
         dshot=None if args.esc is None else ESCS[args.esc],
         faults=[parse_fault(text) for text in args.fault],
         profile=args.profile is not None,
