@@ -21,7 +21,7 @@ RUN  := $(VENV)/bin/python -m cli.main
 PYTEST = $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal
 CLANG_PACKAGES := clang libclang-rt-dev
 ARM_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi llvm
-PEER_PACKAGES := dfu-util stm32flash
+PEER_PACKAGES := dfu-util dosfstools mtools stm32flash
 
 IN_DEV   := setup test prove coverage bench lint
 IN_TRAIN := train
@@ -91,11 +91,12 @@ clang: # the compiler that brings libFuzzer, as the ARM compiler is brought
 	  else echo "clang is missing; run: sudo apt-get install $(CLANG_PACKAGES)" >&2; exit 1; fi; }
 
 peers: # programs of others that tests hold ours against, brought as the ARM compiler is
-	@command -v stm32flash >/dev/null && command -v dfu-suffix >/dev/null || { \
+	@command -v stm32flash >/dev/null && command -v dfu-suffix >/dev/null && command -v mcopy >/dev/null && \
+	PATH="$$PATH:/sbin:/usr/sbin" command -v mkfs.vfat >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	    echo "installing $(PEER_PACKAGES)"; \
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PEER_PACKAGES) >/dev/null; \
-	  else echo "stm32flash or dfu-util is missing; run: sudo apt-get install $(PEER_PACKAGES)" >&2; exit 1; fi; }
+	  else echo "stm32flash, dfu-util, mtools or dosfstools is missing; run: sudo apt-get install $(PEER_PACKAGES)" >&2; exit 1; fi; }
 
 coverage: $(READY) ## what the tests reach of the firmware's core, under sanitizers
 	@$(VENV)/bin/python -m tests.coverage $(ARGS)
