@@ -59,6 +59,7 @@ ROOMS = (
     "sim/ports/betaflight",
     "sim/flight",
     "sim/analysis",
+    "sim/blackbox",
     "sim/design",
     "sim/identification",
     "training/tasks",

@@ -1,0 +1,271 @@
+"""A log of a flight as columns of numbers, whoever wrote it.
+
+`list_logs` tells what a file holds without decoding it; `read_log` decodes one log. Columns hold the numbers
+that the format has; sim.blackbox.units gives them units.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.blackbox.decoding import Event, Progress, decode
+from sim.blackbox.headers import LOGS_MAX, Extent, Headers, find_logs, read_bytes, read_headers
+from toolchain.errors import NeuroflightError, TraceError
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+INSTALL = "reading logs needs orangebox, which is not installed; run: pip install 'neuroflight[logs]'"
+WORD = 1 << 32
+
+
+class Maker(Enum):
+    """Whose firmware wrote a log."""
+
+    NEUROFLIGHT = "Neuroflight"
+    BETAFLIGHT = "Betaflight"
+    OTHER = "another firmware"
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What became of a log's frames."""
+
+    read: int  # of every kind
+    corrupt: int  # places at which a frame was expected and none could be read
+    unusable: int  # main frames whose prediction was lost, or whose time or step did not follow
+    skipped_bytes: int  # that belong to no frame
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A decoded log of N rows, one a main frame."""
+
+    path: Path
+    number: int  # in its file, from 1
+    size: int  # bytes, headers included
+    headers: Headers
+    columns: dict[str, Integers]  # by the field's name, each (N,)
+    slow: dict[str, Integers]  # of slow frames, each (K,)
+    slow_row: Integers  # (K,) the row from which each slow frame holds; N: it came after the last
+    events: tuple[Event, ...]
+    frames: Frames
+    ended: bool  # by its own end, not by the file's
+    notes: tuple[str, ...]  # what is wrong with the file, a line each
+
+    def __len__(self) -> int:
+        """Rows."""
+        return len(next(iter(self.columns.values()), ()))
+
+    @property
+    def header(self) -> dict[str, str]:
+        """Header lines, name to value."""
+        return self.headers.values
+
+    @property
+    def maker(self) -> Maker:
+        """Whose firmware wrote it."""
+        return maker(self.headers)
+
+    @cached_property
+    def time_us(self) -> Integers:
+        """Time (N,) [us] of the firmware's clock; the 32 bits of a long flight are continued."""
+        raw = self.columns.get("time")
+        if raw is None:
+            return np.zeros(len(self), np.int64)
+        steps: Integers = np.diff(raw % WORD, prepend=raw[:1] % WORD) % WORD
+        return (raw[0] % WORD if len(raw) else 0) + np.cumsum(steps)
+
+    @cached_property
+    def t(self) -> Array:
+        """Time (N,) [s] since the first row."""
+        return (self.time_us - self.time_us[:1]) / 1e6
+
+    @property
+    def seconds(self) -> float:
+        """From the first row to the last."""
+        return float(self.t[-1]) if len(self) else 0.0
+
+    @cached_property
+    def row_us(self) -> float:
+        """The usual time between two rows [us], 0 where there are none: the median."""
+        return float(np.median(np.diff(self.time_us))) if len(self) > 1 else 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Rows a second where none is missing, 0 where there are too few."""
+        return 1e6 / self.row_us if self.row_us else 0.0
+
+    @cached_property
+    def stride(self) -> int:
+        """Control steps from one row to the next, as most rows are apart; 1 where the log does not tell."""
+        steps = self.columns.get("loopIteration")
+        if steps is None or len(steps) < 2:
+            return 1
+        values, counts = np.unique(np.diff(steps), return_counts=True)
+        return max(1, int(values[counts.argmax()]))
+
+    @cached_property
+    def missing(self) -> Integers:
+        """Rows that are missing before each row (N,)."""
+        steps = self.columns.get("loopIteration")
+        if steps is None or not len(steps):
+            return np.zeros(len(self), np.int64)
+        apart: Integers = np.diff(steps, prepend=steps[:1] - self.stride)
+        return np.maximum(-(-apart // self.stride) - 1, 0)
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing between the first and the last."""
+        return int(self.missing.sum())
+
+    def matrix(self, name: str, count: int | None = None) -> Integers | None:
+        """Columns name[0], name[1] .. as (N, count); None where one is missing. count None: all there are."""
+        if count is None:
+            count = 0
+            while f"{name}[{count}]" in self.columns:
+                count += 1
+        names = [f"{name}[{index}]" for index in range(count)]
+        if not names or not all(one in self.columns for one in names):
+            return None
+        return np.stack([self.columns[one] for one in names], axis=1)
+
+    def held(self, name: str) -> Integers | None:
+        """A slow field as (N,): what held in each row; the first value before it was told. None: no such."""
+        values = self.slow.get(name)
+        if values is None or not len(values):
+            return None
+        index = np.searchsorted(self.slow_row, np.arange(len(self)), side="right") - 1
+        return values[np.maximum(index, 0)]
+
+
+def words(column: Integers) -> NDArray[np.uint32]:
+    """The 32 bits of each number."""
+    return (column % WORD).astype(np.uint32)
+
+
+def floats(column: Integers) -> NDArray[np.float32]:
+    """Numbers that hold the bits of a float32, as such; any shape."""
+    return words(column).view(np.float32)
+
+
+def header_float(headers: Headers, name: str) -> float | None:
+    """The number in header `name`: decimal, or the bits of a float32 with 0x; None where there is none."""
+    text = headers.values.get(name, "").strip()
+    try:
+        if text.lower().startswith("0x"):
+            number = struct.unpack("<f", (int(text, 16) % WORD).to_bytes(4, "little"))[0]
+        else:
+            number = float(text)
+    except ValueError:
+        return None
+    return float(number) if math.isfinite(number) else None
+
+
+def maker(headers: Headers) -> Maker:
+    """Whose firmware wrote the log."""
+    if "nf_version" in headers.values:
+        return Maker.NEUROFLIGHT
+    if headers.values.get("Firmware revision", "").startswith("Betaflight"):
+        return Maker.BETAFLIGHT
+    return Maker.OTHER
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A log of a file, not decoded."""
+
+    number: int  # from 1
+    extent: Extent
+    headers: Headers
+
+    @property
+    def size(self) -> int:
+        """Bytes, headers included."""
+        return self.extent.end - self.extent.start
+
+
+def list_logs(path: Path, data: bytes | None = None) -> list[Listed]:
+    """The logs of a file. Raises TraceError where there is none, or the file is too large."""
+    data = read_bytes(path) if data is None else data
+    extents = find_logs(data)
+    if not extents:
+        found = "is empty" if not data.strip(b"\0\xff") else "holds no log"
+        raise TraceError(f"{path}: {found}; expected a Betaflight blackbox log (.BBL, .BFL, .TXT)")
+    return [Listed(number, one, read_headers(data, one)) for number, one in enumerate(extents, 1)]
+
+
+def choose(path: Path, listed: Sequence[Listed], number: int | None) -> Listed:
+    """The log `number`, from 1; None: the only one that has frames, or the last. Raises TraceError."""
+    if number is None:
+        return next((one for one in reversed(listed) if one.extent.end > one.extent.body), listed[-1])
+    if not 1 <= number <= len(listed):
+        beyond = " (the most that is looked for)" if len(listed) == LOGS_MAX else ""
+        raise TraceError(
+            f"{path}: --log {number}, but it holds {len(listed)} log{'s' * (len(listed) > 1)}{beyond}"
+        )
+    return listed[number - 1]
+
+
+def read_log(path: Path, number: int | None = None, progress: Progress = lambda _: None) -> Log:
+    """Decode a log of the file `path`: log `number`, from 1; None: the last that has frames.
+
+    Only the bytes of that log are decoded. Damage is told in the log's notes and counts. Raises TraceError
+    where there is no log or nothing of it can be read, NeuroflightError where orangebox is not installed.
+    """
+    if importlib.util.find_spec("orangebox") is None:
+        raise NeuroflightError(INSTALL)
+    data = read_bytes(path)
+    listed = list_logs(path, data)
+    one = choose(path, listed, number)
+    log = decode_log(path, data, one, progress)
+    if not len(log):
+        why = "; ".join(log.notes) or "it ends before its first frame"
+        raise TraceError(f"{path}: log {one.number} of {len(listed)} has no frame that can be read ({why})")
+    return log
+
+
+def decode_log(path: Path, data: bytes, one: Listed, progress: Progress = lambda _: None) -> Log:
+    """Decode the log `one` of the file's bytes; it may come out without a row."""
+    headers = one.headers
+    if "I" not in headers.fields:
+        raise TraceError(
+            f"{path}: log {one.number} does not say what its frames hold ("
+            f"{'; '.join(headers.notes) or 'no line H Field I name'}); nothing of it can be read"
+        )
+    found = decode(data[one.extent.body : one.extent.end], headers, progress)
+    names = [field.name for field in headers.fields["I"]]
+    slow_names = [field.name for field in headers.fields.get("S", ())]
+    notes = [*headers.notes, *found.notes]
+    if found.corrupt:
+        notes.append(
+            f"damaged at {found.corrupt} place{'s' * (found.corrupt > 1)}: {found.skipped_bytes} bytes and "
+            f"{found.dropped} main frame{'s' * (found.dropped != 1)} lost"
+        )
+    elif found.dropped:
+        notes.append(f"{found.dropped} main frame{'s' * (found.dropped > 1)} out of order, left out")
+    if not found.ended and not found.notes:
+        notes.append("no end of the log: the power was cut, or the file")
+    return Log(
+        path=path,
+        number=one.number,
+        size=one.size,
+        headers=headers,
+        columns={name: np.ascontiguousarray(found.main[:, at]) for at, name in enumerate(names)},
+        slow={name: found.slow[:, at] for at, name in enumerate(slow_names)},
+        slow_row=found.slow_row,
+        events=tuple(found.events),
+        frames=Frames(found.frames, found.corrupt, found.dropped, found.skipped_bytes),
+        ended=found.ended,
+        notes=tuple(notes),
+    )
