@@ -58,6 +58,7 @@ ROOMS = (
     "sim/ports",
     "sim/ports/betaflight",
     "sim/flight",
+    "sim/recorded",
     "sim/analysis",
     "sim/blackbox",
     "sim/design",

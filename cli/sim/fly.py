@@ -66,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["pulse"],
         metavar="NAME|FILE",
-        help="pulse, pulses, roll, flip or a .toml file; of several only the firmware's flights, a row each",
+        help="pulse, pulses, roll, flip, a .toml file, or a flight's recorded commands: a trace (.npz), a "
+        "table (.csv); of several only the firmware's flights, a row each",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
     parser.add_argument(
@@ -175,13 +176,18 @@ def _check(args: argparse.Namespace) -> None:
 
 def _scenarios(args: argparse.Namespace) -> list[Scenario]:
     """The scenarios, in the order of flight."""
-    from sim.flight.scenario import load_scenario
     from sim.physics.world import Mount
+    from sim.recorded.files import load_flight
 
     mount = None if args.mount is None else Mount(args.mount)
     default_count = COUNT_BETAFLIGHT if args.on == "betaflight" else COUNT
     count = default_count if args.count is None else args.count
-    scenarios = [load_scenario(name, args.seed, count, mount) for name in args.scenario]
+    scenarios = []
+    for name in args.scenario:
+        scenario, warnings = load_flight(name, args.seed, count, mount)
+        scenarios.append(scenario)
+        for words in warnings:
+            say(words)
     if args.controller == "pid":
         if args.on == "betaflight":
             raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")

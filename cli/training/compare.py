@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
+    ONE_EPISODE,
     add_condition_arguments,
     check_controllers,
     check_ranges,
@@ -15,7 +16,9 @@ from cli.training.conditions import (
     conditions,
     conditions_document,
     flight_document,
+    flown_words,
     progress_bars,
+    throttle_words,
 )
 
 if TYPE_CHECKING:
@@ -65,9 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--throttle",
         type=float,
         nargs="+",
-        default=[0.0],
         metavar="T",
-        help="pilot's thrust, 0..1; one comparison each, the first is drawn",
+        help="pilot's thrust, 0..1; one comparison each, the first is drawn; default: 0, or as recorded "
+        "with --commands",
     )
 
 
@@ -76,30 +79,26 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from sim.plotting import save_png
-    from toolchain.errors import TrainingError
     from training.evaluation.comparison import enter
     from training.evaluation.comparison_plot import draw
     from training.evaluation.controllers import load_controller
 
     check_controllers(args.controllers)
-    if len(args.throttle) > THROTTLES_MAX:
-        raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
-    check_ranges(*(("--throttle", throttle, 0.0, 1.0) for throttle in args.throttle))
+    throttles = _throttles(args)
     flown = conditions(args)
     controllers = [load_controller(name, flown.aircraft, args.idle) for name in args.controllers]
-    rounds: dict[float, list[Entry]] = {}
+    rounds: dict[float | None, list[Entry]] = {}
     with progress_bars(args) as bar:
-        for throttle in args.throttle:
+        for throttle in throttles:
             for controller in controllers:
-                show = bar(f"{controller.label}, throttle {throttle:g}")
+                show = bar(controller.label + throttle_words(throttle))
                 rounds.setdefault(throttle, []).append(enter(controller, flown, throttle, show))
-    title = f"{flown.aircraft.name}: {flown.episodes} commands of {args.task}, seed {args.seed}"
+    title = f"{flown.aircraft.name}: {flown_words(flown)}"
     if args.plot:
-        first = args.throttle[0]
-        drawn = title if first == 0.0 else f"{title}, throttle {first:g}"
-        save_png(args.plot, draw(rounds[first], drawn))
+        first = throttles[0]
+        save_png(args.plot, draw(rounds[first], title + throttle_words(first)))
     if args.json:
-        told = command("compare", args, *args.controllers, throttle=_told(args.throttle))
+        told = command("compare", args, flown, *args.controllers, throttle=_told(args))
         document = {
             "command": told,
             **conditions_document(args, flown),
@@ -109,14 +108,26 @@ def run(args: argparse.Namespace) -> int:
         return 0
     console = Console()
     for throttle, entries in rounds.items():
-        _print(console, title if throttle == 0.0 else f"{title}, throttle {throttle:g}", entries)
-    console.print(NOTE, style="dim")
+        _print(console, title + throttle_words(throttle), entries)
+    console.print(NOTE + (ONE_EPISODE if flown.episodes == 1 else ""), style="dim")
     return 0
 
 
-def _told(throttles: Sequence[float]) -> Sequence[float] | None:
+def _throttles(args: argparse.Namespace) -> list[float | None]:
+    """The throttles to fly at, checked; None: as recorded."""
+    from toolchain.errors import TrainingError
+
+    if args.throttle is None:
+        return [0.0 if args.commands is None else None]
+    if len(args.throttle) > THROTTLES_MAX:
+        raise TrainingError(f"--throttle: {len(args.throttle)} values, expected 1 to {THROTTLES_MAX}")
+    check_ranges(*(("--throttle", throttle, 0.0, 1.0) for throttle in args.throttle))
+    return list(args.throttle)
+
+
+def _told(args: argparse.Namespace) -> Sequence[float] | None:
     """The throttles of the stored command; None for the default."""
-    return None if list(throttles) == [0.0] else throttles
+    return None if args.throttle == [0.0] and args.commands is None else args.throttle
 
 
 def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:

@@ -13,24 +13,39 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, ControllerSpec
     from training.evaluation.evaluation import Evaluation
+    from training.tasks.pieces import RecordedPieces
+    from training.tasks.task import Task
 
 TASKS = ("pulse", "episodic", "envelope")
 MOUNTS = ("centre", "rig", "free")
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
 CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
+ONE_EPISODE = " One episode gives no confidence: its ± is 0."
+PIECE_S = 5.0  # of recorded commands, unless the user says
+PIECE_MIN_S, PIECE_MAX_S = 0.1, 3600.0
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
     """The conditions that are the same for all controllers; `episodes` is the default number."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
-    parser.add_argument("--task", choices=TASKS, default="pulse", help="what is commanded; default: pulse")
+    parser.add_argument("--task", choices=TASKS, help=f"what is commanded; default: {TASKS[0]}")
     parser.add_argument(
-        "--episodes",
-        type=int,
-        default=episodes,
-        metavar="N",
-        help=f"commands, one aircraft each; default: {episodes}",
+        "--episodes", type=int, metavar="N", help=f"commands, one aircraft each; default: {episodes}"
+    )
+    parser.set_defaults(episodes_default=episodes)
+    parser.add_argument(
+        "--commands",
+        type=Path,
+        metavar="FILE",
+        help="fly these recorded commands instead: a trace (.npz), a table (.csv)",
+    )
+    parser.add_argument(
+        "--piece",
+        type=float,
+        metavar="SECONDS",
+        help=f"cut them into episodes of at least this length, one aircraft each; 0: one, the whole; "
+        f"default: {PIECE_S:g}",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of commands, noise and bias")
     parser.add_argument("--mount", choices=MOUNTS, default="centre", help="what holds the aircraft")
@@ -49,29 +64,80 @@ def conditions(args: argparse.Namespace) -> Conditions:
     """The conditions of the arguments. Raises TrainingError on values outside their range, NaN included."""
     from cli.output import check_output
     from sim.aircraft.model import load_aircraft
-    from sim.physics.world import COUNT_MAX, Mount
+    from sim.physics.world import Mount
     from toolchain.errors import TrainingError
     from training.evaluation.controllers import Conditions
-    from training.tasks.registry import TASKS as BUILDERS
 
-    check_ranges(("--episodes", args.episodes, 1, COUNT_MAX))
     if args.seed < 0:
         raise TrainingError(f"--seed {args.seed}, expected 0 or more")
     if args.delay is not None and not 0.0 <= args.delay <= DELAY_MAX_S:
         raise TrainingError(f"--delay {args.delay}, expected 0 to {DELAY_MAX_S:g} s")
     check_ranges(("--idle", args.idle, 0.0, IDLE_MAX))
     check_output(args.plot, ".png")
+    task, episodes = _task(args)
     aircraft = load_aircraft(args.aircraft)
     if args.delay is not None:
         aircraft = replace(aircraft, propulsion=replace(aircraft.propulsion, delay=args.delay))
     return Conditions(
         aircraft=aircraft,
-        task=BUILDERS[args.task](),
-        episodes=args.episodes,
+        task=task,
+        episodes=episodes,
         seed=args.seed,
         mount=Mount(args.mount),
         noise=not args.no_noise,
     )
+
+
+def _task(args: argparse.Namespace) -> tuple[Task, int]:
+    """What is commanded, and its number of episodes."""
+    from sim.physics.world import COUNT_MAX
+    from toolchain.errors import TrainingError
+    from training.tasks.registry import TASKS as BUILDERS
+
+    if args.commands is None:
+        if args.piece is not None:
+            raise TrainingError("--piece: cuts recorded commands; give them with --commands")
+        episodes = args.episodes_default if args.episodes is None else args.episodes
+        check_ranges(("--episodes", episodes, 1, COUNT_MAX))
+        return BUILDERS[args.task or TASKS[0]](), episodes
+    for option in ("task", "episodes"):
+        if getattr(args, option) is not None:
+            raise TrainingError(f"--{option}: the commands are those of {args.commands}; leave it out")
+    if args.piece:
+        check_ranges(("--piece", args.piece, PIECE_MIN_S, PIECE_MAX_S))
+    pieces = _pieces(args)
+    check_ranges((f"pieces of {args.commands}", pieces.count, 1, COUNT_MAX))
+    return pieces, pieces.count
+
+
+def _pieces(args: argparse.Namespace) -> RecordedPieces:
+    """The recorded commands of the arguments; says on stderr what they lose."""
+    from sim.recorded.files import load_commands
+    from training.tasks.pieces import RecordedPieces
+
+    recorded = load_commands(args.commands)
+    for words in recorded.warnings():
+        print(words, file=sys.stderr)
+    piece_s = PIECE_S if args.piece is None else args.piece
+    return RecordedPieces.cut(recorded.scenario(), piece_s or None)
+
+
+def flown_words(flown: Conditions) -> str:
+    """What is flown, for titles."""
+    from training.tasks.pieces import RecordedPieces
+
+    task = flown.task
+    if isinstance(task, RecordedPieces):
+        cut = f"{flown.episodes} pieces of {task.duration_s:g} s of " if flown.episodes > 1 else ""
+        return f"{cut}the recording {task.scenario.name}, seed {flown.seed}"
+    return f"{flown.episodes} commands of {task.name}, seed {flown.seed}"
+
+
+def throttle_words(throttle: float | None) -> str:
+    """The pilot's thrust, for titles, after a comma; nothing for none."""
+    if throttle is None:
+        return ", recorded throttle"
+    return f", throttle {throttle:g}" if throttle else ""
 
 
 def check_controllers(controllers: Sequence[str]) -> None:
@@ -111,7 +177,7 @@ def check_ranges(*ranges: tuple[str, float | None, float, float]) -> None:
             raise TrainingError(f"{option} {value}, expected {low:g} to {high:g}")
 
 
-def command(name: str, args: argparse.Namespace, *words: str, throttle: object) -> str:
+def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str, throttle: object) -> str:
     """The command that repeats a result."""
     from cli.output import command_line
 
@@ -119,8 +185,10 @@ def command(name: str, args: argparse.Namespace, *words: str, throttle: object) 
         name,
         *words,
         aircraft=args.aircraft,
-        task=args.task,
-        episodes=args.episodes,
+        task=flown.task.name if args.commands is None else None,
+        episodes=flown.episodes if args.commands is None else None,
+        commands=args.commands,
+        piece=args.piece,
         seed=args.seed,
         mount=args.mount if args.mount != "centre" else None,
         throttle=throttle,
@@ -136,7 +204,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
     return {
         "aircraft": flown.aircraft.name,
         "aircraft_sha256": flown.aircraft.sha256,
-        "task": args.task,
+        "task": flown.task.name,
         "episodes": flown.episodes,
         "seed": flown.seed,
         "mount": args.mount,
@@ -145,8 +213,8 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
     }
 
 
-def flight_document(controller: ControllerSpec, throttle: float, result: Evaluation) -> dict[str, Any]:
-    """A controller and its figures, as JSON data."""
+def flight_document(controller: ControllerSpec, throttle: float | None, result: Evaluation) -> dict[str, Any]:
+    """A controller and its figures, as JSON data; throttle None: as recorded."""
     from cli.output import plain
 
     margins = {
@@ -157,7 +225,7 @@ def flight_document(controller: ControllerSpec, throttle: float, result: Evaluat
     return {
         "controller": controller.name,
         **controller.facts,
-        "throttle": throttle,
+        "throttle": "recorded" if throttle is None else throttle,
         "idle": controller.idle,
         "control_rate_hz": controller.control_rate_hz,
         **{name: values.tolist() for name, values in asdict(result.tracking).items()},

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
+    ONE_EPISODE,
     add_condition_arguments,
     check_ranges,
     command,
     conditions,
     conditions_document,
     flight_document,
+    flown_words,
     progress_bars,
 )
 
@@ -54,7 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "controller", metavar="POLICY.onnx|pid[:NAME]", help="a policy, or a PID of the aircraft file"
     )
     add_condition_arguments(parser, episodes=100)
-    parser.add_argument("--throttle", type=float, default=0.0, metavar="T", help="pilot's thrust, 0..1")
+    parser.add_argument(
+        "--throttle",
+        type=float,
+        metavar="T",
+        help="pilot's thrust, 0..1; default: 0, or as recorded with --commands",
+    )
     parser.add_argument(
         "--battery",
         type=float,
@@ -76,27 +84,32 @@ def run(args: argparse.Namespace) -> int:
     check_ranges(("--throttle", args.throttle, 0.0, 1.0), ("--battery", args.battery, 0.0, 1.0))
     flown = replace(conditions(args), charge=args.battery)
     controller = load_controller(args.controller, flown.aircraft, args.idle)
+    throttle = 0.0 if args.throttle is None and args.commands is None else args.throttle
     with progress_bars(args) as bar:
-        flights = flown.fly(controller, args.throttle, bar(f"{args.episodes} commands"))
+        flights = flown.fly(controller, throttle, bar(f"{flown.episodes} commands"))
     result = figures(flights)
-    title = (
-        f"{args.controller} on {flown.aircraft.name}: {result.episodes} commands of {args.task}, "
-        f"seed {args.seed}"
-    )
+    title = f"{args.controller} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
     if args.plot and held and result.response:
         line = Line(controller.label, result.spectrum, result.smoothness)
         save_png(args.plot, draw(held, result.response, line, title))
+    elif args.plot:
+        print(f"--plot: {args.plot} is not drawn: no command is held for a second", file=sys.stderr)
     if args.json:
         document = {
-            "command": command("evaluate", args, args.controller, throttle=args.throttle or None),
+            "command": command("evaluate", args, flown, args.controller, throttle=_told(args)),
             **conditions_document(args, flown),
-            **flight_document(controller, args.throttle, result),
+            **flight_document(controller, throttle, result),
         }
         print(json.dumps(document, indent=2))
     else:
         _print(title, result)
     return 0
+
+
+def _told(args: argparse.Namespace) -> float | None:
+    """The throttle of the stored command; None for the default."""
+    return args.throttle if args.commands is not None else args.throttle or None
 
 
 def _print(title: str, result: Evaluation) -> None:
@@ -135,6 +148,8 @@ def _print(title: str, result: Evaluation) -> None:
             f"leave out initial errors below {floor}. Every sample: from 500 to 1500 ms after the command, "
             f"or to its end."
         )
+    if result.episodes == 1:
+        note += ONE_EPISODE
     console.print(note, style="dim")
 
 

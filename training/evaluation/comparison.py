@@ -41,7 +41,7 @@ class Entry:
     """A controller and its results."""
 
     controller: ControllerSpec
-    throttle: float
+    throttle: float | None  # None: as recorded
     scores: Scores
     evaluation: Evaluation
     curves: Curves
@@ -50,10 +50,10 @@ class Entry:
 def enter(
     controller: ControllerSpec,
     conditions: Conditions,
-    throttle: float,
+    throttle: float | None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Entry:
-    """Fly a controller; on_step: called with steps done and to do."""
+    """Fly a controller; throttle: see Conditions.fly; on_step: called with steps done and to do."""
     flights = conditions.fly(controller, throttle, on_step)
     each = scores(flights)
     return Entry(controller, throttle, each, summary(each), curves(flights))

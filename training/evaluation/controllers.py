@@ -18,6 +18,7 @@ from sim.physics.world import Mount
 from toolchain.errors import PolicyError
 from toolchain.policy.model import read_policy
 from training.evaluation.evaluation import Flights, record
+from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
 PID = "pid"
@@ -92,11 +93,15 @@ class Conditions:
     def fly(
         self,
         controller: ControllerSpec,
-        throttle: float | NDArray[np.float32],
+        throttle: float | NDArray[np.float32] | None,
         progress: Callable[[int, int], None] | None = None,
         variation: Variation | None = None,
     ) -> Flights:
-        """Fly all episodes at once; see `record`."""
+        """Fly all episodes at once; see `record`. throttle None: that of a recorded task, else none."""
+        if throttle is None:
+            throttle = 0.0
+            if isinstance(self.task, RecordedPieces):
+                throttle = self.task.throttle(self.episodes, controller.control_rate_hz)
         return record(
             controller.build(self.episodes),
             self.aircraft,

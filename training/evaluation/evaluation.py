@@ -22,6 +22,7 @@ from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
 from toolchain.contract import IDLE_DEFAULT
+from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
 CHUNK = 256  # episodes whose errors are computed at a time, because their float64 copies are large
@@ -35,10 +36,11 @@ class Flights:
     rate: NDArray[np.float32]  # (E, T, 3) [rad/s], true body rate
     output: NDArray[np.float32]  # (E, T, M), the controller's, before throttle mix and idle
     step_s: float  # [s] between rows
+    recorded: bool = False  # whether episodes are pieces of a recording: none begins with a command
 
     def hold(self) -> Hold | None:
         """The held command of each episode; None if the task holds none for a second."""
-        return hold(self.setpoint, self.rate, self.step_s)
+        return None if self.recorded else hold(self.setpoint, self.rate, self.step_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +90,16 @@ def record(
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
     controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
-    for all or (episodes,); charge: of every battery, 0..1, None: the bench supply, if no variation says it;
+    for all, (episodes,), or that of each control step, (episodes, T); charge: of every battery, 0..1, None:
+    the bench supply, if no variation says it;
     variation: how the aircraft differ from their file, `episodes` of them; progress: called with steps done
     and to do. The same seed gives every controller the same commands.
     """
     commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     wanted = task.episodes(episodes, commands, control_rate_hz)
     steps = wanted.shape[1]
-    thrust = np.full(episodes, throttle, np.float32)
+    by_step = _thrust_by_step(throttle)
+    thrust = np.full(episodes, 0.0 if by_step is not None else throttle, np.float32)
     flown = np.empty((steps, episodes, 3), np.float32)
     outputs = np.empty((steps, episodes, aircraft.motor_count), np.float32)
     twin = Twin(
@@ -114,6 +118,8 @@ def record(
         for k in range(steps):
             setpoint = wanted[:, k]
             flown[k] = twin.rate
+            if by_step is not None:
+                thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:
                 controller.sense(twin.rotor_speed, twin.rotation)
             if isinstance(controller, Pid) and battery.due(k):
@@ -124,7 +130,13 @@ def record(
                 progress(k + 1, steps)
     finally:
         twin.close()
-    return Flights(wanted, _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz)
+    recorded = isinstance(task, RecordedPieces)
+    return Flights(wanted, _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz, recorded)
+
+
+def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
+    """The thrust of each control step, (T, episodes), from (episodes, T); None: it stays as it is."""
+    return np.ascontiguousarray(np.transpose(throttle), np.float32) if np.ndim(throttle) == 2 else None
 
 
 def figures(flights: Flights) -> Evaluation:

@@ -1,0 +1,97 @@
+"""Recorded commands from a file, whatever its kind; and as a scenario to fly."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.flight.scenario import Scenario, load_scenario
+from sim.physics.world import Mount
+from sim.recorded.commands import ROWS_MAX, Commands
+from sim.recorded.table import parse_table
+from toolchain.errors import ScenarioError
+from toolchain.files import file_size
+
+CSV, NPZ = ".csv", ".npz"
+BYTES_MAX = {CSV: 256 << 20, NPZ: 1 << 30}  # of a file, by its suffix
+SUFFIXES = tuple(BYTES_MAX)
+_TIME, _THROTTLE = "t", "throttle"
+_SETPOINTS = {"setpoint": 180.0 / np.pi, "setpoint_deg_s": 1.0}  # arrays: deg/s of their unit
+_NUMBER_BYTES_MAX = 8  # of an array's element
+_DAMAGED = (OSError, ValueError, EOFError, MemoryError, NotImplementedError, zipfile.BadZipFile)
+
+
+def is_recording(name: str) -> bool:
+    """Whether `name` is a file of recorded commands rather than a scenario, by its suffix."""
+    return Path(name).suffix.lower() in SUFFIXES
+
+
+def load_commands(path: Path) -> Commands:
+    """The commands of a .npz or .csv file. Raises ScenarioError on one that is missing, damaged or none."""
+    where = f"recording {path}"
+    suffix = path.suffix.lower()
+    try:
+        if not path.is_file():
+            raise ScenarioError(f"{where}: no such file; give the path of a file of {', '.join(SUFFIXES)}")
+        if suffix not in BYTES_MAX:
+            raise ScenarioError(f"{where}: expected a file of {', '.join(SUFFIXES)}")
+        if (size := file_size(path)) > BYTES_MAX[suffix]:
+            raise ScenarioError(f"{where}: {size} bytes, expected at most {BYTES_MAX[suffix]}; cut it")
+        return (
+            _from_arrays(path, where) if suffix == NPZ else parse_table(path.read_bytes(), where, path.stem)
+        )
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise ScenarioError(f"{where}: cannot be read: {error}") from error
+
+
+def load_flight(
+    name: str, seed: int, count: int, mount: Mount | None = None
+) -> tuple[Scenario, tuple[str, ...]]:
+    """A scenario by name, from its file, or of recorded commands, and what the user must know of it.
+
+    Raises ScenarioError as `load_scenario` and `load_commands` do.
+    """
+    if not is_recording(name):
+        return load_scenario(name, seed, count, mount), ()
+    commands = load_commands(Path(name))
+    return commands.scenario(mount), commands.warnings()
+
+
+def _from_arrays(path: Path, where: str) -> Commands:
+    """A trace, or an archive with t [s], setpoint [rad/s] or setpoint_deg_s, and throttle if it has it."""
+    try:
+        with zipfile.ZipFile(path):
+            pass  # raises for what numpy would take as something else than an archive
+        with np.load(path, allow_pickle=False) as archive:
+            known = set(archive.files)
+            name = next((each for each in _SETPOINTS if each in known), None)
+            if name is None or _TIME not in known:
+                raise ScenarioError(
+                    f"{where}: arrays {', '.join(sorted(known))[:100] or 'none'}; expected {_TIME} [s] and "
+                    f"setpoint [rad/s] or setpoint_deg_s, and {_THROTTLE} (0..1) if there is one"
+                )
+            time = _array(archive, _TIME, where)
+            setpoint = _array(archive, name, where) * _SETPOINTS[name]
+            throttle = _array(archive, _THROTTLE, where) if _THROTTLE in known else np.zeros(len(time))
+    except _DAMAGED as error:
+        reason = " ".join(str(error).split())
+        raise ScenarioError(f"{where}: damaged or no .npz file ({reason}); record it anew") from error
+    try:
+        return Commands(path.stem, time, setpoint, throttle)
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {str(error).removeprefix(f'{path.stem}: ')}") from error
+
+
+def _array(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[np.float64]:
+    """An array of numbers as float64, refused before it is unpacked if it is too large."""
+    assert archive.zip is not None  # it is open
+    size = archive.zip.getinfo(f"{name}.npy").file_size
+    if size > (ROWS_MAX + 1) * 3 * _NUMBER_BYTES_MAX:
+        raise ScenarioError(f"{where}: {name} has {size} bytes, expected at most {ROWS_MAX} rows; cut it")
+    array = archive[name]
+    if array.dtype.kind not in "fiu" or array.ndim < 1:
+        raise ScenarioError(f"{where}: {name} is {array.dtype} {array.shape}, expected rows of numbers")
+    return np.asarray(array, np.float64)

@@ -1,0 +1,73 @@
+"""`evaluate`, `compare` and `fly` on recorded commands, as a user types them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+ROWS = 301
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Three seconds of commands at 100 Hz, no two alike; throttle in the last second."""
+    path = tmp_path / "pilot.csv"
+    k = np.arange(ROWS)
+    rates = np.column_stack([200 * np.sin(k / 15), 100 * np.cos(k / 30), 50 * np.sin(k / 40)])
+    rows = [
+        f"{row / 100},{roll:.1f},{pitch:.1f},{yaw:.1f},{0.4 * (row >= 200)}"
+        for row, (roll, pitch, yaw) in enumerate(rates)
+    ]
+    path.write_text("\n".join(["t_s,roll_deg_s,pitch_deg_s,yaw_deg_s,throttle", *rows]))
+    return path
+
+
+def test_evaluate_flies_the_recording_in_pieces_or_whole(recording: Path, capsys: Capture) -> None:
+    found = {}
+    for piece in ("1", "0"):
+        words = ["evaluate", "pid", "--commands", str(recording), "--piece", piece]
+        assert main([*words, "--json"]) == 0
+        found[piece] = json.loads(capsys.readouterr().out)
+        assert main(words) == 0
+        assert "the recording pilot" in capsys.readouterr().out
+    assert [found[piece]["episodes"] for piece in ("1", "0")] == [3, 1]
+    for document in found.values():
+        assert (document["task"], document["throttle"]) == ("recorded", "recorded")
+        assert all(0.0 < value < 30.0 for value in document["mae"])
+
+
+def test_compare_flies_the_recording_with_every_controller(recording: Path, capsys: Capture) -> None:
+    words = ["--commands", str(recording), "--piece", "1", "--json"]
+    assert main(["compare", "pid", "pid:published", *words]) == 0
+    entries = json.loads(capsys.readouterr().out)["comparison"]
+    assert [entry["throttle"] for entry in entries] == ["recorded"] * 2
+    alone = []
+    for name in ("pid", "pid:published"):
+        assert main(["evaluate", name, *words]) == 0
+        alone.append(json.loads(capsys.readouterr().out))
+    assert [entry["mae"] for entry in entries] == [document["mae"] for document in alone]
+    assert main(["evaluate", "pid", *words, "--throttle", "0.9"]) == 0
+    assert json.loads(capsys.readouterr().out)["mae"] != alone[0]["mae"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--commands", "{}", "--task", "pulse"], "--task: the commands are those of {}; leave it out"),
+        (["--commands", "{}", "--episodes", "3"], "--episodes: the commands are those of {}; leave it out"),
+        (["--commands", "{}", "--piece", "0.01"], "--piece 0.01, expected 0.1 to 3600"),
+        (["--commands", "{}.nothing"], "recording {}.nothing: no such file"),
+        (["--piece", "3"], "--piece: cuts recorded commands; give them with --commands"),
+    ],
+)
+def test_what_cannot_be_is_rejected_in_one_line(
+    words: list[str], message: str, recording: Path, capsys: Capture
+) -> None:
+    assert main(["evaluate", "pid", *(word.format(recording) for word in words)]) == 1
+    error = capsys.readouterr().err
+    assert message.format(recording) in error
+    assert error.count("\n") == 1
