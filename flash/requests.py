@@ -58,6 +58,7 @@ REASONS = {
     Refusal.ABSENT: "this firmware or its settings have no such thing",
     Refusal.SPOILT: "a change before it was refused; nothing is stored, and what was not stored is undone",
     Refusal.IMAGE: "the image is none for this board's other bank (error {detail} of nf_err.h)",
+    Refusal.LOG: "the device that keeps the logs failed (LogError {detail})",
 }
 
 

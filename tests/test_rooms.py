@@ -86,6 +86,7 @@ C_ROOMS = (
     "firmware/src/motors",
     "firmware/src/safety",
     "firmware/src/housekeeping",
+    "firmware/src/blackbox",
     "firmware/src/command_line",
     "firmware/src/msp",
     "firmware/hal/stm32f7/core",

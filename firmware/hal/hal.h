@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/log_device.h"
 #include "common/imu.h"
 #include "common/nf_err.h"
 #include "common/status.h"
@@ -52,6 +53,10 @@ struct hal {
 	 * then never returns (board; 2.5 s from now at the latest) or returns with success (host). Nothing may arm from
 	 * here on. False, and nothing happens: this chip knows no such restart. */
 	bool (*reset)(void *context, enum nf_reboot kind);
+
+	/* From the boot of the program: what takes the log, with `device` as set; it lives as long as the program. NULL:
+	 * this chip has none of that kind. */
+	const struct log_device *(*log)(void *context, enum nf_log_device device);
 
 	/* Erasing and programming wait, feed the watchdog, and stop samples meanwhile. The caller ensures that the
 	 * motors are stopped. */

@@ -282,6 +282,7 @@ static void background_offer_services(struct background *background)
 		.slots = &background->slots,
 		.faults = &background->faults,
 		.image = &background->image,
+		.blackbox = &background->blackbox,
 		.tasks = config->stats,
 		.command_line = &background->commands,
 		.cycles_hz = config->cycles_hz,
@@ -506,6 +507,13 @@ static void background_judge_board(const struct background *background)
 			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
 }
 
+static const struct log_device *background_log_device(const struct background *background)
+{
+	const struct hal *hal = background->config.hal;
+
+	return hal->log(hal->context, (enum nf_log_device)background->settings.blackbox_device);
+}
+
 enum nf_err background_start(struct background *background, const struct background_config *config)
 {
 	enum nf_err err;
@@ -522,6 +530,7 @@ enum nf_err background_start(struct background *background, const struct backgro
 	battery_init(&background->battery, &background->settings);
 	alert_init(&background->alert, &background->settings);
 	gesture_init(&background->gesture);
+	blackbox_init(&background->blackbox, &background->settings, background_log_device(background));
 	background_offer_services(background);
 	for (size_t i = 0; i < TASK_COUNT; ++i)
 		task_stats_init(&config->stats[i], 0);

@@ -7,6 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/blackbox.h"
 #include "common/status.h"
 #include "firmware.h"
 #include "hal/hal.h"
@@ -59,6 +60,7 @@ struct background {
 	struct battery battery;
 	struct alert alert;
 	struct gesture gesture;
+	struct blackbox blackbox;
 	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
 	bool heard; /* the receiver, since boot */
 	bool refused; /* a policy, when alerts were last looked at */

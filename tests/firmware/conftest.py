@@ -46,6 +46,8 @@ HEADERS = (
     "motors/dshot.h",
     "msp/msp_port.h",
     "storage/policy_blob.h",
+    "blackbox/log_device.h",
+    "blackbox/blackbox.h",
     "storage/settings.h",
     "storage/settings_text.h",
     "common/crc32.h",

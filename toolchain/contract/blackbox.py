@@ -78,3 +78,8 @@ LOG_BAUD_DEFAULT = 2_000_000
 LOG_DIVIDERS = (1, 2, 4, 8, 16)  # of the control rate, the setting blackbox_divider
 LOG_FILE_PREFIX, LOG_FILE_SUFFIX = "LOG", ".BBL"  # LOG00001.BBL ..
 LOG_ERASE_MAGIC = 0x45534152  # "RASE", little-endian: blanks all logs of the card
+LOG_NAME_BYTES = 12  # of a log's file: 8.3
+LOG_INFO_LOGGING, LOG_INFO_LOSSY = (
+    0x01,
+    0x02,
+)  # flags of LOG_INFO: being written; the current or last log lacks steps

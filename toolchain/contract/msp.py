@@ -135,6 +135,10 @@ class Msp(IntEnum):
     IMAGE_END = 0x4E53  # v2, ours: checks that all of it has arrived
     IMAGE_HASH = 0x4E54  # v2, ours: SHA-256 of a bank's image as flash has it
     IMAGE_SWITCH = 0x4E55  # v2, ours: the image of that SHA-256 is started from the next boot on
+    LOG_INFO = 0x4E60  # v2, ours: what the blackbox does, and how many logs its device keeps
+    LOG_ENTRY = 0x4E61  # v2, ours: name and size of one of them
+    LOG_READ = 0x4E62  # v2, ours: bytes of one of them
+    LOG_ERASE = 0x4E63  # v2, ours: makes all their files empty again
 
 
 MSP_PROTOCOL_VERSION = 0
@@ -200,3 +204,4 @@ class Refusal(IntEnum):
     ABSENT = 10  # this build has no such thing
     SPOILT = 11  # a change before it was refused: nothing is stored, all unsaved changes are gone
     IMAGE = 12  # the image is not one for this board's other bank, or not whole, or not the one that was told
+    LOG = 13  # the device that keeps the logs failed, as LogError says

@@ -33,6 +33,8 @@ _R = Refusal
 _STOPPED, _STORING = MspWhen.STOPPED, MspWhen.STORING
 _STARTED = "REBOOT starts it; may be repeated: the number and the floor of the policies stay"
 _READ_FIRST = "refused as `order` until this peer has read its counterpart, as its zeros mean something"
+_LOG_REFUSALS = (_R.PAYLOAD, _R.INDEX, _R.ORDER, _R.LOG, _R.ABSENT)
+_LOG_ORDER = "`absent` where the device keeps no logs, `order` while one is written"
 # SETs of lists; those of single values are in CONFIGURATIONS.
 _LISTS = (
     Msp.SET_MODE_RANGE,
@@ -136,6 +138,12 @@ _ACTS = {
     ),
     Msp.IMAGE_END: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.ABSENT), "may be repeated"),
     Msp.IMAGE_HASH: Access(_STOPPED, (_R.PAYLOAD, _R.INDEX, _R.IMAGE, _R.ABSENT)),
+    Msp.LOG_INFO: Access(MspWhen.ALWAYS, (_R.PAYLOAD, _R.ABSENT)),
+    Msp.LOG_ENTRY: Access(_STOPPED, _LOG_REFUSALS, _LOG_ORDER),
+    Msp.LOG_READ: Access(_STOPPED, _LOG_REFUSALS, _LOG_ORDER),
+    Msp.LOG_ERASE: Access(
+        _STOPPED, (_R.PAYLOAD, _R.ORDER, _R.LOG, _R.ABSENT), f"{_LOG_ORDER}; may be repeated"
+    ),
     Msp.IMAGE_SWITCH: Access(_STORING, (_R.PAYLOAD, _R.ORDER, _R.IMAGE, _R.FLASH, _R.ABSENT), _STARTED),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from toolchain.contract.blackbox import LOG_ERASE_MAGIC, LOG_NAME_BYTES
 from toolchain.contract.image_format import IMAGE_BUILD_BYTES, IMAGE_FIELDS, IMAGE_HEADER_FORMAT
 from toolchain.contract.msp import MSP_STREAM_RATE_MAX_HZ, Msp
 from toolchain.contract.msp_layouts import MspField, MspGroup, number, reply, request
@@ -17,6 +18,8 @@ _FAULT_FILE_BYTES = 24
 _SETTING = number("u16", "setting", "", "its index: place in docs/settings.md, from 0")
 _KIND = number("u8", "kind", "", "0 u32, 1 f32, 2 mode range packed in a u32, 3 text")
 _HEADER_FIELDS = ", ".join(field.name for field in IMAGE_FIELDS)
+_LOG = number("u16", "log", "", "its index, from 0")
+_STATE = number("u8", "state", "", "0 done, 1 under way: ask again")
 _LIMIT = "as the kind says; of a text its length"
 
 
@@ -154,6 +157,45 @@ OWN_LAYOUTS = (
         ),
     ),
     reply(Msp.IMAGE_SWITCH, number("u32", "sequence", "", "number that the image has got")),
+    reply(
+        Msp.LOG_INFO,
+        number("u8", "device", "", "LogDevice, as set"),
+        number("u8", "state", "", "LogState"),
+        number("u8", "error", "", "LogError: the device's last one, until a log begins well"),
+        number(
+            "u8", "flags", "bits", "0 a log is being written, 1 the current or last one lacks control steps"
+        ),
+        number("u16", "logs", "", "that can be read"),
+        number("u16", "empty", "", "files that can take a log"),
+        number("u32", "capacity", "KiB", "of all files for logs"),
+        number("u32", "free", "KiB", "of the empty ones"),
+        number("u32", "frames", "", "of the current or last log"),
+        number("u32", "dropped", "control steps", "that are missing in it"),
+        number("u32", "bytes", "bytes", "of it"),
+    ),
+    request(Msp.LOG_ENTRY, _LOG),
+    reply(
+        Msp.LOG_ENTRY,
+        _LOG,
+        _STATE,
+        MspField("name", "text", "", "of its file", LOG_NAME_BYTES),
+        number("u32", "bytes", "bytes", "of the log, its file may be longer"),
+    ),
+    request(
+        Msp.LOG_READ,
+        _LOG,
+        number("u32", "offset", "bytes"),
+        number("u16", "count", "bytes", "at most"),
+    ),
+    reply(
+        Msp.LOG_READ,
+        _LOG,
+        number("u32", "offset", "bytes"),
+        _STATE,
+        MspField("data", "bytes", "", "as many as fit; none with state 0: the log ends there", 0),
+    ),
+    request(Msp.LOG_ERASE, number("u32", "magic", "", f"{LOG_ERASE_MAGIC:#x}")),
+    reply(Msp.LOG_ERASE, _STATE),
     request(Msp.STREAM, number("u16", "rate", "Hz", "0 ends it")),
     reply(
         Msp.STREAM,

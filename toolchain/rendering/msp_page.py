@@ -28,6 +28,9 @@ from toolchain.contract import (
     FallbackCause,
     FlightState,
     GyroHealth,
+    LogDevice,
+    LogError,
+    LogState,
     Msp,
     MspField,
     MspGroup,
@@ -77,6 +80,7 @@ REFUSALS = {
     Refusal.ABSENT: "this build, or its settings, have no such thing",
     Refusal.SPOILT: "a change before it was refused; nothing is stored, what was not stored is undone",
     Refusal.IMAGE: "the image is none for the board's other bank, or not whole, or not the one that was told",
+    Refusal.LOG: "the device that keeps the logs failed",
 }
 SHORT = {
     MspWhen.ALWAYS: "always",
@@ -92,6 +96,9 @@ NUMBERED = {
     "fallback cause": FallbackCause,
     "gyro health": GyroHealth,
     "task": Task,
+    "device of the log": LogDevice,
+    "state of the log": LogState,
+    "error of the log": LogError,
 }
 
 

@@ -89,6 +89,13 @@ static bool host_board_reset(void *context, enum nf_reboot kind)
 	return kind == NF_REBOOT_FIRMWARE;
 }
 
+static const struct log_device *host_board_log(void *context, enum nf_log_device device)
+{
+	(void)context;
+	(void)device;
+	return NULL;
+}
+
 struct hal host_board_hal(struct host_board *board)
 {
 	return (struct hal){
@@ -103,6 +110,7 @@ struct hal host_board_hal(struct host_board *board)
 		.led = host_board_switch,
 		.watchdog_feed = host_board_nothing,
 		.reset = host_board_reset,
+		.log = host_board_log,
 		.flash = flash_model_interface(&board->flash),
 	};
 }

@@ -108,6 +108,13 @@ static bool hal_reset(void *context, enum nf_reboot kind)
 	return true;
 }
 
+static const struct log_device *hal_log(void *context, enum nf_log_device device)
+{
+	(void)context;
+	(void)device;
+	return NULL;
+}
+
 static const struct hal functions = {
 	.receiver_read = receiver_line_read,
 	.motors_write = motors_write,
@@ -119,6 +126,7 @@ static const struct hal functions = {
 	.led = hal_led,
 	.watchdog_feed = hal_watchdog_feed,
 	.reset = hal_reset,
+	.log = hal_log,
 	.flash = { .at = hal_flash_at, .erase = hal_flash_erase, .program = hal_flash_program },
 };
 

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/sha256.h"
+#include "msp/msp_logs.h"
 #include "policy.h"
 #include "storage/settings.h"
 #include "storage/settings_store.h"
@@ -391,6 +392,37 @@ static enum nf_refusal command_stream(struct request *q)
 	return NF_REFUSAL_NONE;
 }
 
+/* A message about logs. */
+typedef enum nf_refusal (*log_message)(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+				       int *detail);
+
+static enum nf_refusal command_log(struct request *q, log_message message)
+{
+	struct blackbox *blackbox = q->services->blackbox;
+
+	return blackbox ? message(blackbox, &q->payload, q->reply, &q->detail) : NF_REFUSAL_ABSENT;
+}
+
+static enum nf_refusal command_log_info(struct request *q)
+{
+	return command_log(q, msp_log_info);
+}
+
+static enum nf_refusal command_log_entry(struct request *q)
+{
+	return command_log(q, msp_log_entry);
+}
+
+static enum nf_refusal command_log_read(struct request *q)
+{
+	return command_log(q, msp_log_read);
+}
+
+static enum nf_refusal command_log_erase(struct request *q)
+{
+	return command_log(q, msp_log_erase);
+}
+
 static enum nf_refusal command_reboot(struct request *q)
 {
 	const struct msp_services *s = q->services;
@@ -445,6 +477,10 @@ static const struct command {
 	{ NF_MSP_IMAGE_HASH, STOPPED, 1, 1, command_image_hash },
 	{ NF_MSP_IMAGE_SWITCH, STORING, SHA256_BYTES + 1, SHA256_BYTES + 1, command_image_switch },
 	{ NF_MSP_STREAM, ALWAYS, 2, 2, command_stream },
+	{ NF_MSP_LOG_INFO, ALWAYS, 0, 0, command_log_info },
+	{ NF_MSP_LOG_ENTRY, STOPPED, 2, 2, command_log_entry },
+	{ NF_MSP_LOG_READ, STOPPED, 8, 8, command_log_read },
+	{ NF_MSP_LOG_ERASE, STOPPED, 4, 4, command_log_erase },
 	{ NF_MSP_REBOOT, STOPPED, 0, 1, command_reboot },
 };
 

@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/blackbox.h"
 #include "command_line/session.h"
 #include "common/status.h"
 #include "control/pid.h"
@@ -27,6 +28,7 @@ struct msp_services {
 	struct policy_slots *slots;
 	struct image_update *image;     /* the bank that is not run; NULL: there is none */
 	struct fault_log *faults;
+	struct blackbox *blackbox;      /* NULL: there is none */
 	const struct task_stats *tasks; /* [TASK_COUNT] */
 	const struct command_line_services *command_line; /* NULL: ports have none */
 	uint32_t cycles_hz;             /* of the cycles they tell */
@@ -60,8 +62,8 @@ struct msp_services {
 
 /* Carries out `command` of `peer`, with a payload of `size` bytes, aligned to 4, and writes the reply.
  * Returns false if the command is none of these. *refusal: NF_REFUSAL_NONE, or why it was refused; the reply then is
- * enum nf_refusal (1 byte) and a detail (2 bytes, signed): of BLOB and IMAGE the enum nf_err, of CONFLICT the index of a setting,
- * else 0. */
+ * enum nf_refusal (1 byte) and a detail (2 bytes, signed): of BLOB and IMAGE the enum nf_err, of LOG the enum
+ * nf_log_error, of CONFLICT the index of a setting, else 0. */
 bool msp_command(const struct msp_services *services, struct msp_peer *peer, const struct firmware_status *status,
 		 uint16_t command, const uint8_t *payload, size_t size, struct msp_writer *reply,
 		 enum nf_refusal *refusal);

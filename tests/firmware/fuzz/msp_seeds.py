@@ -101,6 +101,8 @@ PAYLOADS = {
     Msp.IMAGE_SWITCH: hashlib.sha256(BANK_IMAGE).digest() + b"\1",
     Msp.FAULTS: struct.pack("<I", 1),
     Msp.STREAM: struct.pack("<H", 500),
+    Msp.LOG_READ: struct.pack("<HIH", 0, 0, 64),
+    Msp.LOG_ERASE: struct.pack("<I", contract.LOG_ERASE_MAGIC),
 }
 
 

@@ -15,8 +15,11 @@ from tests.firmware.images import HEADER_BYTES, header_of, make_image
 from toolchain.contract import (
     CHANNEL_UNTOLD_US,
     FLASH_POLICY_SLOTS,
+    LOG_ERASE_MAGIC,
     MSP_PAYLOAD_MAX,
     SETTINGS,
+    LogError,
+    LogState,
     Msp,
     Reboot,
     Refusal,
@@ -28,6 +31,49 @@ MakeChip = Callable[..., Any]
 IMAGE = make_image(1)
 INDEX = {setting.name: index for index, setting in enumerate(SETTINGS)}
 FUNCTIONS = ("storing", "channels", "motor_test", "motors", "dshot_command", "acknowledge", "reboot")
+
+
+class LogDevice:
+    """A device that keeps logs; answers as it is told, and knows what it was asked."""
+
+    DONE, LATER, FAILED = range(3)
+
+    def __init__(self, core: Any) -> None:
+        ffi, self.core = core.ffi, core
+        self.logs, self.answer, self.asked = [b"one log", bytes(range(256)) * 2], self.DONE, []  # type: ignore[var-annotated]
+        self.state, self.error = LogState.READY, LogError.NONE
+        self._callbacks = {
+            "status": ffi.callback("void(void *, struct log_device_status *)", self._on_status),
+            "entry": ffi.callback("enum log_answer(void *, unsigned, struct log_entry *)", self._on_entry),
+            "read": ffi.callback(
+                "enum log_answer(void *, unsigned, uint32_t, uint8_t *, size_t *)", self._on_read
+            ),
+            "erase": ffi.callback("enum log_answer(void *)", self._on_erase),
+        }
+        self.device = core.new("struct log_device *", self._callbacks)
+
+    def _on_status(self, _context: object, status: Any) -> None:
+        status.state, status.error, status.logs, status.empty = self.state, self.error, len(self.logs), 7
+        status.capacity_kb, status.free_kb = 0x90000, 0x80000
+
+    def _on_entry(self, _context: object, index: int, entry: Any) -> int:
+        self.asked.append(("entry", index))
+        if self.answer is self.DONE:
+            entry.name, entry.bytes = b"LOG%05d.BBL" % (index + 1), len(self.logs[index])
+        return self.answer
+
+    def _on_read(self, _context: object, index: int, offset: int, into: Any, count: Any) -> int:
+        self.asked.append(("read", index, offset, count[0]))
+        piece = self.logs[index][offset : offset + count[0]]
+        self.core.ffi.memmove(into, piece, len(piece))
+        count[0] = len(piece)
+        return self.answer
+
+    def _on_erase(self, _context: object) -> int:
+        self.asked.append(("erase",))
+        if self.answer is self.DONE:
+            self.logs.clear()
+        return self.answer
 
 
 class Server:
@@ -43,6 +89,8 @@ class Server:
         self.image = self.core.new("struct image_update *")
         lib.image_update_init(self.image, chip.flash, 0, b"HOST")
         self.faults = self.core.new("struct fault_log *")
+        self.log = LogDevice(self.core)
+        self.blackbox = self.core.new("struct blackbox *")
         self.tasks = self.core.new(f"struct task_stats[{len(Task)}]")
         self._policy, self._weights = self.core.new("struct policy *"), self.core.new("float[2]")
         self._callbacks = {
@@ -63,6 +111,7 @@ class Server:
                 "settings": self.settings,
                 "slots": self.slots,
                 "image": self.image,
+                "blackbox": self.blackbox,
                 "faults": self.faults,
                 "tasks": self.tasks,
                 "cycles_hz": 216_000_000,
@@ -74,6 +123,7 @@ class Server:
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
         self._port = self.core.new("struct msp_port *")
         lib.settings_default(self.settings)
+        lib.blackbox_init(self.blackbox, self.settings, self.log.device)
         self.boot()
         lib.msp_port_init(self._port, self._identity, self.services if offered else self.core.ffi.NULL)
 
@@ -157,11 +207,16 @@ GOOD: dict[Msp, bytes] = {
     Msp.POLICY_SLOT_INFO: b"\0",
     Msp.IMAGE_INFO: b"",
     Msp.IMAGE_BEGIN: header_of(IMAGE),
+    Msp.LOG_INFO: b"",
+    Msp.LOG_ENTRY: struct.pack("<H", 0),
+    Msp.LOG_READ: struct.pack("<HIH", 0, 0, 64),
+    Msp.LOG_ERASE: struct.pack("<I", LOG_ERASE_MAGIC),
     Msp.ACKNOWLEDGE: b"",
     Msp.REBOOT: b"",
 }
 READS = {
     *(Msp.TASKS, Msp.FAULTS, Msp.SETTING_INFO, Msp.SETTING_GET, Msp.POLICY_SLOT_INFO, Msp.IMAGE_INFO),
+    Msp.LOG_INFO,
 }
 
 
@@ -178,7 +233,7 @@ def test_commands_are_unknown_when_only_reading_is_offered(
 
 def test_a_command_is_unknown_when_nobody_knows_it(server: Callable[..., Server]) -> None:
     s = server()
-    for command in (0, 11, 225, 0x4E00, 0x4E35, 0x4E56, 0xFFFF):
+    for command in (0, 11, 225, 0x4E00, 0x4E35, 0x4E56, 0x4E64, 0xFFFF):
         answer = s.ask(command, b"1234")
         assert (answer.direction, answer.payload) == (Direction.ERROR, b"")
 
@@ -277,6 +332,10 @@ def test_a_command_is_absent_when_nothing_stands_behind_it(server: Callable[...,
         (Msp.IMAGE_END, {0}),
         (Msp.IMAGE_HASH, {1}),
         (Msp.IMAGE_SWITCH, {33}),
+        (Msp.LOG_INFO, {0}),
+        (Msp.LOG_ENTRY, {2}),
+        (Msp.LOG_READ, {8}),
+        (Msp.LOG_ERASE, {4}),
         (Msp.REBOOT, {0, 1}),
     ],
 )

@@ -1,0 +1,97 @@
+#include "msp/msp_logs.h"
+
+#include "msp/msp.h"
+
+#define READ_HEAD 7u /* bytes of LOG_READ's reply before the log's */
+#define READ_MAX (MSP_REPLY_MAX - READ_HEAD)
+
+/* State of a reply that may come too early. */
+enum reply_state { TOLD = 0, ASK_AGAIN = 1 };
+
+static enum nf_refusal logs_refused(const struct blackbox *blackbox, enum nf_refusal refusal, int *detail)
+{
+	struct blackbox_status status;
+
+	if (refusal == NF_REFUSAL_LOG) {
+		blackbox_status(blackbox, &status);
+		*detail = status.device.error;
+	}
+	return refusal;
+}
+
+enum nf_refusal msp_log_info(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			     int *detail)
+{
+	struct blackbox_status status;
+
+	(void)payload;
+	(void)detail;
+	blackbox_status(blackbox, &status);
+	msp_put_u8(reply, status.chosen);
+	msp_put_u8(reply, status.device.state);
+	msp_put_u8(reply, status.device.error);
+	msp_put_u8(reply, (status.logging ? NF_LOG_INFO_LOGGING : 0u) | (status.lossy ? NF_LOG_INFO_LOSSY : 0u));
+	msp_put_u16(reply, status.device.logs);
+	msp_put_u16(reply, status.device.empty);
+	msp_put_u32(reply, status.device.capacity_kb);
+	msp_put_u32(reply, status.device.free_kb);
+	msp_put_u32(reply, status.frames);
+	msp_put_u32(reply, status.dropped);
+	msp_put_u32(reply, status.bytes);
+	return NF_REFUSAL_NONE;
+}
+
+enum nf_refusal msp_log_entry(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			      int *detail)
+{
+	const unsigned index = msp_take_u16(payload);
+	struct log_entry entry = { .bytes = 0 };
+	bool later = false;
+	const enum nf_refusal refusal = blackbox_entry(blackbox, index, &entry, &later);
+
+	if (refusal != NF_REFUSAL_NONE)
+		return logs_refused(blackbox, refusal, detail);
+	if (later)
+		entry = (struct log_entry){ .bytes = 0 };
+	msp_put_u16(reply, index);
+	msp_put_u8(reply, later ? ASK_AGAIN : TOLD);
+	msp_put_bytes(reply, entry.name, NF_LOG_NAME_BYTES);
+	msp_put_u32(reply, entry.bytes);
+	return NF_REFUSAL_NONE;
+}
+
+enum nf_refusal msp_log_read(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			     int *detail)
+{
+	const unsigned index = msp_take_u16(payload);
+	const uint32_t offset = msp_take_u32(payload);
+	size_t count = msp_take_u16(payload);
+	bool later = false;
+	uint8_t bytes[READ_MAX];
+
+	if (count > READ_MAX)
+		count = READ_MAX;
+	const enum nf_refusal refusal = blackbox_read(blackbox, index, offset, bytes, &count, &later);
+	if (refusal != NF_REFUSAL_NONE)
+		return logs_refused(blackbox, refusal, detail);
+	msp_put_u16(reply, index);
+	msp_put_u32(reply, offset);
+	msp_put_u8(reply, later ? ASK_AGAIN : TOLD);
+	if (!later)
+		msp_put_bytes(reply, bytes, count);
+	return NF_REFUSAL_NONE;
+}
+
+enum nf_refusal msp_log_erase(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			      int *detail)
+{
+	bool later = false;
+
+	if (msp_take_u32(payload) != NF_LOG_ERASE_MAGIC)
+		return NF_REFUSAL_PAYLOAD;
+	const enum nf_refusal refusal = blackbox_erase(blackbox, &later);
+	if (refusal != NF_REFUSAL_NONE)
+		return logs_refused(blackbox, refusal, detail);
+	msp_put_u8(reply, later ? ASK_AGAIN : TOLD);
+	return NF_REFUSAL_NONE;
+}

@@ -1,0 +1,19 @@
+/* MSP about logs: what the blackbox does, and the logs that its device keeps. */
+#ifndef NF_MSP_LOGS_H
+#define NF_MSP_LOGS_H
+
+#include "blackbox/blackbox.h"
+#include "msp/msp_payload.h"
+#include "nf_contract.h"
+
+/* Each answers the message of its name. *detail of NF_REFUSAL_LOG: enum nf_log_error. */
+enum nf_refusal msp_log_info(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			     int *detail);
+enum nf_refusal msp_log_entry(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			      int *detail);
+enum nf_refusal msp_log_read(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			     int *detail);
+enum nf_refusal msp_log_erase(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
+			      int *detail);
+
+#endif
