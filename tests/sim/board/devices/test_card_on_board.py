@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from sim.board.board import Board
 from sim.board.core.context import BoardError
 from sim.board.debug.snapshot import restore_snapshot, take_snapshot
-from sim.board.devices.sd_card import CardFault, CardTiming, SdCard
+from sim.board.devices.sd_card import CardFault, CardTiming, Cut, SdCard
 from tests.sim.board.devices.host import blank, blocks_of, crc7, crc16, pattern
+from tests.sim.board.test_board import build
 
 if TYPE_CHECKING:
     from tests.sim.board.conftest import Bench
@@ -285,3 +287,36 @@ def test_a_board_without_a_card_refuses_the_snapshot_of_one_with(
     other = make_bench()
     with pytest.raises(BoardError, match="a board with a card into one without"):
         restore_snapshot(other.hardware.context, take_snapshot(bench.hardware.context))
+
+
+def variable(board: Board, name: str) -> int:
+    return int.from_bytes(board.engine.memory(board.symbols[name], 4), "little")
+
+
+def test_a_program_that_knows_the_manuals_only_stores_a_block(tmp_path: Path, image: Path) -> None:
+    program, elf = build(tmp_path, (Path(__file__).parent / "card.c").read_text())
+    board = Board(program, elf=elf, card=SdCard(image, timing=QUICK))
+    board.run(0.04)
+    expected = bytes((i * 7 + i // 256) & 0xFF for i in range(512))
+    assert [variable(board, name) for name in ("stage", "response", "equal")] == [5, 5, 512]
+    assert blocks_of(image, 5) == expected
+    assert variable(board, "wakes") == 2  # it slept through both transfers
+    # Half a millisecond of 1 us bytes, and of the program's own time between them.
+    assert 50 < variable(board, "busy_polls") < 500
+    assert board.report().resets == ("power",)
+    board.close()
+    SdCard(image).close()
+
+
+def test_the_board_boots_again_when_the_power_goes_with_a_block(tmp_path: Path, image: Path) -> None:
+    program, elf = build(tmp_path, (Path(__file__).parent / "card.c").read_text())
+    card = SdCard(image, timing=QUICK)
+    card.schedule(CardFault.POWER_CUT, write=1, cut=Cut.TORN, kept_bytes=10)
+    board = Board(program, elf=elf, card=card)
+    while len(board.engine.resets) == 1:
+        board.run(0.001)
+    assert blocks_of(image, 5) == bytes((i * 7) & 0xFF for i in range(10)) + bytes(502)
+    board.run(0.04)
+    assert board.report().resets == ("power", "power")
+    assert variable(board, "stage") == 5
+    assert card.writes == 2
