@@ -124,6 +124,8 @@ def run(args: argparse.Namespace) -> int:
             opened[name] = open_end(serial)
             ends.callback(opened[name].close)
         card = None if args.card is None else SdCard(args.card)
+        if card is not None:
+            ends.callback(card.close)
         idle = IdleBoard(
             content,
             elf=elf if elf.is_file() and not args.chip else None,

@@ -169,7 +169,7 @@ def _check(args: argparse.Namespace) -> None:
     if args.on == "betaflight" and args.set:
         raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
     if len(args.scenario) > 1:
-        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault"):
+        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault", "card"):
             if getattr(args, name) not in (None, []):
                 raise NeuroflightError(f"--{name}: belongs to one flight; give one scenario")
 

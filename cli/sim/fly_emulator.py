@@ -103,18 +103,23 @@ def open_image(
 ) -> EmulatedPort:
     """The image on a board of its own; what was attached to it ends with `ends`."""
     from sim.board.debug.fault_injection import parse_fault
+    from sim.board.devices.sd_card import SdCard
     from sim.board.matekf722 import GYROS
     from sim.ports.emulator import EmulatedPort
 
+    faults = [parse_fault(text) for text in args.fault]
+    card = None if args.card is None else SdCard(args.card)
+    if card is not None:
+        ends.callback(card.close)
     return EmulatedPort(
         image,
         args.gyro_hz,
         settings,
         receiver=args.receiver,
         gyro=GYROS[args.gyro],
-        card=args.card,
+        card=card,
         dshot=None if args.esc is None else ESCS[args.esc],
-        faults=[parse_fault(text) for text in args.fault],
+        faults=faults,
         profile=args.profile is not None,
         attach=lambda board: attached(args, board, image, ends),
         on_failure=lambda board: keep_profile(args, board),
@@ -188,6 +193,7 @@ def emulator_rows(report: EmulatedReport) -> list[tuple[str, str]]:
             f"{report.instructions:,} instructions",
         ),
         ("gyro edge", f"waited {report.gyro_wait_us:.2f} us at most for its handler{waited}"),
+        *([] if report.card_writes is None else [("card", f"{report.card_writes:,} blocks written")]),
         ("watchdog", "never fed" if margin is None else f"{1e3 * margin:.0f} ms left at least"),
     ]
     told += [(f"{event.at_s:.4f} s", event.what) for event in report.events]

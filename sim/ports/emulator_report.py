@@ -28,6 +28,7 @@ class EmulatedReport:
     gyro_wait_us: float  # the longest that a data-ready edge waited for its handler
     gyro_wait_place: str  # what ran then; "" if none ever waited
     watchdog_margin_s: float | None  # the least that was left when it was fed
+    card_writes: int | None  # blocks that went to the SD card; None: there is none
     resets: tuple[str, ...]  # their causes, the first one power
     events: tuple[Event, ...]
     stopped_s: float | None  # when the firmware stopped its motors before the end; None: it flew to the end
@@ -51,7 +52,7 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
     flight_s: length of its scenario; took_s: by the clock on the wall, with the boot, the twin and all else.
     """
     report = port.board.report()
-    edge = _task(port)
+    edge, card = _task(port), port.board.hardware.card_slot.card
     stops = [event.at_s for event in port.events if event.stops]
     return EmulatedReport(
         image=str(image),
@@ -62,6 +63,7 @@ def emulated_report(port: EmulatedPort, image: Path, flight_s: float, took_s: fl
         gyro_wait_us=0.0 if edge is None else edge.latest * _US,
         gyro_wait_place=edge.latest_place if edge is not None and edge.latest else "",
         watchdog_margin_s=report.watchdog_margin_s,
+        card_writes=None if card is None else card.writes,
         resets=report.resets,
         events=port.events,
         stopped_s=stops[0] if stops and stops[0] < flight_s else None,

@@ -119,6 +119,43 @@ def test_it_flies_an_icm20689_when_one_is_fitted(fly: Command, tmp_path: Path) -
     assert traces[0].same(traces[1])
 
 
+def test_a_card_that_fails_costs_no_control_step(fly: Command, tmp_path: Path) -> None:
+    traces: list[Trace] = []
+    card = tmp_path / "card.img"
+    card.write_bytes(bytes(1 << 20))
+    faults = (
+        "card-stall=0.2@0.01",
+        "card-errors=1@0.02",
+        "card-removed=0.02@0.03",
+        "card-worn@0.06",
+        "card-slow@0.07",
+    )
+    given = ("--card", str(card), *(word for fault in faults for word in ("--fault", fault)))
+    for options in (given, ()):
+        path = tmp_path / f"{len(traces)}.npz"
+        code, out, _ = fly(*options, "--trace", str(path))
+        assert code == 0
+        words = " ".join(out.split())
+        assert ("blocks written" in words) == bool(options)
+        assert all(f"fault {fault}" in words for fault in faults) == bool(options)
+        traces.append(load_trace(path))
+    assert traces[0].same(traces[1])
+
+
+@pytest.mark.parametrize(
+    ("size", "message"), [(None, "there is no such file"), (1000, "1000 bytes, expected a multiple of 512")]
+)
+def test_a_card_that_is_none_is_refused_in_one_line(
+    fly: Command, tmp_path: Path, size: int | None, message: str
+) -> None:
+    card = tmp_path / "card.img"
+    if size is not None:
+        card.write_bytes(bytes(size))
+    code, out, err = fly("--card", str(card))
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert f"card {card}: {message}" in err
+
+
 def test_the_escs_name_dshot_at_another_speed_than_they_are_set_to(fly: Command) -> None:
     assert fly("--set", "motor_protocol=dshot300")[0] == 0
     assert fly("--esc", "dshot600")[0] == 0
@@ -340,6 +377,7 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
     ("arguments", "message"),
     [
         (["--gyro", "icm20689"], "--gyro: only on the emulated board; add --on emulator"),
+        (["--card", "a.img"], "--card: only on the emulated board; add --on emulator"),
         (["--esc", "dshot600"], "--esc: only on the emulated board; add --on emulator"),
         (["--fault", "crystal@1"], "--fault: only on the emulated board; add --on emulator"),
         (["--receiver", "crsf"], "--receiver: only on the emulated board"),
@@ -355,6 +393,11 @@ def test_gdb_finds_the_board_at_its_first_instruction_when_it_is_waited_for(
         (["--on", "emulator", "--set", "rol_rate=3"], "setting 'rol_rate' is unknown"),
         (["--on", "emulator", "--profile", "file"], "file is a file, expected a directory"),
         (["--on", "betaflight", "--set", "roll_rate=3"], "Betaflight has settings of its own"),
+        (["--on", "emulator", "--fault", "card-stall@1"], "got no card that it could happen to; add --card"),
+        (
+            ["--on", "emulator", "--scenario", "roll", "flip", "--card", "a.img"],
+            "--card: belongs to one flight",
+        ),
         (["--scenario", "roll", "flip", "--trace", "a.npz"], "--trace: belongs to one flight"),
         (["--on", "emulator", "--build", "nowhere"], "build it with `make firmware TARGET=MATEKF722`"),
     ],
