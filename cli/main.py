@@ -25,6 +25,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
     "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
+    "logs": ("log",),
 }
 COMMANDS = {
     "build": "build a firmware image or the host program around a policy",
@@ -52,6 +53,7 @@ COMMANDS = {
     "monitor": "watch a running firmware live: state, attitude, channels, motors, battery, load",
     "gateway": "a running firmware as a MAVLink aircraft: QGroundControl, companion computers",
     "flash": "put an image or another policy onto a board that runs Neuroflight; list, go back",
+    "log": "logs of flights: cards for them, getting them off the aircraft, reading them",
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "gateway": ("pymavlink",),

@@ -40,6 +40,7 @@ ROOMS = (
     "flash/channels",
     "flash/mavlink",
     "flash/monitoring",
+    "flash/card",
     "sim/strict_toml.py",
     "sim/plotting.py",
     "sim/compiled.py",

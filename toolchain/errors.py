@@ -49,3 +49,7 @@ class TraceError(NeuroflightError):
 
 class DynoError(NeuroflightError):
     """A recording of a bench that is damaged or does not show what is asked of it."""
+
+
+class CardError(NeuroflightError):
+    """A card for logs that cannot be used as it is, or a place that is none."""

@@ -1,0 +1,28 @@
+"""`neuroflight log`: flights as the blackbox wrote them. Getting them off the aircraft, reading them.
+
+Each module named in `COMMANDS` owns one subcommand: `add_arguments(parser)` and `run(args) -> int`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+COMMANDS = {  # in the order of --help: the summary
+    "card": "put empty files for logs onto a FAT32 card, list them, empty those that were copied",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the subcommands."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="COMMAND")
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary)
+        module = importlib.import_module(f"cli.logs.{name}")
+        module.add_arguments(sub)
+        sub.set_defaults(subcommand=module.run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out the subcommand. Returns its exit code; raises NeuroflightError for what cannot be done."""
+    return int(args.subcommand(args))
