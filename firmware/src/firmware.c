@@ -4,6 +4,7 @@
 
 #include "common/fence.h"
 #include "common/nf_math.h"
+#include "firmware_chirp.h"
 #include "motors/dshot.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
@@ -174,6 +175,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	attitude_init(&fw->attitude, POLICY_CONTROL_RATE_HZ);
 	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
 	rates_init(&fw->rates, settings);
+	chirp_init(&fw->chirp, settings, POLICY_CONTROL_RATE_HZ);
 	safety_init(&fw->safety, settings, POLICY_CONTROL_RATE_HZ);
 	turning_init(&fw->turning, POLICY_CONTROL_RATE_HZ);
 	plausibility_init(&fw->plausibility, POLICY_CONTROL_RATE_HZ);
@@ -301,6 +303,7 @@ static uint32_t firmware_fly(struct firmware *fw, float output[POLICY_ACTION_COU
 		.rate = trace->gyro,
 		.demand = control_demand(&fw->control, demand) ? demand : NULL,
 		.turning = &fw->turning,
+		.room = fw->chirp.room,
 		.thrust = crash.thrust,
 	};
 
@@ -369,6 +372,8 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 		firmware_update_safety(fw, 0);
 	fw->heard = false;
 	firmware_command(fw);
+	if ((fw->receiver.on & MODE_BIT(CHIRP)) || fw->chirp.state != CHIRP_IDLE)
+		firmware_chirp(fw);
 	if (fw->weights_bad)
 		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {

@@ -12,6 +12,7 @@
 #include "common/imu.h"
 #include "common/nf_err.h"
 #include "common/status.h"
+#include "control/chirp.h"
 #include "control/control.h"
 #include "control/pid.h"
 #include "motors/dshot_command.h"
@@ -49,6 +50,7 @@ struct firmware {
 	struct plausibility plausibility;
 	struct crash crash;
 	struct control control;
+	struct chirp chirp;
 	struct motor_test motor_test;        /* the background asks it for tests */
 	struct dshot_command dshot_command;  /* and this for commands */
 	uint8_t outputs[POLICY_ACTION_COUNT]; /* of each motor, 0 to POLICY_ACTION_COUNT - 1, none twice */

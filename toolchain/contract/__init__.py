@@ -15,6 +15,7 @@ from toolchain.contract.policy_format import *
 from toolchain.contract.image_format import *
 from toolchain.contract.msp import *
 from toolchain.contract.modes import *
+from toolchain.contract.chirp import *
 from toolchain.contract.blackbox import *
 from toolchain.contract.settings import *
 from toolchain.contract.msp_layouts import *

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from toolchain.contract.blackbox import LOG_BAUD_DEFAULT, LOG_BAUDS, LOG_DIVIDERS, LogDevice, LogGroup
+from toolchain.contract.chirp import CHIRP_RATE_PART
 from toolchain.contract.frame_time_sensors import (
     AXES,
     GYRO_EDGE_RATE_HZ,
@@ -124,6 +125,7 @@ _LOG_STEPS_MEANING = (
 _GROUPS_MEANING = "fields left out: " + ", ".join(
     f"{group.value} {group.name.lower().replace('_', ' ')}" for group in LogGroup
 )
+_CHIRP_END_MEANING = f"where it ends; at most {CHIRP_RATE_PART:g} of the control rate"
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
 _MAX_MEANING = "actual: at full stick; betaflight: super rate"
@@ -258,6 +260,10 @@ SETTINGS = (
     ),
     _whole("blackbox_disabled_mask", 0, (1 << (max(LogGroup) + 1)) - 1, 0, "bits", _GROUPS_MEANING),
     _whole("blackbox_baud", LOG_BAUDS[0], LOG_BAUDS[-1], LOG_BAUD_DEFAULT, "baud", _LOG_BAUD_MEANING),
+    _number("chirp_amplitude", 1.0, 300.0, 100.0, "deg/s", "of the mode CHIRP, at low frequencies"),
+    _number("chirp_start_hz", 0.2, 250.0, 1.0, "Hz", "where its sweep begins"),
+    _number("chirp_end_hz", 0.2, 250.0, 100.0, "Hz", _CHIRP_END_MEANING),
+    _number("chirp_s", 1.0, 120.0, 20.0, "s", "how long its sweep takes"),
     _choice("crash_detection", "on", _SWITCH, "motors stop when the aircraft does what no pilot asked for"),
     _choice("runaway_detection", "on", _SWITCH, "the same right after arming"),
     _choice("plausibility_detection", "on", _SWITCH, "the PID takes over from a policy that steers wrongly"),

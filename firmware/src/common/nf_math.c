@@ -63,6 +63,28 @@ float nf_one_minus_exp(float x)
 	return gain;
 }
 
+#define LOG_LEAST 1e-6f
+#define LOG_MOST 1e6f
+#define LN_2 0.693147180559945309f
+#define ROOT_2 1.41421356237309505f
+
+float nf_log(float x)
+{
+	float part = limit(x, LOG_LEAST, LOG_MOST);
+	float doublings = 0.0f;
+
+	for (; part > ROOT_2; part *= 0.5f)
+		doublings += 1.0f;
+	for (; part < ROOT_2 / 2; part *= 2.0f)
+		doublings -= 1.0f;
+	/* ln x = 2 artanh z; z is at most 0.172, the term beyond 2 z^9 / 9 = 3e-8. */
+	const float z = (part - 1.0f) / (part + 1.0f);
+	const float z2 = z * z;
+	const float rest = 2.0f * z * (1.0f + z2 * (1.0f / 3 + z2 * (1.0f / 5 + z2 * (1.0f / 7))));
+
+	return doublings * LN_2 + rest;
+}
+
 #define TAN_EIGHTH_PI 0.414213562373095f
 #define QUARTER_PI (NF_PI / 4)
 #define HALF_PI (NF_PI / 2)

@@ -15,6 +15,10 @@ float nf_cos_turns(float turns);
 /* 1 - exp(-x), x >= 0: the gain of a first-order low-pass. Error at most 1e-6 of the result. */
 float nf_one_minus_exp(float x);
 
+/* Natural logarithm of x, 1e-6 to 1e6; beyond that of the nearer end. Error at most 1e-7 of the result, or 1e-7 where that
+ * is more. */
+float nf_log(float x);
+
 /* Angle of the vector (x, y) from the x axis [rad], -pi to pi; 0 for the vector without length.
  * Error at most 5e-7 rad. */
 float nf_atan2(float y, float x);

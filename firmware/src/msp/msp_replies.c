@@ -282,10 +282,8 @@ static void reply_current_meters(struct msp_writer *w, const struct msp_facts *s
 static void reply_box_names(struct msp_writer *w, const struct msp_facts *s)
 {
 	static const char *const names[] = {
-		[MODE_ARM] = "ARM",
-		[MODE_BEEPER] = "BEEPER",
-		[MODE_PID] = "PID",
-		[MODE_TRIAL] = "TRIAL",
+		[MODE_ARM] = "ARM", [MODE_BEEPER] = "BEEPER", [MODE_BLACKBOX] = "BLACKBOX",
+		[MODE_PID] = "PID", [MODE_TRIAL] = "TRIAL",   [MODE_CHIRP] = "CHIRP",
 	};
 	_Static_assert(sizeof names / sizeof names[0] == MODE_COUNT, "each has a name");
 

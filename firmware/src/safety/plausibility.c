@@ -49,11 +49,13 @@ static bool plausibility_leads_astray(struct plausibility *p, int i, bool unansw
 	return plausibility_lasts(&p->wrong_way[i], unanswered, p->wrong_way_after) || p->astray[i] > WRONG_WAY_ANGLE;
 }
 
-/* Does the error of axis i swing to and fro, faster than a pilot's sticks? */
-static bool plausibility_swings(struct plausibility *p, int i, float error)
+/* Does the error of axis i swing to and fro, faster than a pilot's sticks, and further than a chirp explains? */
+static bool plausibility_swings(struct plausibility *p, int i, float error, float room)
 {
+	const float swing = SWING + room;
+
 	p->error[i] += p->smoothing * (error - p->error[i]);
-	const int side = p->error[i] > SWING ? 1 : p->error[i] < -SWING ? -1 : p->side[i];
+	const int side = p->error[i] > swing ? 1 : p->error[i] < -swing ? -1 : p->side[i];
 
 	if (++p->since[i] > p->half_longest)
 		p->swings[i] = 0;
@@ -87,7 +89,7 @@ static enum nf_fallback_cause plausibility_axis(struct plausibility *p, int i, c
 		return NF_FALLBACK_WRONG_WAY;
 	if (plausibility_lasts(&p->no_response[i], idle, p->no_response_after))
 		return NF_FALLBACK_NO_RESPONSE;
-	return plausibility_swings(p, i, error) ? NF_FALLBACK_OSCILLATION : NF_FALLBACK_NONE;
+	return plausibility_swings(p, i, error, input->room[i]) ? NF_FALLBACK_OSCILLATION : NF_FALLBACK_NONE;
 }
 
 enum nf_fallback_cause plausibility_step(struct plausibility *plausibility, const struct plausibility_input *input)

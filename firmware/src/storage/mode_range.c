@@ -9,10 +9,8 @@
 #define STEP_MASK 0x3Fu
 
 static const uint8_t modes[MODE_COUNT] = {
-	[MODE_ARM] = NF_MODE_ARM,
-	[MODE_BEEPER] = NF_MODE_BEEPER,
-	[MODE_PID] = NF_MODE_PID,
-	[MODE_TRIAL] = NF_MODE_TRIAL,
+	[MODE_ARM] = NF_MODE_ARM, [MODE_BEEPER] = NF_MODE_BEEPER, [MODE_BLACKBOX] = NF_MODE_BLACKBOX,
+	[MODE_PID] = NF_MODE_PID, [MODE_TRIAL] = NF_MODE_TRIAL,   [MODE_CHIRP] = NF_MODE_CHIRP,
 };
 
 enum mode_index mode_range_index(uint8_t mode)

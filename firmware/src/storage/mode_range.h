@@ -9,8 +9,10 @@
 enum mode_index {
 	MODE_ARM,
 	MODE_BEEPER,
+	MODE_BLACKBOX,
 	MODE_PID,
 	MODE_TRIAL,
+	MODE_CHIRP,
 	MODE_COUNT,
 };
 #define MODE_BIT(name) (1u << MODE_##name)

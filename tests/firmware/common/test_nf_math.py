@@ -42,6 +42,15 @@ def test_gain_of_a_low_pass_keeps_its_digits_when_it_is_small_and_is_one_when_it
     assert scripted.lib.nf_one_minus_exp(1e30) == 1.0
 
 
+def test_logarithm_is_right_when_it_is_of_a_ratio_of_frequencies(scripted: Any) -> None:
+    x = np.unique(float32([*np.geomspace(1e-6, 1e6, 4001), *np.linspace(0.5, 2, 2001), 1]))
+    got = of_each(scripted.lib.nf_log, x)
+    np.testing.assert_allclose(got, np.log(x.astype(float)), rtol=2e-7, atol=1e-7)
+    assert scripted.lib.nf_log(1.0) == 0.0
+    assert scripted.lib.nf_log(math.inf) == scripted.lib.nf_log(1e6)
+    assert scripted.lib.nf_log(0.0) == scripted.lib.nf_log(1e-6)
+
+
 def test_angle_of_a_vector_is_right_when_it_points_anywhere(scripted: Any) -> None:
     rng = np.random.default_rng(1)
     around = np.radians(np.arange(-180, 180.5, 0.5))

@@ -22,6 +22,8 @@ from toolchain.contract import (
     SRAM1,
     SRAM2,
     ArmingReason,
+    Mode,
+    ModeRange,
     Region,
     observation_blocks,
     observation_count,
@@ -93,6 +95,8 @@ class Host:
         self.settings = core.new("struct nf_settings *")
         core.lib.settings_default(self.settings)
         self.settings.arming_delay_ms = BOOT_GRACE_MS
+        self.settings.mode5 = ModeRange(Mode.CHIRP, 5, 1700, 2100).packed
+        self.settings.chirp_s = 1.0
         lib, self._pid = core.lib, core.ffi.addressof(core.lib, "pid_gains_built_in")
         self.idle = lib.policy_blob.header.idle
         config = core.new(
@@ -142,6 +146,7 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
 ) -> None:
     rng, power = np.random.default_rng(31), np.random.default_rng(32)
     values: set[bytes] = set()
+    axes: set[int] = set()
     voltages: list[float] = []
     for step in range(BOOT_STEPS + FLIGHT_STEPS):
         flying = step >= BOOT_STEPS
@@ -150,7 +155,8 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         sticks = rng.integers(172, 1812, 4)
         sticks[2] = 192 if step < BOOT_STEPS + 20 else sticks[2]
         pid = 1792 if step // 90 % 2 else 192  # the controllers take turns
-        channels = [*sticks.tolist(), 1792 if flying else 192, pid, *[992] * 10]
+        chirp = 1792 if step // 20 % 3 else 192
+        channels = [*sticks.tolist(), 1792 if flying else 192, pid, *[992] * 2, chirp, *[992] * 7]
         frame = sbus(channels) if step % 7 == 0 else b""
         if flying and step == BOOT_STEPS:
             frame = sbus([992, 992, 192, 992, 1792, *[992] * 11])
@@ -162,7 +168,10 @@ def test_the_boards_control_path_gives_the_hosts_bits_when_armed_and_shaken(
         ours, theirs = host.step(frame, sample), board.step(frame, sample)
         assert ours == theirs, f"step {step}"
         values.add(ours[0])
+        if flying and host.firmware.chirp.added != 0.0:
+            axes.add(host.firmware.chirp.axis)
         assert (ours[0] != bytes(8)) == flying, f"armed from step {BOOT_STEPS} on, and only then: {step}"
+    assert axes == {0, 1, 2}, "the chirp must have run"
     assert len(values) > FLIGHT_STEPS / 2, "the outputs must have moved"
     sagging = [voltage for voltage in voltages[-FLIGHT_STEPS // 10 :] if 14.0 < voltage < 16.0]
     assert len(sagging) > 5, "the PID must have flown by packs that sag"

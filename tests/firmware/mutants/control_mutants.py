@@ -11,7 +11,31 @@ OF_OBSERVATION, OF_DSHOT = "control/test_observation.py", "motors/test_dshot.py"
 OF_COMMAND, OF_BENCH = "motors/test_dshot_command.py", "motors/test_motor_test.py"
 OF_ORDER = "joined/test_motor_order.py"
 
+CHIRP, OF_CHIRP = "control/chirp.c", "control/test_chirp.py"
+
 CONTROL_MUTANTS = (
+    Mutant(
+        name="every sweep excites the same axis",
+        file=CHIRP,
+        old="(chirp->axis + 1u) % AXES",
+        new="(chirp->axis + 0u) % AXES",
+        tests=(OF_CHIRP,),
+        slow=False,
+    ),
+    Mutant(
+        name="a sweep that was ended begins again while the mode is still on",
+        file=CHIRP,
+        old="\tchirp->state = CHIRP_SPENT;\n\tchirp->room",
+        new="\tchirp->state = CHIRP_IDLE;\n\tchirp->room",
+        tests=(OF_CHIRP, "joined/test_chirp.py"),
+    ),
+    Mutant(
+        name="a sweep goes on with the other controller",
+        file=CHIRP,
+        old="input->controller != chirp->controller",
+        new="false",
+        tests=(OF_CHIRP, "joined/test_chirp.py"),
+    ),
     Mutant(
         name="what is no number lies within the range",
         file=CONTROL,

@@ -129,6 +129,20 @@ JOINED_MUTANTS = (
         tests=(SATURATED,),
     ),
     Mutant(
+        name="the chirp begins while the motors stand",
+        file="firmware_chirp.c",
+        old="safety_motors(&fw->safety) && !safety_descending",
+        new="!safety_descending",
+        tests=("joined/test_chirp.py",),
+    ),
+    Mutant(
+        name="the chirp goes on while the receiver is not heard",
+        file="firmware_chirp.c",
+        old="receiver_link(&fw->receiver) == RECEIVER_GOOD",
+        new="receiver_link(&fw->receiver) != RECEIVER_LOST",
+        tests=("joined/test_chirp.py",),
+    ),
+    Mutant(
         name="the arming delay is not that of the setting",
         file=FIRMWARE,
         old="config->gyro_rate_hz * settings->arming_delay_ms / 1000u",

@@ -13,6 +13,13 @@ OF_ALERT, OF_SCHEDULER = "housekeeping/test_alert.py", "housekeeping/test_schedu
 
 SAFETY_MUTANTS = (
     Mutant(
+        name="what a chirp makes an axis swing counts as an oscillation",
+        file=PLAUSIBILITY,
+        old="SWING + room",
+        new="SWING + 0.0f * room",
+        tests=(OF_PLAUSIBILITY,),
+    ),
+    Mutant(
         name="the crash count is not reset when the spread falls",
         file=CRASH,
         old="crash->helpless + 1u : 0u;",

@@ -55,9 +55,17 @@ class Watch:
         core.lib.plausibility_reset(self._monitor)
 
     def step(
-        self, asked: float, rate: float, demand: float, *, thrust: bool = True, beside: float = 0.0
+        self,
+        asked: float,
+        rate: float,
+        demand: float,
+        *,
+        thrust: bool = True,
+        beside: float = 0.0,
+        room: float = 0.0,
+        room_beside: float = 0.0,
     ) -> FallbackCause:
-        """One control step; `beside`: the error of the next axis, which is answered."""
+        """One control step; `beside`: the error of the next axis, which is answered; `room`: of the axis."""
         rates, wanted, given = [0.0] * 3, [0.0] * 3, [0.0] * 3
         rates[self.axis], wanted[self.axis] = self.sign * rate, math.radians(self.sign * asked)
         given[self.axis] = self.sign * demand
@@ -67,7 +75,12 @@ class Watch:
         floats = [self._core.new("float[3]", values) for values in (wanted, turned, given)]
         if self.blind:
             floats[2] = self._core.ffi.NULL
-        seen = self._core.new("struct plausibility_input *", (*floats, self._turning.state, thrust))
+        rooms = [0.0] * 3
+        rooms[self.axis] = math.radians(room)
+        rooms[(self.axis + 1) % 3] = math.radians(room_beside)
+        floats.append(self._core.new("float[3]", rooms))
+        members = (*floats[:3], self._turning.state, floats[3], thrust)
+        seen = self._core.new("struct plausibility_input *", members)
         return FallbackCause(self._core.lib.plausibility_step(self._monitor, seen))
 
     def reset(self) -> None:
@@ -202,6 +215,18 @@ def test_an_oscillation_is_told_after_so_many_swings(scripted: Any, axis: int, h
     assert OSCILLATION in found
     swings = found.index(OSCILLATION) / 1000 * 2 * hz
     assert OSCILLATION_SWINGS - 1 <= swings <= OSCILLATION_SWINGS + 1
+
+
+@axes
+def test_an_oscillation_is_told_from_a_chirps_when_it_is_larger(scripted: Any, axis: int) -> None:
+    for size, told in ((0.8, False), (1.5, True)):
+        watch = Watch(scripted, axis)
+        error = size * (OSCILLATION_ERROR_DEG_S + 100.0)
+        swing = [error * math.sin(math.tau * 12 * ms / 1000) for ms in range(2000)]
+        assert (OSCILLATION in [watch.step(0.0, each, 0.0, room=100.0) for each in swing]) is told
+    beside = Watch(scripted, axis)
+    swing = [3 * OSCILLATION_ERROR_DEG_S * math.sin(math.tau * 12 * ms / 1000) for ms in range(2000)]
+    assert OSCILLATION in [beside.step(0.0, each, 0.0, room_beside=100.0) for each in swing]
 
 
 def test_nothing_of_a_flight_counts_in_the_next(scripted: Any) -> None:

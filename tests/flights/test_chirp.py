@@ -1,0 +1,80 @@
+"""The mode CHIRP in flights of the shipped policy: sweeps are flown, and watched as any other flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.aircraft.model import load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from tests.flights.test_plausibility import half_as_much_again, mirrored, unchanged
+from tests.flights.weights import Change, ChangedPort
+from toolchain.contract import AXES, FallbackCause, Mode, ModeRange, StopCause
+
+GYRO_RATE_HZ = 4000
+SWEEP_S, STILL_S, AT_S = 2.0, 0.3, 1.0
+# The scenario's switch of the PID, AUX 2, is the chirp's.
+SETTINGS = {"mode2": ModeRange(Mode.CHIRP, 2, 1700, 2100).packed, "chirp_s": SWEEP_S, "chirp_start_hz": 2.0}
+Fly = Callable[..., tuple[Trace, ChangedPort]]
+
+
+@pytest.fixture
+def fly_chirps(reference_library: Path) -> Fly:
+    """Flies sweeps of an amplitude [deg/s] one after another, with a policy that is changed in flight."""
+
+    def run(amplitude: float, sweeps: int = 3, change: Change = unchanged) -> tuple[Trace, ChangedPort]:
+        still = Segment(STILL_S, throttle=0.3)
+        sweep = Segment(SWEEP_S + 0.1, throttle=0.3, pid=True)
+        settings = {**SETTINGS, "chirp_amplitude": amplitude}
+        inner = ReferencePort(reference_library, GYRO_RATE_HZ, settings)
+        port = ChangedPort(inner, change, round(AT_S * GYRO_RATE_HZ), hidden=True)
+        twin = Twin(load_aircraft("nf1"), rate_hz=GYRO_RATE_HZ, rng=np.random.default_rng((1, 1)))
+        with closing(twin), closing(port):
+            return fly(twin, port, Scenario("chirps", (still, *(sweep, still) * sweeps))), port
+
+    return run
+
+
+@pytest.mark.parametrize("amplitude", [100.0, 200.0])
+def test_the_loops_response_shows_on_each_axis_when_it_is_swept(fly_chirps: Fly, amplitude: float) -> None:
+    trace, port = fly_chirps(amplitude)
+    safety = port.safety()
+    assert (safety.stop_cause, safety.fallback_cause) == (StopCause.SWITCH, FallbackCause.NONE)
+    for axis, begin_s in enumerate(STILL_S + k * (SWEEP_S + 0.1 + STILL_S) for k in range(len(AXES))):
+        part = slice(round(1000 * begin_s), round(1000 * (begin_s + SWEEP_S + 0.1)))
+        asked, flown = (np.rad2deg(array[part].astype(float)) for array in (trace.setpoint, trace.rate))
+        others = [other for other in range(3) if other != axis]
+        assert not asked[:, others].any()
+        assert 0.8 * amplitude < np.abs(asked[:, axis]).max() < amplitude
+        spectra = [np.fft.rfft(each[:, axis]) for each in (asked, flown)]
+        hz = np.fft.rfftfreq(len(asked), 1e-3)
+        gain = np.abs(spectra[1] / spectra[0])
+        # Spectra of a short sweep leak: its gains are rough.
+        assert 0.7 < gain[(hz > 2) & (hz < 4)].mean() < 1.3, "it follows slow sines"
+        assert gain[(hz > 60) & (hz < 90)].mean() < 0.5, "and fast ones less"
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "change", "cause"),
+    [
+        (100.0, half_as_much_again, FallbackCause.OSCILLATION),
+        (300.0, mirrored(0), FallbackCause.WRONG_WAY),
+        (300.0, mirrored(1), FallbackCause.WRONG_WAY),
+    ],
+    ids=["gain", "mirrored", "another axis mirrored"],
+)
+def test_a_policy_that_turns_bad_is_told_when_it_is_swept(
+    fly_chirps: Fly, amplitude: float, change: Change, cause: FallbackCause
+) -> None:
+    trace, port = fly_chirps(amplitude, 1, change)
+    assert port.safety().fallback_cause == cause
+    late = round(1000 * (STILL_S + SWEEP_S)) - 100
+    assert not trace.setpoint[late:].any(), "the sweep ended with the policy"
