@@ -4,8 +4,8 @@
 
 #include "common/fence.h"
 #include "common/nf_math.h"
-#include "firmware_chirp.h"
 #include "motors/dshot.h"
+#include "safety/chirp_interlock.h"
 
 #define REASON_IF(condition, name) ((condition) ? SAFETY_REASON(name) : 0u)
 #define ANY_TILT (-2.0f)          /* below every cosine */
@@ -373,7 +373,7 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	fw->heard = false;
 	firmware_command(fw);
 	if ((fw->receiver.on & MODE_BIT(CHIRP)) || fw->chirp.state != CHIRP_IDLE)
-		firmware_chirp(fw);
+		chirp_interlock_step(&fw->chirp, &fw->control, &fw->receiver, &fw->safety, trace->setpoint);
 	if (fw->weights_bad)
 		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {

@@ -130,16 +130,16 @@ JOINED_MUTANTS = (
     ),
     Mutant(
         name="the chirp begins while the motors stand",
-        file="firmware_chirp.c",
-        old="safety_motors(&fw->safety) && !safety_descending",
+        file="safety/chirp_interlock.c",
+        old="safety_motors(safety) && !safety_descending",
         new="!safety_descending",
         tests=("joined/test_chirp.py",),
     ),
     Mutant(
         name="the chirp goes on while the receiver is not heard",
-        file="firmware_chirp.c",
-        old="receiver_link(&fw->receiver) == RECEIVER_GOOD",
-        new="receiver_link(&fw->receiver) != RECEIVER_LOST",
+        file="safety/chirp_interlock.c",
+        old="receiver_link(receiver) == RECEIVER_GOOD",
+        new="receiver_link(receiver) != RECEIVER_LOST",
         tests=("joined/test_chirp.py",),
     ),
     Mutant(
