@@ -291,14 +291,14 @@ def test_failsafe_is_told_when_the_state_is_one_of_it(
 
 
 @pytest.mark.parametrize(
-    ("switches", "armed", "modes"), [(0, 0, 0), (1, 0, 0), (1, 1, 1), (15, 0, 14), (6, 1, 7)]
+    ("switches", "armed", "modes"), [(0, 0, 0), (1, 0, 0), (1, 1, 1), (63, 0, 62), (6, 1, 7)]
 )
 def test_modes_are_told_in_the_order_of_their_names_when_switched(
     server: Callable[..., Server], switches: int, armed: int, modes: int
 ) -> None:
     s = server(modes=switches, trace={"armed": armed})
-    assert s.ask(Msp.BOXNAMES) == b"ARM;BEEPER;PID;TRIAL;"
-    assert s.ask(Msp.BOXIDS) == bytes([0, 13, 40, 41])
+    assert s.ask(Msp.BOXNAMES) == b"ARM;BEEPER;BLACKBOX;PID;TRIAL;CHIRP;"
+    assert s.ask(Msp.BOXIDS) == bytes([0, 13, 26, 40, 41, 55])
     assert messages.status(s.ask(Msp.STATUS)).modes == modes
 
 
