@@ -101,6 +101,30 @@ class Client:
             command, payload, timeout, 1 + retries, failures, self._decoder.skipped - skipped
         )
 
+    def post(self, command: Msp, payload: bytes) -> None:
+        """Send a request and do not wait: `collect` gets the replies, in the order of requests; any of them
+        may be lost. Only for commands whose replies say what they answer."""
+        self._late.add(command)
+        self._transport.write(encode(request(command, payload)))
+
+    def collect(self, command: Msp, timeout: float) -> bytes | None:
+        """The payload of the next reply to a posted `command`; None after `timeout` [s].
+
+        Raises RefusedError."""
+        deadline = self._clock() + timeout
+        while True:
+            while self._unasked:
+                message = self._unasked.popleft()
+                if message.command != command or message.direction is Direction.REQUEST:
+                    continue
+                if message.direction is Direction.ERROR:
+                    raise self._refused(command, message.payload)
+                return message.payload
+            left = deadline - self._clock()
+            if left <= 0:
+                return None
+            self._unasked.extend(self._messages(left, []))
+
     def receive(self, command: Msp, timeout: float) -> bytes | None:
         """The payload of the next `command` that comes without being asked for; None after `timeout` [s]."""
         deadline = self._clock() + timeout

@@ -38,6 +38,7 @@ ROOMS = (
     "flash/policy",
     "flash/motors",
     "flash/channels",
+    "flash/logs",
     "flash/mavlink",
     "flash/monitoring",
     "flash/card",

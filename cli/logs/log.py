@@ -9,6 +9,9 @@ import argparse
 import importlib
 
 COMMANDS = {  # in the order of --help: the summary
+    "list": "what the device of the blackbox does, and the logs that it keeps",
+    "fetch": "get logs from the firmware into files; goes on where it was interrupted",
+    "erase": "make all files for logs empty again; refuses while one was not fetched",
     "card": "put empty files for logs onto a FAT32 card, list them, empty those that were copied",
 }
 

@@ -1,0 +1,101 @@
+"""`neuroflight log fetch`: logs from the firmware into files."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.flash.interrupts import one_interrupt
+from cli.logs.device import add_port, look
+from cli.output import check_folder
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from flash.logs.messages import LogEntry
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the port, which logs, and where they go."""
+    add_port(parser, required=True)
+    parser.add_argument(
+        "numbers",
+        type=int,
+        nargs="*",
+        metavar="NUMBER",
+        help="of a log, as `neuroflight log list` has it; default: the last one",
+    )
+    parser.add_argument("--all", action="store_true", help="every log that DIR does not hold already")
+    parser.add_argument(
+        "--out", type=Path, default=Path(), metavar="DIR", help="folder for the files (default: this one)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fetch. Returns 0; raises NeuroflightError of one line for what cannot be done."""
+    from cli.flash.state import connect
+    from flash.logs.fetch import fetch
+
+    if args.all and args.numbers:
+        raise NeuroflightError("fetch got --all and numbers, expected one of them")
+    check_folder(args.out, "--out")
+    with one_interrupt(), connect(args) as client:
+        _, logs = look(client)
+        if not logs:
+            raise NeuroflightError(f"{client.name}: no log is kept there; nothing was written")
+        for log in _chosen(args, logs):
+            if log.bytes == 0:
+                print(f"log {log.number}: {log.name} is empty: nothing was written")
+                continue
+            began = time.monotonic()
+            with _bar(log) as progress:
+                fetched = fetch(client, log, args.out, time.monotonic, progress)
+            if fetched.there:
+                print(f"log {log.number}: {fetched.path} holds it already")
+                continue
+            took = max(time.monotonic() - began, 1e-3)
+            rate = (log.bytes - fetched.resumed) / took / 1000
+            went_on = f", went on from byte {fetched.resumed:,}" if fetched.resumed else ""
+            told = f"{log.bytes:,} bytes in {took:.1f} s, {rate:.1f} kB/s{went_on}"
+            print(f"log {log.number}: {fetched.path}, {told}")
+    return 0
+
+
+def _chosen(args: argparse.Namespace, logs: Sequence[LogEntry]) -> list[LogEntry]:
+    if args.all:
+        return list(logs)
+    if not args.numbers:
+        return [logs[-1]]
+    by_number = {log.number: log for log in logs}
+    for number in args.numbers:
+        if number not in by_number:
+            raise NeuroflightError(
+                f"got log {number}, expected 1 to {len(logs)}; `neuroflight log list` shows them"
+            )
+    return [by_number[number] for number in dict.fromkeys(args.numbers)]
+
+
+@contextmanager
+def _bar(log: LogEntry) -> Iterator[Callable[[int], None]]:
+    """Bytes, their rate and the time that is left; nothing where nobody looks."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+        TransferSpeedColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    console = Console(stderr=True)
+    hidden = not console.is_terminal
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bars:
+        task = bars.add_task(log.name, total=log.bytes)
+        yield lambda done: bars.update(task, completed=done)

@@ -1,0 +1,1 @@
+"""Logs that a firmware keeps: what there is, getting it over MSP, erasing it."""

@@ -1,0 +1,117 @@
+"""Which logs a firmware keeps; erasing them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from flash.client import Client, RefusedError
+from flash.logs.messages import (
+    ERRORS,
+    STATES,
+    LogEntry,
+    LogInfo,
+    entry_request,
+    erase_request,
+    erased,
+    log_entry,
+    log_info,
+)
+from toolchain.contract import LogError, Msp, Refusal
+from toolchain.errors import LinkError
+
+PAUSE_S = 0.01  # between two questions whose answer takes the device a while
+ENTRY_S = 10.0  # for one entry: the device looks where its log ends
+ERASE_S = 300.0  # for all: a card takes up to 250 ms for each piece that it erases
+
+Reply = TypeVar("Reply")
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Time, where the device takes a while."""
+
+    clock: Callable[[], float]  # seconds, never going back
+    sleep: Callable[[float], None]
+
+
+def read_info(client: Client) -> LogInfo:
+    """How the blackbox is doing. Raises LinkError for a firmware without one."""
+    try:
+        return log_info(client.request(Msp.LOG_INFO))
+    except RefusedError as error:
+        raise refusal_words(client, error) from None
+
+
+def read_entries(client: Client, info: LogInfo, wait: Wait) -> list[LogEntry]:
+    """The logs that can be read. Raises LinkError of one line that says why they cannot be."""
+    check_readable(client, info)
+    return [_read_entry(client, index, wait) for index in range(info.logs)]
+
+
+def _read_entry(client: Client, index: int, wait: Wait) -> LogEntry:
+    return _patiently(client, lambda: _entry(client, index), ENTRY_S, wait, f"log {index + 1}")
+
+
+def check_readable(client: Client, info: LogInfo) -> None:
+    """Raise LinkError where logs cannot be read now."""
+    if info.logging:
+        raise LinkError(
+            f"{client.name}: a log is being written, expected none; disarm, or end the mode BLACKBOX, first"
+        )
+    if info.logs == 0 and info.error is not LogError.NONE:
+        raise LinkError(f"{client.name}: no log can be read: {ERRORS[info.error]}")
+
+
+def erase(client: Client, wait: Wait) -> None:
+    """Make all files empty again. Raises LinkError."""
+
+    def ask() -> bool | None:
+        return erased(client.request(Msp.LOG_ERASE, erase_request())) or None
+
+    _patiently(client, ask, ERASE_S, wait, "erasing")
+
+
+def _entry(client: Client, index: int) -> LogEntry | None:
+    return log_entry(client.request(Msp.LOG_ENTRY, entry_request(index)))
+
+
+def _patiently(
+    client: Client, ask: Callable[[], Reply | None], patience: float, wait: Wait, what: str
+) -> Reply:
+    """What `ask` tells at last; None: not yet. Raises LinkError."""
+    deadline = wait.clock() + patience
+    while True:
+        try:
+            told = ask()
+        except RefusedError as error:
+            raise refusal_words(client, error) from None
+        if told is not None:
+            return told
+        if wait.clock() > deadline:
+            raise LinkError(
+                f"{client.name}: {what} takes the device longer than {patience:g} s; look with `log list`"
+            )
+        wait.sleep(PAUSE_S)
+
+
+def refusal_words(client: Client, error: RefusedError) -> LinkError:
+    """Why the firmware refuses a request about logs."""
+    words = {
+        Refusal.ARMED: "the motors are armed or under test: disarm, then try again",
+        Refusal.ORDER: "a log is being written, expected none: disarm, or end the mode BLACKBOX, first",
+        Refusal.ABSENT: "the firmware keeps no logs here: a log of UART3 goes to the recorder there, and the "
+        "SD card's need `blackbox_device=card`",
+        Refusal.INDEX: "there is no such log any more: list them again",
+        Refusal.LOG: "the device that keeps the logs failed: `neuroflight log list --port PORT` says why",
+        None: "this firmware knows no logs, it is older than this tool: `neuroflight flash` brings one",
+    }
+    told = words.get(error.reason)
+    return error if told is None else LinkError(f"{client.name}: {told}")
+
+
+def state_words(info: LogInfo) -> str:
+    """What the device does, and what is wrong with it."""
+    told = STATES[info.state]
+    return told if info.error is LogError.NONE else f"{told}; {ERRORS[info.error]}"

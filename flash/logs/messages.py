@@ -1,0 +1,133 @@
+"""What LOG_INFO, LOG_ENTRY, LOG_READ and LOG_ERASE say, and what states and errors mean in words."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from flash.payload import Reader
+from toolchain.contract import (
+    LOG_ERASE_MAGIC,
+    LOG_INFO_LOGGING,
+    LOG_INFO_LOSSY,
+    LOG_NAME_BYTES,
+    LogDevice,
+    LogError,
+    LogState,
+    Msp,
+)
+
+DEVICES = {
+    LogDevice.NONE: "none (blackbox_device=none)",
+    LogDevice.SERIAL: "UART3",
+    LogDevice.CARD: "the SD card",
+}
+STATES = {
+    LogState.ABSENT: "there is none, or the setting blackbox_device names another",
+    LogState.STARTING: "being looked at",
+    LogState.READY: "ready for the next flight",
+    LogState.LOGGING: "a log is being written",
+    LogState.ENDING: "the end of a log is being written",
+    LogState.FULL: "full: the next flight is not logged",
+    LogState.FAULT: "at fault: the next flight is not logged",
+}
+ERRORS = {
+    LogError.NONE: "none",
+    LogError.NO_CARD: "no card answers: put one in, and start the board anew",
+    LogError.CARD: "the card answers what no card should: try another one",
+    LogError.FILE_SYSTEM: "the card holds no sound FAT32 file system: format it (`mkfs.vfat -F 32`), then "
+    "`neuroflight log card`",
+    LogError.NO_FILE: "the card holds no file for logs: `neuroflight log card` makes them",
+    LogError.FRAGMENTED: "a file for logs does not lie in one piece: format the card, then "
+    "`neuroflight log card`",
+    LogError.WRITE: "the card refused a write or took too long: the log ends there; try another card",
+    LogError.READ: "the card could not be read: try again, then another card",
+}
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """How the blackbox is doing."""
+
+    device: LogDevice  # as set
+    state: LogState
+    error: LogError  # the last one, until a log begins well
+    logging: bool
+    lossy: bool  # the current or last log lacks control steps
+    logs: int  # that can be read
+    empty: int  # files that can take a log
+    capacity_kib: int  # of all files for logs
+    free_kib: int
+    frames: int  # this and what follows: of the current or last log
+    dropped: int  # control steps
+    bytes: int
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """A log that the device keeps."""
+
+    index: int
+    name: str  # 8.3
+    bytes: int
+
+    @property
+    def number(self) -> int:
+        """As users count: from 1."""
+        return self.index + 1
+
+
+@dataclass(frozen=True)
+class Block:
+    """Bytes of a log; `data` None: they are under way, ask again."""
+
+    index: int
+    offset: int
+    data: bytes | None
+
+
+def log_info(payload: bytes) -> LogInfo:
+    """Decode LOG_INFO. Raises LinkError."""
+    reader = Reader(Msp.LOG_INFO, payload)
+    device, state, error = reader.one_of(LogDevice), reader.one_of(LogState), reader.one_of(LogError)
+    flags, *numbers = reader.fields("BHH5I")
+    return LogInfo(
+        device, state, error, bool(flags & LOG_INFO_LOGGING), bool(flags & LOG_INFO_LOSSY), *numbers
+    )
+
+
+def log_entry(payload: bytes) -> LogEntry | None:
+    """Decode LOG_ENTRY; None: ask again. Raises LinkError."""
+    reader = Reader(Msp.LOG_ENTRY, payload)
+    index, later = reader.fields("HB")
+    name = reader.text(LOG_NAME_BYTES)
+    (size,) = reader.fields("I")
+    return None if later else LogEntry(index, name, size)
+
+
+def entry_request(index: int) -> bytes:
+    """Encode LOG_ENTRY."""
+    return struct.pack("<H", index)
+
+
+def read_request(index: int, offset: int, count: int) -> bytes:
+    """Encode LOG_READ."""
+    return struct.pack("<HIH", index, offset, count)
+
+
+def log_block(payload: bytes) -> Block:
+    """Decode LOG_READ. Raises LinkError."""
+    reader = Reader(Msp.LOG_READ, payload)
+    index, offset, later = reader.fields("HIB")
+    return Block(index, offset, None if later else payload[reader.at :])
+
+
+def erase_request() -> bytes:
+    """Encode LOG_ERASE."""
+    return struct.pack("<I", LOG_ERASE_MAGIC)
+
+
+def erased(payload: bytes) -> bool:
+    """Decode LOG_ERASE: whether it is done; else ask again. Raises LinkError."""
+    (later,) = Reader(Msp.LOG_ERASE, payload).fields("B")
+    return not later

@@ -1,0 +1,134 @@
+"""Bytes of a log over MSP, many requests on their way at once, so that the line is never idle.
+
+A firmware answers with some 230 bytes at a time. Waiting for each answer before the next question would leave
+the line idle while a question is on its way, several milliseconds through a USB adapter. Replies come in the
+order of requests and say which bytes they hold: whatever was lost is seen by what comes after it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from flash.client import Client
+from flash.logs.messages import log_block, read_request
+from toolchain.contract import Msp
+from toolchain.errors import LinkError
+
+WINDOW = 16  # requests on their way: 43 ms of replies at 921,600 baud, beyond what USB adapters wait
+FIRST_COUNT = 512  # bytes; what comes tells how many the firmware puts into an answer
+SILENCE_S = 1.0  # after which what is on its way is asked for again
+PATIENCE_S = 15.0  # without a new byte: a card that stalls takes half a second
+
+
+class LogReader:
+    """Reads one log from `start` on, in order, as far as `end` [bytes]."""
+
+    def __init__(
+        self,
+        client: Client,
+        index: int,
+        start: int,
+        end: int,
+        clock: Callable[[], float],
+        window: int = WINDOW,
+    ) -> None:
+        self._client, self._index, self._clock, self._most = client, index, clock, window
+        self._at, self._end = start, end  # what was handed out; what is wanted
+        self._asked = start  # as far as anything was ever asked for
+        self._block, self._largest = FIRST_COUNT, 1  # bytes that are asked for; that came at once so far
+        self._again: deque[tuple[int, int]] = deque()  # (offset, count) that were lost, or came too early
+        self._under_way: deque[tuple[int, int]] = deque()
+        self._arrived: dict[int, bytes] = {}  # by offset: behind a gap
+        self._window, self._early = 1, 0  # the first answer tells the size of a block
+        self._moved = clock()
+
+    @property
+    def at(self) -> int:
+        """Where the next bytes stand in the log."""
+        return self._at
+
+    def read(self, timeout: float = SILENCE_S) -> bytes:
+        """The next bytes, as many as are there by now; b"" at the end, and where none came in `timeout` [s].
+
+        Raises LinkError where nothing came for PATIENCE_S, RefusedError where the firmware refuses.
+        """
+        deadline = self._clock() + timeout
+        while self._at < self._end:
+            self._ask()
+            payload = self._client.collect(Msp.LOG_READ, max(deadline - self._clock(), 1e-3))
+            if payload is None:
+                self._again.extendleft(reversed(self._under_way))
+                self._under_way.clear()
+                self._window = 1
+            else:
+                self._take(payload)
+            if parts := self._in_order():
+                self._moved = self._clock()
+                return parts
+            if self._clock() - self._moved > PATIENCE_S:
+                raise LinkError(
+                    f"{self._client.name}: no byte of the log came for {PATIENCE_S:g} s, expected byte "
+                    f"{self._at:,} of {self._end:,}; check cable and card, then fetch again: it goes on there"
+                )
+            if self._clock() >= deadline:
+                break
+        return b""
+
+    def _ask(self) -> None:
+        """Keep as many requests under way as the window lets."""
+        while len(self._under_way) < self._window:
+            if self._again:
+                wanted = self._again.popleft()
+            elif self._asked < self._end:
+                wanted = (self._asked, min(self._block, self._end - self._asked))
+                self._asked += wanted[1]
+            else:
+                return
+            self._under_way.append(wanted)
+            self._client.post(Msp.LOG_READ, read_request(self._index, *wanted))
+
+    def _take(self, payload: bytes) -> None:
+        """A reply: of the bytes asked for, those before them were lost on the line."""
+        block = log_block(payload)
+        place = next((k for k, (offset, _) in enumerate(self._under_way) if offset == block.offset), None)
+        if block.index != self._index or place is None:
+            return  # of an earlier question
+        lost = [self._under_way.popleft() for _ in range(place)]
+        offset, count = self._under_way.popleft()
+        if block.data is None:
+            lost.append((offset, count))
+            self._early += 1
+            if self._early > self._window:  # they may be in each other's way
+                self._window, self._early = max(1, self._window // 2), 0
+        elif not block.data:
+            raise LinkError(
+                f"{self._client.name}: the log ends at byte {offset:,}, expected {self._end:,} as it was "
+                "listed; try again"
+            )
+        else:
+            self._arrived[offset] = block.data[:count]
+            self._largest = max(self._largest, len(block.data))
+            self._early, self._window = 0, min(self._window + 1, self._most)
+            missing = count - len(block.data)
+            if missing > 0:
+                self._block = self._largest
+                lost.append((offset + len(block.data), missing))
+        self._again.extendleft(reversed(lost))
+
+    def _in_order(self) -> bytes:
+        """What has arrived without a gap."""
+        parts = []
+        while (data := self._arrived.pop(self._at, None)) is not None:
+            parts.append(data)
+            self._at += len(data)
+        return b"".join(parts)
+
+
+def read_bytes(client: Client, index: int, offset: int, count: int, clock: Callable[[], float]) -> bytes:
+    """`count` bytes of a log, which has so many there. Raises LinkError."""
+    reader = LogReader(client, index, offset, offset + count, clock)
+    parts = []
+    while reader.at < offset + count:
+        parts.append(reader.read())
+    return b"".join(parts)

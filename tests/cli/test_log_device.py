@@ -1,0 +1,114 @@
+"""`neuroflight log` list, fetch and erase as a user calls them, over TCP to a model of a board with logs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+from flash.msp import Decoder, Message, encode
+from tests.flash.logs.log_model import LogBoard, log_board, log_of
+from toolchain.contract import LogError, LogState
+
+FIRST, LAST = log_of(5000, 1), log_of(9000, 2)
+Serve = Callable[[LogBoard], str]
+
+
+@pytest.fixture
+def serve(tcp_server: Callable[[Callable[[bytes], bytes]], str]) -> Serve:
+    """Put a board behind a TCP port; gives the port's name."""
+
+    def start(board: LogBoard) -> str:
+        decoder = Decoder()
+
+        def answer(data: bytes) -> bytes:
+            events = decoder.feed(data)
+            return b"".join(encode(board.answer(event)) for event in events if isinstance(event, Message))
+
+        return tcp_server(answer)
+
+    return start
+
+
+def log(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[int, str, str]:
+    """Exit code and what was printed."""
+    code = main(["log", *map(str, words)])
+    told = capsys.readouterr()
+    return code, told.out, told.err
+
+
+def test_list_tells_the_device_in_words_and_its_logs(
+    serve: Serve, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = serve(log_board(FIRST, LAST, dropped=17))
+    code, told, _ = log(capsys, "list", "--port", port)
+    assert code == 0
+    for words in ("the SD card", "ready for the next flight", "17 control steps are missing", "LOG00002.BBL"):
+        assert words in told
+    facts = json.loads(log(capsys, "list", "--port", port, "--json")[1])
+    assert facts["info"]["state"] == "ready" and [one["bytes"] for one in facts["logs"]] == [5000, 9000]
+
+
+def test_list_tells_a_fault_and_that_a_log_is_being_written(
+    serve: Serve, capsys: pytest.CaptureFixture[str]
+) -> None:
+    full = serve(log_board(log_state=LogState.FAULT, log_error=LogError.FRAGMENTED))
+    code, told, _ = log(capsys, "list", "--port", full)
+    assert (
+        code == 0 and "at fault: the next flight is not logged; a file for logs does not lie in one" in told
+    )
+    flying = serve(log_board(FIRST, logging=True, armed=True, log_state=LogState.LOGGING))
+    code, told, _ = log(capsys, "list", "--port", flying)
+    assert code == 0 and "a log is being written" in told and "this log" in told
+
+
+def test_the_last_log_is_fetched_or_those_that_are_named_or_all(
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = serve(log_board(FIRST, b"", LAST))
+    code, told, _ = log(capsys, "fetch", "--port", port, "--out", tmp_path)
+    assert code == 0 and told.startswith(f"log 3: {tmp_path / 'LOG00003.BBL'}, 9,000 bytes in ")
+    assert (tmp_path / "LOG00003.BBL").read_bytes() == LAST
+    code, told, _ = log(capsys, "fetch", "--port", port, "--out", tmp_path, "--all")
+    assert code == 0 and "LOG00002.BBL is empty" in told and "LOG00003.BBL holds it already" in told
+    assert (tmp_path / "LOG00001.BBL").read_bytes() == FIRST
+    code, _, line = log(capsys, "fetch", "--port", port, "--out", tmp_path, "4")
+    assert code == 1 and "got log 4, expected 1 to 3" in line
+    code, _, line = log(capsys, "fetch", "--port", port, "--out", tmp_path, "1", "--all")
+    assert code == 1 and "expected one of them" in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["LOG00001.BBL", "LOG00003.BBL"]
+
+
+def test_erasing_wants_copies_and_a_word(
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = log_board(FIRST, LAST)
+    port = serve(board)
+    assert log(capsys, "fetch", "--port", port, "--out", tmp_path, "1")[0] == 0
+    code, _, line = log(capsys, "erase", "--port", port, "--copies", tmp_path, "--yes")
+    assert code == 1 and f"log 2 is not in {tmp_path}, expected a copy" in line and line.count("\n") == 1
+    assert log(capsys, "fetch", "--port", port, "--out", tmp_path, "--all")[0] == 0
+    code, _, line = log(capsys, "erase", "--port", port, "--copies", tmp_path)
+    assert code == 1 and "give --yes; nothing was erased" in line
+    assert board.logs == [FIRST, LAST]
+    code, told, _ = log(capsys, "erase", "--port", port, "--copies", tmp_path, "--yes")
+    assert (code, board.logs) == (0, []) and told.startswith("2 logs erased")
+
+
+def test_unfetched_logs_are_erased_when_that_is_said(
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = log_board(FIRST)
+    code, _, _ = log(capsys, "erase", "--port", serve(board), "--copies", tmp_path, "--unfetched", "--yes")
+    assert (code, board.logs) == (0, [])
+
+
+def test_nothing_to_fetch_is_one_line(
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, told, line = log(capsys, "fetch", "--port", serve(log_board()), "--out", tmp_path)
+    assert (code, told) == (1, "") and line.endswith("no log is kept there; nothing was written\n")
+    assert list(tmp_path.iterdir()) == []
