@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from flash.client import Client
 from flash.logs.catalogue import Wait
-from flash.msp import Direction, Message
+from flash.msp import Direction, Message, encode
 from tests.flash.image.board_model import Bank, BoardModel, ModelLine
 from toolchain.contract import LOG_ERASE_MAGIC, LogError, LogState, Msp, Refusal
 from toolchain.errors import LinkError
@@ -149,3 +149,32 @@ def losing(share: float, seed: int = 3) -> Callable[[bytes], bytes]:
         return data[:at] + bytes([data[at] ^ 0x55]) + data[at + 1 :]
 
     return spoil
+
+
+class PacedLine(ModelLine):
+    """A serial line: bytes take their time each way, and `latency` [s] passes before they are handed on."""
+
+    def __init__(self, board: LogBoard, baud: int, latency: float) -> None:
+        super().__init__(board)
+        self._byte_s, self._latency = 10 / baud, latency
+        self._down_free = self._up_free = 0.0  # when each direction has sent all that it was given
+        self._queue: list[tuple[float, bytes]] = []
+        self.up_bytes = 0
+
+    def write(self, data: bytes) -> None:
+        self._down_free = max(self._down_free, self.board.now) + len(data) * self._byte_s
+        for event in self._decoder.feed(data):
+            if isinstance(event, Message):
+                answered = encode(self.board.answer(event))
+                begins = max(self._up_free, self._down_free + self._latency)
+                self._up_free = begins + len(answered) * self._byte_s
+                self.up_bytes += len(answered)
+                self._queue.append((self._up_free + self._latency, answered))
+
+    def read(self, timeout: float) -> bytes:
+        if self._queue and self._queue[0][0] <= self.board.now + timeout:
+            at, data = self._queue.pop(0)
+            self.board.now = max(self.board.now, at)
+            return data
+        self.board.now += timeout
+        return b""

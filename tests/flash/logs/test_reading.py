@@ -7,7 +7,7 @@ import pytest
 from flash.client import RefusedError
 from flash.logs.reading import PATIENCE_S, WINDOW, LogReader, read_bytes
 from tests.flash.image.board_model import ModelLine
-from tests.flash.logs.log_model import client_of, log_board, log_of, losing
+from tests.flash.logs.log_model import PacedLine, client_of, log_board, log_of, losing
 from toolchain.contract import Refusal
 from toolchain.errors import LinkError
 
@@ -97,3 +97,15 @@ def test_requests_behind_it_get_their_own_answers() -> None:
     reader = LogReader(client, 0, 0, len(LOG), line.clock)
     reader.read()
     assert read_bytes(client, 0, 50_000, 300, line.clock) == LOG[50_000:50_300]
+
+
+@pytest.mark.parametrize("latency_ms", [0.1, 1, 8])
+def test_the_line_is_never_idle(latency_ms: float) -> None:
+    """8 ms each way: a USB adapter that waits for more before it hands bytes on."""
+    log = log_of(300_000)
+    line = PacedLine(log_board(log), 921_600, latency_ms / 1000)
+    assert read_all(line, len(log)) == log
+    raw_s = len(log) * 10 / 921_600
+    told_s = line.up_bytes * 10 / 921_600
+    assert told_s < 1.08 * raw_s  # of what the answers' frames add
+    assert line.clock() < 1.02 * told_s + 30 * latency_ms / 1000
