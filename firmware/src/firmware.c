@@ -4,6 +4,7 @@
 
 #include "common/fence.h"
 #include "common/nf_math.h"
+#include "common/words.h"
 #include "motors/dshot.h"
 #include "safety/chirp_interlock.h"
 
@@ -57,7 +58,7 @@ static uint32_t firmware_conditions(const struct firmware *fw)
 	const bool lost = link == RECEIVER_LOST;
 	const bool throttle_high = fw->receiver.channels_us[NF_CHANNEL_THROTTLE] > NF_THROTTLE_LOW_US;
 
-	return fw->forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
+	return fw->edges.forbidden | health[fw->health] | control_reasons(&fw->control, fw->pid_wanted) |
 	       REASON_IF(fw->grace_left > 0, BOOT_GRACE) | REASON_IF(!fw->gyro.calibrated, GYRO_NOT_CALIBRATED) |
 	       REASON_IF(lost, RECEIVER_LOST) | REASON_IF(!lost && throttle_high, THROTTLE_HIGH) |
 	       REASON_IF(!firmware_level(fw), NOT_LEVEL) |
@@ -164,6 +165,8 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	fw->doubts = settings->plausibility_detection != 0;
 	fw->trial = settings->policy_trial != 0;
 	fw->forbidden = SAFETY_REASON(BATTERY_UNKNOWN);
+	fw->voltage_gain = 1.0f;
+	fw->edges.forbidden = fw->forbidden;
 	fw->status.gyro_rate_hz = (uint16_t)config->gyro_rate_hz;
 	fw->status.trace.motor_count = POLICY_ACTION_COUNT;
 	if ((err = gyro_init(&fw->gyro, config->gyro_rate_hz, config->alignment, settings->gyro_stuck_ms)) != NF_OK)
@@ -211,10 +214,45 @@ static void firmware_take_frame(struct firmware *fw)
 	firmware_update_safety(fw, good && !firmware_switch_on(fw) ? SAFETY_OFF_HEARD : 0u);
 }
 
+/* What seldom comes, as flags of the edges. */
+static __attribute__((noinline)) uint32_t firmware_take_handed(struct firmware *fw)
+{
+	const uint32_t flags = (fw->posted ? (uint32_t)LOG_EDGE_POSTED : 0u) |
+			       (fw->acknowledged ? (uint32_t)LOG_EDGE_ACKNOWLEDGED : 0u) |
+			       (fw->calibrate ? (uint32_t)LOG_EDGE_CALIBRATE : 0u) |
+			       (fw->weights == WEIGHTS_BAD ? (uint32_t)LOG_EDGE_WEIGHTS_BAD : 0u) |
+			       (fw->weights == WEIGHTS_RENEWED ? (uint32_t)LOG_EDGE_WEIGHTS_GOOD : 0u);
+
+	fw->acknowledged = false;
+	fw->calibrate = false;
+	if (flags & LOG_EDGE_WEIGHTS_GOOD) {
+		fw->weights = WEIGHTS_KNOWN;
+		control_policy_good(&fw->control, true);
+	}
+	return flags;
+}
+
+/* At the begin of a control step, once. */
+static __attribute__((noinline)) void firmware_take_edges(struct firmware *fw)
+{
+	struct firmware_edges *edges = &fw->edges;
+
+	fw->begun = true;
+	edges->forbidden = fw->forbidden;
+	edges->voltage_gain = fw->voltage_gain;
+	edges->flags = fw->silences;
+	fw->silences = 0;
+	fw->control.pid.compensation = edges->voltage_gain;
+	if (fw->handed != 0)
+		edges->flags |= firmware_take_handed(fw);
+}
+
 /* The last frame is evaluated by the control step that follows, together with its other conditions: a step with a frame
  * should take no longer than the others. */
 void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 {
+	if (!fw->begun)
+		firmware_take_edges(fw);
 	while (receiver_push(&fw->receiver, &bytes, &count)) {
 		fw->heard = count == 0 && !receiver_waits(&fw->receiver);
 		if (!fw->heard)
@@ -225,7 +263,7 @@ void firmware_receive(struct firmware *fw, const uint8_t *bytes, size_t count)
 /* Takes the channels that the background has posted. */
 static void firmware_receive_posted(struct firmware *fw)
 {
-	if (!fw->posted)
+	if (!(fw->edges.flags & LOG_EDGE_POSTED))
 		return;
 	fence();
 	fw->heard |= receiver_msp(&fw->receiver, fw->posted_us);
@@ -334,11 +372,11 @@ static void firmware_publish(struct firmware *fw)
 
 /* While the motors stand. The first step of a flight should take no longer than the others, so that what it needs is done
  * before. */
-static void firmware_rest(struct firmware *fw)
+static __attribute__((noinline)) void firmware_rest(struct firmware *fw)
 {
-	if (fw->acknowledged)
+	if (fw->edges.flags & LOG_EDGE_ACKNOWLEDGED)
 		control_acknowledge(&fw->control);
-	if (fw->calibrate)
+	if (fw->edges.flags & LOG_EDGE_CALIBRATE)
 		fw->gyro.calibrated = false; /* the old bias stays until there is a new one */
 	control_rest(&fw->control);
 	firmware_forget(fw);
@@ -359,6 +397,9 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	float output[POLICY_ACTION_COUNT] = { 0 };
 	float acceleration[3];
 
+	if (!fw->begun)
+		firmware_take_edges(fw);
+	fw->begun = false;
 	memcpy(trace->gyro, rate, sizeof trace->gyro);
 	gyro_acceleration(&fw->gyro, acceleration);
 	attitude_step(&fw->attitude, rate, acceleration);
@@ -374,7 +415,7 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	firmware_command(fw);
 	if ((fw->receiver.on & MODE_BIT(CHIRP)) || fw->chirp.state != CHIRP_IDLE)
 		chirp_interlock_step(&fw->chirp, &fw->control, &fw->receiver, &fw->safety, trace->setpoint);
-	if (fw->weights_bad)
+	if (fw->edges.flags & LOG_EDGE_WEIGHTS_BAD)
 		firmware_lose_weights(fw);
 	if (safety_motors(&fw->safety)) {
 		fw->rested = false;
@@ -384,8 +425,6 @@ static void firmware_control_step(struct firmware *fw, const float rate[3])
 	} else {
 		firmware_rest(fw);
 	}
-	fw->acknowledged = false;
-	fw->calibrate = false;
 	trace->armed = safety_motors(&fw->safety);
 	firmware_drive(fw, output);
 	trace->step = fw->control_steps++;
@@ -463,6 +502,8 @@ void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUN
 	for (uint32_t i = 0; i < fw->gyro_rate_hz * NF_GYRO_BAD_MS / 1000u; ++i)
 		firmware_tick(fw);
 	fw->health = NF_GYRO_HEALTH_SILENT;
+	fw->edges.forbidden = fw->forbidden; /* nothing arms in silence; it is told */
+	fw->silences = (fw->silences | LOG_EDGE_SILENT) + LOG_EDGE_SILENCE;
 	motor_test_end(&fw->motor_test);
 	firmware_update_safety(fw, 0);
 	trace->armed = safety_motors(&fw->safety);
@@ -476,6 +517,60 @@ void firmware_deadline(struct firmware *fw, bool missed)
 {
 	if (safety_motors(&fw->safety))
 		control_deadline(&fw->control, missed);
+}
+
+/* What lies side by side in the firmware and in a record is copied as one. */
+#define RECORD(member) offsetof(struct log_record, member)
+#define STATUS(member) offsetof(struct firmware_status, member)
+#define SAME_PLACE(member, from) \
+	_Static_assert(RECORD(member) - RECORD(from) == STATUS(member) - STATUS(from), "not as in the status: " #member)
+#define TOLD (RECORD(modes) - RECORD(trace))
+_Static_assert(STATUS(trace) == 0 && STATUS(channels_us) == RECORD(sticks_us) && NF_CHANNEL_YAW + 1 == LOG_STICKS,
+	       "the sticks are the first channels");
+SAME_PLACE(arming_reasons, trace);
+#define CONDITIONS (RECORD(attitude) - RECORD(modes))
+_Static_assert(STATUS(modes) % 4u == 0 && CONDITIONS % 4u == 0, "whole words");
+SAME_PLACE(receiver_good, modes);
+SAME_PLACE(policy_good, modes);
+SAME_PLACE(pid_built_in, modes);
+SAME_PLACE(pid_flies, modes);
+SAME_PLACE(state, modes);
+SAME_PLACE(stop_cause, modes);
+SAME_PLACE(fallback_cause, modes);
+SAME_PLACE(refused_cause, modes);
+SAME_PLACE(gyro_health, modes);
+SAME_PLACE(receiver_quality, modes);
+SAME_PLACE(attitude_known, modes);
+#define ANSWER (RECORD(accel) - RECORD(observation))
+_Static_assert(offsetof(struct control, action) - offsetof(struct control, seen) ==
+		       RECORD(action) - RECORD(observation),
+	       "observation and action");
+#define EDGES (RECORD(sample) - RECORD(forbidden))
+_Static_assert(sizeof(struct firmware_edges) == EDGES &&
+		       offsetof(struct firmware_edges, flags) == RECORD(edge_flags) - RECORD(forbidden),
+	       "edges");
+#define MEASURED (RECORD(gyro) - RECORD(accel))
+#define LAST (offsetof(struct firmware, gyro) + offsetof(struct gyro, last) + offsetof(struct imu_sample, accel))
+_Static_assert(LAST % 4u == 0 && RECORD(temperature) - RECORD(accel) ==
+					 offsetof(struct imu_sample, temperature) - offsetof(struct imu_sample, accel),
+	       "accelerometer and temperature");
+
+void firmware_log(const struct firmware *fw, struct log_record *record)
+{
+	words_copy(&record->trace, &fw->status, TOLD);
+	words_copy(&record->modes, &fw->status.modes, CONDITIONS);
+	words_copy(record->attitude, fw->attitude.q, sizeof record->attitude);
+	words_copy(&record->forbidden, &fw->edges, EDGES);
+	/* A motor test or a command forbids arming, and no armed motors have one. */
+	if (record->arming_reasons & SAFETY_REASON(MOTOR_TEST))
+		record->edge_flags |= LOG_EDGE_BENCH;
+	if (record->edge_flags & LOG_EDGE_POSTED) {
+		record->receiver_count = sizeof fw->posted_us;
+		words_copy(record->receiver_bytes, fw->posted_us, sizeof fw->posted_us);
+	}
+	record->sample = fw->samples - 1u;
+	words_copy(record->observation, fw->control.seen, ANSWER);
+	words_copy(record->accel, (const uint8_t *)fw + LAST, MEASURED);
 }
 
 const struct control_trace *firmware_trace(const struct firmware *fw)
@@ -504,15 +599,13 @@ void firmware_acknowledge(struct firmware *fw)
 
 void firmware_weights(struct firmware *fw, bool good)
 {
-	fw->weights_bad = !good;
-	if (good)
-		control_policy_good(&fw->control, true);
+	fw->weights = good ? WEIGHTS_RENEWED : WEIGHTS_BAD;
 	fence();
 }
 
 void firmware_power(struct firmware *fw, float voltage)
 {
-	pid_compensate(&fw->control.pid, voltage);
+	fw->voltage_gain = pid_compensation(fw->control.pid.gains, voltage);
 }
 
 bool firmware_armed(const struct firmware *fw)

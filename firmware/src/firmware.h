@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/log_record.h"
 #include "common/imu.h"
 #include "common/nf_err.h"
 #include "common/status.h"
@@ -39,6 +40,22 @@ struct firmware_config {
 	const struct pid_gains *pid;
 };
 
+/* Of the policy, compared with flash. */
+enum firmware_weights {
+	WEIGHTS_KNOWN,   /* nothing new */
+	WEIGHTS_BAD,     /* they are not what flash has, until they are renewed */
+	WEIGHTS_RENEWED, /* they are again: told once */
+};
+
+/* What the background has handed over, as a control step takes it: once, at its begin, so that each of it belongs to one
+ * step. */
+struct firmware_edges {
+	uint32_t forbidden;             /* arming reasons that the background knows */
+	float voltage_gain;             /* of the PID, for the battery's voltage */
+	uint32_t flags;                 /* enum log_edge */
+};
+
+/* The same on every target, its pointers included (held.h): a log holds it. */
 struct firmware {
 	struct gyro gyro;
 	struct filters filters;
@@ -69,13 +86,24 @@ struct firmware {
 	bool trial;                     /* the policy flies only while the switch of its trial is held */
 	bool pid_wanted;                /* by the switches, as last heard */
 	enum nf_gyro_health health;     /* of the last sample */
-	volatile uint32_t forbidden;    /* arming reasons that the background knows */
-	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels from the background */
-	volatile bool posted;           /* they wait to be taken up */
-	volatile bool weights_bad;      /* flash has others, says the background */
-	volatile bool acknowledged;     /* by the pilot, for the next control step */
-	volatile bool calibrate;        /* the gyro anew, at the next control step */
+	/* The background's, for the next control step. */
+	volatile uint32_t forbidden;    /* arming reasons that it knows */
+	volatile float voltage_gain;    /* of the PID */
+	uint16_t posted_us[NF_CHANNEL_COUNT]; /* channels */
+	union {
+		struct {
+			volatile bool posted;       /* they wait to be taken up */
+			volatile bool acknowledged; /* by the pilot */
+			volatile bool calibrate;    /* the gyro anew */
+			volatile uint8_t weights;   /* enum firmware_weights */
+		};
+		volatile uint32_t handed;           /* 0: none of it */
+	};
+	/* As the control step under way has taken it, or the last one had. */
+	bool begun;                     /* it has taken it */
 	bool heard;                     /* a receiver frame waits to be evaluated */
+	struct firmware_edges edges;
+	uint32_t silences;              /* since the last control step, as flags of its edges */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
 	volatile uint32_t samples;      /* gyro samples since boot, lost ones and the time of silences included */
@@ -107,11 +135,15 @@ void firmware_gyro_silent(struct firmware *fw, uint16_t dshot[POLICY_ACTION_COUN
 /* Did the last control step end after its deadline, or were samples lost since the one before? Called after each. */
 void firmware_deadline(struct firmware *fw, bool missed);
 
+/* Fills in what the last control step was given and what came of it, as far as the firmware knows: all but its samples, its time,
+ * lost samples and the receiver's bytes. Called after each. */
+void firmware_log(const struct firmware *fw, struct log_record *record);
+
 /* The last control step. */
 const struct control_trace *firmware_trace(const struct firmware *fw);
 
 /* From the background: does `reason` forbid arming? BATTERY_UNKNOWN, FAULT and STORING are asked of it. It takes effect
- * at safety's next update; armed motors stay armed. */
+ * with the next control step; armed motors stay armed. */
 void firmware_forbid(struct firmware *fw, enum nf_arming_reason reason, bool holds);
 
 /* From the background: the pilot knows why the policy was refused in flight. It may fly again, unless the next control

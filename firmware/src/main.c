@@ -14,8 +14,9 @@ static struct task_stats stats[TASK_COUNT];
 static struct hal_info info;
 static struct fault_record fault;
 static struct background background;
+static struct log_ring log_ring;
 
-static struct program program = { .firmware = &firmware, .stats = stats, .background = &background };
+static struct program program = { .firmware = &firmware, .stats = stats, .background = &background, .log = &log_ring };
 
 static enum nf_err boot(void)
 {
@@ -42,6 +43,7 @@ static enum nf_err boot(void)
 	const enum nf_err err = background_start(&background, &config);
 
 	program.hal = info.hal;
+	log_ring_init(&log_ring, background.settings.blackbox_device != NF_BLACKBOX_DEVICE_NONE);
 	/* Without an entry in the log the record is all that is known of the fault: it waits for the next boot. */
 	if (faulted && background.faults.logged)
 		hal_fault_clear();

@@ -1,11 +1,36 @@
 #include "program.h"
 
+#include "blackbox/log_writer.h"
+#include "common/words.h"
+
 /* The processor was not ready for them: they count as misses, and so does the control step that follows. */
 static __attribute__((noinline)) void program_lose(struct program *program, uint32_t count)
 {
 	program->lost += count;
 	program->stats[NF_TASK_GYRO].misses += count;
 	firmware_lost(program->firmware, count);
+}
+
+/* Beside the sample's counts, whether it repeated the last good one. */
+static inline __attribute__((always_inline)) void program_log_sample(struct log_record *record,
+								     const struct imu_sample *sample, bool repeated)
+{
+	struct log_sample *kept = &record->gyro[record->samples++];
+
+	for (int i = 0; i < 3; ++i)
+		kept->counts[i] = sample->gyro[i];
+	kept->flags = (uint16_t)((sample->valid ? 0 : LOG_SAMPLE_INVALID) | (repeated ? LOG_SAMPLE_REPEATED : 0));
+}
+
+/* Bytes beyond those that a record holds are lost to it. */
+static __attribute__((noinline)) void program_log_receiver(struct firmware *fw, struct log_record *record,
+							   const uint8_t *bytes)
+{
+	words_copy(record->receiver_bytes, bytes, sizeof record->receiver_bytes);
+	if (record->receiver_count <= NF_LOG_RECEIVER_BYTES)
+		return;
+	record->receiver_count = NF_LOG_RECEIVER_BYTES;
+	fw->edges.flags |= LOG_EDGE_MORE_BYTES;
 }
 
 void program_sample(void *context, const struct imu_sample *sample)
@@ -18,14 +43,28 @@ void program_sample(void *context, const struct imu_sample *sample)
 	if (sample->lost > 0)
 		program_lose(program, sample->lost);
 	const bool control_step = firmware_control_due(fw);
+	struct log_record *record = program->log->open;
 	uint16_t dshot[POLICY_ACTION_COUNT];
 
 	if (control_step) {
-		uint8_t bytes[HAL_RECEIVER_BYTES];
-		firmware_receive(fw, bytes, hal->receiver_read(hal->context, bytes, sizeof bytes));
+		_Alignas(4) uint8_t bytes[HAL_RECEIVER_BYTES];
+		const size_t count = hal->receiver_read(hal->context, bytes, sizeof bytes);
+		firmware_receive(fw, bytes, count);
+		if (record) {
+			record->receiver_count = (uint16_t)count;
+			if (count > 0)
+				program_log_receiver(fw, record, bytes);
+		}
 	}
 	const bool telemetry = firmware_sample(fw, sample, dshot);
 	hal->motors_write(hal->context, dshot, POLICY_ACTION_COUNT, telemetry);
+	if (record) {
+		program_log_sample(record, sample, fw->gyro.same > 0);
+		if (control_step) {
+			firmware_log(fw, record);
+			record->lost = program->lost;
+		}
+	}
 	if (control_step)
 		hal->trace_write(hal->context, firmware_trace(fw));
 
@@ -34,6 +73,12 @@ void program_sample(void *context, const struct imu_sample *sample)
 	if (control_step) {
 		firmware_deadline(fw, missed);
 		program->lost = 0;
+		if (record) {
+			record->cycles = cycles;
+			if (missed)
+				record->edge_flags |= LOG_EDGE_MISSED;
+			log_ring_close(program->log);
+		}
 	}
 	task_stats_add(&program->stats[control_step ? NF_TASK_CONTROL : NF_TASK_GYRO], cycles, missed);
 }

@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "background.h"
+#include "blackbox/log_ring.h"
 #include "common/imu.h"
 #include "firmware.h"
 #include "hal/hal.h"
@@ -19,6 +20,7 @@ struct program {
 	struct firmware *firmware;
 	struct task_stats *stats;      /* [TASK_COUNT], by enum nf_task */
 	struct background *background;
+	struct log_ring *log;
 	uint32_t lost;                 /* gyro samples since the last control step, that were not taken */
 	uint32_t fed_at;               /* gyro sample at which the watchdog was fed last */
 };

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import signal
 import socket
@@ -77,6 +78,7 @@ HEADERS = (
     "receiver/gesture.h",
     "hal/host/board.h",
     "hal/host/changes.h",
+    "blackbox/log_ring.h",
     "program.h",
     "hal/host/convert.h",
     "hal/host/reference.h",
@@ -110,7 +112,22 @@ def declarations(generated: Path, scratch: Path) -> str:
     command = ["gcc", "-E", "-P", "-nostdinc", "-D_Static_assert(...)=", *search, "-"]
     text = subprocess.run(command, input=includes, capture_output=True, text=True, check=True).stdout
     # To cffi a constant is a number that the header tells; these are tables of the library.
-    return text.replace("extern const struct", "extern struct")
+    return _with_short_enums(text.replace("extern const struct", "extern struct"))
+
+
+def _with_short_enums(text: str) -> str:
+    """`text` with each use of an enum as the integer that -fshort-enums makes of it; to cffi it is an int."""
+    known = FFI()
+    known.cdef(text)
+
+    def integer(use: re.Match[str]) -> str:
+        values = known.typeof(use.group()).relements.values()
+        sign = "" if min(values) < 0 else "u"
+        reach = max(values) if sign else max(max(values), -1 - min(values))
+        bits = next(bits for bits in (8, 16, 32) if reach < 1 << bits - (not sign))
+        return f"{sign}int{bits}_t"
+
+    return re.sub(r"\benum \w+\b(?!\s*\{)", integer, text)
 
 
 def load(library: Path, generated: Path, scratch: Path) -> Core:

@@ -20,7 +20,7 @@ RAM = (ITCM, DTCM, SRAM1, SRAM2)
 
 # What an image may take of them (firmware/hal/stm32f7/image.ld holds it too).
 FLASH_BUDGET = 128 * 1024
-RAM_BUDGET = 96 * 1024
+RAM_BUDGET = 192 * 1024
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 

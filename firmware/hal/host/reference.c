@@ -18,6 +18,7 @@ struct reference {
 	struct host_board board;
 	struct hal hal;              /* of the board */
 	struct setting_change changes[NF_SETTING_COUNT];
+	struct log_ring log;
 	_Alignas(8) uint8_t flash_bytes[NF_FLASH_BYTES];
 };
 _Static_assert(_Alignof(struct reference) <= 8, "callers align to 8");
@@ -57,9 +58,16 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 	host_board_init(&r->board, r->flash_bytes);
 	r->hal = host_board_hal(&r->board);
 	r->program = (struct program){
-		.hal = &r->hal, .firmware = &r->firmware, .stats = r->stats, .background = &r->background
+		.hal = &r->hal,
+		.firmware = &r->firmware,
+		.stats = r->stats,
+		.background = &r->background,
+		.log = &r->log,
 	};
-	return background_start(&r->background, &config);
+	const enum nf_err err = background_start(&r->background, &config);
+
+	log_ring_init(&r->log, r->background.settings.blackbox_device != NF_BLACKBOX_DEVICE_NONE);
+	return err;
 }
 
 void reference_receiver(void *self, const uint16_t channels_us[NF_CHANNEL_COUNT])

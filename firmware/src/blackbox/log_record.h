@@ -1,5 +1,7 @@
 /* What the blackbox keeps of one control step: all that the control path was given, and what came of it. The gyro's
- * interrupt copies it; the background makes frames of it. */
+ * interrupt copies it; the background makes frames of it.
+ *
+ * The order is that of the copying (firmware_log, program.c): neighbours here are neighbours there. */
 #ifndef NF_LOG_RECORD_H
 #define NF_LOG_RECORD_H
 
@@ -10,40 +12,59 @@
 #include "policy.h"
 
 #define LOG_SUBSAMPLES_MAX (NF_GYRO_EDGE_RATE_HZ / POLICY_CONTROL_RATE_HZ) /* gyro samples a control step */
+#define LOG_STICKS 4 /* roll, pitch, throttle, yaw: the first channels of the contract's order */
 
 /* Bits of struct log_record's edge_flags. */
 enum log_edge {
 	LOG_EDGE_POSTED = 1u << 0,       /* receiver bytes are 16 channels [us], little-endian, that MSP posted */
 	LOG_EDGE_ACKNOWLEDGED = 1u << 1, /* firmware_acknowledge */
 	LOG_EDGE_CALIBRATE = 1u << 2,    /* firmware_calibrate */
-	LOG_EDGE_WEIGHTS_BAD = 1u << 3,  /* firmware_weights: false */
+	LOG_EDGE_WEIGHTS_BAD = 1u << 3,  /* firmware_weights: false, until true */
 	LOG_EDGE_WEIGHTS_GOOD = 1u << 4, /* firmware_weights: true, since the last step */
 	LOG_EDGE_MISSED = 1u << 5,       /* this step missed its deadline: firmware_deadline */
 	LOG_EDGE_SILENT = 1u << 6,       /* firmware_gyro_silent was called before this step */
 	LOG_EDGE_MORE_BYTES = 1u << 7,   /* more receiver bytes came than fit: cannot be replayed */
 	LOG_EDGE_BENCH = 1u << 8,        /* a motor test or DShot command was under way: cannot be replayed */
+	LOG_EDGE_SILENCE = 1u << 16, /* the upper half counts the calls of firmware_gyro_silent since the last step */
+};
+
+/* Bits of struct log_sample's flags. */
+enum log_sample_flag {
+	LOG_SAMPLE_INVALID = 1u << 0, /* the transfer failed */
+	LOG_SAMPLE_REPEATED = 1u << 1, /* a good sample that equals the good one before in every word; told of good ones
+					* alone, and only where the setting gyro_stuck_ms looks for it */
+};
+
+/* A gyro sample as it came. */
+struct log_sample {
+	int16_t counts[3]; /* chip axes */
+	uint16_t flags; /* enum log_sample_flag */
 };
 
 struct log_record {
 	struct control_trace trace;
-	uint32_t sample;        /* gyro samples since boot when the step began */
-	uint32_t cycles;        /* that the step took */
-	uint32_t forbidden;     /* arming reasons of the background, as taken by this step */
-	float voltage_gain;     /* of the PID, as taken by this step */
-	uint16_t edge_flags;    /* enum log_edge */
-	uint16_t lost;          /* gyro samples lost since the last control step */
-	uint8_t samples;        /* gyro samples since the last control step, this step's included */
-	uint8_t invalid;        /* bit i: sample i was not valid */
-	uint8_t repeated;       /* bit i: sample i repeated the one before in every word */
-	uint8_t receiver_count; /* bytes handed to firmware_receive */
-	uint8_t state;          /* enum nf_flight_state */
-	uint8_t stop_cause, fallback_cause, modes;
-	uint8_t pid_flies, receiver_good, receiver_quality, gyro_health;
-	int16_t counts[LOG_SUBSAMPLES_MAX][3]; /* gyro, chip axes, oldest first */
-	int16_t accel[3];       /* counts of the last good sample, chip axes */
-	int16_t temperature;
+	uint32_t arming_reasons; /* bit field of enum nf_arming_reason, 0 when armed */
+	uint16_t sticks_us[LOG_STICKS]; /* as flown */
+	/* As in struct firmware_status, in its order. */
+	uint8_t modes;
+	uint8_t receiver_good, policy_good, pid_built_in, pid_flies;
+	uint8_t state, stop_cause, fallback_cause, refused_cause;
+	uint8_t gyro_health, receiver_quality, attitude_known;
+	float attitude[4]; /* unit quaternion w, x, y, z, body to world */
+	/* The edges, as taken by this step: struct firmware_edges. */
+	uint32_t forbidden; /* arming reasons of the background */
+	float voltage_gain; /* of the PID */
+	uint32_t edge_flags; /* enum log_edge */
+	uint32_t sample; /* gyro samples since boot when the step began */
+	uint32_t cycles; /* that the step took */
+	uint32_t lost; /* gyro samples lost since the last control step */
 	float observation[POLICY_OBSERVATION_COUNT]; /* what the policy was given last */
-	float action[POLICY_ACTION_COUNT];
+	float action[POLICY_ACTION_COUNT]; /* the controller's last answer, before the throttle */
+	int16_t accel[3]; /* counts of the last good sample, chip axes */
+	int16_t temperature;
+	struct log_sample gyro[LOG_SUBSAMPLES_MAX]; /* since the last control step, oldest first */
+	uint16_t samples; /* entries of it; the last one is this step's */
+	uint16_t receiver_count; /* bytes handed to firmware_receive */
 	uint8_t receiver_bytes[NF_LOG_RECEIVER_BYTES];
 };
 

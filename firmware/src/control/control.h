@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "common/held.h"
 #include "common/nf_err.h"
 #include "control/mixer.h"
 #include "control/observation.h"
@@ -39,7 +40,7 @@ struct control {
 	struct observation observation;
 	struct pid pid;
 	struct mixer mixers[CONTROLLER_COUNT]; /* each with its controller's idle */
-	const float *weights;
+	HELD(const float *, weights);
 	bool good[CONTROLLER_COUNT];         /* may fly */
 	enum nf_fallback_cause refused;      /* why the policy must not fly until it is acknowledged; NONE: it may */
 	bool reversed;                       /* the motors turn the other way than the controllers know them */

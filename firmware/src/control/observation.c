@@ -89,8 +89,11 @@ enum nf_err observation_init(struct observation *o, const struct observation_ter
 	}
 	if (sum != width || remembered > NF_OBSERVATION_MEMORY_MAX)
 		return NF_ERR_OBSERVATION;
-	o->terms = *terms;
-	o->motor_count = motor_count;
+	o->blocks = terms->blocks;
+	o->ages = terms->ages;
+	o->gains = terms->gains;
+	o->count = (uint32_t)terms->count;
+	o->motor_count = (uint32_t)motor_count;
 	o->period_s = 1.0f / (float)control_rate_hz;
 	observation_reset(o);
 	return NF_OK;
@@ -140,14 +143,13 @@ static void observation_exchange(float *oldest, float *out, const float *end)
 
 void observation_step(struct observation *o, const struct observation_input *input, float out[])
 {
-	const struct observation_terms *const terms = &o->terms;
 	float *memory = o->memory;
 
 	observation_update(o, input);
-	for (size_t i = 0; i < terms->count; ++i) {
-		const unsigned age = terms->ages[i];
-		const float gain = terms->gains[i];
-		float *const end = table[terms->blocks[i]].write(o, input, out);
+	for (size_t i = 0; i < o->count; ++i) {
+		const unsigned age = o->ages[i];
+		const float gain = o->gains[i];
+		float *const end = table[o->blocks[i]].write(o, input, out);
 		const size_t width = (size_t)(end - out);
 
 		if (gain > 0.0f) {

@@ -5,7 +5,9 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdint.h>
 
+#include "common/held.h"
 #include "common/nf_err.h"
 #include "nf_contract.h"
 
@@ -26,8 +28,11 @@ struct observation_terms {
 };
 
 struct observation {
-	struct observation_terms terms;
-	size_t motor_count;
+	HELD(const unsigned char *, blocks); /* of the terms, as all of these */
+	HELD(const unsigned char *, ages);
+	HELD(const float *, gains);
+	uint32_t count;
+	uint32_t motor_count;
 	float period_s;              /* control period */
 	bool first;                  /* no step since the reset */
 	float error[3];              /* rad/s, setpoint - rate of the last step */

@@ -31,13 +31,12 @@ void pid_reset(struct pid *pid)
 	}
 }
 
-/* One store of a word: a control step that interrupts sees the old or the new one. */
-void pid_compensate(struct pid *pid, float voltage)
+float pid_compensation(const struct pid_gains *gains, float voltage)
 {
-	const float nominal = pid->gains->nominal_voltage;
+	const float nominal = gains->nominal_voltage;
 	const float ratio = nominal > 0.0f && voltage > 0.0f ? nominal / voltage : 1.0f;
 
-	pid->compensation = limit(ratio * ratio, 1.0f, NF_PID_COMPENSATION_MAX);
+	return limit(ratio * ratio, 1.0f, NF_PID_COMPENSATION_MAX);
 }
 
 /* Of D, by the throttle; exactly 1 up to the breakpoint. P and I stay: they hold the axis, and do not make the noise. */

@@ -10,6 +10,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "common/held.h"
 #include "nf_contract.h"
 #include "policy.h"
 
@@ -31,10 +32,10 @@ struct pid_gains {
 extern const struct pid_gains pid_gains_built_in;
 
 struct pid {
-	const struct pid_gains *gains;
+	HELD(const struct pid_gains *, gains);
 	float p[3], i[3], d[3];    /* the gains times the pilot's factors */
 	float integral_max[3];     /* rad; 0 where there is no I */
-	volatile float compensation; /* of the pack's voltage, 1 to NF_PID_COMPENSATION_MAX; from the background */
+	float compensation;        /* of the pack's voltage, 1 to NF_PID_COMPENSATION_MAX: as pid_compensation says */
 	bool first;                /* no step since the reset: there is no derivative yet */
 	float integral[3];         /* rad */
 	float rate[3];             /* rad/s, of the last step */
@@ -47,12 +48,12 @@ void pid_init(struct pid *pid, const struct pid_gains *gains, const struct nf_se
 /* Forgets the past; the battery's voltage stays. */
 void pid_reset(struct pid *pid);
 
-/* From the background: the pack's voltage, filtered [V]; 0 or NaN where it is not known: no compensation.
+/* The compensation for the pack's voltage, filtered [V]; 0 or NaN where it is not known: none.
  *
  * A rotor settles at a speed that goes with the voltage, its thrust with the square of the speed: the moment that an
  * output gives goes with the square of the voltage. Outputs are multiplied by (nominal / voltage)^2, at least 1, so that
  * a fuller pack than the nominal one flies the gains as they are, and at most NF_PID_COMPENSATION_MAX. */
-void pid_compensate(struct pid *pid, float voltage);
+float pid_compensation(const struct pid_gains *gains, float voltage);
 
 /* One control step. setpoint, rate: rad/s, body axes; throttle: 0..1. Writes motor fractions 0..1, before the
  * throttle. */

@@ -86,12 +86,9 @@ static void dshot_command_take(struct dshot_command *self)
 	self->left = self->from + self->gyro_rate_hz * STOPS_BEFORE_MS / 1000u;
 }
 
-bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[])
+/* One sample of a sequence, never in flight: that path does without it. */
+static __attribute__((noinline)) bool dshot_command_send(struct dshot_command *self, uint16_t dshot[])
 {
-	if (!stopped) {
-		self->asked = 0;
-		self->left = 0;
-	}
 	if (self->asked != 0)
 		dshot_command_take(self);
 	if (self->left == 0)
@@ -101,4 +98,13 @@ bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot
 	for (unsigned i = 0; i < self->motor_count; ++i)
 		dshot[i] = telling && (self->wanted >> i & 1u) ? self->command : NF_DSHOT_STOP;
 	return telling;
+}
+
+bool dshot_command_step(struct dshot_command *self, bool stopped, uint16_t dshot[])
+{
+	if (!stopped) {
+		self->asked = 0;
+		self->left = 0;
+	}
+	return dshot_command_busy(self) && dshot_command_send(self, dshot);
 }

@@ -8,6 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "common/held.h"
 #include "nf_contract.h"
 
 struct dshot_command {
@@ -17,7 +18,7 @@ struct dshot_command {
 	uint8_t command;          /* enum nf_dshot_command */
 	uint8_t wanted;           /* bit field of the outputs that get it */
 	uint8_t motor_count;
-	const uint8_t *outputs;   /* of each motor */
+	HELD(const uint8_t *, outputs); /* of each motor */
 	uint32_t gyro_rate_hz;
 };
 

@@ -49,8 +49,8 @@ static void attitude_normalise(float q[4])
 		q[i] *= shorten;
 }
 
-/* The shortest turn that carries the measured `up` to the world's z. */
-static void attitude_begin(struct attitude *attitude, const float up[3])
+/* The shortest turn that carries the measured `up` to the world's z. Once after boot: the path of a flight does without it. */
+static __attribute__((noinline)) void attitude_begin(struct attitude *attitude, const float up[3])
 {
 	float *q = attitude->q;
 

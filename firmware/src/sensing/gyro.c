@@ -91,11 +91,14 @@ void gyro_board_init(struct gyro *gyro, float roll_deg, float pitch_deg, float y
 			gyro->turn[i][j] = turn[i][j];
 }
 
-static void gyro_calibrate(struct gyro *gyro, const int16_t counts[3])
+/* Never in flight: that path does without it. */
+static __attribute__((noinline)) void gyro_calibrate(struct gyro *gyro, const int16_t counts[3], bool good)
 {
 	float mean[3];
 
-	if (!calibration_step(&gyro->calibration, counts, mean))
+	if (!good)
+		calibration_restart(&gyro->calibration);
+	if (!good || !calibration_step(&gyro->calibration, counts, mean))
 		return;
 	for (int i = 0; i < 3; ++i)
 		mean[i] *= RATE_PER_COUNT;
@@ -166,12 +169,9 @@ enum nf_gyro_health gyro_step(struct gyro *gyro, const struct imu_sample *sample
 	else
 		gyro->health = gyro->saturated > 0 ? NF_GYRO_HEALTH_SATURATED : NF_GYRO_HEALTH_GOOD;
 
-	if (!gyro->calibrated) {
-		if (judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD)
-			gyro_calibrate(gyro, sample->gyro);
-		else
-			calibration_restart(&gyro->calibration);
-	}
+	if (!gyro->calibrated)
+		gyro_calibrate(gyro, sample->gyro,
+			       judged == NF_GYRO_HEALTH_GOOD && gyro->health == NF_GYRO_HEALTH_GOOD);
 
 	const int16_t *counts = gyro->last.gyro;
 	const float chip[3] = {

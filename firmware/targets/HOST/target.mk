@@ -2,7 +2,8 @@
 # x86 needs its FMA instruction named; AArch64 always has one.
 CROSS :=
 comma := ,
-CPUFLAGS := -fPIC $(if $(filter x86_64,$(shell uname -m)),-mfma)
+# -fshort-enums as on the chip: struct firmware has one layout.
+CPUFLAGS := -fPIC -fshort-enums $(if $(filter x86_64,$(shell uname -m)),-mfma)
 
 # The program speaks over sockets, the library to its caller; both turn rates into counts the same way.
 HOST_PROGRAM_SOURCES := $(addprefix hal/host/,hal.c options.c link.c msp_tcp.c flash_file.c)

@@ -91,7 +91,7 @@ def test_c_follows_throttle_and_battery_as_the_twins_pid_does(
     core, gains = reference_core, built_in(reference_core)
     pid = core.new("struct pid *")
     core.lib.pid_init(pid, gains, factors(core))
-    core.lib.pid_compensate(pid, volts)
+    pid.compensation = core.lib.pid_compensation(gains, volts)
     peer = aircraft_pid(load_aircraft("nf1"), 1, RATE_HZ)
     peer.compensate(np.array([volts]))
     setpoint, rate = (part[:600] for part in flight(np.random.default_rng(7)))
@@ -104,7 +104,7 @@ def test_c_follows_throttle_and_battery_as_the_twins_pid_does(
     bare = core.new("struct pid *")
     plain = built_in(core, tpa_slope=0.0, nominal_voltage=0.0)
     core.lib.pid_init(bare, plain, factors(core))
-    core.lib.pid_compensate(bare, volts)
+    bare.compensation = core.lib.pid_compensation(plain, volts)
     unchanged = got.tobytes() == stepped(core, bare, setpoint, rate, throttle).tobytes()
     assert unchanged == (throttle <= np.float32(0.6) and not volts < 16.0), "1 exactly, or it acts"
 
@@ -132,7 +132,7 @@ def test_the_compensation_stays_in_its_range_whatever_the_battery_says(
     pid = core.new("struct pid *")
     core.lib.pid_init(pid, gains, factors(core))
     assert pid.compensation == 1.0
-    core.lib.pid_compensate(pid, volts)
+    pid.compensation = core.lib.pid_compensation(gains, volts)
     assert pid.compensation == pytest.approx(factor, rel=1e-6)
     assert (pid.compensation == 1.0) == (factor == 1.0)
     core.lib.pid_reset(pid)

@@ -77,6 +77,7 @@ class Workbench:
         command = [
             self.compiler,
             "-std=c11",
+            "-fshort-enums",
             "-Wall",
             "-Wextra",
             "-Werror",

@@ -139,7 +139,11 @@ static void world_boot(struct world *w, bool msp)
 	w->hal.reset = world_reset;
 	w->hal.flash = (struct flash){ .context = w, .at = world_at, .erase = world_erase, .program = world_program };
 	w->program = (struct program){
-		.hal = &w->hal, .firmware = &w->firmware, .stats = w->stats, .background = &w->background
+		.hal = &w->hal,
+		.firmware = &w->firmware,
+		.stats = w->stats,
+		.background = &w->background,
+		.log = &w->log,
 	};
 	w->msp = msp;
 	for (int i = 0; i < NF_CHANNEL_COUNT; ++i)

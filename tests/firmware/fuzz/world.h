@@ -29,6 +29,7 @@ struct world {
 	struct task_stats stats[TASK_COUNT];
 	struct background background;
 	struct program program;
+	struct log_ring log;
 	uint16_t channels_us[NF_CHANNEL_COUNT]; /* of the pilot */
 	bool silent;              /* the pilot's transmitter */
 	bool msp;                 /* the pilot's sticks come by MSP */

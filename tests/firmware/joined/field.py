@@ -72,7 +72,9 @@ class Field:
         lib.scripted_action = [0.0] * 4
         assert lib.background_start(self.background, config) == 0
         lib.scripted_action = [0.3] * 4
-        self.program = new("struct program *", (self.hal, self.fw, stats, self.background, 0))
+        self.log = new("struct log_ring *")
+        parts = (self.hal, self.fw, stats, self.background, self.log)
+        self.program = new("struct program *", parts)
         self.ms = 0
         self.sticks: dict[int, int] = {}
         self.arm, self.throttle, self.pid = 1000, 1000, 1000

@@ -77,6 +77,8 @@ class Ground:
         self.hal[0] = self.lib.host_board_hal(self.board)
         self.program.hal, self.program.firmware = self.hal, self.firmware
         self.program.stats, self.program.background = self.stats, self.background
+        self.log = core.new("struct log_ring *")
+        self.program.log = self.log
         self._rates, self._force = core.new("double[3]"), core.new("double[3]", [0, 0, -9.80665])
         self._reply, self._channels = core.new("uint8_t[]", ROOM), core.new("uint16_t[]", CHANNEL_COUNT)
         self.channels = [contract.CHANNEL_MID_US] * 4 + [contract.CHANNEL_MIN_US] * (CHANNEL_COUNT - 4)

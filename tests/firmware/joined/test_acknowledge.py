@@ -224,9 +224,8 @@ def main_around_a_fault(scripted_build: Path, tmp_path_factory: pytest.TempPathF
     includes = [f"-I{path}" for path in (ROOT / "firmware", ROOT / "firmware/src", generated)]
     sources = [str(Path(__file__).parent / "fault_board.c"), str(ROOT / "firmware/src/main.c")]
     library = ["-L", str(scripted_build), "-lneuroflight", f"-Wl,-rpath,{scripted_build}"]
-    subprocess.run(
-        ["gcc", "-std=c11", "-Werror", *includes, *sources, *library, "-o", str(program)], check=True
-    )
+    flags = ["-std=c11", "-fshort-enums", "-Werror"]
+    subprocess.run(["gcc", *flags, *includes, *sources, *library, "-o", str(program)], check=True)
     return program
 
 

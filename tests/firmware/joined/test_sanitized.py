@@ -26,7 +26,7 @@ def feed(scripted_build: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     program = tmp_path_factory.mktemp("sanitized") / "feed"
     generated = scripted_build.parent / "generated"
     sources = [path for path in sorted(SOURCE.rglob("*.c")) if path.name != "main.c"]
-    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno"]
+    command = ["gcc", "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fno-math-errno", "-fshort-enums"]
     command += ["-fno-sanitize-recover=all"]
     command += [
         f"-fsanitize={','.join(SANITIZERS)}",

@@ -148,6 +148,16 @@ static inline __attribute__((always_inline)) void motors_fill(uint32_t *slots, u
 		slots[bit * width] = zero + (frame >> (FRAME_BITS - 1u - bit) & 1u) * more;
 }
 
+/* The pulses of a motor that is alone in its bank, of which a quad has none: shorter in ITCM, half as many instructions more. */
+static void motors_fill_alone(uint32_t *slots, uint32_t frame, const struct pulse *pulse)
+{
+	const uint32_t zero = pulse->zero, more = pulse->more;
+
+#pragma GCC unroll 4
+	for (uint32_t bit = 0; bit < FRAME_BITS; ++bit)
+		slots[bit] = zero + (frame >> (FRAME_BITS - 1u - bit) & 1u) * more;
+}
+
 void motors_write(void *context, const uint16_t dshot[], size_t count, bool telemetry)
 {
 	(void)context;
@@ -163,7 +173,7 @@ void motors_write(void *context, const uint16_t dshot[], size_t count, bool tele
 			if (bank->width == BURST_WIDTH)
 				motors_fill(bank->slots + motor, BURST_WIDTH, frame, &pulses[i]);
 			else
-				motors_fill(bank->slots, 1, frame, &pulses[i]);
+				motors_fill_alone(bank->slots, frame, &pulses[i]);
 		}
 		motors_send(bank);
 	}

@@ -1,0 +1,15 @@
+/* Pointers inside struct firmware, whose layout must be the same on every target: a log begins with its bytes, and a program on
+ * a computer goes on from them (hal/host/replay.h). */
+#ifndef NF_HELD_H
+#define NF_HELD_H
+
+#include <stdint.h>
+
+/* A member `name` that takes 8 bytes whether addresses have 4 or 8. */
+#define HELD(type, name)              \
+	union {                       \
+		type name;            \
+		uint64_t name##_room; \
+	}
+
+#endif
