@@ -51,6 +51,16 @@ struct log_record {
 	uint8_t state, stop_cause, fallback_cause, refused_cause;
 	uint8_t gyro_health, receiver_quality, attitude_known;
 	float attitude[4]; /* unit quaternion w, x, y, z, body to world */
+	/* As in struct chirp, in its order. */
+	uint8_t chirp_state; /* enum chirp_state */
+	uint8_t chirp_axis; /* that is excited, or the next one */
+	uint8_t chirp_controller;
+	uint32_t chirp_left; /* control steps of the sweep, this one included */
+	float chirp_frequency_hz; /* 0 unless it runs */
+	float chirp_phase; /* turns, 0 to 1 */
+	float chirp_sine;
+	float chirp_low; /* the sine behind a low-pass */
+	float chirp_added; /* rad/s, to the setpoint */
 	/* The edges, as taken by this step: struct firmware_edges. */
 	uint32_t forbidden; /* arming reasons of the background */
 	float voltage_gain; /* of the PID */
