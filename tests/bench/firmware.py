@@ -19,6 +19,7 @@ from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
 from sim.aircraft.model import load_aircraft
+from sim.board.debug.variables import read_variables
 from sim.control.pid_table import pid_table
 from sim.flight.loop import fly
 from sim.flight.scenario import load_scenario
@@ -49,6 +50,7 @@ ROOT = Path(__file__).resolve().parents[2]
 POLICIES = ("nf1", "nf1-six")  # the shipped one, and 6-64-64-4
 AIRCRAFT, SEED, GYRO_HZ = "nf1", 1, 4000
 CYCLES_BAR, VARIES_BAR = 22_000, 0.05
+LOGGED_BAR = 0.02  # of a control step's instructions
 
 PERIPHERALS = Region("peripherals", 0x40000000, 0x80000)
 SYSTEM = Region("system", 0xE0000000, 0x100000)
@@ -89,6 +91,8 @@ class Row:
     no_cycles_reason: str | None
     device_accesses: int  # in a control step
     between: tuple[int, int]  # instructions of a gyro sample that is no control step
+    logged: float  # part of a control step's instructions that the log adds, at most
+    logged_between: int  # instructions that it adds to a gyro sample that is no control step, at most
 
     @property
     def varies(self) -> float:
@@ -118,6 +122,10 @@ def print_table(measured: Sequence[Row]) -> None:
     for row in measured:
         flown = f"{row.policy}: {row.steps:,} armed steps on {row.routes:,} routes, motor values the host's"
         print(f"{flown}; {row.device_accesses} device accesses, taken as {DEVICE_CYCLES} cycles more each")
+        print(
+            f"{row.policy}: the log adds {row.logged:.2%} at most to a control step, "
+            f"{row.logged_between} instructions to the {_span(*row.between)} of a sample between"
+        )
         if row.no_cycles_reason:
             print(row.no_cycles_reason)
 
@@ -135,39 +143,58 @@ def _row(name: str, steps: int, folder: Path, say: Callable[[str], None]) -> Row
     say(f"{name}: flying")
     flown = _flight(folder / "HOST" / "libneuroflight.so", steps)
     say(f"{name}: playing it to the image")
-    board = _Board(folder / "MATEKF722" / "neuroflight.elf")
-    routes: dict[Route, None] = {}
-    between: dict[Route, None] = {}
-    armed_steps = 0
-    with board.core.recording() as runs:
-        for index, (step, heard) in enumerate(zip(flown, _line(flown), strict=True)):
-            control = index % (GYRO_HZ // report.policy.control_rate_hz) == 0
-            board.edges(step, heard)
-            runs.clear()
-            board.take(step)
-            if step.armed:
-                (routes if control else between)[route_of(runs)] = None
-                armed_steps += control
-            if index % EVERY == EVERY - 1:
-                board.background()
-    code = disassemble(folder / "MATEKF722" / "neuroflight.elf", lines=True)
-    priced = price_routes(list(routes), code)
-    least_between = [cost.instructions for cost in route_costs(list(between), code, price=False)]
+    elf = folder / "MATEKF722" / "neuroflight.elf"
+    board = _Board(elf)
+    control_every = GYRO_HZ // report.policy.control_rate_hz
+    routes, between = _played(board, flown, control_every)
+    bare_routes, bare_between = _played(_Board(elf, logs=False), flown, control_every)
+    code = disassemble(elf, lines=True)
+    priced = price_routes(list(dict.fromkeys(routes)), code)
     counts = [cost.instructions for cost in priced.costs]
+    taken_by = {
+        route: cost.instructions for route, cost in zip(dict.fromkeys(routes), priced.costs, strict=True)
+    }
+    others = list(dict.fromkeys([*between, *bare_routes, *bare_between]))
+    costs = route_costs(others, code, price=False)
+    taken_by |= {route: cost.instructions for route, cost in zip(others, costs, strict=True)}
     accesses = board.device_accesses()
     taken = [cost.cycles_with_devices(accesses) for cost in priced.costs]
     cycles = [cycles for cycles in taken if cycles is not None]
     return Row(
         policy=name,
         network=report.policy.network,
-        steps=armed_steps,
-        routes=len(routes),
+        steps=len(routes),
+        routes=len(set(routes)),
         instructions=(min(counts), max(counts)),
         cycles=(min(cycles), max(cycles)) if cycles else None,
         no_cycles_reason=priced.no_cycles_reason,
         device_accesses=accesses,
-        between=(min(least_between), max(least_between)),
+        between=(min(taken_by[route] for route in between), max(taken_by[route] for route in between)),
+        logged=max(
+            taken_by[with_log] / taken_by[bare] - 1
+            for with_log, bare in zip(routes, bare_routes, strict=True)
+        ),
+        logged_between=max(
+            taken_by[with_log] - taken_by[bare] for with_log, bare in zip(between, bare_between, strict=True)
+        ),
     )
+
+
+def _played(board: _Board, flown: Sequence[Step], control_every: int) -> tuple[list[Route], list[Route]]:
+    """Routes of the armed control steps and of the armed samples between them, in the flight's order."""
+    routes: list[Route] = []
+    between: list[Route] = []
+    with board.core.recording() as runs:
+        for index, (step, heard) in enumerate(zip(flown, _line(flown), strict=True)):
+            control = index % control_every == 0
+            board.edges(step, heard)
+            runs.clear()
+            board.take(step)
+            if step.armed:
+                (routes if control else between).append(route_of(runs))
+            if index % EVERY == EVERY - 1:
+                board.background()
+    return routes, between
 
 
 # --- The recorded flight ------------------------------------------------------------------------------
@@ -242,7 +269,7 @@ def _flight(library: Path, steps: int) -> list[Step]:
 class _Board:
     """The image after its start-up, whose interrupts and DMA are played by hand."""
 
-    def __init__(self, elf: Path) -> None:
+    def __init__(self, elf: Path, *, logs: bool = True) -> None:
         with elf.open("rb") as file:
             sketch = Sketch(ELFFile(file), registers_in_use(), cycles_a_read=2000)
         Chip(sketch, 0x70)
@@ -256,6 +283,10 @@ class _Board:
         self._slots, self._conversions = at["motor_slots"], at["power_conversions"]
         self._program = at["program"]
         self._head = 0
+        written, taken = read_variables(elf, "log_ring.written", "log_ring.taken")
+        self._written, self._taken = written.address, taken.address
+        if not logs:
+            self._poke(at["log_ring"], 0)  # no record is open, as with blackbox_device=none
         counts = round(PACK_MV / 3300 * 4095)
         self.core.write(self._conversions, struct.pack("<64H", *[counts, 0] * 32))
 
@@ -279,6 +310,7 @@ class _Board:
         self._poke(DMA2_LISR, ADC_DONE)
         self.core.call("program_background", self._program)
         self._poke(DMA2_LISR, 0)
+        self._poke(self._taken, self._peek(self._written))  # all that the log has kept is written
 
     def device_accesses(self) -> int:
         """How often a control step touches a register of a peripheral."""

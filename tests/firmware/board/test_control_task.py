@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+LOGGED_BETWEEN_BAR = 25  # instructions
 STEPS = 300  # armed: commands, receiver frames, and the step that arms
 
 
 @pytest.mark.slow
 def test_the_control_task_keeps_to_its_bars_when_a_flight_is_played() -> None:
-    from tests.bench.firmware import CYCLES_BAR, POLICIES, VARIES_BAR, rows
+    from tests.bench.firmware import CYCLES_BAR, LOGGED_BAR, POLICIES, VARIES_BAR, rows
 
     measured = rows(STEPS)
     assert [row.policy for row in measured] == list(POLICIES)
@@ -18,3 +19,5 @@ def test_the_control_task_keeps_to_its_bars_when_a_flight_is_played() -> None:
         if row.cycles is not None:  # without llvm-mca there are none
             assert row.cycles[1] <= CYCLES_BAR, row
         assert row.varies <= VARIES_BAR, row
+        assert 0 < row.logged <= LOGGED_BAR, row
+        assert 0 < row.logged_between <= LOGGED_BETWEEN_BAR, row
