@@ -118,7 +118,7 @@ class MappedPort(ReferencePort):
         if channels_us is None:
             return super().exchange(sample, None)
         arm, pid = (channels_us[channel] >= SWITCH_ON_US for channel in (CHANNEL_ARM, CHANNEL_PID))
-        wanted = {Mode.ARM: arm, Mode.PID: pid, Mode.TRIAL: True, Mode.BEEPER: False}
+        wanted = dict.fromkeys(Mode, False) | {Mode.ARM: arm, Mode.PID: pid, Mode.TRIAL: True}
         flown = [*channels_us[:CHANNEL_AUX1], *[CHANNEL_MIN_US] * AUX_COUNT]
         for mode, ranges in self._ranges.items():
             for used in ranges:
