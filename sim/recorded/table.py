@@ -6,9 +6,10 @@ Known columns:
     time (us) | time | time (s), setpoint[0..2]     as blackbox_decode, the Blackbox Explorer and
                                                     `neuroflight log decode` write them; `time` is in us
     rcCommand[0..2]                                 sticks, -500 to 500, where no setpoint was logged
-    rcCommand[3], 1000 to 2000, or setpoint[3], 0 to 1000, is the throttle
+    setpoint[3], 0 to 1000, or rcCommand[3], 1000 to 2000, is the throttle
 
-Other columns and the lines of settings before the heading are passed over.
+Other columns are passed over, and so are the lines of settings that the Explorer writes before the heading,
+except the one that says that setpoint[0..2] and rcCommand are in tenths.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,7 @@ from toolchain.errors import ScenarioError
 if TYPE_CHECKING:
     from _csv import Reader
 
+FINE = ["blackbox_high_resolution", "1"]  # a setting that the Explorer writes before the heading
 HEADING_LINES_MAX = 4096  # of settings before the heading
 LOG_TIMES = {"time (us)": 1e-6, "time": 1e-6, "time (s)": 1.0}  # [s] of a column's unit
 PLAIN_TIMES = {"t_s": 1.0}
@@ -41,8 +43,8 @@ STICK_SPAN = 500.0  # of rcCommand at full stick
 # Column of the throttle: its value at none, and from there to full.
 THROTTLES = {
     "throttle": (0.0, 1.0),
-    "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US - CHANNEL_MIN_US),
     "setpoint[3]": (0.0, 1000.0),
+    "rcCommand[3]": (CHANNEL_MIN_US, CHANNEL_MAX_US - CHANNEL_MIN_US),
 }
 EXPECTED = f"t_s, {', '.join(PLAIN)}, or time (us), setpoint[0], setpoint[1], setpoint[2] of a Betaflight log"
 
@@ -55,6 +57,7 @@ class _Columns:
     unit_s: float  # of the time
     rates: tuple[str, ...]
     throttle: str | None
+    parts: int = 1  # of a log's units: its numbers are tenths with 10
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +75,7 @@ def parse_table(data: bytes, where: str, name: str) -> Commands:
         raise ScenarioError(f"{where}: no table of text and commas: {error}") from error
     if len(values) < 2:
         raise ScenarioError(f"{where}: {len(values)} rows of commands, expected at least 2")
-    rates, notes = values[:, 1:4], tuple[str, ...]()
+    rates, notes = values[:, 1:4] / columns.parts, tuple[str, ...]()
     if columns.rates == STICKS:
         rates = rates * (RATE_FULL_STICK_DEG_S / STICK_SPAN)
         notes = (
@@ -82,7 +85,8 @@ def parse_table(data: bytes, where: str, name: str) -> Commands:
     throttle = np.zeros(len(values))
     if columns.throttle is not None:
         least, span = THROTTLES[columns.throttle]
-        throttle = (values[:, 4] - least) / span
+        parts = columns.parts if columns.throttle.startswith("rcCommand") else 1
+        throttle = (values[:, 4] / parts - least) / span
     try:
         return Commands(name, values[:, 0] * columns.unit_s, rates, throttle, notes)
     except ScenarioError as error:
@@ -92,6 +96,7 @@ def parse_table(data: bytes, where: str, name: str) -> Commands:
 def _heading(rows: Reader, where: str) -> tuple[list[str], _Columns]:
     """The heading line and the columns to read: the first line that has all of a kind."""
     first: list[str] | None = None
+    parts = 1
     for row in rows:
         heading = [cell.strip() for cell in row]
         first = heading if first is None else first
@@ -102,7 +107,9 @@ def _heading(rows: Reader, where: str) -> tuple[list[str], _Columns]:
                     f"{where}: column {twice[0]} stands {heading.count(twice[0])} times in the heading line, "
                     f"expected once"
                 )
-            return heading, columns
+            return heading, replace(columns, parts=1 if columns.rates == PLAIN else parts)
+        if heading == FINE:
+            parts = 10
         if rows.line_num >= HEADING_LINES_MAX:
             break
     told = ", ".join(first or [])[:60]

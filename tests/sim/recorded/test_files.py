@@ -44,6 +44,14 @@ def test_a_betaflight_table_has_its_setpoints_and_throttle_when_read(text: str, 
     assert commands.warnings() == ()
 
 
+def test_tenths_are_read_when_the_settings_before_the_table_say_so(tmp_path: Path) -> None:
+    path = tmp_path / "fine.csv"
+    path.write_text(EXPLORER.replace('"looptime","125"', '"blackbox_high_resolution","1"'))
+    commands = load_commands(path)
+    assert np.abs(commands.setpoint - [[1, -2, 3], [1.1, -2, 3], [1.2, -2, 3]]).max() < 1e-12
+    assert commands.throttle.tolist() == [0.0, 0.25, 0.5]
+
+
 def test_sticks_are_flown_and_told_when_a_table_has_no_setpoints(tmp_path: Path) -> None:
     path = tmp_path / "sticks.csv"
     path.write_text("time,rcCommand[0],rcCommand[1],rcCommand[2]\n0,500,-250,0\n4000,0,0,100\n")
