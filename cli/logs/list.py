@@ -1,26 +1,36 @@
-"""`neuroflight log list --port`: what the device of the blackbox does, and the logs that it keeps."""
+"""`neuroflight log list`: the logs of a file or a folder; with --port those of a device, and what it does."""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.flash.tables import print_json
+from cli.logs import files
 from cli.logs.device import add_port, print_device, print_logs, waiting
-from toolchain.errors import LinkError
+from toolchain.errors import LinkError, NeuroflightError
 
 if TYPE_CHECKING:
     from flash.logs.messages import LogEntry
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the port."""
-    add_port(parser, required=True)
+    """Declare file and port."""
+    parser.add_argument("path", type=Path, nargs="?", metavar="FILE|DIR", help="logs, or a folder with some")
+    add_port(parser, required=False)
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Print logs. Returns 0; raises NeuroflightError unless there is one place to look."""
+    if (args.path is None) == (args.port is None):
+        raise NeuroflightError("log list: give a FILE, a folder, or --port PORT; one of them")
+    return _list_device(args) if args.path is None else files.run(args)
+
+
+def _list_device(args: argparse.Namespace) -> int:
     """Print device and logs. Returns 0; raises LinkError for a firmware that tells of none."""
     from cli.flash.state import connect
     from flash.logs.catalogue import read_entries, read_info

@@ -9,10 +9,15 @@ import argparse
 import importlib
 
 COMMANDS = {  # in the order of --help: the summary
-    "list": "what the device of the blackbox does, and the logs that it keeps",
+    "list": "the logs of a file or a folder; with --port what the device of the blackbox does and keeps",
     "fetch": "get logs from the firmware into files; goes on where it was interrupted",
     "erase": "make all files for logs empty again; refuses while one was not fetched",
     "card": "put empty files for logs onto a FAT32 card, list them, empty those that were copied",
+    "decode": "frames to CSV or NumPy's .npz",
+    "plot": "draw a flight: rates, motors, battery, events",
+    "metrics": "the figures of a flight that `fly` prints, against the gyro",
+    "commands": "how a pilot's commands are distributed",
+    "quality": "what a log can answer, and what it cannot",
 }
 
 

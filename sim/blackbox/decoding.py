@@ -13,7 +13,7 @@ import operator
 import re
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -289,6 +289,8 @@ class _Decoder:
                 return False
         if self._time is not None:
             elapsed = (values[self._time] - last[self._time]) % WORD
+            if self._step is None and elapsed == 0:
+                return False
             return elapsed < (WORD // 2 if self._jumped else TIME_JUMP_US)
         return True
 
@@ -303,6 +305,21 @@ class _Decoder:
         result.main = np.concatenate(self._chunks) if self._chunks else _array([], self._names)
         result.slow = _array(self._slow, self._slow_names)
         result.slow_row = np.array(self._slow_rows, np.int64)
+        if self._step is not None and len(result.main):
+            self._drop_wrong(result.main[:, self._step])
+
+    def _drop_wrong(self, steps: Array) -> None:
+        """Drop rows whose step a later row does not exceed: they were damaged, and the log went on before."""
+        later = np.minimum.accumulate(steps[::-1])[::-1]
+        kept = np.append(steps[:-1] < later[1:], True)
+        if kept.all():
+            return
+        result = self._result
+        before = np.concatenate(([0], np.cumsum(kept)))  # rows that are kept before each
+        result.dropped += int((~kept).sum())
+        result.main = result.main[kept]
+        result.slow_row = before[result.slow_row]
+        result.events = [replace(event, row=int(before[event.row])) for event in result.events]
 
 
 def _array(rows: list[list[int]], width: int) -> Array:

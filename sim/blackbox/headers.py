@@ -28,6 +28,7 @@ KINDS = "IPSGH"  # of frames that headers describe
 
 _BEGIN = re.compile(rb"H (Product:Blackbox flight data recorder|Field I name:)")
 _LINE = re.compile(rb"\nH [A-Za-z][A-Za-z0-9_ .\[\]/-]{0,63}:")
+_ODD = re.compile(r"[^A-Za-z0-9_\[\]. -]")  # in a field's name, which becomes a column's in files
 _NEXT = b"H Product:"  # of another log
 _BLANK = b"\0\xff"
 
@@ -92,7 +93,8 @@ def find_logs(data: bytes) -> list[Extent]:
         if len(starts) == LOGS_MAX:
             break
     found = []
-    for start, body, limit in zip(starts, bodies, [*starts[1:], len(data)], strict=True):
+    limits = [*starts[1:], len(data)] if starts else []
+    for start, body, limit in zip(starts, bodies, limits, strict=True):
         end = body + len(data[body:limit].rstrip(_BLANK))
         # A frame may end in zeros: as many as one can are kept.
         found.append(Extent(start, body, min(limit, end + 2 * FIELDS_MAX) if end < limit else limit))
@@ -168,7 +170,8 @@ def _definitions(kind: str, named: Sequence[str], values: dict[str, str]) -> tup
             raise ValueError(f"{name} has {unknown[0][:TEXT_MAX]!r}, which is not known")
         columns.append([number or 0 for number in numbers])
     names: list[str] = []
-    for number, name in enumerate(named):
+    for number, told in enumerate(named):
+        name = _ODD.sub("?", told)
         names.append(name if name and name not in names else f"{name or 'field'}#{number}")
     return tuple(FieldDefinition(*row) for row in zip(names, *columns, strict=True))
 

@@ -27,6 +27,8 @@ Integers = NDArray[np.int64]
 
 INSTALL = "reading logs needs orangebox, which is not installed; run: pip install 'neuroflight[logs]'"
 WORD = 1 << 32
+GLANCE_BYTES = 1 << 16  # some I frames at least
+BLOCK_BYTES = 512  # of a card
 
 
 class Maker(Enum):
@@ -203,6 +205,29 @@ def list_logs(path: Path, data: bytes | None = None) -> list[Listed]:
         found = "is empty" if not data.strip(b"\0\xff") else "holds no log"
         raise TraceError(f"{path}: {found}; expected a Betaflight blackbox log (.BBL, .BFL, .TXT)")
     return [Listed(number, one, read_headers(data, one)) for number, one in enumerate(extents, 1)]
+
+
+def glance(data: bytes, one: Listed) -> float | None:
+    """Length of a log [s] by the first and the last frames that can be read; None where there are none."""
+    if "I" not in one.headers.fields or importlib.util.find_spec("orangebox") is None:
+        return None
+    names = [field.name for field in one.headers.fields["I"]]
+    if "time" not in names:
+        return None
+    body = data[one.extent.body : one.extent.end]
+    times = [
+        decode(part, one.headers).main[:, names.index("time")]
+        for part in (body[:GLANCE_BYTES], body[-GLANCE_BYTES:])
+    ]
+    if not len(times[0]) or not len(times[1]):
+        return None
+    return float((times[1][-1] - times[0][0]) % WORD) / 1e6
+
+
+def is_blank(path: Path) -> bool:
+    """Whether a file begins with nothing: one that a card keeps for a log to come."""
+    with path.open("rb") as file:
+        return not file.read(BLOCK_BYTES).strip(b"\0\xff")
 
 
 def choose(path: Path, listed: Sequence[Listed], number: int | None) -> Listed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,10 @@ class Trace:
     def control_rate_hz(self) -> int:
         """Control steps a second; 0 for a single step."""
         return round((len(self.t) - 1) / float(self.t[-1] - self.t[0])) if len(self.t) > 1 else 0
+
+    def by_gyro(self) -> Trace:
+        """The flight as a log tells it: no true rate, the gyro stands in its place."""
+        return replace(self, rate=self.gyro.astype(np.float64))
 
     def same(self, other: Trace) -> bool:
         """Whether every array holds the same bits."""

@@ -28,7 +28,8 @@ def unsigned(value: int) -> bytes:
 
 
 def signed(value: int) -> bytes:
-    """The sign in the lowest bit."""
+    """The sign in the lowest bit, of 32 bits that wrap."""
+    value = (value + (1 << 31)) % (1 << 32) - (1 << 31)
     return unsigned((value << 1) ^ (value >> 63))
 
 
@@ -100,14 +101,19 @@ END = b"E\xffEnd of log\0"
 
 
 def flight(
-    columns: Sequence[Column], rows: Sequence[Sequence[int]], *, interval: int = 32, period: int = 1000
+    columns: Sequence[Column],
+    rows: Sequence[Sequence[int]],
+    *,
+    interval: int = 32,
+    period: int = 1000,
+    divider: int = 1,
 ) -> bytes:
-    """Frames of rows one control step and `period` [us] apart, an I frame every `interval`."""
+    """Frames of rows `period` [us] and `divider` control steps apart, an I frame every `interval` rows."""
     out = bytearray()
-    for step, values in enumerate(rows):
-        if step % interval == 0:
-            out += intra(step, 5_000_000 + step * period, values)
+    for number, values in enumerate(rows):
+        if number % interval == 0:
+            out += intra(number * divider, 5_000_000 + number * period, values)
         else:
             # After an I frame both frames before are that one: the line is level, and time one period late.
-            out += inter(columns, period if step % interval == 1 else 0, rows[step - 1], values)
+            out += inter(columns, period if number % interval == 1 else 0, rows[number - 1], values)
     return bytes(out)

@@ -1,0 +1,102 @@
+"""Shared by the commands about logs: which log of a file, progress of decoding, what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolchain.errors import NeuroflightError
+
+if TYPE_CHECKING:
+    from sim.blackbox.flight import Part
+    from sim.blackbox.log import Log
+
+
+def add_file_arguments(parser: argparse.ArgumentParser) -> None:
+    """FILE, --log and --json."""
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="a log of Betaflight's format (.BBL, .BFL, .TXT)"
+    )
+    add_choice_arguments(parser)
+
+
+def add_choice_arguments(parser: argparse.ArgumentParser) -> None:
+    """--log and --json."""
+    parser.add_argument(
+        "--log",
+        type=int,
+        metavar="N",
+        help="which log of the file, from 1; default: the last that has frames",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def add_part_arguments(parser: argparse.ArgumentParser, since: str) -> None:
+    """--from and --to."""
+    parser.add_argument(
+        "--from", dest="start", type=float, default=0.0, metavar="S", help=f"seconds since {since}"
+    )
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="likewise; default: the end")
+
+
+def part(args: argparse.Namespace) -> Part:
+    """What --from and --to choose. Raises NeuroflightError where that is nothing."""
+    from sim.blackbox.flight import Part
+
+    check_part(args)
+    return Part(args.start, args.stop)
+
+
+def check_part(args: argparse.Namespace) -> None:
+    """Raise NeuroflightError where --from and --to choose nothing."""
+    if not args.start >= 0.0:
+        raise NeuroflightError(f"--from: got {args.start:g}, expected 0 or more")
+    if args.stop is not None and not args.stop > args.start:
+        raise NeuroflightError(f"--to: got {args.stop:g}, expected more than --from, {args.start:g}")
+
+
+def open_log(args: argparse.Namespace, path: Path | None = None) -> Log:
+    """Decode the log that was asked for, with a bar on a terminal. Damage is in its notes: `tell_damage`."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from sim.blackbox.log import read_log
+
+    path = args.file if path is None else path
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    hidden = bool(args.json) or not sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden) as bar:
+        task = bar.add_task(f"decoding {path.name}", total=1.0)
+        log = read_log(path, args.log, lambda done: bar.update(task, completed=done))
+    return log
+
+
+def tell_damage(log: Log) -> None:
+    """What is wrong with the file, in one line on stderr; after the work, which may end in another line."""
+    if log.notes:
+        print(f"neuroflight: {log.path}: log {log.number}: {'; '.join(log.notes)}", file=sys.stderr)
+
+
+def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:
+    """Rows under their heading, which is the first; numbers to the right unless `left`."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    heading, *rest = rows
+    shown = Table(
+        title=Text(title) if title else None,
+        caption=Text(note) if note else None,
+        title_justify="left",
+        caption_justify="left",
+        box=None,
+        show_header=any(heading),
+    )
+    for number, cell in enumerate(heading):
+        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
+    for row in rest:
+        shown.add_row(*(Text(cell) for cell in row))
+    Console().print(shown)

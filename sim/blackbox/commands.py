@@ -1,0 +1,108 @@
+"""What a pilot asked for in a flight: the distribution of the commanded rates.
+
+Training draws commands from a distribution (Koch 2019, chapter 4); a flown log says what pilots really ask
+for: the dissertation's had 786,022 samples with a standard deviation of 12.4 deg/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.blackbox.flight import WHOLE, Part, armed_rows
+from sim.blackbox.log import Log
+from sim.blackbox.units import channels
+from toolchain.errors import TraceError
+
+Array = NDArray[np.float64]
+
+ASKED_DEG_S = 5.0  # from here on a command is no stick at rest: 0.5 % of a full stick of 1000 deg/s
+EDGES_DEG_S = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # of the histogram of sizes
+DIGITS = 3  # of a command in deg/s
+QUANTILES = (50.0, 90.0, 99.0, 99.9)  # [%]
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Commanded rates of N samples; arrays per axis are (3,): roll, pitch, yaw."""
+
+    samples: int  # rows of the log, all three axes in each
+    seconds: float
+    rate_hz: float
+    sigma: float  # [deg/s] of all axes together
+    axis_sigma: Array  # [deg/s]
+    mean: Array  # [deg/s]
+    largest: Array  # [deg/s] of the size
+    quantiles: Array  # (Q, 3) [deg/s] of the size, at QUANTILES
+    change_sigma: Array  # [deg/s^2] of the change from sample to sample
+    asked: Array  # part of the time that an axis is asked to turn, 0..1
+    together: Array  # (4,) part of the time that 0, 1, 2, 3 axes are asked to turn
+    histogram: NDArray[np.int64]  # (B, 3) samples whose size lies from EDGES_DEG_S[b] to below the next
+    throttle: Array  # (3,) mean, least, largest, 0..1
+
+
+@dataclass(frozen=True, eq=False)
+class Sticks:
+    """What a pilot asked for in one flight of N rows."""
+
+    setpoint: NDArray[np.float32]  # (N, 3) [rad/s]
+    throttle: NDArray[np.float32]  # (N,) 0..1
+    t: Array  # (N,) [s]
+
+
+def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
+    """What was asked for in a log's armed rows. Raises TraceError where it has no setpoint."""
+    told = channels(log)
+    if told.setpoint is None or told.throttle is None:
+        raise TraceError(
+            f"{log.path}: log {log.number} has no setpoint[0..3], which holds a pilot's commands; log it "
+            "(blackbox_disabled_mask), with Betaflight 4.1 or newer"
+        )
+    rows = armed_rows(log, told, part)
+    t = told.time(rows.start)[: rows.stop - rows.start]
+    sticks = Sticks(told.setpoint[rows], told.throttle[rows], t)
+    if not (np.isfinite(sticks.setpoint).all() and np.isfinite(sticks.throttle).all()):
+        raise TraceError(f"{log.path}: log {log.number} has a setpoint that is no number; it is damaged")
+    if not (np.diff(t) > 0).all():
+        raise TraceError(f"{log.path}: log {log.number} has times that do not rise; it is damaged")
+    return sticks
+
+
+def commands(flights: Sequence[Sticks]) -> Commands:
+    """The distribution of what was asked for in all flights together; there is at least one."""
+    asked = np.concatenate([_deg_s(one) for one in flights])
+    size = np.abs(asked)
+    turning = size >= ASKED_DEG_S
+    seconds = sum(float(one.t[-1] - one.t[0]) for one in flights)
+    steps = sum(len(one.t) - 1 for one in flights)
+    changes = np.concatenate([_changes(one) for one in flights])
+    throttle = np.concatenate([one.throttle for one in flights])
+    edges = np.array((*EDGES_DEG_S[:-1], np.inf))
+    return Commands(
+        samples=len(asked),
+        seconds=seconds,
+        rate_hz=steps / seconds if seconds > 0 else 0.0,
+        sigma=float(asked.std()),
+        axis_sigma=asked.std(axis=0),
+        mean=asked.mean(axis=0),
+        largest=size.max(axis=0),
+        quantiles=np.percentile(size, QUANTILES, axis=0),
+        change_sigma=changes.std(axis=0) if len(changes) else np.zeros(3),
+        asked=turning.mean(axis=0),
+        together=np.bincount(turning.sum(axis=1), minlength=4) / len(asked),
+        histogram=np.stack([np.histogram(size[:, axis], edges)[0] for axis in range(3)], axis=1),
+        throttle=np.array((throttle.mean(), throttle.min(), throttle.max()), np.float64),
+    )
+
+
+def _deg_s(flight: Sticks) -> Array:
+    """Setpoints (N, 3) [deg/s], without the last bits that float32 radians cost."""
+    return np.asarray(np.round(np.rad2deg(flight.setpoint.astype(np.float64)), DIGITS), np.float64)
+
+
+def _changes(flight: Sticks) -> Array:
+    """Change from row to row (N - 1, 3) [deg/s^2]."""
+    return np.asarray(np.diff(_deg_s(flight), axis=0) / np.diff(flight.t)[:, None])

@@ -1,0 +1,269 @@
+"""What a log can answer and what it cannot: fields that are not there, rows that are lost, limits reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from sim.blackbox.log import Log, Maker
+from sim.blackbox.units import Channels, channels, control_rate_hz
+from toolchain.contract import AXES, DSHOT_MAX
+
+GYRO_FULL_DEG_S = 2000.0  # of the chip's range (sim.physics.imu)
+NEAR_FULL = 0.995  # of it, that is taken for saturated
+FULL = 0.999  # motor fraction that is taken for full power
+STATE = "nf_state_000"  # header that begins the state of the control path
+PER_PERIOD = 10.0  # samples of a period of what is seen in its shape, not only in a spectrum
+JITTER = 0.02  # of the time between two rows, its standard deviation, above which a spectrum is blurred
+
+
+class Answer(Enum):
+    """Whether a log answers a question."""
+
+    YES = "yes"
+    PARTLY = "partly"
+    NO = "no"
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something one would ask of a log."""
+
+    name: str
+    answer: Answer
+    why: str  # what holds, or what lacks and how to have it next time
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a log can answer; a log without trouble has no warnings."""
+
+    questions: tuple[Question, ...]
+    warnings: tuple[str, ...]
+    rows: int
+    seconds: float
+    rate_hz: float
+    control_rate_hz: float
+    lost: int  # rows
+    longest_gap_s: float
+    gyro_saturated: tuple[float, float, float]  # part of the rows, per axis
+    motors_full: float  # part of the rows with a motor at full power
+    motors_idle: float  # part of the rows with a motor at or below its idle
+
+
+def quality(log: Log) -> Quality:
+    """Look at everything that a log of N > 0 rows is used for."""
+    told = channels(log)
+    rows = told.armed if told.armed.any() else np.ones(len(log), bool)
+    saturated = _saturated(told, rows)
+    full, idle = _motor_limits(told, rows)
+    gap_s = float(log.missing.max(initial=0)) * log.row_us * 1e-6
+    return Quality(
+        questions=tuple(_questions(log, told)),
+        warnings=tuple(_warnings(log, told, saturated, full, gap_s)),
+        rows=len(log),
+        seconds=log.seconds,
+        rate_hz=log.rate_hz,
+        control_rate_hz=control_rate_hz(log),
+        lost=log.lost,
+        longest_gap_s=gap_s,
+        gyro_saturated=saturated,
+        motors_full=full,
+        motors_idle=idle,
+    )
+
+
+def replay_obstacles(log: Log) -> list[str]:
+    """Why a log cannot be replayed, a reason each; none where it can."""
+    if log.maker is not Maker.NEUROFLIGHT:
+        return [f"it is {log.maker.value}'s; only Neuroflight's logs hold what its control path was given"]
+    found = []
+    if STATE not in log.header:
+        found.append("its headers hold no state of the control path (nf_state_000)")
+    if log.matrix("gyroRaw") is None:
+        found.append("it has no raw counts (group REPLAY of blackbox_disabled_mask)")
+    if log.stride != 1:
+        found.append(f"it holds each {log.stride}th control step only (blackbox_divider)")
+    if log.lost:
+        found.append(f"{log.lost} rows are lost")
+    if log.matrix("motor") is None:
+        found.append("it has no motor values to compare with")
+    return found
+
+
+def _questions(log: Log, told: Channels) -> list[Question]:
+    ours = log.maker is Maker.NEUROFLIGHT
+    return [
+        _tracking(log, told),
+        _exact(log, told),
+        _effort(told, ours=ours),
+        _spectrum(log),
+        _one(
+            "what the gyro's filters do",
+            told.gyro_unfiltered is not None,
+            "gyroUnfilt beside gyroADC",
+            "no gyroUnfilt[0..2]"
+            + (" (Betaflight before 4.4 logs it by debug_mode only)" if not ours else ""),
+        ),
+        _one("battery", told.voltage is not None, "vbatLatest in 0.01 V", "no vbatLatest that is in volts"),
+        _one(
+            "attitude",
+            log.matrix("imuQuaternion", 3) is not None,
+            "imuQuaternion[0..2]",
+            "no imuQuaternion[0..2]",
+        ),
+        _one("forces", told.acceleration is not None, "accSmooth in g", "no accSmooth[0..2] with acc_1G"),
+        _inside(log),
+        _one(
+            "time that the control task takes",
+            "controlTime" in log.columns,
+            "controlTime in cycles",
+            "no controlTime" + (" (group TIMING)" if ours else ""),
+        ),
+        _replay(log),
+    ]
+
+
+def _one(name: str, there: bool, yes: str, no: str) -> Question:
+    return Question(name, Answer.YES if there else Answer.NO, yes if there else no)
+
+
+def _tracking(log: Log, told: Channels) -> Question:
+    lacking = [
+        name
+        for name, column in (("setpoint[0..3]", told.setpoint), ("gyroADC[0..2]", told.gyro))
+        if column is None
+    ]
+    if lacking:
+        return Question("tracking and step responses", Answer.NO, f"no {' and no '.join(lacking)}")
+    if log.lost:
+        return Question(
+            "tracking and step responses",
+            Answer.PARTLY,
+            f"setpoint and gyro, but {log.lost} of {len(log) + log.lost} rows are lost: figures are those "
+            "of the rest, taken as evenly spaced",
+        )
+    return Question(
+        "tracking and step responses", Answer.YES, "setpoint and gyro; the true rate is in no log"
+    )
+
+
+def _exact(log: Log, told: Channels) -> Question:
+    name = "figures to the bit"
+    if told.exact:
+        return Question(name, Answer.YES, "float32 values as the controller had them")
+    step = 0.1 if log.headers.integer("blackbox_high_resolution", 0) else 1.0
+    ours = log.maker is Maker.NEUROFLIGHT
+    mend = " (group EXACT)" if ours else ""
+    return Question(name, Answer.NO, f"setpoint and gyro are rounded to {step:g} deg/s{mend}")
+
+
+def _effort(told: Channels, *, ours: bool) -> Question:
+    name = "effort and smoothness of the motors"
+    if told.motors is None:
+        return Question(name, Answer.NO, "no motor[0..]")
+    if not ours:
+        return Question(
+            name,
+            Answer.PARTLY,
+            "of the motors' whole command: how its mixer laid the throttle on top is not known",
+        )
+    if told.idle is None:
+        return Question(name, Answer.PARTLY, "no nf_idle in the headers: give --idle")
+    return Question(name, Answer.YES, f"motor[0..], idle {told.idle:g}")
+
+
+def _spectrum(log: Log) -> Question:
+    rate, control = log.rate_hz, control_rate_hz(log)
+    if not rate:
+        return Question("vibration", Answer.NO, "too few rows")
+    words = (
+        f"{rate:,.0f} rows a second: spectra up to {rate / 2:,.0f} Hz, shapes up to "
+        f"{rate / PER_PERIOD:,.0f} Hz"
+    )
+    if log.stride > 1:
+        words += (
+            f"; each {log.stride}th control step is logged, without a filter: what lies between "
+            f"{rate / 2:,.0f} and {control / 2:,.0f} Hz appears below that"
+        )
+        return Question("vibration", Answer.PARTLY, words)
+    return Question("vibration", Answer.YES, words)
+
+
+def _inside(log: Log) -> Question:
+    name = "inside of the controller"
+    if log.maker is Maker.NEUROFLIGHT:
+        told = sum(1 for header in log.header if header.startswith("nf_debug_"))
+        return _one(
+            name,
+            told > 0 and log.matrix("debug") is not None,
+            f"action and observation in debug[0..], {told} of them told by nf_debug_",
+            "no debug[0..] (group DEBUG)",
+        )
+    terms = [one for one in ("axisP", "axisI", "axisD", "axisF") if f"{one}[0]" in log.columns]
+    return _one(name, bool(terms), f"terms {', '.join(terms)}", "no axisP, axisI, axisD")
+
+
+def _replay(log: Log) -> Question:
+    obstacles = replay_obstacles(log)
+    why = "; ".join(obstacles) or "state, raw counts, receiver and edges of each control step"
+    return Question("replay", Answer.NO if obstacles else Answer.YES, why)
+
+
+def _saturated(told: Channels, rows: np.ndarray) -> tuple[float, float, float]:
+    """Part of the rows with each axis at the end of the gyro's range; the unfiltered one tells best."""
+    gyro = told.gyro if told.gyro_unfiltered is None else told.gyro_unfiltered
+    if gyro is None:
+        return 0.0, 0.0, 0.0
+    limit = np.deg2rad(GYRO_FULL_DEG_S * NEAR_FULL)
+    roll, pitch, yaw = (np.abs(gyro[rows]) >= limit).mean(axis=0).tolist()
+    return roll, pitch, yaw
+
+
+def _motor_limits(told: Channels, rows: np.ndarray) -> tuple[float, float]:
+    """Part of the rows with a motor at full power, and with one at its idle or below."""
+    if told.motors is None or told.dshot is None:
+        return 0.0, 0.0
+    motors = told.motors[rows]
+    full = (motors >= FULL) | (told.dshot[rows] == DSHOT_MAX)
+    idle = np.zeros(1) if told.idle is None else (motors <= told.idle + 1e-3).any(axis=1)
+    return float(full.any(axis=1).mean()), float(idle.mean())
+
+
+def _warnings(
+    log: Log,
+    told: Channels,
+    saturated: tuple[float, float, float],
+    full: float,
+    gap_s: float,
+) -> list[str]:
+    found = list(log.notes)
+    if log.lost:
+        part = 100 * log.lost / (len(log) + log.lost)
+        places = int((log.missing > 0).sum())
+        found.append(
+            f"{log.lost} rows ({part:.2g} %) are lost at {places} place{'s' * (places > 1)}, the longest "
+            f"{gap_s * 1e3:.0f} ms: the device was too slow, or the file is damaged"
+        )
+    dropped = log.slow.get("dropped")
+    if dropped is not None and len(dropped) and dropped.max():
+        found.append(f"the firmware counts {int(dropped.max())} control steps that it could not log")
+    for name, part in zip(AXES, saturated, strict=True):
+        if part:
+            found.append(
+                f"gyro {name} at the end of its range in {_percent(part)} of the rows: rates are larger"
+            )
+    if full:
+        found.append(f"a motor at full power in {_percent(full)} of the rows: tracking is limited by thrust")
+    apart = np.diff(log.time_us)[log.missing[1:] == 0]
+    if len(apart) > 1 and log.row_us and (spread := float(apart.std()) / log.row_us) > JITTER:
+        found.append(f"rows come unevenly: {100 * spread:.0f} % of {log.row_us:.0f} us; spectra are blurred")
+    if not told.armed.any():
+        found.append("the motors were never armed")
+    return found
+
+
+def _percent(part: float) -> str:
+    return f"{100 * part:.3g} %"

@@ -1,0 +1,171 @@
+"""A log's figures: to the bit those of the trace of the same flight, seen by its gyro."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks
+from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
+from sim.blackbox.log import Maker, read_log
+from sim.blackbox.quality import Answer, quality, replay_obstacles
+from sim.flight.trace import save_trace
+from tests.sim.blackbox.own import LEAD, log_of, trace
+from toolchain.errors import TraceError
+
+IDLE = 0.0549999997
+STEPS = 2500
+
+
+def save(folder: Path, data: bytes, name: str = "LOG00001.BBL") -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+def answers(path: Path) -> dict[str, Answer]:
+    return {one.name: one.answer for one in quality(read_log(path)).questions}
+
+
+def as_json(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
+    assert main(["log", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("rate_hz", [500, 1000, 4000])
+def test_samples_and_figures_equal_the_traces_to_the_bit(tmp_path: Path, rate_hz: int) -> None:
+    flown = trace(STEPS, rate_hz=rate_hz)
+    log = read_log(save(tmp_path, log_of(flown)))
+    assert log.maker is Maker.NEUROFLIGHT and not log.notes
+    assert log_trace(log).same(flown.by_gyro())
+    one, other = log_flight(log), trace_flight("trace", flown, 1, IDLE)
+    assert np.array_equal(
+        np.hstack(_numbers(asdict(one.figures))), np.hstack(_numbers(asdict(other.figures)))
+    )
+    assert one.figures.response is not None or rate_hz == 4000  # a command is held for a second
+
+
+def test_figures_of_a_part_equal_the_traces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flown = trace(STEPS)
+    path = save(tmp_path, log_of(flown))
+    save_trace(tmp_path / "flight.npz", flown)
+    words = ["--from", "0.3", "--to", "2.3", "--episodes", "2", "--idle", "0.05"]
+    ours = as_json(capsys, "metrics", str(path), *words)
+    theirs = as_json(capsys, "metrics", str(tmp_path / "flight.npz"), *words)
+    assert ours.pop("rows") == theirs.pop("rows") == 2000
+    assert ours.pop("file") != theirs.pop("file")
+    assert ours == theirs
+    assert log_trace(read_log(path), Part(0.3, 2.3)).same(cut(flown.by_gyro(), Part(0.3, 2.3)))
+
+
+def test_rounded_samples_are_near_when_the_log_holds_no_exact_ones(tmp_path: Path) -> None:
+    flown = trace(STEPS)
+    log = read_log(save(tmp_path, log_of(flown, exact=False)))
+    told = log_trace(log)
+    assert np.abs(np.rad2deg(told.gyro - flown.gyro)).max() <= 0.5 + 1e-3
+    assert (told.dshot == flown.dshot).all() and np.abs(told.throttle - flown.throttle).max() <= 0.5e-3 + 1e-6
+    assert answers(log.path)["figures to the bit"] is Answer.NO
+
+
+def test_time_goes_by_control_steps_when_only_some_are_logged(tmp_path: Path) -> None:
+    log = read_log(save(tmp_path, log_of(trace(STEPS), divider=4)))
+    told = log_trace(log)
+    assert told.control_rate_hz == 250 and log.stride == 4 and log.lost == 0
+    assert "it holds each 4th control step only (blackbox_divider)" in replay_obstacles(log)
+    assert answers(log.path)["vibration"] is Answer.PARTLY
+
+
+def test_one_line_names_what_lacks_when_a_log_has_no_figures(tmp_path: Path) -> None:
+    data = log_of(trace(100), exact=False).replace(b"gyroADC[", b"gyroXYZ[")
+    log = read_log(save(tmp_path, data))
+    with pytest.raises(TraceError, match=r"has no gyroADC\[0\.\.2\]; figures of a flight need them"):
+        log_trace(log)
+    assert answers(log.path)["tracking and step responses"] is Answer.NO
+    with pytest.raises(TraceError, match=r"has no row from 9 s to its end; it is 0\.099 s long"):
+        log_trace(read_log(save(tmp_path, log_of(trace(100)))), Part(9.0))
+    with pytest.raises(TraceError, match="do not divide into 3 equal episodes"):
+        log_flight(read_log(save(tmp_path, log_of(trace(100)))), episodes=3)
+
+
+def test_quality_tells_what_reached_its_limits(tmp_path: Path) -> None:
+    flown = trace(1000)
+    gyro, dshot = flown.gyro.copy(), flown.dshot.copy()
+    gyro[100:150, 1] = np.deg2rad(-1999)
+    dshot[:, :] = 1000
+    dshot[200:300, 2] = 2047
+    from dataclasses import replace
+
+    log = read_log(save(tmp_path, log_of(replace(flown, gyro=gyro, dshot=dshot))))
+    told = quality(log)
+    assert told.gyro_saturated == (0.0, 0.05, 0.0) and told.motors_full == 0.1
+    assert any("gyro pitch at the end of its range in 5 % of the rows" in one for one in told.warnings)
+    assert any("a motor at full power in 10 % of the rows" in one for one in told.warnings)
+
+
+def test_distribution_of_commands_is_the_normal_one_that_was_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(2)
+    asked = rng.normal(0, 12.4, (20_000, 3))
+    asked[:, 2] = 0
+    sticks = Sticks(
+        np.deg2rad(asked).astype(np.float32), np.full(20_000, 0.3, np.float32), np.arange(20_000) / 500
+    )
+    told = commands([sticks])
+    assert told.samples == 20_000 and told.rate_hz == pytest.approx(500)
+    assert told.axis_sigma[:2] == pytest.approx(12.4, rel=0.02) and told.axis_sigma[2] == 0
+    assert told.asked[0] == pytest.approx(0.687, abs=0.01)  # a normal one's part beyond 5 / 12.4 sigma
+    assert told.together.sum() == pytest.approx(1) and told.together[3] == 0
+    assert (told.histogram.sum(axis=0) == 20_000).all() and len(told.histogram) == len(EDGES_DEG_S) - 1
+    assert told.change_sigma[0] == pytest.approx(500 * 12.4 * np.sqrt(2), rel=0.02)
+    twice = commands([sticks, sticks])
+    assert twice.samples == 40_000 and twice.sigma == pytest.approx(told.sigma)
+    path = save(tmp_path, log_of(trace(STEPS)))
+    assert as_json(capsys, "commands", str(path), str(path))["samples"] == 2 * STEPS
+    assert len(log_sticks(read_log(path)).t) == STEPS
+
+
+def test_list_tells_each_file_of_a_cards_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = log_of(trace(STEPS), nf_aircraft="nf1")
+    save(tmp_path, data + bytes(5000), "LOG00001.BBL")
+    save(tmp_path, data + data, "log00002.bfl")
+    save(tmp_path, bytes(100_000), "LOG00003.BBL")
+    save(tmp_path, b"notes of a pilot", "README.TXT")
+    save(tmp_path, b"\x12\x34" * 500, "LOG00004.BBL")
+    rows = as_json(capsys, "list", str(tmp_path))
+    assert [(row["file"], row["log"]) for row in rows] == [
+        ("LOG00001.BBL", 1),
+        ("LOG00003.BBL", None),
+        ("LOG00004.BBL", None),
+        ("log00002.bfl", 1),
+        ("log00002.bfl", 2),
+    ]
+    assert rows[0]["seconds"] == pytest.approx((STEPS + 2 * LEAD - 1) / 1000)
+    assert rows[0]["firmware"] == "Neuroflight 0.1.0" and rows[0]["craft"] == "nf1"
+    assert rows[1]["note"] == "empty: a log to come" and rows[2]["note"].startswith("holds no log")
+    assert main(["log", "list", str(tmp_path)]) == 0
+
+
+def test_tables_are_printed_without_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(save(tmp_path, log_of(trace(STEPS))))
+    for action, words in (
+        ("metrics", "against the gyro"),
+        ("commands", "sigma"),
+        ("quality", "replay"),
+        ("decode", "setpointFloat[3]"),
+    ):
+        assert main(["log", action, path]) == 0
+        assert words in capsys.readouterr().out
+
+
+def _numbers(value: object) -> list[np.ndarray]:
+    """All numbers in nested dictionaries, in order."""
+    if isinstance(value, dict):
+        return [array for one in value.values() for array in _numbers(one)]
+    return [] if value is None else [np.ravel(np.asarray(value, np.float64))]
