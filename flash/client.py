@@ -17,7 +17,7 @@ STORING_TIMEOUT_S = (
     5.0  # erasing the largest sector takes up to two seconds, and nothing else goes on meanwhile
 )
 RETRIES = 2
-UNASKED_MAX = 4096  # messages kept that no request asked for
+UNASKED_MAX = 4096  # messages of a command kept that no request asked for
 
 
 class NoAnswerError(LinkError):
@@ -50,7 +50,7 @@ class Client:
         self._clock = clock
         self._decoder = Decoder()
         self._late: set[int] = set()  # commands whose replies to earlier tries may still come
-        self._unasked: deque[Message] = deque(maxlen=UNASKED_MAX)
+        self._unasked: dict[int, deque[Message]] = {}  # by command
         self.corrupt = 0  # frames so far that began and could not be used
 
     def __enter__(self) -> Client:
@@ -111,32 +111,35 @@ class Client:
         """The payload of the next reply to a posted `command`; None after `timeout` [s].
 
         Raises RefusedError."""
-        deadline = self._clock() + timeout
-        while True:
-            while self._unasked:
-                message = self._unasked.popleft()
-                if message.command != command or message.direction is Direction.REQUEST:
-                    continue
-                if message.direction is Direction.ERROR:
-                    raise self._refused(command, message.payload)
-                return message.payload
-            left = deadline - self._clock()
-            if left <= 0:
-                return None
-            self._unasked.extend(self._messages(left, []))
+        message = self._next(command, timeout)
+        if message is not None and message.direction is Direction.ERROR:
+            raise self._refused(command, message.payload)
+        return None if message is None else message.payload
 
     def receive(self, command: Msp, timeout: float) -> bytes | None:
         """The payload of the next `command` that comes without being asked for; None after `timeout` [s]."""
         deadline = self._clock() + timeout
+        while (message := self._next(command, max(deadline - self._clock(), 0.0))) is not None:
+            if message.direction is Direction.REPLY:
+                return message.payload
+        return None
+
+    def _next(self, command: Msp, timeout: float) -> Message | None:
+        """The next `command` that came beside answers, or comes within `timeout` [s]; others are kept."""
+        deadline = self._clock() + timeout
         while True:
-            while self._unasked:
-                message = self._unasked.popleft()
-                if message.command == command and message.direction is Direction.REPLY:
-                    return message.payload
+            if waiting := self._unasked.get(command):
+                return waiting.popleft()
             left = deadline - self._clock()
             if left <= 0:
                 return None
-            self._unasked.extend(self._messages(left, []))
+            for message in self._messages(left, []):
+                self._keep(message)
+
+    def _keep(self, message: Message) -> None:
+        """For whoever asks for it later; the line's own echo is for nobody."""
+        if message.direction is not Direction.REQUEST:
+            self._unasked.setdefault(message.command, deque(maxlen=UNASKED_MAX)).append(message)
 
     def settle(self) -> None:
         """Wait until no reply to an earlier request can come any more, however often the line doubled one.
@@ -156,7 +159,7 @@ class Client:
                 if answer is None and message.command == command:
                     answer = message
                 else:
-                    self._unasked.append(message)
+                    self._keep(message)
             if answer is not None:
                 return answer
         return None

@@ -17,7 +17,8 @@ from toolchain.errors import LinkError
 
 WINDOW = 16  # requests on their way: 43 ms of replies at 921,600 baud, beyond what USB adapters wait
 FIRST_COUNT = 512  # bytes; what comes tells how many the firmware puts into an answer
-SILENCE_S = 1.0  # after which what is on its way is asked for again
+SHORTEST_S = 1e-3  # that is waited for an answer
+SILENCE_S = 0.5  # after which what is on its way is asked for again
 PATIENCE_S = 15.0  # without a new byte: a card that stalls takes half a second
 
 
@@ -31,9 +32,8 @@ class LogReader:
         start: int,
         end: int,
         clock: Callable[[], float],
-        window: int = WINDOW,
     ) -> None:
-        self._client, self._index, self._clock, self._most = client, index, clock, window
+        self._client, self._index, self._clock, self._most = client, index, clock, WINDOW
         self._at, self._end = start, end  # what was handed out; what is wanted
         self._asked = start  # as far as anything was ever asked for
         self._block, self._largest = FIRST_COUNT, 1  # bytes that are asked for; that came at once so far
@@ -41,12 +41,17 @@ class LogReader:
         self._under_way: deque[tuple[int, int]] = deque()
         self._arrived: dict[int, bytes] = {}  # by offset: behind a gap
         self._window, self._early = 1, 0  # the first answer tells the size of a block
-        self._moved = clock()
+        self._moved = self._heard = clock()  # when the last new bytes came, and any answer
 
     @property
     def at(self) -> int:
         """Where the next bytes stand in the log."""
         return self._at
+
+    def limit(self, window: int) -> None:
+        """Have at most so many requests on their way: the answers to others wait behind theirs."""
+        self._most = window
+        self._window = min(self._window, window)
 
     def read(self, timeout: float = SILENCE_S) -> bytes:
         """The next bytes, as many as are there by now; b"" at the end, and where none came in `timeout` [s].
@@ -56,13 +61,16 @@ class LogReader:
         deadline = self._clock() + timeout
         while self._at < self._end:
             self._ask()
-            payload = self._client.collect(Msp.LOG_READ, max(deadline - self._clock(), 1e-3))
-            if payload is None:
+            until = min(deadline, self._heard + SILENCE_S)
+            payload = self._client.collect(Msp.LOG_READ, max(until - self._clock(), SHORTEST_S))
+            if payload is not None:
+                self._heard = self._clock()
+                self._take(payload)
+            elif self._clock() - self._heard >= SILENCE_S:
+                self._heard = self._clock()
                 self._again.extendleft(reversed(self._under_way))
                 self._under_way.clear()
                 self._window = 1
-            else:
-                self._take(payload)
             if parts := self._in_order():
                 self._moved = self._clock()
                 return parts
@@ -71,7 +79,7 @@ class LogReader:
                     f"{self._client.name}: no byte of the log came for {PATIENCE_S:g} s, expected byte "
                     f"{self._at:,} of {self._end:,}; check cable and card, then fetch again: it goes on there"
                 )
-            if self._clock() >= deadline:
+            if payload is None or self._clock() >= deadline:
                 break
         return b""
 

@@ -18,6 +18,8 @@ from flash.mavlink.commands import Request
 from flash.mavlink.endpoint import Peer
 from flash.mavlink.firmware import Firmware
 from flash.mavlink.ground import Ground
+from flash.mavlink.log_server import MESSAGES as LOG_MESSAGES
+from flash.mavlink.log_server import LogServer
 from flash.mavlink.offboard import TIMEOUT_S, Offboard, Source
 from flash.mavlink.parameter_server import MESSAGES as PARAMETER_MESSAGES
 from flash.mavlink.parameter_server import ParameterServer
@@ -117,8 +119,7 @@ class Session:
         if self._parameters.busy:
             return 0.0
         times = [self._due[task] for task, period in self._periods.items() if period]
-        if self._steering.due is not None:
-            times.append(self._steering.due)
+        times += [due for due in (self._steering.due, self._logs.due) if due is not None]
         return max(0.0, min(times) - now)
 
     def _work(self) -> bool:
@@ -141,6 +142,9 @@ class Session:
             return True
         if self._parameters.busy and not self._gone:
             self._parameters.tell_one()
+            return True
+        if self._logs.due is not None and now >= self._logs.due and not self._gone:
+            self._logs.step(steered=self._steering.steered)
             return True
         return False
 
@@ -171,6 +175,7 @@ class Session:
         )
         self._steering = Steering(self.firmware, self._ground, offboard, self._clock)
         self._parameters = ParameterServer(self.firmware, self._ground)
+        self._logs = LogServer(self._client, self._ground, self._clock)
         self._stream_fast_enough()
         self._gone, self._told = False, None
         version, policy = ".".join(map(str, self.firmware.vehicle.version)), self.firmware.policy
@@ -210,6 +215,8 @@ class Session:
             self._steering.handle(source, message)
         elif kind in PARAMETER_MESSAGES:
             self._parameters.handle(message)
+        elif kind in LOG_MESSAGES:
+            self._logs.handle(source, message)
         elif kind == "MISSION_REQUEST_LIST":  # there are none: ground stations ask until they know
             self._ground.answer(
                 source, mavlink.MAVLink_mission_count_message(*source[1:], 0, message.mission_type)

@@ -22,7 +22,7 @@ from flash.client import Client
 from flash.mavlink.endpoint import UdpPeer, parse_address
 from flash.mavlink.session import Options, Session
 from flash.settings import Settings
-from flash.transport import TcpPort, TcpTransport
+from flash.transport import TcpPort, TcpTransport, Transport
 from sim.aircraft.model import load_aircraft
 from sim.control.motors import motor_fractions
 from sim.physics.twin import Twin
@@ -116,9 +116,10 @@ class Lockstep:
         flown: dict[str, float] | None = None,
         stations: int = 1,
         also: Sequence[str] = (),
+        through: Callable[[Transport], Transport] = lambda line: line,
     ) -> None:
         """flown: settings that are flown without being stored, as if they had changed since the start.
-        also: addresses of other peers."""
+        also: addresses of other peers. through: what lies on the line to the firmware."""
         self.port = stack.enter_context(closing(HostPort(program, GYRO_HZ, flown)))
         rng = np.random.default_rng(1)
         twin = Twin(load_aircraft("nf1"), rate_hz=GYRO_HZ, mount=Mount.CENTRE, rng=rng)
@@ -133,7 +134,8 @@ class Lockstep:
         self.station = self.stations[0]
         addresses = [*(station.address for station in self.stations), *also]
         self.peers = [stack.enter_context(closing(UdpPeer(parse_address(address)))) for address in addresses]
-        client = stack.enter_context(Client(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port))))
+        line = through(TcpTransport(TcpPort(LOOPBACK, self.port.msp_port)))
+        client = stack.enter_context(Client(line))
         self.lines: list[str] = []
         self._client, self._options = client, options
         self.restart_gateway()
