@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +17,7 @@ from flash.msp import Decoder, Message, encode
 from tests.flash.logs.log_model import LogBoard, log_board, log_of
 from toolchain.contract import LogError, LogState
 
+ROOT = Path(__file__).resolve().parents[2]
 FIRST, LAST = log_of(5000, 1), log_of(9000, 2)
 Serve = Callable[[LogBoard], str]
 
@@ -112,3 +117,34 @@ def test_nothing_to_fetch_is_one_line(
     code, told, line = log(capsys, "fetch", "--port", serve(log_board()), "--out", tmp_path)
     assert (code, told) == (1, "") and line.endswith("no log is kept there; nothing was written\n")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_fetch_keeps_what_came_and_goes_on(
+    number: signal.Signals, serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = log_board(log_of(40_000))
+    stalled = threading.Event()
+    later = board.later
+
+    def stall(place: int) -> bool:
+        """From the middle on nothing is there yet."""
+        if place < 5:
+            return later(place)
+        stalled.set()
+        return True
+
+    board.later = stall  # type: ignore[method-assign]
+    port = serve(board)
+    command = [sys.executable, "-m", "cli.main", "log", "fetch", "--port", port, "--out", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as fetching:
+        assert stalled.wait(20)
+        fetching.send_signal(number)
+        _, told = fetching.communicate(timeout=20)
+    assert fetching.returncode == 130 and told == "neuroflight: interrupted; what was finished is kept\n"
+    part = (tmp_path / "LOG00001.BBL.part").read_bytes()
+    assert len(part) > 4 * 4096 and board.logs[0].startswith(part)
+    board.later = later  # type: ignore[method-assign]
+    code, line, _ = log(capsys, "fetch", "--port", port, "--out", tmp_path)
+    assert code == 0 and f"went on from byte {len(part):,}" in line
+    assert (tmp_path / "LOG00001.BBL").read_bytes() == board.logs[0]

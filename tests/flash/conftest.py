@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import socket
@@ -72,7 +73,8 @@ class TcpServer:
                 connection, _ = self._listener.accept()
             except OSError:
                 return
-            with connection:
+            # A client may leave without reading all answers.
+            with connection, contextlib.suppress(ConnectionError):
                 while data := connection.recv(4096):
                     reply = self._answer(data)
                     if reply == b"HANG UP":
