@@ -81,7 +81,9 @@ ROOMS = (
 C_ROOMS = (
     "firmware/targets",
     "firmware/src/common",
+    "firmware/src/blackbox/log_device.h",
     "firmware/src/storage",
+    "firmware/src/storage/card",
     "firmware/src/sensing",
     "firmware/src/receiver",
     "firmware/src/control",

@@ -61,6 +61,8 @@ HEADERS = (
     "storage/image_probation.h",
     "storage/image_update.h",
     "storage/fault_log.h",
+    "storage/card/card_log.h",
+    "storage/card/sd_crc.h",
     "hal/host/flash_model.h",
     "msp/msp_payload.h",
     "msp/msp_commands.h",

@@ -1,0 +1,13 @@
+/* Checksums of SD cards (Physical Layer Simplified Specification 4.5). */
+#ifndef NF_SD_CRC_H
+#define NF_SD_CRC_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* The last byte of a command: x^7 + x^3 + 1, then the end bit. */
+uint8_t sd_crc7(const uint8_t *bytes, size_t count);
+/* Of data: x^16 + x^12 + x^5 + 1. */
+uint16_t sd_crc16(const uint8_t *bytes, size_t count);
+
+#endif
