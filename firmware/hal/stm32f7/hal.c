@@ -11,7 +11,9 @@
 #include "hal/stm32f7/core/stop.h"
 #include "hal/stm32f7/core/time.h"
 #include "hal/stm32f7/core/watchdog.h"
+#include "hal/stm32f7/devices/card_spi.h"
 #include "hal/stm32f7/devices/gyro_chip.h"
+#include "hal/stm32f7/devices/log_uart.h"
 #include "hal/stm32f7/devices/motors.h"
 #include "hal/stm32f7/devices/msp_uart.h"
 #include "hal/stm32f7/devices/power.h"
@@ -108,12 +110,7 @@ static bool hal_reset(void *context, enum nf_reboot kind)
 	return true;
 }
 
-static const struct log_device *hal_log(void *context, enum nf_log_device device)
-{
-	(void)context;
-	(void)device;
-	return NULL;
-}
+static const struct log_device *hal_log(void *context, enum nf_log_device device);
 
 static const struct hal functions = {
 	.receiver_read = receiver_line_read,
@@ -129,6 +126,20 @@ static const struct hal functions = {
 	.log = hal_log,
 	.flash = { .at = hal_flash_at, .erase = hal_flash_erase, .program = hal_flash_program },
 };
+
+/* With the settings that the program reads as well. */
+static const struct log_device *hal_log(void *context, enum nf_log_device device)
+{
+	struct nf_settings settings;
+
+	(void)context;
+	if (device == NF_LOG_DEVICE_CARD)
+		return card_spi_start();
+	(void)settings_load(&settings, &functions.flash);
+	if (device == NF_LOG_DEVICE_SERIAL && settings.uart3_function == NF_UART3_FUNCTION_BLACKBOX)
+		return log_uart_start(settings.blackbox_baud);
+	return NULL;
+}
 
 /* In the protocol that the settings say, as the program will read them. */
 static void hal_start_motors(void)

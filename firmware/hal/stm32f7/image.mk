@@ -23,6 +23,7 @@ $(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there; hal.c only joins the drivers.
 $(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
+$(OBJ)/hal/stm32f7/devices/card_spi.o $(OBJ)/hal/stm32f7/devices/log_uart.o: CFLAGS += -Os
 
 $(OBJ)/boot/%.o: %.c $(RECIPE)
 	@mkdir -p $(@D)

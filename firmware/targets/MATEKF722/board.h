@@ -15,7 +15,7 @@
 
 /* RCC enable bits of the ports, timers and UARTs below. */
 #define BOARD_PORT_CLOCKS (RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN)
-#define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_USART2EN | RCC_APB1ENR_USART3EN)
+#define BOARD_APB1_CLOCKS (RCC_APB1ENR_TIM3EN | RCC_APB1ENR_SPI3EN | RCC_APB1ENR_USART2EN | RCC_APB1ENR_USART3EN)
 #define BOARD_APB2_CLOCKS (RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN)
 
 #define BOARD_LED0 ((struct pin){ GPIOB, 9 }) /* active low; LED1 (PA14) is left to the debugger's SWCLK */
@@ -54,7 +54,7 @@
 #define BOARD_MSP_DMA_RX ((struct dma_stream){ DMA2, 5, 4 })
 #define BOARD_MSP_DMA_TX ((struct dma_stream){ DMA2, 7, 4 })
 
-/* The second one, where the pilot has set it so. */
+/* The second one, where the pilot has set it so; else it may take a log. */
 #define BOARD_MSP2_UART USART3
 #define BOARD_MSP2_UART_HZ CLOCK_APB1_HZ
 #define BOARD_MSP2_AF 7u
@@ -62,6 +62,15 @@
 #define BOARD_MSP2_RX ((struct pin){ GPIOC, 11 })
 #define BOARD_MSP2_DMA_RX ((struct dma_stream){ DMA1, 1, 4 })
 #define BOARD_MSP2_DMA_TX ((struct dma_stream){ DMA1, 3, 4 })
+
+#define BOARD_CARD_SPI SPI3
+#define BOARD_CARD_AF 6u
+#define BOARD_CARD_CS ((struct pin){ GPIOC, 1 })
+#define BOARD_CARD_SCK ((struct pin){ GPIOB, 3 })
+#define BOARD_CARD_MISO ((struct pin){ GPIOB, 4 })
+#define BOARD_CARD_MOSI ((struct pin){ GPIOB, 5 })
+#define BOARD_CARD_DMA_RX ((struct dma_stream){ DMA1, 0, 0 })
+#define BOARD_CARD_DMA_TX ((struct dma_stream){ DMA1, 7, 0 })
 
 #define BOARD_RECEIVER_UART USART2
 #define BOARD_RECEIVER_UART_HZ CLOCK_APB1_HZ

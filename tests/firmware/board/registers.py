@@ -33,11 +33,12 @@ _IN_USE = {
     "IWDG": "KR PR RLR SR",
     "DBGMCU": "APB1FZ",
     "SPI1": "CR1 CR2 SR DR",
+    "SPI3": "CR1 CR2 SR DR",
     "USART1": _USART,
     "USART2": _USART,
     "USART3": _USART,
 }
-_STREAMS = {"DMA1": "1235", "DMA2": "0123567"}  # of the controllers' eight
+_STREAMS = {"DMA1": "012357", "DMA2": "0123567"}  # of the controllers' eight
 _MANUALS = {"ADC_Common": "ADC", "APB1_FZ": "APB1FZ"}  # the manual's names where the vendor's differ
 _FAMILIES = re.compile(r"(GPIO|DMA|TIM|SPI|USART)[A-Z0-9]+")  # instances that share their registers' names
 

@@ -86,6 +86,7 @@
 #define RCC_AHB1ENR_DMA2EN BIT(22)
 #define RCC_APB1ENR REGISTER(0x40023840u)
 #define RCC_APB1ENR_TIM3EN BIT(1)
+#define RCC_APB1ENR_SPI3EN BIT(15)
 #define RCC_APB1ENR_USART2EN BIT(17)
 #define RCC_APB1ENR_USART3EN BIT(18)
 #define RCC_APB1ENR_PWREN BIT(28)
@@ -236,6 +237,7 @@
 
 /* --- Serial peripheral interface (RM0431 chapter SPI/I2S) ---------------------------------- */
 #define SPI1 0x40013000u
+#define SPI3 0x40003C00u
 #define SPI_CR1(spi) REGISTER((spi) + 0x00u)
 #define SPI_CR1_CPHA BIT(0)
 #define SPI_CR1_CPOL BIT(1)

@@ -42,11 +42,17 @@ static struct port {
 		    .buffers = msp_buffers[1] } },
 };
 
-void msp_uart_start(unsigned port, uint32_t baud)
+struct uart_line *msp_uart_lend(unsigned port, uint32_t baud)
 {
 	gpio_alternate(wires[port].tx, wires[port].alternate, GPIO_PULL_UP, GPIO_SLOW);
 	gpio_alternate(wires[port].rx, wires[port].alternate, GPIO_PULL_UP, GPIO_SLOW);
 	uart_line_start(&ports[port].line, wires[port].clock_hz, baud);
+	return &ports[port].line;
+}
+
+void msp_uart_start(unsigned port, uint32_t baud)
+{
+	(void)msp_uart_lend(port, baud);
 	ports[port].started = true;
 }
 

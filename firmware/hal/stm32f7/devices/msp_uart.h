@@ -5,9 +5,13 @@
 #include <stdbool.h>
 
 #include "hal/hal.h"
+#include "hal/stm32f7/peripherals/uart_line.h"
 
 /* Port 0..NF_MSP_PORT_COUNT - 1 begins. baud: one of NF_MSP_BAUDS. Bytes that came before are lost. */
 void msp_uart_start(unsigned port, uint32_t baud);
+
+/* The line of a port that does not begin, for something else; it is started at `baud`. */
+struct uart_line *msp_uart_lend(unsigned port, uint32_t baud);
 
 /* Serves what has come by the ports that have begun since the last call, and sends what is said unasked; waits for
  * nothing. */
