@@ -191,7 +191,7 @@ class BoardObservation:
         )
         self._self, self._input = core.allocate(OBSERVATION_BYTES), core.allocate(16)
         self._values, self._out = core.allocate(4 * 10), core.allocate(4 * 64)
-        # struct observation up to its period: the terms' three lists (held.h) and their count, motors, seconds.
+        # struct observation up to its period: three lists of terms (held.h), their count, motors, seconds.
         head = b"".join(self._kept(data).to_bytes(8, "little") for data in lists)
         head += len(terms).to_bytes(4, "little") + (4).to_bytes(4, "little") + np.float32(1e-3).tobytes()
         core.write(self._self, head)
