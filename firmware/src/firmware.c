@@ -489,6 +489,7 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 	if (fw->until_control == 0) {
 		fw->until_control = fw->control_divider - fw->overdue;
 		fw->overdue = 0;
+		fw->window = fw->samples + 1u;
 	}
 	--fw->until_control;
 	firmware_tick(fw);

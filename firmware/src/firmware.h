@@ -77,7 +77,7 @@ struct firmware {
 	uint32_t control_divider;       /* gyro samples a control step */
 	uint32_t until_control;         /* gyro samples until the next one, 0: the next sample is one */
 	uint32_t overdue;               /* lost samples since it was due, less than control_divider */
-	uint32_t control_steps;         /* since boot */
+	volatile uint32_t control_steps; /* since boot */
 	uint32_t grace_left;            /* gyro samples until arming is allowed */
 	float level_cosine;             /* of the largest tilt that arms; below -1: any, known or not */
 	float failsafe_throttle;        /* 0..1 */
@@ -106,6 +106,7 @@ struct firmware {
 	uint32_t silences;              /* since the last control step, as flags of its edges */
 	struct firmware_status status;  /* written at control steps only */
 	volatile uint32_t published;    /* counts writes of status */
+	volatile uint32_t window;       /* what `samples` was after the last control step */
 	volatile uint32_t samples;      /* gyro samples since boot, lost ones and the time of silences included */
 };
 

@@ -132,6 +132,67 @@ void reference_trace(const void *self, struct reference_trace *out)
 	memcpy(out->dshot, trace->dshot, sizeof out->dshot);
 }
 
+void reference_answer(const void *self, struct reference_answer *out)
+{
+	const struct reference *r = self;
+	const struct firmware_status *status = &r->firmware.status;
+
+	memset(out, 0, sizeof *out);
+	memcpy(out->observation, r->firmware.control.seen, sizeof r->firmware.control.seen);
+	memcpy(out->action, r->firmware.control.action, sizeof r->firmware.control.action);
+	out->arming_reasons = status->arming_reasons;
+	out->state = status->state;
+	out->stop_cause = status->stop_cause;
+	out->fallback_cause = status->fallback_cause;
+	out->pid_flies = status->pid_flies;
+}
+
+bool reference_record(void *self, struct log_record *record)
+{
+	struct reference *r = self;
+	const struct log_record *next = log_ring_next(&r->log);
+
+	if (!next)
+		return false;
+	*record = *next;
+	log_ring_take(&r->log);
+	return true;
+}
+
+size_t reference_state_size(void)
+{
+	return sizeof(struct firmware);
+}
+
+uint32_t reference_layout(void)
+{
+	return firmware_layout();
+}
+
+bool reference_state(const void *self, uint8_t *bytes)
+{
+	const struct reference *r = self;
+
+	if (r->firmware.samples != r->firmware.window)
+		return false;
+	memcpy(bytes, &r->firmware, sizeof r->firmware);
+	return true;
+}
+
+bool reference_restore(void *self, const uint8_t *bytes, size_t count, uint32_t layout)
+{
+	struct reference *r = self;
+
+	return firmware_restore(&r->firmware, bytes, count, layout);
+}
+
+int reference_replay(void *self, const struct replay_step *step, uint16_t dshot[])
+{
+	struct reference *r = self;
+
+	return replay_run(&r->firmware, step, dshot);
+}
+
 size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, uint8_t *out, size_t cap)
 {
 	struct reference *r = self;

@@ -6,6 +6,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/log_record.h"
+#include "hal/host/replay.h"
 #include "nf_contract.h"
 
 /* The last control step. */
@@ -41,6 +43,34 @@ bool reference_sample(void *self, const double rates[3], const double force[3], 
 void reference_silent(void *self, uint16_t dshot[]);
 
 void reference_trace(const void *self, struct reference_trace *out);
+
+/* What came of the last control step, beside its trace. */
+struct reference_answer {
+	float observation[NF_OBSERVATION_COUNT_MAX]; /* what the policy was given last; then 0 */
+	float action[NF_MOTOR_COUNT_MAX];            /* the controller's last answer, before the throttle; then 0 */
+	uint32_t arming_reasons;                     /* bit field of enum nf_arming_reason, 0 when armed */
+	uint8_t state, stop_cause, fallback_cause, pid_flies;
+};
+
+void reference_answer(const void *self, struct reference_answer *out);
+
+/* The oldest record of a control step that was not taken yet; false: there is none. */
+bool reference_record(void *self, struct log_record *record);
+
+/* The control path's state, as a log begins with it: bytes, and what they mean (firmware_layout). */
+size_t reference_state_size(void);
+uint32_t reference_layout(void);
+
+/* Copies it. False: samples came since the last control step, only the next one can be asked. */
+bool reference_state(const void *self, uint8_t *bytes);
+
+/* Goes on from another one's state; false: it has another size or layout, and nothing is changed. The settings must be the
+ * same. */
+bool reference_restore(void *self, const uint8_t *bytes, size_t count, uint32_t layout);
+
+/* One control step again, and the samples before it: 0, or a negative enum replay_result. Writes one DShot value a motor. The
+ * background does not run: only the control path is that of the flight. */
+int reference_replay(void *self, const struct replay_step *step, uint16_t dshot[]);
 
 /* MSP bytes in by that port, perhaps none, bytes for its peer out; returns how many. */
 size_t reference_link(void *self, unsigned port, const uint8_t *in, size_t n, uint8_t *out, size_t cap);

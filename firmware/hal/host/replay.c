@@ -1,0 +1,107 @@
+#include "hal/host/replay.h"
+
+#include <string.h>
+
+#include "firmware_layout.h"
+
+_Static_assert(LOG_SUBSAMPLES_MAX <= REPLAY_SAMPLES_MAX, "a record fits into a step");
+
+uint32_t firmware_layout(void)
+{
+	return FIRMWARE_LAYOUT;
+}
+
+bool firmware_restore(struct firmware *fw, const uint8_t *bytes, size_t count, uint32_t layout)
+{
+	if (count != sizeof *fw || layout != FIRMWARE_LAYOUT)
+		return false;
+	const struct control own = fw->control;
+	const uint8_t *const outputs = fw->dshot_command.outputs;
+
+	memcpy(fw, bytes, count);
+	fw->control.policy.weights = own.policy.weights;
+	fw->control.weights = own.weights;
+	fw->control.pid.gains = own.pid.gains;
+	fw->control.observation.blocks = own.observation.blocks;
+	fw->control.observation.ages = own.observation.ages;
+	fw->control.observation.gains = own.observation.gains;
+	fw->dshot_command.outputs = outputs;
+	return true;
+}
+
+static void replay_hand_over(struct firmware *fw, const struct replay_step *step)
+{
+	const uint32_t flags = step->edge_flags;
+
+	fw->forbidden = step->forbidden;
+	fw->voltage_gain = step->voltage_gain;
+	fw->acknowledged = (flags & LOG_EDGE_ACKNOWLEDGED) != 0;
+	fw->calibrate = (flags & LOG_EDGE_CALIBRATE) != 0;
+	fw->weights = flags & LOG_EDGE_WEIGHTS_BAD  ? WEIGHTS_BAD :
+		      flags & LOG_EDGE_WEIGHTS_GOOD ? WEIGHTS_RENEWED :
+						      WEIGHTS_KNOWN;
+	fw->posted = (flags & LOG_EDGE_POSTED) != 0;
+	if (fw->posted)
+		memcpy(fw->posted_us, step->receiver_bytes, sizeof fw->posted_us);
+}
+
+/* The temperature, which no log has and nothing but telemetry uses, makes a sample differ from the one before. */
+static struct imu_sample replay_sample(const struct firmware *fw, const struct replay_step *step, size_t index)
+{
+	const struct log_sample *kept = &step->gyro[index];
+	const bool repeated = (kept->flags & LOG_SAMPLE_REPEATED) != 0;
+	struct imu_sample sample = fw->gyro.last;
+
+	memcpy(sample.gyro, kept->counts, sizeof sample.gyro);
+	sample.valid = !(kept->flags & LOG_SAMPLE_INVALID);
+	sample.lost = 0;
+	if (!repeated) {
+		memcpy(sample.accel, step->accel, sizeof sample.accel);
+		sample.temperature ^= 1;
+	}
+	return sample;
+}
+
+enum replay_result replay_run(struct firmware *fw, const struct replay_step *step, uint16_t dshot[POLICY_ACTION_COUNT])
+{
+	const uint32_t flags = step->edge_flags;
+	const bool posted = (flags & LOG_EDGE_POSTED) != 0;
+
+	if (step->samples == 0 || step->samples > REPLAY_SAMPLES_MAX || step->receiver_count > NF_LOG_RECEIVER_BYTES)
+		return REPLAY_SIZE;
+	if (flags & (LOG_EDGE_MORE_BYTES | LOG_EDGE_BENCH))
+		return REPLAY_UNKNOWN;
+	replay_hand_over(fw, step);
+	for (uint32_t silences = flags / LOG_EDGE_SILENCE; silences > 0; --silences)
+		firmware_gyro_silent(fw, dshot);
+	const size_t last = step->samples - 1u;
+	for (size_t i = 0; i < last; ++i) {
+		if (firmware_control_due(fw))
+			return REPLAY_EARLY;
+		const struct imu_sample sample = replay_sample(fw, step, i);
+		(void)firmware_sample(fw, &sample, dshot);
+	}
+	firmware_lost(fw, step->lost);
+	if (!firmware_control_due(fw))
+		return REPLAY_LATE;
+	firmware_receive(fw, step->receiver_bytes, posted ? 0 : step->receiver_count);
+	const struct imu_sample sample = replay_sample(fw, step, last);
+	(void)firmware_sample(fw, &sample, dshot);
+	firmware_deadline(fw, (flags & LOG_EDGE_MISSED) != 0);
+	return REPLAY_DONE;
+}
+
+void replay_step_of(struct replay_step *step, const struct log_record *record)
+{
+	*step = (struct replay_step){
+		.forbidden = record->forbidden,
+		.voltage_gain = record->voltage_gain,
+		.edge_flags = record->edge_flags,
+		.lost = record->lost,
+		.samples = record->samples,
+		.receiver_count = record->receiver_count,
+	};
+	memcpy(step->accel, record->accel, sizeof step->accel);
+	memcpy(step->gyro, record->gyro, sizeof record->gyro);
+	memcpy(step->receiver_bytes, record->receiver_bytes, sizeof step->receiver_bytes);
+}
