@@ -43,6 +43,7 @@ struct background_config {
 	unsigned gyro_rate_hz; /* of this start; 0: as set */
 	uint32_t cycles_hz; /* of hal->cycles */
 	bool clock_inexact, alignment_disputed, real_time; /* as in struct hal_info */
+	struct log_ring *log; /* of control steps; NULL: they are not recorded */
 };
 
 struct background {
@@ -61,6 +62,7 @@ struct background {
 	struct alert alert;
 	struct gesture gesture;
 	struct blackbox blackbox;
+	struct firmware kept; /* the firmware as it was before the log */
 	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
 	bool heard; /* the receiver, since boot */
 	bool refused; /* a policy, when alerts were last looked at */

@@ -39,6 +39,7 @@ static enum nf_err boot(void)
 		.clock_inexact = info.clock_inexact,
 		.alignment_disputed = info.alignment_disputed,
 		.real_time = info.real_time,
+		.log = &log_ring,
 	};
 	const enum nf_err err = background_start(&background, &config);
 

@@ -19,6 +19,7 @@ from toolchain.errors import LinkError
 
 ERR_SETTINGS = -15  # nf_err.h
 _REPLY_BYTES = 2 * MSP_PAYLOAD_MAX
+_LOG_BYTES = 65536
 _REPLY = struct.Struct("<I24sfB")  # of _Trace: step, setpoint and gyro, throttle, armed
 
 
@@ -71,6 +72,7 @@ class Reference:
         self._dshot = (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
         self._trace = _Trace()
         self._answer = b""
+        self._log = ctypes.create_string_buffer(_LOG_BYTES)
         self._take = self.sampler(self._measured)
 
     def receiver(self, channels_us: Sequence[int]) -> None:
@@ -105,6 +107,14 @@ class Reference:
     def dshot(self) -> bytes:
         """The DShot values as uint16 bytes."""
         return bytes(self._dshot)
+
+    def blackbox(self) -> bytes:
+        """What the firmware has logged since the last call, which may be in the middle of a log.
+
+        From the first call on logs are kept for the next one: up to 64 KiB, what is more is dropped.
+        """
+        count = self._library.reference_blackbox(self._memory, self._log, len(self._log))
+        return self._log.raw[:count]
 
     def silent(self) -> bytes:
         """Report that the gyro sent nothing for GYRO_BAD_MS. Returns as `sample`."""
@@ -210,6 +220,7 @@ def _load(path: Path) -> ctypes.CDLL:
             "reference_receiver": (None, (pointer, pointer)),
             "reference_power": (None, (pointer, ctypes.c_double, ctypes.c_double, ctypes.c_double)),
             "reference_sample": (ctypes.c_bool, (pointer, pointer, pointer, pointer)),
+            "reference_blackbox": (size_t, (pointer, pointer, size_t)),
             "reference_silent": (None, (pointer, pointer)),
             "reference_trace": (None, (pointer, pointer)),
             "reference_link": (size_t, (pointer, ctypes.c_uint, ctypes.c_char_p, size_t, pointer, size_t)),

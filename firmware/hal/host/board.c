@@ -91,9 +91,9 @@ static bool host_board_reset(void *context, enum nf_reboot kind)
 
 static const struct log_device *host_board_log(void *context, enum nf_log_device device)
 {
-	(void)context;
-	(void)device;
-	return NULL;
+	const struct host_board *board = context;
+
+	return device == NF_LOG_DEVICE_NONE ? NULL : board->log;
 }
 
 struct hal host_board_hal(struct host_board *board)

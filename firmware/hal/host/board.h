@@ -22,6 +22,7 @@ struct host_board {
 	uint16_t dshot[NF_MOTOR_COUNT_MAX]; /* as last written */
 	size_t motor_count;
 	struct flash_model flash;
+	const struct log_device *log; /* NULL: nothing takes a log */
 };
 
 /* A board with a full battery over flash of `bytes`, which must outlive it. */

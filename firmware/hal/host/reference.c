@@ -7,6 +7,7 @@
 #include "hal/host/board.h"
 #include "hal/host/changes.h"
 #include "hal/host/convert.h"
+#include "hal/host/log_pipe.h"
 #include "program.h"
 
 struct reference {
@@ -19,6 +20,7 @@ struct reference {
 	struct hal hal;              /* of the board */
 	struct setting_change changes[NF_SETTING_COUNT];
 	struct log_ring log;
+	struct log_pipe pipe;
 	_Alignas(8) uint8_t flash_bytes[NF_FLASH_BYTES];
 };
 _Static_assert(_Alignof(struct reference) <= 8, "callers align to 8");
@@ -44,6 +46,7 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 		.change_count = count,
 		.gyro_rate_hz = gyro_hz,
 		.cycles_hz = 1000000000u,
+		.log = &r->log,
 	};
 
 	memset(r, 0, sizeof *r);
@@ -56,6 +59,8 @@ int reference_init(void *self, unsigned gyro_hz, const char *const settings[], s
 			return NF_ERR_SETTINGS;
 	memset(r->flash_bytes, 0xFF, sizeof r->flash_bytes);
 	host_board_init(&r->board, r->flash_bytes);
+	log_pipe_init(&r->pipe);
+	r->board.log = &r->pipe.device;
 	r->hal = host_board_hal(&r->board);
 	r->program = (struct program){
 		.hal = &r->hal,
@@ -107,6 +112,13 @@ bool reference_sample(void *self, const double rates[3], const double force[3], 
 	const bool changed = memcmp(dshot, r->board.dshot, size) != 0;
 	memcpy(dshot, r->board.dshot, size);
 	return changed;
+}
+
+size_t reference_blackbox(void *self, uint8_t *bytes, size_t capacity)
+{
+	struct reference *r = self;
+
+	return log_pipe_drain(&r->pipe, bytes, capacity);
 }
 
 void reference_silent(void *self, uint16_t dshot[])

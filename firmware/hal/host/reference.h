@@ -39,6 +39,10 @@ void reference_power(void *self, double volts, double amps, double control_us);
  * and returns whether one of them is another than `dshot` held. */
 bool reference_sample(void *self, const double rates[3], const double force[3], uint16_t dshot[]);
 
+/* Bytes of the log, at most `capacity`, since the last call; returns how many. What is not taken soon enough is dropped. Nobody
+ * calls it: no log is written. */
+size_t reference_blackbox(void *self, uint8_t *bytes, size_t capacity);
+
 /* The gyro has said nothing for NF_GYRO_BAD_MS. Writes one DShot value a motor. */
 void reference_silent(void *self, uint16_t dshot[]);
 

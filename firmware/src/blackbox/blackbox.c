@@ -1,63 +1,328 @@
 #include "blackbox/blackbox.h"
 
-void blackbox_init(struct blackbox *blackbox, const struct nf_settings *settings, const struct log_device *device)
+#include "common/limit.h"
+#include "storage/mode_range.h"
+#include "storage/settings.h"
+
+#define SLICE_PIECES 4u  /* frames or lines of a slice: four control steps at the lowest gyro rate */
+#define STATE_STEPS 64u  /* the firmware's state is taken anew after so many */
+#define AFTER_MS 200u    /* the log goes on for so long after disarming */
+#define AFTER_STEPS (AFTER_MS * POLICY_CONTROL_RATE_HZ / 1000u)
+_Static_assert(2 * STATE_STEPS <= LOG_RING_RECORDS, "the ring holds them while the header is written");
+
+enum phase {
+	WAITING,  /* for a reason to log */
+	HEADER,
+	FRAMES,
+	FAREWELL, /* the last bytes are passed on */
+	ENDING,   /* the device ends the log */
+};
+
+/* Why motors stopped, in the ecosystem's numbers; 0: for a reason that it has no number for. */
+static const uint8_t reasons[] = {
+	[NF_STOP_NONE] = 0, [NF_STOP_SWITCH] = 4, [NF_STOP_RECEIVER] = 1, [NF_STOP_CRASH] = 5, [NF_STOP_RUNAWAY] = 6,
+};
+
+/* Where each axis of the chip points, as the firmware turns it. */
+static void blackbox_init_mount(struct log_mount *mount, const struct gyro *gyro)
 {
-	*blackbox = (struct blackbox){ .device = device, .chosen = (uint8_t)settings->blackbox_device };
+	struct gyro turned = *gyro;
+
+	for (unsigned axis = 0; axis < 3; ++axis) {
+		float body[3];
+		for (unsigned i = 0; i < 3; ++i)
+			turned.last.accel[i] = i == axis ? LOG_COUNTS_G : 0;
+		gyro_acceleration(&turned, body);
+		for (unsigned i = 0; i < 3; ++i)
+			mount->turn[i][axis] = body[i] / NF_GRAVITY;
+	}
+	mount->bias = gyro->bias;
 }
 
-void blackbox_status(const struct blackbox *blackbox, struct blackbox_status *status)
+void blackbox_init(struct blackbox *b, const struct blackbox_config *config)
 {
-	*status = (struct blackbox_status){ .chosen = blackbox->chosen };
-	if (blackbox->device)
-		blackbox->device->status(blackbox->device->context, &status->device);
+	const struct nf_settings *s = config->about.settings;
+
+	*b = (struct blackbox){ .config = *config, .pieces = SLICE_PIECES };
+	for (unsigned slot = 0; slot < NF_MODE_SLOT_COUNT; ++slot) {
+		union setting_value packed;
+		settings_get(s, SETTING_AT_mode1 + slot, &packed);
+		const struct mode_range range = mode_range_unpack(packed.as_mode);
+		b->switched |= range.mode == NF_MODE_BLACKBOX && range.low < range.high;
+	}
+	blackbox_init_mount(&b->mount, config->gyro);
+	log_frames_init(&b->frames, s->blackbox_disabled_mask, s->gyro_rate_hz / POLICY_CONTROL_RATE_HZ);
 }
 
-/* May the device be read, or erased, and does it have a log of that index? */
-static enum nf_refusal blackbox_may(const struct blackbox *blackbox, bool can, unsigned index)
+void blackbox_status(const struct blackbox *b, struct blackbox_status *status)
 {
-	struct blackbox_status status;
-
-	if (!blackbox->device || !can)
-		return NF_REFUSAL_ABSENT;
-	blackbox_status(blackbox, &status);
-	if (status.device.state == NF_LOG_STATE_LOGGING || status.device.state == NF_LOG_STATE_ENDING)
-		return NF_REFUSAL_ORDER;
-	return index < status.device.logs ? NF_REFUSAL_NONE : NF_REFUSAL_INDEX;
+	*status = (struct blackbox_status){
+		.chosen = (uint8_t)b->config.about.settings->blackbox_device,
+		.logging = b->phase != WAITING,
+		.lossy = b->dropped > 0,
+		.frames = b->written,
+		.dropped = b->dropped,
+		.bytes = b->bytes,
+	};
+	if (b->config.device)
+		b->config.device->status(b->config.device->context, &status->device);
 }
 
-static enum nf_refusal blackbox_answer(enum log_answer answer, bool *later)
+/* --- Before a log ------------------------------------------------------------------------------------------------ */
+/* Is a log to be written while the motors and modes are so? */
+static bool blackbox_wanted(const struct blackbox *b, bool armed, uint32_t modes)
 {
-	*later = answer == LOG_LATER;
-	return answer == LOG_FAILED ? NF_REFUSAL_LOG : NF_REFUSAL_NONE;
+	if (b->config.about.settings->blackbox_mode == NF_BLACKBOX_MODE_ALWAYS)
+		return true;
+	return armed && (!b->switched || (modes & MODE_BIT(BLACKBOX)) != 0);
 }
 
-enum nf_refusal blackbox_entry(struct blackbox *blackbox, unsigned index, struct log_entry *entry, bool *later)
+/* Drops the records of steps before that one. */
+static void blackbox_forget(struct blackbox *b, uint32_t step)
 {
-	const struct log_device *device = blackbox->device;
-	const enum nf_refusal refusal = blackbox_may(blackbox, device && device->entry, index);
-
-	return refusal == NF_REFUSAL_NONE ? blackbox_answer(device->entry(device->context, index, entry), later) :
-					    refusal;
+	for (const struct log_record *r; (r = log_ring_next(b->config.ring)) && (int32_t)(r->trace.step - step) < 0;)
+		log_ring_take(b->config.ring);
 }
 
-enum nf_refusal blackbox_read(struct blackbox *blackbox, unsigned index, uint32_t offset, uint8_t *bytes, size_t *count,
-			      bool *later)
+/* Takes the firmware's state anew where it is old, and drops the records that it holds already. */
+static void blackbox_renew(struct blackbox *b)
 {
-	const struct log_device *device = blackbox->device;
-	const enum nf_refusal refusal = blackbox_may(blackbox, device && device->read, index);
+	struct log_about *about = &b->config.about;
+	uint32_t step;
 
-	return refusal == NF_REFUSAL_NONE ?
-		       blackbox_answer(device->read(device->context, index, offset, bytes, count), later) :
-		       refusal;
+	if (!b->config.snapshot) {
+		blackbox_forget(b, b->view.step);
+		return;
+	}
+	if (b->has_state && b->view.step - about->state_step < STATE_STEPS)
+		return;
+	b->has_state = b->config.snapshot(b->config.context, &step);
+	if (b->has_state)
+		about->state_step = step;
+	blackbox_forget(b, b->has_state ? step + 1u : b->view.step);
 }
 
-enum nf_refusal blackbox_erase(struct blackbox *blackbox, bool *later)
+static void blackbox_begin(struct blackbox *b)
 {
-	const struct log_device *device = blackbox->device;
-	const enum nf_refusal refusal = blackbox_may(blackbox, device && device->erase, 0);
+	const struct log_device *device = b->config.device;
+	const enum log_answer answer = device->begin(device->context);
+	const struct log_record *r = log_ring_next(b->config.ring);
 
-	/* No log at all: there is nothing to erase, or it has just been done. */
-	if (refusal != NF_REFUSAL_NONE && refusal != NF_REFUSAL_INDEX)
-		return refusal;
-	return blackbox_answer(device->erase(device->context), later);
+	if (answer != LOG_DONE || !r) {
+		b->has_state &= answer == LOG_LATER;
+		return;
+	}
+	b->config.about.first_step = r->trace.step;
+	b->config.about.volts_cv = (int32_t)(limit(b->view.volts, 0.0f, 600.0f) * 100.0f);
+	b->has_state &= r->trace.step == b->config.about.state_step + 1u;
+	b->header = (struct log_header){ 0 };
+	b->next = r->trace.step;
+	b->first = true;
+	b->gap = true;
+	b->armed = false;
+	b->flags = log_flags(r);
+	b->disarmed = 0;
+	b->written = b->dropped = b->bytes = 0;
+	b->phase = HEADER;
+}
+
+static void blackbox_wait(struct blackbox *b)
+{
+	struct log_device_status status;
+
+	b->config.device->status(b->config.device->context, &status);
+	if (status.state != NF_LOG_STATE_READY) {
+		b->has_state = false;
+		blackbox_forget(b, b->view.step + 1u);
+		return;
+	}
+	if (blackbox_wanted(b, b->view.armed, b->view.modes) && log_ring_next(b->config.ring))
+		blackbox_begin(b);
+	else
+		blackbox_renew(b);
+}
+
+/* --- A log ------------------------------------------------------------------------------------------------------- */
+static void blackbox_event(struct blackbox *b, enum nf_log_event event, uint32_t one, uint32_t two)
+{
+	const unsigned counts[] = { [NF_LOG_EVENT_SYNC_BEEP] = 1,
+				    [NF_LOG_EVENT_LOGGING_RESUME] = 2,
+				    [NF_LOG_EVENT_DISARM] = 1,
+				    [NF_LOG_EVENT_FLIGHT_MODE] = 2 };
+	const uint32_t values[] = { one, two };
+
+	b->out_count += (uint32_t)log_frames_event(b->out + b->out_count, event, values,
+						   event < sizeof counts / sizeof counts[0] ? counts[event] : 0);
+}
+
+/* What happened since the last frame. */
+static void blackbox_tell(struct blackbox *b, const struct log_step *step)
+{
+	const struct log_record *r = step->record;
+	const uint32_t flags = log_flags(r);
+	const bool armed = r->trace.armed != 0;
+
+	if (armed && !b->armed)
+		blackbox_event(b, NF_LOG_EVENT_SYNC_BEEP, step->time_us, 0);
+	if (flags != b->flags)
+		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, flags, b->flags);
+	if (!armed && b->armed)
+		blackbox_event(b, NF_LOG_EVENT_DISARM, r->stop_cause < sizeof reasons ? reasons[r->stop_cause] : 0u, 0);
+	b->flags = flags;
+	b->armed = armed;
+}
+
+static void blackbox_tell_slow(struct blackbox *b, const struct log_step *step)
+{
+	struct log_slow slow;
+
+	log_slow_load(&slow, step, b->frames.left_out, b->dropped);
+	if (!b->first && !log_slow_tells(&slow, &b->slow))
+		return;
+	b->out_count += (uint32_t)log_frames_slow(&slow, b->out + b->out_count);
+	b->slow = slow;
+}
+
+/* Events, slow frame and main frame of a step. The first main frame goes before all else: decoders that are about find the end of
+ * the header by it. */
+static void blackbox_frame(struct blackbox *b, const struct log_step *step)
+{
+	const bool intra = b->gap || step->iteration >= b->intra_at;
+
+	if (b->first)
+		b->out_count += (uint32_t)log_frames_intra(&b->frames, step, b->out + b->out_count);
+	else if (b->gap)
+		blackbox_event(b, NF_LOG_EVENT_LOGGING_RESUME, step->iteration, step->time_us);
+	blackbox_tell(b, step);
+	blackbox_tell_slow(b, step);
+	if (!b->first && intra)
+		b->out_count += (uint32_t)log_frames_intra(&b->frames, step, b->out + b->out_count);
+	else if (!intra)
+		b->out_count += (uint32_t)log_frames_inter(&b->frames, step, b->out + b->out_count);
+	if (intra)
+		b->intra_at = step->iteration - step->iteration % LOG_INTRA_INTERVAL + LOG_INTRA_INTERVAL;
+	b->first = false;
+	b->gap = false;
+	++b->written;
+}
+
+/* Takes a record; returns whether there was one. */
+static bool blackbox_record(struct blackbox *b)
+{
+	const struct log_about *about = &b->config.about;
+	const struct log_record *r = log_ring_next(b->config.ring);
+
+	if (!r)
+		return false;
+	const struct log_step step = {
+		.record = r,
+		.iteration = r->trace.step - about->first_step,
+		.time_us = (uint32_t)((uint64_t)r->sample * 1000000u / about->settings->gyro_rate_hz),
+		.volts_cv = (int32_t)(limit(b->view.volts, 0.0f, 600.0f) * 100.0f + 0.5f),
+		.amps_ca = (int32_t)(limit(b->view.amps, -300.0f, 300.0f) * 100.0f),
+		.mount = &b->mount,
+	};
+	const bool armed = r->trace.armed != 0;
+
+	b->gap |= r->trace.step != b->next;
+	b->dropped += r->trace.step - b->next;
+	b->next = r->trace.step + 1u;
+	b->disarmed = armed ? 0 : b->armed || b->disarmed > 0 ? b->disarmed + 1 : 0;
+	/* Frames go on for a while after disarming, and before arming they lead up to it. */
+	if (b->switched && armed && !blackbox_wanted(b, armed, r->modes))
+		b->gap = true;
+	else if (step.iteration % about->settings->blackbox_divider == 0)
+		blackbox_frame(b, &step);
+	log_ring_take(b->config.ring);
+	return true;
+}
+
+/* Is the log over, with the record that was taken last? */
+static bool blackbox_over(const struct blackbox *b)
+{
+	return b->disarmed >= AFTER_STEPS && !blackbox_wanted(b, false, 0);
+}
+
+/* Fills `out`; returns whether there was something to fill it with. */
+static bool blackbox_fill(struct blackbox *b)
+{
+	switch ((enum phase)b->phase) {
+	case HEADER: {
+		struct log_about about = b->config.about;
+		if (!b->has_state)
+			about.state = NULL;
+		b->out_count = (uint32_t)log_header_next(&b->header, &about, &b->frames, (char *)b->out);
+		if (b->out_count == 0)
+			b->phase = FRAMES;
+		return true;
+	}
+	case FRAMES:
+		if (!blackbox_over(b))
+			return blackbox_record(b);
+		blackbox_event(b, NF_LOG_EVENT_LOG_END, 0, 0);
+		b->phase = FAREWELL;
+		return true;
+	case FAREWELL:
+		b->phase = ENDING;
+		return false;
+	default:
+		return false;
+	}
+}
+
+/* Passes on what is left in `out`; returns whether nothing is. */
+static bool blackbox_pass(struct blackbox *b)
+{
+	const struct log_device *device = b->config.device;
+	const size_t taken = device->write(device->context, b->out + b->out_at, b->out_count - b->out_at);
+
+	b->out_at += (uint32_t)taken;
+	b->bytes += (uint32_t)taken;
+	if (b->out_at < b->out_count)
+		return false;
+	b->out_at = b->out_count = 0;
+	return true;
+}
+
+static void blackbox_end(struct blackbox *b)
+{
+	const struct log_device *device = b->config.device;
+
+	blackbox_forget(b, b->view.step + 1u);
+	if (device->end(device->context) == LOG_LATER)
+		return;
+	b->phase = WAITING;
+	b->has_state = false;
+}
+
+static void blackbox_go_on(struct blackbox *b)
+{
+	struct log_device_status status;
+
+	b->config.device->status(b->config.device->context, &status);
+	if (status.state != NF_LOG_STATE_LOGGING) { /* it failed, or is gone */
+		b->out_at = b->out_count = 0;
+		b->phase = ENDING;
+		return;
+	}
+	for (unsigned piece = 0; piece < b->pieces && blackbox_pass(b); ++piece)
+		if (!blackbox_fill(b))
+			break;
+	(void)blackbox_pass(b);
+}
+
+void blackbox_step(struct blackbox *b, const struct blackbox_view *view)
+{
+	const struct log_device *device = b->config.device;
+
+	if (!device || !b->config.ring)
+		return;
+	b->view = *view;
+	device->step(device->context);
+	if (b->phase == WAITING)
+		blackbox_wait(b);
+	else if (b->phase == ENDING)
+		blackbox_end(b);
+	else
+		blackbox_go_on(b);
 }

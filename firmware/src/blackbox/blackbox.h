@@ -1,4 +1,8 @@
-/* The blackbox: which device takes the log, and what is told of it. */
+/* The blackbox: makes a log of the records that the gyro's interrupt leaves in the ring, and passes it to a device. A slice
+ * of it at a time, from the background; what the device or the ring cannot take is dropped and told.
+ *
+ * A log begins with the state of the firmware and the steps behind it: while none is written, the state is taken anew from time
+ * to time and the steps since then stay in the ring. It ends some time after disarming. */
 #ifndef NF_BLACKBOX_H
 #define NF_BLACKBOX_H
 
@@ -7,11 +11,53 @@
 #include <stdint.h>
 
 #include "blackbox/log_device.h"
+#include "blackbox/log_frames.h"
+#include "blackbox/log_header.h"
+#include "blackbox/log_ring.h"
 #include "nf_contract.h"
+#include "sensing/gyro.h"
+
+/* What it needs of the firmware; the pointers live as long as it. */
+struct blackbox_config {
+	const struct log_device *device; /* NULL: this chip has none of the kind that the settings choose */
+	struct log_ring *ring; /* NULL: nothing is recorded */
+	const struct gyro *gyro; /* initialized */
+	struct log_about about; /* its first half; `state` and `state_bytes`: where `snapshot` leaves the state */
+	void *context; /* of the function */
+	/* Copies the firmware's state between two samples, right behind a control step, and tells that step. False: not now,
+	 * what `state` holds is void. NULL: there is no state, the log cannot be replayed. */
+	bool (*snapshot)(void *context, uint32_t *step);
+};
+
+/* What only the background knows, as of now. */
+struct blackbox_view {
+	bool armed; /* the motors obey */
+	uint32_t modes; /* bits of enum mode_index that are on */
+	uint32_t step; /* the last control step */
+	float volts, amps; /* of the battery */
+};
 
 struct blackbox {
-	const struct log_device *device; /* NULL: there is none, or it is not set */
-	uint8_t chosen; /* enum nf_log_device: as the settings say */
+	struct blackbox_config config;
+	struct log_frames frames;
+	struct log_header header;
+	struct log_slow slow; /* told last */
+	struct log_mount mount;
+	struct blackbox_view view;
+	uint8_t phase; /* enum of blackbox.c */
+	uint8_t pieces; /* frames or lines of a slice at most */
+	bool switched; /* the mode BLACKBOX has a range */
+	bool has_state; /* `config.about` has a state, behind which the ring has all records */
+	bool first; /* no frame has been written */
+	bool gap; /* the next frame does not follow the last one */
+	bool armed; /* as logged last */
+	uint32_t flags; /* as logged last */
+	uint32_t next; /* control step that the next record should have */
+	uint32_t disarmed; /* control steps since the motors stopped, in the log */
+	uint32_t intra_at; /* iteration from which the next intra frame is due */
+	uint32_t written, dropped, bytes; /* of the present or last log: frames, control steps, bytes */
+	uint32_t out_at, out_count; /* of `out`: passed on, and in it */
+	uint8_t out[LOG_LINE_BYTES];
 };
 
 /* What LOG_INFO tells. */
@@ -23,8 +69,10 @@ struct blackbox_status {
 	uint32_t frames, dropped, bytes; /* of the current or last log; dropped: control steps */
 };
 
-/* `device` takes the logs; NULL: this chip has none of the kind that the settings choose. */
-void blackbox_init(struct blackbox *blackbox, const struct nf_settings *settings, const struct log_device *device);
+void blackbox_init(struct blackbox *blackbox, const struct blackbox_config *config);
+
+/* A slice of work; called at least once a control step while the processor has time. */
+void blackbox_step(struct blackbox *blackbox, const struct blackbox_view *view);
 
 void blackbox_status(const struct blackbox *blackbox, struct blackbox_status *status);
 

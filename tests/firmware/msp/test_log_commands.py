@@ -107,7 +107,7 @@ def test_logs_are_absent_when_the_device_keeps_none(server: MakeServer, command:
     null = s.core.ffi.NULL
     s.log.device.entry = s.log.device.read = s.log.device.erase = null
     assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
-    s.core.lib.blackbox_init(s.blackbox, s.settings, null)
+    s.keep_logs(null)
     assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
     info = told(s, Msp.LOG_INFO)
     assert (info["device"], info["state"]) == (LogDevice.CARD, LogState.ABSENT)

@@ -44,11 +44,9 @@ class LogDevice:
         self.state, self.error = LogState.READY, LogError.NONE
         self._callbacks = {
             "status": ffi.callback("void(void *, struct log_device_status *)", self._on_status),
-            "entry": ffi.callback("enum log_answer(void *, unsigned, struct log_entry *)", self._on_entry),
-            "read": ffi.callback(
-                "enum log_answer(void *, unsigned, uint32_t, uint8_t *, size_t *)", self._on_read
-            ),
-            "erase": ffi.callback("enum log_answer(void *)", self._on_erase),
+            "entry": ffi.callback("uint8_t(void *, unsigned, struct log_entry *)", self._on_entry),
+            "read": ffi.callback("uint8_t(void *, unsigned, uint32_t, uint8_t *, size_t *)", self._on_read),
+            "erase": ffi.callback("uint8_t(void *)", self._on_erase),
         }
         self.device = core.new("struct log_device *", self._callbacks)
 
@@ -91,18 +89,17 @@ class Server:
         self.faults = self.core.new("struct fault_log *")
         self.log = LogDevice(self.core)
         self.blackbox = self.core.new("struct blackbox *")
+        self._gyro = self.core.new("struct gyro *")
         self.tasks = self.core.new(f"struct task_stats[{len(Task)}]")
         self._policy, self._weights = self.core.new("struct policy *"), self.core.new("float[2]")
         self._callbacks = {
-            "storing": ffi.callback("enum nf_refusal(void *, bool)", self._on_storing),
-            "channels": ffi.callback("enum nf_refusal(void *, const uint16_t *)", self._on_channels),
-            "motor_test": ffi.callback("enum nf_refusal(void *, uint32_t)", self._on("motor_test")),
-            "motors": ffi.callback("enum nf_refusal(void *, const uint16_t *, size_t)", self._on_motors),
-            "dshot_command": ffi.callback(
-                "enum nf_refusal(void *, unsigned, unsigned)", self._on("dshot_command")
-            ),
-            "acknowledge": ffi.callback("enum nf_refusal(void *)", self._on("acknowledge")),
-            "reboot": ffi.callback("enum nf_refusal(void *, enum nf_reboot)", self._on("reboot")),
+            "storing": ffi.callback("uint8_t(void *, bool)", self._on_storing),
+            "channels": ffi.callback("uint8_t(void *, const uint16_t *)", self._on_channels),
+            "motor_test": ffi.callback("uint8_t(void *, uint32_t)", self._on("motor_test")),
+            "motors": ffi.callback("uint8_t(void *, const uint16_t *, size_t)", self._on_motors),
+            "dshot_command": ffi.callback("uint8_t(void *, unsigned, unsigned)", self._on("dshot_command")),
+            "acknowledge": ffi.callback("uint8_t(void *)", self._on("acknowledge")),
+            "reboot": ffi.callback("uint8_t(void *, uint8_t)", self._on("reboot")),
         }
         self.services = self.core.new(
             "struct msp_services *",
@@ -123,9 +120,14 @@ class Server:
         self.status = self.core.new("struct firmware_status *", {"gyro_rate_hz": 4000})
         self._port = self.core.new("struct msp_port *")
         lib.settings_default(self.settings)
-        lib.blackbox_init(self.blackbox, self.settings, self.log.device)
+        self.keep_logs(self.log.device)
         self.boot()
         lib.msp_port_init(self._port, self._identity, self.services if offered else self.core.ffi.NULL)
+
+    def keep_logs(self, device: Any) -> None:
+        """The blackbox begins anew, with that device or NULL."""
+        facts = {"device": device, "gyro": self._gyro, "about": {"settings": self.settings}}
+        self.core.lib.blackbox_init(self.blackbox, self.core.new("struct blackbox_config *", facts))
 
     def boot(self) -> None:
         """What main does with flash before it serves."""

@@ -1,0 +1,43 @@
+/* The lines that a log begins with: its fields, what the ecosystem's tools want to know, and (nf_) what it takes to fly its
+ * inputs again. docs/blackbox-format.md tells each. */
+#ifndef NF_LOG_HEADER_H
+#define NF_LOG_HEADER_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "blackbox/log_frames.h"
+#include "nf_contract.h"
+#include "storage/policy_slots.h"
+
+#define LOG_LINE_BYTES (LOG_NAME_LINE_MAX + 24u) /* of the longest line */
+
+/* What a log tells besides its frames; constant from boot on but for the second half. */
+struct log_about {
+	const struct nf_settings *settings;
+	const struct policy_slots *slots;
+	const char *maker, *target; /* of the board */
+	float pid_idle; /* motor fraction at zero thrust of the PID */
+	struct nf_image_header image; /* zeros: there is none */
+	uint32_t first_step; /* control step since boot of the first frame */
+	const void *state; /* of the firmware, NULL: the log cannot be replayed */
+	size_t state_bytes;
+	uint32_t state_step; /* control step after which it was taken */
+	int32_t volts_cv; /* 0.01 V */
+};
+
+/* A header under way; zeros: at its begin. */
+struct log_header {
+	unsigned line; /* of those that are always there, then */
+	unsigned setting;
+	unsigned debug;
+	size_t state; /* bytes of it that are told */
+	unsigned state_line;
+};
+
+/* Writes the next line, its end included; returns its characters, 0 behind the last one. */
+size_t log_header_next(struct log_header *header, const struct log_about *about, const struct log_frames *frames,
+		       char text[LOG_LINE_BYTES]);
+
+#endif

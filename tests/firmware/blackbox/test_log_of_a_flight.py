@@ -1,0 +1,141 @@
+"""The log of a flight on the library holds what the firmware was given and gave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.blackbox.log import Log, floats
+from tests.firmware.blackbox.flights import Flown, fly
+from toolchain.contract import LOG_FIELDS_MAX, LogEvent, LogGroup
+
+orangebox = pytest.importorskip("orangebox")
+GROUPS = {
+    LogGroup.PID: "axisError[0]",
+    LogGroup.COMMANDS: "rcCommand[0]",
+    LogGroup.SETPOINT: "setpoint[0]",
+    LogGroup.BATTERY: "vbatLatest",
+    LogGroup.RSSI: "rssi",
+    LogGroup.GYRO: "gyroADC[0]",
+    LogGroup.ATTITUDE: "imuQuaternion[0]",
+    LogGroup.ACC: "accSmooth[0]",
+    LogGroup.DEBUG: "debug[0]",
+    LogGroup.MOTOR: "motor[0]",
+    LogGroup.GYRO_UNFILTERED: "gyroUnfilt[0]",
+    LogGroup.EXACT: "gyroFloat[0]",
+    LogGroup.REPLAY: "gyroRaw[0]",
+    LogGroup.TIMING: "controlTime",
+}
+
+
+@pytest.fixture(scope="module")
+def flown(reference_library: Path) -> Flown:
+    """A flight of half a second."""
+    return fly(reference_library)
+
+
+def assert_the_same(flown: Flown, log: Log) -> None:
+    """Every decoded value is the flight's."""
+    rows = flown.rows(log)
+    assert log.matrix("motor").tolist() == flown.dshot[rows].tolist()  # type: ignore[union-attr]
+    assert (floats(log.matrix("gyroFloat")) == flown.gyro[rows]).all()  # type: ignore[arg-type]
+    setpoint = floats(log.matrix("setpointFloat"))  # type: ignore[arg-type]
+    assert (setpoint[:, :3] == flown.setpoint[rows]).all() and (setpoint[:, 3] == flown.throttle[rows]).all()
+    raw = log.matrix("gyroRaw")
+    assert (raw == flown.counts[rows].reshape(len(rows), -1)).all()  # type: ignore[union-attr]
+    assert (log.matrix("accRaw") == flown.forces[rows]).all()  # type: ignore[comparison-overlap]
+    degrees = np.degrees(flown.gyro[rows].astype(float))
+    assert np.abs(log.matrix("gyroADC") - degrees).max() <= 0.501  # type: ignore[operator]
+
+
+def test_every_value_is_the_flights_when_its_log_is_read(flown: Flown, tmp_path: Path) -> None:
+    log = flown.log(tmp_path)
+    assert_the_same(flown, log)
+    assert log.ended and log.lost == 0 and not log.notes
+    armed = log.held("flightModeFlags") & 1
+    assert len(armed) > 700 and 480 < armed.sum() < 520
+    assert armed[0] == 0 and armed[-150:].sum() == 0  # it leads up to arming, and goes on behind it
+    assert [event.kind for event in log.events] == [
+        *(LogEvent.SYNC_BEEP, LogEvent.FLIGHT_MODE, LogEvent.FLIGHT_MODE, LogEvent.DISARM, LogEvent.LOG_END),
+    ]
+
+
+def test_orangebox_finds_no_invalid_frame_when_it_reads_a_log(flown: Flown, tmp_path: Path) -> None:
+    path = tmp_path / "flight.bbl"
+    path.write_bytes(flown.data)
+    parser = orangebox.Parser.load(str(path))
+    names, frames = parser.field_names, [frame.data for frame in parser.frames()]
+    column = dict(zip(names, zip(*frames, strict=True), strict=True))
+    rows = np.array(column["loopIteration"]) + parser.headers["nf_first_step"] - flown.step[0]
+    assert list(column["motor[0]"]) == flown.dshot[rows, 0].tolist()
+    assert len(rows) == rows[-1] - rows[0] + 1 > 700
+    assert max(len(frame) for frame in frames) <= LOG_FIELDS_MAX
+    known = {event.name for event in orangebox.types.EventType}
+    assert parser._ctx.invalid_frame_count == 0 or "DISARM" not in known  # 0.4.0 knows no DISARM
+
+
+@pytest.mark.parametrize("rate", [1000, 2000, 8000])
+def test_a_log_holds_all_samples_when_the_gyro_has_another_rate(
+    reference_library: Path, tmp_path: Path, rate: int
+) -> None:
+    flown = fly(reference_library, 0.2, gyro_hz=rate)
+    log = flown.log(tmp_path)
+    rows = flown.rows(log)
+    assert (log.matrix("gyroRaw") == flown.counts[rows].reshape(len(rows), -1)).all()  # type: ignore[union-attr]
+    assert (log.columns["sampleFlags"] >> 16 == rate // 1000).all()
+    assert log.lost == 0
+
+
+def test_frames_are_the_dividers_when_it_is_set(reference_library: Path, tmp_path: Path) -> None:
+    flown = fly(reference_library, 0.2, {"blackbox_divider": 8})
+    log = flown.log(tmp_path)
+    assert (np.diff(log.columns["loopIteration"]) == 8).all() and log.lost == 0
+    assert (log.matrix("motor") == flown.dshot[flown.rows(log)]).all()  # type: ignore[comparison-overlap]
+
+
+@pytest.mark.parametrize(
+    "left_out", [*([group] for group in GROUPS), [*GROUPS], [LogGroup.TIMING, LogGroup.REPLAY]]
+)
+def test_a_group_is_missing_when_it_is_masked(
+    reference_library: Path, tmp_path: Path, left_out: list[LogGroup]
+) -> None:
+    mask = sum(1 << group for group in left_out)
+    flown = fly(reference_library, 0.02, {"blackbox_disabled_mask": mask})
+    log = flown.log(tmp_path)
+    there = {group for group, name in GROUPS.items() if name in log.columns}
+    assert there == set(GROUPS) - set(left_out)
+    assert (np.diff(log.columns["loopIteration"]) == 1).all() and not log.notes
+    if LogGroup.MOTOR in there:
+        assert (log.matrix("motor") == flown.dshot[flown.rows(log)]).all()  # type: ignore[comparison-overlap]
+
+
+def test_drops_are_told_when_the_device_takes_nothing_for_a_while(
+    reference_library: Path, tmp_path: Path
+) -> None:
+    stalls = range(int(4.7 * 4000), int(6.2 * 4000))  # more than memory and ring hold
+    flown = fly(reference_library, 2.0, drained=lambda sample: sample not in stalls)
+    log = flown.log(tmp_path)
+    assert_the_same(flown, log)
+    gaps = np.diff(log.columns["loopIteration"]) - 1
+    assert gaps.sum() > 100
+    assert log.held("dropped")[-1] == gaps.sum()
+    assert sum(event.kind == LogEvent.LOGGING_RESUME for event in log.events) == (gaps > 0).sum()
+    assert log.ended
+
+
+def test_a_damaged_log_goes_on_with_the_next_intra_frame(flown: Flown, tmp_path: Path) -> None:
+    at = len(flown.data) // 2
+    hurt = Flown(flown.data[:at] + b"\xff" * 9 + flown.data[at + 9 :], *list(vars(flown).values())[1:])
+    log = hurt.log(tmp_path)
+    whole = len(flown.log(tmp_path).columns["time"])
+    assert whole - 40 < len(log.columns["time"]) < whole
+
+
+@pytest.mark.slow
+def test_a_minute_of_flight_is_read_as_it_was(reference_library: Path, tmp_path: Path) -> None:
+    flown = fly(reference_library, 60.0)
+    log = flown.log(tmp_path)
+    assert_the_same(flown, log)
+    assert log.lost == 0 and len(log.columns["time"]) > 60_000
