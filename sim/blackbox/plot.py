@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sim.blackbox.events import words
 from sim.blackbox.log import Log
 from sim.blackbox.units import Channels, channels
 from sim.plotting import AXIS_COLOURS, INK, MOTOR_COLOURS, MUTED, SHADE, dress, legend_above, titled_figure
@@ -149,8 +150,7 @@ def _events(log: Log, shown: NDArray[np.bool_]) -> list[tuple[float, str]]:
     for event in log.events:
         row = min(event.row, len(log) - 1)
         if event.name != "end" and rows[0] <= row <= rows[-1]:
-            words = ", ".join(f"{name} {value}" for name, value in event.values.items() if name == "reason")
-            found.append((float(log.t[row]), f"{event.name}{': ' if words else ''}{words}"))
+            found.append((float(log.t[row]), words(log, event)))
     return found
 
 

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 BASEFLIGHT_SCALE = 1e-5  # a gyro_scale below it is in rad/us, as Baseflight had it; others are in deg/s
 PULSE_STOP_US, PULSE_FULL_US = 1000.0, 2000.0  # motor values of an analog protocol
+PID_BIT = 1  # of our slow field nfFlags: the PID flies
 ARM_BIT = 1  # of flightModeFlags, Betaflight's and ours
 CENTIVOLTS_FROM = (4, 0)  # Betaflight's version since which vbatLatest is in 0.01 V
 
@@ -63,6 +64,7 @@ def channels(log: Log) -> Channels:
     dshot, motors, digital = _motors(log)
     forces, one_g = log.matrix("accSmooth", 3), log.headers.integer("acc_1G", 0)
     ticks, tick_hz = _clock(log)
+    armed = _armed(log, dshot)
     rates: Floats | None
     wanted: Floats | None
     throttle: Floats | None
@@ -75,7 +77,7 @@ def channels(log: Log) -> Channels:
     return Channels(
         ticks=ticks,
         tick_hz=tick_hz,
-        armed=_armed(log, dshot),
+        armed=armed,
         exact=exact,
         setpoint=wanted,
         gyro=rates,
@@ -84,7 +86,7 @@ def channels(log: Log) -> Channels:
         motors=motors,
         dshot=dshot,
         digital=digital,
-        idle=_idle(log),
+        idle=_idle(log, armed),
         voltage=_hundredths(log, "vbatLatest"),
         current=_hundredths(log, "amperageLatest"),
         acceleration=None if forces is None or one_g < 1 else forces.astype(np.float64) * (GRAVITY / one_g),
@@ -151,16 +153,28 @@ def _motors(log: Log) -> tuple[NDArray[np.uint16] | None, Array | None, bool]:
     return dshot.astype(np.uint16), fraction, False
 
 
-def _idle(log: Log) -> float | None:
-    told = header_float(log.headers, "nf_idle")
-    if told is not None:
-        return told
+def _idle(log: Log, armed: NDArray[np.bool_]) -> float | None:
+    """Ours tells the policy's and the PID's: that of the one that flew for longer."""
+    if log.maker is Maker.NEUROFLIGHT:
+        told = [_part(text) for text in log.header.get("nf_idle", "").split(",")]
+        flags = log.held("nfFlags")
+        pid = flags is not None and bool(armed.any()) and float((flags[armed] & PID_BIT).mean()) > 0.5
+        return told[1] if pid and len(told) > 1 else told[0]
     output = log.headers.integers("motorOutput")
-    if log.maker is Maker.NEUROFLIGHT or len(output) != 2:
+    if len(output) != 2:
         return None
     if output[1] > PULSE_FULL_US:
         return max(0.0, (output[0] - DSHOT_MIN) / DSHOT_SPAN)
     return min(1.0, max(0.0, (output[0] - PULSE_STOP_US) / (PULSE_FULL_US - PULSE_STOP_US)))
+
+
+def _part(text: str) -> float | None:
+    """A part of full power; None where the text is none."""
+    try:
+        part = float(text)
+    except ValueError:
+        return None
+    return part if 0.0 <= part < 1.0 else None
 
 
 def _hundredths(log: Log, name: str) -> Array | None:

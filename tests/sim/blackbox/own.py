@@ -52,7 +52,7 @@ def log_of(flown: Trace, *, exact: bool = True, divider: int = 1, **headers: obj
     told = {
         "nf_version": "0.1.0",
         "nf_control_rate": rate,
-        "nf_idle": "0.0549999997",
+        "nf_idle": "0.055,0.06",
         "gyro_scale": "0x3f800000",
         "motorOutput": "48,2047",
         "I interval": 32 * divider,

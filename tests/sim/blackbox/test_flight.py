@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,18 @@ import pytest
 
 from cli.main import main
 from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks
+from sim.blackbox.events import words
 from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
 from sim.blackbox.log import Maker, read_log
 from sim.blackbox.quality import Answer, quality, replay_obstacles
+from sim.blackbox.units import channels
 from sim.flight.trace import save_trace
 from tests.sim.blackbox.own import LEAD, log_of, trace
+from tests.sim.blackbox.writer import event
+from toolchain.contract import FallbackCause, FlightState
 from toolchain.errors import TraceError
 
-IDLE = 0.0549999997
+IDLE = 0.055
 STEPS = 2500
 
 
@@ -99,8 +103,6 @@ def test_quality_tells_what_reached_its_limits(tmp_path: Path) -> None:
     gyro[100:150, 1] = np.deg2rad(-1999)
     dshot[:, :] = 1000
     dshot[200:300, 2] = 2047
-    from dataclasses import replace
-
     log = read_log(save(tmp_path, log_of(replace(flown, gyro=gyro, dshot=dshot))))
     told = quality(log)
     assert told.gyro_saturated == (0.0, 0.05, 0.0) and told.motors_full == 0.1
@@ -131,6 +133,35 @@ def test_distribution_of_commands_is_the_normal_one_that_was_drawn(
     assert len(log_sticks(read_log(path)).t) == STEPS
 
 
+def test_events_are_told_in_words(tmp_path: Path) -> None:
+    state, pid = FlightState.ARMED << 17, 1 << 16
+    fallback = FallbackCause.POLICY_OUTPUT << 24
+    parts = (
+        event(30, 1 | state, FlightState.DISARMED << 17),
+        event(30, 1 | state | pid | fallback, 1 | state),
+        event(15, 1),
+    )
+    data = log_of(trace(100)).replace(event(15, 4), b"".join(parts))
+    log = read_log(save(tmp_path, data))
+    assert [words(log, one) for one in log.events] == [
+        "arming",
+        "armed",
+        "the PID flies, because of policy output",
+        "disarming: failsafe",
+        "end",
+    ]
+    # The same flags are other modes where another firmware wrote them.
+    log = read_log(save(tmp_path, data.replace(b"H nf_version", b"H xx_version")))
+    assert words(log, log.events[1]) == "armed"
+
+
+def test_idle_is_that_of_the_controller_that_flew(tmp_path: Path) -> None:
+    data = log_of(trace(100)).replace(b"flightModeFlags", b"nfFlags")
+    assert channels(read_log(save(tmp_path, data))).idle == 0.06
+    assert channels(read_log(save(tmp_path, log_of(trace(100))))).idle == IDLE
+    assert channels(read_log(save(tmp_path, log_of(trace(100), nf_idle="nan,")))).idle is None
+
+
 def test_list_tells_each_file_of_a_cards_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = log_of(trace(STEPS), nf_aircraft="nf1")
     save(tmp_path, data + bytes(5000), "LOG00001.BBL")
@@ -154,14 +185,14 @@ def test_list_tells_each_file_of_a_cards_folder(tmp_path: Path, capsys: pytest.C
 
 def test_tables_are_printed_without_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(save(tmp_path, log_of(trace(STEPS))))
-    for action, words in (
+    for action, said in (
         ("metrics", "against the gyro"),
         ("commands", "sigma"),
         ("quality", "replay"),
         ("decode", "setpointFloat[3]"),
     ):
         assert main(["log", action, path]) == 0
-        assert words in capsys.readouterr().out
+        assert said in capsys.readouterr().out
 
 
 def _numbers(value: object) -> list[np.ndarray]:
