@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,10 +20,20 @@ from toolchain.errors import TraceError
 Array = NDArray[np.float64]
 
 POINTS_MAX = 4000  # of a line; longer logs are drawn by the least and largest of each stretch
+BREAKS_MAX = 300  # places where rows are missing, that break a line
 LABELS_MAX = 24  # events that get their name
 LABEL_PART = 0.06  # of the width: labels closer than that go one line lower
 LABEL_LINES = 3
 EVENT_COLOUR, GAP_COLOUR = "#cc79a7", "#f0e442"
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """What of a log is drawn."""
+
+    rows: NDArray[np.bool_]  # (N,) of the log
+    t: Array  # (K,) [s] of these rows
+    breaks: NDArray[np.intp]  # among these rows, those that others are missing before
 
 
 def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = None) -> Figure:
@@ -33,6 +44,8 @@ def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = 
     told = channels(log)
     t = log.t
     shown = (t >= start_s) & (t <= (np.inf if stop_s is None else stop_s))
+    breaks = np.flatnonzero(log.missing[shown][1:]) + 1
+    picture = _Picture(shown, t[shown], breaks if len(breaks) < BREAKS_MAX else breaks[:0])
     if not shown.any():
         raise TraceError(
             f"{log.path}: log {log.number} has no row from {start_s:g} s to "
@@ -52,13 +65,15 @@ def draw_log(log: Log, title: str, start_s: float = 0.0, stop_s: float | None = 
     )
     for panel, name in zip(panels, wanted, strict=True):
         if name in AXES:
-            _draw_axis(panel, t[shown], told, AXES.index(name), shown)
+            _draw_axis(panel, picture, told, AXES.index(name))
         elif name == "motors":
-            _draw_motors(panel, t[shown], told, shown)
+            _draw_motors(panel, picture, told)
         else:
-            _draw_battery(panel, t[shown], told, shown)
+            _draw_battery(panel, picture, told)
         dress(panel, name)
         _mark(panel, log, told, shown)
+    if log.missing[shown][1:].any():
+        panels[0].plot([], [], color=GAP_COLOUR, alpha=0.6, lw=8, label="rows lost")
     legend_above(panels[0])
     for panel, name in zip(panels[1:], wanted[1:], strict=True):
         if name not in AXES:
@@ -90,17 +105,25 @@ def _panels(told: Channels) -> list[str]:
     return names
 
 
-def _line(panel: Axes, t: Array, values: NDArray[np.floating], **style: object) -> None:
-    panel.plot(*thinned(t, np.asarray(values, np.float64)), **style)  # type: ignore[arg-type]
+def _line(panel: Axes, picture: _Picture, values: NDArray[np.floating], **style: object) -> None:
+    """A line that is broken where rows are missing."""
+    shown = np.asarray(values[picture.rows], np.float64)
+    pieces = [
+        thinned(t, part, max(4, POINTS_MAX * len(t) // len(shown)))
+        for t, part in zip(np.split(picture.t, picture.breaks), np.split(shown, picture.breaks), strict=True)
+    ]
+    nothing = np.full(1, np.nan)
+    t, line = (np.concatenate([one for piece in pieces for one in (piece[side], nothing)]) for side in (0, 1))
+    panel.plot(t, line, **style)  # type: ignore[arg-type]
 
 
-def _draw_axis(panel: Axes, t: Array, told: Channels, axis: int, shown: NDArray[np.bool_]) -> None:
+def _draw_axis(panel: Axes, picture: _Picture, told: Channels, axis: int) -> None:
     if told.gyro is not None:
-        gyro = np.rad2deg(told.gyro[shown, axis])
-        _line(panel, t, gyro, color=AXIS_COLOURS[axis], lw=1.0, label="gyro", zorder=3)
+        gyro = np.rad2deg(told.gyro[:, axis])
+        _line(panel, picture, gyro, color=AXIS_COLOURS[axis], lw=1.0, label="gyro", zorder=3)
     if told.setpoint is not None:
-        setpoint = np.rad2deg(told.setpoint[shown, axis])
-        _line(panel, t, setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint", zorder=4)
+        setpoint = np.rad2deg(told.setpoint[:, axis])
+        _line(panel, picture, setpoint, color=INK, lw=1.0, ls=(0, (4, 2)), label="setpoint", zorder=4)
     panel.set_ylabel("deg/s", color=INK)
     low, high = panel.get_ylim()
     if high - low < 20:  # noise of an axis at rest is not to fill the panel
@@ -108,22 +131,22 @@ def _draw_axis(panel: Axes, t: Array, told: Channels, axis: int, shown: NDArray[
         panel.set_ylim(middle - 10, middle + 10)
 
 
-def _draw_motors(panel: Axes, t: Array, told: Channels, shown: NDArray[np.bool_]) -> None:
+def _draw_motors(panel: Axes, picture: _Picture, told: Channels) -> None:
     assert told.motors is not None
     for motor in range(told.motors.shape[1]):
-        values = 100 * told.motors[shown, motor]
-        _line(panel, t, values, color=MOTOR_COLOURS[motor], lw=0.8, alpha=0.8, label=str(motor + 1))
+        values = 100 * told.motors[:, motor]
+        _line(panel, picture, values, color=MOTOR_COLOURS[motor], lw=0.8, alpha=0.8, label=str(motor + 1))
     panel.set_ylabel("%", color=INK)
     panel.set_ylim(0, 104)
 
 
-def _draw_battery(panel: Axes, t: Array, told: Channels, shown: NDArray[np.bool_]) -> None:
+def _draw_battery(panel: Axes, picture: _Picture, told: Channels) -> None:
     if told.voltage is not None:
-        _line(panel, t, told.voltage[shown], color=AXIS_COLOURS[0], lw=1.2, label="V")
+        _line(panel, picture, told.voltage, color=AXIS_COLOURS[0], lw=1.2, label="V")
         panel.set_ylabel("V", color=INK)
     if told.current is not None:
         right = panel if told.voltage is None else panel.twinx()
-        _line(right, t, told.current[shown], color=AXIS_COLOURS[1], lw=1.0, label="A")
+        _line(right, picture, told.current, color=AXIS_COLOURS[1], lw=1.0, label="A")
         right.set_ylabel("A", color=INK)
         right.tick_params(colors=INK, labelsize=9)
         for spine in right.spines.values():

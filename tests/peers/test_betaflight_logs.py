@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from orangebox import Parser
 
 from cli.main import main
 from sim.blackbox.log import Maker, read_log
 from sim.blackbox.units import channels
 from sim.flight.trace import Trace
 from tests.peers.betaflight_logs import VIRTUAL, flown, flown_over_serial, save
+from tests.peers.orangebox_peer import decoded
 
 FULL_RATE = ("set blackbox_sample_rate = 1/1", "set blackbox_high_resolution = ON")
 LAST_IS_A_GROUP = [  # the fields behind baroAlt, whose group then is the last of a P frame
@@ -28,23 +28,22 @@ def roll(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trace]:
     return save(tmp_path_factory.mktemp("log") / "LOG00001.BFL", data), trace
 
 
-def orangebox_rows(path: Path) -> np.ndarray:
-    """Main frames by orangebox itself."""
-    parser = Parser.load(str(path))
-    width = len(parser.field_names)
-    rows = np.array([[value or 0 for value in frame.data] for frame in parser.frames()], np.int64)
-    assert rows.shape[1] == width
-    return rows
-
-
-def test_rows_are_those_of_orangebox(roll: tuple[Path, Trace]) -> None:
+def test_rows_are_those_of_orangebox_and_every_command_takes_them(
+    roll: tuple[Path, Trace], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One test, since each process that runs one of these flies the log anew."""
     log = read_log(roll[0])
     ours = np.stack(list(log.columns.values()), axis=1)
+    theirs = decoded(roll[0], tmp_path)
     assert len(log) > 10_000 and not log.notes and log.lost == 0 and log.ended
-    assert (orangebox_rows(roll[0])[:, : ours.shape[1]] == ours).all()
+    assert theirs["invalid"] == 0 and (theirs["rows"][:, : ours.shape[1]] == ours).all()
+    assert theirs["names"].tolist()[: ours.shape[1]] == list(log.columns)
+    assert [one.split()[0] for one in theirs["events"].tolist()] == ["FLIGHT_MODE", "DISARM", "LOG_END"]
     assert log.maker is Maker.BETAFLIGHT and [one.name for one in log.events] == ["mode", "disarming", "end"]
+    every_command(roll[0], tmp_path, capsys)
 
 
+@pytest.mark.slow
 def test_axes_and_units_are_ours_when_the_twin_tells_what_flew(roll: tuple[Path, Trace]) -> None:
     path, trace = roll
     told = channels(read_log(path))
@@ -62,10 +61,9 @@ def test_axes_and_units_are_ours_when_the_twin_tells_what_flew(roll: tuple[Path,
     assert told.idle == pytest.approx(0.055)
 
 
-def test_every_command_takes_it(
-    roll: tuple[Path, Trace], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = str(roll[0])
+def every_command(log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each command takes the log without a word on stderr, and what is written holds what was read."""
+    path = str(log_path)
     for words in (["list", path], ["metrics", path], ["commands", path], ["quality", path], ["decode", path]):
         assert main(["log", *words, "--json"]) == 0
         out, err = capsys.readouterr()
@@ -74,7 +72,7 @@ def test_every_command_takes_it(
     assert main(["log", "plot", path, "--out", str(picture)]) == 0
     assert main(["log", "decode", path, "--csv", str(csv), "--npz", str(npz)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
-    log = read_log(roll[0])
+    log = read_log(log_path)
     written = np.loadtxt(csv, delimiter=",", skiprows=1, dtype=np.int64)
     assert (written[:, : len(log.columns)] == np.stack(list(log.columns.values()), axis=1)).all()
     with np.load(npz, allow_pickle=False) as arrays:

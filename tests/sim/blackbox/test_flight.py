@@ -13,11 +13,13 @@ import pytest
 from cli.main import main
 from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks
 from sim.blackbox.events import words
+from sim.blackbox.export import save_csv
 from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
 from sim.blackbox.log import Maker, read_log
 from sim.blackbox.quality import Answer, quality, replay_obstacles
 from sim.blackbox.units import channels
 from sim.flight.trace import save_trace
+from sim.identification.recording import read_recording
 from tests.sim.blackbox.own import LEAD, log_of, trace
 from tests.sim.blackbox.writer import event
 from toolchain.contract import FallbackCause, FlightState
@@ -131,6 +133,15 @@ def test_distribution_of_commands_is_the_normal_one_that_was_drawn(
     path = save(tmp_path, log_of(trace(STEPS)))
     assert as_json(capsys, "commands", str(path), str(path))["samples"] == 2 * STEPS
     assert len(log_sticks(read_log(path)).t) == STEPS
+
+
+def test_csv_is_a_recording_of_the_gyro_for_the_twin(tmp_path: Path) -> None:
+    log = read_log(save(tmp_path, log_of(trace(STEPS))))
+    save_csv(tmp_path / "log.csv", log)
+    recording = read_recording(tmp_path / "log.csv")
+    gyro = channels(log).gyro
+    assert gyro is not None and recording.rate_hz == pytest.approx(1000) and recording.gaps == 0
+    assert np.abs(np.rad2deg(recording.gyro - gyro)).max() <= 0.5 + 1e-3  # gyroADC counts whole deg/s
 
 
 def test_events_are_told_in_words(tmp_path: Path) -> None:
