@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=["pulse"],
         metavar="NAME|FILE",
         help="pulse, pulses, roll, flip, a .toml file, or a flight's recorded commands: a trace (.npz), a "
-        "table (.csv); of several only the firmware's flights, a row each",
+        "table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only the "
+        "firmware's flights, a row each",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
     parser.add_argument(

@@ -38,7 +38,8 @@ def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> N
         "--commands",
         type=Path,
         metavar="FILE",
-        help="fly these recorded commands instead: a trace (.npz), a table (.csv)",
+        help="fly these recorded commands instead: a trace (.npz), a table (.csv), a blackbox log (.bbl, "
+        ".bfl, .txt; FILE:N for its log N)",
     )
     parser.add_argument(
         "--piece",

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from sim.flight.scenario import Scenario, load_scenario
 from sim.physics.world import Mount
 from sim.recorded.commands import ROWS_MAX, Commands
+from sim.recorded.log import SUFFIXES as LOG_SUFFIXES
+from sim.recorded.log import read_commands, split_number
 from sim.recorded.table import parse_table
 from toolchain.errors import ScenarioError
 from toolchain.files import file_size
 
 CSV, NPZ = ".csv", ".npz"
 BYTES_MAX = {CSV: 256 << 20, NPZ: 1 << 30}  # of a file, by its suffix
-SUFFIXES = tuple(BYTES_MAX)
+SUFFIXES = (*BYTES_MAX, *LOG_SUFFIXES)
 _TIME, _THROTTLE = "t", "throttle"
 _SETPOINTS = {"setpoint": 180.0 / np.pi, "setpoint_deg_s": 1.0}  # arrays: deg/s of their unit
 _NUMBER_BYTES_MAX = 8  # of an array's element
@@ -26,16 +28,23 @@ _DAMAGED = (OSError, ValueError, EOFError, MemoryError, NotImplementedError, zip
 
 def is_recording(name: str) -> bool:
     """Whether `name` is a file of recorded commands rather than a scenario, by its suffix."""
-    return Path(name).suffix.lower() in SUFFIXES
+    return split_number(Path(name))[0].suffix.lower() in SUFFIXES
 
 
 def load_commands(path: Path) -> Commands:
-    """The commands of a .npz or .csv file. Raises ScenarioError on one that is missing, damaged or none."""
+    """The commands of an archive, a table or a log; FILE:N is log N of the file, from 1.
+
+    Raises ScenarioError on a file that is missing, damaged or none of these, NeuroflightError where what
+    reads logs is not installed.
+    """
+    path, number = split_number(path)
     where = f"recording {path}"
     suffix = path.suffix.lower()
     try:
-        if not path.is_file():
+        if "\0" in str(path) or not path.is_file():
             raise ScenarioError(f"{where}: no such file; give the path of a file of {', '.join(SUFFIXES)}")
+        if suffix in LOG_SUFFIXES:
+            return read_commands(path, number)
         if suffix not in BYTES_MAX:
             raise ScenarioError(f"{where}: expected a file of {', '.join(SUFFIXES)}")
         if (size := file_size(path)) > BYTES_MAX[suffix]:
@@ -43,7 +52,7 @@ def load_commands(path: Path) -> Commands:
         return (
             _from_arrays(path, where) if suffix == NPZ else parse_table(path.read_bytes(), where, path.stem)
         )
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+    except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error}") from error
 
 

@@ -103,7 +103,7 @@ def test_a_recording_must_be_named() -> None:
         ("a.csv", b"\xff\xfe", "no table of text and commas"),
         ("a.csv", f'{HEADING}\n"0,0'.encode(), "no table of text and commas"),
         ("a.npz", b"not a trace", "damaged or no .npz file"),
-        ("a.txt", b"", "expected a file of .csv, .npz"),
+        ("a.md", b"", "expected a file of .csv, .npz, .bbl"),
     ],
 )  # fmt: skip
 def test_an_invalid_recording_is_rejected_in_one_line(
