@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cli.main import main
+from sim.aircraft.model import load_aircraft
 from sim.blackbox.log import Maker, read_log
 from sim.blackbox.units import channels
+from sim.flight.loop import fly
 from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.recorded.files import load_flight
 from tests.peers.betaflight_logs import VIRTUAL, flown, flown_over_serial, save
 from tests.peers.orangebox_peer import decoded
 
@@ -94,3 +100,24 @@ def test_frame_is_read_when_its_last_group_has_fewer_than_eight_fields(tmp_path:
     fields = log.headers.fields["P"]
     assert fields[-1].name == "baroAlt" and fields[-1].encoding == 6
     assert len(log) > 8000 and log.lost == 0 and not log.notes
+
+
+def test_its_commands_are_flown_by_our_firmware(roll: tuple[Path, Trace], reference_library: Path) -> None:
+    path, trace = roll
+    scenario, warnings = load_flight(str(path), seed=1, count=1)
+    assert warnings == ()
+    port = ReferencePort(reference_library)
+    twin = Twin(load_aircraft("nf1"), rate_hz=port.gyro_rate_hz, rng=np.random.default_rng((1, 1)))
+    with closing(twin), closing(port):
+        again = fly(twin, port, scenario)
+
+    def held(flight: Trace) -> list[list[int]]:
+        """The setpoints [deg/s] one after the other."""
+        rounded = np.rint(np.rad2deg(flight.setpoint)).astype(int)
+        changes = np.append(True, (np.diff(rounded, axis=0) != 0).any(axis=1))
+        asked: list[list[int]] = rounded[changes].tolist()
+        return asked
+
+    assert held(again) == held(trace) == [[0, 0, 0], [720, 0, 0], [0, 0, 0]]
+    turned = [np.flatnonzero(flight.setpoint[:, 0]).size for flight in (again, trace)]  # steps of 1 ms
+    assert turned[0] == pytest.approx(turned[1], abs=5)  # a frame's 4 ms, and a row
