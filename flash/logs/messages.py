@@ -23,7 +23,7 @@ DEVICES = {
     LogDevice.CARD: "the SD card",
 }
 STATES = {
-    LogState.ABSENT: "there is none, or the setting blackbox_device names another",
+    LogState.ABSENT: "this board has none, or none that its settings name",
     LogState.STARTING: "being looked at",
     LogState.READY: "ready for the next flight",
     LogState.LOGGING: "a log is being written",

@@ -3,12 +3,17 @@
 A firmware answers with some 230 bytes at a time. Waiting for each answer before the next question would leave
 the line idle while a question is on its way, several milliseconds through a USB adapter. Replies come in the
 order of requests and say which bytes they hold: whatever was lost is seen by what comes after it.
+
+A card holds one sector ready, and says "ask again" for any other, which it reads then. From such an answer on
+only one sector's requests are on their way; once its first bytes have come, one for no byte of the next
+sector, which then is read while the rest is on the line.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from heapq import heappop, heappush
 
 from flash.client import Client
 from flash.logs.messages import log_block, read_request
@@ -16,7 +21,8 @@ from toolchain.contract import Msp
 from toolchain.errors import LinkError
 
 WINDOW = 16  # requests on their way: 43 ms of replies at 921,600 baud, beyond what USB adapters wait
-FIRST_COUNT = 512  # bytes; what comes tells how many the firmware puts into an answer
+SECTOR = 512  # bytes of a card; no request reaches into the next one
+FIRST_COUNT = SECTOR  # what comes tells how many the firmware puts into an answer
 SHORTEST_S = 1e-3  # that is waited for an answer
 SILENCE_S = 0.5  # after which what is on its way is asked for again
 PATIENCE_S = 15.0  # without a new byte: a card that stalls takes half a second
@@ -33,14 +39,20 @@ class LogReader:
         end: int,
         clock: Callable[[], float],
     ) -> None:
-        self._client, self._index, self._clock, self._most = client, index, clock, WINDOW
+        self._client, self._index, self._clock, self._limit = client, index, clock, WINDOW
         self._at, self._end = start, end  # what was handed out; what is wanted
         self._asked = start  # as far as anything was ever asked for
         self._block, self._largest = FIRST_COUNT, 1  # bytes that are asked for; that came at once so far
-        self._again: deque[tuple[int, int]] = deque()  # (offset, count) that were lost, or came too early
+        self._again: list[
+            tuple[int, int]
+        ] = []  # a heap of (offset, count) that were lost, or asked too early
         self._under_way: deque[tuple[int, int]] = deque()
         self._arrived: dict[int, bytes] = {}  # by offset: behind a gap
         self._window, self._early = 1, 0  # the first answer tells the size of a block
+        self._one_sector, self._prepared = (
+            False,
+            0,
+        )  # at a time, as "ask again" has come; the last one asked so
         self._moved = self._heard = clock()  # when the last new bytes came, and any answer
 
     @property
@@ -50,7 +62,7 @@ class LogReader:
 
     def limit(self, window: int) -> None:
         """Have at most so many requests on their way: the answers to others wait behind theirs."""
-        self._most = window
+        self._limit = window
         self._window = min(self._window, window)
 
     def read(self, timeout: float = SILENCE_S) -> bytes:
@@ -68,7 +80,7 @@ class LogReader:
                 self._take(payload)
             elif self._clock() - self._heard >= SILENCE_S:
                 self._heard = self._clock()
-                self._again.extendleft(reversed(self._under_way))
+                self._ask_again(self._under_way)
                 self._under_way.clear()
                 self._window = 1
             if parts := self._in_order():
@@ -86,10 +98,14 @@ class LogReader:
     def _ask(self) -> None:
         """Keep as many requests under way as the window lets."""
         while len(self._under_way) < self._window:
+            first = self._again[0][0] if self._again else self._asked
+            if self._one_sector and first // SECTOR != self._at // SECTOR:
+                return
             if self._again:
-                wanted = self._again.popleft()
+                wanted = heappop(self._again)
             elif self._asked < self._end:
-                wanted = (self._asked, min(self._block, self._end - self._asked))
+                sector_left = SECTOR - self._asked % SECTOR
+                wanted = (self._asked, min(self._block, sector_left, self._end - self._asked))
                 self._asked += wanted[1]
             else:
                 return
@@ -106,6 +122,8 @@ class LogReader:
         offset, count = self._under_way.popleft()
         if block.data is None:
             lost.append((offset, count))
+            self._one_sector = True
+            self._window = min(self._window, self._most)
             self._early += 1
             if self._early > self._window:  # they may be in each other's way
                 self._window, self._early = max(1, self._window // 2), 0
@@ -115,14 +133,37 @@ class LogReader:
                 "listed; try again"
             )
         else:
+            self._prepare(offset // SECTOR + 1)
             self._arrived[offset] = block.data[:count]
             self._largest = max(self._largest, len(block.data))
             self._early, self._window = 0, min(self._window + 1, self._most)
             missing = count - len(block.data)
             if missing > 0:
-                self._block = self._largest
+                self._block = -(-SECTOR // self._in_sector)
                 lost.append((offset + len(block.data), missing))
-        self._again.extendleft(reversed(lost))
+        self._ask_again(lost)
+
+    def _ask_again(self, wanted: Iterable[tuple[int, int]]) -> None:
+        for one in wanted:
+            heappush(self._again, one)
+
+    def _prepare(self, sector: int) -> None:
+        """Have a sector read while the bytes of the one before are on the line."""
+        place = sector * SECTOR + 1  # from where no other request asks: the answer is passed over
+        asked = not self._again and self._asked >= sector * SECTOR  # all of the sector before
+        if self._one_sector and asked and sector > self._prepared and place < self._end:
+            self._prepared = sector
+            self._client.post(Msp.LOG_READ, read_request(self._index, place, 0))
+
+    @property
+    def _in_sector(self) -> int:
+        """Answers that a sector takes."""
+        return -(-SECTOR // self._largest)
+
+    @property
+    def _most(self) -> int:
+        """Requests on their way."""
+        return min(self._limit, self._in_sector) if self._one_sector else self._limit
 
     def _in_order(self) -> bytes:
         """What has arrived without a gap."""

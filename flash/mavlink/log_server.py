@@ -29,7 +29,7 @@ TURN_S, TURN_PACKETS = 0.01, 24  # 216 kB/s at most: what a slow ground station'
 WAIT_S = 0.005  # for bytes within a turn, in which nothing else is done
 # Blocks on their way at once: so many as the line brings in AHEAD_S, as answers to others wait behind them;
 # one while a companion steers. What the line brings is measured for MEASURE_S.
-WINDOW_MAX, AHEAD_S, BLOCK_BYTES, MEASURE_S = 12, 0.04, 233, 0.1
+WINDOW_MAX, AHEAD_S, BLOCK_BYTES, MEASURE_S = 16, 0.04, 171, 0.1
 HELD_S = 5.0  # after a peer's last request others get their turn
 UNKNOWN_TIME = 0  # the firmware has no clock
 

@@ -16,6 +16,7 @@ from toolchain.errors import LinkError
 
 REPLY_BYTES = 233  # of a log in one answer, as the firmware's buffer has room for
 SECTOR = 512
+SEND_BYTES = 2048  # of answers that the firmware keeps ready for the line
 
 
 @dataclass
@@ -32,6 +33,7 @@ class LogBoard(BoardModel):
     whole_sectors: bool = False  # an answer never reaches into the next sector
     asked: dict[int, int] = field(default_factory=dict)  # times that a piece was asked for
     reads: list[int] = field(default_factory=list)  # offsets of LOG_READ
+    at: float = 0.0  # when a request is answered [s]
 
     def answer(self, message: Message) -> Message:
         handler = LOG_HANDLERS.get(message.command)
@@ -97,9 +99,30 @@ class LogBoard(BoardModel):
 LOG_HANDLERS: dict[int, Callable[[LogBoard, bytes], bytes | Refusal]] = {
     Msp.LOG_INFO: LogBoard.log_info,
     Msp.LOG_ENTRY: LogBoard.log_entry,
-    Msp.LOG_READ: LogBoard.log_read,
+    Msp.LOG_READ: lambda board, payload: board.log_read(payload),
     Msp.LOG_ERASE: LogBoard.log_erase,
 }
+
+
+@dataclass
+class CardBoard(LogBoard):
+    """Its device holds one sector of a card, and reads the one that was asked for last."""
+
+    read_s: float = 0.001
+    held: int = -1
+    ready: float = 0.0
+
+    def later(self, place: int) -> bool:
+        return False
+
+    def log_read(self, payload: bytes) -> bytes | Refusal:
+        index, offset, _ = map(int, struct.unpack("<HIH", payload))
+        if self.held != offset // SECTOR:
+            self.held, self.ready = offset // SECTOR, max(self.at, self.ready) + self.read_s
+        if self.at < self.ready:
+            self.reads.append(offset)
+            return struct.pack("<HIB", index, offset, 1)
+        return super().log_read(payload)
 
 
 class Cable(ModelLine):
@@ -119,6 +142,11 @@ class Cable(ModelLine):
 def log_board(*logs: bytes, **facts: object) -> LogBoard:
     """A board that keeps these logs."""
     return LogBoard([Bank(confirmed=True), Bank()], logs=list(logs), **facts)  # type: ignore[arg-type]
+
+
+def card_board(*logs: bytes, read_s: float) -> CardBoard:
+    """A board with a card that reads a sector in so long."""
+    return CardBoard([Bank(confirmed=True), Bank()], logs=list(logs), read_s=read_s, whole_sectors=True)
 
 
 def log_of(size: int, seed: int = 1) -> bytes:
@@ -156,6 +184,7 @@ class PacedLine(ModelLine):
 
     def __init__(self, board: LogBoard, baud: int, latency: float) -> None:
         super().__init__(board)
+        self._logs = board
         self._byte_s, self._latency = 10 / baud, latency
         self._down_free = self._up_free = 0.0  # when each direction has sent all that it was given
         self._queue: list[tuple[float, bytes]] = []
@@ -165,8 +194,10 @@ class PacedLine(ModelLine):
         self._down_free = max(self._down_free, self.board.now) + len(data) * self._byte_s
         for event in self._decoder.feed(data):
             if isinstance(event, Message):
+                arrives = self._down_free + self._latency
+                self._logs.at = max(arrives, self._up_free - SEND_BYTES * self._byte_s)
+                begins = max(self._up_free, arrives)
                 answered = encode(self.board.answer(event))
-                begins = max(self._up_free, self._down_free + self._latency)
                 self._up_free = begins + len(answered) * self._byte_s
                 self.up_bytes += len(answered)
                 self._queue.append((self._up_free + self._latency, answered))
