@@ -94,13 +94,13 @@ class Volume:
         self.root = int.from_bytes(boot[44:48], "little") & 0x0FFFFFFF
 
     def chain(self, cluster: int, most: int) -> list[int]:
-        """The clusters from `cluster` on, `most` at most."""
-        found: list[int] = []
-        while 2 <= cluster < 0x0FFFFFF8 and len(found) < most:
-            found.append(cluster)
+        """The clusters from `cluster` on, `most` at most, up to where a circle begins anew."""
+        found: dict[int, None] = {}
+        while 2 <= cluster < 0x0FFFFFF8 and len(found) < most and cluster not in found:
+            found[cluster] = None
             at = self.fat * BLOCK + 4 * cluster
             cluster = int.from_bytes(self.image[at : at + 4], "little") & 0x0FFFFFFF
-        return found
+        return list(found)
 
     def blocks(self, clusters: list[int]) -> list[int]:
         """The blocks of the card in `clusters`."""
