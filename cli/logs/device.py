@@ -26,9 +26,9 @@ def add_port(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 def look(client: Client) -> tuple[LogInfo, list[LogEntry]]:
     """The device and its logs. Raises LinkError."""
-    from flash.logs.catalogue import read_entries, read_info
+    from flash.logs.catalogue import read_entries, settled_info
 
-    info = read_info(client)
+    info = settled_info(client, waiting())
     return info, read_entries(client, info, waiting())
 
 

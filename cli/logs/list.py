@@ -33,10 +33,10 @@ def run(args: argparse.Namespace) -> int:
 def _list_device(args: argparse.Namespace) -> int:
     """Print device and logs. Returns 0; raises LinkError for a firmware that tells of none."""
     from cli.flash.state import connect
-    from flash.logs.catalogue import read_entries, read_info
+    from flash.logs.catalogue import read_entries, settled_info
 
     with connect(args) as client:
-        info = read_info(client)
+        info = settled_info(client, waiting())
         told = asdict(info) | {
             name: getattr(info, name).name.lower() for name in ("device", "state", "error")
         }

@@ -18,10 +18,11 @@ from flash.logs.messages import (
     log_entry,
     log_info,
 )
-from toolchain.contract import LogError, Msp, Refusal
+from toolchain.contract import LogError, LogState, Msp, Refusal
 from toolchain.errors import LinkError
 
 PAUSE_S = 0.01  # between two questions whose answer takes the device a while
+STARTING_S = 10.0  # until a card has been looked at: a second by its specification
 ENTRY_S = 10.0  # for one entry: the device looks where its log ends
 ERASE_S = 300.0  # for all: a card takes up to 250 ms for each piece that it erases
 
@@ -44,6 +45,14 @@ def read_info(client: Client) -> LogInfo:
         raise refusal_words(client, error) from None
 
 
+def settled_info(client: Client, wait: Wait) -> LogInfo:
+    """The same, once the device has been looked at, as a card after power-up. Raises LinkError."""
+    deadline = wait.clock() + STARTING_S
+    while (info := read_info(client)).state is LogState.STARTING and wait.clock() < deadline:
+        wait.sleep(PAUSE_S)
+    return info
+
+
 def read_entries(client: Client, info: LogInfo, wait: Wait) -> list[LogEntry]:
     """The logs that can be read. Raises LinkError of one line that says why they cannot be."""
     check_readable(client, info)
@@ -60,6 +69,8 @@ def check_readable(client: Client, info: LogInfo) -> None:
         raise LinkError(
             f"{client.name}: a log is being written, expected none; disarm, or end the mode BLACKBOX, first"
         )
+    if info.state is LogState.STARTING:
+        raise LinkError(f"{client.name}: the device is still being looked at, expected it ready; try again")
     if info.logs == 0 and info.error is not LogError.NONE:
         raise LinkError(f"{client.name}: no log can be read: {ERRORS[info.error]}")
 

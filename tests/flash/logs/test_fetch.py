@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from flash.logs.catalogue import erase, read_entries, read_info
+from flash.logs.catalogue import Wait, erase, read_entries, read_info, settled_info
 from flash.logs.fetch import Fetched, fetch
 from flash.logs.messages import LogEntry
 from tests.flash.image.board_model import ModelLine
@@ -99,6 +99,7 @@ def test_a_name_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
 
 FACTS: dict[str, dict[str, Any]] = {
     "a log is being written": {"logging": True},
+    "the device is still being looked at": {"log_state": LogState.STARTING},
     "no card answers: put one in": {"log_error": LogError.NO_CARD, "log_state": LogState.FAULT},
     "this firmware knows no logs, it is older": {"has_logs": False},
 }
@@ -130,6 +131,20 @@ def test_arming_in_the_middle_ends_it_and_keeps_what_came(tmp_path: Path) -> Non
     board.armed = False
     done = get(board, tmp_path)
     assert done.resumed > 10_000 and done.path.read_bytes() == LOG
+
+
+def test_a_card_that_is_being_looked_at_is_waited_for() -> None:
+    board = log_board(LOG, log_state=LogState.STARTING)
+    line = ModelLine(board)
+
+    def sleep(seconds: float) -> None:
+        board.advance(seconds)
+        if board.now > 1.0:
+            board.log_state = LogState.READY
+
+    assert settled_info(client_of(line), Wait(line.clock, sleep)).state is LogState.READY
+    board.log_state = LogState.STARTING
+    assert settled_info(client_of(line), wait_of(line)).state is LogState.STARTING
 
 
 def test_erasing_takes_as_long_as_it_takes() -> None:
