@@ -94,7 +94,7 @@ class SdCard:
     def power_on(self, cycle: int) -> None:
         """The supply comes back, or was away so shortly that only what was under way is lost."""
         self.power_off(cycle)
-        self._powered, self._powered_at = True, cycle
+        self._powered, self._powered_at, self._hot = True, cycle, False
         self._clocks, self._frame = 0, b""
         self._protocol.state = State()
 
@@ -253,8 +253,8 @@ class SdCard:
             self.power_off(at)
             self._fitted = False
         elif kind is CardFault.INSERTED:
-            self._fitted = self._hot = True
             self.power_on(at)
+            self._fitted = self._hot = True
         else:
             self.power_off(at)
             self.on_power_cut()
