@@ -15,8 +15,9 @@ from sim.board.core.engine import NEVER
 from sim.board.devices.sd_card.delays import CardTiming, Delays
 from sim.board.devices.sd_card.faults import CardFault, Cut, Event, Events, LineErrors
 from sim.board.devices.sd_card.image import CardImage
-from sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol, State
+from sim.board.devices.sd_card.protocol import COMMAND_BYTES, Protocol
 from sim.board.devices.sd_card.registers import BUSY, RELEASED
+from sim.board.devices.sd_card.state import State
 from sim.board.devices.sd_card.store import Store
 from sim.board.registers.bus import Companion
 

@@ -7,12 +7,13 @@ does wrong is answered as the specification says, or not at all where it leaves 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from sim.board.devices.sd_card import registers as sd
 from sim.board.devices.sd_card.delays import Delays
 from sim.board.devices.sd_card.faults import LineErrors
+from sim.board.devices.sd_card.state import State
 from sim.board.devices.sd_card.store import Store
 
 COMMAND_BYTES = 6
@@ -21,32 +22,6 @@ _IN_IDLE = {0, 8, 55, 58, 59}  # commands that a card takes before its initialis
 _IN_TRANSFER = {0, 12, 13}  # and while blocks are read or written
 _DURING_ERASE = {13, 32, 33, 38}  # which do not end a sequence of erase commands
 _VOLTAGE = 0x1  # of CMD8: 2.7 to 3.6 V
-
-
-@dataclass
-class State:
-    """What a card is in the middle of; plain values."""
-
-    spi: bool = False  # the first CMD0 has come
-    idle: bool = True  # not initialised
-    crc: bool = False  # checksums of all commands and of data are checked
-    voltage_told: bool = False  # CMD8 has come
-    ready_at: int | None = None  # cycle at which the initialisation ends; None: it has not begun
-    application: bool = False  # CMD55 came before
-    status: int = 0  # second byte of R2, until it is read
-    erase_first: int | None = None
-    erase_last: int | None = None
-    out: bytes = b""  # the answer that the host has not read yet
-    busy_until: int = 0  # cycle
-    reading: bool = False
-    payload: bytes = b""  # of a register that is read instead of blocks
-    writing: bool = False
-    multiple: bool = False  # several blocks are read or written
-    address: int = 0  # of the next block
-    data_at: int = 0  # cycle at which it can be read
-    wanted: int = 0  # bytes of a block that are still to come
-    data: bytes = b""  # those that have come
-    well_written: int = 0  # blocks, of the last write command
 
 
 class Protocol:

@@ -64,13 +64,8 @@ WRITES: dict[str, tuple[int, ...]] = {
 }
 READS = (*(n for n in WRITES if n not in ("TIM8_EGR", "TIM3_EGR", "DMA2_LIFCR", "GPIOC_BSRR")),
          "DMA2_LISR", "SPI1_SR", "GPIOC_IDR", "GPIOC_ODR", "TIM3_CNT", "TIM8_CCR2")  # fmt: skip
-SYNCING = (
-    *(f"DMA2_S{stream}NDTR" for stream in (1, 2, 3)),
-    "DMA1_S0NDTR",
-    "DMA1_S5NDTR",
-    "TIM8_CNT",
-    "TIM3_CNT",
-)  # fmt: skip; bring all up to now
+STREAMS = ("DMA2_S1", "DMA2_S2", "DMA2_S3", "DMA1_S0", "DMA1_S5")
+SYNCING = (*(f"{stream}NDTR" for stream in STREAMS), "TIM8_CNT", "TIM3_CNT")  # bring all up to now
 LINES = ("TIM8_UP_TIM13", "TIM3", "DMA2_STREAM1", "DMA2_STREAM2", "DMA2_STREAM3", "SPI1", "EXTI3", "EXTI9_5",
          "SPI3", "DMA1_STREAM0", "DMA1_STREAM5")  # fmt: skip
 
