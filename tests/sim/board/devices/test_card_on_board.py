@@ -53,12 +53,12 @@ class Driver:
             got.append(self.bench.read("SPI3_DR", 1))
         return bytes(got)
 
-    def move(self, sent: bytes, rx: int = 0, tx: int = 5, *, wait: bool = True) -> bytes:
-        """By DMA, both ways."""
+    def move(self, sent: bytes, rx: int = 0, tx: int = 5, *, wait: bool = True, into: int = RX) -> bytes:
+        """By DMA, both ways; what comes goes to `into`."""
         bench = self.bench
         bench.context.set_memory(TX, sent)
         bench.set("SPI3_CR2", RXDMAEN=1)
-        for stream, memory, direction in ((rx, RX, 0), (tx, TX, 1)):
+        for stream, memory, direction in ((rx, into, 0), (tx, TX, 1)):
             bench.write("DMA1_LIFCR" if stream < 4 else "DMA1_HIFCR", 0x3D << (0, 6, 16, 22)[stream % 4])
             bench.write(f"DMA1_S{stream}PAR", SPI3_DR)
             bench.write(f"DMA1_S{stream}M0AR", memory)
@@ -71,7 +71,7 @@ class Driver:
         while bench.get(f"DMA1_S{rx}CR", "EN"):
             bench.context.run(5)
         bench.set("SPI3_CR2", TXDMAEN=0, RXDMAEN=0)
-        return bytes(bench.context.memory(RX, len(sent)))
+        return bytes(bench.context.memory(into, len(sent)))
 
     def command(self, index: int, argument: int = 0, more: int = 0) -> bytes:
         frame = bytes([0x40 | index]) + argument.to_bytes(4, "big")
@@ -134,6 +134,17 @@ def test_a_block_goes_to_the_card_and_back_by_dma(
     assert driver.write(7, pattern(3), *streams) == 5
     assert blocks_of(image, 7) == pattern(3)
     assert driver.read(7, *streams) == pattern(3)
+
+
+def test_what_comes_may_take_the_place_of_what_is_sent(make_bench: type[Bench], image: Path) -> None:
+    _, driver = fitted(make_bench, image)
+    driver.start()
+    assert driver.command(24, 4) == b"\x00"
+    sent = b"\xff\xfe" + pattern(4) + crc16(pattern(4)) + b"\xff" * 4
+    got = driver.move(sent, into=TX)
+    assert got[:516] == b"\xff" * 516
+    assert got[516] & 0x1F == 5
+    assert blocks_of(image, 4) == pattern(4)
 
 
 def test_bytes_take_their_time_when_dma_moves_them(make_bench: type[Bench], image: Path) -> None:
