@@ -212,6 +212,28 @@ def test_a_host_may_let_go_of_the_card_while_it_is_busy(host: Host) -> None:
     assert host.read(20, 2) == pattern(1) + pattern(2)
 
 
+def test_what_was_being_said_is_forgotten_when_the_host_lets_go(host: Host, image: Path) -> None:
+    def reselect() -> None:
+        host.select(False)
+        host.send(b"\xff")
+        host.select(True)
+
+    assert host.command(25, 30) == OK
+    host.send(b"\xff\xfc" + bytes([0x55]) * 300)  # a part of a block
+    reselect()
+    assert host.put(0xFC, pattern(1)) == ACCEPTED
+    host.wait()
+    host.send(b"\xfd\xff")
+    host.wait()
+    assert blocks_of(image, 30, 2) == pattern(1) + bytes(512)
+    host.send(b"\x51\x00\x00")  # a part of a command
+    reselect()
+    assert host.command(17, 30) == OK
+    reselect()
+    host.rest(0.01)
+    assert host.send(b"\xff" * 600) == b"\xff" * 600  # the block does not come any more
+
+
 def test_times_are_those_of_a_card(host: Host) -> None:
     busy, limits = [], CardTiming()
     host.command(25, 0)
