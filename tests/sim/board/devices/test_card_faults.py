@@ -241,6 +241,19 @@ def test_a_card_put_back_goes_on_alike(host: Host, image: Path) -> None:
     assert runs[0] == runs[1]
 
 
+def test_a_card_goes_back_to_any_of_several_states(host: Host, image: Path) -> None:
+    states, contents = [], []
+    for number in range(4):
+        host.write(number, pattern(number), pattern(100 + number))
+        states.append(host.card.state())
+        contents.append(image.read_bytes())
+    for which in (2, 0, 3, 1, 1):
+        host.card.restore(states[which])
+        assert image.read_bytes() == contents[which]
+        host.select(False)
+        host.write(50 + which, pattern(which))
+
+
 def test_a_card_refuses_the_state_of_another_one(host: Host, tmp_path: Path) -> None:
     other = SdCard(blank(tmp_path / "other.img"))
     other.state()
