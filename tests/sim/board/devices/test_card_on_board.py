@@ -282,6 +282,33 @@ def test_a_card_that_is_struck_stops_answering_and_comes_back_anew(
     assert driver.read(1) == pattern(1)
 
 
+def test_a_byte_that_has_passed_counts_when_the_card_is_let_go_behind_it(
+    make_bench: type[Bench], image: Path
+) -> None:
+    bench, driver = fitted(make_bench, image)
+    driver.start()
+    assert driver.command(24, 6) == b"\x00"
+    *most, last = b"\xff\xfe" + pattern(6) + crc16(pattern(6))
+    driver.move(bytes(most))
+    bench.write("SPI3_DR", last, 1)
+    bench.context.run(5)
+    driver.select(False)  # nothing was read that could have shown the byte
+    assert bench.read("SPI3_DR", 1) == 0xFF
+    assert blocks_of(image, 6) == pattern(6)
+
+
+def test_a_card_that_is_pulled_while_it_is_busy_lets_go_of_the_line(
+    make_bench: type[Bench], image: Path
+) -> None:
+    bench, driver = fitted(make_bench, image)
+    driver.start()
+    assert driver.command(24, 6) == b"\x00"
+    driver.move(b"\xff\xfe" + bytes(512) + crc16(bytes(512)) + b"\xff\xff")
+    assert driver.poll(b"\xff") == b"\x00"
+    bench.hardware.card_slot.strike(CardFault.REMOVED)
+    assert driver.poll(b"\xff") == b"\xff"
+
+
 def test_board_and_card_go_on_alike_when_restored(make_bench: type[Bench], image: Path) -> None:
     bench, driver = fitted(make_bench, image)
     driver.start()
