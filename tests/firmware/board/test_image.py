@@ -40,7 +40,15 @@ HOT = (
         "program_sample",
         "tick_handler",
     ),
-    *("uart_ring_read", "firmware_receive", "sbus_push", "firmware_sample", "gyro_step", "observation_step"),
+    *(
+        "uart_ring_read",
+        "firmware_receive",
+        "sbus_push",
+        "firmware_log",
+        "firmware_sample",
+        "gyro_step",
+        "observation_step",
+    ),
     *("policy_step", "mixer_step", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
     *("program_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
 )

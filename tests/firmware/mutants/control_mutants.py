@@ -308,8 +308,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="a command goes on when the motors are armed",
         file=COMMAND,
-        old="\t\tself->asked = 0;\n\t\tself->left = 0;\n\t}\n\tif (self->asked",
-        new="\t\tself->asked = 0;\n\t}\n\tif (self->asked",
+        old="\t\tself->asked = 0;\n\t\tself->left = 0;\n\t}\n\treturn",
+        new="\t\tself->asked = 0;\n\t}\n\treturn",
         tests=(OF_COMMAND,),
     ),
     Mutant(

@@ -164,7 +164,7 @@ SENSING_MUTANTS = (
     Mutant(
         name="calibration goes on over bad samples",
         file=GYRO,
-        old="\t\telse\n\t\t\tcalibration_restart(&gyro->calibration);\n",
+        old="\tif (!good)\n\t\tcalibration_restart(&gyro->calibration);\n",
         new="",
         tests=(OF_GYRO,),
     ),
