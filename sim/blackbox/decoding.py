@@ -296,13 +296,15 @@ class _Decoder:
 
     def _flush(self) -> None:
         if self._rows:
-            self._chunks.append(_array(self._rows, self._names))
+            self._chunks.append(_array(self._rows, self._names).T)
             self._rows = []
 
     def _finish(self) -> None:
         self._flush()
         result = self._result
-        result.main = np.concatenate(self._chunks) if self._chunks else _array([], self._names)
+        # Column by column, so that each of them is a view of this one array.
+        result.main = (np.concatenate(self._chunks, axis=1) if self._chunks else _array([], self._names).T).T
+        self._chunks = []
         result.slow = _array(self._slow, self._slow_names)
         result.slow_row = np.array(self._slow_rows, np.int64)
         if self._step is not None and len(result.main):
