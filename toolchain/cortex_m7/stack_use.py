@@ -53,8 +53,22 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
         *("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led", "hal.c:hal_reset"),
         "hal.c:hal_log",
     ),
-    "blackbox.c": ("background.c:background_keep",),
-    "blackbox_kept.c": (),
+    "blackbox.c": (
+        *(
+            "background.c:background_keep",
+            "card_log.c:log_step",
+            "card_log.c:log_status",
+            "card_log.c:log_begin",
+        ),
+        *("card_log.c:log_write", "card_log.c:log_end", "log_uart.c:device"),
+    ),
+    "sd_card.c": ("card_spi.c:bus",),
+    "blackbox_kept.c": (
+        "card_log.c:log_status",
+        "card_log.c:log_entry",
+        "card_log.c:log_read",
+        "card_log.c:log_erase",
+    ),
     "scheduler.c": ("background.c:tasks", "hal.c:hal_cycles"),
     "msp_port.c": (
         *(

@@ -81,27 +81,3 @@ void log_put_tag2_3s32(uint8_t **at, const int32_t values[3])
 	}
 	*head = (uint8_t)(3u << 6 | tags);
 }
-
-void log_put_tag8_4s16(uint8_t **at, const int32_t values[4])
-{
-	uint8_t *const head = (*at)++;
-	uint32_t tags = 0, half = 0; /* a nibble that waits for another one to fill its byte */
-	bool waits = false;
-
-	for (unsigned i = 0; i < 4; ++i) {
-		if (values[i] == 0)
-			continue;
-		const uint32_t tag = log_fits(values[i], 4) ? 1u : log_fits(values[i], 8) ? 2u : 3u;
-		tags |= tag << 2 * i;
-		for (unsigned nibbles = tag == 1 ? 1 : tag == 2 ? 2 : 4; nibbles-- > 0;) {
-			const uint32_t nibble = (uint32_t)values[i] >> 4 * nibbles & 15u;
-			if (waits)
-				log_put(at, half << 4 | nibble);
-			half = nibble;
-			waits = !waits;
-		}
-	}
-	if (waits)
-		log_put(at, half << 4);
-	*head = (uint8_t)tags;
-}

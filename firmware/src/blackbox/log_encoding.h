@@ -12,7 +12,6 @@ enum log_encoding {
 	LOG_TAG8_8SVB =
 		6, /* up to 8 fields: a byte of bits, which are not 0; those as LOG_SIGNED. A single one without it */
 	LOG_TAG2_3S32 = 7, /* 3 fields: all in 2, 4 or 6 bits, or each in 1 to 4 bytes */
-	LOG_TAG8_4S16 = 8, /* 4 fields: each in 0, 4, 8 or 16 bits */
 	LOG_NOTHING = 9, /* the predictor alone */
 };
 
@@ -26,8 +25,5 @@ void log_put_tag8_8svb(uint8_t **at, const int32_t values[], unsigned count);
 
 /* Within 24 bits. */
 void log_put_tag2_3s32(uint8_t **at, const int32_t values[3]);
-
-/* Within 16 bits. */
-void log_put_tag8_4s16(uint8_t **at, const int32_t values[4]);
 
 #endif

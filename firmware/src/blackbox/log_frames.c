@@ -28,8 +28,8 @@ enum predictor {
 	X(ITERATION, "loopIteration", ALWAYS, 1, 0, 5, ZERO, LOG_UNSIGNED, INCREMENT, LOG_NOTHING)                     \
 	X(TIME, "time", ALWAYS, 1, 0, 5, ZERO, LOG_UNSIGNED, STRAIGHT_LINE, LOG_SIGNED)                                \
 	X(ERROR, "axisError[", NF_LOG_GROUP_PID, 3, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG2_3S32)                   \
-	X(COMMAND, "rcCommand[", NF_LOG_GROUP_COMMANDS, 4, 1, 2, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_4S16)            \
-	X(SETPOINT, "setpoint[", NF_LOG_GROUP_SETPOINT, 4, 1, 2, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_4S16)            \
+	X(COMMAND, "rcCommand[", NF_LOG_GROUP_COMMANDS, 4, 1, 2, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_8SVB)            \
+	X(SETPOINT, "setpoint[", NF_LOG_GROUP_SETPOINT, 4, 1, 2, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_8SVB)            \
 	X(VOLTS, "vbatLatest", NF_LOG_GROUP_BATTERY, 1, 0, 3, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)             \
 	X(AMPS, "amperageLatest", NF_LOG_GROUP_BATTERY, 1, 1, 3, ZERO, LOG_SIGNED, PREVIOUS, LOG_TAG8_8SVB)            \
 	X(RSSI, "rssi", NF_LOG_GROUP_RSSI, 1, 0, 2, ZERO, LOG_UNSIGNED, PREVIOUS, LOG_TAG8_8SVB)                       \
@@ -73,8 +73,6 @@ static unsigned frames_together(const struct log_frames *f, enum log_frame frame
 
 	if (encoding == LOG_TAG2_3S32)
 		return 3;
-	if (encoding == LOG_TAG8_4S16)
-		return 4;
 	if (encoding != LOG_TAG8_8SVB)
 		return 1;
 	while (count < 8 && first + count < f->count && f->fields[first + count].encoding[frame] == encoding)
@@ -434,9 +432,6 @@ static size_t frames_write(struct log_frames *f, enum log_frame frame, uint8_t b
 			break;
 		case LOG_TAG2_3S32:
 			log_put_tag2_3s32(&at, rest);
-			break;
-		case LOG_TAG8_4S16:
-			log_put_tag8_4s16(&at, rest);
 			break;
 		default:
 			break;

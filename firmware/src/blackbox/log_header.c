@@ -173,27 +173,23 @@ static void header_craft(char **at, const struct nf_settings *s)
 /* The ecosystem's number of the debug mode whose slots debug[0] to debug[3] are. */
 #define DEBUG_CHIRP "97"
 
-#define COUNT(name, write) +1
-#define LINE_COUNT (0 LINES(COUNT))
-#define CASE(name, write)              \
-	if (number == line++) {        \
-		header_name(at, name); \
-		write;                 \
-		return;                \
+#define NAME(name, write) name,
+static const char *const names[] = { LINES(NAME) };
+#define LINE_COUNT (sizeof names / sizeof names[0])
+#define CASE(name, write)       \
+	if (number == line++) { \
+		write;          \
+		return;         \
 	}
-
-static void header_name(char **at, const char *name)
-{
-	log_text(at, "H ");
-	log_text(at, name);
-	log_text(at, ":");
-}
 
 static void header_line(char **at, unsigned number, const struct log_about *about, const struct log_frames *frames)
 {
 	const struct nf_settings *s = about->settings;
 	unsigned line = 0;
 
+	log_text(at, "H ");
+	log_text(at, names[number]);
+	log_text(at, ":");
 	LINES(CASE)
 }
 
