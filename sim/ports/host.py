@@ -74,8 +74,11 @@ class HostPort:
         program: Path,
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         settings: Mapping[str, float] | None = None,
+        blackbox: Path | None = None,
     ) -> None:
         """Start the program on free loopback ports with these settings, the others at their defaults.
+
+        blackbox: file that logs of its flights are appended to.
 
         Raises LinkError when it is missing or does not start.
         """
@@ -85,12 +88,14 @@ class HostPort:
         self._ffi, self._lib = library.ffi, library.lib
         with contextlib.ExitStack() as undo:
             self._motor, self._servo, self._trace = (undo.enter_context(udp_socket()) for _ in range(3))
-            options = {
+            options: dict[str, int | str] = {
                 "gyro-hz": gyro_rate_hz,
                 "motor-port": _port(self._motor),
                 "servo-port": _port(self._servo),
                 "trace-port": _port(self._trace),
             }
+            if blackbox is not None:
+                options["blackbox"] = str(blackbox)
             wanted = flight_settings(settings)
             changes = setting_changes(wanted)
             self._child = undo.enter_context(_Child(program, options, changes))
@@ -238,7 +243,7 @@ def _motors_of_outputs(settings: Mapping[str, float], motors: int) -> NDArray[np
 class _Child:
     """The running program: started on entering, ended on leaving."""
 
-    def __init__(self, program: Path, options: Mapping[str, int], changes: Sequence[str]) -> None:
+    def __init__(self, program: Path, options: Mapping[str, int | str], changes: Sequence[str]) -> None:
         """options: names without dashes to values; ports that are not named are the system's choice.
 
         changes: of settings, NAME=VALUE.

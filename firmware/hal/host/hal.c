@@ -16,6 +16,7 @@
 #include "hal/host/convert.h"
 #include "hal/host/flash_file.h"
 #include "hal/host/link.h"
+#include "hal/host/log_file.h"
 #include "hal/host/msp_tcp.h"
 #include "hal/host/options.h"
 #include "policy.h"
@@ -26,6 +27,7 @@ static struct host {
 	struct msp_tcp tcp;
 	struct flash_file flash;
 	struct host_board board;
+	struct log_file log;
 	struct hal hal;              /* of the board */
 	double time_s;               /* of the last state packet; NaN: there was none */
 	unsigned long bad;           /* samples whose rate was NaN */
@@ -107,6 +109,11 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	if (!flash_file_open(&host.flash, host.options.settings))
 		return 1;
 	host_board_init(&host.board, host.flash.bytes);
+	if (host.options.blackbox) {
+		if (!log_file_open(&host.log, host.options.blackbox))
+			return 1;
+		host.board.log = &host.log.device;
+	}
 	host.hal = host_board_hal(&host.board);
 	host.hal.flash = flash_file_interface(&host.flash, &host.hal.flash);
 	host.hal.trace_write = host_trace_write;

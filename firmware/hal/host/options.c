@@ -36,7 +36,7 @@ static const struct number {
 	  "gyro samples per second; 0 is as set" },
 };
 #define NUMBER_COUNT (sizeof numbers / sizeof numbers[0])
-enum { SETTINGS = NUMBER_COUNT, SET, WITH_PARENT, HELP, OPTION_COUNT };
+enum { SETTINGS = NUMBER_COUNT, BLACKBOX, SET, WITH_PARENT, HELP, OPTION_COUNT };
 
 static void options_print_help(void)
 {
@@ -46,6 +46,7 @@ static void options_print_help(void)
 		printf("  --%-14s N  %s (%u)\n", numbers[i].name, numbers[i].help, numbers[i].preset);
 	printf("  --%-14s F  %s\n", "settings",
 	       "file with the flash: settings, policies, faults; made if there is none");
+	printf("  --%-14s F  %s\n", "blackbox", "file that logs of flights are appended to; made if there is none");
 	printf("  --%-14s S  %s\n", "set", "NAME=VALUE: a setting of this start; may be repeated");
 	printf("  --%-14s    %s\n", "with-parent", "end when the parent process ends");
 	printf("  --%-14s    %s\n", "help", "print this and end");
@@ -97,6 +98,9 @@ static int options_take_next(struct options *options, size_t index, const char *
 	case SETTINGS:
 		options->settings = text;
 		return HAL_RUN;
+	case BLACKBOX:
+		options->blackbox = text;
+		return HAL_RUN;
 	case SET:
 		return options_take_change(options, text) ? HAL_RUN : 1;
 	case WITH_PARENT:
@@ -114,6 +118,7 @@ int options_parse(struct options *options, int argc, char **argv)
 {
 	struct option known[OPTION_COUNT + 1] = {
 		[SETTINGS] = { .name = "settings", .has_arg = required_argument },
+		[BLACKBOX] = { .name = "blackbox", .has_arg = required_argument },
 		[SET] = { .name = "set", .has_arg = required_argument },
 		[WITH_PARENT] = { .name = "with-parent" },
 		[HELP] = { .name = "help" },

@@ -14,6 +14,7 @@ struct options {
 	unsigned msp_port;                              /* listened on; 0: any free one */
 	unsigned gyro_hz;                               /* 0: as set */
 	const char *settings;                           /* file of the flash; NULL: erased memory */
+	const char *blackbox; /* file for logs; NULL: none is written */
 	struct setting_change changes[NF_SETTING_COUNT];
 	size_t change_count;
 	bool with_parent;                               /* end when the parent process does */
