@@ -63,6 +63,7 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
         *("card_log.c:log_write", "card_log.c:log_end", "log_uart.c:device"),
     ),
     "sd_card.c": ("card_spi.c:bus",),
+    "card_log.c": ("card_spi.c:bus",),
     "blackbox_kept.c": (
         "card_log.c:log_status",
         "card_log.c:log_entry",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sim.blackbox.log import Log, floats
 from tests.firmware.blackbox.flights import Flown, fly
@@ -36,25 +37,39 @@ def flown(reference_library: Path) -> Flown:
     return fly(reference_library)
 
 
+def matrix(log: Log, name: str) -> NDArray[np.int64]:
+    """All fields of an array, which the log has."""
+    found = log.matrix(name)
+    assert found is not None
+    return found
+
+
+def held(log: Log, name: str) -> NDArray[np.int64]:
+    """A field of slow frames at each row."""
+    found = log.held(name)
+    assert found is not None
+    return np.asarray(found)
+
+
 def assert_the_same(flown: Flown, log: Log) -> None:
     """Every decoded value is the flight's."""
     rows = flown.rows(log)
-    assert log.matrix("motor").tolist() == flown.dshot[rows].tolist()  # type: ignore[union-attr]
-    assert (floats(log.matrix("gyroFloat")) == flown.gyro[rows]).all()  # type: ignore[arg-type]
-    setpoint = floats(log.matrix("setpointFloat"))  # type: ignore[arg-type]
+    assert matrix(log, "motor").tolist() == flown.dshot[rows].tolist()
+    assert (floats(matrix(log, "gyroFloat")) == flown.gyro[rows]).all()
+    setpoint = floats(matrix(log, "setpointFloat"))
     assert (setpoint[:, :3] == flown.setpoint[rows]).all() and (setpoint[:, 3] == flown.throttle[rows]).all()
-    raw = log.matrix("gyroRaw")
-    assert (raw == flown.counts[rows].reshape(len(rows), -1)).all()  # type: ignore[union-attr]
-    assert (log.matrix("accRaw") == flown.forces[rows]).all()  # type: ignore[comparison-overlap]
+    raw = matrix(log, "gyroRaw")
+    assert (raw == flown.counts[rows].reshape(len(rows), -1)).all()
+    assert np.array_equal(matrix(log, "accRaw"), flown.forces[rows])
     degrees = np.degrees(flown.gyro[rows].astype(float))
-    assert np.abs(log.matrix("gyroADC") - degrees).max() <= 0.501  # type: ignore[operator]
+    assert np.abs(matrix(log, "gyroADC") - degrees).max() <= 0.501
 
 
 def test_every_value_is_the_flights_when_its_log_is_read(flown: Flown, tmp_path: Path) -> None:
     log = flown.log(tmp_path)
     assert_the_same(flown, log)
     assert log.ended and log.lost == 0 and not log.notes
-    armed = log.held("flightModeFlags") & 1
+    armed = held(log, "flightModeFlags") & 1
     assert len(armed) > 700 and 480 < armed.sum() < 520
     assert armed[0] == 0 and armed[-150:].sum() == 0  # it leads up to arming, and goes on behind it
     assert [event.kind for event in log.events] == [
@@ -83,7 +98,7 @@ def test_a_log_holds_all_samples_when_the_gyro_has_another_rate(
     flown = fly(reference_library, 0.2, gyro_hz=rate)
     log = flown.log(tmp_path)
     rows = flown.rows(log)
-    assert (log.matrix("gyroRaw") == flown.counts[rows].reshape(len(rows), -1)).all()  # type: ignore[union-attr]
+    assert np.array_equal(matrix(log, "gyroRaw"), flown.counts[rows].reshape(len(rows), -1))
     assert (log.columns["sampleFlags"] >> 16 == rate // 1000).all()
     assert log.lost == 0
 
@@ -92,7 +107,7 @@ def test_frames_are_the_dividers_when_it_is_set(reference_library: Path, tmp_pat
     flown = fly(reference_library, 0.2, {"blackbox_divider": 8})
     log = flown.log(tmp_path)
     assert (np.diff(log.columns["loopIteration"]) == 8).all() and log.lost == 0
-    assert (log.matrix("motor") == flown.dshot[flown.rows(log)]).all()  # type: ignore[comparison-overlap]
+    assert np.array_equal(matrix(log, "motor"), flown.dshot[flown.rows(log)])
 
 
 @pytest.mark.parametrize(
@@ -108,7 +123,7 @@ def test_a_group_is_missing_when_it_is_masked(
     assert there == set(GROUPS) - set(left_out)
     assert (np.diff(log.columns["loopIteration"]) == 1).all() and not log.notes
     if LogGroup.MOTOR in there:
-        assert (log.matrix("motor") == flown.dshot[flown.rows(log)]).all()  # type: ignore[comparison-overlap]
+        assert np.array_equal(matrix(log, "motor"), flown.dshot[flown.rows(log)])
 
 
 def test_drops_are_told_when_the_device_takes_nothing_for_a_while(
@@ -120,7 +135,7 @@ def test_drops_are_told_when_the_device_takes_nothing_for_a_while(
     assert_the_same(flown, log)
     gaps = np.diff(log.columns["loopIteration"]) - 1
     assert gaps.sum() > 100
-    assert log.held("dropped")[-1] == gaps.sum()
+    assert held(log, "dropped")[-1] == gaps.sum()
     assert sum(event.kind == LogEvent.LOGGING_RESUME for event in log.events) == (gaps > 0).sum()
     assert log.ended
 

@@ -43,7 +43,9 @@ def test_each_flight_is_appended_when_a_file_is_named(host_program: Path, tmp_pa
         log = read_log(path, number)
         assert log.ended and log.lost == 0 and log.events[-1].kind == LogEvent.LOG_END
         rows = log.columns["loopIteration"] + log.headers.integer("nf_first_step", -1)
-        assert (log.matrix("motor") == np.array(values)[rows]).all()
+        motors = log.matrix("motor")
+        assert motors is not None
+        assert np.array_equal(motors, np.array(values)[rows])
 
 
 def test_a_file_that_cannot_be_written_is_one_line(host_program: Path, tmp_path: Path) -> None:
