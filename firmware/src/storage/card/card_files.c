@@ -338,8 +338,8 @@ void card_files_measure(struct card_files *files, uint32_t file)
 	files->phase = FILES_END;
 }
 
-/* A log fills its file from the begin; its last sector is filled up with zeros, and where it was cut off a part of it may
- * be as it was, blank. */
+/* A log fills its file from the begin. Its last byte is a 0, the end of LOG_END, and further ones fill its last sector up:
+ * it ends a byte behind the last one that is not blank. One that was cut off may be told a byte too long. */
 static void files_end(struct card_files *files, const uint8_t *block)
 {
 	if (files->high - files->low > 1u) {
@@ -356,7 +356,9 @@ static void files_end(struct card_files *files, const uint8_t *block)
 
 	while (count != 0u && block[count - 1u] == filler && (filler == 0x00u || filler == 0xFFu))
 		--count;
-	files->files[files->file].bytes = files->low * SD_BLOCK_BYTES + count;
+	struct card_file *const file = &files->files[files->file];
+	file->bytes = files->low * SD_BLOCK_BYTES + count;
+	file->bytes += file->bytes != file->sectors * SD_BLOCK_BYTES;
 	files->phase = FILES_KNOWN;
 }
 

@@ -162,7 +162,9 @@ class Recorder:
     def record(self, data: bytes, rate: float = 125_000.0) -> list[tuple[float, int]]:
         """Gives `data` at so many bytes a second, refused ones again; (time, bytes taken), by rounds."""
         taken, begun, history = 0, self.cycle, []
+        limit = begun + round((len(data) / rate * 3 + 5) * CYCLES_A_SECOND)
         while taken < len(data):
+            assert self.cycle < limit, f"{taken} of {len(data)} bytes: {self.state!r}, {self.error!r}"
             due = min(len(data), int((self.cycle - begun) / CYCLES_A_SECOND * rate) + 1)
             if due > taken:
                 taken += self.write(data[taken:due])
