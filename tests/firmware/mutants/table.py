@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.firmware.mutants.card_mutants import CARD_MUTANTS
 from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
 from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
 from tests.firmware.mutants.image_mutants import IMAGE_MUTANTS
@@ -18,6 +19,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *CONTROL_MUTANTS,
     *SAFETY_MUTANTS,
     *STORAGE_MUTANTS,
+    *CARD_MUTANTS,
     *IMAGE_MUTANTS,
     *JOINED_MUTANTS,
     *COMMAND_LINE_MUTANTS,

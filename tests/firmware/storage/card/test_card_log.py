@@ -155,6 +155,7 @@ def test_bytes_are_refused_and_none_is_lost_when_the_card_stalls(slot: MakeRecor
     while taken < len(data):
         got = recorder.write(data[taken : taken + step])
         taken += got
+        assert recorder.state == LogState.LOGGING
         refused += got < step and taken < len(data)
         recorder.step()
     assert refused > 1000, "for some 370 ms of 500, which the ring does not hold"
