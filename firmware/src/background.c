@@ -1,6 +1,7 @@
 #include "background.h"
 
 #include "common/fence.h"
+#include "firmware_layout.h"
 #include "sensing/filters.h"
 
 #define ALERT_RATE_HZ 50
@@ -525,6 +526,11 @@ static bool background_keep(void *context, uint32_t *step)
 	return firmware_samples(fw) == samples;
 }
 
+static uint32_t background_layout(void)
+{
+	return FIRMWARE_LAYOUT;
+}
+
 static void background_init_blackbox(struct background *background)
 {
 	const struct background_config *config = &background->config;
@@ -545,6 +551,7 @@ static void background_init_blackbox(struct background *background)
 					 (struct nf_image_header){ 0 },
 			.state = &background->kept,
 			.state_bytes = sizeof background->kept,
+			.state_layout = background_layout(),
 		},
 		.context = background,
 		.snapshot = background_keep,

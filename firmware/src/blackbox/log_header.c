@@ -252,7 +252,7 @@ static bool header_state(char **at, struct log_header *header, const struct log_
 		return false;
 	if (header->state_line == 0) {
 		log_text(at, "H nf_state_layout:");
-		log_text_whole(at, (uint32_t)about->state_bytes);
+		log_text_whole(at, about->state_layout);
 		log_text(at, "\nH nf_state_step:");
 		log_text_whole(at, about->state_step);
 		log_text(at, "\nH nf_state_crc:");

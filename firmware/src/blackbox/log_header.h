@@ -23,6 +23,7 @@ struct log_about {
 	uint32_t first_step; /* control step since boot of the first frame */
 	const void *state; /* of the firmware, NULL: the log cannot be replayed */
 	size_t state_bytes;
+	uint32_t state_layout; /* what its bytes mean */
 	uint32_t state_step; /* control step after which it was taken */
 	int32_t volts_cv; /* 0.01 V */
 };
