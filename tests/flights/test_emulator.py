@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flash.settings import parse_change
-from sim.board.debug.variables import read_variables
+from sim.board.debug.variables import pointers_in, read_variables
 from sim.board.devices.gyro_chip import ICM20689
 from sim.board.matekf722 import GYROS
 from sim.control import sticks
@@ -96,6 +96,23 @@ def test_variables_are_found_by_name_or_named_when_they_are_not_there(board_imag
         read_variables(board_image, "firmware.status.trace.stap")
     with pytest.raises(BuildError, match="0 variables named firmwar,"):
         read_variables(board_image, "firmwar.status")
+
+
+def test_the_pointers_of_a_structure_are_found_wherever_they_lie_in_it(board_image: Path) -> None:
+    whole, weights, outputs, counts = read_variables(
+        board_image,
+        *(
+            f"firmware{field}"
+            for field in ("", ".control.weights", ".dshot_command.outputs", ".gyro.last.gyro")
+        ),
+    )
+    found = pointers_in(board_image, "firmware")
+    for pointer in (weights, outputs):
+        begin = pointer.address - whole.address
+        assert pointer.dtype.kind == "V"
+        assert slice(begin, begin + 8) in found  # the union around it has room for a computer's
+    assert not any(place.start <= counts.address - whole.address < place.stop for place in found)
+    assert pointers_in(board_image, "firmware.gyro") == ()
 
 
 def test_an_icm20689_flies_the_same_bits_when_the_pilot_has_said_how_it_is_turned(

@@ -6,6 +6,8 @@ found where it is now, or not at all: nothing here knows a layout.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ class Variable:
     """A number, an array of them, or a structure, at a fixed place."""
 
     address: int
-    dtype: np.dtype[Any]  # little-endian; an array has a shape, a structure fields
+    dtype: np.dtype[Any]  # little-endian; an array has a shape, structures and unions fields, a pointer bytes
 
     @property
     def size(self) -> int:
@@ -36,16 +38,62 @@ class Variable:
 
 def read_variables(elf: Path, *paths: str) -> tuple[Variable, ...]:
     """The variables at `paths`. Raises BuildError when the ELF says nothing of one, or of two alike."""
+    with _units(elf) as units:
+        places = [_place(units, path, elf) for path in paths]
+        return tuple(Variable(at, _dtype(kind, path)) for path, (at, kind) in zip(paths, places, strict=True))
+
+
+def pointers_in(elf: Path, path: str) -> tuple[slice, ...]:
+    """Where in the variable at `path` addresses lie: the bytes of each pointer, of the union around it where
+    there is one. Raises BuildError as `read_variables` does.
+    """
+    with _units(elf) as units:
+        return tuple(_pointers(_place(units, path, elf)[1], 0))
+
+
+def constant(elf: Path, path: str) -> bytes:
+    """What the file has at `path`, a constant. Raises BuildError as `read_variables` does."""
+    (variable,) = read_variables(elf, path)
+    with elf.open("rb") as file:
+        for segment in ELFFile(file).iter_segments("PT_LOAD"):
+            at = variable.address - segment["p_vaddr"]
+            if at >= 0 and at + variable.size <= segment["p_filesz"]:
+                return bytes(segment.data()[at : at + variable.size])
+    raise BuildError(f"{elf}: {path} is not in the file")
+
+
+@contextmanager
+def _units(elf: Path) -> Iterator[list[Any]]:
+    """What the image's sources were compiled to, one by one."""
     try:
         with elf.open("rb") as file:
             image = ELFFile(file)
-            units = list(image.get_dwarf_info().iter_CUs()) if image.has_dwarf_info() else []
-            return tuple(_find(units, path, elf) for path in paths)
+            yield list(image.get_dwarf_info().iter_CUs()) if image.has_dwarf_info() else []
     except (OSError, ELFError) as error:
         raise BuildError(f"{elf}: not an ELF file with debug information ({error})") from error
 
 
-def _find(units: list[Any], path: str, elf: Path) -> Variable:
+def _pointers(kind: Any, at: int) -> Iterator[slice]:  # noqa: ANN401 - pyelftools has no types
+    """The bytes of each pointer in what is of `kind` and lies at byte `at`."""
+    size = kind.attributes["DW_AT_byte_size"].value if "DW_AT_byte_size" in kind.attributes else 0
+    if kind.tag == "DW_TAG_pointer_type":
+        yield slice(at, at + size)
+    elif kind.tag == "DW_TAG_array_type":
+        item = _type(kind)
+        each = _dtype(item, "").itemsize
+        for i in range(int(np.prod(_bounds(kind)))):
+            yield from _pointers(item, at + i * each)
+    elif kind.tag == "DW_TAG_union_type":
+        if any(True for _, inner, member in _members(kind) for _ in _pointers(member, inner)):
+            yield slice(at, at + size)
+    else:
+        for child in kind.iter_children() if kind.tag == "DW_TAG_structure_type" else ():
+            if child.tag == "DW_TAG_member":
+                yield from _pointers(_type(child), at + child.attributes["DW_AT_data_member_location"].value)
+
+
+def _place(units: list[Any], path: str, elf: Path) -> tuple[int, Any]:
+    """Address and type of the variable at `path`."""
     name, *fields = path.split(".")
     found = [
         die
@@ -56,34 +104,55 @@ def _find(units: list[Any], path: str, elf: Path) -> Variable:
     if len(found) != 1:
         raise BuildError(f"{elf}: {len(found)} variables named {name}, expected one")
     location = found[0].attributes["DW_AT_location"].value
-    if len(location) != 5 or location[0] != _OP_ADDR:
+    if len(location) not in (5, 9) or location[0] != _OP_ADDR:  # an address of 4 bytes, or of a computer's 8
         raise BuildError(f"{elf}: {name} has no fixed place")
     address, kind = int.from_bytes(bytes(location[1:]), "little"), _type(found[0])
     for field in fields:
-        members = {_name(member): member for member in _members(kind)}
+        members = {name: (at, inner) for name, at, inner in _members(kind)}
         if field not in members:
             raise BuildError(f"{elf}: {path}: there is no {field}, only {', '.join(members) or 'a number'}")
-        address += members[field].attributes["DW_AT_data_member_location"].value
-        kind = _type(members[field])
-    return Variable(address, _dtype(kind, path))
+        at, kind = members[field]
+        address += at
+    return address, kind
 
 
 def _name(die: Any) -> str:  # noqa: ANN401 - pyelftools has no types
+    die = _declaration(die)
     return die.attributes["DW_AT_name"].value.decode() if "DW_AT_name" in die.attributes else ""
+
+
+def _declaration(die: Any) -> Any:  # noqa: ANN401
+    """What has the name and type of `die`: of a variable that a header declares, the declaration."""
+    declared = "DW_AT_specification" in die.attributes
+    return die.get_DIE_from_attribute("DW_AT_specification") if declared else die
 
 
 def _type(die: Any) -> Any:  # noqa: ANN401
     """What `die` is of, without names and qualifiers."""
-    kind = die.get_DIE_from_attribute("DW_AT_type")
+    kind = _declaration(die).get_DIE_from_attribute("DW_AT_type")
     while kind.tag in _THROUGH:
         kind = kind.get_DIE_from_attribute("DW_AT_type")
     return kind
 
 
-def _members(kind: Any) -> list[Any]:  # noqa: ANN401
-    if kind.tag != "DW_TAG_structure_type":
-        return []
-    return [child for child in kind.iter_children() if child.tag == "DW_TAG_member"]
+def _members(kind: Any) -> Iterator[tuple[str, int, Any]]:  # noqa: ANN401
+    """Name, place and type of each member; those of a member without a name are members too."""
+    if kind.tag not in ("DW_TAG_structure_type", "DW_TAG_union_type"):
+        return
+    for child in kind.iter_children():
+        if child.tag != "DW_TAG_member":
+            continue
+        place = child.attributes.get("DW_AT_data_member_location")
+        at = 0 if place is None else place.value  # those of a union have none
+        if _name(child):
+            yield _name(child), at, _type(child)
+        else:
+            yield from ((name, at + inner, one) for name, inner, one in _members(_type(child)))
+
+
+def _bounds(kind: Any) -> tuple[int, ...]:  # noqa: ANN401
+    """The shape of an array."""
+    return tuple(child.attributes["DW_AT_upper_bound"].value + 1 for child in kind.iter_children())
 
 
 def _dtype(kind: Any, path: str) -> np.dtype[Any]:  # noqa: ANN401
@@ -91,16 +160,18 @@ def _dtype(kind: Any, path: str) -> np.dtype[Any]:  # noqa: ANN401
         size, encoding = (kind.attributes[f"DW_AT_{name}"].value for name in ("byte_size", "encoding"))
         return np.dtype(f"<{_KINDS[encoding]}{size}")
     if kind.tag == "DW_TAG_array_type":
-        bounds = [child.attributes["DW_AT_upper_bound"].value + 1 for child in kind.iter_children()]
-        return np.dtype((_dtype(_type(kind), path), tuple(bounds)))
-    if kind.tag == "DW_TAG_structure_type":
-        members = _members(kind)
+        return np.dtype((_dtype(_type(kind), path), _bounds(kind)))
+    if members := list(_members(kind)):
         return np.dtype(
             {
-                "names": [_name(member) for member in members],
-                "formats": [_dtype(_type(member), f"{path}.{_name(member)}") for member in members],
-                "offsets": [member.attributes["DW_AT_data_member_location"].value for member in members],
+                "names": [name for name, _, _ in members],
+                "formats": [_dtype(inner, f"{path}.{name}") for name, _, inner in members],
+                "offsets": [at for _, at, _ in members],
                 "itemsize": kind.attributes["DW_AT_byte_size"].value,
             }
         )
+    if kind.tag == "DW_TAG_enumeration_type":
+        return np.dtype(f"<u{kind.attributes['DW_AT_byte_size'].value}")
+    if kind.tag == "DW_TAG_pointer_type":
+        return np.dtype(f"V{kind.attributes['DW_AT_byte_size'].value}")
     raise BuildError(f"{path} is a {kind.tag}, expected numbers")
