@@ -19,7 +19,9 @@
 #include "hal/host/log_file.h"
 #include "hal/host/msp_tcp.h"
 #include "hal/host/options.h"
+#include "hal/host/replay_stream.h"
 #include "policy.h"
+#include "program.h"
 
 static struct host {
 	struct options options;
@@ -97,6 +99,17 @@ static bool host_reset(void *context, enum nf_reboot kind)
 	return true;
 }
 
+/* Opens what a simulator and MSP's peers speak to. */
+static bool host_open(const struct options *options)
+{
+	if (!link_open(&host.link, options))
+		return false;
+	if (msp_tcp_open(&host.tcp, options->msp_port))
+		return true;
+	link_close(&host.link);
+	return false;
+}
+
 int hal_init(int argc, char **argv, struct hal_info *info)
 {
 	const int start = options_parse(&host.options, argc, argv);
@@ -119,12 +132,8 @@ int hal_init(int argc, char **argv, struct hal_info *info)
 	host.hal.trace_write = host_trace_write;
 	host.hal.cycles = host_cycles;
 	host.hal.reset = host_reset;
-	if (!link_open(&host.link, &host.options))
+	if (host.options.replay == NULL && !host_open(&host.options))
 		return 1;
-	if (!msp_tcp_open(&host.tcp, host.options.msp_port)) {
-		link_close(&host.link);
-		return 1;
-	}
 	host.time_s = (double)NAN;
 	*info = (struct hal_info){
 		.bank = HOST_BANK,
@@ -223,6 +232,8 @@ static void host_print_problems(void)
 int hal_run(const struct hal_handlers *handlers, const struct nf_settings *settings)
 {
 	(void)settings;
+	if (host.options.replay)
+		return replay_stream_run(((const struct program *)handlers->context)->firmware, host.options.replay);
 	int code = host_print_ready() ? 0 : 1;
 
 	while (!ended && code == 0) {
@@ -275,6 +286,8 @@ int hal_refuse(enum nf_err why)
 		fprintf(stderr, "neuroflight: the board's configuration is refused (error %d)\n", (int)why);
 		break;
 	}
+	if (host.options.replay)
+		return 1;
 	msp_tcp_close(&host.tcp);
 	link_close(&host.link);
 	return 1;

@@ -36,7 +36,7 @@ static const struct number {
 	  "gyro samples per second; 0 is as set" },
 };
 #define NUMBER_COUNT (sizeof numbers / sizeof numbers[0])
-enum { SETTINGS = NUMBER_COUNT, BLACKBOX, SET, WITH_PARENT, HELP, OPTION_COUNT };
+enum { SETTINGS = NUMBER_COUNT, BLACKBOX, SET, REPLAY, WITH_PARENT, HELP, OPTION_COUNT };
 
 static void options_print_help(void)
 {
@@ -48,6 +48,8 @@ static void options_print_help(void)
 	       "file with the flash: settings, policies, faults; made if there is none");
 	printf("  --%-14s F  %s\n", "blackbox", "file that logs of flights are appended to; made if there is none");
 	printf("  --%-14s S  %s\n", "set", "NAME=VALUE: a setting of this start; may be repeated");
+	printf("  --%-14s F  %s\n", "replay",
+	       "a flight's inputs, - for stdin; what comes of them goes to stdout, and it ends");
 	printf("  --%-14s    %s\n", "with-parent", "end when the parent process ends");
 	printf("  --%-14s    %s\n", "help", "print this and end");
 	printf("\nPort 0 takes any free port; the line \"ready\" on stdout tells which.\n");
@@ -103,6 +105,9 @@ static int options_take_next(struct options *options, size_t index, const char *
 		return HAL_RUN;
 	case SET:
 		return options_take_change(options, text) ? HAL_RUN : 1;
+	case REPLAY:
+		options->replay = text;
+		return HAL_RUN;
 	case WITH_PARENT:
 		options->with_parent = true;
 		return HAL_RUN;
@@ -120,6 +125,7 @@ int options_parse(struct options *options, int argc, char **argv)
 		[SETTINGS] = { .name = "settings", .has_arg = required_argument },
 		[BLACKBOX] = { .name = "blackbox", .has_arg = required_argument },
 		[SET] = { .name = "set", .has_arg = required_argument },
+		[REPLAY] = { .name = "replay", .has_arg = required_argument },
 		[WITH_PARENT] = { .name = "with-parent" },
 		[HELP] = { .name = "help" },
 	};

@@ -17,6 +17,7 @@ struct options {
 	const char *blackbox; /* file for logs; NULL: none is written */
 	struct setting_change changes[NF_SETTING_COUNT];
 	size_t change_count;
+	const char *replay;                             /* a flight to replay instead of being flown; NULL: none */
 	bool with_parent;                               /* end when the parent process does */
 };
 

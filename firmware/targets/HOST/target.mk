@@ -6,7 +6,7 @@ comma := ,
 CPUFLAGS := -fPIC -fshort-enums $(if $(filter x86_64,$(shell uname -m)),-mfma)
 
 # The program speaks over sockets, the library to its caller; both turn rates into counts the same way.
-HOST_PROGRAM_SOURCES := $(addprefix hal/host/,hal.c options.c link.c msp_tcp.c flash_file.c log_file.c)
+HOST_PROGRAM_SOURCES := $(addprefix hal/host/,hal.c options.c link.c msp_tcp.c flash_file.c log_file.c replay_stream.c)
 HOST_SHARED_SOURCES := $(addprefix hal/host/,board.c changes.c convert.c receiver_line.c flash_model.c replay.c)
 HOST_LIBRARY_SOURCES := $(addprefix hal/host/,reference.c log_pipe.c)
 HAL_SOURCES := $(HOST_PROGRAM_SOURCES) $(HOST_SHARED_SOURCES) $(HOST_LIBRARY_SOURCES)
