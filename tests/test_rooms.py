@@ -62,6 +62,7 @@ ROOMS = (
     "sim/flight",
     "sim/analysis",
     "sim/blackbox",
+    "sim/replay",
     "sim/recorded",
     "sim/design",
     "sim/identification",

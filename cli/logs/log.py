@@ -18,6 +18,7 @@ COMMANDS = {  # in the order of --help: the summary
     "metrics": "the figures of a flight that `fly` prints, against the gyro",
     "commands": "how a pilot's commands are distributed",
     "quality": "what a log can answer, and what it cannot",
+    "replay": "give the firmware again what it was given in flight, and compare every motor value",
 }
 
 

@@ -418,3 +418,26 @@ _EVENTS: dict[int, tuple[str, tuple[str, ...]]] = {
     40: ("imu failure", ("code",)),  # INAV's
     LogEvent.LOG_END: ("end", ()),
 }
+
+
+def field_bytes(data: bytes, headers: Headers) -> dict[str, int]:
+    """Bytes that each field takes in the frames of `data`, by name; those of a group are its first's."""
+    decoder = _Decoder(data, headers)
+    found: dict[str, int] = {}
+    for _, definitions, _ in decoder._definitions.values():
+        for one in definitions:
+            one.decoderfun = _weighed(one.name, one.decoderfun, found)
+    decoder.run(lambda _: None)
+    return found
+
+
+def _weighed(name: str, decode: Callable[..., Any], found: dict[str, int]) -> Callable[..., Any]:
+    """`decode`, which adds to `found` the bytes that it takes."""
+
+    def weigh(source: Iterator[int], context: Any) -> Any:  # noqa: ANN401 - orangebox's
+        before = operator.length_hint(source)
+        value = decode(source, context)
+        found[name] = found.get(name, 0) + before - operator.length_hint(source)
+        return value
+
+    return weigh

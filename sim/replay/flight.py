@@ -1,0 +1,231 @@
+"""From a decoded log to what can be replayed, or to the reason why it cannot: one line each."""
+
+from __future__ import annotations
+
+import zlib
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flash.setting_text import parse_setting
+from sim.blackbox.log import Log, Maker, floats, words
+from sim.replay.inputs import Answers, Edge, Flight, Inputs
+from toolchain.contract import GYRO_BAD_MS, LOG_RECEIVER_BYTES, LogEvent, LogGroup
+from toolchain.errors import LinkError, TraceError
+
+SETTING = "nf_set_"
+STATE_BYTES_MAX = 1 << 16
+_REPLAY = ("gyroRaw[0]", "accRaw[0]", "sampleFlags", "lost")
+_HELD = ("edgeForbidden", "edgeGain")
+_SLOW = (*_HELD, "edgeFlags", "rxCount")
+_RECEIVED = tuple(f"rxBytes[{word}]" for word in range(LOG_RECEIVER_BYTES // 4))
+_INVALID, _REPEATED = 0, 8  # the first bit of sampleFlags that says so, of the oldest sample
+_SAMPLES = 16  # the first bit of sampleFlags that counts them
+_SILENCES = 16  # the first bit of edgeFlags that counts them
+
+Integers = NDArray[np.int64]
+
+
+def replayable(log: Log) -> Flight:
+    """What the control path was given in the flight of `log`, up to the first step that it lacks.
+
+    Raises TraceError where nothing of it can be replayed.
+    """
+    _check_kind(log)
+    state = _state(log)
+    gyro_hz, control_hz = (_rate(log, name) for name in ("nf_gyro_rate", "nf_control_rate"))
+    motors = log.matrix("motor")
+    if motors is None:
+        _refuse(log, "it has no motors to compare with", _mask(log, LogGroup.MOTOR))
+    inputs = _inputs(log, gyro_hz // control_hz)
+    count, incomplete = _usable(log, inputs, gyro_hz, gyro_hz // control_hz)
+    answers = Answers(
+        dshot=motors.astype(np.uint16)[:count],
+        gyro=_exact(log, "gyroFloat", 0, 3, count),
+        setpoint=_exact(log, "setpointFloat", 0, 3, count),
+        throttle=_exact(log, "setpointFloat", 3, 4, count),
+    )
+    rows = {name: getattr(inputs, name)[:count] for name in inputs.__dataclass_fields__}
+    return Flight(
+        path=log.path,
+        inputs=Inputs(**rows),
+        answers=answers,
+        t=log.t[:count],
+        state=state,
+        settings=_settings(log),
+        gyro_rate_hz=gyro_hz,
+        control_rate_hz=control_hz,
+        header=log.header,
+        layout=log.headers.integer("nf_state_layout", 0),
+        incomplete=incomplete,
+    )
+
+
+def _refuse(log: Log, what: str, mend: str) -> NoReturn:
+    raise TraceError(f"{log.path}: cannot be replayed: {what}; {mend}")
+
+
+def _mask(log: Log, group: LogGroup) -> str:
+    """What the user sets so that the next log has `group`."""
+    now = log.headers.integer(f"{SETTING}blackbox_disabled_mask", 0)
+    return (
+        f"fly again with blackbox_disabled_mask = {now & ~(1 << group)} (now {now}: bit {int(group)} is off)"
+    )
+
+
+def _check_kind(log: Log) -> None:
+    """Raise TraceError unless the log is one of ours, and has every control step and the group REPLAY."""
+    if log.maker is not Maker.NEUROFLIGHT:
+        _refuse(
+            log,
+            f"it is of {log.maker.value}, expected one of Neuroflight",
+            "its commands can be flown: fly --commands",
+        )
+    for names, columns in ((_REPLAY, log.columns), (_SLOW, log.slow)):
+        if missing := [name for name in names if name not in columns]:
+            what = f"it lacks {', '.join(missing)} of the group REPLAY"
+            _refuse(log, what, _mask(log, LogGroup.REPLAY))
+    if log.stride != 1:
+        what = f"it has every {log.stride}th control step, expected each"
+        _refuse(log, what, "fly again with blackbox_divider = 1")
+    first = int(log.columns["loopIteration"][0])
+    if first != 0:
+        what = f"its first {first} control steps are missing, and the state is of before them"
+        _refuse(log, what, "the file is damaged at its begin; take another copy")
+
+
+def _state(log: Log) -> bytes:
+    """The state of struct firmware in the header. Raises TraceError where it is not whole."""
+    lines = sorted(name for name in log.header if name.startswith("nf_state_") and name[9:].isdigit())
+    if not lines:
+        _refuse(
+            log,
+            "its header has no state of the control path (nf_state_000 ..)",
+            "it is damaged, or was not begun from the start; take another copy",
+        )
+    text = "".join(log.header[name].strip() for name in lines)
+    try:
+        state = bytes.fromhex(text)
+    except ValueError:
+        _refuse(log, "the state in its header is no hexadecimal number", "take another copy of the file")
+    whole = lines == [f"nf_state_{number:03d}" for number in range(len(lines))]
+    if not whole or len(state) > STATE_BYTES_MAX:
+        _refuse(log, "lines of the state in its header are missing", "take another copy of the file")
+    said = log.header.get("nf_state_crc", "").strip()
+    if said and said.lower() != f"{zlib.crc32(state):08x}":
+        what = f"the state in its header is damaged (CRC-32 {zlib.crc32(state):08x}, expected {said})"
+        _refuse(log, what, "take another copy of the file")
+    return state
+
+
+def _rate(log: Log, name: str) -> int:
+    """A rate [Hz] of the header."""
+    value = log.headers.integer(name, 0)
+    if not 0 < value <= 32_000:
+        _refuse(
+            log, f"its header says {name} {value}, expected a rate in Hz", "take another copy of the file"
+        )
+    return value
+
+
+def _settings(log: Log) -> dict[str, float]:
+    """The settings that were not default, texts left out: they change no flight."""
+    found = {}
+    for name, text in log.header.items():
+        if not name.startswith(SETTING):
+            continue
+        try:
+            setting, value = parse_setting(f"{name.removeprefix(SETTING)}={text}")
+        except LinkError as error:
+            _refuse(log, f"its header says {name}:{text[:40]} ({error})", "use the version that flew")
+        if not isinstance(value, str):
+            found[setting] = float(value)
+    return found
+
+
+def _inputs(log: Log, divider: int) -> Inputs:
+    """All rows of the log; whether they follow from one another is `_usable`'s question."""
+    slow = _slow(log)
+    flags = words(slow["edgeFlags"])
+    raw, accel = log.matrix("gyroRaw"), log.matrix("accRaw", 3)
+    if raw is None or accel is None or raw.shape[1] != 3 * divider:
+        what = f"it has {0 if raw is None else raw.shape[1]} columns gyroRaw, expected {3 * divider}"
+        _refuse(log, what, "take another copy of the file")
+    bits = log.columns["sampleFlags"]
+    places = np.arange(divider)
+    received = np.stack([slow[name] for name in _RECEIVED], axis=1).astype("<u4").view(np.uint8)
+    return Inputs(
+        step=log.columns["loopIteration"],
+        samples=bits >> _SAMPLES,
+        counts=raw.astype(np.int16).reshape(len(log), divider, 3),
+        invalid=(bits[:, None] >> (_INVALID + places) & 1).astype(bool),
+        repeated=(bits[:, None] >> (_REPEATED + places) & 1).astype(bool),
+        accel=accel.astype(np.int16),
+        lost=log.columns["lost"],
+        silences=(flags >> _SILENCES).astype(np.int64),
+        flags=flags & np.uint32((1 << _SILENCES) - 1),
+        forbidden=words(slow["edgeForbidden"]),
+        gain=floats(slow["edgeGain"]),
+        received=slow["rxCount"],
+        receiver=np.ascontiguousarray(received),
+    )
+
+
+def _slow(log: Log) -> dict[str, Integers]:
+    """The fields of slow frames as (N,): what was handed over stays, what came belongs to its step alone."""
+    rows = len(log)
+    told = log.slow_row < rows
+    at = log.slow_row[told]
+    frames = np.searchsorted(log.slow_row, np.arange(rows), side="right") - 1  # that holds in each row
+    found = {}
+    for name in (*_SLOW, *_RECEIVED):
+        values = log.slow[name]
+        if name in _HELD:
+            found[name] = values[np.maximum(frames, 0)]
+        else:
+            found[name] = np.zeros(rows, np.int64)
+            found[name][at] = values[told]
+    return found
+
+
+def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> NDArray[np.bool_]:
+    """Rows (N,) whose samples, lost ones and silences fill the time since the row before; the first does."""
+    sample = (log.time_us * gyro_hz + 500_000) // 1_000_000  # of each row, since the boot
+    passed = inputs.samples + inputs.lost + inputs.silences * (gyro_hz * GYRO_BAD_MS // 1000)
+    follows: NDArray[np.bool_] = np.diff(sample, prepend=sample[:1] - passed[:1]) == passed
+    return follows
+
+
+def _usable(log: Log, inputs: Inputs, gyro_hz: int, divider: int) -> tuple[int, str]:
+    """Rows up to the first that cannot be replayed, and what it is about that one; "": all of them."""
+    flags = inputs.flags
+    resumed = np.zeros(len(log), bool)
+    for event in log.events:
+        if event.kind == LogEvent.LOGGING_RESUME and event.row < len(log):
+            resumed[event.row] = True
+    whole = (inputs.samples >= 1) & (inputs.samples <= divider)
+    reasons = (
+        (resumed | ~_follows(log, inputs, gyro_hz), "control steps before it are missing"),
+        (~whole, f"it has another number of gyro samples than 1 to {divider}"),
+        (flags & np.uint32(Edge.BENCH) > 0, "a motor test or a DShot command is under way"),
+        (flags & np.uint32(Edge.MORE_BYTES) > 0, "more receiver bytes came than the log holds"),
+        ((inputs.received < 0) | (inputs.received > LOG_RECEIVER_BYTES), "its receiver bytes are damaged"),
+    )
+    ends = [(int(rows.argmax()), why) for rows, why in reasons if rows.any()]
+    if not ends:
+        return len(log), ""
+    row, why = min(ends)
+    if row == 0:
+        _refuse(log, f"at its first control step {why}", "fly again")
+    at = f"control step {int(inputs.step[row]):,}, {log.t[row]:.3f} s"
+    return row, f"replayed up to {at}: {why}"
+
+
+def _exact(log: Log, name: str, first: int, last: int, count: int) -> NDArray[np.float32] | None:
+    """Columns of the group EXACT, (count, last - first) or (count,) of one; None where the log has none."""
+    found = log.matrix(name)
+    if found is None or found.shape[1] < last:
+        return None
+    values = np.ascontiguousarray(floats(np.ascontiguousarray(found[:count, first:last])))
+    return values[:, 0].copy() if last - first == 1 else values

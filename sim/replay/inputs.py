@@ -1,0 +1,120 @@
+"""What the control path of a flight was given, step by step, and what it answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Edge(IntFlag):
+    """Bits of a step's flags: `enum log_edge` of firmware/src/blackbox/log_record.h."""
+
+    POSTED = 1 << 0  # the bytes are channels that MSP posted
+    ACKNOWLEDGED = 1 << 1
+    CALIBRATE = 1 << 2
+    WEIGHTS_BAD = 1 << 3
+    WEIGHTS_GOOD = 1 << 4
+    MISSED = 1 << 5  # the step missed its deadline
+    SILENT = 1 << 6
+    MORE_BYTES = 1 << 7  # than the log could hold
+    BENCH = 1 << 8  # a motor test or a DShot command was under way
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What each of N control steps was given. Between two steps lie up to D gyro samples."""
+
+    step: NDArray[np.int64]  # (N,) number of the control step since the log's first
+    samples: NDArray[
+        np.int64
+    ]  # (N,) gyro samples that were taken since the step before, this step's included
+    counts: NDArray[np.int16]  # (N, D, 3) of the gyro, chip axes, oldest first; behind `samples`: 0
+    invalid: NDArray[np.bool_]  # (N, D) the transfer failed
+    repeated: NDArray[np.bool_]  # (N, D) a good sample that is the good one before it in every word
+    accel: NDArray[np.int16]  # (N, 3) of the last good sample, chip axes
+    lost: NDArray[np.int64]  # (N,) samples that nobody took since the step before
+    silences: NDArray[np.int64]  # (N,) silences of the gyro, of GYRO_BAD_MS each, since the step before
+    flags: NDArray[np.uint32]  # (N,) of Edge
+    forbidden: NDArray[np.uint32]  # (N,) arming reasons of the background
+    gain: NDArray[np.float32]  # (N,) of the PID for the battery's voltage
+    received: NDArray[np.int64]  # (N,) bytes from the receiver
+    receiver: NDArray[np.uint8]  # (N, LOG_RECEIVER_BYTES) they
+
+    def __len__(self) -> int:
+        """Control steps."""
+        return len(self.step)
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What came of each of N control steps."""
+
+    dshot: NDArray[np.uint16]  # (N, M) of each motor
+    gyro: NDArray[np.float32] | None = None  # (N, 3) [rad/s] as the controller had it; None: not known
+    setpoint: NDArray[np.float32] | None = None  # (N, 3) [rad/s]
+    throttle: NDArray[np.float32] | None = None  # (N,) 0..1
+
+    def __len__(self) -> int:
+        """Control steps."""
+        return len(self.dshot)
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A log that can be replayed."""
+
+    path: Path
+    inputs: Inputs
+    answers: Answers  # the log's
+    t: NDArray[np.float64]  # (N,) [s] since the log's first step
+    state: bytes  # of struct firmware before the first step
+    settings: dict[str, float]  # other than the defaults
+    gyro_rate_hz: int
+    control_rate_hz: int
+    header: dict[str, str]
+    layout: int  # what the bytes of the state mean
+    incomplete: str  # why it ends before the flight does; "": it does not
+
+    @property
+    def motor_count(self) -> int:
+        """Motors."""
+        return int(self.answers.dshot.shape[1])
+
+    def __len__(self) -> int:
+        """Control steps."""
+        return len(self.inputs)
+
+    def boot_settings(self) -> dict[str, float]:
+        """The settings to boot with; the gyro's rate is an option of its own."""
+        numbers = {
+            name: int(value) if value == int(value) else value for name, value in self.settings.items()
+        }
+        numbers.pop("gyro_rate_hz", None)
+        return numbers
+
+
+def words_of_samples(inputs: Inputs, last: tuple[int, ...]) -> NDArray[np.int16]:
+    """Every word (N, D, 7) that the chip gave: accelerometer, temperature, gyro.
+
+    The log has the accelerometer of each step's last good sample and no temperature. Nothing of the control
+    path looks at the others, except whether a sample repeats the one before it: a repetition is one here too,
+    and what is none differs in the temperature at least. last: the words of the last good sample before.
+    """
+    words = np.zeros((*inputs.invalid.shape, 7), np.int16)
+    words[:, :, :3] = inputs.accel[:, None, :]
+    words[:, :, 4:] = inputs.counts
+    before: list[int] = list(last)
+    for k, count in enumerate(inputs.samples.tolist()):
+        for i in range(count):
+            if inputs.invalid[k, i]:
+                continue
+            if inputs.repeated[k, i]:
+                words[k, i, :4] = before[:4]
+            else:
+                words[k, i, 3] = before[3] ^ 1
+            before = words[k, i].tolist()
+    return words

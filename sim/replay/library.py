@@ -1,0 +1,154 @@
+"""A log on the firmware's C core as a library: its state into the firmware's memory, then step by step.
+
+The state of a log goes into memory as it is; one that no firmware can have may end the process. So the
+library runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.ports.library import Reference
+from sim.replay.inputs import Answers, Flight
+from sim.replay.stream import ANSWER, STEP, packed, unpacked
+from toolchain.contract import MOTOR_COUNT_MAX
+from toolchain.errors import LinkError, NeuroflightError, TraceError
+
+Progress = Callable[[float], None]
+CHUNK = 2048  # control steps between two words of progress
+
+
+def replay_on_library(library: Path, flight: Flight, progress: Progress = lambda _: None) -> Answers:
+    """What comes of each control step of `flight`.
+
+    Raises LinkError where the library is missing or none, TraceError for a log that does not fit it.
+    """
+    return in_process(lambda: _boot(library, flight), flight, progress)
+
+
+def in_process(
+    boot: Callable[[], ReplayLibrary], flight: Flight, progress: Progress = lambda _: None
+) -> Answers:
+    """What comes of each control step in the library that `boot` makes ready, in a process of its own.
+
+    Raises TraceError where that crashes, and what `boot` and the replay raise.
+    """
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("fork").Process(
+        target=_run, args=(theirs, boot, flight), daemon=True
+    )
+    process.start()
+    theirs.close()
+    found: list[NDArray[np.void]] = [np.empty(0, ANSWER)]
+    try:
+        while True:
+            told = ours.recv()
+            if isinstance(told, NeuroflightError):
+                raise told
+            if told is None:
+                return unpacked(np.concatenate(found), flight.motor_count)
+            found.append(np.frombuffer(told, ANSWER))
+            progress(sum(map(len, found)) / max(len(flight), 1))
+    except EOFError:
+        process.join()
+        raise TraceError(
+            f"{flight.path}: the firmware crashed on it (exit code {process.exitcode}): the state in its "
+            "header is none that a firmware has; take another copy of the file"
+        ) from None
+    finally:
+        process.kill()
+        process.join()
+        ours.close()
+
+
+def _run(pipe: Connection, boot: Callable[[], ReplayLibrary], flight: Flight) -> None:
+    """Replay, in the process of its own: answers by and by, None at the end, or an error."""
+    try:
+        firmware = boot()
+        for first in range(0, len(flight), CHUNK):
+            pipe.send(firmware.replay(packed(flight, first, first + CHUNK), flight, first).tobytes())
+        pipe.send(None)
+    except NeuroflightError as error:
+        pipe.send(error)
+
+
+class ReplayLibrary(Reference):
+    """The library, which goes on from a state and takes the inputs of control steps."""
+
+    def __init__(self, library: Path, flight: Flight) -> None:
+        """Boot with the settings of the log. Raises LinkError as Reference does."""
+        super().__init__(library, flight.gyro_rate_hz, flight.boot_settings())
+        pointer, number, size = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_size_t
+        signatures = {
+            "reference_state_size": (size, ()),
+            "reference_layout": (number, ()),
+            "reference_restore": (ctypes.c_bool, (pointer, ctypes.c_char_p, size, number)),
+            "reference_replay": (ctypes.c_int, (pointer, pointer, pointer)),
+        }
+        for name, (result, arguments) in signatures.items():
+            function = getattr(self._library, name, None)
+            if function is None:
+                raise LinkError(f"{library}: cannot replay; build it anew with `make host`")
+            function.restype, function.argtypes = result, arguments
+        self.path = library
+
+    @property
+    def layout(self) -> int:
+        """What the bytes of a state mean."""
+        return int(self._library.reference_layout())
+
+    @property
+    def state_bytes(self) -> int:
+        """Of a state."""
+        return int(self._library.reference_state_size())
+
+    def memory(self, count: int) -> bytes:
+        """The state as it is now, the first `count` bytes of the instance."""
+        return bytes(memoryview(self._memory).cast("B")[:count])
+
+    def restore(self, state: bytes) -> bool:
+        """Go on from `state`, of this layout; False: it has another size."""
+        return bool(self._library.reference_restore(self._memory, state, len(state), self.layout))
+
+    def replay(self, steps: NDArray[np.void], flight: Flight, first: int) -> NDArray[np.void]:
+        """What comes of STEP (N,), control steps of `flight` from `first` on: ANSWER (N,)."""
+        steps = np.ascontiguousarray(steps, STEP)
+        answers = np.zeros(len(steps), ANSWER)
+        run, outputs = self._library.reference_replay, (ctypes.c_uint16 * MOTOR_COUNT_MAX)()
+        at, size = steps.ctypes.data, STEP.itemsize
+        for row in range(len(steps)):
+            result = run(self._memory, at + row * size, outputs)
+            if result:
+                step = int(flight.inputs.step[first + row])
+                raise TraceError(
+                    f"{flight.path}: control step {step} does not follow from those before it ({result}); "
+                    "the log is damaged there"
+                )
+            told, answer = self.trace(), answers[row]
+            answer["step"], answer["throttle"] = told.step, told.throttle
+            answer["setpoint"], answer["gyro"], answer["dshot"] = told.setpoint, told.gyro, told.dshot
+        return answers
+
+
+def _boot(library: Path, flight: Flight) -> ReplayLibrary:
+    """The library in the state of the log. Raises TraceError where that is of another firmware."""
+    firmware = ReplayLibrary(library, flight)
+    check_layout(flight, library, firmware.layout, firmware.state_bytes)
+    firmware.restore(flight.state)
+    return firmware
+
+
+def check_layout(flight: Flight, program: Path, layout: int, state_bytes: int) -> None:
+    """Raise TraceError unless the log's state is one of `program`, whose own has this layout and size."""
+    if (flight.layout, len(flight.state)) != (layout, state_bytes):
+        raise TraceError(
+            f"{flight.path}: its state has {len(flight.state)} bytes of layout {flight.layout:08x}, "
+            f"{program} expects {state_bytes} of {layout:08x}: another source or policy flew; build that one"
+        )

@@ -1,0 +1,66 @@
+"""Logs that the firmware's own blackbox writes on the library, for replays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.aircraft.model import load_aircraft
+from sim.flight.loop import fly
+from sim.flight.scenario import Scenario
+from sim.physics.twin import Twin
+from sim.ports.library import ReferencePort
+from sim.ports.port import Sample, twin_settings
+from toolchain.errors import LinkError
+
+DRAIN = 20  # gyro samples between two looks for bytes of the log
+AFTER = (
+    8000  # gyro samples that the firmware goes on after the flight: the log ends some time after disarming
+)
+
+Meddle = Callable[[ReferencePort, int, Sample], None]  # before sample number n is taken
+
+
+class LoggingPort(ReferencePort):
+    """The library behind its port, whose log is kept."""
+
+    def __init__(self, *arguments: Any, meddle: Meddle) -> None:
+        super().__init__(*arguments)
+        self.log = bytearray(self.reference.blackbox())
+        self._meddle, self._number = meddle, 0
+
+    def exchange(self, sample: Sample, channels_us: Any) -> Any:
+        """As the library, after whatever meddles."""
+        self._meddle(self, self._number, sample)
+        reply = super().exchange(sample, channels_us)
+        self._number += 1
+        if self._number % DRAIN == 0:
+            self.log += self.reference.blackbox()
+        return reply
+
+
+def logged(
+    library: Path,
+    scenario: Scenario,
+    path: Path,
+    *,
+    meddle: Meddle = lambda port, number, sample: None,
+    settings: dict[str, float] | None = None,
+    rate_hz: int = 4000,
+) -> Path:
+    """Fly the NF1 on the library and write its log to `path`."""
+    aircraft = load_aircraft("nf1")
+    port = LoggingPort(library, rate_hz, {**twin_settings(aircraft), **(settings or {})}, meddle=meddle)
+    twin = Twin(aircraft, rate_hz=rate_hz, mount=scenario.mount, rng=np.random.default_rng((1, 1)))
+    still = Sample(0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    with closing(port), closing(twin):
+        with suppress(LinkError):  # a fault may leave it disarmed
+            fly(twin, port, scenario)
+        for _ in range(AFTER):
+            port.exchange(still, None)
+    path.write_bytes(port.log)
+    return path

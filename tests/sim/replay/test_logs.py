@@ -1,0 +1,125 @@
+"""Logs of the firmware's blackbox, replayed; and those that cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.blackbox.log import read_log
+from sim.flight.scenario import load_scenario
+from sim.ports.library import ReferencePort
+from sim.ports.port import Sample
+from sim.replay.comparison import compare
+from sim.replay.emulator import replay_on_board
+from sim.replay.flight import replayable
+from sim.replay.host import replay_on_host
+from sim.replay.inputs import Edge
+from sim.replay.library import replay_on_library
+from tests.sim.replay.logs import logged
+from toolchain.contract import DSHOT_STOP, LogGroup
+from toolchain.errors import TraceError
+
+LATE, ON_TIME, NO_NUMBER, SILENT = 6000, 6012, 7003, 8001
+
+
+def troubled(port: ReferencePort, number: int, sample: Sample) -> None:
+    """Missed deadlines, so that the PID takes over; a sample that is none; at last a silence, which stops."""
+    if number in (LATE, ON_TIME):
+        port.reference.power(16.0, 0.0, 2000.0 if number == LATE else 0.0)
+    if number == NO_NUMBER:
+        sample.gyro[:] = np.nan
+    if number == SILENT:
+        port.reference.silent()
+
+
+@pytest.fixture(scope="session")
+def calm_log(reference_library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return logged(reference_library, load_scenario("roll", 1), tmp_path_factory.mktemp("logs") / "calm.bbl")
+
+
+@pytest.fixture(scope="session")
+def troubled_log(reference_library: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "troubled.bbl"
+    return logged(reference_library, load_scenario("roll", 1), path, meddle=troubled)
+
+
+def test_a_log_is_replayed_to_the_bit_when_the_flight_was_in_trouble(
+    troubled_log: Path, reference_library: Path, host_program: Path
+) -> None:
+    flight = replayable(read_log(troubled_log))
+    inputs = flight.inputs
+    assert (inputs.flags & Edge.MISSED).any() and inputs.invalid.any() and inputs.silences.sum() == 1
+    assert 500 < (flight.answers.dshot != DSHOT_STOP).any(axis=1).sum() < 1200 and not flight.incomplete
+    for found in (
+        compare(flight, replay_on_library(reference_library, flight)),
+        compare(flight, replay_on_host(host_program, flight)),
+    ):
+        assert found.equal and found.exact == ("gyro", "setpoint", "throttle"), str(found)
+
+
+def test_a_log_of_the_library_is_replayed_to_the_bit_on_the_board(
+    troubled_log: Path, board_image: Path
+) -> None:
+    flight = replayable(read_log(troubled_log))
+    found = compare(flight, replay_on_board(board_image.with_suffix(".bin"), flight))
+    assert found.equal, str(found)
+
+
+def test_the_command_says_how_much_is_equal_and_what_replay_costs(
+    calm_log: Path, reference_library: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build = str(reference_library.parent)
+    assert main(["log", "replay", str(calm_log), "--build", build]) == 0
+    assert "control steps, " in (said := capsys.readouterr().out) and "values, equal" in said
+    assert main(["log", "replay", str(calm_log), "--build", build, "--on", "host", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["equal"] and told["different"] == 0 and told["steps"] > 1500
+    assert 0 < told["bytes_per_second"]["replay"] < told["bytes_per_second"]["all"]
+
+
+def test_a_log_is_refused_in_a_line_when_it_lacks_what_a_replay_needs(
+    reference_library: Path, tmp_path: Path
+) -> None:
+    cases: dict[str, tuple[dict[str, float], str]] = {
+        "divided": (
+            {"blackbox_divider": 4},
+            "it has every 4th control step, expected each; .*blackbox_divider = 1",
+        ),
+        "masked": ({"blackbox_disabled_mask": 1 << LogGroup.REPLAY}, "the group REPLAY; .*bit 17 is off"),
+    }
+    for name, (settings, words) in cases.items():
+        path = logged(
+            reference_library, load_scenario("roll", 1), tmp_path / f"{name}.bbl", settings=settings
+        )
+        with pytest.raises(TraceError, match=words):
+            replayable(read_log(path))
+
+
+def test_a_log_with_a_damaged_state_is_refused(calm_log: Path, tmp_path: Path) -> None:
+    data = bytearray(calm_log.read_bytes())
+    at = data.index(b"H nf_state_005:") + 40
+    data[at] = ord("0") if data[at] != ord("0") else ord("1")
+    path = tmp_path / "damaged.bbl"
+    path.write_bytes(data)
+    with pytest.raises(TraceError, match=r"the state in its header is damaged \(CRC-32"):
+        replayable(read_log(path))
+    path.write_bytes(calm_log.read_bytes().replace(b"H nf_state_005:", b"H nf_stale_005:"))
+    with pytest.raises(TraceError, match="lines of the state in its header are missing"):
+        replayable(read_log(path))
+
+
+def test_another_policy_than_the_one_that_flew_is_refused(
+    calm_log: Path, reference_library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = calm_log.read_bytes()
+    at = data.index(b"H nf_policy:")
+    end = data.index(b"\n", at)
+    path = tmp_path / "other.bbl"
+    path.write_bytes(data[: end - 64] + b"0" * 64 + data[end:])
+    assert main(["log", "replay", str(path), "--build", str(reference_library.parent)]) == 1
+    said = capsys.readouterr().err
+    assert "policy 0000000000000000.. flew" in said and said.count("\n") == 1
