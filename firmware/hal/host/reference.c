@@ -20,6 +20,7 @@ struct reference {
 	struct hal hal;              /* of the board */
 	struct setting_change changes[NF_SETTING_COUNT];
 	struct log_ring log;
+	struct log_ring watched;     /* of reference_watch */
 	struct log_pipe pipe;
 	_Alignas(8) uint8_t flash_bytes[NF_FLASH_BYTES];
 };
@@ -159,15 +160,23 @@ void reference_answer(const void *self, struct reference_answer *out)
 	out->pid_flies = status->pid_flies;
 }
 
+void reference_watch(void *self)
+{
+	struct reference *r = self;
+
+	log_ring_init(&r->watched, true);
+	r->program.log = &r->watched;
+}
+
 bool reference_record(void *self, struct log_record *record)
 {
 	struct reference *r = self;
-	const struct log_record *next = log_ring_next(&r->log);
+	const struct log_record *next = log_ring_next(&r->watched);
 
 	if (!next)
 		return false;
 	*record = *next;
-	log_ring_take(&r->log);
+	log_ring_take(&r->watched);
 	return true;
 }
 

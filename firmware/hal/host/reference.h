@@ -58,6 +58,9 @@ struct reference_answer {
 
 void reference_answer(const void *self, struct reference_answer *out);
 
+/* From now on records go to the caller, by reference_record, instead of the blackbox. */
+void reference_watch(void *self);
+
 /* The oldest record of a control step that was not taken yet; false: there is none. */
 bool reference_record(void *self, struct log_record *record);
 

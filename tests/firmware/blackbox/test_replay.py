@@ -42,6 +42,8 @@ class Bench:
         ]
         error = self.lib.reference_init(self._memory, gyro_hz, core.new("char *[]", texts), len(texts))
         assert error == 0
+        if "blackbox_device=none" not in settings:
+            self.lib.reference_watch(self._memory)
         self._rates, self._force = core.new("double[3]"), core.new("double[3]")
         self._dshot = core.new("uint16_t[8]")
         self._channels = core.new(f"uint16_t[{CHANNEL_COUNT}]")
