@@ -50,7 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay the log. Returns 0 where every value is equal, or another policy was asked; else 1."""
+    """Replay the log. Returns 0 where every value is equal, or another policy was asked; else 1.
+
+    Also 1 where the file has a bit that the firmware did not write.
+    """
     from cli.output import check_output
     from sim.replay.flight import replayable
 
@@ -78,13 +81,17 @@ def _compare(args: argparse.Namespace, log: Log, flight: Flight) -> int:
     found = compare(flight, answers)
     if args.json:
         document = {"file": str(args.file), "on": args.on, "equal": found.equal, **asdict(found)}
-        document |= {"incomplete": flight.incomplete or None, "bytes_per_second": asdict(log_cost(log))}
+        document |= {
+            "incomplete": flight.incomplete or None,
+            "damaged": flight.damaged,
+            "bytes_per_second": asdict(log_cost(log)),
+        }
         print(json.dumps(document, indent=2))
     else:
         print(f"{args.file.name} on {args.on}: {found}")
         if not found.equal:
             print(image_note(flight))
-    return 0 if found.equal else 1
+    return 0 if found.equal and not flight.damaged else 1
 
 
 def _replay(args: argparse.Namespace, flight: Flight, show: Show) -> Answers:

@@ -8,7 +8,7 @@ from sim.blackbox.decoding import field_bytes
 from sim.blackbox.headers import read_bytes
 from sim.blackbox.log import Log, list_logs
 
-REPLAY = ("gyroRaw", "accRaw", "sampleFlags", "lost")  # of main frames
+REPLAY = ("gyroRaw", "accRaw", "sampleFlags", "lost", "inputCheck")  # of main frames
 REPLAY_SLOW = ("slowStep", "edgeForbidden", "edgeGain", "edgeFlags", "dropped", "rxCount", "rxBytes")
 
 

@@ -17,6 +17,7 @@ from toolchain.errors import LinkError, TraceError
 SETTING = "nf_set_"
 STATE_BYTES_MAX = 1 << 16
 _REPLAY = ("gyroRaw[0]", "accRaw[0]", "sampleFlags", "lost")
+_CHECK, _CHECK_MASK = "inputCheck", 0x3FFF
 _HELD = ("edgeForbidden", "edgeGain")
 _SLOW = (*_HELD, "edgeFlags", "rxCount")
 _RECEIVED = tuple(f"rxBytes[{word}]" for word in range(LOG_RECEIVER_BYTES // 4))
@@ -39,7 +40,8 @@ def replayable(log: Log) -> Flight:
     if motors is None:
         _refuse(log, "it has no motors to compare with", _mask(log, LogGroup.MOTOR))
     inputs = _inputs(log, gyro_hz // control_hz)
-    count, incomplete = _usable(log, inputs, gyro_hz, gyro_hz // control_hz)
+    sound = _sound(log, inputs, motors)
+    count, incomplete = _usable(log, inputs, gyro_hz, gyro_hz // control_hz, ~sound)
     answers = Answers(
         dshot=motors.astype(np.uint16)[:count],
         gyro=_exact(log, "gyroFloat", 0, 3, count),
@@ -59,6 +61,7 @@ def replayable(log: Log) -> Flight:
         header=log.header,
         layout=log.headers.integer("nf_state_layout", 0),
         incomplete=incomplete,
+        damaged=bool((~sound[: count + 1]).any()),
     )
 
 
@@ -197,7 +200,9 @@ def _follows(log: Log, inputs: Inputs, gyro_hz: int) -> NDArray[np.bool_]:
     return follows
 
 
-def _usable(log: Log, inputs: Inputs, gyro_hz: int, divider: int) -> tuple[int, str]:
+def _usable(
+    log: Log, inputs: Inputs, gyro_hz: int, divider: int, wrong: NDArray[np.bool_]
+) -> tuple[int, str]:
     """Rows up to the first that cannot be replayed, and what it is about that one; "": all of them."""
     flags = inputs.flags
     resumed = np.zeros(len(log), bool)
@@ -208,6 +213,7 @@ def _usable(log: Log, inputs: Inputs, gyro_hz: int, divider: int) -> tuple[int, 
     reasons = (
         (resumed | ~_follows(log, inputs, gyro_hz), "control steps before it are missing"),
         (~whole, f"it has another number of gyro samples than 1 to {divider}"),
+        (wrong, "a bit of it is wrong in this file"),
         (flags & np.uint32(Edge.BENCH) > 0, "a motor test or a DShot command is under way"),
         (flags & np.uint32(Edge.MORE_BYTES) > 0, "more receiver bytes came than the log holds"),
         ((inputs.received < 0) | (inputs.received > LOG_RECEIVER_BYTES), "its receiver bytes are damaged"),
@@ -220,6 +226,29 @@ def _usable(log: Log, inputs: Inputs, gyro_hz: int, divider: int) -> tuple[int, 
         _refuse(log, f"at its first control step {why}", "fly again")
     at = f"control step {int(inputs.step[row]):,}, {log.t[row]:.3f} s"
     return row, f"replayed up to {at}: {why}"
+
+
+def _sound(log: Log, inputs: Inputs, motors: Integers) -> NDArray[np.bool_]:
+    """Rows (N,) whose check is that of their inputs and motors; all of them where the log has no check."""
+    told = log.columns.get(_CHECK)
+    if told is None:
+        return np.ones(len(log), bool)
+    samples = np.zeros(inputs.invalid.shape, np.dtype([("counts", "<i2", (3,)), ("flags", "<u2")]))
+    samples["counts"], samples["flags"] = inputs.counts, inputs.invalid + 2 * inputs.repeated
+    head = np.zeros(len(log), np.dtype([("words", "<u4", (5,)), ("numbers", "<u2", (2,))]))
+    flags = inputs.flags | (inputs.silences << _SILENCES).astype(np.uint32)
+    parts = (inputs.step, inputs.forbidden, inputs.gain.view(np.uint32), flags, inputs.lost)
+    head["words"] = np.stack([part.astype(np.uint32) for part in parts], axis=1)
+    head["numbers"] = np.stack([inputs.samples, inputs.received], axis=1).astype(np.uint16)
+    values = motors.astype("<u2")
+    found = np.zeros(len(log), np.int64)
+    for k, count in enumerate(inputs.samples.tolist()):
+        crc = zlib.crc32(samples[k, :count].tobytes(), zlib.crc32(head[k].tobytes()))
+        crc = zlib.crc32(inputs.accel[k].tobytes(), crc)
+        crc = zlib.crc32(inputs.receiver[k, : int(inputs.received[k])].tobytes(), crc)
+        found[k] = zlib.crc32(values[k].tobytes(), crc) & _CHECK_MASK
+    sound: NDArray[np.bool_] = found == told
+    return sound
 
 
 def _exact(log: Log, name: str, first: int, last: int, count: int) -> NDArray[np.float32] | None:

@@ -78,6 +78,7 @@ class Flight:
     header: dict[str, str]
     layout: int  # what the bytes of the state mean
     incomplete: str  # why it ends before the flight does; "": it does not
+    damaged: bool = False  # since a bit of the file is wrong there
 
     @property
     def motor_count(self) -> int:

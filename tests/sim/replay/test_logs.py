@@ -17,7 +17,7 @@ from sim.replay.comparison import compare
 from sim.replay.emulator import replay_on_board
 from sim.replay.flight import replayable
 from sim.replay.host import replay_on_host
-from sim.replay.inputs import Edge
+from sim.replay.inputs import Edge, Flight
 from sim.replay.library import replay_on_library
 from tests.sim.replay.logs import logged
 from toolchain.contract import DSHOT_STOP, LogGroup
@@ -79,6 +79,47 @@ def test_the_command_says_how_much_is_equal_and_what_replay_costs(
     told = json.loads(capsys.readouterr().out)
     assert told["equal"] and told["different"] == 0 and told["steps"] > 1500
     assert 0 < told["bytes_per_second"]["replay"] < told["bytes_per_second"]["all"]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_flipped_bit_of_the_frames_is_found_at_its_step(
+    seed: int, calm_log: Path, reference_library: Path, tmp_path: Path
+) -> None:
+    """Where a decoder reads something else, there the replay ends or differs; motors need not answer."""
+    data = bytearray(calm_log.read_bytes())
+    whole = replayable(read_log(calm_log))
+    rng = np.random.default_rng(seed)
+    at = int(rng.integers(len(data) // 3, 2 * len(data) // 3))
+    data[at] ^= 1 << int(rng.integers(8))
+    path = tmp_path / "changed.bbl"
+    path.write_bytes(data)
+    changed = replayable(read_log(path))
+    first = next((k for k in range(len(changed)) if differs(whole, changed, k)), len(changed))
+    found = compare(changed, replay_on_library(reference_library, changed))
+    if found.first is not None:  # of what the controller had
+        assert first == found.first.step
+    else:
+        assert first == len(changed)  # nothing wrong was replayed
+        assert changed.incomplete or len(changed) == len(whole)
+
+
+def differs(one: Flight, other: Flight, row: int) -> bool:
+    """Whether inputs or answers of a row are others."""
+    parts = [
+        (one.inputs, other.inputs, name) for name in ("step", "counts", "accel", "flags", "gain", "receiver")
+    ]
+    parts += [(one.answers, other.answers, name) for name in ("dshot", "gyro", "setpoint")]
+    return any(getattr(a, name)[row].tobytes() != getattr(b, name)[row].tobytes() for a, b, name in parts)
+
+
+def test_a_flipped_bit_of_a_sample_that_nothing_looks_at_is_told_with_its_step(
+    calm_log: Path,
+) -> None:
+    log = read_log(calm_log)
+    log.columns["gyroRaw[4]"][800] ^= 1  # the second of four samples; no filter is set
+    flight = replayable(log)
+    assert len(flight) == 800 and flight.damaged
+    assert "replayed up to control step 800, 0.800 s: a bit of it is wrong in this file" in flight.incomplete
 
 
 def test_a_log_is_refused_in_a_line_when_it_lacks_what_a_replay_needs(
