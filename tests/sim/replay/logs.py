@@ -22,7 +22,7 @@ AFTER = (
     8000  # gyro samples that the firmware goes on after the flight: the log ends some time after disarming
 )
 
-Meddle = Callable[[ReferencePort, int, Sample], None]  # before sample number n is taken
+Meddle = Callable[[Any, int, Sample], None]  # before sample number n is taken
 
 
 class LoggingPort(ReferencePort):
@@ -32,11 +32,12 @@ class LoggingPort(ReferencePort):
         super().__init__(*arguments)
         self.log = bytearray(self.reference.blackbox())
         self._meddle, self._number = meddle, 0
+        self.deaf = False  # no receiver frame arrives
 
     def exchange(self, sample: Sample, channels_us: Any) -> Any:
         """As the library, after whatever meddles."""
         self._meddle(self, self._number, sample)
-        reply = super().exchange(sample, channels_us)
+        reply = super().exchange(sample, None if self.deaf else channels_us)
         self._number += 1
         if self._number % DRAIN == 0:
             self.log += self.reference.blackbox()

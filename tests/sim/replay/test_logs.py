@@ -19,8 +19,8 @@ from sim.replay.flight import replayable
 from sim.replay.host import replay_on_host
 from sim.replay.inputs import Edge, Flight
 from sim.replay.library import replay_on_library
-from tests.sim.replay.logs import logged
-from toolchain.contract import DSHOT_STOP, LogGroup
+from tests.sim.replay.logs import LoggingPort, logged
+from toolchain.contract import DSHOT_STOP, FallbackCause, FlightState, LogGroup
 from toolchain.errors import TraceError
 
 LATE, ON_TIME, NO_NUMBER, SILENT = 6000, 6012, 7003, 8001
@@ -164,3 +164,39 @@ def test_another_policy_than_the_one_that_flew_is_refused(
     assert main(["log", "replay", str(path), "--build", str(reference_library.parent)]) == 1
     said = capsys.readouterr().err
     assert "policy 0000000000000000.. flew" in said and said.count("\n") == 1
+
+
+class Story:
+    """A minute: the policy flies, then the PID; the receiver is gone for a while; at last the gyro."""
+
+    def __call__(self, port: LoggingPort, number: int, sample: Sample) -> None:
+        """Before gyro sample `number`, at 4 kHz."""
+        if number in (80_000, 80_012):
+            port.reference.power(16.0, 0.0, 2000.0 if number == 80_000 else 0.0)
+        port.deaf = 120_000 <= number < 121_200  # 300 ms
+        if number % 50_000 == 49_999:
+            sample.gyro[:] = np.nan
+        if number == 236_001:
+            port.reference.silent()
+
+
+@pytest.mark.slow
+def test_a_minute_with_fallback_failsafe_and_fault_is_equal_on_each_machine(
+    reference_library: Path, host_program: Path, board_image: Path, tmp_path: Path
+) -> None:
+    path = logged(reference_library, load_scenario("pulses", 1, 14), tmp_path / "minute.bbl", meddle=Story())
+    log = read_log(path)
+    flight = replayable(log)
+    modes = log.held("nfFlags")
+    assert modes is not None
+    states = set(((modes >> 1) & 7).tolist())
+    assert FlightState.FAILSAFE_HOLD in states and FlightState.FAULT in states
+    assert {0, 1} <= set((modes & 1).tolist()) and FallbackCause.DEADLINE in (modes >> 8 & 15)
+    assert len(flight) > 57_000 and not flight.incomplete and flight.inputs.invalid.sum() >= 3
+    for answers in (
+        replay_on_library(reference_library, flight),
+        replay_on_host(host_program, flight),
+        replay_on_board(board_image.with_suffix(".bin"), flight),
+    ):
+        found = compare(flight, answers)
+        assert found.equal, str(found)
