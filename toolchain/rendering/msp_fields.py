@@ -1,4 +1,5 @@
-"""The configuration messages of MSP as rows of C: one a field, one a message with its counterpart."""
+"""The configuration messages of MSP as rows of C: one a kind of field, its number for each field of the messages, one a
+message with its counterpart. Most fields are alike (a byte 0, for what this firmware has not), so kinds save flash."""
 
 from __future__ import annotations
 
@@ -21,12 +22,13 @@ _SETTINGS = {setting.name: index for index, setting in enumerate(contract.SETTIN
 
 @dataclass(frozen=True)
 class MspTables:
-    """The rows of the macros NF_MSP_FIELDS and NF_MSP_CONFIGURATIONS."""
+    """The rows of the macros NF_MSP_FIELDS, NF_MSP_FIELD_ORDER and NF_MSP_CONFIGURATIONS."""
 
-    fields: tuple[str, ...]  # bytes, signed, how, index, number, gain
+    fields: tuple[str, ...]  # each once: bytes, signed, how, index, number, gain
+    order: tuple[int, ...]  # of the messages' fields: indices of `fields`
     configurations: tuple[
         str, ...
-    ]  # GET, its first field and their number; SET, first, number, required; read first
+    ]  # GET, its first field in the order and their number; SET, first, number, required; read first
 
 
 def render_configurations() -> MspTables:
@@ -47,7 +49,8 @@ def render_configurations() -> MspTables:
             f"NF_MSP_{pair.reply.message.name}, {told}, NF_MSP_{name}, {brought}, "
             f"{required}, {int(pair.read_first)}"
         )
-    return MspTables(tuple(fields), tuple(rows))
+    kinds = list(dict.fromkeys(fields))
+    return MspTables(tuple(kinds), tuple(map(kinds.index, fields)), tuple(rows))
 
 
 def _fields(layout: MspLayout, needed: bool = False) -> Iterator[MspField]:

@@ -14,18 +14,31 @@ static const struct field {
 	uint8_t index; /* of the setting, or enum nf_msp_source */
 	int32_t number;
 	float gain;
-} fields[] = {
+} kinds[] = {
 #define FIELD(...) { __VA_ARGS__ },
 	NF_MSP_FIELDS(FIELD)
 };
 _Static_assert(NF_SETTING_COUNT <= UINT8_MAX, "an index fits");
 
+/* The kind of each field of the messages. */
+static const uint8_t order[] = NF_MSP_FIELD_ORDER;
+_Static_assert(NF_MSP_FIELD_KINDS <= UINT8_MAX + 1, "a kind's number fits");
+
 static const struct message {
-	uint16_t get, first, count;
-	uint16_t set, set_first, set_count, required; /* set 0: there is none */
+	uint16_t get, set;         /* set 0: there is none */
+	uint16_t first, set_first; /* in the order */
+	uint8_t count, set_count, required;
 	bool read_first;
 } messages[] = {
-#define MESSAGE(...) { __VA_ARGS__ },
+#define MESSAGE(get_, first_, count_, set_, set_first_, set_count_, required_, read_first_) \
+	{ .get = get_,                                                                      \
+	  .first = first_,                                                                  \
+	  .count = count_,                                                                  \
+	  .set = set_,                                                                      \
+	  .set_first = set_first_,                                                          \
+	  .set_count = set_count_,                                                          \
+	  .required = required_,                                                            \
+	  .read_first = read_first_ },
 	NF_MSP_CONFIGURATIONS(MESSAGE)
 };
 
@@ -159,7 +172,7 @@ enum nf_refusal msp_fields_get(const struct msp_view *view, int index, struct ms
 	if (!fields_offered(view, message))
 		return NF_REFUSAL_ABSENT;
 	for (unsigned i = 0; i < message->count; ++i) {
-		const struct field *field = &fields[message->first + i];
+		const struct field *field = &kinds[order[message->first + i]];
 		const uint32_t raw = fields_tell(view, field);
 		for (unsigned byte = 0; byte < field->bytes; ++byte)
 			msp_put_u8(reply, raw >> 8 * byte);
@@ -174,7 +187,7 @@ static enum nf_refusal fields_put_rates_type(const struct msp_view *view, const 
 	unsigned at = 0;
 
 	for (unsigned i = 0; i < message->set_count; ++i) {
-		const struct field *field = &fields[message->set_first + i];
+		const struct field *field = &kinds[order[message->set_first + i]];
 		if (field->how == NF_MSP_HOW_SOURCE && field->index == NF_MSP_SOURCE_RATES_TYPE && payload.left > at)
 			return fields_put(view, field, payload.at[at]);
 		at += field->bytes;
@@ -212,7 +225,7 @@ enum nf_refusal msp_fields_set(const struct msp_view *view, int index, struct ms
 	if (refusal == NF_REFUSAL_NONE)
 		refusal = fields_put_voltage(view, message, payload);
 	for (unsigned i = 0; i < message->set_count && refusal == NF_REFUSAL_NONE; ++i) {
-		const struct field *field = &fields[message->set_first + i];
+		const struct field *field = &kinds[order[message->set_first + i]];
 		if (payload.left == 0 && i >= message->required)
 			break;
 		refusal = payload.left < field->bytes ? NF_REFUSAL_PAYLOAD :
