@@ -23,7 +23,10 @@ $(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there; hal.c only joins the drivers.
 $(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
-$(OBJ)/hal/stm32f7/devices/card_spi.o $(OBJ)/hal/stm32f7/devices/log_uart.o: CFLAGS += -Os
+# So is what runs once, or in the background.
+SMALL := core/clock core/gpio core/motor_pins core/stop core/watchdog devices/card_spi devices/log_uart devices/msp_uart \
+	devices/power peripherals/uart_line startup/image_header
+$(SMALL:%=$(OBJ)/hal/stm32f7/%.o): CFLAGS += -Os
 
 $(OBJ)/boot/%.o: %.c $(RECIPE)
 	@mkdir -p $(@D)

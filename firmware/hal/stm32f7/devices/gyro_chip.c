@@ -138,7 +138,8 @@ static bool gyro_configure(void)
 	return true;
 }
 
-bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
+/* Runs once: small rather than quick, unlike the transfers. */
+__attribute__((cold)) bool gyro_start(enum board_alignment *alignment, enum gyro_chip *kind)
 {
 	gpio_output(BOARD_GYRO_CS, true);
 	gpio_input(BOARD_GYRO_READY, GPIO_PULL_DOWN);

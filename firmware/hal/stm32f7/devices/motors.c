@@ -101,7 +101,8 @@ static void motors_start_bank(const struct bank *bank, uint32_t bit_ticks)
 	dma_setup(bank->stream, bank->target, DMA_TO_PERIPHERAL, DMA_WORD, DMA_VERY_HIGH, 0);
 }
 
-void motors_run(uint32_t protocol, size_t count)
+/* Runs once: small rather than quick, unlike the frames. */
+__attribute__((cold)) void motors_run(uint32_t protocol, size_t count)
 {
 	HAL_ASSERT(protocol < sizeof bits_a_second / sizeof bits_a_second[0] && count <= BOARD_MOTOR_COUNT);
 	uint32_t used = 0;
