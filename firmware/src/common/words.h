@@ -46,7 +46,7 @@ static inline __attribute__((always_inline)) void words_copy(void *to, const voi
 	if (bytes >= sizeof(struct words_2))
 		WORDS_PART(words_2);
 	if (bytes >= sizeof(struct words_1))
-		WORDS_PART(words_1);
+		*(struct words_1 *)out = *(const struct words_1 *)in;
 #undef WORDS_PART
 }
 
