@@ -1,5 +1,8 @@
-"""The configuration messages of MSP as rows of C: one a kind of field, its number for each field of the messages, one a
-message with its counterpart. Most fields are alike (a byte 0, for what this firmware has not), so kinds save flash."""
+"""The configuration messages of MSP as rows of C.
+
+One row a kind of field, its number for each field of the messages, one a message with its counterpart. Most
+fields are alike (a byte 0, for what this firmware has not), so that kinds save flash.
+"""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def test_a_flipped_bit_of_the_frames_is_found_at_its_step(
 
 def differs(one: Flight, other: Flight, row: int) -> bool:
     """Whether inputs or answers of a row are others."""
-    parts = [
+    parts: list[tuple[object, object, str]] = [
         (one.inputs, other.inputs, name) for name in ("step", "counts", "accel", "flags", "gain", "receiver")
     ]
     parts += [(one.answers, other.answers, name) for name in ("dshot", "gyro", "setpoint")]
