@@ -323,8 +323,10 @@ static void background_run_battery(void *context)
 static uint32_t background_ms(const struct background *background)
 {
 	const uint32_t samples = firmware_samples(background->config.firmware);
+	const uint32_t rate_hz = background->settings.gyro_rate_hz;
 
-	return (uint32_t)((uint64_t)samples * 1000u / background->settings.gyro_rate_hz);
+	return samples / rate_hz * 1000u +
+	       samples % rate_hz * 1000u / rate_hz; /* no product is lost: 8000 times 1000 */
 }
 
 /* What beeper and LED are to tell. */

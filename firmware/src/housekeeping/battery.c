@@ -100,6 +100,8 @@ void battery_step(struct battery *battery, uint16_t volts_mv, uint16_t amps_mv, 
 	const float amps = limit((float)amps_mv / settings->current_scale, 0.0f, AMPS_MAX);
 	battery_measure(battery, (float)volts_mv * VOLTS_PER_MV * settings->battery_scale, amps);
 	battery->charge += (uint32_t)(amps * MILLI + 0.5f);
+	battery->mah += battery->charge / CHARGE_PER_MAH;
+	battery->charge %= CHARGE_PER_MAH;
 	if (battery->cells == 0)
 		battery->cells = settings->battery_cells;
 	battery->level = battery_known(battery) ? battery_update_level(battery) : BATTERY_UNKNOWN;
@@ -117,5 +119,5 @@ float battery_sag(const struct battery *battery)
 
 uint32_t battery_mah(const struct battery *battery)
 {
-	return (uint32_t)(battery->charge / CHARGE_PER_MAH);
+	return battery->mah;
 }

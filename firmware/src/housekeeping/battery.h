@@ -23,7 +23,8 @@ struct battery {
 	float volts;         /* of the pack, filtered; 0 until measured */
 	float amps;          /* filtered */
 	float rest_volts;    /* estimate of the voltage without load */
-	uint64_t charge;     /* mA for 10 ms, drawn since boot */
+	uint32_t mah;        /* drawn since boot */
+	uint32_t charge;     /* mA for 10 ms, drawn on top of that: less than 1 mAh */
 	uint32_t watched;    /* steps with a pack whose cells are not known yet */
 	uint32_t gone;       /* steps without a pack */
 	bool measured;       /* volts hold a measurement */

@@ -21,9 +21,20 @@ void task_stats_add(struct task_stats *stats, uint32_t cycles, bool missed)
 	stats->misses += missed;
 }
 
+/* Long division, bit by bit: the compiler's of 64 bits takes 0.7 KB of flash. A mean of 32 bits is one of 32 bits. */
 uint32_t task_stats_mean(const struct task_stats *stats)
 {
-	return stats->runs == 0 ? 0 : (uint32_t)(stats->sum / stats->runs);
+	uint64_t rest = stats->sum;
+	uint32_t mean = 0;
+
+	for (uint32_t bit = UINT32_C(1) << 31; bit != 0 && stats->runs != 0; bit >>= 1) {
+		const uint64_t part = (uint64_t)stats->runs * bit;
+		if (rest < part)
+			continue;
+		rest -= part;
+		mean |= bit;
+	}
+	return mean;
 }
 
 void scheduler_init(struct scheduler *scheduler, const struct task *tasks, size_t count,

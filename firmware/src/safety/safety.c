@@ -53,11 +53,14 @@ static const struct transition {
 
 void safety_init(struct safety *safety, const struct nf_settings *settings, unsigned control_rate_hz)
 {
+	/* 60 s at 8 kHz are 29 bits. */
+	const uint32_t step_milliseconds = settings->failsafe_descend_ms * control_rate_hz;
+
 	*safety = (struct safety){
 		.state = NF_FLIGHT_BOOT,
 		.stop_cause = NF_STOP_NONE,
 		.descends = settings->failsafe_stage == NF_FAILSAFE_STAGE_DESCEND,
-		.descent_steps = (uint32_t)((uint64_t)settings->failsafe_descend_ms * control_rate_hz / 1000u),
+		.descent_steps = step_milliseconds / 1000u,
 	};
 }
 

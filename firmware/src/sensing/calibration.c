@@ -5,7 +5,7 @@
 #define COUNTS_PER_DEG_S ((float)NF_GYRO_COUNTS / (float)NF_GYRO_FULL_SCALE_DEG_S)
 #define MOTION_COUNTS (NF_CALIBRATION_MOTION_DEG_S * COUNTS_PER_DEG_S)
 #define MOTION_VARIANCE ((int64_t)(MOTION_COUNTS * MOTION_COUNTS)) /* counts^2 */
-#define BIAS_MILLICOUNTS ((int64_t)(1000.0f * NF_CALIBRATION_BIAS_DEG_S * COUNTS_PER_DEG_S))
+#define BIAS_MILLICOUNTS ((uint32_t)(1000.0f * NF_CALIBRATION_BIAS_DEG_S * COUNTS_PER_DEG_S))
 
 void calibration_init(struct calibration *calibration, unsigned gyro_rate_hz)
 {
@@ -25,12 +25,13 @@ void calibration_restart(struct calibration *calibration)
 static bool calibration_still(const struct calibration *calibration)
 {
 	const int64_t n = calibration->window;
-	const int64_t largest_sum = n * BIAS_MILLICOUNTS / 1000;
+	const int64_t largest_sum = (uint32_t)n * BIAS_MILLICOUNTS / 1000u; /* below 2^32: 8000 times 328000 */
 
 	for (int i = 0; i < 3; ++i) {
 		const int64_t sum = calibration->sum[i];
-		const int64_t variance = (n * calibration->sum_of_squares[i] - sum * sum) / (n * n);
-		if (variance > MOTION_VARIANCE || sum > largest_sum || sum < -largest_sum)
+		/* Multiplied out: a division of 64 bits takes 0.7 KB of flash. */
+		const int64_t spread = n * calibration->sum_of_squares[i] - sum * sum; /* variance times n * n */
+		if (spread >= (MOTION_VARIANCE + 1) * n * n || sum > largest_sum || sum < -largest_sum)
 			return false;
 	}
 	return true;
