@@ -8,11 +8,10 @@
 #include "storage/settings.h"
 
 static const struct field {
-	uint8_t bytes;
-	bool is_signed;
-	uint8_t how;   /* enum nf_msp_how */
-	uint8_t index; /* of the setting, or enum nf_msp_source */
-	int32_t number;
+	uint8_t bytes : 3, is_signed : 1;
+	uint8_t how : 3; /* enum nf_msp_how */
+	uint8_t index;   /* of the setting, or enum nf_msp_source */
+	int16_t number;
 	float gain;
 } kinds[] = {
 #define FIELD(...) { __VA_ARGS__ },
