@@ -115,11 +115,25 @@ def render_contract() -> str:
             if setting.choices[:2] != ("off", "on") and not setting.name.startswith("filter")
             for value, choice in enumerate(setting.choices)
         ],
+        units=_UNITS,
+        choice_lists=_CHOICES,
         msp=render_configurations(),
     )
 
 
-def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) -> dict[str, str]:
+def _choices(setting: contract.Setting) -> str:
+    """Names of a setting's choices as the firmware has them."""
+    return ",".join(setting.choices)
+
+
+# Each once, as many settings share them; a setting has its number.
+_UNITS = list(
+    dict.fromkeys(span.unit for s in contract.SETTINGS for span in (s, s.betaflight) if span is not None)
+)
+_CHOICES = list(dict.fromkeys(map(_choices, contract.SETTINGS)))
+
+
+def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) -> dict[str, str | int]:
     """A row of the macros NF_SETTINGS..., `span` having the limits."""
     return {
         "name": setting.name,
@@ -128,9 +142,9 @@ def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) 
             "text": f"char {setting.name}[NF_SETTING_TEXT_BYTES]",
             "mode": f"uint32_t {setting.name}",
         }.get(setting.kind, f"{setting.kind} {setting.name}"),
-        "choices": ",".join(setting.choices),
+        "choices": _CHOICES.index(_choices(setting)),
         "limits": ", ".join(_number(setting, value) for value in (span.low, span.high, span.default)),
-        "unit": span.unit,
+        "unit": _UNITS.index(span.unit),
         "comment": f"{span.unit}: {setting.meaning}" if span.unit else setting.meaning,
     }
 

@@ -76,7 +76,7 @@ static void setting_say_number(const struct task_line *t, const struct setting *
 /* Is its unit 1? Nobody says that. */
 static bool setting_is_ratio(const struct setting *setting)
 {
-	return setting->unit[0] == '1' && setting->unit[1] == '\0';
+	return settings_unit(setting)[0] == '1' && settings_unit(setting)[1] == '\0';
 }
 
 /* What values there are. */
@@ -88,16 +88,16 @@ static void setting_say_span(const struct task_line *t, const struct setting *se
 		printer_text(t->out, " characters, - for none");
 	} else if (setting->kind == SETTING_mode) {
 		printer_text(t->out, "MODE AUX LOW HIGH such as arm aux1 1700 2100, perhaps 'and' behind it; none");
-	} else if (setting->choices[0] != '\0') {
+	} else if (settings_choices(setting)[0] != '\0') {
 		printer_text(t->out, "one of ");
-		printer_text(t->out, setting->choices);
+		printer_text(t->out, settings_choices(setting));
 	} else {
 		setting_say_number(t, setting, setting->low);
 		printer_text(t->out, " to ");
 		setting_say_number(t, setting, setting->high);
 		if (!setting_is_ratio(setting)) {
 			printer_char(t->out, ' ');
-			printer_text(t->out, setting->unit);
+			printer_text(t->out, settings_unit(setting));
 		}
 	}
 }

@@ -73,7 +73,7 @@ static enum nf_refusal command_setting_info(struct request *q)
 	msp_put_bytes(q->reply, &setting->high, sizeof setting->high);
 	msp_put_bytes(q->reply, &setting->preset, sizeof setting->preset);
 	msp_put_counted_text(q->reply, setting->name, MSP_TEXT_MAX);
-	msp_put_counted_text(q->reply, setting->unit, MSP_TEXT_MAX);
+	msp_put_counted_text(q->reply, settings_unit(setting), MSP_TEXT_MAX);
 	return NF_REFUSAL_NONE;
 }
 

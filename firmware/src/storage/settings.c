@@ -37,6 +37,20 @@ const struct setting *settings_info_beside(const struct nf_settings *settings, u
 	return settings_info(index);
 }
 
+const char *settings_unit(const struct setting *setting)
+{
+	static const char *const units[] = NF_SETTING_UNITS;
+
+	return units[setting->unit];
+}
+
+const char *settings_choices(const struct setting *setting)
+{
+	static const char *const choices[] = NF_SETTING_CHOICES;
+
+	return choices[setting->choices];
+}
+
 static bool settings_same_name(const char *a, const char *b)
 {
 	while (*a && *a == *b)

@@ -29,13 +29,13 @@ union setting_number {
 	uint32_t as_text;
 };
 
-/* What is known of a setting; `name` and `unit` are the contract's. */
+/* What is known of a setting; small, as there are many. */
 struct setting {
-	const char *name;
-	const char *unit;
-	const char *choices; /* names of 0, 1, ..., separated by commas; "": it has none */
-	uint16_t offset;     /* of the value in struct nf_settings */
-	uint8_t kind;        /* enum setting_kind */
+	const char *name; /* the contract's */
+	uint16_t offset;  /* of the value in struct nf_settings */
+	uint8_t kind : 2; /* enum setting_kind */
+	uint8_t unit : 6; /* that settings_unit tells */
+	uint8_t choices;  /* that settings_choices tells */
 	union setting_number low, high, preset; /* of its kind; both limits may be taken; a text is empty by default */
 };
 
@@ -53,6 +53,12 @@ const struct setting *settings_info(unsigned index);
 
 /* The same with the limits, default and unit that it has beside `settings`: rates have others in another style. */
 const struct setting *settings_info_beside(const struct nf_settings *settings, unsigned index);
+
+/* Its unit, as the contract has it. */
+const char *settings_unit(const struct setting *setting);
+
+/* Names of the values 0, 1, ..., separated by commas; "": it has none. */
+const char *settings_choices(const struct setting *setting);
 
 /* Index of the setting called `name`, NF_SETTING_COUNT if there is none. */
 unsigned settings_find(const char *name);

@@ -108,7 +108,7 @@ static enum settings_text_error settings_text_parse_choice(const struct setting 
 		return SETTINGS_TEXT_GOOD;
 	}
 	number = 0;
-	for (const char *at = setting->choices; *at != '\0'; at = settings_text_choice_after(at), ++number) {
+	for (const char *at = settings_choices(setting); *at != '\0'; at = settings_text_choice_after(at), ++number) {
 		if (settings_text_is(word, at, settings_text_choice_length(at))) {
 			*value = number;
 			return SETTINGS_TEXT_GOOD;
@@ -236,8 +236,9 @@ enum settings_text_error settings_text_parse(const struct setting *setting, cons
 		word = settings_text_next(&rest);
 		if (*rest != '\0')
 			word.length += 1; /* a second word is part of no number and of no name */
-		error = setting->choices[0] != '\0' ? settings_text_parse_choice(setting, word, &read.as_uint32_t) :
-						      settings_text_whole(word, &read.as_uint32_t);
+		error = settings_choices(setting)[0] != '\0' ?
+				settings_text_parse_choice(setting, word, &read.as_uint32_t) :
+				settings_text_whole(word, &read.as_uint32_t);
 		break;
 	}
 	if (error == SETTINGS_TEXT_GOOD)
@@ -334,8 +335,8 @@ size_t settings_text_format(const struct setting *setting, const union setting_v
 		settings_text_put_mode(&ink, value->as_mode);
 		break;
 	case SETTING_uint32_t:
-		if (setting->choices[0] != '\0')
-			settings_text_put_choice(&ink, setting->choices, value->as_uint32_t);
+		if (settings_choices(setting)[0] != '\0')
+			settings_text_put_choice(&ink, settings_choices(setting), value->as_uint32_t);
 		else
 			settings_text_put_whole(&ink, value->as_uint32_t);
 		break;

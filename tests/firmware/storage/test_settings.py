@@ -53,8 +53,8 @@ def test_each_setting_is_the_contracts_when_asked_for(scripted: Any, settings: A
         info = scripted.lib.settings_info(index)
         member = f"as_{setting.kind}"
         assert scripted.ffi.string(info.name).decode() == setting.name
-        assert scripted.ffi.string(info.unit).decode() == setting.unit
-        assert scripted.ffi.string(info.choices).decode() == ",".join(setting.choices)
+        assert scripted.ffi.string(scripted.lib.settings_unit(info)).decode() == setting.unit
+        assert scripted.ffi.string(scripted.lib.settings_choices(info)).decode() == ",".join(setting.choices)
         limits = [getattr(part, member) for part in (info.low, info.high, info.preset)]
         wanted = [setting.low, setting.high, setting.default]
         assert limits == [float32(number) if setting.kind == "float" else number for number in wanted]
@@ -343,7 +343,7 @@ def test_a_rate_keeps_to_the_limits_of_its_style_when_set(
     assert [told.low.as_float, told.high.as_float, told.preset.as_float] == [
         float32(number) for number in (span.low, span.high, span.default)
     ]
-    assert scripted.ffi.string(told.unit).decode() == span.unit
+    assert scripted.ffi.string(scripted.lib.settings_unit(told)).decode() == span.unit
     for value in (span.low, span.high):
         assert put(settings, rate.name, value) == Refusal.NONE
     for value in (span.high * 1.001, float32(span.low) - 1e-3, math.nan):
