@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.sim.fly_blackbox import add_blackbox_argument, check_blackbox
 from cli.sim.fly_emulator import (
     add_emulator_arguments,
     check_emulator,
@@ -114,6 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trace", type=Path, metavar="FILE.npz", help="keep the firmware's flight")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw it")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="plot and figures on one page")
+    add_blackbox_argument(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument(
         "--jobs",
@@ -165,12 +167,13 @@ def _check(args: argparse.Namespace) -> None:
         check_output(path, suffix)
     _check_air(args)
     check_emulator(args)
+    check_blackbox(args)
     if args.jobs is not None and args.jobs < 1:
         raise NeuroflightError(f"--jobs: got {args.jobs}, expected at least 1")
     if args.on == "betaflight" and args.set:
         raise NeuroflightError("--set: Betaflight has settings of its own; leave it out")
     if len(args.scenario) > 1:
-        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault", "card"):
+        for name in ("trace", "plot", "report", "profile", "gdb", "serial", "fault", "card", "blackbox"):
             if getattr(args, name) not in (None, []):
                 raise NeuroflightError(f"--{name}: belongs to one flight; give one scenario")
 
@@ -322,15 +325,21 @@ def _fly(
         )
         with closing(twin):
             try:
-                trace = fly(twin, entry.port, scenario, progress=progress, broken_off=broken_off)
+                logged = None if entry.log is None else entry.log.watch
+                trace = fly(
+                    twin, entry.port, scenario, progress=progress, broken_off=broken_off, logged=logged
+                )
             except BaseException:  # an interruption by the user as well
                 entry.on_error()
+                if entry.log is not None:
+                    keep("log", entry.log.rescue)
                 raise
+        log = None if entry.log is None else entry.log.report()
         report = None if entry.report is None else entry.report(scenario.duration_s)
     progress(1.0)
     # Another mixer than ours cannot be undone: its output is then taken as the motors' whole command.
     asked = replace(trace, throttle=np.zeros_like(trace.throttle)) if entry.own_mixer else trace
-    return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report)
+    return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report, log)
 
 
 def _check_air(args: argparse.Namespace) -> None:

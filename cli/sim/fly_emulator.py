@@ -20,6 +20,7 @@ from cli.sim.board_serial import (
     open_end,
     parse_serials,
 )
+from cli.sim.fly_blackbox import FlightLog, blackbox_baud
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -99,9 +100,13 @@ def check_emulator(args: argparse.Namespace) -> None:
 
 
 def open_image(
-    args: argparse.Namespace, image: Path, settings: Mapping[str, float], ends: ExitStack
+    args: argparse.Namespace,
+    image: Path,
+    settings: Mapping[str, float],
+    ends: ExitStack,
+    log: FlightLog | None,
 ) -> EmulatedPort:
-    """The image on a board of its own; what was attached to it ends with `ends`."""
+    """The image on a board of its own; what was attached to it ends with `ends`. log: of UART3, if any."""
     from sim.board.debug.fault_injection import parse_fault
     from sim.board.devices.sd_card import SdCard
     from sim.board.matekf722 import GYROS
@@ -121,13 +126,15 @@ def open_image(
         dshot=None if args.esc is None else ESCS[args.esc],
         faults=faults,
         profile=args.profile is not None,
-        attach=lambda board: attached(args, board, image, ends),
+        attach=lambda board: attached(args, board, image, ends, log),
         on_failure=lambda board: keep_profile(args, board),
     )
 
 
-def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStack) -> Callable[[int], None]:
-    """What runs `board` with the debugger and the serial line that were asked for; waits for gdb."""
+def attached(
+    args: argparse.Namespace, board: Board, image: Path, ends: ExitStack, log: FlightLog | None = None
+) -> Callable[[int], None]:
+    """What runs `board` with the debugger and the serial lines that were asked for; waits for gdb."""
     from flash.settings import parse_change
     from sim.board.debug.gdb import GdbServer
     from sim.board.peripherals.usart import Format
@@ -135,6 +142,8 @@ def attached(args: argparse.Namespace, board: Board, image: Path, ends: ExitStac
     from toolchain.contract import MSP_BAUD_DEFAULT
 
     bauds = {"uart1": "msp_baud", "uart3": "uart3_baud"}  # the settings
+    if log is not None and log.path is not None:
+        log.source = UartLine(board, UARTS["uart3"], Format(blackbox_baud(args))).take
     run_to: Callable[[int], None] = board.run_to
     server = None
     if args.gdb is not None:

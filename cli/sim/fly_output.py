@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from cli.sim.fly_blackbox import LogReport, log_rows
 from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ class Flown:
 
     flight: Flight
     report: EmulatedReport | None
+    log: LogReport | None = None
 
 
 def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
@@ -46,7 +48,7 @@ def document(
     """The JSON document of one scenario."""
     from cli.output import plain
 
-    report = flown[0].report
+    report, log = flown[0].report, flown[0].log
     return {
         "on": args.on,
         "controller": args.controller,
@@ -67,6 +69,7 @@ def document(
             name: plain({**asdict(one.flight.figures), "armed": one.flight.armed})
             for name, one in zip(("firmware", "PID"), flown, strict=False)
         },
+        **({} if log is None else {"blackbox": asdict(log)}),
         **({} if report is None else {"emulator": emulator_document(report)}),
     }
 
@@ -77,8 +80,8 @@ def print_flight(title: str, note: str, flown: list[Flown]) -> None:
 
     report = flown[0].report
     _table(title, table([one.flight for one in flown]), note)
-    if report is not None:
-        _table("", [("", ""), *emulator_rows(report)], "", left=True)
+    if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:
+        _table("", [("", ""), *rows], "", left=True)
 
 
 def print_several(

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cli.sim.fly_blackbox import FlightLog, emulated_settings
 from cli.sim.fly_emulator import BY_OPTION, keep_profile, open_image, save_profile
 from toolchain.errors import NeuroflightError
 
@@ -36,15 +37,28 @@ class Entry:
     on_error: Callable[[], None] = lambda: None  # before it is closed after a flight that ended in an error
     kept: bool = True  # its trace is what --trace asks for
     ends: ExitStack = field(default_factory=ExitStack)  # what is attached to its port
+    log: FlightLog | None = None  # of its flight, which is kept
 
     def close(self) -> None:
         """End it."""
         self.ends.close()
         self.port.close()
+        if self.log is not None:
+            self.log.close()
 
 
 def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
     """The firmware that `--on` names."""
+    log = FlightLog(args.blackbox) if args.blackbox is not None or args.card is not None else None
+    try:
+        return _open_firmware(args, aircraft, log)
+    except BaseException:
+        if log is not None:
+            log.close()
+        raise
+
+
+def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog | None) -> Entry:
     from flash.settings import parse_change
     from sim.ports.host import HostPort
     from sim.ports.library import ReferencePort
@@ -59,12 +73,19 @@ def open_firmware(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
             raise NeuroflightError(f"--set {name}: has an option of its own; use {option}")
     settings = {name: int(value) if value == int(value) else value for name, value in settings.items()}
     if args.on == "emulator":
-        return _open_emulator(args, settings)
-    name, kind = ("neuroflight", HostPort) if args.on == "host" else ("libneuroflight.so", ReferencePort)
-    product = (args.build or BUILD) / name
-    port: FirmwarePort = kind(product, args.gyro_hz, settings)
+        return _open_emulator(args, {**settings, **emulated_settings(args)}, log)
+    product = (args.build or BUILD) / ("neuroflight" if args.on == "host" else "libneuroflight.so")
+    port: HostPort | ReferencePort
+    if args.on == "host":
+        port = HostPort(product, args.gyro_hz, settings, None if log is None else log.aside)
+    else:
+        port = ReferencePort(product, args.gyro_hz, settings)
+    if log is not None:
+        log.told = port.logged
+        if isinstance(port, ReferencePort):
+            log.source = port.reference.blackbox
     try:
-        return Entry("firmware", port, built_idle(product, pid=args.controller == "pid"))
+        return Entry("firmware", port, built_idle(product, pid=args.controller == "pid"), log=log)
     except NeuroflightError:
         port.close()
         raise
@@ -86,7 +107,7 @@ def quiet(args: argparse.Namespace) -> bool:
     return bool(args.json) or not sys.stderr.isatty()
 
 
-def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entry:
+def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: FlightLog | None) -> Entry:
     """The image on a board of its own."""
     from sim.ports.emulator_report import emulated_report
     from toolchain.image.report import built_idle
@@ -95,7 +116,7 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entr
     with ExitStack() as undo:
         began = time.perf_counter()
         ends = undo.enter_context(ExitStack())
-        port = open_image(args, image, settings, ends)
+        port = open_image(args, image, settings, ends, log)
         undo.callback(port.close)
 
         def report(flight_s: float) -> EmulatedReport:
@@ -106,8 +127,10 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float]) -> Entr
 
         idle = built_idle(image, pid=args.controller == "pid")
         undo.pop_all()
+        if log is not None:
+            log.told = port.logged
         told = partial(keep_profile, args, port.board)
-        return Entry("firmware", port, idle, report=report, on_error=told, ends=ends)
+        return Entry("firmware", port, idle, report=report, on_error=told, ends=ends, log=log)
 
 
 def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:

@@ -36,6 +36,8 @@ SWITCH_PERIOD_S = 0.1  # of each further try: off, then on
 ARM_LIMIT_S = 10.0  # from power-on; a noisy gyro may need more than one calibration
 DISARM_LIMIT_S = 1.0  # from the pilot's switch to stopped motors
 PROGRESS_S = 0.1  # of flight between two calls of `progress`
+LOG_S = 0.1  # of flight between two calls of `logged`
+LOG_END_LIMIT_S = 1.0  # from stopped motors to the end of the log
 
 Progress = Callable[[float], None]  # gets the flown part, 0..1
 
@@ -48,6 +50,7 @@ def fly(
     motor_order: Sequence[int] | None = None,
     progress: Progress | None = None,
     broken_off: Callable[[Trace], None] = lambda trace: None,
+    logged: Callable[[], bool] | None = None,
 ) -> Trace:
     """Boot and arm the firmware, fly `scenario` and disarm; row 0 is the first armed control step.
 
@@ -55,12 +58,14 @@ def fly(
 
     twin: one aircraft at rest, at the port's gyro rate. port: freshly booted. motor_order: output i of the
     firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests. broken_off: gets the trace up to
-    there when an error ends the flight after it was armed; the error goes on.
+    there when an error ends the flight after it was armed; the error goes on. logged: called from time to
+    time, takes what the firmware has logged and tells whether the log has ended; the pilot waits a second
+    for it.
     Raises LinkError when the firmware does not arm or disarm or the link fails, ScenarioError on impossible
     sticks.
     """
     pilot = _Pilot(scenario, port.control_rate_hz)
-    link = _Lockstep(twin, port, pilot, motor_order)
+    link = _Lockstep(twin, port, pilot, motor_order, logged)
     steps = pilot.steps
     rows = _Rows(steps, port.motor_count)
     every = max(1, round(PROGRESS_S * port.control_rate_hz))
@@ -71,6 +76,8 @@ def fly(
             if progress is not None and k % every == 0:
                 progress(k / steps)
         _disarm(link)
+        if logged is not None:
+            _see_log_out(link, logged)
     except BaseException:  # an interruption by the user as well
         if rows.count:
             with suppress(TraceError):  # what ended the flight may be a number that is none
@@ -179,7 +186,12 @@ class _Lockstep:
     """Twin and firmware together, advanced by whole control steps."""
 
     def __init__(
-        self, twin: Twin, port: FirmwarePort, pilot: _Pilot, motor_order: Sequence[int] | None
+        self,
+        twin: Twin,
+        port: FirmwarePort,
+        pilot: _Pilot,
+        motor_order: Sequence[int] | None,
+        logged: Callable[[], bool] | None,
     ) -> None:
         motors = twin.aircraft.motor_count
         if twin.count != 1:
@@ -207,6 +219,8 @@ class _Lockstep:
         # Control steps from the decision on a frame to its step: it must end one sample before that.
         lead_s = max(FRAME_SPACING_S, FRAME_S + 2 / port.gyro_rate_hz)
         self._lead = math.ceil(round(lead_s * port.control_rate_hz, 6))
+        self._logged = logged
+        self._log_every = max(1, round(LOG_S * port.control_rate_hz))
         self._planned: dict[int, Frame] = {}  # frames by control step
         self._frame: Frame | None = None  # the last one planned
         self._frame_step = 0
@@ -234,6 +248,8 @@ class _Lockstep:
         for _ in range(1, self._divider):
             self._exchange(None)
         self.step += 1
+        if self._logged is not None and self.step % self._log_every == 0:
+            self._logged()
         return reply
 
     def arming_reasons(self) -> str:
@@ -312,3 +328,12 @@ def _disarm(link: _Lockstep) -> None:
         f"the firmware did not disarm within {DISARM_LIMIT_S:g} s of the pilot's switch: "
         f"it is {'armed' if link.armed else 'disarmed'}, DShot {values.tolist()}"
     )
+
+
+def _see_log_out(link: _Lockstep, logged: Callable[[], bool]) -> None:
+    """Go on until the log has ended, or for LOG_END_LIMIT_S where it does not."""
+    end = link.step + math.ceil(LOG_END_LIMIT_S * link.control_rate_hz)
+    every = max(1, round(LOG_S * link.control_rate_hz))
+    while not logged() and link.step < end:
+        for _ in range(every):
+            link.control_step()

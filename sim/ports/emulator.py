@@ -32,7 +32,7 @@ from sim.board.devices.gyro_mount import accel_counts, gyro_counts
 from sim.board.devices.sd_card import SdCard
 from sim.board.matekf722 import FULL_VOLTS, GYRO, Gyro
 from sim.board.serial.idle_board import configured
-from sim.ports.port import Reply, Sample, control_divider, flight_settings
+from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings
 from sim.ports.receiver_frames import RECEIVERS
 from toolchain.contract import (
     GYRO_EDGE_RATE_HZ,
@@ -51,6 +51,7 @@ _READY_LINE = int(READY[2:])
 _STATUS, _SAMPLES, _DIVIDER, _RATE = (
     f"firmware.{name}" for name in ("status", "samples", "control_divider", "gyro_rate_hz")
 )
+_LOG = tuple(f"background.blackbox.{name}" for name in ("phase", "written", "dropped", "bytes"))
 _NO_RATES = np.zeros(3, np.float32)
 
 RunTo = Callable[[int], None]  # lets a board run to a cycle
@@ -135,7 +136,7 @@ class EmulatedPort:
         for path in (image, elf):
             if not path.is_file():
                 raise LinkError(f"{path}: not built yet; build it with `make firmware TARGET=MATEKF722`")
-        names = (_STATUS, _SAMPLES, _DIVIDER, _RATE)
+        names = (_STATUS, _SAMPLES, _DIVIDER, _RATE, *_LOG)
         self._variables = dict(zip(names, read_variables(elf, *names), strict=True))
         self._receiver = RECEIVERS[receiver]
         self._alignment = gyro.alignment
@@ -253,6 +254,11 @@ class EmulatedPort:
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort."""
         return arming_reasons(int(self._read(_STATUS)["arming_reasons"])) if self._up else ()
+
+    def logged(self) -> Logged:
+        """See BlackboxPort."""
+        phase, frames, dropped, count = (int(self._read(name)) for name in _LOG)
+        return Logged(phase != 0, frames, dropped, count)
 
     def close(self) -> None:
         """Give the board's memory back."""

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from flash import messages, records
 from flash.client import Client
+from flash.logs.messages import log_info
 from flash.transport import TcpPort, TcpTransport
 from sim.control.motors import each_fraction
-from sim.ports.port import Reply, Sample, control_divider, flight_settings, setting_changes
+from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings, setting_changes
 from sim.ports.simulator_link import (
     LOOPBACK,
     PACKET_BYTES_MAX,
@@ -145,6 +146,12 @@ class HostPort:
         """See FirmwarePort; asked over MSP."""
         with self._msp() as msp:
             return messages.arming_reasons(records.safety(msp.request(Msp.SAFETY)).arming_flags)
+
+    def logged(self) -> Logged:
+        """See BlackboxPort; asked over MSP."""
+        with self._msp() as msp:
+            info = log_info(msp.request(Msp.LOG_INFO))
+        return Logged(info.logging, info.frames, info.dropped, info.bytes)
 
     def close(self) -> None:
         """See FirmwarePort."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from flash import messages, records
 from flash.client import Client
-from sim.ports.port import Reply, Sample, control_divider, flight_settings, setting_changes
+from flash.logs.messages import log_info
+from sim.ports.port import Logged, Reply, Sample, control_divider, flight_settings, setting_changes
 from toolchain.contract import CHANNEL_COUNT, GYRO_RATE_DEFAULT_HZ, MOTOR_COUNT_MAX, MSP_PAYLOAD_MAX, Msp
 from toolchain.errors import LinkError
 
@@ -190,6 +191,11 @@ class ReferencePort:
         """See FirmwarePort; asked over MSP."""
         safety = records.safety(Client(self.reference).request(Msp.SAFETY))
         return messages.arming_reasons(safety.arming_flags)
+
+    def logged(self) -> Logged:
+        """See BlackboxPort; asked over MSP."""
+        info = log_info(Client(self.reference).request(Msp.LOG_INFO))
+        return Logged(info.logging, info.frames, info.dropped, info.bytes)
 
     def close(self) -> None:
         """See FirmwarePort."""

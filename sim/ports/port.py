@@ -112,6 +112,25 @@ class BatteryPort(FirmwarePort, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Logged:
+    """What a firmware tells of its blackbox."""
+
+    busy: bool  # a log is being written
+    frames: int  # this and what follows: of the present or last log
+    dropped: int  # control steps that it lacks
+    bytes: int
+
+
+@runtime_checkable
+class BlackboxPort(FirmwarePort, Protocol):
+    """A port whose firmware logs its flight."""
+
+    def logged(self) -> Logged:
+        """How its log is doing, between two exchanges."""
+        ...
+
+
 def twin_settings(aircraft: Aircraft) -> dict[str, float]:
     """Firmware settings for the twin of `aircraft`: without gyro noise the check for a stuck gyro is off."""
     return {} if any(aircraft.gyro.noise) else {"gyro_stuck_ms": 0}
