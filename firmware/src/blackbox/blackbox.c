@@ -217,7 +217,8 @@ static bool blackbox_record(struct blackbox *b)
 	const struct log_step step = {
 		.record = r,
 		.iteration = r->trace.step - about->first_step,
-		.time_us = (uint32_t)((uint64_t)r->sample * 1000000u / about->settings->gyro_rate_hz),
+		/* Every gyro rate has periods of whole microseconds. */
+		.time_us = r->sample * (1000000u / about->settings->gyro_rate_hz),
 		.volts_cv = (int32_t)(limit(b->view.volts, 0.0f, 600.0f) * 100.0f + 0.5f),
 		.amps_ca = (int32_t)(limit(b->view.amps, -300.0f, 300.0f) * 100.0f),
 		.mount = &b->mount,
