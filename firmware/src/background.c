@@ -259,6 +259,7 @@ static void background_offer_commands(struct background *background)
 		.settings = &background->edited,
 		.slots = &background->slots,
 		.faults = &background->faults,
+		.blackbox = &background->blackbox,
 		.tasks = config->stats,
 		.cycles_hz = config->cycles_hz,
 		.context = background,

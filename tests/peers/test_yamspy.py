@@ -61,8 +61,13 @@ CHANGED: dict[str, float | str] = {
     "map_throttle": 3,
     "map_yaw": 2,
     "motors_reversed": 1,
+    "blackbox_device": 1,
+    "blackbox_divider": 4,
+    "uart3_function": 2,
+    "blackbox_baud": 1_000_000,
 }
 PROVIDER_CRSF = 9
+DEVICE_SERIAL, NO_CARD = 3, 0
 
 
 def change(host: Program, changed: Mapping[str, float | str] = CHANGED) -> None:
@@ -117,7 +122,14 @@ def test_what_it_reads_is_what_is_set_when_nothing_is_at_its_default(
     assert peer.PIDNAMES[:3] == ["ROLL", "PITCH", "YAW"]
     assert len(peer.PIDs) == len(peer.PIDNAMES)
     assert peer.RXFAIL_CONFIG[:4] and len(peer.RXFAIL_CONFIG) == 16
-    assert not peer.DATAFLASH["supported"] and not peer.SDCARD["supported"] and not peer.BLACKBOX["supported"]
+    assert not peer.DATAFLASH["supported"]
+    assert peer.SDCARD["supported"] and peer.SDCARD["state"] == NO_CARD
+    assert peer.BLACKBOX == {
+        **{"supported": True, "blackboxDevice": DEVICE_SERIAL, "blackboxRateNum": 1},
+        **{"blackboxRateDenom": 4, "blackboxPDenom": 8},
+    }
+    assert peer.SERIAL_CONFIG["ports"][2]["functions"] == ["BLACKBOX"]
+    assert peer.SERIAL_CONFIG["ports"][2]["blackbox_baudrate"] == "1000000"
     assert peer.COMPASS_CONFIG["mag_declination"] == 0
     assert peer.PID_ADVANCED_CONFIG["pid_process_denom"] == 1
 

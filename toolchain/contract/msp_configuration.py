@@ -194,6 +194,20 @@ _SENSORS = (
     bound("u8", "baro_hardware", constant(ABSENT_PART)),
     bound("u8", "mag_hardware", constant(ABSENT_PART)),
 )
+_BLACKBOX = (
+    bound("u8", "device", choice("blackbox_device", 0, 3, 2), "", "0 none, 2 SD card, 3 serial"),
+    bound("u8", "rate_numerator", constant(1)),
+    told("u8", "rate_denominator", scaled("blackbox_divider"), "", "as sample_rate, which counts"),
+    told(
+        "u16",
+        "p_denominator",
+        source(MspSource.LOG_INTRA),
+        "frames",
+        "the same, from one I frame to the next",
+    ),
+    bound("u8", "sample_rate", source(MspSource.LOG_RATE), "", "every 2^n-th control step is logged"),
+    bound("u32", "fields_off", source(MspSource.LOG_FIELDS_OFF), "bits", "the setting's bits 0 to 15"),
+)
 _GENERAL = (
     pair(
         Msp.FEATURE_CONFIG,
@@ -290,13 +304,18 @@ _GENERAL = (
         Msp.GYRO_SENSOR, bound("u8", "gyros", constant(1)), bound("u8", "gyro_hardware", constant(PRESENT))
     ),
     read_only(Msp.DATAFLASH_SUMMARY, *zeros("u8", "flags"), *zeros("u32", "sectors total_size used_size")),
-    read_only(Msp.SDCARD_SUMMARY, *zeros("u8", "flags state last_error"), *zeros("u32", "free_kb total_kb")),
     read_only(
-        Msp.BLACKBOX_CONFIG,
-        *zeros("u8", "supported device rate_numerator rate_denominator"),
-        *zeros("u16", "p_denominator"),
-        *zeros("u8", "sample_rate"),
-        *zeros("u32", "fields_off"),
+        Msp.SDCARD_SUMMARY,
+        bound("u8", "flags", constant(1), "bits", "0 there can be one"),
+        bound("u8", "state", source(MspSource.LOG_CARD, 0), "", "0 no card, 1 fault, 2 starting, 4 ready"),
+        bound("u8", "last_error", source(MspSource.LOG_CARD, 1), "", "0 none, 1 any, 3 of the file system"),
+        bound("u32", "free", source(MspSource.LOG_CARD, 2), "KB", "of files that can take a log"),
+        bound("u32", "total", source(MspSource.LOG_CARD, 3), "KB", "of files for logs"),
+    ),
+    Configuration(
+        reply(Msp.BLACKBOX_CONFIG, bound("u8", "supported", constant(1)), *_BLACKBOX),
+        request(Msp.SET_BLACKBOX_CONFIG, *_BLACKBOX, required=5),
+        read_first=True,
     ),
 )
 

@@ -58,6 +58,10 @@ class MspSource(IntEnum):
     TPA_BREAKPOINT = 16
     BEEPERS = 17
     DIVIDER = 18  # argument: 0 scale, 1 divider, 2 multiplier of the battery's voltage
+    LOG_RATE = 19  # logarithm to base 2 of the control steps from one frame to the next
+    LOG_INTRA = 20  # frames from one that stands alone to the next
+    LOG_FIELDS_OFF = 21  # groups of fields that no log has; those that the ecosystem knows
+    LOG_CARD = 22  # argument: 0 state, 1 error, 2 free, 3 total [KB] of the card for logs
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ _RANGE = (
 _LOGIC = (number("u8", "logic", "", "1: and the others"), number("u8", "linked", "", "0"))
 _PORT = (
     number("u8", "port", "", "0 is UART1"),
-    number("u32", "functions", "bits", "0 MSP, 6 serial receiver"),
+    number("u32", "functions", "bits", "0 MSP, 6 serial receiver, 7 blackbox"),
     *numbers("u8", "msp_baud gps_baud telemetry_baud blackbox_baud", "", "index of 0, 9600, 19200 .."),
 )
 _PORT_OLD = (_PORT[0], number("u16", "functions", "bits", "the lower ones"), *_PORT[2:])

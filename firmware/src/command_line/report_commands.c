@@ -9,6 +9,9 @@ static const char *const states[] = { NF_FLIGHT_STATES(NAME) };
 static const char *const stops[] = { NF_STOP_CAUSES(NAME) };
 static const char *const fallbacks[] = { NF_FALLBACK_CAUSES(NAME) };
 static const char *const healths[] = { NF_GYRO_HEALTHS(NAME) };
+static const char *const log_devices[] = { NF_LOG_DEVICES(NAME) };
+static const char *const log_states[] = { NF_LOG_STATES(NAME) };
+static const char *const log_errors[] = { NF_LOG_ERRORS(NAME) };
 static const char *const tasks[] = { NF_TASKS(NAME) };
 _Static_assert(sizeof tasks / sizeof tasks[0] == TASK_COUNT, "a name each");
 #define REASON(name) { NF_ARMING_REASON_##name, #name },
@@ -129,10 +132,25 @@ static void status_receiver(const struct task_line *t)
 	printer_text(t->out, " %");
 }
 
+static void status_log(const struct task_line *t)
+{
+	struct blackbox_status log;
+
+	blackbox_status(t->services->blackbox, &log);
+	REPORT_NAME(t->out, "log: ", log_devices, log.chosen);
+	REPORT_NAME(t->out, ", ", log_states, log.device.state);
+	REPORT_NAME(t->out, ", error ", log_errors, log.device.error);
+	printer_text(t->out, ", logs ");
+	printer_number(t->out, log.device.logs);
+	printer_text(t->out, ", dropped steps ");
+	printer_number(t->out, log.dropped);
+}
+
 bool command_status(const struct task_line *t)
 {
 	static void (*const lines[])(const struct task_line *t) = {
-		status_state, status_reasons, status_battery, status_policy, status_load, status_gyro, status_receiver,
+		status_state, status_reasons, status_battery,  status_policy,
+		status_load,  status_gyro,    status_receiver, status_log,
 	};
 
 	lines[t->row](t);

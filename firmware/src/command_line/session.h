@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "blackbox/blackbox.h"
 #include "common/status.h"
 #include "housekeeping/scheduler.h"
 #include "nf_contract.h"
@@ -35,6 +36,7 @@ struct command_line_services {
 	struct nf_settings *settings;  /* as changed and perhaps not saved; not those that are flown */
 	const struct policy_slots *slots;
 	struct fault_log *faults;
+	const struct blackbox *blackbox;
 	const struct task_stats *tasks; /* [TASK_COUNT] */
 	uint32_t cycles_hz;            /* of the cycles they tell */
 	void *context;                 /* of the functions below */

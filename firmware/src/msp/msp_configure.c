@@ -81,6 +81,7 @@ bool msp_configure(const struct msp_services *services, const struct firmware_st
 	const struct msp_view view = {
 		.status = status,
 		.pid = services->pid ? services->pid : &no_pid,
+		.blackbox = services->blackbox,
 		.settings = &changed,
 	};
 	unsigned detail = 0;

@@ -113,21 +113,24 @@ static enum nf_refusal lists_set_rxfail(struct msp_reader payload)
 /* --- Ports ------------------------------------------------------------------------------------------------ */
 #define FUNCTION_MSP 1u
 #define FUNCTION_RECEIVER (1u << 6)
+#define FUNCTION_BLACKBOX (1u << 7)
 #define PORT_BYTES 9u
 #define BAUD_AUTO 0u
 
 /* The ecosystem's index of a baud rate; of those that it has, ours are the ones below. */
 static const struct rate {
 	uint8_t index;
-	uint32_t baud;
+	uint16_t hectobaud;
 } rates[] = {
-	{ 1, 9600 },   { 2, 19200 },  { 3, 38400 },  { 4, 57600 },
-	{ 5, 115200 }, { 6, 230400 }, { 9, 460800 }, { 11, 921600 },
+	{ 1, 96 },   { 2, 192 },   { 3, 384 },    { 4, 576 },    { 5, 1152 },   { 6, 2304 },
+	{ 9, 4608 }, { 11, 9216 }, { 12, 10000 }, { 13, 15000 }, { 14, 20000 },
 };
+#define HECTOBAUD 100u
 
 struct line {
 	uint32_t functions;
 	unsigned baud_setting; /* NF_SETTING_COUNT: none, as its function says how fast it is */
+	unsigned log_baud_setting; /* the same of a log */
 };
 
 /* UART1 is always MSP's, UART2 the receiver's, UART3 is what its setting says. */
@@ -135,12 +138,17 @@ struct line {
 #define LINE_UART2 1u
 #define LINE_UART3 2u
 
+/* By the setting uart3_function: it does one of them. */
+static const uint8_t uart3_functions[] = { 0, FUNCTION_MSP, FUNCTION_BLACKBOX };
+_Static_assert(NF_UART3_FUNCTION_MSP == 1 && NF_UART3_FUNCTION_BLACKBOX == 2, "in the order of the setting");
+
 static struct line lists_line(const struct nf_settings *s, unsigned number)
 {
 	const struct line lines[LINE_COUNT] = {
-		{ FUNCTION_MSP, SETTING_AT_msp_baud },
-		{ s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP ? 0u : FUNCTION_RECEIVER, NF_SETTING_COUNT },
-		{ s->uart3_function == NF_UART3_FUNCTION_MSP ? FUNCTION_MSP : 0u, SETTING_AT_uart3_baud },
+		{ FUNCTION_MSP, SETTING_AT_msp_baud, NF_SETTING_COUNT },
+		{ s->receiver_protocol == NF_RECEIVER_PROTOCOL_MSP ? 0u : FUNCTION_RECEIVER, NF_SETTING_COUNT,
+		  NF_SETTING_COUNT },
+		{ uart3_functions[s->uart3_function], SETTING_AT_uart3_baud, SETTING_AT_blackbox_baud },
 	};
 
 	return lines[number];
@@ -154,7 +162,7 @@ static unsigned lists_baud_index(const struct nf_settings *s, unsigned setting)
 		return BAUD_AUTO;
 	settings_get(s, setting, &baud);
 	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
-		if (rates[i].baud == baud.as_uint32_t)
+		if (rates[i].hectobaud * HECTOBAUD == baud.as_uint32_t)
 			return rates[i].index;
 	return BAUD_AUTO;
 }
@@ -172,7 +180,8 @@ static enum nf_refusal lists_ports(const struct msp_view *view, struct msp_write
 		else
 			msp_put_u32(reply, line.functions);
 		msp_put_u8(reply, lists_baud_index(view->settings, line.baud_setting));
-		msp_put_zeros(reply, 3); /* of GPS, telemetry and blackbox: there are none */
+		msp_put_zeros(reply, 2); /* of GPS and telemetry: there are none */
+		msp_put_u8(reply, lists_baud_index(view->settings, line.log_baud_setting));
 	}
 	return NF_REFUSAL_NONE;
 }
@@ -185,7 +194,7 @@ static enum nf_refusal lists_set_baud(struct nf_settings *s, unsigned setting, u
 		return NF_REFUSAL_PAYLOAD;
 	for (size_t i = 0; i < sizeof rates / sizeof rates[0]; ++i)
 		if (rates[i].index == index)
-			return settings_set_whole(s, setting, rates[i].baud);
+			return settings_set_whole(s, setting, rates[i].hectobaud * HECTOBAUD);
 	return NF_REFUSAL_RANGE;
 }
 
@@ -194,10 +203,10 @@ static enum nf_refusal lists_set_functions(struct nf_settings *s, unsigned numbe
 {
 	if (functions == lists_line(s, number).functions)
 		return NF_REFUSAL_NONE;
-	if (number != LINE_UART3 || functions > FUNCTION_MSP)
-		return NF_REFUSAL_PAYLOAD;
-	return settings_set_whole(s, SETTING_AT_uart3_function,
-				  functions == FUNCTION_MSP ? NF_UART3_FUNCTION_MSP : NF_UART3_FUNCTION_OFF);
+	for (unsigned choice = 0; number == LINE_UART3 && choice < sizeof uart3_functions; ++choice)
+		if (uart3_functions[choice] == functions)
+			return settings_set_whole(s, SETTING_AT_uart3_function, choice);
+	return NF_REFUSAL_PAYLOAD;
 }
 
 static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_reader *payload)
@@ -205,16 +214,19 @@ static enum nf_refusal lists_set_port(const struct msp_view *view, struct msp_re
 	const unsigned number = msp_take_u8(payload);
 	const uint32_t functions = msp_take_u32(payload);
 	const unsigned baud = msp_take_u8(payload);
-	const unsigned others = msp_take_u8(payload) | msp_take_u8(payload) | msp_take_u8(payload);
+	const unsigned others = msp_take_u8(payload) | msp_take_u8(payload), log_baud = msp_take_u8(payload);
 
 	if (number >= LINE_COUNT)
 		return NF_REFUSAL_INDEX;
 	if (others != 0)
 		return NF_REFUSAL_PAYLOAD;
-	const enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
-	if (refusal != NF_REFUSAL_NONE)
-		return refusal;
-	return lists_set_baud(view->settings, lists_line(view->settings, number).baud_setting, baud);
+	const struct line line = lists_line(view->settings, number);
+	enum nf_refusal refusal = lists_set_functions(view->settings, number, functions);
+	if (refusal == NF_REFUSAL_NONE)
+		refusal = lists_set_baud(view->settings, line.baud_setting, baud);
+	if (refusal == NF_REFUSAL_NONE)
+		refusal = lists_set_baud(view->settings, line.log_baud_setting, log_baud);
+	return refusal;
 }
 
 static enum nf_refusal lists_set_ports(const struct msp_view *view, struct msp_reader payload)

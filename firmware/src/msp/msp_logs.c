@@ -95,3 +95,37 @@ enum nf_refusal msp_log_erase(struct blackbox *blackbox, struct msp_reader *payl
 	msp_put_u8(reply, later ? ASK_AGAIN : TOLD);
 	return NF_REFUSAL_NONE;
 }
+
+/* --- As the ecosystem tells a card ------------------------------------------------------------------------ */
+enum card_state { CARD_ABSENT, CARD_FAULT, CARD_STARTING, CARD_READY = 4 };
+enum card_error { CARD_GOOD, CARD_FAILED, CARD_UNFORMATTED = 3 };
+
+static unsigned logs_card_state(const struct log_device_status *device)
+{
+	if (device->state == NF_LOG_STATE_ABSENT || device->error == NF_LOG_ERROR_NO_CARD)
+		return CARD_ABSENT;
+	return device->state == NF_LOG_STATE_FAULT    ? CARD_FAULT :
+	       device->state == NF_LOG_STATE_STARTING ? CARD_STARTING :
+							CARD_READY;
+}
+
+uint32_t msp_log_card(const struct blackbox *blackbox, unsigned part)
+{
+	struct blackbox_status status = { .chosen = NF_LOG_DEVICE_NONE };
+
+	if (blackbox)
+		blackbox_status(blackbox, &status);
+	if (status.chosen != NF_LOG_DEVICE_CARD)
+		return 0;
+	const struct log_device_status *device = &status.device;
+	switch (part) {
+	case 0:
+		return logs_card_state(device);
+	case 1:
+		return device->error == NF_LOG_ERROR_NONE        ? CARD_GOOD :
+		       device->error == NF_LOG_ERROR_FILE_SYSTEM ? CARD_UNFORMATTED :
+								   CARD_FAILED;
+	default:
+		return part == 2 ? device->free_kb : device->capacity_kb;
+	}
+}

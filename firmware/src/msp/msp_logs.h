@@ -16,4 +16,7 @@ enum nf_refusal msp_log_read(struct blackbox *blackbox, struct msp_reader *paylo
 enum nf_refusal msp_log_erase(struct blackbox *blackbox, struct msp_reader *payload, struct msp_writer *reply,
 			      int *detail);
 
+/* What the ecosystem's summary of a card has: part 0 state, 1 error, 2 free, 3 total [KB]. NULL: there is none. */
+uint32_t msp_log_card(const struct blackbox *blackbox, unsigned part);
+
 #endif

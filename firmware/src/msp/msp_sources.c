@@ -2,8 +2,10 @@
 
 #include <stddef.h>
 
+#include "blackbox/log_frames.h"
 #include "common/limit.h"
 #include "common/nf_math.h"
+#include "msp/msp_logs.h"
 #include "policy.h"
 #include "storage/settings.h"
 
@@ -309,6 +311,27 @@ static enum nf_refusal sources_set_notch_cutoff(struct nf_settings *s, unsigned 
 	return settings_set_number(s, stage.index + STAGE_Q, stage.hz * edge / (stage.hz * stage.hz - edge * edge));
 }
 
+/* --- Blackbox ------------------------------------------------------------------------------------------- */
+#define FIELDS_OFF_KNOWN 0xFFFFu /* bits of groups that the ecosystem knows; those above are ours */
+
+static uint32_t sources_log_rate(const struct nf_settings *s)
+{
+	return 31u - (uint32_t)__builtin_clz(s->blackbox_divider);
+}
+
+static enum nf_refusal sources_set_log_rate(struct nf_settings *s, uint32_t value)
+{
+	return value < 8 ? settings_set_whole(s, SETTING_AT_blackbox_divider, 1u << value) : NF_REFUSAL_RANGE;
+}
+
+static enum nf_refusal sources_set_fields_off(struct nf_settings *s, uint32_t value)
+{
+	if (value > FIELDS_OFF_KNOWN)
+		return NF_REFUSAL_PAYLOAD;
+	return settings_set_whole(s, SETTING_AT_blackbox_disabled_mask,
+				  value | (s->blackbox_disabled_mask & ~FIELDS_OFF_KNOWN));
+}
+
 /* --- All of them ------------------------------------------------------------------------------------------ */
 uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, unsigned argument)
 {
@@ -352,6 +375,14 @@ uint32_t msp_source_get(const struct msp_view *view, enum nf_msp_source source, 
 		return sources_beepers(s);
 	case NF_MSP_SOURCE_DIVIDER:
 		return sources_voltage(s, argument);
+	case NF_MSP_SOURCE_LOG_RATE:
+		return sources_log_rate(s);
+	case NF_MSP_SOURCE_LOG_INTRA:
+		return LOG_INTRA_INTERVAL / s->blackbox_divider;
+	case NF_MSP_SOURCE_LOG_FIELDS_OFF:
+		return s->blackbox_disabled_mask & FIELDS_OFF_KNOWN;
+	case NF_MSP_SOURCE_LOG_CARD:
+		return msp_log_card(view->blackbox, argument);
 	}
 	return 0;
 }
@@ -396,6 +427,10 @@ enum nf_refusal msp_source_set(const struct msp_view *view, enum nf_msp_source s
 		return sources_set_beepers(s, value);
 	case NF_MSP_SOURCE_DIVIDER:
 		return NF_REFUSAL_NONE; /* msp_source_set_voltage has taken all three together */
+	case NF_MSP_SOURCE_LOG_RATE:
+		return sources_set_log_rate(s, value);
+	case NF_MSP_SOURCE_LOG_FIELDS_OFF:
+		return sources_set_fields_off(s, value);
 	default:
 		return sources_refuse(view, source, argument, value);
 	}

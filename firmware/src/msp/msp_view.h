@@ -2,6 +2,7 @@
 #ifndef NF_MSP_VIEW_H
 #define NF_MSP_VIEW_H
 
+#include "blackbox/blackbox.h"
 #include "common/status.h"
 #include "control/pid.h"
 #include "nf_contract.h"
@@ -9,6 +10,7 @@
 struct msp_view {
 	const struct firmware_status *status;
 	const struct pid_gains *pid; /* that is built in */
+	const struct blackbox *blackbox; /* NULL: there is none */
 	struct nf_settings *settings; /* as edited; for a SET a copy, which counts if the whole SET is taken */
 };
 

@@ -36,6 +36,7 @@ def test_status_says_state_reasons_battery_policy_and_load(desk: Desk) -> None:
     assert text["load"] == "0 % of a gyro period at most"
     assert text["gyro"].startswith("1000 Hz, GOOD, ")
     assert text["receiver"] == "good, quality 100 %"
+    assert text["log"] == "CARD, ABSENT, error NONE, logs 0, dropped steps 0"
 
 
 def test_every_reason_is_told_by_name(desk: Desk) -> None:

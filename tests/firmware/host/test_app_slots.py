@@ -58,6 +58,22 @@ def test_ports_outputs_and_names_change_one_thing_when_saved(app: App) -> None:
     app.ask(4106, layouts.encode(ports, told))
     expected |= {"uart3_function": 1, "uart3_baud": 230400}
     assert app.settings() == expected
+    told["ports"][2] |= {"functions": 1 << 7, "blackbox_baud": 12}
+    app.ask(4106, layouts.encode(ports, told))
+    expected |= {"uart3_function": 2, "blackbox_baud": 1_000_000}
+    assert app.settings() == expected
+    assert app.get(4105) == told
+    for port, bad in (
+        *((2, {"functions": functions}) for functions in (1 | 1 << 7, 1 << 6, 1 << 8, 1 << 31)),
+        *((2, {"blackbox_baud": index}) for index in (0, 1, 4, 7, 10, 15, 255)),
+        *((2, {"msp_baud": index}) for index in (0, 7, 12, 14)),
+        *((port, {"blackbox_baud": 5}) for port in (0, 1)),
+        *((port, {"functions": 1 << 7}) for port in (0, 1)),
+    ):
+        ports_now = app.get(4105)
+        ports_now["ports"][port] |= bad
+        assert app.refused(4106, layouts.encode(ports, ports_now)), (port, bad)
+    assert app.settings() == expected
     told["ports"][0]["functions"] = 0
     assert app.refused(4106, layouts.encode(ports, told)), "the line that is spoken over"
     assert app.refused(4106, b"\0")

@@ -24,17 +24,17 @@ REFUSED = (88, 135, 120, 241, 189, 84, 132, 106, 107, 164, 205, 246, 225)
 
 # Number of each request and bytes of its reply at API 1.46, None: refused.
 HANDSHAKE = {1: 3, 2: 4, 3: 3, 5: 34, 101: 24, 160: 12}
-CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 21, 150: 24}
+CONNECTED = {36: 4, 32: 13, 80: 11, 70: 13, 79: 11, 110: 9, 130: 11, 116: 36, 150: 24}
 TABS: dict[str, dict[int, int | None]] = {
     "setup": {240: 4, 42: 2, 126: 7, 90: 20, 108: 6},
     "ports": {108: 6, 88: None, 4105: 28},
     "configuration": {36: 4, 184: 9, 61: 3, 96: 4, 44: 38, 90: 20},
-    "failsafe": {44: 38, 75: 8, 135: None, 77: 48, 36: 4, 119: 4, 105: 32, 50: 1, 34: 80},
+    "failsafe": {44: 38, 75: 8, 135: None, 77: 48, 36: 4, 119: 6, 105: 32, 50: 1, 34: 80},
     "pid tuning": {
         **{117: 25, 112: 15, 94: 61, 111: 23, 92: 49, 125: 5, 131: 10, 140: 53, 90: 20, 42: 2, 145: 3},
     },
     "receiver": {36: 4, 105: 32, 50: 1, 111: 23, 64: 8, 125: 5, 44: 38, 42: 2},
-    "modes": {105: 32, 101: 24, 34: 80, 238: 61, 119: 4, 50: 1, 4105: 28},
+    "modes": {105: 32, 101: 24, 34: 80, 238: 61, 119: 6, 50: 1, 4105: 28},
     "motors": {
         **{105: 32, 101: 24, 104: 16, 94: 61, 36: 4, 42: 2, 131: 10, 124: 6, 12289: 9},
         **{90: 20, 92: 49, 61: 3, 102: 18},
@@ -42,7 +42,7 @@ TABS: dict[str, dict[int, int | None]] = {
     "blackbox": {102: 18, 104: 16, 36: 4, 70: 13, 79: 11, 80: 11, 90: 20, 96: 4, 12298: 5},
     "sensors": {96: 4, 126: 7, 38: 6, 240: 4, 12298: 5, 42: 2, 133: 2, 12301: 2, 108: 6, 109: 6},
     "power": {108: 6, 128: 2, 129: 5, 40: 8, 56: 7, 32: 13},
-    "adjustments": {128: 2, 129: 5, 52: 180, 119: 4, 105: 32},
+    "adjustments": {128: 2, 129: 5, 52: 180, 119: 6, 105: 32},
 }
 # What a tab's save sends before 250. Left out: texts, slots and lists, which have tests of their own.
 SAVES = {
@@ -51,6 +51,7 @@ SAVES = {
     "failsafe": (45, 76, 37),
     "receiver": (65, 51, 218, 45, 37),
     "motors": (37, 43, 222, 217, 91, 62, 93),
+    "blackbox": (81, 91),
     "sensors": (97, 220, 39, 239, 224),
     "power": (57, 41, 33),
 }
@@ -189,6 +190,9 @@ CHANGED: tuple[tuple[int, Mapping[str, int], Mapping[str, float]], ...] = (
     (220, {"gyro_1_align": 2}, {"gyro_alignment": 2}),
     (39, {"yaw": -45}, {"board_yaw_deg": -45.0}),
     (57, {"scale": 100}, {"battery_scale": 10.0}),
+    (81, {"device": 3}, {"blackbox_device": 1}),
+    (81, {"device": 0, "sample_rate": 4}, {"blackbox_device": 0, "blackbox_divider": 16}),
+    (81, {"fields_off": 1 << 12 | 1 << 3}, {"blackbox_disabled_mask": 1 << 12 | 1 << 3}),
     (41, {"scale": 250}, {"current_scale": 25.0}),
     (33, {"cell_warning": 365, "capacity": 850}, {"battery_warn_v": 3.65, "battery_capacity_mah": 850}),
 )
@@ -221,6 +225,40 @@ def test_all_rates_are_taken_when_their_type_changes(app: App) -> None:
     }
     app.ask(204, app.payload(204, type=0, **each))
     assert app.settings() == stored(expected)
+
+
+def test_fields_of_ours_stay_off_when_the_app_chooses_among_its_own(app: App) -> None:
+    app.change(blackbox_disabled_mask=0x50001)
+    expected = app.settings() | {"blackbox_disabled_mask": 0x58080}
+    assert app.get(80)["fields_off"] == 1
+    app.ask(81, app.payload(81, fields_off=0x8080))
+    assert app.settings() == expected
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"device": device} for device in (1, 4, 255)),
+        *({"sample_rate": rate} for rate in (5, 7, 8, 31, 255)),
+        *({"rate_numerator": number} for number in (0, 2)),
+        *({"fields_off": 1 << bit} for bit in (16, 19, 31)),
+        {"device": 3, "sample_rate": 5, "fields_off": 1},
+    ],
+    ids=str,
+)
+def test_a_log_that_cannot_be_is_refused_and_the_save_too(app: App, changes: dict[str, int]) -> None:
+    before = app.settings()
+    assert app.refused(81, app.payload(81, **changes))
+    assert app.refused(250)
+    assert app.settings() == before
+
+
+@pytest.mark.parametrize("divider", [1, 2, 4, 8, 16])
+def test_the_rate_of_the_log_is_told_in_every_form(app: App, divider: int) -> None:
+    app.change(blackbox_divider=divider)
+    told = app.get(80)
+    assert 2 ** told["sample_rate"] == divider == told["rate_denominator"]
+    assert told["p_denominator"] * divider == 32  # control steps from one I frame to the next
 
 
 ZEROS_CHANGE_NOTHING = {51, 239, 224, 220, 39}  # what they tell is all zeros

@@ -114,3 +114,45 @@ def test_logs_are_absent_when_the_device_keeps_none(server: MakeServer, command:
     s.services.blackbox = null
     assert s.refusal(command, GOOD[command]) == (Refusal.ABSENT, 0)
     assert s.refusal(Msp.LOG_INFO) == (Refusal.ABSENT, 0)
+
+
+# --- As the ecosystem tells a card ----------------------------------------------------------------
+CARD_STATES = {  # and errors of this device; the ecosystem's: 0 no card, 1 fault, 2 starting, 4 ready
+    (LogState.ABSENT, LogError.NONE): (0, 0),
+    (LogState.STARTING, LogError.NONE): (2, 0),
+    (LogState.READY, LogError.NONE): (4, 0),
+    (LogState.READY, LogError.WRITE): (4, 1),
+    (LogState.LOGGING, LogError.NONE): (4, 0),
+    (LogState.ENDING, LogError.NONE): (4, 0),
+    (LogState.FULL, LogError.NONE): (4, 0),
+    (LogState.FAULT, LogError.NO_CARD): (0, 1),
+    (LogState.FAULT, LogError.CARD): (1, 1),
+    (LogState.FAULT, LogError.FILE_SYSTEM): (1, 3),
+    (LogState.FAULT, LogError.NO_FILE): (1, 1),
+    (LogState.FAULT, LogError.FRAGMENTED): (1, 1),
+}
+
+
+@pytest.mark.parametrize(("state", "error"), CARD_STATES)
+def test_the_card_is_told_to_the_ecosystem_as_it_is(
+    server: MakeServer, state: LogState, error: LogError
+) -> None:
+    s = server()
+    s.log.state, s.log.error = state, error
+    card = told(s, Msp.SDCARD_SUMMARY)
+    assert (card["state"], card["last_error"]) == CARD_STATES[state, error]
+    assert (card["flags"], card["free"], card["total"]) == (1, 0x80000, 0x90000)
+
+
+@pytest.mark.parametrize("device", [LogDevice.NONE, LogDevice.SERIAL])
+def test_there_is_no_card_when_the_log_goes_elsewhere(server: MakeServer, device: LogDevice) -> None:
+    s = server()
+    s.settings.blackbox_device = device
+    card = told(s, Msp.SDCARD_SUMMARY)
+    assert card == {"flags": 1, "state": 0, "last_error": 0, "free": 0, "total": 0}
+    s.services.blackbox = s.core.ffi.NULL
+    assert told(s, Msp.SDCARD_SUMMARY) == card
+
+
+def test_there_is_no_flash_for_logs(server: MakeServer) -> None:
+    assert not any(told(server(), Msp.DATAFLASH_SUMMARY).values())
