@@ -20,6 +20,7 @@ WIDTHS = {
     "u32": "4, 0",
     "i32": "4, 1",
 }  # bytes, signed
+CHOICE_BITS, CHOICE_COUNT_MAX = 4, 3  # of the numbers that stand for choices, as msp_fields.c unpacks them
 _SETTINGS = {setting.name: index for index, setting in enumerate(contract.SETTINGS)}
 
 
@@ -87,5 +88,6 @@ def _bound(bound: Bound) -> str:
     )
     number = int(bound.offset) if bound.how is MspHow.SCALED else bound.number
     for place, value in enumerate(bound.choices):
-        number |= value << 8 * place
+        assert value < 1 << CHOICE_BITS and place < CHOICE_COUNT_MAX, f"{bound.setting}: 16 bits hold no more"
+        number |= value << CHOICE_BITS * place
     return f"NF_MSP_HOW_{bound.how.name}, {index}, {number}, {float(bound.gain)!r}f"

@@ -81,10 +81,10 @@ static uint32_t fields_mask(const struct field *field)
 	return field->bytes == 4 ? UINT32_MAX : (1u << 8 * field->bytes) - 1u;
 }
 
-/* The number that stands for a choice; what no byte stands for is as the last. */
+/* The number that stands for a choice, 4 bits for each of three; for another one it is UINT8_MAX. */
 static uint32_t fields_choice(const struct field *field, uint32_t choice)
 {
-	return choice < 4 ? (uint32_t)field->number >> 8 * choice & 0xFFu : 0xFFu;
+	return choice < 3 ? (uint32_t)field->number >> 4 * choice & 0xFu : UINT8_MAX;
 }
 
 static uint32_t fields_tell(const struct msp_view *view, const struct field *field)
