@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 from pathlib import Path
 
 from toolchain import contract
@@ -115,6 +116,7 @@ def render_contract() -> str:
             if setting.choices[:2] != ("off", "on") and not setting.name.startswith("filter")
             for value, choice in enumerate(setting.choices)
         ],
+        limits=_limits_used(),
         units=_UNITS,
         choice_lists=_CHOICES,
         msp=render_configurations(),
@@ -143,10 +145,22 @@ def _setting(setting: contract.Setting, span: contract.Setting | contract.Span) 
             "mode": f"uint32_t {setting.name}",
         }.get(setting.kind, f"{setting.kind} {setting.name}"),
         "choices": _CHOICES.index(_choices(setting)),
-        "limits": ", ".join(_number(setting, value) for value in (span.low, span.high, span.default)),
+        "limits": _limits_used().index(_limits(setting, span)),
         "unit": _UNITS.index(span.unit),
         "comment": f"{span.unit}: {setting.meaning}" if span.unit else setting.meaning,
     }
+
+
+def _limits(setting: contract.Setting, span: contract.Setting | contract.Span) -> str:
+    """Kind, limits and default."""
+    return ", ".join((setting.kind, *(_number(setting, x) for x in (span.low, span.high, span.default))))
+
+
+@cache
+def _limits_used() -> tuple[str, ...]:
+    """Those of all settings, each once."""
+    both = ((s, span) for s in contract.SETTINGS for span in (s, s.betaflight) if span is not None)
+    return tuple(dict.fromkeys(_limits(setting, span) for setting, span in both))
 
 
 def _number(setting: contract.Setting, value: float) -> str:

@@ -203,7 +203,7 @@ static bool header_setting(char **at, struct log_header *header, const struct nf
 		union setting_value value;
 		settings_get(s, header->setting, &value);
 		const bool text = setting->kind == SETTING_text;
-		if (text ? value.as_text[0] == '\0' : memcmp(&value, &setting->preset, sizeof setting->preset) == 0)
+		if (text ? value.as_text[0] == '\0' : value.as_uint32_t == settings_limits(setting)->preset.as_uint32_t)
 			continue;
 		log_text(at, "H nf_set_");
 		log_text(at, setting->name);

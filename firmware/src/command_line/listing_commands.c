@@ -37,7 +37,7 @@ static bool listing_differs(const struct nf_settings *settings, unsigned index)
 	union setting_value value, preset;
 
 	memset(&preset, 0, sizeof preset);
-	preset.as_uint32_t = setting->preset.as_uint32_t;
+	preset.as_uint32_t = settings_limits(setting)->preset.as_uint32_t;
 	settings_get(settings, index, &value);
 	return memcmp(&value, &preset, sizeof value) != 0;
 }

@@ -92,9 +92,9 @@ static void setting_say_span(const struct task_line *t, const struct setting *se
 		printer_text(t->out, "one of ");
 		printer_text(t->out, settings_choices(setting));
 	} else {
-		setting_say_number(t, setting, setting->low);
+		setting_say_number(t, setting, settings_limits(setting)->low);
 		printer_text(t->out, " to ");
-		setting_say_number(t, setting, setting->high);
+		setting_say_number(t, setting, settings_limits(setting)->high);
 		if (!setting_is_ratio(setting)) {
 			printer_char(t->out, ' ');
 			printer_text(t->out, settings_unit(setting));
@@ -177,7 +177,7 @@ static void get_setting(const struct task_line *t, unsigned index)
 	setting_say_span(t, setting);
 	if (setting->kind != SETTING_text) {
 		printer_text(t->out, "; default ");
-		setting_say_number(t, setting, setting->preset);
+		setting_say_number(t, setting, settings_limits(setting)->preset);
 	}
 	printer_char(t->out, ')');
 	printer_end(t->out);

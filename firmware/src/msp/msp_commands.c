@@ -69,9 +69,7 @@ static enum nf_refusal command_setting_info(struct request *q)
 		return NF_REFUSAL_INDEX;
 	msp_put_u16(q->reply, NF_SETTING_COUNT);
 	msp_put_u8(q->reply, setting->kind);
-	msp_put_bytes(q->reply, &setting->low, sizeof setting->low);
-	msp_put_bytes(q->reply, &setting->high, sizeof setting->high);
-	msp_put_bytes(q->reply, &setting->preset, sizeof setting->preset);
+	msp_put_bytes(q->reply, settings_limits(setting), sizeof(struct setting_limits));
 	msp_put_counted_text(q->reply, setting->name, MSP_TEXT_MAX);
 	msp_put_counted_text(q->reply, settings_unit(setting), MSP_TEXT_MAX);
 	return NF_REFUSAL_NONE;

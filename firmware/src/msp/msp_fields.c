@@ -113,7 +113,7 @@ static uint32_t fields_tell(const struct msp_view *view, const struct field *fie
 
 static enum nf_refusal fields_put_choice(const struct msp_view *view, const struct field *field, uint32_t raw)
 {
-	const uint32_t last = settings_info(field->index)->high.as_uint32_t;
+	const uint32_t last = settings_limits(settings_info(field->index))->high.as_uint32_t;
 
 	for (uint32_t choice = 0; choice <= last; ++choice)
 		if (fields_choice(field, choice) == raw)

@@ -7,12 +7,13 @@
 #include "policy.h"
 #include "storage/mode_range.h"
 
-#define FACTS(name_, kind_, low_, high_, preset_, unit_, choices_)                              \
-	{                                                                                       \
-		.name = #name_, .unit = unit_, .choices = choices_, .kind = SETTING_##kind_,    \
-		.offset = offsetof(struct nf_settings, name_), .low = { .as_##kind_ = (low_) }, \
-		.high = { .as_##kind_ = (high_) }, .preset = { .as_##kind_ = (preset_) }        \
-	}
+#define FACTS(name_, kind_, limits_, unit_, choices_)                       \
+	{ .name = #name_,                                                   \
+	  .offset = offsetof(struct nf_settings, name_) / sizeof(uint32_t), \
+	  .kind = SETTING_##kind_,                                          \
+	  .unit = unit_,                                                    \
+	  .choices = choices_,                                              \
+	  .limits = limits_ }
 #define ROW(name, ...) [SETTING_AT_##name] = FACTS(name, __VA_ARGS__),
 static const struct setting table[] = { NF_SETTINGS(ROW) };
 
@@ -35,6 +36,16 @@ const struct setting *settings_info_beside(const struct nf_settings *settings, u
 	if (settings->rates_style == NF_RATES_STYLE_BETAFLIGHT && index >= RATES_FIRST && index <= RATES_LAST)
 		return &betaflight[index - RATES_FIRST];
 	return settings_info(index);
+}
+
+const struct setting_limits *settings_limits(const struct setting *setting)
+{
+#define LIMITS(kind_, low_, high_, preset_) \
+	{ .low = { .as_##kind_ = (low_) }, .high = { .as_##kind_ = (high_) }, .preset = { .as_##kind_ = (preset_) } },
+	static const struct setting_limits limits[] = { NF_SETTING_LIMITS(LIMITS) };
+	_Static_assert(NF_SETTING_LIMITS_COUNT <= UINT8_MAX + 1, "an index fits");
+
+	return &limits[setting->limits];
 }
 
 const char *settings_unit(const struct setting *setting)
@@ -77,14 +88,14 @@ void settings_get(const struct nf_settings *settings, unsigned index, union sett
 	const struct setting *setting = &table[index];
 
 	memset(value, 0, sizeof *value);
-	memcpy(value, (const uint8_t *)settings + setting->offset, settings_size(setting));
+	memcpy(value, (const uint32_t *)settings + setting->offset, settings_size(setting));
 }
 
 static void settings_put(struct nf_settings *settings, unsigned index, const union setting_value *value)
 {
 	const struct setting *setting = &table[index];
 
-	memcpy((uint8_t *)settings + setting->offset, value, settings_size(setting));
+	memcpy((uint32_t *)settings + setting->offset, value, settings_size(setting));
 }
 
 /* `setting`: that of the index, or what stands in for it beside another style of rates. */
@@ -93,7 +104,7 @@ static void settings_put_default(struct nf_settings *settings, unsigned index, c
 	union setting_value value;
 
 	memset(&value, 0, sizeof value);
-	value.as_uint32_t = setting->preset.as_uint32_t;
+	value.as_uint32_t = settings_limits(setting)->preset.as_uint32_t;
 	settings_put(settings, index, &value);
 }
 
@@ -123,9 +134,11 @@ static bool settings_printable(const char text[NF_SETTING_TEXT_BYTES])
 /* Any NaN says no. */
 static bool settings_within(const struct setting *setting, const union setting_value *value)
 {
+	const struct setting_limits *limits = settings_limits(setting);
+
 	switch ((enum setting_kind)setting->kind) {
 	case SETTING_float:
-		return value->as_float >= setting->low.as_float && value->as_float <= setting->high.as_float;
+		return value->as_float >= limits->low.as_float && value->as_float <= limits->high.as_float;
 	case SETTING_mode:
 		return mode_range_good(value->as_mode);
 	case SETTING_text:
@@ -133,7 +146,7 @@ static bool settings_within(const struct setting *setting, const union setting_v
 	case SETTING_uint32_t:
 		break;
 	}
-	return value->as_uint32_t >= setting->low.as_uint32_t && value->as_uint32_t <= setting->high.as_uint32_t;
+	return value->as_uint32_t >= limits->low.as_uint32_t && value->as_uint32_t <= limits->high.as_uint32_t;
 }
 
 enum nf_refusal settings_set(struct nf_settings *settings, unsigned index, const union setting_value *value)

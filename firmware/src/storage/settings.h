@@ -8,7 +8,7 @@
 #include "nf_contract.h"
 
 /* Indices of the settings: SETTING_AT_<name>. */
-#define SETTING_INDEX(name, kind, low, high, preset, unit, choices) SETTING_AT_##name,
+#define SETTING_INDEX(name, kind, limits, unit, choices) SETTING_AT_##name,
 enum setting_index { NF_SETTINGS(SETTING_INDEX) };
 
 enum setting_kind { SETTING_uint32_t, SETTING_float, SETTING_mode, SETTING_text };
@@ -32,11 +32,16 @@ union setting_number {
 /* What is known of a setting; small, as there are many. */
 struct setting {
 	const char *name; /* the contract's */
-	uint16_t offset;  /* of the value in struct nf_settings */
+	uint8_t offset;   /* of the value in struct nf_settings, in words */
 	uint8_t kind : 2; /* enum setting_kind */
 	uint8_t unit : 6; /* that settings_unit tells */
 	uint8_t choices;  /* that settings_choices tells */
-	union setting_number low, high, preset; /* of its kind; both limits may be taken; a text is empty by default */
+	uint8_t limits;   /* that settings_limits tells */
+};
+
+/* Of the setting's kind; both limits may be taken; a text is empty by default. */
+struct setting_limits {
+	union setting_number low, high, preset;
 };
 
 /* A setting that this start has other than stored. */
@@ -53,6 +58,9 @@ const struct setting *settings_info(unsigned index);
 
 /* The same with the limits, default and unit that it has beside `settings`: rates have others in another style. */
 const struct setting *settings_info_beside(const struct nf_settings *settings, unsigned index);
+
+/* Its limits and its default. */
+const struct setting_limits *settings_limits(const struct setting *setting);
 
 /* Its unit, as the contract has it. */
 const char *settings_unit(const struct setting *setting);

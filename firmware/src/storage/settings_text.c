@@ -103,7 +103,8 @@ static enum settings_text_error settings_text_parse_choice(const struct setting 
 {
 	uint32_t number = 0;
 
-	if (settings_text_whole(word, &number) == SETTINGS_TEXT_GOOD && number <= setting->high.as_uint32_t) {
+	if (settings_text_whole(word, &number) == SETTINGS_TEXT_GOOD &&
+	    number <= settings_limits(setting)->high.as_uint32_t) {
 		*value = number;
 		return SETTINGS_TEXT_GOOD;
 	}

@@ -159,8 +159,8 @@ STORAGE_MUTANTS = (
     Mutant(
         name="what is no number is within the limits of a setting",
         file=SETTINGS,
-        old="return value->as_float >= setting->low.as_float && value->as_float <= setting->high.as_float;",
-        new="return !(value->as_float < setting->low.as_float || value->as_float > setting->high.as_float);",
+        old="return value->as_float >= limits->low.as_float && value->as_float <= limits->high.as_float;",
+        new="return !(value->as_float < limits->low.as_float || value->as_float > limits->high.as_float);",
         tests=(OF_SETTINGS,),
     ),
     Mutant(

@@ -55,7 +55,8 @@ def test_each_setting_is_the_contracts_when_asked_for(scripted: Any, settings: A
         assert scripted.ffi.string(info.name).decode() == setting.name
         assert scripted.ffi.string(scripted.lib.settings_unit(info)).decode() == setting.unit
         assert scripted.ffi.string(scripted.lib.settings_choices(info)).decode() == ",".join(setting.choices)
-        limits = [getattr(part, member) for part in (info.low, info.high, info.preset)]
+        span = scripted.lib.settings_limits(info)
+        limits = [getattr(part, member) for part in (span.low, span.high, span.preset)]
         wanted = [setting.low, setting.high, setting.default]
         assert limits == [float32(number) if setting.kind == "float" else number for number in wanted]
         default = bytes(SETTING_TEXT_BYTES) if setting.kind == "text" else limits[2]
@@ -340,7 +341,8 @@ def test_a_rate_keeps_to_the_limits_of_its_style_when_set(
     put(settings, "rates_style", style)
     span = span_of(rate, style)
     told = scripted.lib.settings_info_beside(settings, INDEX[rate.name])
-    assert [told.low.as_float, told.high.as_float, told.preset.as_float] == [
+    limits = scripted.lib.settings_limits(told)
+    assert [limits.low.as_float, limits.high.as_float, limits.preset.as_float] == [
         float32(number) for number in (span.low, span.high, span.default)
     ]
     assert scripted.ffi.string(scripted.lib.settings_unit(told)).decode() == span.unit
