@@ -11,15 +11,28 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import ARMAttributesSection, SymbolTableSection
 
-from toolchain.contract import DTCM, FLASH_BASE, FLASH_BYTES, ITCM, SRAM1, SRAM2, Region
+from toolchain.contract import (
+    DTCM,
+    FLASH_BANK_A,
+    FLASH_BASE,
+    FLASH_BOOT,
+    FLASH_BYTES,
+    IMAGE_TAIL_BYTES,
+    ITCM,
+    SRAM1,
+    SRAM2,
+    Region,
+)
 from toolchain.errors import BuildError
 from toolchain.files import file_size
 
 FLASH = Region("flash", FLASH_BASE, FLASH_BYTES)
 RAM = (ITCM, DTCM, SRAM1, SRAM2)
 
-# What an image may take of them (firmware/hal/stm32f7/image.ld holds it too).
-FLASH_BUDGET = 128 * 1024
+# What an image may take of them (the linker scripts hold it too): of its bank all but the marks at the end.
+# The boot part has a sector of its own.
+BOOT = Region("boot part", FLASH_BOOT.address, FLASH_BOOT.size)
+BANK = Region("bank", FLASH_BANK_A.address, FLASH_BANK_A.size - IMAGE_TAIL_BYTES)
 RAM_BUDGET = 192 * 1024
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
@@ -121,10 +134,10 @@ def memory_use(image: Image) -> tuple[MemoryUse, ...]:
 
 
 def image_budgets(image: Image) -> tuple[MemoryUse, ...]:
-    """How much of its budgets an image takes: all flash, policy included, and all RAM. Raises BuildError."""
-    flash, *rams = memory_use(image)
-    ram = sum(use.used for use in rams)
-    return MemoryUse("flash", flash.used, FLASH_BUDGET), MemoryUse("RAM", ram, RAM_BUDGET)
+    """How much of its limits an image takes: boot part, bank with policy, all RAM. Raises BuildError."""
+    _, *rams = memory_use(image)
+    parts = _place(((s.address, s.size, "segment") for s in image.segments), (BOOT, BANK))
+    return *parts, MemoryUse("RAM", sum(use.used for use in rams), RAM_BUDGET)
 
 
 def _place(spans: Iterable[tuple[int, int, str]], regions: Sequence[Region]) -> tuple[MemoryUse, ...]:

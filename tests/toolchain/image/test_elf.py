@@ -9,7 +9,7 @@ import pytest
 
 from toolchain.contract import DTCM, FLASH_BANK_A, FLASH_BASE
 from toolchain.errors import BuildError
-from toolchain.image.elf import FLASH_BUDGET, RAM_BUDGET, memory_use, read_image
+from toolchain.image.elf import RAM_BUDGET, image_budgets, memory_use, read_image
 
 CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16")
 HEAP = {"malloc", "calloc", "realloc", "free", "_sbrk", "_sbrk_r", "_malloc_r"}
@@ -24,8 +24,12 @@ def linked(directory: Path, source: str, *flags: str) -> Path:
 
 
 def test_board_image_stays_in_its_budget_when_built(board_image: Path) -> None:
-    use = {part.region: part for part in memory_use(read_image(board_image))}
-    assert 0 < use["flash"].used <= FLASH_BUDGET
+    image = read_image(board_image)
+    use = {part.region: part for part in memory_use(image)}
+    budgets = {part.region: part for part in image_budgets(image)}
+    assert budgets["boot part"].used + budgets["bank"].used == use["flash"].used
+    assert all(0 < part.used <= part.size for part in budgets.values())
+    assert (budgets["boot part"].size, budgets["bank"].size) == (16 * 1024, 128 * 1024 - 128)
     assert 0 < sum(part.used for name, part in use.items() if name != "flash") <= RAM_BUDGET
     assert use["ITCM"].used > 0
     assert use["DTCM"].used > 4 * 4868  # the policy's weights among others
