@@ -38,7 +38,9 @@ class Board:
         self.cycles = ffi.callback("uint32_t(void *)", lambda context: 0)
         self.power = ffi.callback("void(void *, struct power_sample *)", self._power)
         self.switch = ffi.callback("void(void *, bool)", lambda context, on: None)
+        self.log = ffi.callback("struct log_device *(void *, uint8_t)", lambda context, device: ffi.NULL)
         hal = {"cycles": self.cycles, "power_read": self.power, "beeper": self.switch, "led": self.switch}
+        hal["log"] = self.log
         self.hal = core.new("struct hal *", {**hal, "flash": flash[0]})
         self.fw, self.stats = core.new("struct firmware *"), core.new("struct task_stats[]", len(Task))
         self.pid, self.target = core.new("struct pid_gains *"), core.new("char[]", b"TARGET")

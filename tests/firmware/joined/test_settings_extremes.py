@@ -43,6 +43,8 @@ from toolchain.contract import (
     CHANNEL_MIN_US,
     CHANNEL_PID,
     GYRO_RATES_HZ,
+    LOG_BAUDS,
+    LOG_DIVIDERS,
     MODE_LOW_US,
     MODE_SLOT_COUNT,
     MODE_STEP_US,
@@ -80,6 +82,7 @@ WIRED = frozenset(
     }
 )
 MAP = [setting.name for setting in SETTINGS if setting.name.startswith("map_")]  # in the channels' order
+LISTED = {"blackbox_baud": LOG_BAUDS, "blackbox_divider": LOG_DIVIDERS}  # the only values that are legal
 MODES = [setting.name for setting in SETTINGS if setting.kind == "mode"]
 MODE_HIGH_US = MODE_LOW_US + MODE_STEPS * MODE_STEP_US
 OUTPUTS = [f"motor{motor}_output" for motor in range(1, 5)]  # of the NF1
@@ -305,6 +308,8 @@ def test_nothing_tumbles_or_stops_when_one_setting_is_at_its_end(
 
 def values_of(setting: Setting) -> st.SearchStrategy[float]:
     """Legal values, the ends among them; frequencies by their logarithm."""
+    if setting.name in LISTED:
+        return st.sampled_from(LISTED[setting.name])
     ends = st.sampled_from(ends_of(setting))
     if setting.choices or setting.name == "gyro_rate_hz":
         return ends

@@ -47,7 +47,7 @@ class BankBoard:
         self.update = self.core.new("struct image_update *")
         self._header = self.core.new("struct nf_image_header *")
         self._offset, self._crc = self.core.new("uint32_t *"), self.core.new("uint32_t *")
-        self._why, self._sequence = self.core.new("enum nf_err *"), self.core.new("uint32_t *")
+        self._why, self._sequence = self.core.new("int8_t *"), self.core.new("uint32_t *")
         self._words = self.core.new("uint32_t[]", 128)
         self._digest = self.core.new("uint8_t[32]")
         self._marks = self.core.new("struct image_bank_marks[2]")

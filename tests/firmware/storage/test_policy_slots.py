@@ -77,7 +77,7 @@ class Slots:
         return int(self.core.lib.policy_slots_write(self.slots, offset, words, len(data)))
 
     def end(self) -> tuple[int, int]:
-        why = self.core.new("enum nf_err *")
+        why = self.core.new("int8_t *")
         return int(self.core.lib.policy_slots_end(self.slots, why)), int(why[0])
 
     def update(self, data: bytes, chunk: int = CHUNK) -> int:
