@@ -132,7 +132,7 @@ BUS_MUTANTS = (
         file="hal/stm32f7/image.ld",
         old="\t\tuncached_bss_end = .;\n\t} > SRAM2",
         new="\t\tuncached_bss_end = .;\n\t} > SRAM1",
-        message=r"DMA2 stream \d: 0x2001\w{4} lies in cached RAM while the data cache is on",
+        message=r"DMA2 stream \d: 0x200[1-3]\w{4} lies in cached RAM while the data cache is on",
         seconds=0.4,
     ),
     Mutant(

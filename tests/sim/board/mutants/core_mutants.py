@@ -174,7 +174,7 @@ CORE_MUTANTS = (
         file=LINKER,
         old="\t\titcm_end = .;\n\t} > ITCM AT > BANK",
         new="\t\titcm_end = .;\n\t} > SRAM1 AT > BANK",
-        message=r"execution at 0x2001\w{4}, in RAM; code runs from flash and ITCM",
+        message=r"execution at 0x200[1-3]\w{4}, in RAM; code runs from flash and ITCM",
         seconds=0.05,
     ),
     Mutant(
