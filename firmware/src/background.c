@@ -1,7 +1,5 @@
 #include "background.h"
 
-#include "common/fence.h"
-#include "firmware_layout.h"
 #include "sensing/filters.h"
 
 #define ALERT_RATE_HZ 50
@@ -510,71 +508,6 @@ static void background_judge_board(const struct background *background)
 	firmware_forbid(config->firmware, NF_ARMING_REASON_CLOCK, config->clock_inexact);
 	firmware_forbid(config->firmware, NF_ARMING_REASON_GYRO_ALIGNMENT,
 			config->alignment_disputed && background->settings.gyro_alignment == NF_GYRO_ALIGNMENT_BOARD);
-}
-
-/* --- Blackbox ----------------------------------------------------------------------------------------- */
-/* The firmware as it is between two samples, right behind a control step: a sample that interrupts the copying spoils it. */
-static bool background_keep(void *context, uint32_t *step)
-{
-	struct background *background = context;
-	const struct firmware *fw = background->config.firmware;
-	const uint32_t samples = firmware_samples(fw);
-
-	if (fw->until_control + 1u != fw->control_divider || fw->control_steps == 0)
-		return false;
-	fence();
-	background->kept = *fw;
-	fence();
-	*step = background->kept.control_steps - 1u;
-	return firmware_samples(fw) == samples;
-}
-
-static uint32_t background_layout(void)
-{
-	return FIRMWARE_LAYOUT;
-}
-
-static void background_init_blackbox(struct background *background)
-{
-	const struct background_config *config = &background->config;
-	const struct hal *hal = config->hal;
-	const struct nf_image_header image = image_bank_header(&hal->flash, config->bank);
-	const struct blackbox_config blackbox = {
-		.device = hal->log(hal->context, (enum nf_log_device)background->settings.blackbox_device),
-		.ring = config->log,
-		.gyro = &config->firmware->gyro,
-		.about = {
-			.settings = &background->settings,
-			.slots = &background->slots,
-			.maker = config->identity->maker,
-			.target = config->identity->target,
-			.pid_idle = config->pid->idle,
-			.image = image_bank_fits(&image, config->bank, config->identity->target) ?
-					 image :
-					 (struct nf_image_header){ 0 },
-			.state = &background->kept,
-			.state_bytes = sizeof background->kept,
-			.state_layout = background_layout(),
-		},
-		.context = background,
-		.snapshot = background_keep,
-	};
-
-	blackbox_init(&background->blackbox, &blackbox);
-}
-
-static void background_run_blackbox(struct background *background)
-{
-	const struct firmware *fw = background->config.firmware;
-	const struct blackbox_view view = {
-		.armed = firmware_armed(fw),
-		.modes = fw->status.modes,
-		.step = fw->status.trace.step,
-		.volts = background->battery.volts,
-		.amps = background->battery.amps,
-	};
-
-	blackbox_step(&background->blackbox, &view);
 }
 
 enum nf_err background_start(struct background *background, const struct background_config *config)

@@ -62,7 +62,8 @@ struct background {
 	struct alert alert;
 	struct gesture gesture;
 	struct blackbox blackbox;
-	struct firmware kept; /* the firmware as it was before the log */
+	struct log_snapshot snapshot; /* of the firmware, before a log */
+	struct firmware kept; /* its bytes */
 	uint32_t overloaded; /* runs of the storage task until a load above 100 % is forgiven */
 	bool heard; /* the receiver, since boot */
 	bool refused; /* a policy, when alerts were last looked at */
@@ -78,6 +79,11 @@ struct background {
  * outlive the background. NF_ERR_SETTINGS: the changes are beyond limits or contradict the other settings; else as
  * firmware_init: do not run. */
 enum nf_err background_start(struct background *background, const struct background_config *config);
+
+/* Of background_blackbox.c, for the background alone: once, when settings, slots and firmware are as they will be flown, then a
+ * slice of its work each round. */
+void background_init_blackbox(struct background *background);
+void background_run_blackbox(struct background *background);
 
 /* Runs at most one task that is due; called again and again. */
 void background_step(struct background *background);

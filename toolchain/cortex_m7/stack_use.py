@@ -51,11 +51,10 @@ POINTERS: Mapping[str, tuple[str, ...]] = {
     "program.c:program_background": ("hal.c:hal_watchdog_feed",),
     "background.c": (
         *("hal.c:hal_cycles", "hal.c:hal_power_read", "hal.c:hal_beeper", "hal.c:hal_led", "hal.c:hal_reset"),
-        "hal.c:hal_log",
     ),
+    "background_blackbox.c": ("hal.c:hal_log",),
     "blackbox.c": (
         *(
-            "background.c:background_keep",
             "card_log.c:log_step",
             "card_log.c:log_status",
             "card_log.c:log_begin",

@@ -5,10 +5,9 @@
 #include "storage/settings.h"
 
 #define SLICE_PIECES 4u  /* frames or lines of a slice: four control steps at the lowest gyro rate */
-#define STATE_STEPS 64u  /* the firmware's state is taken anew after so many */
 #define AFTER_MS 200u    /* the log goes on for so long after disarming */
 #define AFTER_STEPS (AFTER_MS * POLICY_CONTROL_RATE_HZ / 1000u)
-_Static_assert(2 * STATE_STEPS <= LOG_RING_RECORDS, "the ring holds them while the header is written");
+_Static_assert(2u * LOG_SNAPSHOT_STEPS <= LOG_RING_RECORDS, "the ring holds them while the header is written");
 
 enum phase {
 	WAITING,  /* for a reason to log */
@@ -84,22 +83,25 @@ static void blackbox_forget(struct blackbox *b, uint32_t step)
 		log_ring_take(b->config.ring);
 }
 
+static bool blackbox_has_state(const struct blackbox *b)
+{
+	return b->config.snapshot && b->config.snapshot->taken;
+}
+
+static void blackbox_lose_state(struct blackbox *b)
+{
+	if (b->config.snapshot)
+		b->config.snapshot->taken = false;
+}
+
 /* Takes the firmware's state anew where it is old, and drops the records that it holds already. */
 static void blackbox_renew(struct blackbox *b)
 {
-	struct log_about *about = &b->config.about;
-	uint32_t step;
+	struct log_snapshot *snapshot = b->config.snapshot;
 
-	if (!b->config.snapshot) {
-		blackbox_forget(b, b->view.step);
-		return;
-	}
-	if (b->has_state && b->view.step - about->state_step < STATE_STEPS)
-		return;
-	b->has_state = b->config.snapshot(b->config.context, &step);
-	if (b->has_state)
-		about->state_step = step;
-	blackbox_forget(b, b->has_state ? step + 1u : b->view.step);
+	if (snapshot)
+		log_snapshot_renew(snapshot);
+	blackbox_forget(b, blackbox_has_state(b) ? snapshot->step : b->view.step);
 }
 
 static void blackbox_begin(struct blackbox *b)
@@ -109,12 +111,14 @@ static void blackbox_begin(struct blackbox *b)
 	const struct log_record *r = log_ring_next(b->config.ring);
 
 	if (answer != LOG_DONE || !r) {
-		b->has_state &= answer == LOG_LATER;
+		if (answer != LOG_LATER)
+			blackbox_lose_state(b);
 		return;
 	}
 	b->config.about.first_step = r->trace.step;
 	b->config.about.volts_cv = (int32_t)(limit(b->view.volts, 0.0f, 600.0f) * 100.0f);
-	b->has_state &= r->trace.step == b->config.about.state_step + 1u;
+	if (b->config.snapshot && r->trace.step != b->config.snapshot->step)
+		blackbox_lose_state(b);
 	b->header = (struct log_header){ 0 };
 	b->next = r->trace.step;
 	b->first = true;
@@ -132,11 +136,13 @@ static void blackbox_wait(struct blackbox *b)
 
 	b->config.device->status(b->config.device->context, &status);
 	if (status.state != NF_LOG_STATE_READY) {
-		b->has_state = false;
+		blackbox_lose_state(b);
 		blackbox_forget(b, b->view.step + 1u);
 		return;
 	}
-	if (blackbox_wanted(b, b->view.armed, b->view.modes) && log_ring_next(b->config.ring))
+	/* Without a state it waits for one, some steps at most. */
+	const bool ready = (!b->config.snapshot || blackbox_has_state(b)) && log_ring_next(b->config.ring);
+	if (ready && blackbox_wanted(b, b->view.armed, b->view.modes))
 		blackbox_begin(b);
 	else
 		blackbox_renew(b);
@@ -249,10 +255,7 @@ static bool blackbox_fill(struct blackbox *b)
 {
 	switch ((enum phase)b->phase) {
 	case HEADER: {
-		struct log_about about = b->config.about;
-		if (!b->has_state)
-			about.state = NULL;
-		b->out_count = (uint32_t)log_header_next(&b->header, &about, &b->frames, (char *)b->out);
+		b->out_count = (uint32_t)log_header_next(&b->header, &b->config.about, &b->frames, (char *)b->out);
 		if (b->out_count == 0)
 			b->phase = FRAMES;
 		return true;
@@ -293,7 +296,7 @@ static void blackbox_end(struct blackbox *b)
 	if (device->end(device->context) == LOG_LATER)
 		return;
 	b->phase = WAITING;
-	b->has_state = false;
+	blackbox_lose_state(b);
 }
 
 static void blackbox_go_on(struct blackbox *b)

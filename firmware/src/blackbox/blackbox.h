@@ -22,11 +22,9 @@ struct blackbox_config {
 	const struct log_device *device; /* NULL: this chip has none of the kind that the settings choose */
 	struct log_ring *ring; /* NULL: nothing is recorded */
 	const struct gyro *gyro; /* initialized */
-	struct log_about about; /* its first half; `state` and `state_bytes`: where `snapshot` leaves the state */
-	void *context; /* of the function */
-	/* Copies the firmware's state between two samples, right behind a control step, and tells that step. False: not now,
-	 * what `state` holds is void. NULL: there is no state, the log cannot be replayed. */
-	bool (*snapshot)(void *context, uint32_t *step);
+	struct log_about about; /* its first half */
+	struct log_snapshot
+		*snapshot; /* not taken; `about` has it as well. NULL: logs are without the firmware's state */
 };
 
 /* What only the background knows, as of now. */
@@ -47,7 +45,6 @@ struct blackbox {
 	uint8_t phase; /* enum of blackbox.c */
 	uint8_t pieces; /* frames or lines of a slice at most */
 	bool switched; /* the mode BLACKBOX has a range */
-	bool has_state; /* `config.about` has a state, behind which the ring has all records */
 	bool first; /* no frame has been written */
 	bool gap; /* the next frame does not follow the last one */
 	bool armed; /* as logged last */

@@ -246,25 +246,26 @@ static bool header_debug(char **at, struct log_header *header, const struct log_
 /* The firmware's state, in pieces; the first tells what it is. */
 static bool header_state(char **at, struct log_header *header, const struct log_about *about)
 {
-	const size_t left = about->state_bytes - header->state;
-	const size_t count = left < STATE_LINE_BYTES ? left : STATE_LINE_BYTES;
+	const struct log_snapshot *snapshot = about->snapshot;
 
-	if (!about->state || left == 0)
+	if (!snapshot || !snapshot->taken || header->state == snapshot->state.size)
 		return false;
+	const size_t left = snapshot->state.size - header->state;
+	const size_t count = left < STATE_LINE_BYTES ? left : STATE_LINE_BYTES;
 	if (header->state_line == 0) {
 		log_text(at, "H nf_state_layout:");
-		log_text_whole(at, about->state_layout);
+		log_text_whole(at, snapshot->state.layout);
 		log_text(at, "\nH nf_state_step:");
-		log_text_whole(at, about->state_step);
+		log_text_whole(at, snapshot->step - 1u);
 		log_text(at, "\nH nf_state_crc:");
-		log_text_hex(at, crc32_more(0, about->state, about->state_bytes));
+		log_text_hex(at, crc32_more(0, snapshot->bytes, snapshot->state.size));
 		log_text(at, "\n");
 	}
 	log_text(at, "H nf_state_");
 	for (unsigned unit = 100; unit > 0; unit /= 10)
 		log_text_whole(at, header->state_line / unit % 10);
 	log_text(at, ":");
-	log_text_bytes(at, (const uint8_t *)about->state + header->state, count);
+	log_text_bytes(at, (const uint8_t *)snapshot->bytes + header->state, count);
 	header->state += count;
 	++header->state_line;
 	return true;

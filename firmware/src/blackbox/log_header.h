@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "blackbox/log_frames.h"
+#include "blackbox/log_snapshot.h"
 #include "nf_contract.h"
 #include "storage/policy_slots.h"
 
@@ -20,11 +21,8 @@ struct log_about {
 	const char *maker, *target; /* of the board */
 	float pid_idle; /* motor fraction at zero thrust of the PID */
 	struct nf_image_header image; /* zeros: there is none */
+	const struct log_snapshot *snapshot; /* of the firmware; NULL, or not taken: the log cannot be replayed */
 	uint32_t first_step; /* control step since boot of the first frame */
-	const void *state; /* of the firmware, NULL: the log cannot be replayed */
-	size_t state_bytes;
-	uint32_t state_layout; /* what its bytes mean */
-	uint32_t state_step; /* control step after which it was taken */
 	int32_t volts_cv; /* 0.01 V */
 };
 

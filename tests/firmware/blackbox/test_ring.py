@@ -29,14 +29,11 @@ class State:
 
     def __init__(self, core: Any) -> None:
         self.core, self.lib = core, core.lib
-        self.ring = core.new("struct log_ring *")
-        self.lib.log_ring_init(self.ring, True)
         self.bytes = core.new("uint64_t[25]")  # 200 bytes: no whole number of blocks
         self.samples, self.window, self.steps = (core.new("uint32_t *") for _ in range(3))
-        self._state = core.new("struct log_state *", (self.bytes, 200, self.samples, self.window, self.steps))
-        self._memory = core.new("uint64_t[50]")
-        self.snapshots = core.new("struct log_snapshots *")
-        self.lib.log_snapshots_init(self.snapshots, self._state, self._memory)
+        self.kept = core.new("uint64_t[25]")
+        state = (self.bytes, 200, 0, self.samples, self.window, self.steps)
+        self.snapshot = core.new("struct log_snapshot *", {"state": state, "bytes": self.kept})
 
     def step(self, samples: int = 4) -> None:
         """A control step, after the samples that lead to it."""
@@ -44,35 +41,33 @@ class State:
         self.window[0] = self.samples[0]
         for index in range(25):
             self.bytes[index] = self.samples[0] + index
-        self.ring.records[self.ring.written % 256].trace.step = self.steps[0]
-        self.ring.written += 1
         self.steps[0] += 1
-        self.lib.log_snapshots_step(self.snapshots, self.ring)
-
-    def oldest(self) -> Any:
-        return self.lib.log_snapshots_oldest(self.snapshots)
+        self.lib.log_snapshot_renew(self.snapshot)
 
 
-def test_a_flight_always_finds_a_snapshot_that_is_some_steps_old_and_all_records_since(
-    reference_core: Any,
-) -> None:
+def test_a_flight_always_finds_a_snapshot_that_is_some_steps_old(reference_core: Any) -> None:
     state = State(reference_core)
-    assert not state.oldest()
-    for step in range(1, 1000):
+    seen = set()
+    for _ in range(1000):
         state.step()
-        oldest = state.oldest()
-        assert [oldest.bytes[index] for index in (0, 24)] == [4 * oldest.step, 4 * oldest.step + 24]
-        assert state.steps[0] - oldest.step <= 128
-        assert step < 65 or state.steps[0] - oldest.step >= 64
-        first = state.lib.log_ring_next(state.ring)
-        assert (first.trace.step if first else state.steps[0]) == oldest.step
+        snapshot = state.snapshot
+        assert snapshot.taken and state.steps[0] - snapshot.step < 64
+        assert [state.kept[index] for index in (0, 24)] == [4 * snapshot.step, 4 * snapshot.step + 24]
+        seen.add(snapshot.step)
+    assert sorted(seen) == list(range(1, 1001, 64))
 
 
 @pytest.mark.parametrize("partial", [1, 2, 3])
 def test_none_is_taken_where_samples_of_the_next_step_have_come(reference_core: Any, partial: int) -> None:
     state = State(reference_core)
+    state.lib.log_snapshot_renew(state.snapshot)
+    assert not state.snapshot.taken, "no control step yet"
     state.samples[0] += partial
-    state.lib.log_snapshots_step(state.snapshots, state.ring)
-    assert not state.oldest()
+    state.lib.log_snapshot_renew(state.snapshot)
+    assert not state.snapshot.taken
     state.step(4 - partial)
-    assert state.oldest().step == 1
+    assert state.snapshot.taken and state.snapshot.step == 1
+    state.steps[0] = 80
+    state.samples[0] += partial
+    state.lib.log_snapshot_renew(state.snapshot)
+    assert state.snapshot.taken and state.snapshot.step == 1, "the old one stays until another one can be had"
