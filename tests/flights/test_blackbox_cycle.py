@@ -1,0 +1,161 @@
+"""One flight each on library, host program and emulated board: its log, decoded by others, is its trace."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cli.main import main
+from cli.sim import fly_ports
+from sim.flight.trace import load_trace
+from sim.physics.imu import counts
+from sim.ports.emulator import EmulatedPort
+from sim.ports.host import HostPort
+from sim.ports.library import ReferencePort
+from sim.ports.port import Reply, Sample
+from tests.peers.orangebox_peer import decoded
+
+pytest.importorskip("orangebox")
+
+CHIP = np.array([-1, -1, 1])  # the chip is mounted CW180: its axes from the body's
+PORTS = {"reference": ReferencePort, "host": HostPort, "emulator": EmulatedPort}
+MINUTE = 14  # commands of `pulses`, 4.5 s each
+
+Flight = tuple[Path, Path, "Watched", dict[str, Any]]  # log, trace, samples, what `fly` told
+Fly = Callable[..., Flight]
+
+
+class Watched:
+    """The chip's counts at each gyro sample, and the control step that it led to."""
+
+    def __init__(self) -> None:
+        self.counts: list[NDArray[np.int64]] = []  # (3,) chip axes
+        self.steps: list[int] = []
+
+    def wrap(self, exchange: Callable[..., Reply]) -> Callable[..., Reply]:
+        """`exchange` of a port, looked at."""
+
+        def watched(port: Any, sample: Sample, channels_us: Any) -> Reply:
+            self.counts.append(CHIP * counts(sample.gyro).astype(np.int64))
+            reply = exchange(port, sample, channels_us)
+            self.steps.append(reply.step)
+            return reply
+
+        return watched
+
+    def of(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Counts (N, d * 3) of the d samples of each control step, of which the last one led to it."""
+        told = np.array(self.steps)
+        firsts = np.flatnonzero(np.diff(told, prepend=-1))
+        last = firsts[np.searchsorted(told[firsts], steps)]
+        assert (told[last] == steps).all()
+        divider = int(np.diff(firsts)[1])
+        rows = last[:, None] - np.arange(divider - 1, -1, -1)
+        return np.array(self.counts)[rows].reshape(len(steps), -1)
+
+
+@pytest.fixture
+def logged(
+    host_program: Path,
+    board_image: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Iterator[Fly]:
+    """`neuroflight fly` with a log, on the port or to the card that is named."""
+    monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
+    monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
+
+    def fly(where: str, *arguments: str) -> Flight:
+        port = PORTS["emulator" if where == "card" else where]
+        seen, log, trace = Watched(), tmp_path / f"{where}.bbl", tmp_path / f"{where}.npz"
+        monkeypatch.setattr(port, "exchange", seen.wrap(port.exchange))  # type: ignore[attr-defined]
+        to = ["--card", str(new_card(tmp_path / "card.img"))] if where == "card" else ["--blackbox", str(log)]
+        on = ["--on", "emulator" if where == "card" else where]
+        assert main(["fly", *on, *to, "--trace", str(trace), "--json", *arguments]) == 0
+        told = json.loads(capsys.readouterr().out)
+        if where == "card":
+            taken = ["mcopy", "-i", str(tmp_path / "card.img"), "::LOG00001.BBL", str(log)]
+            subprocess.run(taken, check=True, timeout=60)
+        return log, trace, seen, told
+
+    yield fly
+
+
+def new_card(image: Path) -> Path:
+    """A card as a user makes it: formatted by a computer, with empty files for logs."""
+    with image.open("wb") as file:
+        file.truncate(256 << 20)
+    subprocess.run(["mkfs.vfat", "-F", "32", str(image)], check=True, capture_output=True, timeout=60)
+    assert main(["log", "card", str(image), "--files", "2", "--size", "16"]) == 0
+    return image
+
+
+def assert_log_is_flight(flight: Flight, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By orangebox as published: no invalid frame, each sample and motor value; by `log`: each figure."""
+    log, npz, seen, told = flight
+    assert told["blackbox"]["dropped"] == 0 and told["blackbox"]["ended"]
+    peer = decoded(log, folder)
+    assert peer["invalid"] == 0
+    names = [str(name) for name in peer["names"]]
+    rows = peer["rows"].astype(np.int64)
+    assert len(rows) == told["blackbox"]["frames"]
+
+    def matrix(name: str) -> NDArray[np.int64]:
+        return rows[:, [k for k, other in enumerate(names) if other.startswith(f"{name}[")]]
+
+    iteration = rows[:, names.index("loopIteration")]
+    assert (np.diff(iteration) == 1).all()
+    first_step = next(
+        int(line.split(b":")[1])
+        for line in log.read_bytes()[:65536].split(b"\n")
+        if line.startswith(b"H nf_first_step:")
+    )
+    steps = iteration + first_step
+    assert np.array_equal(matrix("gyroRaw"), seen.of(steps))
+    trace = load_trace(npz)
+    flown = slice(first := int(np.argmax(matrix("motor").any(axis=1))), first + len(trace.t))
+    assert np.array_equal(matrix("motor")[flown], trace.dshot)
+    assert np.array_equal(bits(matrix("gyroFloat"))[flown], trace.gyro)
+    setpoint = bits(matrix("setpointFloat"))[flown]
+    assert np.array_equal(setpoint[:, :3], trace.setpoint) and np.array_equal(setpoint[:, 3], trace.throttle)
+    figures = []
+    for file in (log, npz):
+        to = ["--to", str(len(trace.t) / trace.control_rate_hz)]
+        assert main(["log", "metrics", str(file), *to, "--idle", "0.05", "--json"]) == 0
+        figures.append(json.loads(capsys.readouterr().out))
+        figures[-1].pop("file")
+    assert figures[0] == figures[1]
+
+
+def bits(values: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Floats whose bits were logged."""
+    return (values & 0xFFFFFFFF).astype(np.uint32).view(np.float32)
+
+
+@pytest.mark.parametrize("where", ["reference", "emulator"])
+def test_a_log_is_its_flight_when_others_decode_it(
+    where: str, logged: Fly, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "second.toml"
+    scenario.write_text(
+        "[[segment]]\nduration_s = 0.6\nsetpoint_deg_s = [100, -50, 30]\nthrottle = 0.3\n"
+        "[[segment]]\nduration_s = 0.4\nsetpoint_deg_s = [0, 0, 0]\n"
+    )
+    assert_log_is_flight(logged(where, "--scenario", str(scenario)), tmp_path, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["reference", "host", "emulator", "card"])
+def test_a_log_of_a_minute_is_its_flight(
+    where: str, logged: Fly, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = logged(where, "--scenario", "pulses", "--count", str(MINUTE))
+    assert_log_is_flight(flight, tmp_path, capsys)
