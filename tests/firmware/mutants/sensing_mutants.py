@@ -178,8 +178,8 @@ SENSING_MUTANTS = (
     Mutant(
         name="calibration takes motion for rest",
         file=CALIBRATION,
-        old="variance > MOTION_VARIANCE || ",
-        new="variance > 4 * MOTION_VARIANCE || ",
+        old="(MOTION_VARIANCE + 1) * n * n",
+        new="4 * (MOTION_VARIANCE + 1) * n * n",
         tests=(OF_GYRO,),
     ),
     Mutant(

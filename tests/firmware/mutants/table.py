@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.firmware.mutants.blackbox_mutants import BLACKBOX_MUTANTS
 from tests.firmware.mutants.card_mutants import CARD_MUTANTS
 from tests.firmware.mutants.command_line_mutants import COMMAND_LINE_MUTANTS
 from tests.firmware.mutants.control_mutants import CONTROL_MUTANTS
@@ -21,6 +22,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *STORAGE_MUTANTS,
     *CARD_MUTANTS,
     *IMAGE_MUTANTS,
+    *BLACKBOX_MUTANTS,
     *JOINED_MUTANTS,
     *COMMAND_LINE_MUTANTS,
 )

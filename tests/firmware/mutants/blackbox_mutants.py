@@ -1,0 +1,31 @@
+"""Mistakes of the log: its ring, its snapshots."""
+
+from __future__ import annotations
+
+from tests.firmware.mutants.mutant import Mutant
+
+OF_RING = "blackbox/test_ring.py"
+
+BLACKBOX_MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        name="a record is taken of the place behind the oldest",
+        file="blackbox/log_ring.c",
+        old="&ring->records[taken % LOG_RING_RECORDS]",
+        new="&ring->records[(taken + 1u) % LOG_RING_RECORDS]",
+        tests=(OF_RING,),
+    ),
+    Mutant(
+        name="a snapshot is taken between samples of one control step",
+        file="blackbox/log_snapshot.c",
+        old="before == 0 || before != *state->window",
+        new="before == 0",
+        tests=(OF_RING,),
+    ),
+    Mutant(
+        name="a snapshot is renewed a step late",
+        file="blackbox/log_snapshot.c",
+        old="snapshot->step >= LOG_SNAPSHOT_STEPS",
+        new="snapshot->step > LOG_SNAPSHOT_STEPS",
+        tests=(OF_RING,),
+    ),
+)
