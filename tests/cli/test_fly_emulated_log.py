@@ -68,6 +68,7 @@ def taken_out(card: Path) -> Log:
     return read_log(path)
 
 
+@pytest.mark.slow
 def test_the_log_of_uart3_is_the_trace_and_changes_no_motor(fly: Fly, tmp_path: Path) -> None:
     path = tmp_path / "log.bbl"
     told = fly("logged.npz", "--blackbox", path)["blackbox"]
@@ -81,6 +82,7 @@ def test_the_log_of_uart3_is_the_trace_and_changes_no_motor(fly: Fly, tmp_path: 
     assert load_trace(tmp_path / "alone.npz").same(load_trace(tmp_path / "logged.npz"))
 
 
+@pytest.mark.slow
 @needs_tools
 def test_the_log_on_the_card_is_the_trace(fly: Fly, card: Path, tmp_path: Path) -> None:
     told = fly("card.npz", "--card", card)["blackbox"]

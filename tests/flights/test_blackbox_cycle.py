@@ -58,7 +58,8 @@ class Watched:
         assert (told[last] == steps).all()
         divider = int(np.diff(firsts)[1])
         rows = last[:, None] - np.arange(divider - 1, -1, -1)
-        return np.array(self.counts)[rows].reshape(len(steps), -1)
+        counts: NDArray[np.int64] = np.array(self.counts)[rows].reshape(len(steps), -1)
+        return counts
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sim.aircraft.model import load_aircraft
+from sim.blackbox.log import read_log
 from sim.flight.loop import fly
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
@@ -21,6 +22,7 @@ from toolchain.contract import AXES, FallbackCause, Mode, ModeRange, StopCause
 
 GYRO_RATE_HZ = 4000
 SWEEP_S, STILL_S, AT_S = 2.0, 0.3, 1.0
+BOX_CHIRP = 6  # bit of flightModeFlags, as Betaflight numbers its boxes
 # The scenario's switch of the PID, AUX 2, is the chirp's.
 SETTINGS = {"mode2": ModeRange(Mode.CHIRP, 2, 1700, 2100).packed, "chirp_s": SWEEP_S, "chirp_start_hz": 2.0}
 Fly = Callable[..., tuple[Trace, ChangedPort]]
@@ -78,3 +80,29 @@ def test_a_policy_that_turns_bad_is_told_when_it_is_swept(
     assert port.safety().fallback_cause == cause
     late = round(1000 * (STILL_S + SWEEP_S)) - 100
     assert not trace.setpoint[late:].any(), "the sweep ended with the policy"
+
+
+def test_the_log_tells_the_sweep_as_the_ecosystems_analysis_looks_for_it(
+    reference_library: Path, tmp_path: Path
+) -> None:
+    still, sweep = Segment(STILL_S, throttle=0.3), Segment(SWEEP_S + 0.1, throttle=0.3, pid=True)
+    port = ReferencePort(reference_library, GYRO_RATE_HZ, {**SETTINGS, "chirp_amplitude": 100.0})
+    path = tmp_path / "chirp.bbl"
+
+    def logged() -> bool:
+        with path.open("ab") as file:
+            file.write(port.reference.blackbox())
+        return path.read_bytes().endswith(b"End of log\0")
+
+    twin = Twin(load_aircraft("nf1"), rate_hz=GYRO_RATE_HZ, rng=np.random.default_rng((1, 1)))
+    with closing(twin), closing(port):
+        fly(twin, port, Scenario("chirp", (still, sweep, still)), logged=logged)
+    log = read_log(path)
+    flags, axis = log.held("flightModeFlags"), log.columns["debug[1]"]
+    assert flags is not None
+    on = (np.asarray(flags) >> BOX_CHIRP & 1).astype(bool)
+    swept = axis == 0  # roll, the first; -1 while nothing is swept
+    assert swept.sum() == round(1000 * SWEEP_S) and (axis[~swept] == -1).all()
+    assert on[swept].all() and on.sum() == pytest.approx(1000 * (SWEEP_S + 0.1), abs=20)
+    tenths_of_hz = log.columns["debug[2]"][swept]
+    assert tenths_of_hz[0] == 20 and (np.diff(tenths_of_hz) >= 0).all() and tenths_of_hz[-1] > 200

@@ -7,6 +7,7 @@
 
 /* Boxes of the ecosystem, by the bits that its logs have them at. */
 #define BOX_ARM 0
+#define BOX_CHIRP 6 /* by which the ecosystem's analysis finds sweeps */
 #define BOX_FAILSAFE 8
 #define BOX_BEEPER 14
 
@@ -70,6 +71,7 @@ uint32_t log_flags(const struct log_record *r)
 {
 	const bool failsafe = r->state == NF_FLIGHT_FAILSAFE_HOLD || r->state == NF_FLIGHT_FAILSAFE_DROP;
 	const uint32_t boxes = slow_box(r->trace.armed != 0, BOX_ARM) | slow_box(failsafe, BOX_FAILSAFE) |
+			       slow_box((r->modes & MODE_BIT(CHIRP)) != 0, BOX_CHIRP) |
 			       slow_box((r->modes & MODE_BIT(BEEPER)) != 0, BOX_BEEPER);
 	const uint32_t ours = (uint32_t)(r->pid_flies != 0) | (r->state & 7u) << 1 | (r->stop_cause & 15u) << 4 |
 			      (r->fallback_cause & 15u) << 8 | (r->refused_cause & 15u) << 12;

@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.firmware.mutants.mutant import Mutant
 
 OF_RING = "blackbox/test_ring.py"
+OF_FLIGHT = "blackbox/test_log_of_a_flight.py"
 
 BLACKBOX_MUTANTS: tuple[Mutant, ...] = (
     Mutant(
@@ -27,5 +28,12 @@ BLACKBOX_MUTANTS: tuple[Mutant, ...] = (
         old="snapshot->step >= LOG_SNAPSHOT_STEPS",
         new="snapshot->step > LOG_SNAPSHOT_STEPS",
         tests=(OF_RING,),
+    ),
+    Mutant(
+        name="a log is written as if no motor ever turned",
+        file="background_blackbox.c",
+        old=".armed = firmware_armed(fw),",
+        new=".armed = false,",
+        tests=(OF_FLIGHT,),
     ),
 )
