@@ -14,19 +14,43 @@ from numpy.typing import NDArray
 
 from cli.main import main
 from cli.sim import fly_ports
+from sim.blackbox.log import read_log
 from sim.flight.trace import load_trace
 from sim.physics.imu import counts
 from sim.ports.emulator import EmulatedPort
 from sim.ports.host import HostPort
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
+from sim.replay.flight import replayable
 from tests.peers.orangebox_peer import decoded
+from toolchain.contract import FallbackCause, FlightState
 
 pytest.importorskip("orangebox")
 
 CHIP = np.array([-1, -1, 1])  # the chip is mounted CW180: its axes from the body's
 PORTS = {"reference": ReferencePort, "host": HostPort, "emulator": EmulatedPort}
 MINUTE = 14  # commands of `pulses`, 4.5 s each
+STORY = """[[segment]]
+duration_s = 0.3
+setpoint_deg_s = [100, -50, 30]
+throttle = 0.3
+[[segment]]
+duration_s = 0.3
+setpoint_deg_s = [-100, 0, 0]
+throttle = 0.3
+controller = "pid"
+[[segment]]
+duration_s = 0.3
+setpoint_deg_s = [0, 0, 0]
+throttle = 0.2
+receiver = "lost"
+[[segment]]
+duration_s = 0.3
+setpoint_deg_s = [50, 0, 0]
+throttle = 0.2
+"""
+TROUBLE = ("--fault", "overload=0.0006@0.1", "--fault", "gyro-silent=0.012@1.0")  # fallback, lost samples, a fault
+STOPPED = 3  # the command's exit code where a fault stops the motors
 
 Flight = tuple[Path, Path, "Watched", dict[str, Any]]  # log, trace, samples, what `fly` told
 Fly = Callable[..., Flight]
@@ -74,13 +98,13 @@ def logged(
     monkeypatch.setattr(fly_ports, "BUILD", host_program.parent)
     monkeypatch.setattr(fly_ports, "BOARD", board_image.parent)
 
-    def fly(where: str, *arguments: str) -> Flight:
+    def fly(where: str, *arguments: str, code: int = 0) -> Flight:
         port = PORTS["emulator" if where == "card" else where]
         seen, log, trace = Watched(), tmp_path / f"{where}.bbl", tmp_path / f"{where}.npz"
         monkeypatch.setattr(port, "exchange", seen.wrap(port.exchange))  # type: ignore[attr-defined]
         to = ["--card", str(new_card(tmp_path / "card.img"))] if where == "card" else ["--blackbox", str(log)]
         on = ["--on", "emulator" if where == "card" else where]
-        assert main(["fly", *on, *to, "--trace", str(trace), "--json", *arguments]) == 0
+        assert main(["fly", *on, *to, "--trace", str(trace), "--json", *arguments]) == code
         told = json.loads(capsys.readouterr().out)
         if where == "card":
             taken = ["mcopy", "-i", str(tmp_path / "card.img"), "::LOG00001.BBL", str(log)]
@@ -160,3 +184,71 @@ def test_a_log_of_a_minute_is_its_flight(
 ) -> None:
     flight = logged(where, "--scenario", "pulses", "--count", str(MINUTE))
     assert_log_is_flight(flight, tmp_path, capsys)
+
+
+@pytest.fixture
+def story(tmp_path: Path) -> str:
+    """Policy, PID, failsafe, policy."""
+    path = tmp_path / "story.toml"
+    path.write_text(STORY)
+    return str(path)
+
+
+def assert_replays(
+    log: Path, on: str, host_program: Path, board_image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each motor value of the log comes again, to its end."""
+    build = board_image.parent if on == "emulator" else host_program.parent
+    assert main(["log", "replay", str(log), "--on", on, "--build", str(build), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["equal"] and told["different"] == 0 and told["incomplete"] is None and not told["damaged"]
+    assert told["steps"] == len(read_log(log).columns["time"])
+
+
+def test_a_troubled_flight_of_the_board_is_replayed_to_the_bit(
+    logged: Fly, story: str, host_program: Path, board_image: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, *_ = logged("emulator", "--scenario", story, *TROUBLE, code=STOPPED)
+    modes = read_log(log).held("nfFlags")
+    assert modes is not None
+    assert {FlightState.FAILSAFE_HOLD, FlightState.FAULT} <= set((modes >> 1 & 7).tolist())
+    assert {0, 1} <= set((modes & 1).tolist()) and FallbackCause.DEADLINE in (modes >> 8 & 15)
+    assert replayable(read_log(log)).inputs.lost.sum() > 100
+    assert_replays(log, "library", host_program, board_image, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["reference", "host", "emulator", "card"])
+def test_a_log_of_each_is_replayed_on_each(
+    where: str,
+    logged: Fly,
+    story: str,
+    host_program: Path,
+    board_image: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    faulty = where in ("emulator", "card")
+    options = TROUBLE if faulty else ()
+    log, *_ = logged(where, "--scenario", story, *options, code=STOPPED if faulty else 0)
+    for on in ("library", "host", "emulator"):
+        assert_replays(log, on, host_program, board_image, capsys)
+
+
+@pytest.mark.slow
+def test_a_card_that_stalls_costs_no_control_step(
+    logged: Fly, story: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, clean, *_ = logged("card", "--scenario", story)
+    unhurt = load_trace(clean)
+    log, trace, _, told = logged("card", "--scenario", story, "--fault", "card-stall=0.5@0.4")
+    assert load_trace(trace).same(unhurt)
+    dropped = told["blackbox"]["dropped"]  # as LOG_INFO has it
+    read = read_log(log)
+    assert dropped > 0 and read.ended
+    counted = read.held("dropped")
+    assert counted is not None and counted[-1] - counted[0] == dropped
+    assert (np.diff(read.columns["loopIteration"]) - 1).sum() == dropped
+    assert main(["log", "quality", str(log)]) == 0
+    assert f"{dropped:,} control steps" in " ".join(capsys.readouterr().out.split())
+    checked = ["fsck.vfat", "-n", str(tmp_path / "card.img")]
+    assert subprocess.run(checked, capture_output=True, timeout=60, check=False).returncode == 0
