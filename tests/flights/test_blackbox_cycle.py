@@ -49,7 +49,12 @@ duration_s = 0.3
 setpoint_deg_s = [50, 0, 0]
 throttle = 0.2
 """
-TROUBLE = ("--fault", "overload=0.0006@0.1", "--fault", "gyro-silent=0.012@1.0")  # fallback, lost samples, a fault
+TROUBLE = (
+    "--fault",
+    "overload=0.0006@0.1",
+    "--fault",
+    "gyro-silent=0.012@1.0",
+)  # fallback, lost samples, a fault
 STOPPED = 3  # the command's exit code where a fault stops the motors
 
 Flight = tuple[Path, Path, "Watched", dict[str, Any]]  # log, trace, samples, what `fly` told
@@ -104,6 +109,7 @@ def logged(
         monkeypatch.setattr(port, "exchange", seen.wrap(port.exchange))  # type: ignore[attr-defined]
         to = ["--card", str(new_card(tmp_path / "card.img"))] if where == "card" else ["--blackbox", str(log)]
         on = ["--on", "emulator" if where == "card" else where]
+        capsys.readouterr()
         assert main(["fly", *on, *to, "--trace", str(trace), "--json", *arguments]) == code
         told = json.loads(capsys.readouterr().out)
         if where == "card":
