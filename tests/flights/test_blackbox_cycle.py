@@ -87,8 +87,8 @@ class Watched:
         assert (told[last] == steps).all()
         divider = int(np.diff(firsts)[1])
         rows = last[:, None] - np.arange(divider - 1, -1, -1)
-        counts: NDArray[np.int64] = np.array(self.counts)[rows].reshape(len(steps), -1)
-        return counts
+        taken: NDArray[np.int64] = np.array(self.counts, np.int64)[rows]
+        return taken.reshape(len(steps), -1)
 
 
 @pytest.fixture
