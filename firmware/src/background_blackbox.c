@@ -52,6 +52,9 @@ void background_run_blackbox(struct background *background)
 		.armed = firmware_armed(fw),
 		.modes = fw->status.modes,
 		.step = fw->status.trace.step,
+		.samples = firmware_samples(fw),
+		.state = fw->status.state,
+		.stop_cause = fw->status.stop_cause,
 		.volts = background->battery.volts,
 		.amps = background->battery.amps,
 	};

@@ -48,9 +48,12 @@ def read_info(client: Client) -> LogInfo:
 def settled_info(client: Client, wait: Wait) -> LogInfo:
     """The same, once the device has been looked at, as a card after power-up. Raises LinkError."""
     deadline = wait.clock() + STARTING_S
-    while (info := read_info(client)).state is LogState.STARTING and wait.clock() < deadline:
+    while wait.clock() < deadline:
+        info = read_info(client)
+        if info.state is not LogState.STARTING and not info.looking:
+            return info
         wait.sleep(PAUSE_S)
-    return info
+    return read_info(client)
 
 
 def read_entries(client: Client, info: LogInfo, wait: Wait) -> list[LogEntry]:

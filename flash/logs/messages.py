@@ -9,6 +9,7 @@ from flash.payload import Reader
 from toolchain.contract import (
     LOG_ERASE_MAGIC,
     LOG_INFO_LOGGING,
+    LOG_INFO_LOOKING,
     LOG_INFO_LOSSY,
     LOG_NAME_BYTES,
     LogDevice,
@@ -54,6 +55,7 @@ class LogInfo:
     error: LogError  # the last one, until a log begins well
     logging: bool
     lossy: bool  # the current or last log lacks control steps
+    looking: bool  # for files: there may be more logs
     logs: int  # that can be read
     empty: int  # files that can take a log
     capacity_kib: int  # of all files for logs
@@ -91,9 +93,8 @@ def log_info(payload: bytes) -> LogInfo:
     reader = Reader(Msp.LOG_INFO, payload)
     device, state, error = reader.one_of(LogDevice), reader.one_of(LogState), reader.one_of(LogError)
     flags, *numbers = reader.fields("BHH5I")
-    return LogInfo(
-        device, state, error, bool(flags & LOG_INFO_LOGGING), bool(flags & LOG_INFO_LOSSY), *numbers
-    )
+    told = (bool(flags & bit) for bit in (LOG_INFO_LOGGING, LOG_INFO_LOSSY, LOG_INFO_LOOKING))
+    return LogInfo(device, state, error, *told, *numbers)
 
 
 def log_entry(payload: bytes) -> LogEntry | None:

@@ -82,4 +82,5 @@ LOG_NAME_BYTES = 12  # of a log's file: 8.3
 LOG_INFO_LOGGING, LOG_INFO_LOSSY = (
     0x01,
     0x02,
-)  # flags of LOG_INFO: being written; the current or last log lacks steps
+)  # flags of LOG_INFO: being written; current or last one lacks steps
+LOG_INFO_LOOKING = 0x04  # files are still being looked at: there may be more logs

@@ -163,7 +163,11 @@ OWN_LAYOUTS = (
         number("u8", "state", "", "LogState"),
         number("u8", "error", "", "LogError: the device's last one, until a log begins well"),
         number(
-            "u8", "flags", "bits", "0 a log is being written, 1 the current or last one lacks control steps"
+            "u8",
+            "flags",
+            "bits",
+            "0 a log is being written, 1 the current or last one lacks control steps, "
+            "2 files are still being looked at: there may be more",
         ),
         number("u16", "logs", "", "that can be read"),
         number("u16", "empty", "", "files that can take a log"),

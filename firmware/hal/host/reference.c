@@ -127,6 +127,7 @@ void reference_silent(void *self, uint16_t dshot[])
 	struct reference *r = self;
 
 	program_gyro_silent(&r->program);
+	program_background(&r->program);
 	memcpy(dshot, r->board.dshot, r->board.motor_count * sizeof dshot[0]);
 }
 

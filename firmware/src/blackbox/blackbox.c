@@ -6,6 +6,7 @@
 
 #define SLICE_PIECES 4u  /* frames or lines of a slice: four control steps at the lowest gyro rate */
 #define AFTER_MS 200u    /* the log goes on for so long after disarming */
+#define SILENT_MS 250u   /* without a control step, motors stopped: the gyro is gone, and the log ends */
 #define AFTER_STEPS (AFTER_MS * POLICY_CONTROL_RATE_HZ / 1000u)
 _Static_assert(2u * LOG_SNAPSHOT_STEPS <= LOG_RING_RECORDS, "the ring holds them while the header is written");
 
@@ -120,6 +121,7 @@ static void blackbox_begin(struct blackbox *b)
 	if (b->config.snapshot && r->trace.step != b->config.snapshot->step)
 		blackbox_lose_state(b);
 	b->header = (struct log_header){ 0 };
+	b->sample = r->sample;
 	b->next = r->trace.step;
 	b->first = true;
 	b->gap = true;
@@ -161,6 +163,11 @@ static void blackbox_event(struct blackbox *b, enum nf_log_event event, uint32_t
 						   event < sizeof counts / sizeof counts[0] ? counts[event] : 0);
 }
 
+static void blackbox_tell_stop(struct blackbox *b, unsigned cause)
+{
+	blackbox_event(b, NF_LOG_EVENT_DISARM, cause < sizeof reasons ? reasons[cause] : 0u, 0);
+}
+
 /* What happened since the last frame. */
 static void blackbox_tell(struct blackbox *b, const struct log_step *step)
 {
@@ -173,7 +180,7 @@ static void blackbox_tell(struct blackbox *b, const struct log_step *step)
 	if (flags != b->flags)
 		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, flags, b->flags);
 	if (!armed && b->armed)
-		blackbox_event(b, NF_LOG_EVENT_DISARM, r->stop_cause < sizeof reasons ? reasons[r->stop_cause] : 0u, 0);
+		blackbox_tell_stop(b, r->stop_cause);
 	b->flags = flags;
 	b->armed = armed;
 }
@@ -233,6 +240,7 @@ static bool blackbox_record(struct blackbox *b)
 
 	b->gap |= r->trace.step != b->next;
 	b->dropped += r->trace.step - b->next;
+	b->sample = r->sample;
 	b->next = r->trace.step + 1u;
 	b->disarmed = armed ? 0 : b->armed || b->disarmed > 0 ? b->disarmed + 1 : 0;
 	/* Frames go on for a while after disarming, and before arming they lead up to it. */
@@ -242,6 +250,25 @@ static bool blackbox_record(struct blackbox *b)
 		blackbox_frame(b, &step);
 	log_ring_take(b->config.ring);
 	return true;
+}
+
+/* Did control steps end because the gyro says nothing any more? */
+static bool blackbox_silent(const struct blackbox *b)
+{
+	const uint32_t since = b->view.samples - b->sample;
+
+	return !b->view.armed && since > b->config.about.settings->gyro_rate_hz * SILENT_MS / 1000u;
+}
+
+/* What became of a flight whose last control step came before its end. */
+static void blackbox_tell_silence(struct blackbox *b)
+{
+	const uint32_t flags = log_flags_stopped(b->flags, b->view.state, b->view.stop_cause);
+
+	if (flags != b->flags)
+		blackbox_event(b, NF_LOG_EVENT_FLIGHT_MODE, flags, b->flags);
+	if (b->armed)
+		blackbox_tell_stop(b, b->view.stop_cause);
 }
 
 /* Is the log over, with the record that was taken last? */
@@ -261,8 +288,13 @@ static bool blackbox_fill(struct blackbox *b)
 		return true;
 	}
 	case FRAMES:
-		if (!blackbox_over(b))
-			return blackbox_record(b);
+		if (!blackbox_over(b)) {
+			if (blackbox_record(b))
+				return true;
+			if (!blackbox_silent(b))
+				return false;
+			blackbox_tell_silence(b);
+		}
 		blackbox_event(b, NF_LOG_EVENT_LOG_END, 0, 0);
 		b->phase = FAREWELL;
 		return true;

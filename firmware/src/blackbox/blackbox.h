@@ -32,6 +32,8 @@ struct blackbox_view {
 	bool armed; /* the motors obey */
 	uint32_t modes; /* bits of enum mode_index that are on */
 	uint32_t step; /* the last control step */
+	uint32_t samples; /* gyro samples since boot, those that silence swallowed included */
+	uint8_t state, stop_cause; /* enum nf_flight_state, enum nf_stop_cause */
 	float volts, amps; /* of the battery */
 };
 
@@ -49,6 +51,7 @@ struct blackbox {
 	bool gap; /* the next frame does not follow the last one */
 	bool armed; /* as logged last */
 	uint32_t flags; /* as logged last */
+	uint32_t sample; /* gyro samples since boot, of the record that was taken last */
 	uint32_t next; /* control step that the next record should have */
 	uint32_t disarmed; /* control steps since the motors stopped, in the log */
 	uint32_t intra_at; /* iteration from which the next intra frame is due */

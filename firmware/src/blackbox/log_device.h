@@ -14,6 +14,7 @@
 struct log_device_status {
 	uint8_t state; /* enum nf_log_state */
 	uint8_t error; /* enum nf_log_error: the last one; it stays until a log begins well */
+	bool looking; /* for logs and files: there may be more than these */
 	uint16_t logs; /* that can be read back */
 	uint16_t empty; /* files that can take a log */
 	uint32_t capacity_kb; /* of all files for logs */

@@ -81,6 +81,9 @@ size_t log_frames_inter(struct log_frames *frames, const struct log_step *step, 
  * enum nf_stop_cause, 8-11 enum nf_fallback_cause, 12-15 enum nf_fallback_cause that refuses the policy. */
 uint32_t log_flags(const struct log_record *record);
 
+/* The same flags once the motors have been stopped so, without a control step. */
+uint32_t log_flags_stopped(uint32_t flags, unsigned state, unsigned stop_cause);
+
 void log_slow_load(struct log_slow *slow, const struct log_step *step, uint32_t left_out, uint32_t dropped);
 
 /* Does `slow` tell more than `last` did? */

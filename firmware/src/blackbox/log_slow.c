@@ -79,6 +79,13 @@ uint32_t log_flags(const struct log_record *r)
 	return boxes | ours << 16;
 }
 
+uint32_t log_flags_stopped(uint32_t flags, unsigned state, unsigned stop_cause)
+{
+	const uint32_t stale = 1u << BOX_ARM | 7u << 17 | 15u << 20;
+
+	return (flags & ~stale) | (state & 7u) << 17 | (stop_cause & 15u) << 20;
+}
+
 /* The ecosystem's: 0 idle, 1 the signal is lost, 2 landing. */
 static uint32_t slow_failsafe(const struct log_record *r)
 {

@@ -30,7 +30,8 @@ enum nf_refusal msp_log_info(struct blackbox *blackbox, struct msp_reader *paylo
 	msp_put_u8(reply, status.chosen);
 	msp_put_u8(reply, status.device.state);
 	msp_put_u8(reply, status.device.error);
-	msp_put_u8(reply, (status.logging ? NF_LOG_INFO_LOGGING : 0u) | (status.lossy ? NF_LOG_INFO_LOSSY : 0u));
+	msp_put_u8(reply, (status.logging ? NF_LOG_INFO_LOGGING : 0u) | (status.lossy ? NF_LOG_INFO_LOSSY : 0u) |
+				  (status.device.looking ? NF_LOG_INFO_LOOKING : 0u));
 	msp_put_u16(reply, status.device.logs);
 	msp_put_u16(reply, status.device.empty);
 	msp_put_u32(reply, status.device.capacity_kb);

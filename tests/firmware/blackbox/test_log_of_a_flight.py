@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.blackbox.log import Log, floats
-from tests.firmware.blackbox.flights import Flown, fly
-from toolchain.contract import LOG_FIELDS_MAX, LogEvent, LogGroup
+from sim.blackbox.log import Log, floats, read_log
+from sim.ports.library import Reference
+from tests.firmware.blackbox.flights import ARMED_S, Flown, fly
+from toolchain.contract import (
+    CHANNEL_ARM,
+    CHANNEL_COUNT,
+    CHANNEL_THROTTLE,
+    GYRO_BAD_MS,
+    LOG_FIELDS_MAX,
+    FlightState,
+    LogEvent,
+    LogGroup,
+    StopCause,
+)
 
 orangebox = pytest.importorskip("orangebox")
 GROUPS = {
@@ -154,3 +165,38 @@ def test_a_minute_of_flight_is_read_as_it_was(reference_library: Path, tmp_path:
     log = flown.log(tmp_path)
     assert_the_same(flown, log)
     assert log.lost == 0 and len(log.columns["time"]) > 60_000
+
+
+def test_a_log_tells_why_it_ends_when_the_gyro_says_nothing_any_more(
+    reference_library: Path, tmp_path: Path
+) -> None:
+    board = Reference(reference_library, 4000, {"gyro_stuck_ms": 0})
+    data = [board.blackbox()]
+    rng = np.random.default_rng(3)
+    for index in range(int(5.0 * 4000)):
+        if index % 40 == 0:
+            sticks = [1500] * 4 + [1000] * (CHANNEL_COUNT - 4)
+            sticks[CHANNEL_THROTTLE], sticks[CHANNEL_ARM] = 1000, 2000 if index > ARMED_S * 4000 else 1000
+            board.receiver(sticks)
+        board.sample(rng.normal(size=3) * 0.01, np.array([0.0, 0.0, 9.80665]))
+        data.append(board.blackbox())
+    assert board.trace().armed
+    for _ in range(600 // GYRO_BAD_MS):
+        board.silent()
+        data.append(board.blackbox())
+    path = tmp_path / "silent.bbl"
+    path.write_bytes(b"".join(data))
+    log = read_log(path)
+    assert log.ended and log.lost == 0 and held(log, "flightModeFlags")[-1] & 1, "its last step was armed"
+    told, disarmed, _ = log.events[-3:]
+    assert [event.kind for event in log.events[-3:]] == [
+        *(LogEvent.FLIGHT_MODE, LogEvent.DISARM, LogEvent.LOG_END),
+    ]
+    new, old = told.values["new"], told.values["old"]
+    assert (
+        old & 1
+        and not new & 1
+        and new >> 17 & 7 == FlightState.FAULT
+        and new >> 20 & 15 == StopCause.GYRO_SILENT
+    )
+    assert disarmed.values["reason"] == 0, "the ecosystem has no number for a gyro"

@@ -27,6 +27,7 @@ class LogBoard(BoardModel):
     early: int = 0
     has_logs: bool = True
     logging: bool = False
+    looking: bool = False
     log_state: LogState = LogState.READY
     log_error: LogError = LogError.NONE
     dropped: int = 0
@@ -47,7 +48,7 @@ class LogBoard(BoardModel):
 
     def log_info(self, _: bytes) -> bytes:
         size = len(self.logs[-1]) if self.logs else 0
-        flags = self.logging | (self.dropped > 0) << 1
+        flags = self.logging | (self.dropped > 0) << 1 | self.looking << 2
         head = struct.pack("<BBBBHH", 2, self.log_state, self.log_error, flags, len(self.logs), 5)
         return head + struct.pack("<5I", 640 << 10, 320 << 10, size // 100, self.dropped, size)
 

@@ -134,15 +134,17 @@ def test_arming_in_the_middle_ends_it_and_keeps_what_came(tmp_path: Path) -> Non
 
 
 def test_a_card_that_is_being_looked_at_is_waited_for() -> None:
-    board = log_board(LOG, log_state=LogState.STARTING)
+    board = log_board(log_state=LogState.STARTING)
     line = ModelLine(board)
 
     def sleep(seconds: float) -> None:
         board.advance(seconds)
         if board.now > 1.0:
-            board.log_state = LogState.READY
+            board.log_state, board.looking = LogState.READY, True  # with the first empty file
+        if board.now > 2.0:
+            board.looking, board.logs = False, [LOG]
 
-    assert settled_info(client_of(line), Wait(line.clock, sleep)).state is LogState.READY
+    assert settled_info(client_of(line), Wait(line.clock, sleep)).logs == 1
     board.log_state = LogState.STARTING
     assert settled_info(client_of(line), wait_of(line)).state is LogState.STARTING
 

@@ -208,7 +208,11 @@ static void log_status(void *context, struct log_device_status *status)
 {
 	const struct card_log *const log = context;
 
-	*status = (struct log_device_status){ .state = log_state(log), .error = log->error };
+	*status = (struct log_device_status){
+		.state = log_state(log),
+		.error = log->error,
+		.looking = log->card.blocks != 0u && !card_files_known(&log->files),
+	};
 	if (status->error == NF_LOG_ERROR_NONE)
 		status->error = log->card.error != NF_LOG_ERROR_NONE ? log->card.error : log->files.error;
 	for (uint32_t i = 0; i < log->files.count; ++i) {
