@@ -27,7 +27,7 @@ $(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_mem
 $(OBJ)/src/background.o $(OBJ)/src/blackbox/%.o $(OBJ)/src/command_line/%.o $(OBJ)/src/msp/%.o $(OBJ)/src/storage/%.o: \
 	CFLAGS += -fno-move-loop-invariants -fno-schedule-insns2
 # So is what runs once, or in the background.
-SMALL := core/clock core/gpio core/motor_pins core/stop core/watchdog devices/card_spi devices/log_uart devices/msp_uart \
+SMALL := core/gpio core/watchdog devices/card_spi devices/log_uart devices/msp_uart \
 	devices/power peripherals/uart_line startup/image_header
 $(SMALL:%=$(OBJ)/hal/stm32f7/%.o): CFLAGS += -Os
 

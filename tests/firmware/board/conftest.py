@@ -159,6 +159,7 @@ class Sketch:
         self._milliseconds = int(counter[0]["st_value"])
         self.by_address = {r.address: r for r in registers}
         self.by_name = {(r.name, r.instance): r for r in registers}
+        self.by_index = {(r.name, r.instance, r.index): r for r in registers}
         self.dead = dead
         self.cycles, self.cycles_a_read = 0, cycles_a_read
         self.sins: list[str] = []
@@ -210,8 +211,10 @@ class Sketch:
     def poke(self, address: int, value: int) -> None:
         self.uc.mem_write(address, struct.pack("<I", value & 0xFFFFFFFF))
 
-    def field(self, register: str, field: str, instance: str = "") -> int:
-        known = self.by_name[register, instance or register.split("_")[0]]
+    def field(self, register: str, field: str, instance: str = "", index: str = "") -> int:
+        """index: of a DMA controller's stream."""
+        instance = instance or register.split("_")[0]
+        known = self.by_index[register, instance, index] if index else self.by_name[register, instance]
         found = next(f for f in known.fields if f.name == field)
         return (self.peek(known.address) & found.mask) >> found.lsb
 

@@ -184,7 +184,7 @@ def test_all_variables_and_the_stack_lie_in_dtcm_but_the_backgrounds_when_linked
     elf: ELFFile, symbols: dict[str, int]
 ) -> None:
     sections = allocated(elf, SH_FLAGS.SHF_WRITE)
-    homes = {".sram_bss": SRAM1, ".uncached_bss": SRAM2, ".fast_vectors": ITCM}
+    homes = {".sram_bss": SRAM1, ".sram_noinit": SRAM1, ".uncached_bss": SRAM2, ".fast_vectors": ITCM}
     for section in sections.values():
         home = homes.get(section.name, DTCM)
         assert within(section.address, section.size, home), section.name

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+RECEIVER_STREAM = "5"  # of DMA1, for what USART2 receives (RM0431, table 24)
 RING_BYTES = 256
 MSP_RING_BYTES, MSP_SEND_BYTES = 4096, 1024
 SCRATCH = 0x2000F000  # DTCM that the image does not use
@@ -59,7 +60,7 @@ def test_the_receiver_line_is_inverted_8e2_when_set_up(board: Any) -> None:
     assert board.field("USART_CR1", "PS", "USART2") == 0  # even
     assert board.field("USART_CR2", "STOP", "USART2") == 2  # two stop bits
     assert board.field("USART_CR2", "RXINV", "USART2") == 1
-    assert board.field("DMA_SCR", "CIRC", "DMA1") == 1
+    assert board.field("DMA_SCR", "CIRC", "DMA1", RECEIVER_STREAM) == 1
 
 
 def test_the_line_is_plain_and_fast_when_the_receiver_speaks_crsf(
