@@ -62,6 +62,7 @@ def test_only_main_has_variables_of_its_own_when_compiled(scripted_build: Path) 
         "info",
         "fault",
         "background",
+        "log_ring",
         "program",
     }
     assert set(found) == set(MODULES)

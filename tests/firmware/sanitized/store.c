@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "blackbox/blackbox.h"
 #include "hal/host/flash_model.h"
 #include "msp/msp_commands.h"
 #include "msp/msp_port.h"
@@ -19,6 +20,8 @@ static struct nf_settings settings;
 static struct policy_slots slots;
 static struct fault_log faults;
 static struct task_stats tasks[TASK_COUNT];
+static struct gyro gyro;
+static struct blackbox blackbox;
 static struct policy policy;
 static _Alignas(8) float weights[POLICY_WEIGHT_COUNT];
 static unsigned long replies, sets, policies;
@@ -101,7 +104,9 @@ int main(void)
 		.storing = storing,
 		.channels = channels,
 		.motors = motors,
+		.blackbox = &blackbox,
 	};
+	const struct blackbox_config no_device = { .gyro = &gyro, .about = { .settings = &settings } };
 	struct msp_port port;
 
 	model.bytes = aligned_alloc(8, NF_FLASH_BYTES);
@@ -110,6 +115,7 @@ int main(void)
 	memset(model.bytes, 0xFF, NF_FLASH_BYTES);
 	flash = flash_model_interface(&model);
 	boot();
+	blackbox_init(&blackbox, &no_device);
 	msp_port_init(&port, &identity, &services);
 	for (int kind, low, high; (kind = getchar()) != EOF && (low = getchar()) != EOF && (high = getchar()) != EOF;) {
 		const size_t length = (size_t)(low | high << 8);

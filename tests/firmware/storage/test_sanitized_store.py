@@ -34,7 +34,18 @@ CORE = (
     *("msp/msp_configure", "msp/msp_fields", "msp/msp_lists", "msp/msp_sources", "common/nf_math"),
     *("storage/fault_log", "storage/flash", "storage/policy_blob", "storage/policy_slots"),
     *("storage/mode_range", "storage/settings", "storage/settings_store", "common/sha256"),
-    *("storage/image_bank", "storage/image_update"),
+    *(
+        "storage/image_bank",
+        "storage/image_update",
+        "msp/msp_logs",
+        "blackbox/blackbox",
+        "blackbox/blackbox_kept",
+    ),
+    *(
+        f"blackbox/log_{name}"
+        for name in ("encoding", "frames", "header", "ring", "slow", "snapshot", "text")
+    ),
+    *("sensing/gyro", "sensing/calibration"),
 )
 SANITIZERS = ("address", "undefined", "float-cast-overflow", "float-divide-by-zero")
 PIECES = 3000

@@ -112,6 +112,7 @@ def test_a_value_reads_back_to_the_bit_when_it_was_written(scripted: Any, case: 
 
 @effort(max_examples=500, deadline=None)
 @given(name=st.sampled_from([setting.name for setting in SETTINGS]), text=st.text(PRINTABLE, max_size=40))
+@example(name="roll_rate", text="1e100")
 def test_what_is_taken_is_written_as_it_was_meant_when_it_is_any_text(
     scripted: Any, name: str, text: str
 ) -> None:
