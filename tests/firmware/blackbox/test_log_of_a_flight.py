@@ -80,6 +80,7 @@ def test_every_value_is_the_flights_when_its_log_is_read(flown: Flown, tmp_path:
     log = flown.log(tmp_path)
     assert_the_same(flown, log)
     assert log.ended and log.lost == 0 and not log.notes
+    assert np.array_equal(log.columns["time"], 1000 * flown.step[flown.rows(log)]), "us since boot"
     armed = held(log, "flightModeFlags") & 1
     assert len(armed) > 700 and 480 < armed.sum() < 520
     assert armed[0] == 0 and armed[-150:].sum() == 0  # it leads up to arming, and goes on behind it

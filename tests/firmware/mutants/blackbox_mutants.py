@@ -36,4 +36,11 @@ BLACKBOX_MUTANTS: tuple[Mutant, ...] = (
         new=".armed = false,",
         tests=(OF_FLIGHT,),
     ),
+    Mutant(
+        name="a record tells the next step's first sample as its own",
+        file="firmware_log.c",
+        old="record->sample = fw->samples - 1u;",
+        new="record->sample = fw->samples;",
+        tests=(OF_FLIGHT,),
+    ),
 )

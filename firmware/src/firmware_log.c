@@ -1,0 +1,76 @@
+/* What the blackbox is given of a control step. */
+#include <stddef.h>
+#include <stdint.h>
+
+#include "blackbox/log_record.h"
+#include "common/words.h"
+#include "firmware.h"
+
+/* What lies side by side in the firmware and in a record is copied as one. */
+#define RECORD(member) offsetof(struct log_record, member)
+#define STATUS(member) offsetof(struct firmware_status, member)
+#define SAME_PLACE(member, from) \
+	_Static_assert(RECORD(member) - RECORD(from) == STATUS(member) - STATUS(from), "not as in the status: " #member)
+#define TOLD (RECORD(modes) - RECORD(trace))
+_Static_assert(STATUS(trace) == 0 && STATUS(channels_us) == RECORD(sticks_us) && NF_CHANNEL_YAW + 1 == LOG_STICKS,
+	       "the sticks are the first channels");
+SAME_PLACE(arming_reasons, trace);
+#define CONDITIONS (RECORD(attitude) - RECORD(modes))
+_Static_assert(STATUS(modes) % 4u == 0 && CONDITIONS % 4u == 0, "whole words");
+SAME_PLACE(receiver_good, modes);
+SAME_PLACE(policy_good, modes);
+SAME_PLACE(pid_built_in, modes);
+SAME_PLACE(pid_flies, modes);
+SAME_PLACE(state, modes);
+SAME_PLACE(stop_cause, modes);
+SAME_PLACE(fallback_cause, modes);
+SAME_PLACE(refused_cause, modes);
+SAME_PLACE(gyro_health, modes);
+SAME_PLACE(receiver_quality, modes);
+SAME_PLACE(attitude_known, modes);
+#define ANSWER (RECORD(accel) - RECORD(observation))
+_Static_assert(offsetof(struct control, action) - offsetof(struct control, seen) ==
+		       RECORD(action) - RECORD(observation),
+	       "observation and action");
+#define CHIRP (RECORD(forbidden) - RECORD(chirp_state))
+#define SAME_CHIRP(member)                                                                     \
+	_Static_assert(RECORD(chirp_##member) - RECORD(chirp_state) ==                         \
+			       offsetof(struct chirp, member) - offsetof(struct chirp, state), \
+		       "not as in the chirp: " #member)
+_Static_assert(offsetof(struct chirp, state) % 4u == 0 && CHIRP % 4u == 0, "whole words");
+SAME_CHIRP(axis);
+SAME_CHIRP(controller);
+SAME_CHIRP(left);
+SAME_CHIRP(frequency_hz);
+SAME_CHIRP(phase);
+SAME_CHIRP(sine);
+SAME_CHIRP(low);
+SAME_CHIRP(added);
+#define EDGES (RECORD(sample) - RECORD(forbidden))
+_Static_assert(sizeof(struct firmware_edges) == EDGES &&
+		       offsetof(struct firmware_edges, flags) == RECORD(edge_flags) - RECORD(forbidden),
+	       "edges");
+#define MEASURED (RECORD(gyro) - RECORD(accel))
+#define LAST (offsetof(struct firmware, gyro) + offsetof(struct gyro, last) + offsetof(struct imu_sample, accel))
+_Static_assert(LAST % 4u == 0 && RECORD(temperature) - RECORD(accel) ==
+					 offsetof(struct imu_sample, temperature) - offsetof(struct imu_sample, accel),
+	       "accelerometer and temperature");
+
+void firmware_log(const struct firmware *fw, struct log_record *record)
+{
+	words_copy(&record->trace, &fw->status, TOLD);
+	words_copy(&record->modes, &fw->status.modes, CONDITIONS);
+	words_copy(record->attitude, fw->attitude.q, sizeof record->attitude);
+	words_copy(&record->chirp_state, &fw->chirp.state, CHIRP);
+	words_copy(&record->forbidden, &fw->edges, EDGES);
+	/* A motor test or a command forbids arming, and no armed motors have one. */
+	if (record->arming_reasons & SAFETY_REASON(MOTOR_TEST))
+		record->edge_flags |= LOG_EDGE_BENCH;
+	if (record->edge_flags & LOG_EDGE_POSTED) {
+		record->receiver_count = sizeof fw->posted_us;
+		words_copy(record->receiver_bytes, fw->posted_us, sizeof fw->posted_us);
+	}
+	record->sample = fw->samples - 1u;
+	words_copy(record->observation, fw->control.seen, ANSWER);
+	words_copy(record->accel, (const uint8_t *)fw + LAST, MEASURED);
+}
