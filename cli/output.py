@@ -53,6 +53,28 @@ def command_line(command: str, *words: str, **options: object) -> str:
     return " ".join(line)
 
 
+def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:
+    """Rows under their heading, which is the first; numbers to the right unless `left`."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    heading, *rest = rows
+    shown = Table(
+        title=Text(title) if title else None,
+        caption=Text(note) if note else None,
+        title_justify="left",
+        caption_justify="left",
+        box=None,
+        show_header=any(heading),
+    )
+    for number, cell in enumerate(heading):
+        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
+    for row in rest:
+        shown.add_row(*(Text(cell) for cell in row))
+    Console().print(shown)
+
+
 def plain(value: object) -> object:
     """Dictionaries of arrays as JSON has them."""
     if isinstance(value, Mapping):

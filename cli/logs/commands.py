@@ -13,9 +13,9 @@ from cli.logs.reading import (
     add_part_arguments,
     open_log,
     part,
-    print_table,
     tell_damage,
 )
+from cli.output import print_table
 from toolchain.contract import AXES
 
 if TYPE_CHECKING:

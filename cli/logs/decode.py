@@ -6,7 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from cli.logs.reading import add_file_arguments, open_log, print_table, tell_damage
+from cli.logs.reading import add_file_arguments, open_log, tell_damage
+from cli.output import print_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

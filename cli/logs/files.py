@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from cli.logs.reading import print_table
+from cli.output import print_table
 from toolchain.errors import NeuroflightError
 
 SUFFIXES = (".bbl", ".bfl", ".txt")

@@ -7,7 +7,8 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_file_arguments, add_part_arguments, open_log, part, print_table, tell_damage
+from cli.logs.reading import add_file_arguments, add_part_arguments, open_log, part, tell_damage
+from cli.output import print_table
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:

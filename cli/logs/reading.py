@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,25 +77,3 @@ def tell_damage(log: Log) -> None:
     """What is wrong with the file, in one line on stderr; after the work, which may end in another line."""
     if log.notes:
         print(f"neuroflight: {log.path}: log {log.number}: {'; '.join(log.notes)}", file=sys.stderr)
-
-
-def print_table(title: str, rows: Sequence[tuple[str, ...]], note: str = "", *, left: bool = False) -> None:
-    """Rows under their heading, which is the first; numbers to the right unless `left`."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    heading, *rest = rows
-    shown = Table(
-        title=Text(title) if title else None,
-        caption=Text(note) if note else None,
-        title_justify="left",
-        caption_justify="left",
-        box=None,
-        show_header=any(heading),
-    )
-    for number, cell in enumerate(heading):
-        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
-    for row in rest:
-        shown.add_row(*(Text(cell) for cell in row))
-    Console().print(shown)

@@ -11,7 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.logs.reading import add_file_arguments, open_log, print_table, tell_damage
+from cli.logs.reading import add_file_arguments, open_log, tell_damage
+from cli.output import print_table
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from cli.output import print_table
 from cli.sim.fly_blackbox import LogReport, log_rows
 from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_document, emulator_rows
 
@@ -79,9 +80,9 @@ def print_flight(title: str, note: str, flown: list[Flown]) -> None:
     from sim.analysis.flight_report import table
 
     report = flown[0].report
-    _table(title, table([one.flight for one in flown]), note)
+    print_table(title, table([one.flight for one in flown]), note)
     if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:
-        _table("", [("", ""), *rows], "", left=True)
+        print_table("", [("", ""), *rows], "", left=True)
 
 
 def print_several(
@@ -99,25 +100,4 @@ def print_several(
     words = ", ".join(conditions(args, scenarios[0])[2:])
     if report is not None:
         words += f"\nflown was the file to be flashed, {report.image}\nsha256 {report.sha256}"
-    _table(title, rows, words)
-
-
-def _table(title: str, rows: list[tuple[str, ...]], note: str, *, left: bool = False) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    heading, *rest = rows
-    shown = Table(
-        title=Text(title) if title else None,
-        caption=Text(note) if note else None,
-        title_justify="left",
-        caption_justify="left",
-        box=None,
-        show_header=any(heading),
-    )
-    for number, cell in enumerate(heading):
-        shown.add_column(cell, justify="right" if number and not left else "left", overflow="fold")
-    for row in rest:
-        shown.add_row(*(Text(cell) for cell in row))
-    Console().print(shown)
+    print_table(title, rows, words)
