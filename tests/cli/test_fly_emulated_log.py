@@ -105,14 +105,3 @@ def test_a_card_that_stalls_costs_frames_but_no_control_step(fly: Fly, card: Pat
     assert told["dropped"] == gaps.sum() == np.asarray(dropped)[-1]
     assert sum(event.kind == LogEvent.LOGGING_RESUME for event in log.events) == (gaps > 0).sum()
     assert log.ended and log.events[-1].kind == LogEvent.LOG_END
-
-
-@pytest.mark.slow
-@needs_tools
-def test_a_minute_is_logged_without_a_gap(fly: Fly, card: Path, tmp_path: Path) -> None:
-    path = tmp_path / "log.bbl"
-    for name, options in (("uart.npz", ("--blackbox", path)), ("card.npz", ("--card", card))):
-        told = fly(name, *options, seconds=60.0)["blackbox"]
-        log = read_log(path) if name == "uart.npz" else taken_out(card)
-        assert (told["dropped"], told["ended"], log.lost) == (0, True, 0)
-        assert_log_is_trace(log, tmp_path / name)
