@@ -23,7 +23,7 @@ SUMMARY = (
 ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
-    "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "results"),
+    "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "manoeuvres", "results"),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
     "logs": ("log",),
 }
@@ -39,6 +39,7 @@ COMMANDS = {
     "evaluate": "measure a policy or the PID on unseen commands",
     "compare": "compare policies and PIDs on the same unseen commands",
     "robustness": "measure controllers on aircraft whose parameters differ from their file",
+    "manoeuvres": "fly roll, flip, Split-S, punch-out and dive recovery freely, with drag, battery, gusts",
     "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",

@@ -13,7 +13,7 @@ from enum import IntEnum
 
 from flash import records, requests
 from flash.payload import Reader
-from toolchain.contract import MSP_MODE_ARMED, ArmingReason, Msp
+from toolchain.contract import MSP_MODE_ARMED, ArmingReason, Mix, Msp
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,7 @@ class PolicyInfo:
     found: tuple[
         int, ...
     ]  # at boot in slot A, slot B and compiled in: 0 good, else firmware/src/common/nf_err.h
+    mix: Mix  # of outputs and throttle
 
 
 def api_version(payload: bytes) -> ApiVersion:
@@ -259,6 +260,7 @@ def policy_info(payload: bytes) -> PolicyInfo:
     (idle,) = reader.fields("f")
     source = reader.one_of(PolicySource)
     sequence, *found = reader.fields("I3b")
+    mix = reader.one_of(Mix)
     return PolicyInfo(
         name=name,
         sha256=sha256,
@@ -273,6 +275,7 @@ def policy_info(payload: bytes) -> PolicyInfo:
         source=source,
         sequence=sequence,
         found=tuple(found),
+        mix=mix,
     )
 
 

@@ -13,6 +13,8 @@ POLICY_ERRORS = {
     -12: "trained behind other gyro filters than those that are set",
     -13: "of another architecture than this image's policy",
     -14: "its idle is beyond what a policy is trained with",
+    -25: "its mix of outputs and throttle is one that this firmware does not know",
+    -26: "its model of the aircraft does not hold, or is not the one that its observation needs",
     -16: "older than the image: flashing that without --keep-policy left it behind",
 }
 

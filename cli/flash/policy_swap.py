@@ -172,6 +172,7 @@ def candidate_of(path: Path) -> Candidate:
         filters_hash=blob.filters_hash,
         control_rate_hz=blob.control_rate_hz,
         idle=blob.idle,
+        mix=blob.mix,
         aircraft=blob.aircraft,
         sha256=blob.policy_sha256,
         blob=lambda sequence: pack(replace(blob, sequence=sequence)),
@@ -250,6 +251,7 @@ def _plan(
         "aircraft": candidate.aircraft,
         "sha256": candidate.sha256,
         "idle": candidate.idle,
+        "mix": candidate.mix.text,
         "bytes": 0 if held else size,
         "slot": held.name if held else NAMES[slot],
         "seconds": 0.0 if held else round(swaps.seconds(size, slot, baud, start=not args.no_reboot), 2),
@@ -270,6 +272,10 @@ def _plan_rows(document: dict[str, Any], candidate: Candidate, policies: Policie
     if candidate.idle != idle:
         rows.append(
             ("idle", f"{candidate.idle:g} of full throttle, until now {idle:g}: it comes with the policy")
+        )
+    if candidate.mix is not policies.info.mix:
+        rows.append(
+            ("mix", f"{candidate.mix.text}, until now {policies.info.mix.text}: it comes with the policy")
         )
     if document["bytes"]:
         told = (

@@ -172,7 +172,13 @@ def _scenario(args: argparse.Namespace) -> Callable[[Layout], Source]:
             f"scenario {args.scenario}: it arms, expected --allow-arm; give it if the motors may turn; "
             "nothing was sent"
         )
-    widths, heard = load_scenario(args.scenario, args.seed).timeline(args.rate)
+    scenario = load_scenario(args.scenario, args.seed)
+    if scenario.by_eye:
+        raise NeuroflightError(
+            f"scenario {args.scenario}: its pilot flies by the twin's height, which nobody sees here; "
+            "expected sticks that are known before; nothing was sent"
+        )
+    widths, heard = scenario.timeline(args.rate)
     rows = [tuple(int(us) for us in row) if on else None for row, on in zip(widths, heard, strict=True)]
     armed_at = tuple(int(us) for us in widths[0])
 

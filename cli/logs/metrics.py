@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cli.logs.reading import add_file_arguments, add_part_arguments, open_log, part, tell_damage
 from cli.output import print_table
+from toolchain.contract import Mix
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -24,6 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="average over N equal parts (1)")
     parser.add_argument(
         "--idle", type=float, metavar="PART", help="motor fraction at zero thrust; default: as the log says"
+    )
+    parser.add_argument(
+        "--mix",
+        choices=[mix.text for mix in Mix],
+        help="of outputs and throttle; default: as the log says, attitude-first of a trace",
     )
 
 
@@ -58,7 +64,7 @@ def _log(args: argparse.Namespace) -> Flight:
 
     chosen = part(args)
     log = open_log(args)
-    flight = log_flight(log, chosen, args.episodes, args.idle)
+    flight = log_flight(log, chosen, args.episodes, args.idle, _mix(args))
     tell_damage(log)
     return flight
 
@@ -68,4 +74,14 @@ def _trace(args: argparse.Namespace) -> Flight:
     from sim.flight.trace import load_trace
 
     chosen = part(args)
-    return trace_flight("trace", cut(load_trace(args.file), chosen), args.episodes, args.idle)
+    return trace_flight(
+        "trace",
+        cut(load_trace(args.file), chosen),
+        args.episodes,
+        args.idle,
+        _mix(args) or Mix.ATTITUDE_FIRST,
+    )
+
+
+def _mix(args: argparse.Namespace) -> Mix | None:
+    return None if args.mix is None else Mix.of(args.mix)

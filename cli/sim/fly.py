@@ -6,7 +6,6 @@ import argparse
 import json
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,9 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["pulse"],
         metavar="NAME|FILE",
-        help="pulse, pulses, roll, flip, a .toml file, or a flight's recorded commands: a trace (.npz), a "
-        "table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only the "
-        "firmware's flights, a row each",
+        help="pulse, pulses, roll, flip, sticks, a .toml file, or a flight's recorded commands: a trace "
+        "(.npz), a table (.csv), a blackbox log (.bbl, .bfl, .txt; FILE:N for its log N); of several only "
+        "the firmware's flights, a row each",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and bias")
     parser.add_argument(
@@ -197,6 +196,8 @@ def _scenarios(args: argparse.Namespace) -> list[Scenario]:
             raise NeuroflightError("--controller: Betaflight flies its own PID; leave it out")
         scenarios = [scenario.under_pid() for scenario in scenarios]
     for scenario in scenarios:
+        if scenario.by_eye and not args.ground:
+            raise NeuroflightError(f"scenario {scenario.name}: takes off and lands; add --ground")
         if args.ground and scenario.mount is not Mount.FREE:
             raise NeuroflightError(
                 f"--ground: the aircraft hangs in mount {scenario.mount.value}, expected free; "
@@ -295,7 +296,9 @@ def _fly(
 
     from sim.analysis.flight_report import Flight
     from sim.analysis.metrics import figures
+    from sim.analysis.stick_flight import stick_figures
     from sim.flight.loop import fly
+    from sim.flight.motion import Motion
     from sim.flight.trace import save_trace
     from sim.physics.twin import Twin
 
@@ -325,9 +328,15 @@ def _fly(
         )
         with closing(twin):
             try:
-                logged = None if entry.log is None else entry.log.watch
+                motion = Motion(twin)
                 trace = fly(
-                    twin, entry.port, scenario, progress=progress, broken_off=broken_off, logged=logged
+                    twin,
+                    entry.port,
+                    scenario,
+                    progress=progress,
+                    broken_off=broken_off,
+                    logged=None if entry.log is None else entry.log.watch,
+                    watch=motion if scenario.by_eye else lambda: None,
                 )
             except BaseException:  # an interruption by the user as well
                 entry.on_error()
@@ -337,9 +346,9 @@ def _fly(
         log = None if entry.log is None else entry.log.report()
         report = None if entry.report is None else entry.report(scenario.duration_s)
     progress(1.0)
-    # Another mixer than ours cannot be undone: its output is then taken as the motors' whole command.
-    asked = replace(trace, throttle=np.zeros_like(trace.throttle)) if entry.own_mixer else trace
-    return Flown(Flight(entry.name, trace, figures(asked, scenario.episodes(), entry.idle)), report, log)
+    flight = Flight(entry.name, trace, figures(trace, scenario.episodes(), entry.idle, entry.mix))
+    by_eye = stick_figures(scenario, motion, entry.port.control_rate_hz) if scenario.by_eye else None
+    return Flown(flight, report, log, by_eye)
 
 
 def _check_air(args: argparse.Namespace) -> None:

@@ -13,17 +13,29 @@ from cli.sim.fly_emulator import EMULATOR_HEADINGS, emulator_cells, emulator_doc
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
     from sim.analysis.flight_report import Flight
+    from sim.analysis.stick_flight import StickFigures
     from sim.flight.scenario import Scenario
     from sim.ports.emulator_report import EmulatedReport
 
 
+STICK_ROWS = (  # of a flight by eye: heading, figure, digits
+    ("height error, m", "height_error_m", 2),
+    ("tilt, deg", "tilt_deg", 1),
+    ("  largest", "tilt_max_deg", 1),
+    ("drift, m", "drift_m", 1),
+    ("touchdown, m/s down", "touchdown_m_s", 2),
+    ("  and level", "touchdown_level_m_s", 2),
+)
+
+
 @dataclass(frozen=True)
 class Flown:
-    """A flight, and the emulated board's report of it."""
+    """A flight, the emulated board's report of it, its log, and its figures if it was flown by eye."""
 
     flight: Flight
     report: EmulatedReport | None
     log: LogReport | None = None
+    sticks: StickFigures | None = None
 
 
 def conditions(args: argparse.Namespace, scenario: Scenario) -> list[str]:
@@ -67,12 +79,29 @@ def document(
         "aircraft_sha256": aircraft.sha256,
         "flights": {
             # The first flight is the firmware's, whichever it is: "on" says.
-            name: plain({**asdict(one.flight.figures), "armed": one.flight.armed})
+            name: plain(_flight_document(one))
             for name, one in zip(("firmware", "PID"), flown, strict=False)
         },
         **({} if log is None else {"blackbox": asdict(log)}),
         **({} if report is None else {"emulator": emulator_document(report)}),
     }
+
+
+def _flight_document(one: Flown) -> dict[str, Any]:
+    by_eye = {} if one.sticks is None else {"sticks": asdict(one.sticks)}
+    return {**asdict(one.flight.figures), "armed": one.flight.armed, **by_eye}
+
+
+def _stick_rows(flown: list[Flown]) -> list[tuple[str, ...]]:
+    """Rows about a flight by eye; none of another."""
+    all_figures = [one.sticks for one in flown if one.sticks is not None]
+    if not all_figures:
+        return []
+    rows = [("", *(one.flight.name for one in flown))]
+    for label, name, digits in STICK_ROWS:
+        values = [getattr(figures, name) for figures in all_figures]
+        rows.append((label, *("-" if value is None else f"{value:.{digits}f}" for value in values)))
+    return [*rows, ("stands at the end", *("yes" if each.landed else "no" for each in all_figures))]
 
 
 def print_flight(title: str, note: str, flown: list[Flown]) -> None:
@@ -81,6 +110,8 @@ def print_flight(title: str, note: str, flown: list[Flown]) -> None:
 
     report = flown[0].report
     print_table(title, table([one.flight for one in flown]), note)
+    if by_eye := _stick_rows(flown):
+        print_table("", by_eye)
     if rows := [*log_rows(flown[0].log), *([] if report is None else emulator_rows(report))]:
         print_table("", [("", ""), *rows], "", left=True)
 

@@ -18,8 +18,10 @@ from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
+    from sim.ports.betaflight.build import Betaflight
     from sim.ports.emulator_report import EmulatedReport
     from sim.ports.port import FirmwarePort
+    from toolchain.contract import Mix
 
 BUILD = Path(__file__).resolve().parents[2] / "build" / "HOST"
 BETAFLIGHT, BOARD = BUILD.with_name("BETAFLIGHT"), BUILD.with_name("MATEKF722")
@@ -32,7 +34,7 @@ class Entry:
     name: str
     port: FirmwarePort
     idle: float  # motor fraction of its armed motors at zero thrust
-    own_mixer: bool = False  # it mixes the throttle by another rule than ours
+    mix: Mix | None  # of its outputs and the throttle; None: by another rule than ours
     report: Callable[[float], EmulatedReport] | None = None  # of the flight of so many seconds that is over
     on_error: Callable[[], None] = lambda: None  # before it is closed after a flight that ended in an error
     kept: bool = True  # its trace is what --trace asks for
@@ -63,7 +65,7 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
     from sim.ports.host import HostPort
     from sim.ports.library import ReferencePort
     from sim.ports.port import twin_settings
-    from toolchain.image.report import built_idle
+    from toolchain.image.report import built_motors
 
     if args.on == "betaflight":
         return _open_betaflight(args, aircraft)
@@ -85,7 +87,8 @@ def _open_firmware(args: argparse.Namespace, aircraft: Aircraft, log: FlightLog 
         if isinstance(port, ReferencePort):
             log.source = port.reference.blackbox
     try:
-        return Entry("firmware", port, built_idle(product, pid=args.controller == "pid"), log=log)
+        motors = built_motors(product, pid=args.controller == "pid")
+        return Entry("firmware", port, motors.idle, motors.mix, log=log)
     except NeuroflightError:
         port.close()
         raise
@@ -96,10 +99,17 @@ def open_pid(args: argparse.Namespace, aircraft: Aircraft, control_rate_hz: int)
     from sim.control.pid import aircraft_pid, pid_settings
     from sim.ports.python_controller import ControllerPort
 
-    idle = pid_settings(aircraft).idle
-    pid = aircraft_pid(aircraft, 1, control_rate_hz)
-    port = ControllerPort(pid, aircraft.motor_count, args.gyro_hz, control_rate_hz, idle)
-    return Entry("PID", port, idle, kept=False)
+    settings = pid_settings(aircraft)
+    port = ControllerPort(
+        aircraft_pid(aircraft, 1, control_rate_hz),
+        aircraft.motor_count,
+        args.gyro_hz,
+        control_rate_hz,
+        settings.idle,
+        mix=settings.mix,
+        gyro_mean=settings.gyro_mean,
+    )
+    return Entry("PID", port, settings.idle, settings.mix, kept=False)
 
 
 def quiet(args: argparse.Namespace) -> bool:
@@ -110,7 +120,7 @@ def quiet(args: argparse.Namespace) -> bool:
 def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: FlightLog | None) -> Entry:
     """The image on a board of its own."""
     from sim.ports.emulator_report import emulated_report
-    from toolchain.image.report import built_idle
+    from toolchain.image.report import built_motors
 
     image = (args.build or BOARD) / "neuroflight.bin"
     with ExitStack() as undo:
@@ -125,21 +135,27 @@ def _open_emulator(args: argparse.Namespace, settings: dict[str, float], log: Fl
                 save_profile(args.profile, port.board)
             return told
 
-        idle = built_idle(image, pid=args.controller == "pid")
+        motors = built_motors(image, pid=args.controller == "pid")
         undo.pop_all()
         if log is not None:
             log.told = port.logged
         told = partial(keep_profile, args, port.board)
-        return Entry("firmware", port, idle, report=report, on_error=told, ends=ends, log=log)
+        return Entry(
+            "firmware", port, motors.idle, motors.mix, report=report, on_error=told, ends=ends, log=log
+        )
 
 
 def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:
-    """Build Betaflight if it will fly and is not there; each stage of the build is printed to stderr.
+    """Build Betaflight if it will fly and is not there, see `built_betaflight`."""
+    if args.on == "betaflight":
+        built_betaflight(args, aircraft)
+
+
+def built_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Betaflight:
+    """Betaflight, built unless it is there; each stage of the build is printed to stderr.
 
     Raises AircraftError if Betaflight cannot fly the aircraft.
     """
-    if args.on != "betaflight":
-        return
     from rich.console import Console
 
     from sim.ports.betaflight.build import build_betaflight
@@ -154,7 +170,7 @@ def prepare(args: argparse.Namespace, aircraft: Aircraft) -> None:
             if status is not None:
                 status.update(stage)
 
-        build_betaflight(args.build or BETAFLIGHT, say)
+        return build_betaflight(args.build or BETAFLIGHT, say)
 
 
 def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
@@ -164,4 +180,4 @@ def _open_betaflight(args: argparse.Namespace, aircraft: Aircraft) -> Entry:
 
     settings = aircraft_settings(aircraft)
     betaflight = build_betaflight(args.build or BETAFLIGHT, lambda _: None)
-    return Entry("Betaflight", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, own_mixer=True)
+    return Entry("Betaflight", BetaflightPort(betaflight, args.gyro_hz, settings), IDLE, mix=None)

@@ -8,8 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from toolchain.contract import Mix
+
 if TYPE_CHECKING:
+    from sim.aircraft.model import Aircraft
     from toolchain.policy.model import PolicyModel
+    from toolchain.policy.model_constants import ModelConstants
 
 EPILOG = (
     "A checkpoint of `neuroflight train` knows its observation, rate and aircraft. A model of another "
@@ -27,12 +31,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--observation", metavar="BLOCKS", help="what the model observes, e.g. rate,throttle")
     parser.add_argument("--rate", type=int, metavar="HZ", help="control rate it was trained at")
     parser.add_argument("--aircraft", metavar="NAME|FILE", help="shipped name or .toml it was trained for")
-    parser.add_argument("--filters", metavar="JSON", help="gyro filters it was trained behind; default: []")
+    parser.add_argument(
+        "--filters", metavar="JSON", help='gyro filters it was trained behind, [] or [["mean"]]; default: []'
+    )
     parser.add_argument(
         "--idle",
         type=float,
         metavar="U",
         help="motor fraction without thrust it was trained with; default: 0",
+    )
+    parser.add_argument(
+        "--mix",
+        choices=[mix.text for mix in Mix],
+        help="how its outputs and the throttle were mixed in training; default: attitude-first",
     )
     parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
@@ -64,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
             "control_rate_hz": policy.control_rate_hz,
             "filters": policy.filters,
             "idle": policy.idle,
+            "mix": policy.mix.text,
+            "model": None if policy.model is None else policy.model.document(),
             "aircraft": policy.aircraft,
             "aircraft_sha256": policy.aircraft_sha256,
             "changes": list(changes),
@@ -73,7 +86,8 @@ def run(args: argparse.Namespace) -> int:
     for change in changes:
         print(change)
     print(
-        f"{args.source} -> {args.out}: {policy.network.text}, {policy.aircraft}, {policy.control_rate_hz} Hz"
+        f"{args.source} -> {args.out}: {policy.network.text}, {policy.aircraft}, "
+        f"{policy.control_rate_hz} Hz, mix {policy.mix.text}, filters {json.dumps(policy.filters)}"
     )
     return 0
 
@@ -86,6 +100,7 @@ def _claims(args: argparse.Namespace) -> dict[str, object]:
         "--aircraft": args.aircraft,
         "--filters": args.filters,
         "--idle": args.idle,
+        "--mix": args.mix,
         "--output": args.output,
         "--clip": args.clip or None,
     }
@@ -96,8 +111,8 @@ def _reject_claims(args: argparse.Namespace) -> None:
 
     if given := [name for name, value in _claims(args).items() if value is not None]:
         raise PolicyError(
-            f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle and "
-            f"aircraft; leave out {', '.join(given)}"
+            f"{args.source} is a checkpoint, which knows its own observation, rate, filters, idle, mix "
+            f"and aircraft; leave out {', '.join(given)}"
         )
 
 
@@ -124,5 +139,22 @@ def _import(args: argparse.Namespace) -> tuple[PolicyModel, Sequence[str]]:
         aircraft_sha256=aircraft.sha256,
         motors=aircraft.motor_count,
         idle=IDLE_DEFAULT if args.idle is None else args.idle,
+        mix=Mix.of(args.mix or Mix.ATTITUDE_FIRST.text),
+        model=_model(args, aircraft),
     )
     return import_onnx(args.source, args.out, claims, clip=args.clip, output=args.output)
+
+
+def _model(args: argparse.Namespace, aircraft: Aircraft) -> ModelConstants | None:
+    """Constants of the aircraft's model, where the observation is made by one.
+
+    What is no observation and no rate is refused by `import_onnx`, in its words.
+    """
+    from sim.control.estimator import model_constants
+    from toolchain.contract import needs_model, observation_blocks
+
+    try:
+        needed = args.rate > 0 and needs_model(observation_blocks(args.observation))
+    except ValueError:
+        return None
+    return model_constants(aircraft, args.rate) if needed else None

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     aircraft = load_aircraft(args.aircraft)
     scenario = load_scenario(SCENARIO, args.seed, args.count)
     code = disassemble(image.with_suffix(".elf"), lines=True)
-    flights = [scenario] if inside.pid_idle is None else [scenario, scenario.under_pid()]
+    flights = [scenario] if inside.pid_motors is None else [scenario, scenario.under_pid()]
     metered = _fly_all(args, aircraft, flights, code)
     runs: dict[Kind, tuple[Run, ...]] = {}
     for flight in metered:

@@ -1,4 +1,4 @@
-"""neuroflight compare: policies and PIDs side by side on the same unseen commands."""
+"""neuroflight compare: policies, PIDs and Betaflight side by side on the same unseen commands."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cli.training.conditions import (
     ONE_EPISODE,
+    THROTTLES_MAX,
     add_condition_arguments,
     check_controllers,
     check_ranges,
@@ -20,14 +21,15 @@ from cli.training.conditions import (
     progress_bars,
     throttle_words,
 )
+from cli.training.contenders import add_contender_arguments, all_names, check_thrusts, open_contenders
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from sim.analysis.confidence import Mean
     from training.evaluation.comparison import Entry
+    from training.evaluation.controllers import Conditions, Contender
 
-THROTTLES_MAX = 20
 TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
 ROWS = (  # heading, figure, factor, digits
     ("IAE", "iae", 1, 0),
@@ -36,6 +38,7 @@ ROWS = (  # heading, figure, factor, digits
     ("ITSE", "itse", 1, 0),
     ("mean output ū", "output", 1, 4),
     ("mean |Δu| in 1 ms", "change", 1, 5),
+    ("motors, mean |Δ| in 1 ms", "motor_change", 1, 5),
     ("Sm, 1e-6", "smoothness", 1e6, 1),
     ("success, %", "success", 100, 1),
     ("  bare 10 % band", "success_bare", 100, 1),
@@ -60,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "controllers",
         nargs="+",
-        metavar="POLICY.onnx|pid[:NAME]",
-        help="policies, or PIDs of the aircraft file; differences are to the first",
+        metavar="POLICY.onnx|pid[:NAME]|betaflight",
+        help="policies, PIDs of the aircraft file, Betaflight; differences are to the first",
     )
     add_condition_arguments(parser, episodes=1000)
     parser.add_argument(
@@ -72,45 +75,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pilot's thrust, 0..1; one comparison each, the first is drawn; default: 0, or as recorded "
         "with --commands",
     )
+    add_contender_arguments(parser)
+    parser.add_argument(
+        "--transparency",
+        action="store_true",
+        help="thrust and motors at rest against the throttle too, beside what a transparent controller gives",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly each controller at each throttle and print the figures."""
+    """Fly each controller at each throttle, or at each thrust, and print the figures."""
+    check_controllers(all_names(args, args.controllers))
+    check_thrusts(args)
+    throttles = _throttles(args)
+    with open_contenders(args, args.controllers, conditions(args)) as (contenders, flown):
+        if args.thrust is not None:
+            return _at_thrusts(args, contenders, flown)
+        return _at_throttles(args, contenders, flown, throttles)
+
+
+def _at_throttles(
+    args: argparse.Namespace,
+    contenders: Sequence[Contender],
+    flown: Conditions,
+    throttles: Sequence[float | None],
+) -> int:
     from rich.console import Console
 
+    from cli.training.thrust import print_transparency, rest_documents
     from sim.plotting import save_png
     from training.evaluation.comparison import enter
     from training.evaluation.comparison_plot import draw
-    from training.evaluation.controllers import load_controller
+    from training.evaluation.equal_thrust import all_transparency
 
-    check_controllers(args.controllers)
-    throttles = _throttles(args)
-    flown = conditions(args)
-    controllers = [load_controller(name, flown.aircraft, args.idle) for name in args.controllers]
     rounds: dict[float | None, list[Entry]] = {}
     with progress_bars(args) as bar:
         for throttle in throttles:
-            for controller in controllers:
-                show = bar(controller.label + throttle_words(throttle))
-                rounds.setdefault(throttle, []).append(enter(controller, flown, throttle, show))
+            for contender in contenders:
+                show = bar(contender.label + throttle_words(throttle))
+                rounds.setdefault(throttle, []).append(enter(contender, flown, throttle, show))
+        rests = all_transparency(contenders, flown, bar) if args.transparency else ()
     title = f"{flown.aircraft.name}: {flown_words(flown)}"
     if args.plot:
         first = throttles[0]
-        save_png(args.plot, draw(rounds[first], title + throttle_words(first)))
+        save_png(args.plot, draw(rounds[first], title + throttle_words(first), rests))
     if args.json:
-        told = command("compare", args, flown, *args.controllers, throttle=_told(args))
-        document = {
-            "command": told,
-            **conditions_document(args, flown),
-            "comparison": [entry for entries in rounds.values() for entry in _documents(entries)],
-        }
-        print(json.dumps(document, indent=2))
+        comparison = [entry for entries in rounds.values() for entry in _documents(entries)]
+        _print_json(args, flown, {"comparison": comparison, **(rest_documents(rests) if rests else {})})
         return 0
     console = Console()
     for throttle, entries in rounds.items():
         _print(console, title + throttle_words(throttle), entries)
     console.print(NOTE + (ONE_EPISODE if flown.episodes == 1 else ""), style="dim")
+    if rests:
+        print_transparency(console, rests)
     return 0
+
+
+def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
+    from rich.console import Console
+
+    from cli.training.thrust import documents, print_equal_thrust
+    from sim.plotting import save_png
+    from training.evaluation.comparison_plot import draw
+    from training.evaluation.equal_thrust import equal_thrust
+
+    with progress_bars(args) as bar:
+        found = equal_thrust(contenders, flown, args.thrust, bar)
+    title = f"{flown.aircraft.name}: {flown_words(flown)}"
+    if args.plot:
+        first = found.levels[0]
+        save_png(args.plot, draw(first.entries, f"{title}, thrust {first.wanted:g}", found.transparency))
+    if args.json:
+        _print_json(args, flown, documents(found))
+    else:
+        print_equal_thrust(Console(), title, found)
+    return 0
+
+
+def _print_json(args: argparse.Namespace, flown: Conditions, found: dict[str, object]) -> None:
+    told = command("compare", args, flown, *args.controllers, throttle=_told(args))
+    print(json.dumps({"command": told, **conditions_document(args, flown), **found}, indent=2))
 
 
 def _throttles(args: argparse.Namespace) -> list[float | None]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from training.evaluation.controllers import Conditions, ControllerSpec
+    from training.evaluation.controllers import Conditions, Contender
     from training.evaluation.evaluation import Evaluation
     from training.tasks.pieces import RecordedPieces
     from training.tasks.task import Task
@@ -20,6 +20,7 @@ TASKS = ("pulse", "episodic", "envelope")
 MOUNTS = ("centre", "rig", "free")
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
+THROTTLES_MAX = 20
 CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 ONE_EPISODE = " One episode gives no confidence: its ± is 0."
 PIECE_S = 5.0  # of recorded commands, unless the user says
@@ -197,6 +198,9 @@ def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str,
         delay=args.delay,
         idle=args.idle,
         battery=getattr(args, "battery", None),
+        on=args.on,
+        thrust=args.thrust,
+        transparency=getattr(args, "transparency", False),
     )
 
 
@@ -211,10 +215,12 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
         "mount": args.mount,
         "noise": flown.noise,
         "delay_s": flown.aircraft.propulsion.delay,
+        "gyro_rate_hz": flown.gyro_rate_hz,
+        "sticks": flown.sticks,
     }
 
 
-def flight_document(controller: ControllerSpec, throttle: float | None, result: Evaluation) -> dict[str, Any]:
+def flight_document(controller: Contender, throttle: float | None, result: Evaluation) -> dict[str, Any]:
     """A controller and its figures, as JSON data; throttle None: as recorded."""
     from cli.output import plain
 
@@ -223,6 +229,8 @@ def flight_document(controller: ControllerSpec, throttle: float | None, result: 
         **asdict(result.effort_margin),
         "smoothness": result.smoothness_margin,
     }
+    if result.motor_change is not None:
+        margins["motor_change"] = float(result.motor_change.high - result.motor_change.value)
     return {
         "controller": controller.name,
         **controller.facts,
@@ -233,6 +241,7 @@ def flight_document(controller: ControllerSpec, throttle: float | None, result: 
         "worst_mae": result.worst_mae,
         "output": result.effort.output,
         "change": result.effort.change,
+        "motor_change": None if result.motor_change is None else float(result.motor_change.value),
         "smoothness": result.smoothness,
         "margin_95": {name: plain(values) for name, values in margins.items()},
         "response": plain(asdict(result.response)) if result.response else None,

@@ -1,10 +1,11 @@
-"""neuroflight evaluate: figures of a policy or a PID on unseen commands in the twin."""
+"""neuroflight evaluate: figures of a policy, a PID or Betaflight on unseen commands in the twin."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,13 @@ from cli.training.conditions import (
     flown_words,
     progress_bars,
 )
+from cli.training.contenders import add_contender_arguments, check_thrusts, open_contenders
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from sim.analysis.confidence import Mean
+    from training.evaluation.controllers import Conditions, Contender
     from training.evaluation.evaluation import Evaluation
 
 ALL_ROWS = (
@@ -54,7 +57,10 @@ RESPONSE_ROWS = (  # heading, figure, factor, digits
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "controller", metavar="POLICY.onnx|pid[:NAME]", help="a policy, or a PID of the aircraft file"
+        "controller",
+        nargs="?",
+        metavar="POLICY.onnx|pid[:NAME]|betaflight",
+        help="a policy, a PID of the aircraft file, or Betaflight; none with --on betaflight",
     )
     add_condition_arguments(parser, episodes=100)
     parser.add_argument(
@@ -71,24 +77,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CHARGE",
         help="fly on the aircraft's battery, charged so far, 0..1 (1); default: the bench supply",
     )
+    add_contender_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly all commands at once and print the figures."""
+    from toolchain.errors import TrainingError
+
+    if (args.controller is None) == (args.on is None):
+        raise TrainingError("expected one controller: a policy, pid, pid:NAME, or betaflight")
+    check_ranges(("--throttle", args.throttle, 0.0, 1.0), ("--battery", args.battery, 0.0, 1.0))
+    check_thrusts(args)
+    given = replace(conditions(args), charge=args.battery)
+    with open_contenders(args, _words(args), given) as (contenders, flown):
+        if args.thrust is not None:
+            return _at_thrusts(args, contenders, flown)
+        return _at_throttle(args, contenders[0], flown)
+
+
+def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
+    from rich.console import Console
+
+    from cli.training.thrust import documents, print_equal_thrust
+    from toolchain.errors import TrainingError
+    from training.evaluation.equal_thrust import equal_thrust
+
+    if args.plot:
+        raise TrainingError("--plot: `neuroflight compare --thrust` draws; leave it out")
+    with progress_bars(args) as bar:
+        found = equal_thrust(contenders, flown, args.thrust, bar)
+    if args.json:
+        told = command("evaluate", args, flown, *_words(args), throttle=None)
+        document = {"command": told, **conditions_document(args, flown), **documents(found)}
+        print(json.dumps(document, indent=2))
+    else:
+        print_equal_thrust(Console(), f"{flown.aircraft.name}: {flown_words(flown)}", found)
+    return 0
+
+
+def _words(args: argparse.Namespace) -> list[str]:
+    return [] if args.controller is None else [args.controller]
+
+
+def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditions) -> int:
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
-    from training.evaluation.controllers import load_controller
     from training.evaluation.evaluation import figures
 
-    check_ranges(("--throttle", args.throttle, 0.0, 1.0), ("--battery", args.battery, 0.0, 1.0))
-    flown = replace(conditions(args), charge=args.battery)
-    controller = load_controller(args.controller, flown.aircraft, args.idle)
     throttle = 0.0 if args.throttle is None and args.commands is None else args.throttle
     with progress_bars(args) as bar:
         flights = flown.fly(controller, throttle, bar(f"{flown.episodes} commands"))
     result = figures(flights)
-    title = f"{args.controller} on {flown.aircraft.name}: {flown_words(flown)}"
+    title = f"{controller.name} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
     if args.plot and held and result.response:
         line = Line(controller.label, result.spectrum, result.smoothness)
@@ -97,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"--plot: {args.plot} is not drawn: no command is held for a second", file=sys.stderr)
     if args.json:
         document = {
-            "command": command("evaluate", args, flown, args.controller, throttle=_told(args)),
+            "command": command("evaluate", args, flown, *_words(args), throttle=_told(args)),
             **conditions_document(args, flown),
             **flight_document(controller, throttle, result),
         }
@@ -136,7 +177,7 @@ def _print(title: str, result: Evaluation) -> None:
     effort, margin = result.effort, result.effort_margin
     console.print(
         f"mean output ū {effort.output:.4f} ± {margin.output:.4f}, "
-        f"mean |Δu| in 1 ms {effort.change:.5f} ± {margin.change:.5f}, "
+        f"mean |Δu| in 1 ms {effort.change:.5f} ± {margin.change:.5f}, {_motors(result)}"
         f"Sm {1e6 * result.smoothness:.1f}e-6 ± {1e6 * result.smoothness_margin:.1f}e-6, "
         f"worst MAE of a command and axis {result.worst_mae:.1f} deg/s"
     )
@@ -151,6 +192,11 @@ def _print(title: str, result: Evaluation) -> None:
     if result.episodes == 1:
         note += ONE_EPISODE
     console.print(note, style="dim")
+
+
+def _motors(result: Evaluation) -> str:
+    change = result.motor_change
+    return "" if change is None else f"of motors {change.value:.5f} ± {change.high - change.value:.5f}, "
 
 
 def _add_response(table: Table, result: Evaluation) -> None:

@@ -8,6 +8,10 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from training.results_page.stored_results import Stored
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -57,8 +61,21 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.out}: up to date with {len(results)} files")
         return 0
     written = write_text_if_changed(args.out, page)
+    _draw(args.folder, results)
     print(f"{args.out}: {'written from' if written else 'already up to date with'} {len(results)} files")
     return 0
+
+
+def _draw(folder: Path, results: Sequence[Stored]) -> None:
+    """Draw the study of sizes, if there is one, into the folder."""
+    from sim.plotting import save_png
+    from training.results_page.studies import PLOT, SIZES
+    from training.results_page.studies_plot import draw_sizes, points
+
+    for stored in results:
+        if stored.has("sweep") and stored.text("sweep") == SIZES and (drawn := points(stored)):
+            title = f"What a policy of the {stored.text('aircraft', 'name')} costs and gives by size"
+            save_png(folder / PLOT, draw_sizes(drawn, title))
 
 
 def _make_again(folder: Path, names: Sequence[str]) -> None:

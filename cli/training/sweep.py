@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from training.sweeps.config import Sweep, Varied
-    from training.sweeps.ray_workers import SweepCallback
+    from training.sweeps.axes import Varied
+    from training.sweeps.config import Sweep
+    from training.sweeps.jobs import SweepCallback
     from training.sweeps.summary import Configuration, Run
     from training.sweeps.trial import Figure
 
@@ -30,13 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", type=Path, metavar="FILE.toml", help="what is varied; see docs/sweeps.md")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--resume", action="store_true", help="continue the sweep in --out")
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument("--resume", action="store_true", help="continue the sweep in --out")
+    again.add_argument("--force", action="store_true", help="replace the sweep in --out")
     parser.add_argument(
-        "--address", metavar="ADDRESS", help="of a Ray cluster whose nodes all have --out; default: none"
+        "--address",
+        metavar="ADDRESS",
+        help="of a Ray cluster whose nodes all have --out, or local: a Ray session of this machine; "
+        "default: processes of this machine, without Ray",
     )
-    parser.add_argument(
-        "--cpus", type=int, metavar="N", help="runs at a time, one core each; default: this machine's cores"
-    )
+    parser.add_argument("--cpus", type=int, metavar="N", help="runs at a time; default: this machine's cores")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
@@ -48,7 +52,6 @@ def run(args: argparse.Namespace) -> int:
     from toolchain.errors import TrainingError
     from toolchain.files import claimed
     from training.sweeps.config import load_sweep
-    from training.sweeps.ray_workers import check_ray
     from training.sweeps.run import RECORD, run_sweep
     from training.sweeps.summary import configurations
 
@@ -56,9 +59,8 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= cpus <= CPUS_MAX:
         raise TrainingError(f"--cpus {cpus}, expected 1 to {CPUS_MAX}")
     check_folder(args.out, "--out")
-    check_ray()
     sweep = load_sweep(args.file)
-    command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus)
+    command = command_line("sweep", str(args.file), out=str(args.out), cpus=args.cpus, force=args.force)
     with claimed(args.out, "sweep"), _progress_bars(sweep, args.out) as callback:
         runs = run_sweep(
             sweep,
@@ -66,13 +68,15 @@ def run(args: argparse.Namespace) -> int:
             cpus=cpus,
             address=args.address,
             resume=args.resume,
+            force=args.force,
             command=command,
             callback=callback,
         )
     if args.json:
         print((args.out / RECORD).read_text(), end="")
     else:
-        _print(Console(width=None if sys.stdout.isatty() else WIDTH), args.out, runs, configurations(runs))
+        console = Console(width=None if sys.stdout.isatty() else WIDTH)
+        _print(console, args.out, sweep, runs, configurations(runs))
     failed = [run for run in runs if run.outcome is None]
     for item in failed:
         print(f"run {item.trial.number} ({item.trial.folder}) failed: {item.reason}", file=sys.stderr)
@@ -85,7 +89,7 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from training.sweeps.ray_workers import SweepCallback, request_stop
+    from training.sweeps.jobs import SweepCallback, request_stop
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[figures]}"))
@@ -137,10 +141,16 @@ def _progress_bars(sweep: Sweep, out: Path) -> Iterator[SweepCallback]:
             signal.signal(signal.SIGINT, before)
 
 
-def _print(console: Console, out: Path, runs: Sequence[Run], found: Sequence[Configuration]) -> None:
+def _print(
+    console: Console, out: Path, sweep: Sweep, runs: Sequence[Run], found: Sequence[Configuration]
+) -> None:
     from training.sweeps.run import PLOT, RECORD, TRIALS
+    from training.sweeps.summary import unfit
 
     console.print(_runs(runs))
+    if sweep.validation.thrust:
+        console.print()
+        console.print(_at_thrusts(runs))
     if any(len(item.runs) > 1 for item in found):
         console.print()
         console.print(_configurations(found))
@@ -150,6 +160,9 @@ def _print(console: Console, out: Path, runs: Sequence[Run], found: Sequence[Con
         note += f" *: nothing beats it in MAE, |Δu|{' and cycles' if priced else ''}."
     if reason := next((run.outcome.no_cycles_reason for run in runs if run.outcome), None):
         note += f" Cycles or instructions are not known: {reason}"
+    for run in runs:
+        if run.outcome and (reason := unfit(run.outcome, sweep.board)):
+            console.print(f"{run.trial.folder}: too large for the board: {reason}", highlight=False)
     console.print(note, style="dim", markup=False, highlight=False)
     console.print(f"{out}: {RECORD}, {PLOT}, {TRIALS}/", style="dim", markup=False, highlight=False)
 
@@ -170,6 +183,30 @@ def _runs(runs: Sequence[Run]) -> Table:
             _count(done.predicted_cycles),
             f"{done.training_seconds:,.0f}",
         )
+    return table
+
+
+def _at_thrusts(runs: Sequence[Run]) -> Table:
+    """MAE and |Δu| of the motors at each thrust at rest."""
+    from rich.table import Table
+
+    keys = list(runs[0].trial.varied)
+    done = [(run, run.outcome) for run in runs if run.outcome]
+    table = Table(
+        title="MAE, deg/s, and |Δu| of the motors in 1 ms, by thrust at rest over the weight",
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+    )
+    for heading in ("run", *keys):
+        table.add_column(heading, overflow="fold")
+    for each in done[0][1].thrusts if done else ():
+        table.add_column("closed" if each.asked is None else f"{each.asked:g}", justify="right")
+    for run, outcome in done:
+        figures = (
+            f"{each.mae.mean:.2f} {each.change.mean:.4f} ({each.thrust:.2f})" for each in outcome.thrusts
+        )
+        table.add_row(f"{run.trial.number}", *_cells(run.trial.varied, keys), *figures)
     return table
 
 

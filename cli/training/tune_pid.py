@@ -7,23 +7,23 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from cli.training.tune_pid_report import USUAL, comment, document, print_tables
+from toolchain.contract import POLICY_FILTER_MEAN, Mix
 from toolchain.errors import TrainingError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-    from rich.console import Console
-
-    from sim.aircraft.model import Aircraft, PidSettings
+    from sim.aircraft.model import Aircraft
     from training.evaluation.evaluation import Evaluation
-    from training.pid_tuning.tuning import Limits, Trial, Tuning
+    from training.pid_tuning.trial import Limits, Loop, Trial
+    from training.pid_tuning.tuning import Tuning
 
 RATE_HZ = 1000  # of the control loop
-BUDGET, COMMANDS, CHECKED = 720, 12, 1000
+CHECKED = 1000
 BUDGET_MAX = 100_000
-OUTPUT, CHANGE = 0.12, 0.012  # limits
+MIXES = tuple(mix.text for mix in Mix)
+FILTERS = (USUAL["gyro_filter"], POLICY_FILTER_MEAN)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,17 +31,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of commands, noise and search")
     parser.add_argument(
-        "--commands", type=int, default=COMMANDS, metavar="N", help="pulses that each candidate flies"
+        "--commands",
+        type=int,
+        default=USUAL["commands"],
+        metavar="N",
+        help="pulses that each candidate flies",
     )
-    parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="candidates to try, about")
+    parser.add_argument(
+        "--budget", type=int, default=USUAL["budget"], metavar="N", help="candidates to try, about"
+    )
     parser.add_argument(
         "--check", type=int, default=CHECKED, metavar="N", help="unseen pulses for the final figures"
     )
     parser.add_argument(
-        "--max-output", type=float, default=OUTPUT, metavar="U", help="mean output, fraction above idle"
+        "--max-output",
+        type=float,
+        default=USUAL["max_output"],
+        metavar="U",
+        help="mean output, fraction above idle",
     )
-    parser.add_argument(
-        "--max-change", type=float, default=CHANGE, metavar="DU", help="mean |change| of an output in 1 ms"
+    change = parser.add_mutually_exclusive_group()
+    change.add_argument(
+        "--max-change",
+        type=float,
+        default=USUAL["max_change"],
+        metavar="DU",
+        help="mean |change| of an output in 1 ms",
+    )
+    change.add_argument(
+        "--max-motor-change",
+        type=float,
+        metavar="DU",
+        help="instead: of a motor value, after throttle mix and idle",
     )
     parser.add_argument(
         "--max-idle",
@@ -49,6 +70,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="IDLE",
         help="fraction of idling motors; default: where all together lift three quarters of the weight",
     )
+    parser.add_argument(
+        "--mix", choices=MIXES, default=USUAL["mix"], help=f"of outputs and throttle; default: {MIXES[0]}"
+    )
+    parser.add_argument(
+        "--gyro-filter",
+        choices=FILTERS,
+        default=USUAL["gyro_filter"],
+        help="mean: of the gyro's samples of a control step",
+    )
+    parser.add_argument(
+        "--throttle-max",
+        type=float,
+        default=USUAL["throttle_max"],
+        metavar="T",
+        help="commands are flown at throttles from 0 to T, each at one; default: all at 0",
+    )
+    parser.add_argument("--start", metavar="NAME", help="a PID of the file that the search may begin with")
     parser.add_argument(
         "--write", type=Path, metavar="FILE.toml", help="put the settings into a copy of the aircraft's file"
     )
@@ -66,28 +104,33 @@ def run(args: argparse.Namespace) -> int:
     from sim.aircraft.model import FOLDER, load_aircraft, shipped
     from sim.aircraft.pid_write import write_pid
     from sim.plotting import save_png
-    from training.pid_tuning.tuning import Limits, idle_limit
+    from training.pid_tuning.trial import Limits, Loop
+    from training.pid_tuning.tuning import idle_limit
     from training.pid_tuning.tuning_plot import draw
 
     aircraft = load_aircraft(args.aircraft)
     idle_max = idle_limit(aircraft) if args.max_idle is None else args.max_idle
-    limits = Limits(args.max_output, args.max_change, idle_max)
-    tuning = _tune(args, aircraft, limits)
+    of_motors = args.max_motor_change is not None
+    limits = Limits(
+        args.max_output, args.max_motor_change if of_motors else args.max_change, idle_max, of_motors
+    )
+    loop = Loop(RATE_HZ, Mix.of(args.mix), args.gyro_filter == POLICY_FILTER_MEAN, args.throttle_max)
+    tuning = _tune(args, aircraft, limits, loop)
     if tuning.interrupted:
         print(f"interrupted after {len(tuning.trials)} candidates; the best is kept", file=sys.stderr)
-    checked = _fly_unseen(args, aircraft, tuning)
+    checked = _fly_unseen(args, aircraft, tuning, limits, loop)
     best = replace(tuning.best.settings, nominal_voltage=aircraft.propulsion.supply_voltage)
     if args.write:
         name = args.aircraft
         source = FOLDER / f"{name}.toml" if name in shipped() else Path(name)
-        write_pid(source, args.write, args.name, best, _comment(args, checked["tuned"]))
+        write_pid(source, args.write, args.name, best, comment(args, checked["tuned"]))
     if args.plot:
         title = f"{aircraft.name}: PID tuning, seed {args.seed}"
-        save_png(args.plot, draw(tuning, aircraft, limits, RATE_HZ, title))
+        save_png(args.plot, draw(tuning, aircraft, limits, loop, title))
     if args.json:
-        print(json.dumps(_document(args, aircraft, limits, tuning, checked), indent=2))
+        print(json.dumps(document(args, aircraft, limits, tuning, checked), indent=2))
     else:
-        _print(Console(), args, aircraft, tuning, checked)
+        print_tables(Console(), args, aircraft, tuning, checked)
     kept = _keeps(checked["tuned"], limits)
     if not kept:
         print(
@@ -113,7 +156,9 @@ def _check(args: argparse.Namespace) -> None:
         ("--check", args.check, 1, COUNT_MAX),
         ("--max-output", args.max_output, 1e-3, 1.0),
         ("--max-change", args.max_change, 1e-4, 1.0),
+        ("--max-motor-change", args.max_motor_change, 1e-4, 1.0),
         ("--max-idle", args.max_idle, 0.0, IDLE_MAX),
+        ("--throttle-max", args.throttle_max, 0.0, 1.0),
     )
     if not NAME.fullmatch(args.name):
         raise TrainingError(f"--name {args.name!r}, expected 1 to 32 letters, digits, dashes, underscores")
@@ -121,12 +166,14 @@ def _check(args: argparse.Namespace) -> None:
     check_output(args.plot, ".png")
 
 
-def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tuning:
+def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits, loop: Loop) -> Tuning:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from sim.control.pid import pid_settings
     from training.pid_tuning.tuning import tune
 
+    start = None if args.start is None else pid_settings(aircraft, args.start)
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("ultimate gains", total=args.budget)
@@ -138,24 +185,34 @@ def _tune(args: argparse.Namespace, aircraft: Aircraft, limits: Limits) -> Tunin
         return tune(
             aircraft,
             limits,
+            loop,
             seed=args.seed,
             commands=args.commands,
             budget=args.budget,
-            control_rate_hz=RATE_HZ,
             progress=show,
+            start=start,
         )
 
 
-def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) -> dict[str, Evaluation]:
-    """Figures of the first rule and of the tuned settings on the commands of `evaluate --seed`."""
+def _fly_unseen(
+    args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning, limits: Limits, loop: Loop
+) -> dict[str, Evaluation]:
+    """Figures of the first rule and of the tuned settings on the commands of `evaluate --seed`.
+
+    The change is of what its limit is of.
+    """
+    import numpy as np
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
+    from sim.analysis.metrics import effort
     from sim.control.pid import Pid, mixer
     from training.evaluation.evaluation import figures, record
+    from training.pid_tuning.trial import motor_values, throttles
     from training.tasks.task import PulseTask
 
     rule, first = next(iter(tuning.rules.items()))
+    thrust = throttles(args.check, loop.throttle_max, np.random.default_rng(args.seed))
     checked = {}
     with Progress(console=Console(stderr=True), transient=True) as bar:
         for name, trial in ((rule, first), ("tuned", tuning.best)):
@@ -164,126 +221,28 @@ def _fly_unseen(args: argparse.Namespace, aircraft: Aircraft, tuning: Tuning) ->
             def show(done: int, total: int, task: TaskID = task) -> None:
                 bar.update(task, completed=done, total=total)
 
-            checked[name] = figures(
-                record(
-                    Pid(mixer(aircraft), trial.settings, args.check, RATE_HZ),
-                    aircraft,
-                    PulseTask(),
-                    episodes=args.check,
-                    seed=args.seed,
-                    control_rate_hz=RATE_HZ,
-                    idle=trial.settings.idle,
-                    progress=show,
-                )
+            flights = record(
+                Pid(mixer(aircraft), trial.settings, args.check, RATE_HZ),
+                aircraft,
+                PulseTask(),
+                episodes=args.check,
+                seed=args.seed,
+                control_rate_hz=RATE_HZ,
+                throttle=thrust,
+                idle=trial.settings.idle,
+                mix=loop.mix,
+                gyro_mean=loop.gyro_mean,
+                progress=show,
             )
+            evaluation = figures(flights)
+            if limits.of_motors:
+                motors = motor_values(flights.output, thrust, trial.settings.idle, loop.mix)
+                change = effort(motors, flights.step_s).change
+                evaluation = replace(evaluation, effort=replace(evaluation.effort, change=change))
+            checked[name] = evaluation
     return checked
 
 
 def _keeps(evaluation: Evaluation, limits: Limits) -> bool:
     effort = evaluation.effort
     return effort.output <= limits.output and effort.change <= limits.change
-
-
-def _comment(args: argparse.Namespace, evaluation: Evaluation) -> str:
-    effort = evaluation.effort
-    return (
-        f"Found by `{_command(args)}`.\n"
-        f"{args.check:,} unseen pulses: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
-        f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change in 1 ms "
-        f"{effort.change:.4f}."
-    )
-
-
-def _command(args: argparse.Namespace) -> str:
-    """The command that finds the same settings: options that decide them, if not the default."""
-    from cli.output import command_line
-
-    usual = {"commands": COMMANDS, "budget": BUDGET, "max_output": OUTPUT, "max_change": CHANGE}
-    given = {name: getattr(args, name) for name in usual if getattr(args, name) != usual[name]}
-    aircraft = Path(args.aircraft).name
-    return command_line("tune-pid", aircraft=aircraft, seed=args.seed, **given, max_idle=args.max_idle)
-
-
-def _settings(settings: PidSettings) -> dict[str, Any]:
-    from toolchain.contract import AXES
-
-    gains = {axis: list(values) for axis, values in zip(AXES, settings.gains, strict=True)}
-    return {"idle": settings.idle, "derivative_cutoff_hz": settings.derivative_cutoff_hz, **gains}
-
-
-def _figures(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "mae": list(evaluation.tracking.mae),
-        "mse": list(evaluation.tracking.mse),
-        "output": evaluation.effort.output,
-        "change": evaluation.effort.change,
-    }
-
-
-def _document(
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    limits: Limits,
-    tuning: Tuning,
-    checked: dict[str, Evaluation],
-) -> dict[str, Any]:
-    from toolchain.contract import AXES
-
-    found = zip(AXES, tuning.ultimate_gains, strict=True)
-    return {
-        "command": _command(args),
-        "aircraft": aircraft.name,
-        "aircraft_sha256": aircraft.sha256,
-        "seed": args.seed,
-        "commands": args.commands,
-        "candidates": len(tuning.trials),
-        "interrupted": tuning.interrupted,
-        "limits": {"output": limits.output, "change": limits.change, "idle": limits.idle},
-        "ultimate": {axis: {"gain": item.gain, "period_s": item.period} for axis, item in found},
-        "rules": {rule: _settings(trial.settings) for rule, trial in tuning.rules.items()},
-        "settings": _settings(tuning.best.settings),
-        "unseen": args.check,
-        "figures": {name: _figures(evaluation) for name, evaluation in checked.items()},
-    }
-
-
-def _print(
-    console: Console,
-    args: argparse.Namespace,
-    aircraft: Aircraft,
-    tuning: Tuning,
-    checked: dict[str, Evaluation],
-) -> None:
-    from rich.table import Table
-
-    from toolchain.contract import AXES
-
-    gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
-    for heading in ("", *AXES):
-        gains.add_column(heading, justify="right" if heading else "left")
-    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimate_gains))
-    for name, trial in (*tuning.rules.items(), ("tuned", tuning.best)):
-        sets = (", ".join(f"{value:.3g}" for value in axis) for axis in trial.settings.gains)
-        gains.add_row(name, *sets)
-    console.print(gains)
-    best = tuning.best.settings
-    console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
-
-    table = Table(title=f"{args.check:,} unseen pulses, seed {args.seed}", title_justify="left")
-    for heading in ("", *checked):
-        table.add_column(heading, justify="right" if heading else "left")
-    errors = [evaluation.tracking for evaluation in checked.values()]
-    efforts = [evaluation.effort for evaluation in checked.values()]
-    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
-    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
-    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
-    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
-    table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
-    table.add_row("mean |Δu| in 1 ms", *(f"{item.change:.4f}" for item in efforts))
-    console.print(table)
-    if args.write:
-        console.print(f"[pid.{args.name}] is in {args.write}", markup=False, highlight=False)
-
-
-def _each(values: NDArray[np.float64], digits: int) -> str:
-    return " / ".join(f"{value:,.{digits}f}" for value in values)

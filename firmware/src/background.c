@@ -76,13 +76,15 @@ static enum nf_err background_start_firmware(struct background *background)
 {
 	const struct background_config *config = &background->config;
 	const bool good = background_choose_policy(background);
+	struct nf_policy_blob_header policy;
+	const bool told = policy_slots_header(&background->slots, &policy);
 	const struct firmware_config firmware = {
 		.gyro_rate_hz = background->settings.gyro_rate_hz,
 		.alignment = background_alignment(background),
 		.gyro_chip = config->gyro_chip,
 		.settings = &background->settings,
 		.weights = config->weights,
-		.policy_idle = good ? background->slots.idle : NF_IDLE_DEFAULT,
+		.policy = told ? &policy : NULL,
 		.policy_good = good,
 		.pid = config->pid,
 	};

@@ -23,6 +23,8 @@ void background_init_blackbox(struct background *background)
 			.maker = config->identity->maker,
 			.target = config->identity->target,
 			.pid_idle = config->pid->idle,
+			.pid_mix = config->pid->mix,
+			.gyro_mean = fw->mean.count,
 			.image = image_bank_fits(&image, config->bank, config->identity->target) ?
 					 image :
 					 (struct nf_image_header){ 0 },

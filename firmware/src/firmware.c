@@ -145,7 +145,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	const struct control_config control = {
 		.settings = settings,
 		.weights = config->weights,
-		.policy_idle = config->policy_idle,
+		.policy = config->policy,
 		.policy_good = config->policy_good,
 		.pid = config->pid,
 	};
@@ -174,6 +174,7 @@ enum nf_err firmware_init(struct firmware *fw, const struct firmware_config *con
 	if ((err = control_init(&fw->control, &control)) != NF_OK)
 		return err;
 	filters_init(&fw->filters, settings, config->gyro_rate_hz);
+	gyro_mean_init(&fw->mean, filters_take_mean(settings) ? fw->control_divider : 0);
 	attitude_init(&fw->attitude, POLICY_CONTROL_RATE_HZ);
 	receiver_init(&fw->receiver, settings, config->gyro_rate_hz);
 	rates_init(&fw->rates, settings);
@@ -479,8 +480,11 @@ bool firmware_sample(struct firmware *fw, const struct imu_sample *sample, uint1
 
 	fw->health = gyro_step(&fw->gyro, sample, rate);
 	filters_step(&fw->filters, rate);
-	if (firmware_control_due(fw))
+	gyro_mean_take(&fw->mean, rate);
+	if (firmware_control_due(fw)) {
+		gyro_mean_read(&fw->mean, rate);
 		firmware_control_step(fw, rate);
+	}
 	for (size_t i = 0; i < POLICY_ACTION_COUNT; ++i)
 		dshot[i] = fw->status.trace.dshot[i];
 	if (fw->rewired)

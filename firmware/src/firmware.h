@@ -28,6 +28,7 @@
 #include "sensing/attitude.h"
 #include "sensing/filters.h"
 #include "sensing/gyro.h"
+#include "sensing/gyro_mean.h"
 
 struct firmware_config {
 	unsigned gyro_rate_hz;              /* one of NF_GYRO_RATES_HZ, a multiple of POLICY_CONTROL_RATE_HZ */
@@ -35,7 +36,7 @@ struct firmware_config {
 	enum gyro_chip gyro_chip;           /* whose temperature is told */
 	const struct nf_settings *settings; /* must outlive the firmware, as all that follows */
 	const float *weights;               /* [POLICY_WEIGHT_COUNT], 8-byte aligned, where they are read in flight */
-	float policy_idle;
+	const struct nf_policy_blob_header *policy; /* of the blob that the weights are of; NULL: none is good */
 	bool policy_good;                   /* checked and self-tested */
 	const struct pid_gains *pid;
 };
@@ -59,6 +60,7 @@ struct firmware_edges {
 struct firmware {
 	struct gyro gyro;
 	struct filters filters;
+	struct gyro_mean mean;               /* behind them */
 	struct attitude attitude;
 	struct receiver receiver;
 	struct rates rates;

@@ -34,6 +34,8 @@
 	 LAYOUT_OF(56u, control.pid.integral) + LAYOUT_OF(57u, control.mixers) + LAYOUT_OF(58u, control.good) +        \
 	 LAYOUT_OF(59u, control.refused) + LAYOUT_OF(60u, control.flying) + LAYOUT_OF(61u, control.seen) +             \
 	 LAYOUT_OF(62u, control.action) + LAYOUT_OF(63u, control.output) + LAYOUT_OF(64u, control.offset) +            \
-	 LAYOUT_OF(65u, control.handover_left) + LAYOUT_OF(66u, status.trace) + LAYOUT_OF(67u, status.channels_us))
+	 LAYOUT_OF(65u, control.handover_left) + LAYOUT_OF(66u, status.trace) + LAYOUT_OF(67u, status.channels_us) +   \
+	 LAYOUT_OF(68u, mean) + LAYOUT_OF(69u, control.estimator) + LAYOUT_OF(70u, control.estimator.speed) +          \
+	 LAYOUT_OF(71u, control.motors))
 
 #endif

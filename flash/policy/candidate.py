@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from flash.policy.slots import Policies
+from toolchain.contract import Mix
 from toolchain.errors import LinkError
 
 
@@ -22,6 +23,7 @@ class Candidate:
     architecture_hash: int
     filters_hash: int
     control_rate_hz: int
+    mix: Mix  # of outputs and throttle
     idle: float  # motor fraction at zero thrust
     aircraft: str
     sha256: str  # of the ONNX file

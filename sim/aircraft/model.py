@@ -19,7 +19,7 @@ from sim.aircraft.airframe import ZERO, Meshes, read_parts, read_rotors, reject_
 from sim.aircraft.airframe import Rotor as Rotor
 from sim.aircraft.mass import MassProperties, Part, Vector, mass_properties
 from sim.strict_toml import StrictTable
-from toolchain.contract import AXES, GRAVITY
+from toolchain.contract import AXES, GRAVITY, POLICY_FILTER_MEAN, Mix
 from toolchain.errors import AircraftError
 from toolchain.files import file_size
 
@@ -140,6 +140,8 @@ class PidSettings:
     tpa_rate: float = 0.0  # part of K_D that full throttle takes away
     tpa_breakpoint: float = 0.0  # throttle where that begins, 0..1
     nominal_voltage: float | None = None  # [V] that the gains were found with; None: not compensated
+    mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
+    gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
 
 
 @dataclass(frozen=True)
@@ -426,6 +428,8 @@ def _pids(table: StrictTable, motors: int) -> tuple[tuple[str, PidSettings], ...
             tpa_rate=pid.number("tpa_rate", 0, 1, 0.0),
             tpa_breakpoint=pid.number("tpa_breakpoint", 0, 0.99, 0.0),
             nominal_voltage=_optional(pid, "nominal_voltage_v", 1, 1000),
+            mix=pid.choice("mix", {mix.text: mix for mix in Mix}, Mix.ATTITUDE_FIRST.text),
+            gyro_mean=pid.choice("gyro_filter", {"none": False, POLICY_FILTER_MEAN: True}, "none"),
         )
         pid.finish()
         pids.append((name, settings))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.aircraft.model import PidSettings, load_aircraft, parse_aircraft
-from toolchain.contract import AXES
+from toolchain.contract import AXES, POLICY_FILTER_MEAN, Mix
 from toolchain.errors import AircraftError
 from toolchain.files import write_bytes
 
@@ -93,6 +93,10 @@ def _document(settings: PidSettings) -> dict[str, Any]:
         document |= {"tpa_rate": settings.tpa_rate, "tpa_breakpoint": settings.tpa_breakpoint}
     if settings.nominal_voltage is not None:
         document["nominal_voltage_v"] = settings.nominal_voltage
+    if settings.mix is not Mix.ATTITUDE_FIRST:
+        document["mix"] = settings.mix.text
+    if settings.gyro_mean:
+        document["gyro_filter"] = POLICY_FILTER_MEAN
     return document | {axis: list(gains) for axis, gains in zip(AXES, settings.gains, strict=True)}
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim.analysis.response import ResponseFigures, hold, response_figures
 from sim.analysis.spectrum import components, smoothness
 from sim.flight.trace import Trace
-from toolchain.contract import IDLE_DEFAULT
+from toolchain.contract import IDLE_DEFAULT, Mix
 
 Array = NDArray[np.float64]
 SAMPLES_PER_S = 1000.0  # the 1 ms samples of the sums
@@ -40,7 +40,7 @@ class Tracking:
 
 @dataclass(frozen=True)
 class Effort:
-    """The controller's outputs, before the throttle mix."""
+    """The controller's outputs, before the throttle mix; or motor fractions where that cannot be undone."""
 
     output: float  # mean control output, fraction 0..1
     change: float  # mean |y_t - y_(t-1)| over motors and 1 ms steps
@@ -78,14 +78,22 @@ def tracking(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Tracking:
     )
 
 
-def controller_output(motors: ArrayLike, throttle: ArrayLike, idle: float = IDLE_DEFAULT) -> Array:
+def controller_output(
+    motors: ArrayLike,
+    throttle: ArrayLike,
+    idle: float = IDLE_DEFAULT,
+    mix: Mix | None = Mix.ATTITUDE_FIRST,
+) -> Array:
     """The controller's y (..., T, M) behind motor fractions u', by undoing idle and throttle mix.
 
     u' = idle + (1 - idle) u and u_i = T (1 - max y) + y_i, so max u = T + (1 - T) max y, from which max y
     and then y follow. At full throttle the mix keeps only differences: max y is then taken as max u.
-    motors: (..., T, M) fractions; throttle: (..., T), 0..1.
+    motors: (..., T, M) fractions; throttle: (..., T), 0..1. mix: None is another rule than ours. That and
+    the centred mix cannot be undone, the latter as it takes the outputs' mean away: these give u.
     """
     u = (np.asarray(motors, np.float64) - idle) / (1.0 - idle)
+    if mix is not Mix.ATTITUDE_FIRST:
+        return u.clip(0.0, 1.0)
     thrust = np.asarray(throttle, np.float64)[..., None]
     top = u.max(axis=-1, keepdims=True)
     room = 1.0 - thrust
@@ -103,8 +111,16 @@ def effort(output: ArrayLike, step_s: float) -> Effort:
     return Effort(output=float(y.mean()), change=float(changes.mean()) if changes.size else 0.0)
 
 
-def figures(trace: Trace, episodes: int = 1, idle: float = IDLE_DEFAULT) -> Figures:
-    """Figures of a flight of `episodes` equal episodes. Raises ValueError if its rows do not divide."""
+def figures(
+    trace: Trace,
+    episodes: int = 1,
+    idle: float = IDLE_DEFAULT,
+    mix: Mix | None = Mix.ATTITUDE_FIRST,
+) -> Figures:
+    """Figures of a flight of `episodes` equal episodes; mix: as `controller_output` has it.
+
+    Raises ValueError if its rows do not divide.
+    """
     steps = len(trace.t)
     if episodes < 1 or steps % episodes:
         raise ValueError(f"{steps} rows do not divide into {episodes} equal episodes")
@@ -113,7 +129,7 @@ def figures(trace: Trace, episodes: int = 1, idle: float = IDLE_DEFAULT) -> Figu
         array.reshape(episodes, -1, 3) for array in (trace.setpoint, trace.rate, trace.gyro)
     )
     held = hold(setpoint, rate, step_s)
-    output = controller_output(trace.motors, trace.throttle, idle)
+    output = controller_output(trace.motors, trace.throttle, idle, mix)
     parts = components(output.reshape(episodes, -1, output.shape[1]), step_s)
     return Figures(
         tracking=tracking(setpoint, rate, step_s).mean(),

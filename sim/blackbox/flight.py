@@ -6,17 +6,17 @@ so that the figures of both are equal to the bit where the log holds the exact v
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.analysis.flight_report import Flight
 from sim.analysis.metrics import figures
-from sim.blackbox.log import Log, Maker
+from sim.blackbox.log import Log
 from sim.blackbox.units import Channels, channels
 from sim.flight.trace import COLUMNS, Trace
-from toolchain.contract import IDLE_DEFAULT
+from toolchain.contract import IDLE_DEFAULT, Mix
 from toolchain.errors import TraceError
 
 RATE_MIN_HZ = 20.0  # rows a second, below which no response shows
@@ -110,10 +110,17 @@ def log_trace(log: Log, part: Part = WHOLE, told: Channels | None = None) -> Tra
         raise TraceError(f"{log.path}: log {log.number}: {error}") from error
 
 
-def log_flight(log: Log, part: Part = WHOLE, episodes: int = 1, idle: float | None = None) -> Flight:
+def log_flight(
+    log: Log,
+    part: Part = WHOLE,
+    episodes: int = 1,
+    idle: float | None = None,
+    mix: Mix | None = None,
+) -> Flight:
     """The flight of a log with its figures, averaged over `episodes` equal parts.
 
-    idle: motor fraction at zero thrust; None: as the log's header says. Raises TraceError.
+    idle: motor fraction at zero thrust, mix: of the throttle; None: as the log's header says. Raises
+    TraceError.
     """
     told = channels(log)
     trace = log_trace(log, part, told)
@@ -123,22 +130,25 @@ def log_flight(log: Log, part: Part = WHOLE, episodes: int = 1, idle: float | No
         trace,
         episodes,
         told.idle if idle is None else idle,
-        own_mixer=log.maker is not Maker.NEUROFLIGHT,
+        told.mix if mix is None else mix,
     )
 
 
 def trace_flight(
-    name: str, trace: Trace, episodes: int = 1, idle: float | None = None, *, own_mixer: bool = False
+    name: str,
+    trace: Trace,
+    episodes: int = 1,
+    idle: float | None = None,
+    mix: Mix | None = Mix.ATTITUDE_FIRST,
 ) -> Flight:
     """The figures that a log of this flight has: against the gyro. Raises TraceError if rows do not divide.
 
-    own_mixer: another mixer than ours laid the throttle on top, which cannot be undone: the motors' whole
-    command is then taken as the controller's output.
+    mix: of the throttle; None: another rule than ours. Of what cannot be undone, see `controller_output`, the
+    motors' whole command is taken as the controller's output.
     """
     seen = trace.by_gyro()
-    asked = replace(seen, throttle=np.zeros_like(seen.throttle)) if own_mixer else seen
     try:
-        found = figures(asked, episodes, IDLE_DEFAULT if idle is None else idle)
+        found = figures(seen, episodes, IDLE_DEFAULT if idle is None else idle, mix)
     except ValueError as error:
         raise TraceError(f"{name}: {error}; choose other --episodes, --from or --to") from error
     return Flight(name, seen, found)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.blackbox.log import Log, Maker, floats, header_float
 from sim.control.motors import motor_fractions
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX
+from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, GRAVITY, MOTOR_COUNT_MAX, Mix
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -43,6 +43,7 @@ class Channels:
     dshot: NDArray[np.uint16] | None  # (N, M) DShot values; of an analog protocol those that mean the same
     digital: bool  # the motors' protocol has such values
     idle: float | None  # motor fraction at zero thrust
+    mix: Mix | None  # of outputs and throttle; None: by another rule than ours
     voltage: Array | None  # (N,) [V]
     current: Array | None  # (N,) [A]
     acceleration: Array | None  # (N, 3) [m/s^2], specific force
@@ -87,6 +88,7 @@ def channels(log: Log) -> Channels:
         dshot=dshot,
         digital=digital,
         idle=_idle(log, armed),
+        mix=_mix(log, armed),
         voltage=_hundredths(log, "vbatLatest"),
         current=_hundredths(log, "amperageLatest"),
         acceleration=None if forces is None or one_g < 1 else forces.astype(np.float64) * (GRAVITY / one_g),
@@ -156,16 +158,29 @@ def _motors(log: Log) -> tuple[NDArray[np.uint16] | None, Array | None, bool]:
 def _idle(log: Log, armed: NDArray[np.bool_]) -> float | None:
     """Ours tells the policy's and the PID's: that of the one that flew for longer."""
     if log.maker is Maker.NEUROFLIGHT:
-        told = [_part(text) for text in log.header.get("nf_idle", "").split(",")]
-        flags = log.held("nfFlags")
-        pid = flags is not None and bool(armed.any()) and float((flags[armed] & PID_BIT).mean()) > 0.5
-        return told[1] if pid and len(told) > 1 else told[0]
+        return _part(_controllers(log, "nf_idle", armed))
     output = log.headers.integers("motorOutput")
     if len(output) != 2:
         return None
     if output[1] > PULSE_FULL_US:
         return max(0.0, (output[0] - DSHOT_MIN) / DSHOT_SPAN)
     return min(1.0, max(0.0, (output[0] - PULSE_STOP_US) / (PULSE_FULL_US - PULSE_STOP_US)))
+
+
+def _mix(log: Log, armed: NDArray[np.bool_]) -> Mix | None:
+    """Ours tells that of both, too; logs from before there were two mixes do not."""
+    if log.maker is not Maker.NEUROFLIGHT:
+        return None
+    told = _controllers(log, "nf_mix", armed)
+    return {"": Mix.ATTITUDE_FIRST, **{mix.text: mix for mix in Mix}}.get(told)
+
+
+def _controllers(log: Log, name: str, armed: NDArray[np.bool_]) -> str:
+    """Of a header "policy's,PID's" the text of the one that flew for longer."""
+    told = log.header.get(name, "").split(",")
+    flags = log.held("nfFlags")
+    pid = flags is not None and bool(armed.any()) and float((flags[armed] & PID_BIT).mean()) > 0.5
+    return told[1] if pid and len(told) > 1 else told[0]
 
 
 def _part(text: str) -> float | None:

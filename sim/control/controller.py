@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.control.motors import throttle_mix
 from sim.control.observation import Observer
 from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
@@ -35,16 +36,27 @@ class Controller(Protocol):
 class PolicyController:
     """N copies of a policy."""
 
-    def __init__(self, policy: PolicyModel, count: int = 1, *, exact: bool = True) -> None:
-        """The controller is to be stepped at `policy.control_rate_hz`.
+    def __init__(
+        self, policy: PolicyModel, count: int = 1, *, exact: bool = True, idle: float | None = None
+    ) -> None:
+        """The controller is to be stepped at `policy.control_rate_hz`, behind `policy.filters`.
 
-        exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`.
+        exact: with the roundings of the compiled C; see `toolchain.ir.interpreter`. idle: that it flies with,
+        None: its own.
         """
         self._network, _ = optimize(policy.network)
         self._state = clear_state(self._network, count)
         self._exact = exact
         self._everyone = np.arange(count)
-        self._observer = Observer(policy.blocks, count, policy.action_count, policy.control_rate_hz)
+        self._mix = policy.mix
+        self._observer = Observer(
+            policy.blocks,
+            count,
+            policy.action_count,
+            policy.control_rate_hz,
+            model=policy.model,
+            idle=policy.idle if idle is None else idle,
+        )
         self._action = np.zeros((count, policy.action_count), np.float32)
         self._sensed: dict[str, NDArray[np.float32]] = {}
         self.senses = bool(self._observer.names & SENSED)  # whether each step needs a `sense` before it
@@ -73,4 +85,5 @@ class PolicyController:
             slice(None), setpoint, gyro, self._action, throttle, **self._sensed
         )
         self._action, self._state = advance(self._network, observation, self._state, exact=self._exact)
+        self._observer.commanded(slice(None), throttle_mix(self._action, throttle, self._mix), throttle)
         return self._action

@@ -8,27 +8,46 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP
+from toolchain.contract import DSHOT_MAX, DSHOT_MIN, DSHOT_SPAN, DSHOT_STOP, Mix
 from toolchain.errors import LinkError
 
 Array = NDArray[np.float32]
 
 
-def throttle_mix(y: Array, throttle: Array) -> Array:
-    """Motor fractions u (N, M) of outputs y (N, M) with the pilot's thrust T (N,) on top, attitude first.
+def throttle_mix(y: Array, throttle: Array, mix: Mix = Mix.ATTITUDE_FIRST) -> Array:
+    """Motor fractions u (N, M), 0..1, of outputs y (N, M) in 0..1 under the pilot's thrust T (N,), 0..1.
 
-    u_i = T (1 - max y) + y_i, all in 0..1.
+    See `toolchain.contract.Mix`.
     """
-    lift = throttle * (np.float32(1.0) - y.max(axis=1))
-    u: Array = y + lift[:, None]
-    return u
+    if mix is Mix.ATTITUDE_FIRST:
+        lift = throttle * (np.float32(1.0) - y.max(axis=1))
+        return _within(y + lift[:, None])
+    total = y[:, 0]
+    for motor in range(1, y.shape[1]):
+        total = total + y[:, motor]
+    u = throttle[:, None] + (y - (total / np.float32(y.shape[1]))[:, None])
+    low, high = u.min(axis=1), u.max(axis=1)
+    nothing = np.float32(0.0)
+    shift = np.where(low < nothing, -low, np.where(high > 1.0, np.float32(1.0) - high, nothing))
+    return _within(u + shift[:, None])
+
+
+def _within(u: Array) -> Array:
+    """Rounding may leave 0..1 by a little."""
+    return np.minimum(np.maximum(u, np.float32(0.0)), np.float32(1.0))
+
+
+def raised(u: Array, idle: float) -> Array:
+    """Fractions u in 0..1 above the idle floor (0..1), any shape."""
+    floor = np.float32(idle)
+    above: Array = floor + (np.float32(1.0) - floor) * u
+    return above
 
 
 def dshot_values(u: Array, idle: float) -> NDArray[np.uint16]:
     """DShot throttle values (N, M), 48..2047, of fractions u in 0..1 above the idle floor (0..1)."""
-    floor = np.float32(idle)
-    raised = floor + (np.float32(1.0) - floor) * u
-    return np.uint16(DSHOT_MIN) + (np.float32(DSHOT_SPAN) * raised + np.float32(0.5)).astype(np.uint16)
+    scaled = np.float32(DSHOT_SPAN) * raised(u, idle) + np.float32(0.5)
+    return np.uint16(DSHOT_MIN) + scaled.astype(np.uint16)
 
 
 def motor_fractions(dshot: NDArray[np.uint16]) -> NDArray[np.float64]:
@@ -60,6 +79,8 @@ def each_fraction(dshot: NDArray[np.uint16]) -> list[float]:
         return fractions
 
 
-def motor_commands(y: Array, throttle: Array, idle: float) -> NDArray[np.float64]:
+def motor_commands(
+    y: Array, throttle: Array, idle: float, mix: Mix = Mix.ATTITUDE_FIRST
+) -> NDArray[np.float64]:
     """Motor fractions (N, M) that ESCs decode, of outputs y (N, M) under the pilot's thrust (N,)."""
-    return motor_fractions(dshot_values(throttle_mix(y, throttle), idle))
+    return motor_fractions(dshot_values(throttle_mix(y, throttle, mix), idle))

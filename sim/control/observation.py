@@ -11,13 +11,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.control.estimator import Estimator
 from toolchain.contract import (
     GYRO_FULL_SCALE_DEG_S,
+    IDLE_DEFAULT,
     RATE_ERROR_INTEGRAL_LIMIT_RAD,
     RATE_FULL_STICK_DEG_S,
     ObservationTerm,
+    needs_model,
     observation_count,
 )
+from toolchain.policy.model_constants import ModelConstants
 
 Array = NDArray[np.float32]
 Which = NDArray[np.intp] | slice
@@ -34,6 +38,10 @@ _LIMITS = {
     "throttle": (0.0, 1.0),
     "rotor_speed": (0.0, _ROTOR_SPEED_MAX),
     "gravity": (-1.0, 1.0),
+    "previous_motors": (-1.0, 1.0),
+    "rotor_estimate": (-_ROTOR_SPEED_MAX, _ROTOR_SPEED_MAX),
+    "rate_estimate": (-_RATE_MAX, _RATE_MAX),
+    "rate_estimate_error": (-_ERROR_MAX, _ERROR_MAX),
 }
 
 
@@ -48,8 +56,20 @@ class Observer:
     """Builds observations (N, n) step by step; keeps past values and filter states."""
 
     def __init__(
-        self, terms: tuple[ObservationTerm, ...], count: int, motors: int, control_rate_hz: int
+        self,
+        terms: tuple[ObservationTerm, ...],
+        count: int,
+        motors: int,
+        control_rate_hz: int,
+        *,
+        model: ModelConstants | None = None,
+        idle: float = IDLE_DEFAULT,
     ) -> None:
+        """model: of the aircraft, for terms made by one; idle: the policy's. Raises ValueError without it."""
+        if model is None and needs_model(terms):
+            raise ValueError("this observation needs a model of the aircraft, got none")
+        self._estimator = Estimator(model, count, idle) if needs_model(terms) and model is not None else None
+        self._motors = np.zeros((count, motors), np.float32)  # the last fractions less the throttle
         self.names = frozenset(term.name for term in terms)  # of the blocks that are observed
         self.width = observation_count(terms, motors)
         self._terms = [_Term(term, count, motors, control_rate_hz) for term in terms]
@@ -62,8 +82,17 @@ class Observer:
         """Clear the state of the aircraft of `index`, as arming does: their next step is the first."""
         self._fresh[index] = True
         self._integral[index] = 0.0
+        self._motors[index] = 0.0
+        if self._estimator is not None:
+            self._estimator.reset(index)
         for term in self._terms:
             term.reset(index)
+
+    def commanded(self, which: Which, fractions: Array, throttle: Array) -> None:
+        """What the step came to: motor fractions (K, M) after the mix, before the idle; throttle (K,)."""
+        self._motors[which] = fractions - throttle[:, None]
+        if self._estimator is not None:
+            self._estimator.command(which, fractions)
 
     def observe(
         self,
@@ -80,7 +109,7 @@ class Observer:
 
         setpoint, rate: (K, 3) [rad/s]; previous_action: (K, M); throttle: (K,); rotor_speed: (K, M)
         [rad/s], gravity: (K, 3), unit vectors in body axes, for terms that are made of them. Call once a
-        step. Raises ValueError if one of these two is needed and not given.
+        step, and `commanded` after it. Raises ValueError if one of these two is needed and not given.
         """
         first = self._fresh[which, None]
         fresh = first if first.any() else None
@@ -92,11 +121,18 @@ class Observer:
             "throttle": throttle[:, None],
             "rotor_speed": rotor_speed,
             "gravity": gravity,
+            "previous_motors": self._motors[which],
         }
         if "rate_error_delta" in self.names:
             delta = error - self._error[which]
             blocks["rate_error_delta"] = delta if fresh is None else np.where(fresh, np.float32(0.0), delta)
             self._error[which] = error
+        if self._estimator is not None:
+            self._estimator.observe(which, fresh, rate)
+            estimate = self._estimator.rate_estimate(which)
+            blocks["rotor_estimate"] = self._estimator.rotor_estimate(which, throttle)
+            blocks["rate_estimate"] = estimate
+            blocks["rate_estimate_error"] = setpoint - estimate
         if "rate_error_integral" in self.names:
             limit = np.float32(RATE_ERROR_INTEGRAL_LIMIT_RAD)
             grown = self._integral[which] + error * self._dt

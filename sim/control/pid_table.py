@@ -27,6 +27,7 @@ def pid_table(aircraft: Aircraft) -> PidTable | None:
         tpa_rate=settings.tpa_rate,
         tpa_breakpoint=settings.tpa_breakpoint,
         nominal_voltage=settings.nominal_voltage,
+        mix=settings.mix,
     )
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sim.control import sticks
 from sim.control.motors import each_fraction, motor_fractions
+from sim.flight.eye_pilot import EyePilot
 from sim.flight.scenario import Scenario
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
@@ -51,6 +52,7 @@ def fly(
     progress: Progress | None = None,
     broken_off: Callable[[Trace], None] = lambda trace: None,
     logged: Callable[[], bool] | None = None,
+    watch: Callable[[], None] = lambda: None,
 ) -> Trace:
     """Boot and arm the firmware, fly `scenario` and disarm; row 0 is the first armed control step.
 
@@ -60,7 +62,7 @@ def fly(
     firmware drives rotor motor_order[i]; a mis-wired aircraft, for tests. broken_off: gets the trace up to
     there when an error ends the flight after it was armed; the error goes on. logged: called from time to
     time, takes what the firmware has logged and tells whether the log has ended; the pilot waits a second
-    for it.
+    for it. watch: called at each row of the trace, after its control step, to look at the twin.
     Raises LinkError when the firmware does not arm or disarm or the link fails, ScenarioError on impossible
     sticks.
     """
@@ -71,8 +73,10 @@ def fly(
     every = max(1, round(PROGRESS_S * port.control_rate_hz))
     try:
         rows.put(_arm(link, scenario), link.rate)
+        watch()
         for k in range(1, steps):
             rows.put(link.control_step(), link.rate)
+            watch()
             if progress is not None and k % every == 0:
                 progress(k / steps)
         _disarm(link)
@@ -139,6 +143,8 @@ class _Pilot:
         channels, heard = scenario.timeline(control_rate_hz)
         self.steps = len(channels)
         self._frames = _frames(channels, heard, frame)
+        self.eye = EyePilot(scenario, control_rate_hz) if scenario.by_eye else None
+        self._frame = frame
         off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
         self._off = frame(off)
         # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
@@ -161,7 +167,10 @@ class _Pilot:
         if armed_at is None:
             return self._on if self.switched(step) else self._off
         k = step - armed_at
-        return self._landed if k >= self.steps else self._frames[k]
+        if k >= self.steps:
+            return self._landed
+        by_eye = None if self.eye is None else self.eye.channels(k)
+        return self._frames[k] if by_eye is None else self._frame(by_eye)
 
 
 def _frames(
@@ -244,6 +253,9 @@ class _Lockstep:
         self.armed = reply.armed
         if reply.armed and self._armed_at is None:
             self._armed_at = self.step
+        if self.pilot.eye is not None and self._armed_at is not None:
+            live = self._twin.live
+            self.pilot.eye.see(live.position[0], live.velocity[0], live.rotation[0])
         self._plan(self.step + self._lead)
         for _ in range(1, self._divider):
             self._exchange(None)

@@ -10,6 +10,7 @@ A file is TOML:
     throttle = 0.2              # 0 unless given
     receiver = "lost"           # "on" unless given; "lost" sends no frames
     controller = "pid"          # "policy" unless given: how the pilot's switch stands
+    height_m = 2.0              # instead of throttle: the pilot flies there by eye, 0 is landing
 """
 
 from __future__ import annotations
@@ -38,17 +39,19 @@ TURN_DEG_S = 720.0  # rate of the acrobatic figures: a full turn in half a secon
 FILE_BYTES_MAX = 1 << 20
 SEGMENTS_MAX = 10_000
 SEGMENT_S_MIN, SEGMENT_S_MAX = 0.001, 3600.0  # one control step at 1 kHz to an hour
+HEIGHT_MAX_M = 100.0
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Sticks held still for a while."""
+    """Sticks held still for a while, or those of a pilot who flies to a height; see eye_pilot."""
 
     duration_s: float
     setpoint_deg_s: Rates = STILL  # roll, pitch, yaw [deg/s], body frame
     throttle: float = 0.0  # 0..1
     receiver: bool = True  # False: the transmitter is silent
     pid: bool = False  # the switch chooses the PID
+    height_m: float | None = None  # above the start, in place of roll, pitch and throttle; 0: land
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,11 @@ class Scenario:
         return replace(self, segments=tuple(replace(segment, pid=True) for segment in self.segments))
 
     @property
+    def by_eye(self) -> bool:
+        """Whether sticks depend on what the pilot sees: `timeline` then has only their beginnings."""
+        return any(segment.height_m is not None for segment in self.segments)
+
+    @property
     def duration_s(self) -> float:
         """Length of the flight [s]."""
         return sum(segment.duration_s for segment in self.segments)
@@ -74,8 +82,7 @@ class Scenario:
 
         Raises ScenarioError on sticks beyond their ends or a flight shorter than one control step.
         """
-        ends = np.cumsum([segment.duration_s for segment in self.segments])
-        counts = np.diff(np.rint(ends * control_rate_hz).astype(int), prepend=0)
+        counts = self.steps(control_rate_hz)
         if counts.sum() < 1:
             raise ScenarioError(
                 f"scenario {self.name}: shorter than one control step at {control_rate_hz} Hz"
@@ -88,6 +95,12 @@ class Scenario:
         )
         heard = np.array([segment.receiver for segment in self.segments])
         return np.repeat(us, counts, axis=0), np.repeat(heard, counts)
+
+    def steps(self, control_rate_hz: int) -> NDArray[np.int64]:
+        """Control steps of each segment."""
+        ends = np.cumsum([segment.duration_s for segment in self.segments])
+        steps: NDArray[np.int64] = np.diff(np.rint(ends * control_rate_hz).astype(np.int64), prepend=0)
+        return steps
 
     def episodes(self) -> int:
         """Number of equal episodes that the figures are averaged over."""
@@ -112,11 +125,29 @@ def turn(name: str, axis: int) -> Scenario:
     return Scenario(name, (Segment(PULSE_IDLE_S), fast, Segment(PULSE_IDLE_S)))
 
 
+def sticks_flight() -> Scenario:
+    """Arm on the ground, take off, hover, climb, turn, descend, land, close the throttle."""
+    segments = (
+        Segment(0.5),
+        Segment(5.0, height_m=1.5),
+        Segment(5.0, height_m=4.0),
+        Segment(2.0, (0.0, 0.0, 90.0), height_m=4.0),
+        Segment(5.0, height_m=1.5),
+        Segment(6.0, height_m=0.0),
+        Segment(0.5),
+    )
+    return Scenario("sticks", segments, Mount.FREE)
+
+
 BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
     "pulse": ("one command: 0.5 s still, 2 s held, 2 s still", lambda seed, _: pulses(seed, 1, "pulse")),
     "pulses": ("commands like `pulse`'s, one after another (100 unless --count)", pulses),
     "roll": ("a full turn to the right in half a second", lambda *_: turn("roll", 0)),
     "flip": ("a full turn forward in half a second", lambda *_: turn("flip", 1)),
+    "sticks": (
+        "take-off to landing by eye, in free flight: fly it with --ground",
+        lambda *_: sticks_flight(),
+    ),
 }
 
 
@@ -168,6 +199,7 @@ def _segments(tables: Sequence[StrictTable]) -> tuple[Segment, ...]:
             throttle=table.number("throttle", 0.0, 1.0, 0.0),
             receiver=table.choice("receiver", {"on": True, "lost": False}, "on"),
             pid=table.choice("controller", {"policy": False, "pid": True}, "policy"),
+            height_m=table.number("height_m", 0.0, HEIGHT_MAX_M) if table.has("height_m") else None,
         )
         table.finish()
         segments.append(segment)

@@ -31,7 +31,7 @@ def library() -> compiled.Library:
         name="physics",
         what="the twin",
         parts=(C,),
-        flags=_fused(),
+        flags=fused(),
         linked=(numpy / "random" / "lib" / "libnpyrandom.a",),
         versions=(np.__version__,),
     )
@@ -42,7 +42,7 @@ def library() -> compiled.Library:
     return compiled.load(source)
 
 
-def _fused() -> tuple[str, ...]:
+def fused() -> tuple[str, ...]:
     """Flags for a processor that has fused multiply-adds; on others a function gives the same bits."""
     words = set(CPU_INFO.read_text().split()) if CPU_INFO.is_file() else set()
     return ("-march=x86-64-v3",) if {"fma", "avx2", "bmi2"} <= words else ()

@@ -3,19 +3,24 @@
 Gyro counts and their conversion, sticks, throttle mix, idle and DShot values are the firmware's, in
 float32. Arming is reduced to what makes flights comparable: after a second of gyro averaging (its mean is the
 bias; motion is not looked for) the switch going on with the throttle low arms, the switch going off or a
-receiver lost for 1 s disarms, and after 100 ms of silence the sticks count as centred.
+receiver lost for 1 s disarms, and after 100 ms of silence the sticks count as centred. A PID follows the
+battery's voltage as the firmware's does.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.control import sticks
+from sim.control.battery_voltage import BatteryVoltage
 from sim.control.controller import Controller
+from sim.control.gyro_mean import GyroMean
 from sim.control.motors import dshot_values, throttle_mix
+from sim.control.pid import Pid
 from sim.physics.imu import RATE_PER_COUNT, counts
 from sim.ports.port import Reply, Sample, control_divider
 from toolchain.contract import (
@@ -29,6 +34,7 @@ from toolchain.contract import (
     RECEIVER_LOST_MS,
     SWITCH_ON_US,
     THROTTLE_LOW_US,
+    Mix,
 )
 
 
@@ -42,14 +48,21 @@ class ControllerPort:
         gyro_rate_hz: int = GYRO_RATE_DEFAULT_HZ,
         control_rate_hz: int = 1000,
         idle: float = IDLE_DEFAULT,
+        *,
+        mix: Mix = Mix.ATTITUDE_FIRST,
+        gyro_mean: bool = False,
     ) -> None:
-        """Raises LinkError when the control rate does not divide the gyro rate."""
+        """gyro_mean: the controller sees the mean of the samples of a control period.
+
+        Raises LinkError when the control rate does not divide the gyro rate.
+        """
         self.motor_count = motor_count
         self.gyro_rate_hz = gyro_rate_hz
         self.control_rate_hz = control_rate_hz
         self._controller = controller
-        self._idle = idle
+        self._idle, self._mix = idle, mix
         self._divider = control_divider(gyro_rate_hz, control_rate_hz)
+        self._mean = GyroMean(1, self._divider if gyro_mean else 1)
         self._calibration = CALIBRATION_MS * gyro_rate_hz // 1000  # samples
         self._grace = max(CALIBRATION_MS, BOOT_GRACE_MS) * gyro_rate_hz // 1000
         self._hold = RECEIVER_HOLD_MS * gyro_rate_hz // 1000
@@ -57,6 +70,8 @@ class ControllerPort:
         self._still = np.zeros((self._calibration, 3))  # gyro of the samples that the bias is taken from
         self._bias = np.zeros(3, np.float32)  # [rad/s]
         self._samples = 0
+        self._volts = math.nan  # of the battery, where one is known
+        self._battery = BatteryVoltage(control_rate_hz)
         self._hear(sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False))
         self._age = self._lost  # samples since the last frame
         self._switch = True  # as of the step before: on, so that a switch left on does not arm
@@ -74,11 +89,15 @@ class ControllerPort:
         if channels_us is not None:
             self._hear(np.array(channels_us, np.uint16))
             self._age = 0
+        self._mean.add((counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias)[None])
         if self._samples % self._divider == 0 or self._reply is None:
-            gyro = counts(sample.gyro).astype(np.float32) * RATE_PER_COUNT - self._bias
-            self._reply = self._control(gyro, self._samples // self._divider)
+            self._reply = self._control(self._mean.mean()[0], self._samples // self._divider)
         self._samples += 1
         return self._reply
+
+    def set_battery(self, volts: float, amps: float) -> None:
+        """See BatteryPort."""
+        self._volts = volts
 
     def arming_reasons(self) -> tuple[str, ...]:
         """See FirmwarePort; always empty: it waits for calibration and the switch only."""
@@ -96,11 +115,13 @@ class ControllerPort:
     def _control(self, gyro: NDArray[np.float32], step: int) -> Reply:
         setpoint = np.zeros(3, np.float32) if self._age >= self._hold else self._setpoint
         throttle = self._throttle
+        if isinstance(self._controller, Pid) and self._battery.due(step):
+            self._controller.compensate(self._battery.measure(np.array([self._volts])))
         self._arm()
         dshot = np.zeros(self.motor_count, np.uint16)
         if self._armed:
             y = self._controller.step(setpoint[None], gyro[None], throttle)
-            dshot = dshot_values(throttle_mix(y, throttle), self._idle)[0]
+            dshot = dshot_values(throttle_mix(y, throttle, self._mix), self._idle)[0]
         return Reply(dshot, step, setpoint, gyro, float(throttle[0]), self._armed)
 
     def _arm(self) -> None:

@@ -138,7 +138,7 @@ def test_the_pids_idle_is_no_output_of_its_own_when_its_table_has_one(
     text = (ROOT / "sim" / "aircraft" / "nf1.toml").read_text()
     aircraft = tmp_path / "idling.toml"
     aircraft.write_text(text.replace(f"\nidle = {own}\n", f"\nidle = {own / 2}\n", 1))
-    assert load_aircraft(aircraft).pids[0][1].idle == own / 2 > 0.05
+    assert load_aircraft(aircraft).pids[0][1].idle == own / 2 > 0.02
     still = tmp_path / "still.toml"
     still.write_text("[[segment]]\nduration_s = 0.3\nsetpoint_deg_s = [0, 0, 0]\n")
     idling = flown(capsys, "--scenario", str(still), "--aircraft", str(aircraft))

@@ -42,15 +42,15 @@ def test_evaluate_flies_the_recording_in_pieces_or_whole(recording: Path, capsys
 
 def test_compare_flies_the_recording_with_every_controller(recording: Path, capsys: Capture) -> None:
     words = ["--commands", str(recording), "--piece", "1", "--json"]
-    assert main(["compare", "pid", "pid:published", *words]) == 0
+    assert main(["compare", "pid:tuned", "pid:published", *words]) == 0
     entries = json.loads(capsys.readouterr().out)["comparison"]
     assert [entry["throttle"] for entry in entries] == ["recorded"] * 2
     alone = []
-    for name in ("pid", "pid:published"):
+    for name in ("pid:tuned", "pid:published"):
         assert main(["evaluate", name, *words]) == 0
         alone.append(json.loads(capsys.readouterr().out))
     assert [entry["mae"] for entry in entries] == [document["mae"] for document in alone]
-    assert main(["evaluate", "pid", *words, "--throttle", "0.9"]) == 0
+    assert main(["evaluate", "pid:tuned", *words, "--throttle", "0.9"]) == 0
     assert json.loads(capsys.readouterr().out)["mae"] != alone[0]["mae"]
 
 

@@ -71,6 +71,7 @@ HEADERS = (
     "common/nf_math.h",
     "sensing/gyro.h",
     "sensing/filters.h",
+    "sensing/gyro_mean.h",
     "sensing/attitude.h",
     "housekeeping/battery.h",
     "common/crc8.h",
@@ -302,7 +303,7 @@ class Bench:
         weights = core.lib.policy_weights
         config = core.new(
             "struct firmware_config *",
-            (gyro_hz, alignment, 0, self.settings, weights, 0.0, policy_good, self.pid),
+            (gyro_hz, alignment, 0, self.settings, weights, core.ffi.NULL, policy_good, self.pid),
         )
         self.error = core.lib.firmware_init(self.fw, config)
         assert self.error == expect

@@ -108,7 +108,7 @@ def test_each_sample_is_in_the_file_when_the_host_program_streams(
     assert {(row["armed"], row["throttle"]) for row in rows} == {("0", rows[0]["throttle"])}
     assert float(rows[0]["throttle"]) == pytest.approx(0.8, abs=0.01)
     assert {name for name in rows[0] if name.startswith("motor")} == {f"motor{n}_dshot" for n in range(1, 5)}
-    assert [name for name in rows[0] if name.startswith("ob")] == [f"observation{n}" for n in range(1, 20)]
+    assert [name for name in rows[0] if name.startswith("ob")] == [f"observation{n}" for n in range(1, 28)]
     assert not list(tmp_path.glob(".*"))
 
 
@@ -124,7 +124,7 @@ def test_an_npz_holds_what_a_trace_holds_when_asked_for(msp: Run, host: Host, tm
     count = len(found["t"])
     assert found["received"] == count > 0
     shapes = {"setpoint": (count, 3), "gyro": (count, 3), "throttle": (count,), "dshot": (count, 4)}
-    shapes |= {"observation": (count, 19), "action": (count, 4), "armed": (count,), "step": (count,)}
+    shapes |= {"observation": (count, 27), "action": (count, 4), "armed": (count,), "step": (count,)}
     assert {name: found[name].shape for name in shapes} == shapes
     assert found["rate_hz"] == 125
     assert found["armed"][-1] and found["state"][-1] == "ARMED"

@@ -98,7 +98,7 @@ def test_the_board_flies_each_policy_and_goes_back_one_by_one_when_asked(
     listed = {row["source"]: row for row in json.loads(run("--list", "--json")[1])}
     assert [listed[name]["flown"] for name in ("SLOT_A", "SLOT_B", "COMPILED_IN")] == [False, True, False]
     assert listed["SLOT_A"]["sha256"] == sha(other)
-    assert listed["COMPILED_IN"]["network"] == "19-64-64-4 tanh"
+    assert listed["COMPILED_IN"]["network"] == "27-56-56-4 tanh"
     assert [row["next"] for row in listed.values()] == [False, True, False]
 
     code, out, _ = run("--revert")
@@ -123,7 +123,7 @@ def test_the_list_names_networks_of_known_files(
     assert (row["network"], row["state"]) == (None, "good")
     monkeypatch.chdir(other.parent)
     out = run("--list")[1]
-    assert re.search(rf"slot A flown 1 nf1 {sha(other)[:12]} 19-64-64-4 tanh good", out)
+    assert re.search(rf"slot A flown 1 nf1 {sha(other)[:12]} 27-56-56-4 tanh good", out)
     assert re.search(r"slot B empty", out)
 
 
@@ -210,8 +210,8 @@ def test_one_line_says_that_nothing_was_written_when_the_file_is_none(
         ),
         (
             {
-                "neuroflight.observation": "rate_error,rate_error_integral,rate,rate~20Hz,"
-                "rate_error_delta,previous_action"
+                "neuroflight.observation": "rate_error,rate,rate_error_integral,rate~20Hz,rate~60Hz,"
+                "previous_motors,rotor_estimate,throttle,rate_estimate"
             },
             "weights and motors as the image's, but other layers or observed terms (rate_error,",
         ),
@@ -232,7 +232,7 @@ def test_one_line_names_the_difference_when_the_image_cannot_fly_it(
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("nf1-six", "6-64-64-4 relu does not fit the image that runs (19-64-64-4 tanh): observed values 6, "),
+        ("nf1-six", "6-64-64-4 relu does not fit the image that runs (27-56-56-4 tanh): observed values 6, "),
         ("hexa", "motors 6, the image 4"),
     ],
 )
@@ -258,7 +258,7 @@ def test_a_policy_of_another_aircraft_is_flown_only_when_that_is_meant(
     assert board.flash.read_bytes() == before
     code, out, _ = run("--policy", policy, "--other-aircraft")
     assert code == 0
-    assert "idle 0.1 of full throttle, until now 0.23" in out
+    assert "idle 0.1 of full throttle, until now 0.055" in out
     assert flown(board)[2:] == (sha(policy), True)
     code, _, err = run("--revert")
     assert code == 1
@@ -503,7 +503,7 @@ class Stalling(Timed):
 
 
 STALL_S = 10.0
-BLOCKS = 54  # of the shipped policy's blob, about: a request each, between the beginning and the end
+BLOCKS = 49  # of the shipped policy's blob, about: a request each, between the beginning and the end
 
 
 @pytest.mark.parametrize("requests", [True, False], ids=["both ways", "replies"])

@@ -64,6 +64,7 @@ def test_a_script_is_flown_and_ends_disarmed(
         (["--scenario", "roll"], "scenario roll: it arms, expected --allow-arm"),
         (["--scenario", "roll", "--allow-arm"], "take the propellers off and give --props-off"),
         (["--scenario", "loop", "--allow-arm", "--props-off"], "scenario 'loop': no such file"),
+        (["--scenario", "sticks", "--allow-arm", "--props-off"], "its pilot flies by the twin's height"),
         (["--script", "SCRIPT", "--rate", "10"], "--rate got 10, expected 20 to 150 Hz"),
         (["--gamepad", "99"], "--gamepad got 99, and no gamepad(s) are there"),
         (["--gamepad", "--axis", "throttle"], "--axis got 'throttle', expected CHANNEL=NUMBER"),

@@ -52,4 +52,7 @@ def reference(reference_library: Path) -> ReferencePort:
 def pid() -> ControllerPort:
     """The PID with the aircraft's gains."""
     nf1 = load_aircraft("nf1")
-    return ControllerPort(aircraft_pid(nf1), 4, GYRO_RATE_HZ, idle=pid_settings(nf1).idle)
+    own = pid_settings(nf1)
+    return ControllerPort(
+        aircraft_pid(nf1), 4, GYRO_RATE_HZ, idle=own.idle, mix=own.mix, gyro_mean=own.gyro_mean
+    )

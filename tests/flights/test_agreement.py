@@ -41,7 +41,17 @@ def observations(reference_library: Path, shipped_policy: Path, flown: Callable[
     """10,000 of them: half from a recorded flight, half random of unit scale."""
     policy = read_policy(shipped_policy)
     trace = flown(ReferencePort(reference_library, 1000), load_scenario("pulses", 31, count=2))
-    flight = seen_in_flight(trace, Observer(policy.blocks, 1, policy.action_count, policy.control_rate_hz))
+    flight = seen_in_flight(
+        trace,
+        Observer(
+            policy.blocks,
+            1,
+            policy.action_count,
+            policy.control_rate_hz,
+            model=policy.model,
+            idle=policy.idle,
+        ),
+    )
     assert np.abs(flight).max() > 1.0  # commands of some hundred deg/s were under way
     rng = np.random.default_rng(2)
     picked = flight[rng.choice(len(flight), HALF, replace=False)]

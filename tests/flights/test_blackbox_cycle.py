@@ -160,7 +160,7 @@ def assert_log_is_flight(flight: Flight, folder: Path, capsys: pytest.CaptureFix
     figures = []
     for file in (log, npz):
         to = ["--to", str(len(trace.t) / trace.control_rate_hz)]
-        assert main(["log", "metrics", str(file), *to, "--idle", "0.05", "--json"]) == 0
+        assert main(["log", "metrics", str(file), *to, "--idle", "0.05", "--mix", "centred", "--json"]) == 0
         figures.append(json.loads(capsys.readouterr().out))
         figures[-1].pop("file")
     assert figures[0] == figures[1]

@@ -48,5 +48,11 @@ def test_the_toolchains_interpreter_flies_the_compiled_policys_bits_when_behind_
     shipped_policy: Path, reference_library: Path, flown: Flown
 ) -> None:
     policy = read_policy(shipped_policy)
-    in_python = ControllerPort(PolicyController(policy), policy.action_count, idle=policy.idle)
+    in_python = ControllerPort(
+        PolicyController(policy),
+        policy.action_count,
+        idle=policy.idle,
+        mix=policy.mix,
+        gyro_mean=policy.gyro_mean,
+    )
     assert flown(in_python, BUSY).same(flown(ReferencePort(reference_library), BUSY))

@@ -31,7 +31,10 @@ TERMS = (
     "rate_error,rate_error_integral,rate,rate~15Hz,rate_error_delta~80Hz@1,"
     "previous_action~40Hz@2,throttle@16,throttle~5Hz,rate_error@1"
 )
-REPORT = '{"policy": {"network": "19-16-4 tanh", "sha256": "", "idle": %g}, "pid": null, "files": []}'
+REPORT = (
+    '{"policy": {"network": "19-16-4 tanh", "sha256": "", "idle": %g, "mix": "attitude-first"}, '
+    '"pid": null, "files": []}'
+)
 BUSY = Scenario(
     "busy",
     tuple(Segment(0.1, (150.0 * (-1) ** k, 40.0 * k, -30.0 * k), 0.1 * k) for k in range(5)),

@@ -37,7 +37,8 @@ STICKS = Scenario(
 )
 # First floats of each part of the shipped policy's table: the table of tanh, then three layers.
 ROWS = TANH.rows.size
-REGIONS = {"tanh": 0, "layer 1": ROWS, "layer 2": ROWS + 64 * 20, "layer 3": ROWS + 64 * 20 + 64 * 65}
+FIRST, SECOND = 56 * (1 + 27), 56 * (1 + 56)
+REGIONS = {"tanh": 0, "layer 1": ROWS, "layer 2": ROWS + FIRST, "layer 3": ROWS + FIRST + SECOND}
 Flown = tuple[Trace, ChangedPort]
 Fly = Callable[[Change, float], Flown]
 

@@ -58,6 +58,8 @@ def compile_network(
         aircraft_sha256=policy.aircraft_sha256,
         policy_sha256=policy.source_sha256,
         idle=float(np.float32(policy.idle)),
+        mix=policy.mix,
+        model=policy.model,
         weights=plan.table,
         selftest_observation=observation,
         selftest_action=action,

@@ -14,7 +14,7 @@ import numpy as np
 from toolchain.codegen.kernel_calls import Call, Place
 from toolchain.codegen.plan import Plan
 from toolchain.ir.float32 import Float32
-from toolchain.policy.blob import PolicyBlob, header_values, pack
+from toolchain.policy.blob import PolicyBlob, header_values, model_values, pack
 from toolchain.policy.model import PolicyModel
 from toolchain.rendering.contract_header import blob_header_fields
 from toolchain.rendering.jinja import render
@@ -73,7 +73,12 @@ def emit(policy: PolicyModel, plan: Plan, blob: PolicyBlob) -> Emission:
 def header_literals(blob: PolicyBlob) -> dict[str, int | float | bytes | str]:
     """The blob's header for the macros of templates/blob_header.j2: its floats as C writes them."""
     gains = ", ".join(literal(term.gain) for term in blob.terms)
-    return {**header_values(blob), "observation_gains": gains, "idle": literal(blob.idle)}
+    floats = {
+        name: ", ".join(literal(value) for value in np.frombuffer(bytes(values), "<f4")) or literal(0.0)
+        for name, values in model_values(blob.model).items()
+        if isinstance(values, bytes)
+    }
+    return {**header_values(blob), "observation_gains": gains, "idle": literal(blob.idle), **floats}
 
 
 def literal(value: float | np.float32) -> str:

@@ -38,6 +38,33 @@ class DshotCommand(IntEnum):
 IDLE_DEFAULT = 0.0  # of policies that do not tell
 IDLE_MAX = 0.5
 
+
+class Mix(IntEnum):
+    """How a controller's outputs y and the pilot's thrust T become motor fractions u, before the idle.
+
+    Both keep the differences between the motors, which turn the aircraft, and both are computed in float32 in
+    the order written here. ATTITUDE_FIRST: u_i = T (1 - max y) + y_i. The outputs carry thrust of their own.
+    CENTRED: u_i = T + (y_i - mean y), all raised until none is below 0, or lowered until none is above 1.
+    The outputs turn only: at rest the motors' mean is the throttle.
+    """
+
+    ATTITUDE_FIRST = 0
+    CENTRED = 1
+
+    @property
+    def text(self) -> str:
+        """As files write it: attitude-first, centred."""
+        return self.name.lower().replace("_", "-")
+
+    @staticmethod
+    def of(text: str) -> Mix:
+        """The mix that a file calls so. Raises ValueError, one line."""
+        for mix in Mix:
+            if mix.text == text:
+                return mix
+        raise ValueError(f"mix {text[:60]!r}, expected one of: {', '.join(mix.text for mix in Mix)}")
+
+
 # --- The battery, and the PID's answer to it -----------------------------------------------------
 BATTERY_RATE_HZ = 100  # of its measurements
 BATTERY_FILTER_S = 0.1  # of its low-pass: slower than the motors' current ripple, faster than a pilot

@@ -276,6 +276,7 @@ _OWN = (
         number("u8", "source", "", "0 slot A, 1 slot B, 2 compiled in, 3 none is good"),
         number("u32", "sequence", "", "0: compiled in"),
         _array("i8", "found", 3, "", "at each of the three, 0 good, else an error of nf_err.h"),
+        number("u8", "mix", "", "of outputs and throttle: 0 attitude first, 1 centred"),
     ),
 )
 _CONFIGURED = tuple(

@@ -42,11 +42,25 @@ OBSERVATION_BLOCKS = (
     ObservationBlock("throttle", 6, Width.SCALAR, "1", "the pilot's thrust, 0..1"),
     ObservationBlock("rotor_speed", 7, Width.MOTORS, "rad/s", "of each motor", in_firmware=False),
     ObservationBlock("gravity", 8, Width.AXES, "1", "where down is, body axes", in_firmware=False),
+    ObservationBlock(
+        "previous_motors",
+        9,
+        Width.MOTORS,
+        "1",
+        "the last motor fractions, before the idle, less the throttle",
+    ),
+    ObservationBlock("rotor_estimate", 10, Width.MOTORS, "rad/s", "modelled speed less that at rest"),
+    ObservationBlock("rate_estimate", 11, Width.AXES, "rad/s", "predicted by the model, corrected by gyro"),
+    ObservationBlock("rate_estimate_error", 12, Width.AXES, "rad/s", "setpoint - rate_estimate"),
 )
+MODEL_BLOCKS = ("rotor_estimate", "rate_estimate", "rate_estimate_error")  # made by a model of the aircraft
 RATE_ERROR_INTEGRAL_LIMIT_RAD = 0.6
 OBSERVATION_COUNT_MAX = 64
 OBSERVATION_TERMS_MAX = 32
 OBSERVATION_AGE_MAX = 16  # control steps
+ESTIMATOR_DELAY_MAX = 8  # control steps from output to rotor that a model of an aircraft may have
+MODEL_NUMBER_MAX = 1e9  # size of any number of such a model; as a limit of change it stands for none
+ESTIMATOR_CORRECTION_HZ = 10.0  # of the gyro on the predicted rate
 OBSERVATION_MEMORY_MAX = 256  # floats that all terms together remember: 1 KiB of DTCM
 POLICY_WEIGHT_COUNT_MAX = 12288  # 48 KiB of DTCM
 POLICY_MEMORY_COUNT_MAX = 640  # floats of scratch and recurrent state together: 2.5 KiB of DTCM
@@ -131,6 +145,11 @@ def _observation_term(text: str) -> ObservationTerm:
     if age is not None and not 1 <= int(age) <= OBSERVATION_AGE_MAX:
         raise ValueError(f"observation {text!r}: {int(age)} steps old, expected 1 to {OBSERVATION_AGE_MAX}")
     return ObservationTerm(known[name], None if cutoff is None else float(cutoff), int(age or 0))
+
+
+def needs_model(terms: tuple[ObservationTerm, ...]) -> bool:
+    """Whether a policy that observes `terms` needs the constants of a model of its aircraft."""
+    return any(term.name in MODEL_BLOCKS for term in terms)
 
 
 def observation_count(terms: tuple[ObservationTerm, ...], motors: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from toolchain.contract.frame_time_sensors import MOTOR_COUNT_MAX
 from toolchain.contract.observation import OBSERVATION_TERMS_MAX
 
 # --- policy.onnx: its metadata_props ---------------------------------------------------------
@@ -15,6 +16,8 @@ META_OBSERVATION = "neuroflight.observation"
 META_CONTROL_RATE = "neuroflight.control_rate_hz"
 META_FILTERS = "neuroflight.filters"
 META_IDLE = "neuroflight.idle"  # absent: IDLE_DEFAULT
+META_MIX = "neuroflight.mix"  # absent: attitude-first
+META_MODEL = "neuroflight.model"  # JSON object; where the observation needs it, see model_constants.py
 META_AIRCRAFT = "neuroflight.aircraft"
 META_AIRCRAFT_SHA256 = "neuroflight.aircraft_sha256"
 META_TRAINING = "neuroflight.training"
@@ -25,10 +28,13 @@ SELFTEST_COUNT = 16
 # header | float32 weights | float32 self-test observations | float32 self-test actions | CRC-32, each part
 # behind the one before without a gap, all little-endian.
 POLICY_BLOB_MAGIC = 0x4250464E  # "NFPB"
-POLICY_BLOB_LAYOUT = 3
+POLICY_BLOB_LAYOUT = 4
 POLICY_BLOB_AIRCRAFT_BYTES = 32
 POLICY_BLOB_CRC_BYTES = 4
 POLICY_FILTERS_NONE = 0x0D4CBB29  # CRC-32 of "[]": no gyro filter
+POLICY_FILTER_MEAN = (
+    "mean"  # the filter [["mean"]]: controllers see the mean of the samples of a control period
+)
 SHA256_BYTES = 32
 
 
@@ -73,6 +79,11 @@ POLICY_BLOB_FIELDS = (
     HeaderField("uint8_t", "aircraft_sha256", "", "of the aircraft trained for", SHA256_BYTES),
     HeaderField("uint8_t", "policy_sha256", "", "of the ONNX file", SHA256_BYTES),
     HeaderField("float", "idle", "", "motor fraction at zero thrust, 0 to 0.5"),
+    HeaderField("uint32_t", "mix", "", "how outputs and throttle become motor fractions: enum nf_mix"),
+    HeaderField("uint32_t", "model_delay", "steps", "from output to rotor; 0: there is no model"),
+    HeaderField("float", "model_rotor", "rad/s, 1", "a, b, c, rise, fall, gain, loss, correction", 8),
+    HeaderField("float", "model_turn", "s/rad", "roll, pitch, yaw, a value a motor", 3 * MOTOR_COUNT_MAX),
+    HeaderField("float", "model_reaction", "1", "likewise", 3 * MOTOR_COUNT_MAX),
 )
 POLICY_BLOB_HEADER_FORMAT = "<" + "".join(field.format for field in POLICY_BLOB_FIELDS)
 

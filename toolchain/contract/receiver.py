@@ -11,9 +11,10 @@ CHANNEL_UNTOLD_US = 0  # in a frame over MSP that ends before this channel
 THROTTLE_LOW_US = 1050  # arming needs the throttle at or below this
 STICK_LOW_US, STICK_HIGH_US = 1100, 1900  # beyond these a stick stands at its end
 GESTURE_MS = 2000  # throttle low, yaw left, pitch back, roll right for so long, disarmed: acknowledges
-# No stick asks for more: the gyro ends at 2000 deg/s, its bias may be 20, and a rate that it cannot tell
-# from a higher one cannot be held.
-RATE_MAX_DEG_S = 1950.0
+# No stick asks for more: the gyro ends at 2000 deg/s, its bias may be 20, and the NF1 overshoots by up to 8 %
+# of such a setpoint: a rate that the gyro cannot tell from a higher one cannot be held. At 1800 deg/s of
+# pitch with the throttle closed, the body's coupling of axes is more than the rotors can hold.
+RATE_MAX_DEG_S = 1600.0
 RATE_FULL_STICK_DEG_S = 1000  # as set by default: linear, no deadband, expo or interpolation
 
 # SBUS: 25 bytes, 16 channels of 11 bits. microseconds = 880 + (5 value + 4) / 8, in integers.

@@ -125,6 +125,7 @@ _LOG_STEPS_MEANING = (
 _GROUPS_MEANING = "fields left out: " + ", ".join(
     f"{group.value} {group.name.lower().replace('_', ' ')}" for group in LogGroup
 )
+_MEAN_MEANING = "controllers see the mean of a control period's samples; policy: where it was trained so"
 _CHIRP_END_MEANING = f"where it ends; at most {CHIRP_RATE_PART:g} of the control rate"
 _STYLE_MEANING = "what the nine numbers below mean; changing it sets them to the new style's defaults"
 _RATE_MEANING = "actual: slope at the centre; betaflight: RC rate"
@@ -168,6 +169,7 @@ SETTINGS = (
     _number("dynamic_notch_low_hz", 30.0, 1000.0, 100.0, "Hz", "lowest centre"),
     _number("dynamic_notch_high_hz", 60.0, 2000.0, 600.0, "Hz", "highest centre"),
     _number("dynamic_notch_q", 0.5, 20.0, 3.0, "1", "quality"),
+    _choice("gyro_mean", "policy", ("policy", "off", "on"), _MEAN_MEANING),
     _choice("receiver_protocol", "sbus", ("sbus", "crsf", "msp"), "what speaks on the receiver's line"),
     _whole("msp_baud", MSP_BAUDS[0], MSP_BAUDS[-1], MSP_BAUD_DEFAULT, "baud", _MSP_BAUD_MEANING),
     *(

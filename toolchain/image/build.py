@@ -38,6 +38,7 @@ from toolchain.rendering.pid_table import PidTable, render_pid_table
 
 TARGETS_FOLDER = Path(__file__).resolve().parents[2] / "firmware" / "targets"
 BOARD_MEMORY = (*RAM, FLASH)
+MEAN = [contract.POLICY_FILTER_MEAN]  # the one gyro filter that a policy may bring
 NFI = "neuroflight.nfi"  # both banks' images, one behind the other
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
@@ -135,7 +136,7 @@ def build(
             target=known.name,
             stages=_stages(compiled, built, (optimized - started, finished - optimized)),
             policy=_facts(compiled, policy),
-            pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle),
+            pid=None if pid is None else PidFacts(pid.aircraft, pid.name, pid.idle, pid.mix.text),
             sections=image.sections,
             memory=memory,
             files=files,
@@ -181,10 +182,10 @@ def check_fit(compiled: CompiledPolicy, target: Target) -> None:
             f"the policy runs at {policy.control_rate_hz} Hz, "
             f"the firmware at {', '.join(map(str, rates))} Hz; train it at one of these rates"
         )
-    if policy.filters:
+    if policy.filters not in ((), (MEAN,)):
         raise PolicyError(
-            f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, "
-            "the firmware has none; train it without filters"
+            f"the policy was trained behind the gyro filters {json.dumps(policy.filters)}, expected [] or "
+            f"{json.dumps([MEAN])}; train it behind one of these"
         )
     plan = compiled.plan
     for facts, count, most in (
@@ -321,6 +322,8 @@ def _facts(compiled: CompiledPolicy, file: Path) -> PolicyFacts:
         observation=model.observation,
         control_rate_hz=model.control_rate_hz,
         idle=model.idle,
+        mix=model.mix.text,
+        filters=tuple(model.filters),
         weights=int(compiled.plan.table.size),
         architecture_hash=f"{compiled.plan.architecture_hash:08x}",
         aircraft=model.aircraft,

@@ -33,7 +33,7 @@ RAM = (ITCM, DTCM, SRAM1, SRAM2)
 # The boot part has a sector of its own.
 BOOT = Region("boot part", FLASH_BOOT.address, FLASH_BOOT.size)
 BANK = Region("bank", FLASH_BANK_A.address, FLASH_BANK_A.size - IMAGE_TAIL_BYTES)
-RAM_BUDGET = 192 * 1024
+RAM_BUDGET = 208 * 1024
 
 VFP_REGISTERS = 1  # Tag_ABI_VFP_args: floats are passed in VFP registers (ARM IHI 0045, section 3.3.5.3)
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from toolchain.contract import FLASH_BANKS, IDLE_MAX, image_header
+from toolchain.contract import FLASH_BANKS, IDLE_MAX, Mix, image_header
 from toolchain.cortex_m7.cycles import CORE_HZ
 from toolchain.cortex_m7.stack_use import StackUse
 from toolchain.errors import BuildError
@@ -42,6 +42,8 @@ class PolicyFacts:
     observation: str
     control_rate_hz: int
     idle: float
+    mix: str  # of outputs and throttle
+    filters: tuple[object, ...]  # of the gyro, that it was trained behind
     weights: int
     architecture_hash: str
     aircraft: str
@@ -56,6 +58,7 @@ class PidFacts:
     aircraft: str
     name: str  # in the aircraft's file
     idle: float
+    mix: str
 
 
 @dataclass(frozen=True)
@@ -115,14 +118,22 @@ class BuildReport:
 
 
 @dataclass(frozen=True)
+class MotorFacts:
+    """How a controller's outputs become motor values."""
+
+    idle: float  # motor fraction without thrust
+    mix: Mix
+
+
+@dataclass(frozen=True)
 class Built:
     """What the report of a build says of one of its files."""
 
     sha256: str  # of the file
     policy: str  # its network, as "6-64-64-4 tanh"
     policy_sha256: str
-    policy_idle: float
-    pid_idle: float | None  # None: no PID is built in
+    policy_motors: MotorFacts
+    pid_motors: MotorFacts | None  # None: no PID is built in
 
 
 def built(product: Path) -> Built:
@@ -141,32 +152,34 @@ def built(product: Path) -> Built:
             sha256=hashlib.sha256(product.read_bytes()).hexdigest(),
             policy=str(policy["network"]),
             policy_sha256=str(policy["sha256"]),
-            policy_idle=float(policy["idle"]),
-            pid_idle=None if pid is None else float(pid["idle"]),
+            policy_motors=MotorFacts(float(policy["idle"]), Mix.of(str(policy["mix"]))),
+            pid_motors=None if pid is None else MotorFacts(float(pid["idle"]), Mix.of(str(pid["mix"]))),
         )
     except OSError as error:
         raise BuildError(f"cannot read {path} ({error.strerror}); build {product.name} anew") from error
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise BuildError(f"{path} does not tell what is inside; build {product.name} anew") from error
-    for idle in (found.policy_idle, found.pid_idle or 0.0):
-        if not 0.0 <= idle <= IDLE_MAX:
-            raise BuildError(f"{path}: the policy's idle is {idle}, expected 0 to {IDLE_MAX}; build it anew")
+    for motors in filter(None, (found.policy_motors, found.pid_motors)):
+        if not 0.0 <= motors.idle <= IDLE_MAX:
+            raise BuildError(
+                f"{path}: the policy's idle is {motors.idle}, expected 0 to {IDLE_MAX}; build it anew"
+            )
     if found.sha256 not in known:
         raise BuildError(f"{path} is the report of another build than {product.name}; build it anew")
     return found
 
 
-def built_idle(product: Path, *, pid: bool = False) -> float:
-    """Idle of the policy inside `product`, a file of a build, or of its PID.
+def built_motors(product: Path, *, pid: bool = False) -> MotorFacts:
+    """Idle and mix of the policy inside `product`, a file of a build, or of its PID.
 
     Raises BuildError as `built`, and when there is no PID.
     """
     found = built(product)
     if not pid:
-        return found.policy_idle
-    if found.pid_idle is None:
+        return found.policy_motors
+    if found.pid_motors is None:
         raise BuildError(f"{product} has no PID built in; build it with --aircraft NAME|FILE")
-    return found.pid_idle
+    return found.pid_motors
 
 
 def print_report(report: BuildReport, console: Console) -> None:

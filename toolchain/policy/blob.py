@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolchain import contract
-from toolchain.contract import ObservationBlock, ObservationTerm
+from toolchain.contract import Mix, ObservationBlock, ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.ir.float32 import Float32
 from toolchain.policy.model import AIRCRAFT_NAME, SHA256
+from toolchain.policy.model_constants import ModelConstants
 
 HEADER = struct.Struct(contract.POLICY_BLOB_HEADER_FORMAT)
 CRC = struct.Struct("<I")
@@ -54,6 +55,8 @@ class PolicyBlob:
     selftest_observation: Float32  # (T, observation count)
     selftest_action: Float32  # (T, action count), the exact answers, in [0, 1]
     selftest_steps: int  # rows from one policy_init to the next: recurrent state carries over between them
+    mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
+    model: ModelConstants | None = None  # of its aircraft; None: the observation needs none
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the arrays are float32 and of shapes (W,), (T, n) and (T, m)."""
@@ -127,6 +130,23 @@ def header_values(blob: PolicyBlob) -> dict[str, int | float | bytes]:
         "aircraft_sha256": bytes.fromhex(blob.aircraft_sha256),
         "policy_sha256": bytes.fromhex(blob.policy_sha256),
         "idle": blob.idle,
+        "mix": int(blob.mix),
+        **model_values(blob.model),
+    }
+
+
+def model_values(model: ModelConstants | None) -> dict[str, int | bytes]:
+    """The header's fields of a model: a row of MOTOR_COUNT_MAX values an axis; zeros for none."""
+    if model is None:
+        return {"model_delay": 0, "model_rotor": b"", "model_turn": b"", "model_reaction": b""}
+    rows = np.zeros((2, 3, contract.MOTOR_COUNT_MAX), FLOAT)
+    rows[:, :, : model.motor_count] = model.turn, model.reaction
+    turn, reaction = (part.tobytes() for part in rows)
+    return {
+        "model_delay": model.delay_steps,
+        "model_rotor": np.array(model.rotor, FLOAT).tobytes(),
+        "model_turn": turn,
+        "model_reaction": reaction,
     }
 
 
@@ -154,6 +174,8 @@ def parse(data: bytes) -> PolicyBlob:
         aircraft_sha256=arrays["aircraft_sha256"].hex(),
         policy_sha256=arrays["policy_sha256"].hex(),
         idle=idle,
+        mix=_read_mix(header["mix"]),
+        model=_read_model(header["model_delay"], arrays, m),
         weights=weights,
         selftest_observation=observation.reshape(rows, n),
         selftest_action=action.reshape(rows, m),
@@ -231,6 +253,44 @@ def _read_terms(arrays: dict[str, bytes], count: int) -> tuple[BlobTerm, ...]:
     return tuple(BlobTerm(known[code], age, gain) for code, age, gain in rows)
 
 
+def _read_mix(code: int) -> Mix:
+    try:
+        return Mix(code)
+    except ValueError as error:
+        raise PolicyError(
+            f"the blob's mix is {code}, known are {[int(mix) for mix in Mix]}; {MEND}"
+        ) from error
+
+
+def _read_model(delay: int, arrays: dict[str, bytes], motors: int) -> ModelConstants | None:
+    names = ("model_rotor", "model_turn", "model_reaction")
+    rotor, turn, reaction = (np.frombuffer(arrays[name], FLOAT) for name in names)
+    if delay == 0:
+        if any(arrays[name].strip(b"\0") for name in names):
+            raise PolicyError(f"the blob has no model, but constants of one; {MEND}")
+        return None
+    a, b, c, rise, fall, gain, loss, correction = rotor.tolist()
+    rows = [part.reshape(3, contract.MOTOR_COUNT_MAX) for part in (turn, reaction)]
+    if any(part[:, motors:].tobytes().strip(b"\0") for part in rows):
+        raise PolicyError(f"the blob's model has values of more motors than the {motors} it drives; {MEND}")
+    try:
+        return ModelConstants.of(
+            {
+                "delay_steps": delay,
+                "speed_curve": [a, b, c],
+                "rise": rise,
+                "fall": fall,
+                "gain_max": gain,
+                "loss_max": loss,
+                "correction": correction,
+                "turn": rows[0][:, :motors].tolist(),
+                "reaction": rows[1][:, :motors].tolist(),
+            }
+        )
+    except ValueError as error:
+        raise PolicyError(f"the blob's model: {error}; {MEND}") from error
+
+
 def _reject_unsayable(blob: PolicyBlob) -> None:
     """Raise PolicyError naming the first value that the layout has no room for or that cannot be flown."""
     rows = len(blob.selftest_observation)
@@ -264,6 +324,12 @@ def _reject_unsayable(blob: PolicyBlob) -> None:
             )
     if not 0.0 <= blob.idle <= contract.IDLE_MAX:
         raise PolicyError(f"the policy's idle is {blob.idle}, expected 0 to {contract.IDLE_MAX}")
+    if blob.model is None and any(term.block.name in contract.MODEL_BLOCKS for term in blob.terms):
+        raise PolicyError(f"the policy observes what a model of its aircraft tells, but has none; {MEND}")
+    if blob.model is not None and blob.model.motor_count != blob.action_count:
+        raise PolicyError(
+            f"the policy's model is of {blob.model.motor_count} motors, it drives {blob.action_count}"
+        )
     _reject_names(blob)
     if not np.isfinite(blob.weights).all():
         count = int((~np.isfinite(blob.weights)).sum())

@@ -22,9 +22,20 @@ from numpy.typing import ArrayLike, NDArray
 from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.files import file_size
+from toolchain.policy.freeze_gru import Memory
 
 OPSET, IR_VERSION = 17, 8  # old enough for every runtime in use, new enough for every operator here
 ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
+TOLD = (
+    "aircraft",
+    "observation",
+    "control_rate_hz",
+    "filters",
+    "idle",
+    "mix",
+    "gyro_filter",
+    "model",
+)  # by keys of their own
 TRAINING_VALUE_MAX = 400  # characters of JSON: a longer entry of the configuration is bulk and left out
 
 Matrix = NDArray[np.float64]
@@ -41,11 +52,14 @@ class FrozenConfig:
     control_rate_hz: int
     filters: tuple[object, ...]
     hidden: tuple[int, ...]
+    recurrent: bool  # the first hidden layer is a GRU
     activation: str
     output_scale: float  # motor fraction = clip(output_scale * action + output_offset, 0, 1)
     output_offset: float
     squash: bool  # the network's last sum goes through tanh before scale and offset
     idle: float  # motor fraction without thrust that the policy is trained with
+    mix: str  # of outputs and throttle
+    model: Mapping[str, object] | None  # constants of its aircraft, where the observation needs them
     motors: int
 
 
@@ -117,15 +131,24 @@ def to_onnx(
     from toolchain.policy.model import parse_policy
 
     frozen = _frozen_config(config)
-    layers = _folded(frozen, _weights(frozen, state))
+    inputs = len(frozen.observation_scale)
+    memory, layers = _folded(frozen, state)
     nodes, tensors, value = [], [], contract.POLICY_INPUT
+    if memory is not None:
+        tensors += [
+            numpy_helper.from_array(_float32(array, "weights of the memory"), name)
+            for name, array in memory.onnx_arrays().items()
+        ]
+        tensors.append(numpy_helper.from_array(np.array([0], np.int64), "memory_axis"))
+        nodes += memory.onnx_nodes(value, "remembered")
+        value = "remembered"
     for index, (weight, bias) in enumerate(layers):
         tensors += [
             numpy_helper.from_array(_float32(weight, f"weights of layer {index}"), f"weight{index}"),
             numpy_helper.from_array(_float32(bias, f"biases of layer {index}"), f"bias{index}"),
         ]
-        inputs = [value, f"weight{index}", f"bias{index}"]
-        nodes.append(helper.make_node("Gemm", inputs, [f"sum{index}"], name=f"linear{index}", transB=1))
+        terms = [value, f"weight{index}", f"bias{index}"]
+        nodes.append(helper.make_node("Gemm", terms, [f"sum{index}"], name=f"linear{index}", transB=1))
         value = f"sum{index}"
         if index < len(layers) - 1:
             operator = ACTIVATIONS[frozen.activation]
@@ -144,7 +167,7 @@ def to_onnx(
         value = "asked"
     tensors += [numpy_helper.from_array(np.array(v, np.float32), n) for n, v in (("low", 0), ("high", 1))]
     nodes.append(helper.make_node("Clip", [value, "low", "high"], [contract.POLICY_OUTPUT], name="clip"))
-    shapes = ((contract.POLICY_INPUT, layers[0][0].shape[1]), (contract.POLICY_OUTPUT, frozen.motors))
+    shapes = ((contract.POLICY_INPUT, inputs), (contract.POLICY_OUTPUT, frozen.motors))
     ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, n]) for name, n in shapes]
     graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], tensors)
     opset = helper.make_opsetid("", OPSET)
@@ -168,11 +191,14 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
             control_rate_hz=int(config["control_rate_hz"]),
             filters=tuple(config["filters"]),
             hidden=tuple(int(width) for width in config["hidden"]),
+            recurrent=_is_recurrent(config),
             activation=str(config["activation"]),
             output_scale=float(config["output"]["scale"]),
             output_offset=float(config["output"]["offset"]),
             squash=bool(config["output"].get("squash", False)),
             idle=float(config.get("idle", contract.IDLE_DEFAULT)),
+            mix=str(config.get("mix", contract.Mix.ATTITUDE_FIRST.text)),
+            model=config.get("model"),
             motors=int(config["motors"]),
         )
         blocks = contract.observation_blocks(frozen.observation)
@@ -188,10 +214,19 @@ def _frozen_config(config: Mapping[str, Any]) -> FrozenConfig:
     return frozen
 
 
+def _is_recurrent(config: Mapping[str, Any]) -> bool:
+    if (kind := config.get("recurrent", "none")) not in ("none", "gru"):
+        raise ValueError(f"recurrent is {str(kind)[:40]!r}, expected none or gru")
+    return bool(kind == "gru")
+
+
 def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple[Matrix, Matrix]]:
-    """Weight (outputs, inputs) and bias (outputs,) of each layer of the policy network, in order."""
-    names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(frozen.hidden))] + ["action_net"]
-    widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors]
+    """Weight (outputs, inputs) and bias (outputs,) of each layer of the policy network, in order.
+
+    Those behind the memory, if there is one.
+    """
+    widths = [len(frozen.observation_scale), *frozen.hidden, frozen.motors][frozen.recurrent :]
+    names = [f"mlp_extractor.policy_net.{2 * i}" for i in range(len(widths) - 2)] + ["action_net"]
     layers = []
     for name, inputs, outputs in zip(names, widths, widths[1:], strict=False):
         pair = []
@@ -207,13 +242,20 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
     return layers
 
 
-def _folded(frozen: FrozenConfig, layers: list[tuple[Matrix, Matrix]]) -> list[tuple[Matrix, Matrix]]:
-    weight, bias = layers[0]
-    layers = [(weight * np.array(frozen.observation_scale), bias), *layers[1:]]
-    if frozen.squash:
-        return layers
-    weight, bias = layers[-1]
-    return [*layers[:-1], (weight * frozen.output_scale, bias * frozen.output_scale + frozen.output_offset)]
+def _folded(
+    frozen: FrozenConfig, state: Mapping[str, ArrayLike]
+) -> tuple[Memory | None, list[tuple[Matrix, Matrix]]]:
+    """The memory and the layers, with the observation's scale and the output's map in them."""
+    scale, memory, layers = np.array(frozen.observation_scale), None, _weights(frozen, state)
+    if frozen.recurrent:
+        memory = Memory.of(state, len(scale), frozen.hidden[0]).scaled(scale)
+    else:
+        weight, bias = layers[0]
+        layers = [(weight * scale, bias), *layers[1:]]
+    if not frozen.squash:
+        weight, bias = layers[-1]
+        layers[-1] = weight * frozen.output_scale, bias * frozen.output_scale + frozen.output_offset
+    return memory, layers
 
 
 def _float32(values: Matrix, label: str) -> NDArray[np.float32]:
@@ -227,12 +269,16 @@ def _float32(values: Matrix, label: str) -> NDArray[np.float32]:
 
 
 def _metadata(frozen: FrozenConfig, config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[str, str]:
+    more = {} if frozen.mix == contract.Mix.ATTITUDE_FIRST.text else {contract.META_MIX: frozen.mix}
+    if frozen.model is not None:
+        more[contract.META_MODEL] = _json(frozen.model)
     return {
         contract.META_VERSION: contract.POLICY_FORMAT_VERSION,
         contract.META_OBSERVATION: frozen.observation,
         contract.META_CONTROL_RATE: str(frozen.control_rate_hz),
         contract.META_FILTERS: _json(frozen.filters),
         contract.META_IDLE: repr(frozen.idle),
+        **more,
         contract.META_AIRCRAFT: frozen.aircraft,
         contract.META_AIRCRAFT_SHA256: frozen.aircraft_sha256,
         contract.META_TRAINING: _json(_training(config, progress)),
@@ -245,11 +291,7 @@ def _training(config: Mapping[str, Any], progress: Mapping[str, Any]) -> dict[st
     Measured times are left out, so that the same training gives the same file.
     """
     counts = {key: value for key, value in progress.items() if type(value) is int}
-    return {
-        key: value
-        for key, value in {**config, **counts}.items()
-        if key not in ("aircraft", "observation", "control_rate_hz", "filters", "idle") and _is_small(value)
-    }
+    return {key: value for key, value in {**config, **counts}.items() if key not in TOLD and _is_small(value)}
 
 
 def _is_small(value: object) -> bool:

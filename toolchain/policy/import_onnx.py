@@ -16,6 +16,7 @@ from toolchain import contract
 from toolchain.errors import PolicyError
 from toolchain.files import file_size, write_bytes
 from toolchain.policy.model import PolicyModel, parse_model, parse_policy, read_file
+from toolchain.policy.model_constants import ModelConstants
 from toolchain.reader.checks import check_parts
 from toolchain.reader.external import embed_weights
 from toolchain.reader.output_range import UnboundedError
@@ -38,6 +39,8 @@ class PolicyClaims:
     aircraft_sha256: str
     motors: int
     idle: float = contract.IDLE_DEFAULT  # motor fraction without thrust that it was trained with
+    mix: contract.Mix = contract.Mix.ATTITUDE_FIRST  # of outputs and throttle
+    model: ModelConstants | None = None  # of the aircraft, where the observation needs it
 
 
 def is_checkpoint(path: Path) -> bool:
@@ -196,6 +199,10 @@ def _describe(model: onnx.ModelProto, claims: PolicyClaims, source_sha256: str) 
         contract.META_AIRCRAFT_SHA256: claims.aircraft_sha256,
         contract.META_TRAINING: json.dumps(training, sort_keys=True, separators=(",", ":")),
     }
+    if claims.mix is not contract.Mix.ATTITUDE_FIRST:
+        metadata[contract.META_MIX] = claims.mix.text
+    if claims.model is not None:
+        metadata[contract.META_MODEL] = json.dumps(claims.model.document(), separators=(",", ":"))
     entries = [onnx.StringStringEntryProto(key=key, value=text) for key, text in metadata.items()]
     del model.metadata_props[:]
     model.metadata_props.extend([*kept, *entries])

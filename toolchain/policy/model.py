@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from toolchain import contract
-from toolchain.contract import ObservationTerm
+from toolchain.contract import Mix, ObservationTerm
 from toolchain.errors import PolicyError
 from toolchain.files import file_size
 from toolchain.ir.network import Network
+from toolchain.policy.model_constants import ModelConstants
 
 if TYPE_CHECKING:
     import onnx
@@ -44,6 +45,8 @@ class PolicyModel:
     source_sha256: str  # of the ONNX file
     network: Network  # ends with a Clip within [0, 1]
     idle: float = contract.IDLE_DEFAULT  # motor fraction without thrust that it was trained with
+    mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
+    model: ModelConstants | None = None  # of its aircraft; where the observation needs it
 
     @property
     def observation_count(self) -> int:
@@ -54,6 +57,11 @@ class PolicyModel:
     def action_count(self) -> int:
         """Number of motors."""
         return self.network.outputs
+
+    @property
+    def gyro_mean(self) -> bool:
+        """Whether it sees the mean of the gyro's samples of a control period."""
+        return [contract.POLICY_FILTER_MEAN] in self.filters
 
     @property
     def observation(self) -> str:
@@ -143,7 +151,37 @@ def _describe(metadata: Mapping[str, str], sha256: str, network: Network) -> Pol
         source_sha256=sha256,
         network=network,
         idle=_idle(metadata),
+        mix=_mix(metadata),
+        model=_model(metadata, blocks, actions),
     )
+
+
+def _mix(metadata: Mapping[str, str]) -> Mix:
+    text = metadata.get(contract.META_MIX, Mix.ATTITUDE_FIRST.text)
+    try:
+        return Mix.of(text)
+    except ValueError as error:
+        raise _wrong(contract.META_MIX, text, " or ".join(mix.text for mix in Mix)) from error
+
+
+def _model(
+    metadata: Mapping[str, str], blocks: tuple[ObservationTerm, ...], motors: int
+) -> ModelConstants | None:
+    """The model's constants; None where the observation needs none."""
+    if not contract.needs_model(blocks):
+        return None
+    document = _json(metadata, contract.META_MODEL, dict)
+    try:
+        model = ModelConstants.of(document)
+    except ValueError as error:
+        raise PolicyError(
+            f"{contract.META_MODEL}: {error}; write the policy with `neuroflight freeze`"
+        ) from error
+    if model.motor_count != motors:
+        raise PolicyError(
+            f"{contract.META_MODEL} is of {model.motor_count} motors, the policy drives {motors}"
+        )
+    return model
 
 
 def _idle(metadata: Mapping[str, str]) -> float:

@@ -23,7 +23,7 @@ from toolchain.rendering.msp_fields import render_configurations
 # What only Python speaks: the metadata of an ONNX file, a torch checkpoint, names for printing, where
 # switches are by default.
 PYTHON_ONLY = (
-    *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
+    *("META_", "CHECKPOINT_", "AXES", "OBSERVATION_BLOCKS", "MODEL_BLOCKS", "POLICY_FILE_", "POLICY_FORMAT_"),
     *("IMAGE_FILE_",),
     *("SWITCH_ON_US", "CHANNEL_ARM", "CHANNEL_PID", "CHANNEL_BEEPER", "CHANNEL_TRIAL"),
 )
@@ -232,6 +232,7 @@ def _enumerations() -> tuple[Enumeration, ...]:
         _enumeration("nf_log_error", "NF_LOG_ERROR", contract.LogError, "NF_LOG_ERRORS"),
         _enumeration("nf_log_group", "NF_LOG_GROUP", contract.LogGroup),
         _enumeration("nf_log_event", "NF_LOG_EVENT", contract.LogEvent),
+        _enumeration("nf_mix", "NF_MIX", contract.Mix),
         _enumeration("nf_filter_kind", "NF_FILTER", contract.FilterKind),
     )
 

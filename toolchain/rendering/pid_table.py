@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolchain.contract import Mix
 from toolchain.rendering.jinja import render
 
 SCALE = 1e-3  # motor fraction of one unit of the sum of gain and deg/s; sim/control/pid.py
@@ -30,6 +31,7 @@ class PidTable:
     tpa_rate: float = 0.0  # part of K_D that full throttle takes away
     tpa_breakpoint: float = 0.0  # throttle where that begins, 0..1
     nominal_voltage: float | None = None  # [V] that the gains were found with; None: not compensated
+    mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs with the pilot's thrust
 
     @property
     def motor_count(self) -> int:
@@ -67,6 +69,7 @@ def _numbers(table: PidTable, control_rate_hz: int) -> dict[str, object]:
         "smoothing": _float(smoothing),
         "tpa_breakpoint": _float(table.tpa_breakpoint),
         "tpa_slope": _float(table.tpa_rate / (1.0 - table.tpa_breakpoint)),
+        "mix": f"NF_MIX_{table.mix.name}",
         "nominal_voltage": _float(table.nominal_voltage or 0.0),
         "mixer": [_row(share) for share in table.mixer],
     }

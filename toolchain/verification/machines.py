@@ -121,33 +121,9 @@ def _expose_state(model: onnx.ModelProto) -> list[tuple[str, str, int]]:
 
 def open_torch(checkpoint: Path, inputs: int, outputs: int) -> Machine:
     """The actor as training had it, before anything was folded: scaling, layers, output map, clip."""
-    import torch
+    from toolchain.verification.actor import read_actor
 
-    from toolchain.policy.freeze import load_checkpoint
-
-    config, state, _ = load_checkpoint(checkpoint)
-    try:
-        function = {"tanh": torch.tanh, "relu": torch.relu}[config["activation"]]
-        scale = torch.tensor(config["observation_scale"], dtype=torch.float32)
-        factor, offset = float(config["output"]["scale"]), float(config["output"]["offset"])
-        squash = bool(config["output"].get("squash", False))
-        names = [f"mlp_extractor.policy_net.{2 * index}" for index in range(len(config["hidden"]))]
-        layers = [
-            (torch.from_numpy(state[f"{name}.weight"]), torch.from_numpy(state[f"{name}.bias"]))
-            for name in (*names, "action_net")
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise PolicyError(f"{checkpoint} is a damaged checkpoint: {type(error).__name__} {error}") from error
-
-    def actions(observation: Float32) -> Float32:
-        with torch.inference_mode():
-            x = torch.from_numpy(observation) * scale
-            for weight, bias in layers[:-1]:
-                x = function(torch.nn.functional.linear(x, weight, bias))
-            x = torch.nn.functional.linear(x, *layers[-1])
-            x = (torch.tanh(x) if squash else x) * factor + offset
-            return np.asarray(x.clip(0, 1).numpy(), np.float32)
-
+    actions = read_actor(checkpoint)
     try:
         fits = actions(np.zeros((1, 1, inputs), np.float32)).shape[-1] == outputs
     except RuntimeError:  # torch's word for tensors whose shapes or types do not fit

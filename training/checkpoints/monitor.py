@@ -35,13 +35,13 @@ Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.poli
 def flown(config: TrainingConfig) -> TrainingConfig:
     """The configuration that the monitor flies: the run's task if it is one of OWN_TASKS, else pulses.
 
-    The world is the run's with the gyro's noise and without randomization.
+    The world is the run's with the gyro's noise, without randomization, and with a throttle that stays.
     """
-    world = replace(config.world, noise=True, randomization=Randomization())
+    world = replace(config.world, noise=True, randomization=Randomization(), throttle_steps=0.0)
     if config.task.name in OWN_TASKS:
         return replace(config, world=world)
     # Nothing is learned here, and the run's own hyperparameters may not fit the length of other episodes.
-    return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig())
+    return replace(config, world=world, task=PulseTask(), algorithm=PpoConfig(), recurrent="none")
 
 
 def fly(aircraft: Aircraft, config: TrainingConfig, steps: int, policy: Weights) -> CheckpointMetrics:

@@ -27,7 +27,7 @@ FOLDER = Path(__file__).parents[1] / "recipes"
 FILE_BYTES_MAX = 1 << 20
 SUFFIXES = (".toml", ".json")
 KEY = re.compile(r"\w+(\.\w+)*", re.ASCII)
-RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters")  # in training.json only
+RECORD_KEYS = ("aircraft", "motors", "observation_scale", "filters", "model")  # in training.json only
 
 
 def recipes() -> tuple[str, ...]:
@@ -164,10 +164,14 @@ def _value(text: str, override: str) -> object:
 def _check_record(reader: ConfigReader, record: dict[str, Any], config: TrainingConfig) -> None:
     """Reject the record of a run that this program would not repeat.
 
-    The command chooses the aircraft; its name and hash in a record only say what was flown then.
+    The command chooses the aircraft; its name, hash and model in a record only say what was flown then.
     """
-    if record.get("filters", []) != []:
-        raise reader.error("filters", f"got {shown(record['filters'])}, expected []: there are none yet")
+    filters = record.get("filters", config.filters)
+    if filters != config.filters:
+        raise reader.error(
+            "filters",
+            f"got {shown(filters)}, expected {shown(config.filters)}: gyro_filter is {config.gyro_filter}",
+        )
     motors = record.get("motors", 1)
     if not isinstance(motors, int) or isinstance(motors, bool) or not 1 <= motors <= MOTOR_COUNT_MAX:
         raise reader.error("motors", f"got {shown(motors)}, expected 1 to {MOTOR_COUNT_MAX}")

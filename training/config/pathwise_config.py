@@ -8,16 +8,20 @@ from typing import ClassVar
 
 from sim.physics.world import COUNT_MAX
 
-BATCH_STEPS_MAX = 600_000  # control steps of an update: half a gigabyte with two layers of 64
+BATCH_STEPS_MAX = 6_000_000  # control steps of an update
+BLOCK = 16  # aircraft that are flown side by side
+BLOCK_STEPS_MAX = 600_000  # control steps of a block: half a gigabyte a core with two layers of 64
+CHANGES = ("outputs", "motors")
 
 
 @dataclass(frozen=True)
 class PathwiseConfig:
     """SVG(inf), Heess et al. 2015: see `training.learners.pathwise.learner`.
 
-    The loss is mean |e| + square e^2 [deg/s] + output mean(y) + change mean|dy|, over axes, motors and
-    control steps, weighted by the task. Where a limit is given, the weight is adapted until the mean stays at
-    the limit. The run's reward is not used: it has no derivatives.
+    The loss is mean |e| + square e^2 [deg/s] + output mean(y) + change mean|dy| + closed mean(u), over axes,
+    motors and control steps, weighted by the task; the last over those at closed throttle alone. Where a
+    limit is given, the weight is adapted until the mean stays at the limit. The run's reward is not used: it
+    has no derivatives.
     """
 
     name: ClassVar[str] = "pathwise"
@@ -25,14 +29,25 @@ class PathwiseConfig:
     learning_rate: float = 1e-2
     warm_up: int = 20  # updates in which the learning rate rises; then it falls to 2 % along half a cosine
     square: float = 0.03  # [s/deg]
+    soft: float = 0.0  # [deg/s]: |e| is rounded off to sqrt(e^2 + soft^2) - soft
     output: float = 8.0  # [deg/s], weight of the mean output; the initial one if there is a limit
     output_limit: float | None = 0.085
-    change: float = 15.0  # [deg/s], weight of the mean change in a control step, likewise
+    change: float = 15.0  # [deg/s], weight of the mean change, likewise
     change_limit: float | None = 0.0095
+    change_of: str = (
+        "outputs"  # in a control step; or "motors": of the motors' fractions after the mix, in 1 ms
+    )
+    closed: float = (
+        0.0  # [deg/s], weight of the mean motor fraction above the idle while the throttle is closed
+    )
+    disturbance: float = (
+        0.0  # [rad/s^2], largest standard deviation of what moments from outside do to roll and pitch
+    )
     adaption: float = 0.01  # greatest relative change of such a weight in an update
     adaption_start: float = 0.1  # part of the run before adaption starts; an early policy keeps no limit
     start_output: float = 0.1  # output of an untrained policy, motor fraction
     gradient_max: float = 1.0  # a longer gradient is scaled to this length
+    outlier: float = 10.0  # times the usual length: a gradient that is longer changes nothing
     leg_steps: int = 500_000  # see Algorithm; rounded up to whole updates
 
     def errors(self, episode_steps: int) -> Iterator[str]:
@@ -44,11 +59,22 @@ class PathwiseConfig:
                 f"{self.aircraft} aircraft with episodes of {episode_steps} control steps, expected at most "
                 f"{BATCH_STEPS_MAX} steps of memory; choose fewer, or a task with short episodes"
             )
+        if BLOCK * episode_steps > BLOCK_STEPS_MAX:
+            yield (
+                f"episodes of {episode_steps} control steps, expected at most {BLOCK_STEPS_MAX // BLOCK} of "
+                f"memory; choose a task with shorter episodes"
+            )
+        if self.change_of not in CHANGES:
+            yield f"change_of {self.change_of!r}, expected one of: {', '.join(CHANGES)}"
         for name, low, high in (
             ("learning_rate", 1e-7, 1.0),
             ("square", 0.0, 1e3),
+            ("soft", 0.0, 1e3),
             ("output", 0.0, 1e6),
             ("change", 0.0, 1e6),
+            ("closed", 0.0, 1e6),
+            ("disturbance", 0.0, 1e4),
+            ("outlier", 1.0, 1e6),
             ("adaption", 0.0, 1.0),
             ("adaption_start", 0.0, 1.0),
             ("start_output", 0.0, 1.0),

@@ -11,19 +11,26 @@ from numpy.typing import NDArray
 
 from sim.aircraft.mass import Vector
 from sim.aircraft.model import Aircraft
+from sim.control.estimator import model_constants
 from sim.physics.world import Mount
 from sim.strict_toml import shown
 from toolchain.contract import (
     CONTROL_RATES_HZ,
+    POLICY_FILTER_MEAN,
+    Mix,
     ObservationTerm,
     check_cutoffs,
     check_observation,
+    needs_model,
     observation_blocks,
 )
-from toolchain.errors import TrainingError
+from toolchain.errors import AircraftError, TrainingError
+from toolchain.policy.model_constants import ModelConstants
 from training.config.algorithms import Algorithm, OffPolicyConfig, PpoConfig
+from training.config.pathwise_config import PathwiseConfig
 from training.config.randomization import SAME, Randomization
 from training.config.selection import SelectionLimits
+from training.config.throttle import moving_throttle
 from training.tasks.reward import Reward, TrackingReward
 from training.tasks.task import PulseTask, Task
 
@@ -39,8 +46,14 @@ OBSERVATION_SCALES = {
     "throttle": 1.0,
     "rotor_speed": 0.004,
     "gravity": 1.0,
+    "previous_motors": 1.0,
+    "rotor_estimate": 0.004,
+    "rate_estimate": 0.3,
+    "rate_estimate_error": 0.3,
 }
 ACTIVATIONS = ("relu", "tanh")
+RECURRENT = ("none", "gru")
+GYRO_FILTERS = ("none", POLICY_FILTER_MEAN)
 SEED_MAX = 2**32 - 1
 STEPS_MAX = 10**12  # months of computing time
 LAYERS_MAX, WIDTH_MAX = 8, 1024  # of a policy; the board has memory for far less
@@ -89,7 +102,18 @@ class WorldConfig:
     gust_m_s: float = 0.0  # of the wind 20 feet above the ground that sets the turbulence
     throttle_max: float = 0.0  # the pilot's thrust is drawn for each episode from 0 to this
     throttle_share: float = 1.0  # share of the episodes that have any
+    throttle_steps: float = 0.0  # share of those in which it changes on the way, at random times
     randomization: Randomization = field(default_factory=Randomization)
+
+    def draw_throttles(
+        self, count: int, steps: int, rate_hz: int, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """The pilot's thrust at each control step of `count` new episodes, (count, steps)."""
+        throttle = np.repeat(self.draw_throttle(count, rng)[:, None], steps, axis=1)
+        if self.throttle_steps > 0.0:
+            moved = np.flatnonzero((rng.random(count) < self.throttle_steps) & (throttle[:, 0] > 0.0))
+            throttle[moved] = moving_throttle(throttle[moved, 0], self.throttle_max, steps, rate_hz, rng)
+        return throttle
 
     def draw_throttle(self, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
         """The pilot's thrust in each of `count` new episodes, (count,)."""
@@ -108,8 +132,9 @@ class WorldConfig:
             yield f"gust_m_s {self.gust_m_s}, expected 0 to {WIND_MAX:g} m/s"
         if not 0.0 <= self.throttle_max <= 1.0:
             yield f"throttle_max {self.throttle_max}, expected 0 to 1"
-        if not 0.0 <= self.throttle_share <= 1.0:
-            yield f"throttle_share {self.throttle_share}, expected 0 to 1"
+        for name in ("throttle_share", "throttle_steps"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                yield f"{name} {getattr(self, name)}, expected 0 to 1"
         if self.gravity and self.mount == Mount.CENTRE.value:
             yield "gravity = true with mount 'centre', where it has no effect; expected mount 'rig' or 'free'"
         if self.randomization.noise != SAME and not self.noise:
@@ -127,8 +152,11 @@ class TrainingConfig:
     control_rate_hz: int = 1000
     hidden: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
+    recurrent: str = "none"  # or "gru": the first of the hidden layers, with memory; pathwise only
     output: OutputMap = field(default_factory=OutputMap)
-    idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy
+    idle: float = 0.0  # motor fraction of armed motors at no thrust; part of the policy, as the next two
+    mix: str = Mix.ATTITUDE_FIRST.text  # of outputs and throttle
+    gyro_filter: str = "none"  # or "mean": of the gyro's samples of a control period
     task: Task = field(default_factory=PulseTask)
     reward: Reward = field(default_factory=TrackingReward)
     world: WorldConfig = field(default_factory=WorldConfig)
@@ -159,8 +187,16 @@ class TrainingConfig:
             )
         if self.activation not in ACTIVATIONS:
             yield f"activation {self.activation!r}, expected one of: {', '.join(ACTIVATIONS)}"
+        if self.recurrent not in RECURRENT:
+            yield f"recurrent {self.recurrent!r}, expected one of: {', '.join(RECURRENT)}"
+        if self.recurrent != "none" and not isinstance(self.algorithm, PathwiseConfig):
+            yield f"recurrent {self.recurrent!r}: {self.algorithm.name} trains no memory; choose pathwise"
         if not 0.0 <= self.idle <= IDLE_MAX:
             yield f"idle {self.idle}, expected 0 to {IDLE_MAX}"
+        if self.mix not in (mixes := [mix.text for mix in Mix]):
+            yield f"mix {self.mix!r}, expected one of: {', '.join(mixes)}"
+        if self.gyro_filter not in GYRO_FILTERS:
+            yield f"gyro_filter {self.gyro_filter!r}, expected one of: {', '.join(GYRO_FILTERS)}"
         yield from self.output.errors()
         if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
@@ -171,6 +207,8 @@ class TrainingConfig:
                 f"steps; expected 2 to {EPISODE_STEPS_MAX}"
             )
         yield from self.world.errors()
+        if self.world.throttle_steps > 0.0 and not isinstance(self.algorithm, PathwiseConfig):
+            yield f"throttle_steps: {self.algorithm.name} flies one throttle; set it to 0 or choose pathwise"
         yield from self.algorithm.errors(episode_steps)
         table = self.algorithm.aircraft * episode_steps
         if table > TABLE_STEPS_MAX:
@@ -187,6 +225,10 @@ class TrainingConfig:
             check_observation(self.blocks(), aircraft.motor_count)
         except ValueError as error:
             raise TrainingError(f"{where}: {error}") from error
+        try:
+            self._model(aircraft)
+        except AircraftError as error:
+            raise TrainingError(str(error)) from error
         varied = self.world.randomization
         battery, supply = aircraft.battery, aircraft.propulsion.supply_voltage
         if varied.charge is not None and (battery is None or supply is None):
@@ -199,6 +241,25 @@ class TrainingConfig:
             raise TrainingError(
                 f"{where} has an ideal gyro, so randomization noise has nothing to vary; leave it out"
             )
+
+    def _model(self, aircraft: Aircraft) -> ModelConstants | None:
+        """Constants of the model that the policy observes by; None: it observes by none."""
+        return model_constants(aircraft, self.control_rate_hz) if needs_model(self.blocks()) else None
+
+    @property
+    def mixing(self) -> Mix:
+        """How outputs and throttle become motor fractions."""
+        return Mix.of(self.mix)
+
+    @property
+    def gyro_mean(self) -> bool:
+        """Whether the policy sees the mean of the gyro's samples of a control period."""
+        return self.gyro_filter == POLICY_FILTER_MEAN
+
+    @property
+    def filters(self) -> list[list[str]]:
+        """The gyro filters that the policy is trained behind, as JSON data of its metadata."""
+        return [[POLICY_FILTER_MEAN]] if self.gyro_mean else []
 
     def blocks(self) -> tuple[ObservationTerm, ...]:
         """The observation's terms. Raises TrainingError naming one that is unknown or impossible."""
@@ -219,11 +280,13 @@ class TrainingConfig:
         Raises TrainingError if the aircraft cannot be trained with this, see `check`.
         """
         self.check(aircraft)
+        model = self._model(aircraft)
         return {
             "aircraft": {"name": aircraft.name, "sha256": aircraft.sha256},
             "motors": aircraft.motor_count,
             "observation_scale": self.observation_scale(aircraft.motor_count),
-            "filters": [],
+            "filters": self.filters,
+            **({} if model is None else {"model": model.document()}),
             **{field.name: _plain(getattr(self, field.name)) for field in fields(self)},
         }
 

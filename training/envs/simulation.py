@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from sim.control.motors import motor_commands
+from sim.control.estimator import model_constants
+from sim.control.gyro_mean import GyroMean, samples_per_step
+from sim.control.motors import dshot_values, motor_fractions, throttle_mix
 from sim.control.observation import Observer
 from sim.physics.imu import quantised_rate
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
-from toolchain.contract import check_observation
+from toolchain.contract import check_observation, needs_model
 from toolchain.errors import TrainingError
 from training.config.training_config import TrainingConfig
 from training.tasks.reward import Transition
@@ -53,15 +55,17 @@ class AttitudeSimulation:
             raise TrainingError(str(error)) from error
         self._task, self._reward, self._world = config.task, config.reward, config.world
         self._rate_hz = config.control_rate_hz
-        self._idle = config.idle
+        self._idle, self._mix = config.idle, config.mixing
         self._randomization = config.world.randomization
         self._delay_s = aircraft.propulsion.delay
         self._rng = rng
         self.steps = round(self._task.duration_s * self._rate_hz)
+        self._samples = samples_per_step(config.gyro_mean, self._rate_hz)
+        self._gyro = GyroMean(count, self._samples)
         self._twin = Twin(
             aircraft,
             count,
-            rate_hz=self._rate_hz,
+            rate_hz=self._samples * self._rate_hz,
             mount=Mount(self._world.mount),
             gravity=self._world.gravity,
             noise=self._world.noise,
@@ -70,7 +74,8 @@ class AttitudeSimulation:
             variation=self._drawn(count),
             rng=rng,
         )
-        self._observer = Observer(terms, count, self.motors, self._rate_hz)
+        model = model_constants(aircraft, self._rate_hz) if needs_model(terms) else None
+        self._observer = Observer(terms, count, self.motors, self._rate_hz, model=model, idle=config.idle)
         self.width = self._observer.width
         self._everyone = np.arange(count)
         self._step = np.zeros(count, np.intp)
@@ -101,7 +106,12 @@ class AttitudeSimulation:
         action = np.clip(unclipped, np.float32(0.0), np.float32(1.0))
         setpoint_before = self.setpoint
         error_before = setpoint_before - self._twin.rate
-        self._twin.step(motor_commands(action, self._throttle, self._idle))
+        fractions = throttle_mix(action, self._throttle, self._mix)
+        self._observer.commanded(slice(None), fractions, self._throttle)
+        command = motor_fractions(dshot_values(fractions, self._idle))
+        for _ in range(self._samples):
+            self._twin.step(command)
+            self._gyro.add(quantised_rate(self._twin.gyro))
         before, self._action = self._action, action
         self._step += 1
         setpoint = self.setpoint
@@ -139,6 +149,8 @@ class AttitudeSimulation:
         if variation is not None:
             self._twin.vary(index, variation)
         self._twin.reset(index)
+        self._gyro.reset(index)
+        self._gyro.add(quantised_rate(self._twin.gyro[index]), index)
         self._observer.reset(index)
         self._step[index] = 0
         self._setpoints[index] = self._task.episodes(len(index), self._rng, self._rate_hz)
@@ -155,7 +167,7 @@ class AttitudeSimulation:
         return self._observer.observe(
             which,
             self.setpoint[which].astype(np.float32),
-            quantised_rate(self._twin.gyro[which]),
+            self._gyro.mean(which),
             self._action[which],
             self._throttle[which],
             **self._sensed(which),

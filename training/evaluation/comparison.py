@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.analysis.confidence import Mean, paired, share_of
 from sim.analysis.response import Hold, large, progress
-from training.evaluation.controllers import Conditions, ControllerSpec
+from training.evaluation.controllers import Conditions, Contender
 from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, scores, summary
 
 Array = NDArray[np.float64]
@@ -27,20 +27,30 @@ SHARES = ("steady", "steady_bare")  # shares of episodes, each 0 or 1
 
 
 @dataclass(frozen=True, eq=False)
+class Example:
+    """The first command of an entry, as it was flown."""
+
+    setpoint: Array  # (T, 3) [deg/s]
+    rate: Array  # (T, 3) [deg/s], true
+    motors: Array | None  # (T, M), motor fractions after mix and idle
+
+
+@dataclass(frozen=True, eq=False)
 class Curves:
-    """The drawn curves of an entry: percentiles over its commands."""
+    """The drawn curves of an entry: percentiles over its commands, and the first of them."""
 
     t: Array  # (T,) [s]
     error: Array  # (3, T) [deg/s], of |error|, mean of the axes
     step_t: Array  # (L,) [s] since the command; empty where none is held
     step: Array  # (3, 3, L) percentile, axis: rate in % of the command, NaN where none is above the floor
+    example: Example
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
     """A controller and its results."""
 
-    controller: ControllerSpec
+    controller: Contender
     throttle: float | None  # None: as recorded
     scores: Scores
     evaluation: Evaluation
@@ -48,7 +58,7 @@ class Entry:
 
 
 def enter(
-    controller: ControllerSpec,
+    controller: Contender,
     conditions: Conditions,
     throttle: float | None,
     on_step: Callable[[int, int], None] | None = None,
@@ -63,6 +73,8 @@ def values(each: Scores) -> dict[str, Array]:
     """Each figure of each episode, (E,), or (E, 3) for roll, pitch, yaw; NaN where undefined."""
     found = {name: getattr(each.tracking, name) for name in SUMS}
     found |= {"output": each.output, "change": each.change, "smoothness": each.smoothness}
+    if each.motor_change is not None:
+        found["motor_change"] = each.motor_change
     response = each.response
     if response is None:
         return found
@@ -124,6 +136,11 @@ def curves(flights: Flights) -> Curves:
         error=np.rad2deg(np.percentile(error, PERCENTILES, axis=0)),
         step_t=step_t,
         step=step,
+        example=Example(
+            setpoint=np.rad2deg(flights.setpoint[0], dtype=np.float64),
+            rate=np.rad2deg(flights.rate[0], dtype=np.float64),
+            motors=None if flights.motors is None else flights.motors[0].astype(np.float64),
+        ),
     )
 
 

@@ -1,4 +1,4 @@
-"""Plot of a comparison: step responses, error over time and spectra of all controllers."""
+"""Plot of a comparison: step responses, error over time, spectra and thrust of all controllers."""
 
 from __future__ import annotations
 
@@ -13,26 +13,87 @@ from sim.analysis.spectrum_plot import Line, draw_spectra
 from sim.plotting import INK, MOTOR_COLOURS, SHADE, dress, plain_numbers, titled_figure
 from toolchain.contract import AXES
 from training.evaluation.comparison import Entry
+from training.evaluation.thrust import Transparency
 
 ERROR_MIN_DEG_S = 0.1  # lower end of the error axis
+EXAMPLES_MAX = 3  # entries whose first command is drawn
+EXAMPLE_S = (0.4, 1.2)  # of the episode; pulses begin at 0.5 s
 
 
-def draw(entries: Sequence[Entry], title: str) -> Figure:
-    """Median and 90 % of the commands of each entry; the first in front."""
+def draw(entries: Sequence[Entry], title: str, rests: Sequence[Transparency] = ()) -> Figure:
+    """Median and 90 % of the commands of each entry; the first in front.
+
+    rests: of the same controllers, drawn as thrust and motor fraction against the throttle.
+    """
     held = all(len(entry.curves.step_t) for entry in entries)
-    figure = titled_figure((12, 8.6 if held else 4.6), title)
-    grid = figure.add_gridspec(2 if held else 1, 3)
+    shown = [entry for entry in entries if entry.curves.example.motors is not None][:EXAMPLES_MAX]
+    rows = 1 + held + bool(rests) + 2 * bool(shown)
+    figure = titled_figure((12, 0.6 + 4.0 * rows), title)
+    grid = figure.add_gridspec(rows, 3)
     if held:
         first = figure.add_subplot(grid[0, 0])
         others = [figure.add_subplot(grid[0, n], sharex=first, sharey=first) for n in (1, 2)]
         _draw_steps([first, *others], entries)
-    _draw_errors(figure.add_subplot(grid[-1, :2]), entries)
+    _draw_errors(figure.add_subplot(grid[int(held), :2]), entries)
     lines = [
         Line(entry.controller.label, entry.evaluation.spectrum, entry.evaluation.smoothness)
         for entry in entries
     ]
-    draw_spectra(figure.add_subplot(grid[-1, 2]), lines)
+    draw_spectra(figure.add_subplot(grid[int(held), 2]), lines)
+    if shown:
+        at = 1 + held
+        _draw_examples([[figure.add_subplot(grid[at + row, n]) for n in range(3)] for row in (0, 1)], shown)
+    if rests:
+        _draw_rests(figure.add_subplot(grid[-1, :2]), figure.add_subplot(grid[-1, 2]), rests)
     return figure
+
+
+def _draw_examples(panels: list[list[Axes]], entries: Sequence[Entry]) -> None:
+    """The first command as each entry flew it: rates above, motors below, on the same scales."""
+    examples = [entry.curves.example for entry in entries]
+    rates = np.concatenate([np.ravel((each.setpoint, each.rate)) for each in examples])
+    for n, (rate, motors) in enumerate(zip(*panels, strict=True)):
+        if n >= len(entries):
+            rate.set_axis_off()
+            motors.set_axis_off()
+            continue
+        entry, example = entries[n], examples[n]
+        t = entry.curves.t
+        for axis, name in enumerate(AXES):
+            colour = MOTOR_COLOURS[axis]
+            rate.plot(t, example.setpoint[:, axis], color=colour, lw=1.0, ls=(0, (4, 2)))
+            rate.plot(t, example.rate[:, axis], color=colour, lw=1.4, label=name)
+        if example.motors is not None:
+            for motor, fractions in enumerate(example.motors.T):
+                motors.plot(t, fractions, color=MOTOR_COLOURS[motor % len(MOTOR_COLOURS)], lw=0.9)
+        dress(rate, f"{entry.controller.label}: first command [deg/s]")
+        dress(motors, f"{entry.controller.label}: motors")
+        rate.set_ylim(rates.min() - 10.0, rates.max() + 10.0)
+        motors.set_ylim(0, 1)
+        motors.set_xlabel("s")
+        for panel in (rate, motors):
+            panel.set_xlim(*EXAMPLE_S)
+    panels[0][0].legend(loc="center right", frameon=False)
+
+
+def _draw_rests(thrusts: Axes, motors: Axes, rests: Sequence[Transparency]) -> None:
+    for number, each in enumerate(rests):
+        throttle = [rest.throttle for rest in each.rests]
+        colour, front = MOTOR_COLOURS[number % len(MOTOR_COLOURS)], 2 + len(rests) - number
+        thrust = [float(rest.thrust.value) for rest in each.rests]
+        motor, ideal = [rest.motor for rest in each.rests], [each.ideal(value) for value in throttle]
+        label = each.controller.label
+        thrusts.plot(throttle, thrust, "o-", color=colour, ms=3, lw=1.7, label=label, zorder=front)
+        motors.plot(throttle, motor, "o-", color=colour, ms=3, lw=1.7, zorder=front)
+        motors.plot(throttle, ideal, color=colour, lw=1.0, ls=(0, (4, 2)), zorder=front)
+    thrusts.axhline(1.0, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=1)
+    dress(thrusts, "thrust at rest, of the weight")
+    dress(motors, "motors at rest; dashed: transparent")
+    for panel in (thrusts, motors):
+        panel.set_xlim(0, 1)
+        panel.set_ylim(bottom=0)
+        panel.set_xlabel("throttle", color=INK)
+    thrusts.legend(loc="upper left", frameon=False, fontsize=9, handlelength=1.6)
 
 
 def _draw_steps(panels: Sequence[Axes], entries: Sequence[Entry]) -> None:

@@ -15,10 +15,13 @@ from sim.control.controller import Controller, PolicyController
 from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
+from toolchain.contract import Mix
 from toolchain.errors import PolicyError
 from toolchain.policy.model import read_policy
+from training.evaluation.betaflight import BetaflightSpec, record_betaflight
 from training.evaluation.evaluation import Flights, record
 from training.tasks.pieces import RecordedPieces
+from training.tasks.sticks import OnSticks
 from training.tasks.task import Task
 
 PID = "pid"
@@ -34,6 +37,8 @@ class ControllerSpec:
     control_rate_hz: int
     idle: float  # motor fraction of armed motors at no thrust
     facts: dict[str, str]  # what a stored result records of it
+    mix: Mix = Mix.ATTITUDE_FIRST  # of its outputs and the throttle
+    gyro_mean: bool = False  # whether it sees the mean of the gyro's samples of a control period
 
     @property
     def label(self) -> str:
@@ -43,6 +48,9 @@ class ControllerSpec:
         path = Path(self.name)
         which = path.parent.name if path.stem == "policy" and path.parent.name else path.stem
         return f"policy {which}"
+
+
+Contender = ControllerSpec | BetaflightSpec
 
 
 def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) -> ControllerSpec:
@@ -61,6 +69,8 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
             control_rate_hz=PID_RATE_HZ,
             idle=settings.idle if idle is None else idle,
             facts={"pid": chosen},
+            mix=settings.mix,
+            gyro_mean=settings.gyro_mean,
         )
     path = Path(name)
     policy = read_policy(path)
@@ -71,10 +81,12 @@ def load_controller(name: str, aircraft: Aircraft, idle: float | None = None) ->
         )
     return ControllerSpec(
         name=name,
-        build=lambda count: PolicyController(policy, count, exact=False),
+        build=lambda count: PolicyController(policy, count, exact=False, idle=idle),
         control_rate_hz=policy.control_rate_hz,
         idle=policy.idle if idle is None else idle,
         facts={"policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
+        mix=policy.mix,
+        gyro_mean=policy.gyro_mean,
     )
 
 
@@ -89,10 +101,12 @@ class Conditions:
     mount: Mount = Mount.CENTRE
     noise: bool = True
     charge: float | None = None  # of every battery, 0..1; None: the bench supply
+    gyro_rate_hz: int | None = None  # of every gyro; None: as each controller needs, see `record`
+    sticks: bool = False  # whether commands are rounded to what a pilot's sticks can say
 
     def fly(
         self,
-        controller: ControllerSpec,
+        controller: Contender,
         throttle: float | NDArray[np.float32] | None,
         progress: Callable[[int, int], None] | None = None,
         variation: Variation | None = None,
@@ -102,10 +116,27 @@ class Conditions:
             throttle = 0.0
             if isinstance(self.task, RecordedPieces):
                 throttle = self.task.throttle(self.episodes, controller.control_rate_hz)
+        # Recorded commands are of sticks already.
+        task = OnSticks(self.task) if self.sticks and not isinstance(self.task, RecordedPieces) else self.task
+        if isinstance(controller, BetaflightSpec):
+            if variation is not None:
+                raise ValueError("Betaflight flies the aircraft of the file only")
+            return record_betaflight(
+                controller.armed,
+                self.aircraft,
+                task,
+                episodes=self.episodes,
+                seed=self.seed,
+                mount=self.mount,
+                noise=self.noise,
+                throttle=throttle,
+                charge=self.charge,
+                progress=progress,
+            )
         return record(
             controller.build(self.episodes),
             self.aircraft,
-            self.task,
+            task,
             episodes=self.episodes,
             seed=self.seed,
             control_rate_hz=controller.control_rate_hz,
@@ -113,6 +144,9 @@ class Conditions:
             noise=self.noise,
             throttle=throttle,
             idle=controller.idle,
+            mix=controller.mix,
+            gyro_mean=controller.gyro_mean,
+            gyro_rate_hz=self.gyro_rate_hz,
             charge=self.charge if variation is None else None,
             variation=variation,
             progress=progress,

@@ -15,13 +15,15 @@ from sim.analysis.response import Hold, Response, ResponseFigures, hold, mean_fi
 from sim.analysis.spectrum import Spectrum, components, smoothness, spectrum
 from sim.control.battery_voltage import BatteryVoltage
 from sim.control.controller import Controller, PolicyController
+from sim.control.gyro_mean import GyroMean, samples_per_step
 from sim.control.motors import motor_commands
 from sim.control.pid import Pid
 from sim.physics.imu import quantised_rate
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
 from sim.physics.world import Mount
-from toolchain.contract import IDLE_DEFAULT
+from sim.ports.port import control_divider
+from toolchain.contract import IDLE_DEFAULT, Mix
 from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
@@ -37,6 +39,8 @@ class Flights:
     output: NDArray[np.float32]  # (E, T, M), the controller's, before throttle mix and idle
     step_s: float  # [s] between rows
     recorded: bool = False  # whether episodes are pieces of a recording: none begins with a command
+    motors: NDArray[np.float32] | None = None  # (E, T, M) fractions, after throttle mix, idle and rounding
+    lift: NDArray[np.float32] | None = None  # (E, T) [m/s^2], specific force along body z
 
     def hold(self) -> Hold | None:
         """The held command of each episode; None if the task holds none for a second."""
@@ -53,6 +57,7 @@ class Scores:
     smoothness: NDArray[np.float64]  # (E,), Sm: see sim.analysis.spectrum
     spectrum: Spectrum  # of all episodes
     response: Response | None  # None where the task holds no command for a second
+    motor_change: NDArray[np.float64] | None = None  # (E,), mean |change| of a motor's fraction in 1 ms
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,34 @@ class Evaluation:
     smoothness_margin: float  # likewise
     spectrum: Spectrum
     response: ResponseFigures | None  # None where the task holds no command for a second
+    motor_change: Mean | None = None  # |change| of a motor's fraction in 1 ms; None where none was recorded
+
+
+class Rows:
+    """What is kept of T control steps of E aircraft with M motors, float32."""
+
+    def __init__(self, steps: int, episodes: int, motors: int) -> None:
+        self._rate = np.empty((steps, episodes, 3), np.float32)
+        self._lift = np.empty((steps, episodes), np.float32)
+        self.motors = np.empty((steps, episodes, motors), np.float32)
+        self.output = np.empty((steps, episodes, motors), np.float32)
+
+    def put(self, k: int, twin: Twin, motors: NDArray[np.float64]) -> None:
+        """Keep step `k`: the twin as it is, and the motor fractions (E, M) that it will be given."""
+        self._rate[k] = twin.live.rate
+        self._lift[k] = twin.live.specific_force[:, 2]
+        self.motors[k] = motors
+
+    def flights(self, setpoint: NDArray[np.float32], step_s: float, recorded: bool) -> Flights:
+        """The record of all steps; see Flights."""
+        rate, output, motors, lift = map(_by_episode, (self._rate, self.output, self.motors, self._lift))
+        return Flights(setpoint, rate, output, step_s, recorded, motors, lift)
+
+
+def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """The streams of a seed that commands and the sensors' noise are drawn from."""
+    commands, noise = (np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(2))
+    return commands, noise
 
 
 def record(
@@ -83,6 +116,9 @@ def record(
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
+    mix: Mix = Mix.ATTITUDE_FIRST,
+    gyro_mean: bool = False,
+    gyro_rate_hz: int | None = None,
     charge: float | None = None,
     variation: Variation | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -91,21 +127,28 @@ def record(
 
     controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
     for all, (episodes,), or that of each control step, (episodes, T); charge: of every battery, 0..1, None:
-    the bench supply, if no variation says it;
+    the bench supply, if no variation says it; idle, mix: of the controller; gyro_mean: whether it sees the
+    mean of the gyro's samples of a control period instead of the last one; gyro_rate_hz: of the gyro and of
+    the twin's steps, a multiple of the control rate, None: the control rate, with `gyro_mean` the NF1's;
     variation: how the aircraft differ from their file, `episodes` of them; progress: called with steps done
-    and to do. The same seed gives every controller the same commands.
+    and to do. The same seed gives every controller the same commands, and at the same gyro rate the same
+    noise and bias. Raises LinkError on a gyro rate that is no multiple.
     """
-    commands, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    commands, noise_rng = drawn(seed)
     wanted = task.episodes(episodes, commands, control_rate_hz)
     steps = wanted.shape[1]
     by_step = _thrust_by_step(throttle)
     thrust = np.full(episodes, 0.0 if by_step is not None else throttle, np.float32)
-    flown = np.empty((steps, episodes, 3), np.float32)
-    outputs = np.empty((steps, episodes, aircraft.motor_count), np.float32)
+    rows = Rows(steps, episodes, aircraft.motor_count)
+    samples = samples_per_step(gyro_mean, control_rate_hz)
+    if gyro_rate_hz is not None:
+        samples = control_divider(gyro_rate_hz, control_rate_hz)
+    seen = samples if gyro_mean else 1  # of a control period
+    gyro = GyroMean(episodes, seen)
     twin = Twin(
         aircraft,
         episodes,
-        rate_hz=control_rate_hz,
+        rate_hz=samples * control_rate_hz,
         mount=mount,
         noise=noise,
         charge=charge,
@@ -115,23 +158,27 @@ def record(
     battery = BatteryVoltage(control_rate_hz)
     try:
         controller.reset()
+        gyro.add(quantised_rate(twin.gyro))
         for k in range(steps):
             setpoint = wanted[:, k]
-            flown[k] = twin.rate
             if by_step is not None:
                 thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:
                 controller.sense(twin.rotor_speed, twin.rotation)
             if isinstance(controller, Pid) and battery.due(k):
                 controller.compensate(battery.measure(twin.pack_voltage))
-            outputs[k] = y = controller.step(setpoint, quantised_rate(twin.gyro), thrust)
-            twin.step(motor_commands(y, thrust, idle))
+            rows.output[k] = y = controller.step(setpoint, gyro.mean(), thrust)
+            command = motor_commands(y, thrust, idle, mix)
+            rows.put(k, twin, command)
+            for left in reversed(range(samples)):
+                twin.step(command)
+                if left < seen:
+                    gyro.add(quantised_rate(twin.live.gyro))
             if progress is not None:
                 progress(k + 1, steps)
     finally:
         twin.close()
-    recorded = isinstance(task, RecordedPieces)
-    return Flights(wanted, _by_episode(flown), _by_episode(outputs), 1.0 / control_rate_hz, recorded)
+    return rows.flights(wanted, 1.0 / control_rate_hz, isinstance(task, RecordedPieces))
 
 
 def _thrust_by_step(throttle: float | NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -161,6 +208,11 @@ def scores(flights: Flights) -> Scores:
         smoothness=smoothness(parts),
         spectrum=spectrum(parts),
         response=response(held) if held else None,
+        motor_change=(
+            None
+            if flights.motors is None
+            else np.array([effort(motors, step_s).change for motors in flights.motors])
+        ),
     )
 
 
@@ -179,6 +231,7 @@ def summary(scores: Scores) -> Evaluation:
         smoothness_margin=float(rough.high - rough.value),
         spectrum=scores.spectrum,
         response=mean_figures(scores.response) if scores.response else None,
+        motor_change=None if scores.motor_change is None else mean_over(scores.motor_change),
     )
 
 

@@ -1,8 +1,8 @@
 """The page of results: stored figures beside the dissertation's, rendered to Markdown.
 
-A stored result is the output of `compare`, `evaluate`, `robustness`, `fly`, `timing` or `stability` with
---json, or the training.json of a run. Its keys decide its kind, its task and aircraft decide its table; the
-file's name only decides the order of rows.
+A stored result is the output of `compare`, `evaluate`, `robustness`, `manoeuvres`, `sweep`, `fly`, `timing`
+or `stability` with --json, or the training.json of a run. Its keys decide its kind, its task and aircraft
+decide its table; the file's name only decides the order of rows.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from training.results_page.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Difference, Row
+from training.results_page.equal_thrust import equal_thrust_section, transparency_section
+from training.results_page.manoeuvres import manoeuvre_section
 from training.results_page.markdown import axes, number, table
 from training.results_page.robustness import robustness_section
 from training.results_page.rows import (
@@ -22,6 +24,7 @@ from training.results_page.rows import (
     flown_rows,
 )
 from training.results_page.stored_results import Stored
+from training.results_page.studies import study_section
 from training.results_page.timing import timing_section
 from training.results_page.training import training_section
 
@@ -29,16 +32,22 @@ from training.results_page.training import training_section
 def render(results: Sequence[Stored]) -> str:
     """The page. Raises ResultsError naming the file and key that cannot be used."""
     tables: dict[tuple[str, str], list[Row]] = {}
-    drifts, runs, robust, timed = [], [], [], []
+    drifts, runs, robust, timed, freely, lifted, studies = [], [], [], [], [], [], []
     for stored in results:
-        if stored.has("runs"):
+        if stored.has("sweep"):
+            studies.append(stored)
+        elif stored.has("runs"):
             drifts.append(stored)
         elif stored.has("robustness"):
             robust.append(stored)
+        elif stored.has("manoeuvres"):
+            freely.append(stored)
         elif stored.has("board_timing"):
             timed.append(stored)
         elif stored.has("config"):
             runs.append(stored)
+        elif stored.has("equal_thrust"):
+            lifted.append(equal_thrust_section(stored))
         elif stored.has("flights"):
             tables.setdefault(("pulse", stored.text("aircraft")), []).extend(flown_rows(stored))
         elif stored.has("task"):
@@ -47,6 +56,8 @@ def render(results: Sequence[Stored]) -> str:
                 raise stored.error("task", task, f"one of {', '.join(SECTIONS)}")
             rows = compared_rows(stored) if stored.has("comparison") else [evaluated_row(stored)]
             tables.setdefault((task, stored.text("aircraft")), []).extend(rows)
+            if stored.has("transparency"):
+                lifted.append(transparency_section(stored))
         else:
             raise stored.error("task", "nothing", "what a command printed with --json, or a training.json")
     blocks = [HEAD]
@@ -54,7 +65,10 @@ def render(results: Sequence[Stored]) -> str:
         for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
             printed = PRINTED[task] if aircraft == PRINTED_AIRCRAFT[task] else ()
             blocks.append(section(aircraft, [*rows, *printed]))
+    blocks += lifted
+    blocks += [manoeuvre_section(stored) for stored in freely]
     blocks += [robustness_section(stored) for stored in robust]
+    blocks += [study_section(stored) for stored in studies]
     if runs:
         blocks.append(training_section(runs))
     blocks += [timing_section(stored) for stored in timed]
@@ -208,17 +222,22 @@ def _figure(row: Row, name: str, digits: int) -> str:
 HEAD = """# Results
 
 Written by `neuroflight results` from the files in [results/](results/); `neuroflight results --check` tests
-whether it is up to date. All figures are of simulated flights: the twin turns about its centre of mass,
-errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is W. Koch, *Flight
-Controller Synthesis via Deep Reinforcement Learning* (2019); its rows were measured in its own simulator,
-on other commands of the same distribution."""
+whether it is up to date. All figures are of simulated flights: unless a section says otherwise the twin turns
+about its centre of mass; errors are against its true rate, in deg/s, roll / pitch / yaw. The dissertation is
+W. Koch, *Flight Controller Synthesis via Deep Reinforcement Learning* (2019); its rows were measured in its
+own simulator, on other commands of the same distribution."""
 ABOUT_PULSES = """Half a second of rest, a command from N(0, 100 deg/s) on all axes held for 2 s, 2 s of
 rest. ± is 95 % confidence of the mean over commands. IAE to ITSE are sums over 1 ms samples divided by the
 episode's seconds; ū is the mean output of the controller before throttle mix and idle, abs Δu its mean
 change in 1 ms, Sm the weight of its fast part: the mean over the components of an episode's spectrum of
 amplitude times frequency in parts of half the sampling rate (Mysore et al. 2021). The dissertation prints MAE
 without decimals; its means here are computed from its IAE. Rows of one comparison flew the same commands:
-differences are taken command by command, and ≈ marks those whose 95 % confidence interval includes zero."""
+differences are taken command by command, and ≈ marks those whose 95 % confidence interval includes zero.
+Rows without a throttle flew with it closed, and none of this table compares equal thrust: rotors that idle at
+23 % carry most of the weight or more with the throttle closed, and faster rotors make errors smaller. The
+dissertation's mean squared error of 117 (its ISE, mean of the axes) is such a figure too: its policy's mean
+output of 0.12 is thrust, with the throttle closed. It says nothing of rotors that idle at 5.5 % and let the
+aircraft fall; what those reach stands under equal thrust, as closed."""
 ABOUT_EPISODIC = """From rest, a command uniform within ±300 deg/s on all axes, held for 1 s. Success is the
 share [%] of commands whose error enters and stays within 10 % of the initial one, or within 5 deg/s where
 that is wider; bare is without that floor. Failure is the mean error after 500 ms of the others, rise the

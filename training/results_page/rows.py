@@ -25,7 +25,12 @@ RESPONSES = (  # of a row: figure, factor of the printed value
 ALL_AXES = ("in_band_500", "in_band_500_bare", "in_band_750", "in_band_750_bare")
 STEADY = ("steady", "steady_bare")
 DIFFERENCES = ("mae", "mse", "output", "change", "smoothness", *STEADY)
-ENTRIES = (("comparison",), ("robustness", "controllers"))  # where a file names several controllers
+ENTRIES = (
+    ("comparison",),
+    ("robustness", "controllers"),
+    ("manoeuvres", "contenders"),
+    ("transparency",),
+)  # where a file names several controllers
 SHIPPED = "training/policies/"
 
 
@@ -98,18 +103,23 @@ def flown_rows(stored: Stored) -> list[Row]:
 
 
 def controller_label(stored: Stored) -> str:
-    """Label of a controller: a PID's name or a policy's folder, and the idle unless 0."""
+    """Label of a controller: Betaflight, a PID's name or a policy's folder, and the idle unless 0."""
     name = stored.text("controller")
-    label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
+    if stored.has("betaflight"):
+        label = "Betaflight 4.6, its defaults"
+    else:
+        label = f"PID `{stored.text('pid')}`" if stored.has("pid") else _policy_label(name)
     idle = stored.number("idle") if stored.has("idle") else 0.0
     return f"{label}, idle {idle:g}" if idle else label
 
 
 def digests(stored: Stored) -> Sequence[str]:
     """Hashes of the aircraft and the policies of a file."""
-    if stored.has("config"):
-        name, sha256 = (stored.text("config", "aircraft", key) for key in ("name", "sha256"))
-        return [f"{name} `{sha256[:12]}`"]
+    of_training = {"config": ("config", "aircraft"), "sweep": ("aircraft",)}
+    for kind, path in of_training.items():
+        if stored.has(kind):
+            name, sha256 = (stored.text(*path, key) for key in ("name", "sha256"))
+            return [f"{name} `{sha256[:12]}`"]
     found = [f"{stored.text('aircraft')} `{stored.text('aircraft_sha256')[:12]}`"]
     if stored.has("image_sha256"):
         found.append(f"image `{stored.text('image_sha256')[:12]}`")

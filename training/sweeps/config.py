@@ -15,20 +15,24 @@ A sweep file is TOML:
     hidden = [[32, 32], [64, 64]]
     reward.output = {low = 0.1, high = 1.0, log = true}
 
+    [[variant]]                # configurations one by one instead of, or beside, [vary]
+    name = "no memory"
+    set = {observation = "rate_error,rate"}
+
     [validation]               # flown by every trained policy
     episodes = 100
 
-Each draw of all ranges is combined with each point of the grid. Paths are relative to the sweep file.
+Each draw of all ranges is combined with each point of the grid, and with each variant. Paths are relative to
+the sweep file.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import Parameter, signature
 from pathlib import Path
@@ -43,18 +47,17 @@ from toolchain.errors import TrainingError
 from toolchain.files import file_size
 from training.config.config_file import load_config, recipes
 from training.config.training_config import SEED_MAX, TrainingConfig
+from training.sweeps.axes import VARIANT, Range, Varied, combinations, flat, read_axes, read_variants
 from training.tasks.registry import TASKS
 from training.tasks.task import Task
 
 FILE_BYTES_MAX = 100_000
 TRIALS_MAX = 1000
 SLUG_MAX = 60  # characters of a folder's name after its number
-NUMBER_MAX = 1e12  # of a range's ends
 SEED = "seed"  # the axis whose values are repetitions, not configurations
 CONFIG = "config"  # the axis of recipes and files
-RANGE_KEYS = ("low", "high", "log", "whole")
-
-Varied = dict[str, Any]  # dotted key -> value
+THRUST_MIN, THRUST_MAX, THRUSTS_MAX = 0.05, 10.0, 8  # times the weight; how many of them
+CYCLES_MAX = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,15 @@ class Validation:
     episodes: int = 100
     seed: int = 10_000
     throttle: float = 0.0
+    thrust: tuple[float, ...] = ()  # at rest, times the weight: each in place of `throttle`, and throttle 0
+
+
+@dataclass(frozen=True)
+class Board:
+    """The time that the board has for a policy."""
+
+    control_task_cycles: int  # at most
+    other_cycles: int  # of them, what is not policy_step: `neuroflight timing` of an image tells
 
 
 @dataclass(frozen=True)
@@ -90,26 +102,8 @@ class Sweep:
     aircraft: Aircraft
     trials: tuple[Trial, ...]
     validation: Validation
-
-
-@dataclass(frozen=True)
-class Range:
-    """Numbers to draw from."""
-
-    low: float
-    high: float
-    log: bool  # log-uniform
-    whole: bool  # whole numbers
-
-    def draw(self, rng: np.random.Generator) -> float | int:
-        """Draw a number; unless whole, it has four significant digits."""
-        if self.log:
-            value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
-        else:
-            value = rng.uniform(self.low, self.high)
-        if self.whole:
-            return min(max(round(value), math.ceil(self.low)), math.floor(self.high))
-        return float(f"{value:.4g}")  # so that tables show the exact value
+    baseline: str | None = None  # the variant that the others are compared with
+    board: Board | None = None  # None: not asked for
 
 
 def load_sweep(path: Path) -> Sweep:
@@ -122,35 +116,45 @@ def load_sweep(path: Path) -> Sweep:
     table = StrictTable(document, where, TrainingError)
     aircraft = load_aircraft(_beside(path, table.text("aircraft"), shipped()))
     base = table.text(CONFIG, "")
-    common = _flat(document["set"]) if table.has("set") and table.table("set") else {}
-    axes = _axes(document["vary"] if table.has("vary") and table.table("vary") else {}, where)
+    common = flat(document["set"]) if table.has("set") and table.table("set") else {}
+    axes = read_axes(document["vary"] if table.has("vary") and table.table("vary") else {}, where)
     draws = {key: axis for key, axis in axes.items() if isinstance(axis, Range)}
     if bool(draws) != table.has("samples"):
         wrong = "missing; say how often to draw from the ranges of [vary]"
         raise table.error("samples", wrong if draws else "nothing to draw: [vary] has no range {low, high}")
     samples = table.integer("samples", 1, TRIALS_MAX, 1)
     rng = np.random.default_rng(table.integer("seed", 0, SEED_MAX, 0))
+    variants = read_variants(table, document)
+    baseline = _baseline(table, tuple(variants))
     validation = _validation(table.table("validation")) if table.has("validation") else Validation()
+    board = _board(table.table("board")) if table.has("board") else None
     table.finish()
-    if both := sorted({*common} & {*axes}):
-        raise table.error(f"set.{both[0]}", "stands in [vary] too; give it once")
-    total = samples * math.prod(len(axis) for axis in axes.values() if isinstance(axis, list))
+    for place, values in (("", common), *((f"variant {name!r}: ", own) for name, own in variants.items())):
+        if both := sorted({*values} & {*axes}):
+            raise table.error(f"{place}set.{both[0]}", "stands in [vary] too; give it once")
+    every: dict[str, list[Any] | Range] = {VARIANT: [*variants], **axes} if variants else axes
+    if not every:
+        raise TrainingError(
+            f"{where}: nothing varies; add [vary] with a key, such as seed = [1, 2, 3], or a [[variant]]"
+        )
+    total = samples * math.prod(len(axis) for axis in every.values() if isinstance(axis, list))
     if total > TRIALS_MAX:
         raise table.error("vary", f"makes {total} runs, expected at most {TRIALS_MAX}")
     trials = []
-    for number, varied in enumerate(_combinations(axes, samples, rng), 1):
-        own = {key: value for key, value in varied.items() if key != CONFIG}
+    for number, varied in enumerate(combinations(every, samples, rng), 1):
+        own = {key: value for key, value in varied.items() if key not in (CONFIG, VARIANT)}
         source = str(varied.get(CONFIG, base))
+        chosen = {**common, **variants.get(str(varied.get(VARIANT)), {}), **own}
         try:
             config = load_config(
                 _beside(path, source, recipes()) if source else None,
-                [f"{key}={_toml(value)}" for key, value in {**common, **own}.items()],
+                [f"{key}={_toml(value)}" for key, value in chosen.items()],
             )
             config.document(aircraft)
         except TrainingError as error:
             raise TrainingError(f"{where}, run {number} ({described(varied)}): {error}") from error
         trials.append(Trial(number, _folder(number, total, varied), varied, config))
-    return Sweep(path.stem, aircraft, tuple(trials), validation)
+    return Sweep(path.stem, aircraft, tuple(trials), validation, baseline, board)
 
 
 def described(varied: Varied) -> str:
@@ -183,42 +187,6 @@ def _beside(path: Path, name: str, known: Sequence[str]) -> str:
     return name if name in known else str(path.parent / name)
 
 
-def _axes(vary: dict[str, Any], where: str) -> dict[str, list[Any] | Range]:
-    """Grid axes and ranges of [vary], by dotted key."""
-    table = StrictTable(vary, where, TrainingError, "vary.")
-    axes: dict[str, list[Any] | Range] = {}
-    for key, value in _flat(vary).items():
-        if isinstance(value, dict):
-            axes[key] = _range(value, where, f"vary.{key}.")
-        elif not isinstance(value, list) or not value:
-            raise table.error(key, "expected a list of values, or a range {low = ..., high = ...}")
-        elif any(value.index(item) < i for i, item in enumerate(value)):
-            raise table.error(key, "has a value twice; give each once")
-        else:
-            axes[key] = value
-    if not axes:
-        raise TrainingError(f"{where}: nothing varies; add [vary] with a key, such as seed = [1, 2, 3]")
-    return axes
-
-
-def _range(values: dict[str, Any], where: str, path: str) -> Range:
-    ends = StrictTable(values, where, TrainingError, path)
-    low, high = (ends.number(key, -NUMBER_MAX, NUMBER_MAX) for key in ("low", "high"))
-    for key, value in values.items():
-        if key not in RANGE_KEYS:
-            raise ends.error(key, f"unknown key; known here: {', '.join(RANGE_KEYS)}")
-        if key in ("log", "whole") and not isinstance(value, bool):
-            raise ends.error(key, "expected true or false")
-    log, whole = values.get("log", False), values.get("whole", False)
-    if not low < high:
-        raise ends.error("high", f"got {high:g}, expected more than low, {low:g}")
-    if log and low <= 0:
-        raise ends.error("low", f"got {low:g}, expected more than 0, since log = true")
-    if whole and math.ceil(low) > math.floor(high):
-        raise ends.error("high", f"got {high:g}, expected a whole number between low, {low:g}, and it")
-    return Range(low, high, log, whole)
-
-
 def _validation(table: StrictTable) -> Validation:
     usual = Validation()
     # Only tasks without required fields: `recorded`, say, needs a file.
@@ -228,43 +196,38 @@ def _validation(table: StrictTable) -> Validation:
         episodes=table.integer("episodes", 2, COUNT_MAX, usual.episodes),
         seed=table.integer("seed", 0, SEED_MAX, usual.seed),
         throttle=table.number("throttle", 0.0, 1.0, usual.throttle),
+        thrust=table.numbers("thrust", 1, THRUSTS_MAX, THRUST_MIN, THRUST_MAX) if table.has("thrust") else (),
     )
+    if validation.thrust and table.has("throttle"):
+        raise table.error("throttle", "stands beside thrust, which finds it; give one of the two")
     table.finish()
     return validation
+
+
+def _baseline(table: StrictTable, variants: tuple[str, ...]) -> str | None:
+    """The variant that the others are compared with: the first, unless the file names one."""
+    if not variants:
+        return None
+    return table.choice("baseline", {name: name for name in variants}, variants[0])
+
+
+def _board(table: StrictTable) -> Board:
+    board = Board(*(table.integer(key, 1, CYCLES_MAX) for key in ("control_task_cycles", "other_cycles")))
+    table.finish()
+    return board
 
 
 def _complete(task: type[Task]) -> bool:
     return all(p.default is not Parameter.empty for p in signature(task).parameters.values())
 
 
-def _flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Dotted keys and their values; a table with the key `low` is a range, and so a value."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict) and "low" not in value:
-            flat |= _flat(value, f"{path}{key}.")
-        else:
-            flat[f"{path}{key}"] = value
-    return flat
-
-
-def _combinations(
-    axes: Mapping[str, list[Any] | Range], samples: int, rng: np.random.Generator
-) -> Iterator[Varied]:
-    """Every point of the grid with each draw of all ranges, in the file's order, the last axis fastest."""
-    for _ in range(samples):
-        drawn = {key: [axis.draw(rng)] if isinstance(axis, Range) else axis for key, axis in axes.items()}
-        for values in itertools.product(*drawn.values()):
-            yield dict(zip(drawn, values, strict=True))
-
-
 def _folder(number: int, total: int, varied: Varied) -> str:
     """Name of a run's folder: "07-hidden-64-64-seed-2"."""
-    words = (
-        (key.rpartition(".")[2], Path(str(value)).stem if key == CONFIG else shown(value))
-        for key, value in varied.items()
-    )
-    text = "-".join("-".join(word) for word in words)
+    words: list[str] = []
+    for key, value in varied.items():
+        words += [key.rpartition(".")[2]] if key != VARIANT else []
+        words.append(Path(str(value)).stem if key == CONFIG else shown(value))
+    text = "-".join(words)
     slug = re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-.").lower()
     return f"{number:0{len(str(total))}d}-{slug[:SLUG_MAX].rstrip('-.')}"
 

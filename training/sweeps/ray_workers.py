@@ -8,35 +8,27 @@ import logging
 import os
 import shutil
 import socket
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sim.aircraft.model import Aircraft
-from toolchain.errors import NeuroflightError, TrainingError
-from training.runs.checkpoint import Policy
-from training.runs.train import Callback, Progress
-from training.sweeps.config import Trial, Validation
-from training.sweeps.trial import run_trial
+from toolchain.errors import TrainingError
+from training.sweeps.jobs import FAILURES_MAX, THREADS, Job, SweepCallback, do
 
 if TYPE_CHECKING:
     import ray.tune
     from ray.tune.experiment import Trial as RayTrial
 
-FAILURES_MAX = 3  # restarts of a run after its worker died
 STARTS_MAX = 3  # attempts to start a session
 REACH_S = 5.0  # to wait for a connection to a cluster
-REPORT_S = 1.0  # between two reports of a run
 OBJECT_STORE_BYTES = 128 * 2**20  # of a local session; only configurations are sent
-STOP = "stop"  # a file of this name in the sweep's folder makes runs save their last segment and end
+LOCAL = "local"  # in place of an address: a session of this machine
 LOOPBACK = "127.0.0.1"
 RAY = ".ray"  # Ray's own folder inside the sweep's, while it runs
-THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 # Ray reads these on import. Without the first, a session of one machine listens on every interface.
-LOCAL = {
+OF_THIS_MACHINE = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
     "RAY_prestart_worker_first_driver": "0",  # workers that no run will use
     **THREADS,
@@ -49,44 +41,32 @@ QUIET = {
 }
 
 
-class SweepCallback:
-    """Called while a sweep goes on; a subclass overrides what it needs."""
-
-    def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
-        """Run `number` has trained `steps` in the process `pid`; about once in REPORT_S."""
-
-    def finished(self, number: int) -> None:
-        """Run `number` has its result."""
-
-    def restarted(self, number: int) -> None:
-        """The worker of run `number` died; another worker resumes it from its last checkpoint."""
-
-    def failed(self, number: int, reason: str) -> None:
-        """Run `number` was given up."""
-
-
 def check_ray() -> None:
     """Raise TrainingError if Ray Tune is not installed."""
     if any(importlib.util.find_spec(name) is None for name in ("ray", "pyarrow", "pandas")):
         raise TrainingError(
-            "sweeps need Ray Tune, which is not installed; install it with: pip install 'neuroflight[sweep]'"
+            "--address needs Ray Tune, which is not installed; install it with: pip install "
+            "'neuroflight[sweep]', or leave --address out to use processes of this machine"
         )
 
 
 @contextmanager
-def ray_session(address: str | None, cpus: int) -> Iterator[None]:
+def ray_session(address: str, cpus: int) -> Iterator[None]:
     """A Ray session on `cpus` cores of this machine, not reachable from others, or that at `address`.
+
+    address: LOCAL for this machine, else HOST:PORT, ray://HOST:PORT or auto.
 
     An existing session is used and not shut down.
     """
-    os.environ.update(QUIET if address else {**QUIET, **LOCAL})
+    local = address == LOCAL
+    os.environ.update({**QUIET, **OF_THIS_MACHINE} if local else QUIET)
     import ray
 
     if ray.is_initialized():
         yield
         return
     common: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-    if address:
+    if not local:
         _check_address(address)
         _start(
             1, f"no Ray cluster at {address}", address=address, runtime_env={"env_vars": THREADS}, **common
@@ -95,7 +75,7 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
         _start(
             STARTS_MAX,
             "Ray does not start",
-            address="local",
+            address=LOCAL,
             num_cpus=cpus,
             num_gpus=0,
             include_dashboard=False,
@@ -103,7 +83,7 @@ def ray_session(address: str | None, cpus: int) -> Iterator[None]:
             **common,
         )
     try:
-        if not address and any(node["NodeManagerAddress"] != LOOPBACK for node in ray.nodes()):  # type: ignore[no-untyped-call]
+        if local and any(node["NodeManagerAddress"] != LOOPBACK for node in ray.nodes()):  # type: ignore[no-untyped-call]
             raise RuntimeError("ray was imported before its session was prepared: it would listen everywhere")
         yield
     finally:
@@ -142,16 +122,6 @@ def _start(attempts: int, wrong: str, **options: Any) -> None:  # noqa: ANN401 -
                 raise TrainingError(f"{wrong}: {line}") from error
 
 
-@dataclass(frozen=True)
-class Job:
-    """The task of a worker: a run and the folder of its results."""
-
-    trial: Trial
-    aircraft: Aircraft
-    validation: Validation
-    folder: Path
-
-
 def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback) -> None:
     """Do all runs in the present Ray session, at most `cpus` at a time, one core each."""
     from ray import tune
@@ -177,56 +147,14 @@ def run_jobs(jobs: Sequence[Job], out: Path, cpus: int, callback: SweepCallback)
         shutil.rmtree(out / RAY, ignore_errors=True)
 
 
-def request_stop(out: Path) -> None:
-    """Make the runs of a sweep save their state and end."""
-    (out / STOP).touch()
-
-
-def clear_stop(out: Path) -> None:
-    """Take back `request_stop`."""
-    (out / STOP).unlink(missing_ok=True)
-
-
-class _Reporter(Callback):
-    """Sends progress to the driver, checkpoints without delay, and ends the run on request."""
-
-    def __init__(self, stop: Path) -> None:
-        self._stop = stop
-        self._next = time.monotonic()
-
-    def progressed(self, progress: Progress) -> None:
-        """See Callback. Raises KeyboardInterrupt if the sweep is to stop."""
-        if self._stop.exists():
-            raise KeyboardInterrupt
-        if time.monotonic() >= self._next:
-            self._report(progress)
-
-    def checkpointed(self, progress: Progress, policy: Policy) -> None:
-        """See Callback."""
-        self._report(progress)
-
-    def _report(self, progress: Progress) -> None:
-        from ray import tune
-
-        tune.report({"steps": progress.steps, "reward": progress.reward})
-        self._next = time.monotonic() + REPORT_S
-
-
 def _work(config: dict[str, Any], jobs: Sequence[Job], out: Path) -> None:
     """The work for one run. Errors of ours are reported; any other exception makes Ray try again."""
     from ray import tune
 
-    job, stop = jobs[config["job"]], out / STOP
-    end: dict[str, object] = {"finished": False, "reason": ""}
-    if not stop.exists():
-        try:
-            run_trial(job.trial, job.aircraft, job.validation, job.folder, _Reporter(stop))
-            end["finished"] = True
-        except KeyboardInterrupt:
-            pass
-        except NeuroflightError as error:
-            end["reason"] = str(error)
-    tune.report(end)
+    def report(steps: int, reward: float) -> None:
+        tune.report({"steps": steps, "reward": reward})
+
+    tune.report(asdict(do(jobs[config["job"]], out, report)))
 
 
 def _callback(jobs: Sequence[Job], callback: SweepCallback) -> ray.tune.Callback:

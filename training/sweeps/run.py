@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 from sim.plotting import save_png
 from toolchain.errors import TrainingError
 from toolchain.files import write_text
+from training.sweeps import process_workers, ray_workers
 from training.sweeps.config import Sweep
+from training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
 from training.sweeps.plot import draw
-from training.sweeps.ray_workers import STOP, Job, SweepCallback, check_ray, clear_stop, ray_session, run_jobs
 from training.sweeps.summary import Run, configurations, document
 from training.sweeps.trial import read_outcome
 
@@ -27,19 +29,28 @@ def run_sweep(
     cpus: int,
     address: str | None = None,
     resume: bool = False,
+    force: bool = False,
     command: str = "",
     callback: SweepCallback | None = None,
 ) -> tuple[Run, ...]:
     """Do the unfinished runs; `out`/sweep.json is written after each, sweep.png at the end.
 
-    cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`; None: this machine alone.
-    Raises TrainingError if `out` holds a sweep already and `resume` is not asked for, or holds another;
-    KeyboardInterrupt if it was stopped, see `ray_workers.request_stop`.
+    cpus: runs at a time. address: of a Ray cluster, whose nodes all see `out`, or `ray_workers.LOCAL` for a
+    Ray session of this machine; None: processes of this machine, without Ray. force: remove the runs that
+    `out` holds.
+    Raises TrainingError if `out` holds a sweep already and neither `resume` nor `force` is asked for, or
+    holds another; KeyboardInterrupt if it was stopped, see `jobs.request_stop`.
     """
-    check_ray()
+    if address is not None:
+        ray_workers.check_ray()
     keeper = Keeper(sweep, out, command, callback or SweepCallback())
+    if force and (out / TRIALS).exists():
+        shutil.rmtree(out / TRIALS)
     if not resume and (out / TRIALS).exists():
-        raise TrainingError(f"{out} already holds a sweep; add --resume to go on with it, or choose another")
+        raise TrainingError(
+            f"{out} already holds a sweep; add --resume to go on with it, --force to replace it, or choose "
+            f"another"
+        )
     if resume:
         keeper.read()
     jobs = [
@@ -53,8 +64,11 @@ def run_sweep(
         return tuple(keeper.runs)
     clear_stop(out)
     try:
-        with ray_session(address, cpus):
-            run_jobs(jobs, out.resolve(), cpus, keeper)
+        if address is None:
+            process_workers.run_jobs(jobs, out.resolve(), cpus, keeper)
+        else:
+            with ray_workers.ray_session(address, cpus):
+                ray_workers.run_jobs(jobs, out.resolve(), cpus, keeper)
         stopped = (out / STOP).exists()
     finally:
         clear_stop(out)

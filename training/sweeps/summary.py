@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from training.sweeps.config import Sweep, Trial, Varied
-from training.sweeps.trial import Figure, Outcome
-
-FIGURES = ("mae", "mse", "output", "change")
+from toolchain.contract import POLICY_WEIGHT_COUNT_MAX
+from training.sweeps.axes import Varied
+from training.sweeps.config import Board, Sweep, Trial
+from training.sweeps.trial import FIGURES, Figure, Outcome
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,18 @@ class Configuration:
         return self.runs[0].trial.number
 
 
+def unfit(outcome: Outcome, board: Board | None) -> str | None:
+    """Why the board cannot fly a policy; None if it can, as far as is known."""
+    if outcome.weights > POLICY_WEIGHT_COUNT_MAX:
+        return f"{outcome.weights:,} weights of {POLICY_WEIGHT_COUNT_MAX:,}"
+    if board is None or outcome.predicted_cycles is None:
+        return None
+    cycles = outcome.predicted_cycles + board.other_cycles
+    if cycles <= board.control_task_cycles:
+        return None
+    return f"{cycles:,.0f} cycles of {board.control_task_cycles:,}"
+
+
 def configurations(runs: Sequence[Run]) -> tuple[Configuration, ...]:
     """The finished runs by configuration, in their order."""
     groups: list[list[Run]] = []
@@ -84,6 +96,8 @@ def document(sweep: Sweep, runs: Sequence[Run], command: str) -> dict[str, Any]:
         "sweep": sweep.name,
         "aircraft": {"name": sweep.aircraft.name, "sha256": sweep.aircraft.sha256},
         "validation": asdict(sweep.validation),
+        "baseline": sweep.baseline,
+        "board": asdict(sweep.board) if sweep.board else None,
         "complete": all(run.outcome for run in runs),
         "runs": [
             {
@@ -92,7 +106,9 @@ def document(sweep: Sweep, runs: Sequence[Run], command: str) -> dict[str, Any]:
                 "varied": run.trial.varied,
                 "state": run.state,
                 "reason": run.reason,
+                "steps": run.trial.config.steps,
                 "outcome": asdict(run.outcome) if run.outcome else None,
+                "unfit": unfit(run.outcome, sweep.board) if run.outcome else None,
             }
             for run in runs
         ],

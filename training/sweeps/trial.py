@@ -8,29 +8,34 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sim.aircraft.model import Aircraft
-from sim.control.controller import PolicyController
 from toolchain.codegen.compiler import compile_policy
+from toolchain.contract import GYRO_RATE_DEFAULT_HZ
 from toolchain.cortex_m7.timing import mixed_observations, time_policy
 from toolchain.errors import BuildError, TrainingError
 from toolchain.files import file_size, write_text
 from toolchain.policy.model import read_policy
 from training.checkpoints.monitor_process import Monitor
-from training.evaluation.evaluation import Scores, mean_over, record, scores
+from training.evaluation.comparison import values
+from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
+from training.evaluation.equal_thrust import equal_thrust
+from training.evaluation.evaluation import mean_over, scores
 from training.runs.train import CHECKPOINT, POLICY, Callback, read_record, train
 from training.sweeps.config import Trial, Validation
 from training.tasks.registry import TASKS
 
 RESULT = "result.json"
 RESULT_BYTES_MAX = 1 << 20
+CLOSED = 0.0  # the thrust that stands for a closed throttle
+FIGURES = ("mae", "mse", "output", "change")
 TIMED_OBSERVATIONS = 30  # generated code has no branches that depend on them; every third one is extreme
 
 
@@ -49,16 +54,34 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class AtThrust:
+    """The figures at one throttle."""
+
+    asked: float | None  # thrust at rest, times the weight; None: with the throttle closed
+    throttle: float
+    thrust: float  # what it gives at rest: more than asked for where the controller cannot less
+    mae: Figure  # [deg/s]
+    mse: Figure
+    change: Figure  # |Δ| of a motor fraction in 1 ms
+
+
+@dataclass(frozen=True)
 class Outcome:
-    """The result of a run; errors are against the true rate, means over axes and commands."""
+    """The result of a run; errors are against the true rate, means over axes and commands.
+
+    Output and its change are those of the controller, before the throttle mix. Where the validation asks for
+    thrusts the change is that of the motors, and all four are means over these thrusts.
+    """
 
     mae: Figure  # [deg/s]
     mse: Figure  # [(deg/s)²]
     output: Figure  # ū, fraction
     change: Figure  # |Δu| in 1 ms, fraction
+    thrusts: tuple[AtThrust, ...]  # the closed throttle first; empty unless asked for
     instructions: int | None  # of policy_step on the board, at most
     predicted_cycles: float | None  # likewise
     no_cycles_reason: str | None  # why one of the two is unknown
+    weights: int  # in the board's table, those of the activations' curves included
     training_seconds: float
     steps: int  # control steps trained
     policy_sha256: str
@@ -74,16 +97,9 @@ def run_trial(
         train(aircraft, trial.config, folder, callback, resume=kept, monitor=Monitor(aircraft, trial.config))
     policy = folder / POLICY
     trained = read_record(folder)
-    flown = _flown(policy, trial, aircraft, validation)
-    instructions, cycles, reason = _counted(policy)
     outcome = Outcome(
-        mae=Figure.of(flown.tracking.mae.mean(axis=1)),
-        mse=Figure.of(flown.tracking.mse.mean(axis=1)),
-        output=Figure.of(flown.output),
-        change=Figure.of(flown.change),
-        instructions=instructions,
-        predicted_cycles=cycles,
-        no_cycles_reason=reason,
+        **_flown(policy, aircraft, validation),
+        **_counted(policy),
         training_seconds=float(trained["seconds"]),
         steps=int(trained["steps"]),
         policy_sha256=hashlib.sha256(policy.read_bytes()).hexdigest(),
@@ -124,8 +140,12 @@ def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Val
 
 
 def _outcome(values: Mapping[str, Any]) -> Outcome:
-    figures = {name: Figure(**values[name]) for name in ("mae", "mse", "output", "change")}
-    return Outcome(**{**values, **figures})
+    thrusts = tuple(
+        AtThrust(**{**each, **{name: Figure(**each[name]) for name in ("mae", "mse", "change")}})
+        for each in values["thrusts"]
+    )
+    figures = {name: Figure(**values[name]) for name in FIGURES}
+    return Outcome(**{**values, **figures, "thrusts": thrusts})
 
 
 def _trained(folder: Path, document: dict[str, Any]) -> bool:
@@ -137,30 +157,64 @@ def _trained(folder: Path, document: dict[str, Any]) -> bool:
         return False
 
 
-def _flown(path: Path, trial: Trial, aircraft: Aircraft, validation: Validation) -> Scores:
-    """The scores of the policy on the validation's commands."""
-    policy = read_policy(path)
-    return scores(
-        record(
-            PolicyController(policy, validation.episodes, exact=False),
-            aircraft,
-            TASKS[validation.task](),
-            episodes=validation.episodes,
-            seed=validation.seed,
-            control_rate_hz=policy.control_rate_hz,
-            throttle=validation.throttle,
-            idle=trial.config.idle,
-        )
-    )
+def _flown(path: Path, aircraft: Aircraft, validation: Validation) -> dict[str, Any]:
+    """The figures of the policy on the validation's commands, by their names in Outcome."""
+    controller = load_controller(str(path), aircraft)
+    conditions = Conditions(aircraft, TASKS[validation.task](), validation.episodes, validation.seed)
+    if validation.thrust:
+        return _at_thrusts(controller, conditions, validation.thrust)
+    flown = scores(conditions.fly(controller, validation.throttle))
+    return {
+        "mae": Figure.of(flown.tracking.mae.mean(axis=1)),
+        "mse": Figure.of(flown.tracking.mse.mean(axis=1)),
+        "output": Figure.of(flown.output),
+        "change": Figure.of(flown.change),
+        "thrusts": (),
+    }
 
 
-def _counted(path: Path) -> tuple[int | None, float | None, str | None]:
-    """Greatest instructions and predicted cycles of a step, and why one is unknown."""
+def _at_thrusts(
+    controller: ControllerSpec, conditions: Conditions, thrusts: Sequence[float]
+) -> dict[str, Any]:
+    """Likewise, of its motors at equal thrust; every gyro as fast as the board's."""
+    fast = replace(conditions, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ)
+    flown = equal_thrust((controller,), fast, (CLOSED, *thrusts), lambda _: lambda done, total: None)
+    found: list[AtThrust] = []
+    each: dict[str, list[NDArray[np.float64]]] = {name: [] for name in FIGURES}
+    for level in flown.levels:
+        (entry,), (trim,) = level.entries, level.trims
+        own = values(entry.scores)
+        figures = {
+            "mae": own["mae"].mean(axis=1),
+            "mse": own["mse"].mean(axis=1),
+            "change": own["motor_change"],
+        }
+        means = {name: Figure.of(by_command) for name, by_command in figures.items()}
+        asked = None if level.wanted == CLOSED else level.wanted
+        found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), **means))
+        if asked is not None:
+            for name, by_command in {**figures, "output": own["output"]}.items():
+                each[name].append(by_command)
+    return {name: Figure.of(np.mean(rows, axis=0)) for name, rows in each.items()} | {"thrusts": tuple(found)}
+
+
+def _counted(path: Path) -> dict[str, Any]:
+    """Greatest instructions and predicted cycles of a step, and the weights, by their names in Outcome."""
     compiled = compile_policy(read_policy(path))
     observations = mixed_observations(TIMED_OBSERVATIONS, compiled.network.inputs)
+    found: dict[str, Any] = {
+        "instructions": None,
+        "predicted_cycles": None,
+        "weights": int(compiled.plan.table.size),
+    }
     try:
         with tempfile.TemporaryDirectory(prefix="neuroflight-") as folder:
             cost = time_policy(compiled, Path(folder), observations).cost
     except BuildError as error:
-        return None, None, str(error)
-    return cost.instructions[1], cost.cycles[1] if cost.cycles else None, cost.no_cycles_reason
+        return {**found, "no_cycles_reason": str(error)}
+    return {
+        **found,
+        "instructions": cost.instructions[1],
+        "predicted_cycles": cost.cycles[1] if cost.cycles else None,
+        "no_cycles_reason": cost.no_cycles_reason,
+    }

@@ -39,8 +39,8 @@ class RandomStepsTask:
     the time already passed does not predict it.
 
     `batch` also weights the control steps: transients after changes weigh as little in a short episode with
-    many changes as in a pulse of 4.5 s with its two changes. In wide episodes only held commands count, and
-    effort does not: the motors' limits decide how a large command is reached, and holding it may take effort.
+    many changes as in a pulse of 4.5 s with its two changes. In wide episodes effort does not count, and held
+    commands do; the way to them, which the motors' limits decide too, as much as `wide_transient` says.
     """
 
     name: ClassVar[str] = "random-steps"
@@ -51,6 +51,7 @@ class RandomStepsTask:
     wide_share: float = 0.0  # of the episodes, in which commands are `wide_factor` times as large
     wide_factor: float = 3.0
     wide_weight: float = 0.5  # weight of a control step that holds such a command
+    wide_transient: float = 0.0  # and of one on the way to it, in the mean absolute error
     start_s: float = 0.06  # until the rotors turn; has no weight
     transient_s: float = 0.15  # after each change
     transient_share: float = 0.0667  # of the whole weight that all transients have together
@@ -68,6 +69,7 @@ class RandomStepsTask:
             wide_share=share,
             wide_factor=(1.0, 100.0),
             wide_weight=(0.0, 100.0),
+            wide_transient=(0.0, 100.0),
             start_s=(0.0, self.length_s),
             transient_s=(0.0, LENGTH_MAX_S),
             transient_share=share,
@@ -100,7 +102,8 @@ class RandomStepsTask:
         for part, share in ((transient, self.transient_share), (held, 1.0 - self.transient_share)):
             counts[part] = share * count * steps / max(1, part.sum())
         usual = ~wide[:, None]
-        error = np.where(usual | held, counts, 0.0) * np.where(usual, 1.0, self.wide_weight)
+        of_wide = np.where(held, self.wide_weight, self.wide_transient)
+        error = counts * np.where(usual, 1.0, of_wide)
         return setpoints, StepWeights(error, usual * counts, usual * counts)
 
     def _steps(

@@ -23,6 +23,8 @@ $(OBJ)/boot/hal/stm32f7/boot/boot_crc32.o: CFLAGS += -O2
 # ITCM is scarce, and most of a control step is the policy's: the core is small rather than quick, and so is what
 # waits for flash there; hal.c only joins the drivers.
 $(OBJ)/src/%.o $(OBJ)/hal/stm32f7/hal.o $(OBJ)/hal/stm32f7/peripherals/flash_memory.o: CFLAGS += -Os
+# But for what every step of a policy that observes much goes through number by number.
+$(addprefix $(OBJ)/src/control/,estimator.o mixer.o observation.o): CFLAGS += -O2
 # What only the background runs keeps less in registers, so that it saves and restores fewer.
 $(OBJ)/src/background.o $(OBJ)/src/blackbox/%.o $(OBJ)/src/command_line/%.o $(OBJ)/src/msp/%.o $(OBJ)/src/storage/%.o: \
 	CFLAGS += -fno-move-loop-invariants -fno-schedule-insns2

@@ -20,8 +20,8 @@ enum predictor {
 
 #define ALWAYS UINT8_MAX /* as a group */
 #define SAMPLES 0        /* as a count: 3 a gyro sample */
+#define DEBUGS UINT8_MAX /* as a count: the policy's outputs, and its inputs as far as they find room */
 #define MOTORS POLICY_ACTION_COUNT
-#define DEBUGS (POLICY_ACTION_COUNT + POLICY_OBSERVATION_COUNT)
 
 /* name, group, count, signed, bytes of a value at most, predictor and encoding of intra and of inter frames. A name that ends
  * with [ is an array's. */
@@ -63,7 +63,7 @@ static const struct row {
 	uint8_t predictor[LOG_FRAME_COUNT], encoding[LOG_FRAME_COUNT];
 } rows[] = { ROWS(ROW) };
 
-/* What is left out first where frames would become too long: the others tell it, too. */
+/* What is left out first where frames would become too long without any of the policy's inputs: the others tell it, too. */
 static const uint8_t spare[] = { NF_LOG_GROUP_GYRO_UNFILTERED, NF_LOG_GROUP_ACC, NF_LOG_GROUP_PID,
 				 NF_LOG_GROUP_ATTITUDE, NF_LOG_GROUP_DEBUG };
 
@@ -137,7 +137,9 @@ static void frames_end(struct log_frames *f)
 
 static unsigned frames_count(const struct log_frames *f, const struct row *row)
 {
-	return row->count == SAMPLES ? 3 * f->samples : row->count;
+	if (row->count == SAMPLES)
+		return 3 * f->samples;
+	return row->count == DEBUGS ? POLICY_ACTION_COUNT + f->observed : row->count;
 }
 
 static void frames_choose(struct log_frames *f)
@@ -181,8 +183,12 @@ static bool frames_fit(const struct log_frames *f)
 
 void log_frames_init(struct log_frames *f, uint32_t left_out, unsigned samples)
 {
-	*f = (struct log_frames){ .left_out = left_out, .samples = samples };
+	*f = (struct log_frames){ .left_out = left_out, .samples = samples, .observed = POLICY_OBSERVATION_COUNT };
 	frames_choose(f);
+	while (f->observed > 0 && !frames_fit(f)) {
+		--f->observed;
+		frames_choose(f);
+	}
 	for (size_t i = 0; i < sizeof spare && !frames_fit(f); ++i) {
 		f->left_out |= 1u << spare[i];
 		frames_choose(f);
@@ -266,11 +272,11 @@ static void frames_chirp(const struct log_record *r, int32_t out[LOG_CHIRP_FIELD
 	out[3] = frames_rounded(r->chirp_added, 10.0f * NF_DEG_PER_RAD, THREE_BYTES_MAX);
 }
 
-static void frames_debug(const struct log_record *r, int32_t out[])
+static void frames_debug(const struct log_frames *f, const struct log_record *r, int32_t out[])
 {
 	for (unsigned i = 0; i < POLICY_ACTION_COUNT; ++i)
 		*out++ = frames_rounded(r->action[i], LOG_ACTION_SCALE, TWO_BYTES_MAX);
-	for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT; ++i)
+	for (unsigned i = 0; i < f->observed; ++i)
 		*out++ = frames_rounded(r->observation[i], LOG_OBSERVATION_SCALE, TWO_BYTES_MAX);
 }
 
@@ -372,7 +378,7 @@ static void frames_load_row(const struct log_frames *f, const struct log_step *s
 		frames_chirp(r, out);
 		break;
 	case ROW_DEBUG:
-		frames_debug(r, out);
+		frames_debug(f, r, out);
 		break;
 	case ROW_EXACT_GYRO:
 		for (unsigned i = 0; i < 3; ++i)

@@ -36,6 +36,7 @@ struct log_frames {
 	unsigned count;
 	uint32_t left_out; /* bit field of enum nf_log_group: those asked for, and those that found no room */
 	unsigned samples; /* gyro samples a control step */
+	unsigned observed; /* inputs of the policy that found room, the first ones */
 	unsigned present; /* which of the values is the present frame's; the one before it is the last frame's .. */
 	int32_t values[3][NF_LOG_FIELDS_MAX];
 };
@@ -67,8 +68,8 @@ struct log_slow {
 	uint32_t dropped; /* control steps that this log lacks so far */
 };
 
-/* The fields of a log. `left_out`: the setting. Groups that find no room in a frame of NF_LOG_FRAME_BYTES_MAX are left out
- * besides. */
+/* The fields of a log. `left_out`: the setting. What finds no room in a frame of NF_LOG_FRAME_BYTES_MAX or on the line of
+ * names is left out besides: the policy's last inputs, which a replay computes again, then whole groups. */
 void log_frames_init(struct log_frames *frames, uint32_t left_out, unsigned samples);
 
 /* The next main frame is the first, or the first behind a gap: an intra frame. Its values are predicted from nothing. */

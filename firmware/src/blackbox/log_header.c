@@ -109,6 +109,18 @@ static void header_idle(char **at, const struct log_about *about)
 	log_text_float(at, about->pid_idle);
 }
 
+static void header_mix(char **at, const struct log_about *about)
+{
+	static const char *const mixes[] = {
+		[NF_MIX_ATTITUDE_FIRST] = "attitude-first",
+		[NF_MIX_CENTRED] = "centred",
+	};
+
+	log_text(at, mixes[about->slots->mix]);
+	log_text(at, ",");
+	log_text(at, mixes[about->pid_mix]);
+}
+
 static void header_craft(char **at, const struct nf_settings *s)
 {
 	for (size_t i = 0; i < NF_SETTING_TEXT_BYTES && s->craft_name[i]; ++i)
@@ -164,6 +176,8 @@ static void header_craft(char **at, const struct nf_settings *s)
 	X("nf_aircraft", header_aircraft(at, about))                                                         \
 	X("nf_observation", header_observation(at))                                                          \
 	X("nf_idle", header_idle(at, about))                                                                 \
+	X("nf_mix", header_mix(at, about))                                                                   \
+	X("nf_gyro_mean", log_text_whole(at, about->gyro_mean))                                              \
 	X("nf_control_rate", log_text_whole(at, POLICY_CONTROL_RATE_HZ))                                     \
 	X("nf_gyro_rate", log_text_whole(at, s->gyro_rate_hz))                                               \
 	X("nf_motor_count", log_text_whole(at, POLICY_ACTION_COUNT))                                         \
@@ -223,7 +237,7 @@ static bool header_debug(char **at, struct log_header *header, const struct log_
 	const unsigned number = header->debug, action = number - LOG_CHIRP_FIELDS,
 		       observation = action - POLICY_ACTION_COUNT;
 
-	if (frames->left_out >> NF_LOG_GROUP_DEBUG & 1u || observation == POLICY_OBSERVATION_COUNT)
+	if (frames->left_out >> NF_LOG_GROUP_DEBUG & 1u || observation == frames->observed)
 		return false;
 	log_text(at, "H nf_debug_");
 	log_text_whole(at, number);

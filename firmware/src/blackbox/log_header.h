@@ -20,6 +20,8 @@ struct log_about {
 	const struct policy_slots *slots;
 	const char *maker, *target; /* of the board */
 	float pid_idle; /* motor fraction at zero thrust of the PID */
+	enum nf_mix pid_mix; /* of its outputs with the pilot's thrust */
+	uint32_t gyro_mean; /* gyro samples that controllers see the mean of; 0: the newest alone */
 	struct nf_image_header image; /* zeros: there is none */
 	const struct log_snapshot *snapshot; /* of the firmware; NULL, or not taken: the log cannot be replayed */
 	uint32_t first_step; /* control step since boot of the first frame */

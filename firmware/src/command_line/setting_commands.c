@@ -33,6 +33,11 @@ static void item_idle(const struct task_line *t)
 	printer_fixed(t->out, t->services->slots->idle, 3);
 }
 
+static void item_mix(const struct task_line *t)
+{
+	printer_text(t->out, t->services->slots->mix == NF_MIX_CENTRED ? "centred" : "attitude-first");
+}
+
 static void item_control_rate(const struct task_line *t)
 {
 	printer_number(t->out, POLICY_CONTROL_RATE_HZ);
@@ -42,8 +47,13 @@ static const struct item {
 	const char *name;
 	void (*say)(const struct task_line *t);
 } items[] = {
-	{ "version", item_version }, { "board", item_board },      { "uid", item_uid },
-	{ "policy", item_policy },   { "policy_idle", item_idle }, { "control_rate_hz", item_control_rate },
+	{ "version", item_version },
+	{ "board", item_board },
+	{ "uid", item_uid },
+	{ "policy", item_policy },
+	{ "policy_idle", item_idle },
+	{ "policy_mix", item_mix },
+	{ "control_rate_hz", item_control_rate },
 };
 #define ITEM_COUNT (sizeof items / sizeof items[0])
 

@@ -34,6 +34,10 @@ enum nf_err {
 	NF_ERR_IMAGE_HEADER = -22, /* flash has another header than the one that was told */
 	NF_ERR_IMAGE_CRC = -23,    /* damaged, or not all of it is there */
 	NF_ERR_IMAGE_SHA256 = -24, /* whole, but not the image of that SHA-256 */
+
+	/* A policy blob again, behind NF_ERR_BLOB_IDLE. */
+	NF_ERR_BLOB_MIX = -25,   /* a mix that this firmware does not know */
+	NF_ERR_BLOB_MODEL = -26, /* a model of no aircraft, one too many, or none where a term needs it */
 };
 
 #endif

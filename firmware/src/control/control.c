@@ -12,6 +12,10 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 		.gains = policy_observation_gains,
 		.count = POLICY_OBSERVATION_TERM_COUNT,
 	};
+	const struct nf_policy_blob_header *policy = config->policy;
+	const float idle = policy ? policy->idle : NF_IDLE_DEFAULT;
+	const enum nf_mix mix = policy ? (enum nf_mix)policy->mix : NF_MIX_ATTITUDE_FIRST;
+	struct mixer *mixers = control->mixers;
 	enum nf_err err;
 
 	memset(control, 0, sizeof *control);
@@ -21,8 +25,9 @@ enum nf_err control_init(struct control *control, const struct control_config *c
 	control->handover_steps = POLICY_CONTROL_RATE_HZ * NF_HANDOVER_MS / 1000u;
 	control->reversed = config->settings->motors_reversed != 0;
 	pid_init(&control->pid, config->pid, config->settings);
-	if ((err = mixer_init(&control->mixers[CONTROLLER_POLICY], config->settings, config->policy_idle)) != NF_OK ||
-	    (err = mixer_init(&control->mixers[CONTROLLER_PID], config->settings, config->pid->idle)) != NF_OK)
+	estimator_init(&control->estimator, policy);
+	if ((err = mixer_init(&mixers[CONTROLLER_POLICY], config->settings, idle, mix)) != NF_OK ||
+	    (err = mixer_init(&mixers[CONTROLLER_PID], config->settings, config->pid->idle, config->pid->mix)) != NF_OK)
 		return err;
 	if ((err = observation_init(&control->observation, &terms, POLICY_ACTION_COUNT, POLICY_OBSERVATION_COUNT,
 				    POLICY_CONTROL_RATE_HZ)) != NF_OK)
@@ -39,8 +44,10 @@ static void control_clear(struct control *control, enum controller controller)
 	}
 	observation_reset(&control->observation);
 	policy_init(&control->policy, control->weights);
-	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i) {
 		control->action[i] = 0.0f;
+		control->motors[i] = 0.0f;
+	}
 }
 
 /* `controller` begins to fly, its state cleared. */
@@ -56,6 +63,7 @@ void control_rest(struct control *control)
 		return;
 	control_clear(control, CONTROLLER_PID);
 	control_clear(control, CONTROLLER_POLICY);
+	estimator_reset(&control->estimator);
 	control->fresh = true;
 }
 
@@ -120,6 +128,10 @@ static bool control_answer(struct control *control, const struct control_input *
 		.setpoint = input->setpoint,
 		.previous_action = control->action,
 		.throttle = input->throttle,
+		.previous_motors = control->motors,
+		.rotor_estimate = control->estimator.rotor,
+		.rate_estimate = control->estimator.rate,
+		.rate_estimate_error = control->estimator.error,
 	};
 
 	if (control->flying == CONTROLLER_PID) {
@@ -129,6 +141,27 @@ static bool control_answer(struct control *control, const struct control_input *
 		policy_step(&control->policy, control->seen, control->action);
 	}
 	return control_within_range(control->action);
+}
+
+/* The model goes on by a control step, before the controller that flies. What only the policy sees begins with it. */
+static __attribute__((noinline)) void control_estimate(struct control *control, const struct control_input *input)
+{
+	estimator_advance(&control->estimator);
+	if (control->flying != CONTROLLER_POLICY)
+		return;
+	const float rest = mixer_rest(&control->mixers[CONTROLLER_POLICY], input->throttle);
+	estimator_observe(&control->estimator, input->rate, input->setpoint, rest, control->observation.first);
+}
+
+/* The outputs of the controller's action; keeps what came of it on the way. */
+static void control_mix(struct control *control, float throttle, float output[POLICY_ACTION_COUNT])
+{
+	const struct mixer *mixer = &control->mixers[control->flying];
+
+	mixer_mix(mixer, control->action, throttle, output);
+	for (int i = 0; i < POLICY_ACTION_COUNT; ++i)
+		control->motors[i] = output[i] - throttle;
+	mixer_raise(mixer, output, output);
 }
 
 /* Blends from the old controller to the new one: the difference at the change fades to 0. */
@@ -159,6 +192,8 @@ static bool control_fly(struct control *control, const struct control_input *inp
 		if (!control->latched)
 			control->fallback = chosen == CONTROLLER_PID ? NF_FALLBACK_SWITCH : NF_FALLBACK_NONE;
 	}
+	if (control->estimator.model.delay > 0)
+		control_estimate(control, input);
 	if (!control_answer(control, input)) {
 		control_fall_back(control, NF_FALLBACK_POLICY_OUTPUT);
 		if (!control->latched) {
@@ -168,9 +203,12 @@ static bool control_fly(struct control *control, const struct control_input *inp
 		control_begin(control, CONTROLLER_PID);
 		control_answer(control, input);
 	}
-	mixer_step(&control->mixers[control->flying], control->action, input->throttle, output);
+	control_mix(control, input->throttle, output);
 	control_hand_over(control, control->flying != before && !control->first && !control->distrusted, output);
 	memcpy(control->output, output, sizeof control->output);
+	if (control->estimator.model.delay > 0)
+		estimator_command(&control->estimator, output,
+				  mixer_stops(&control->mixers[control->flying], input->throttle));
 	control->first = false;
 	control->distrusted = false;
 	return true;
@@ -222,12 +260,17 @@ void control_policy_good(struct control *control, bool good)
 bool control_demand(const struct control *control, float demand[3])
 {
 	const struct pid_gains *gains = control->pid.gains;
+	float roll = 0.0f, pitch = 0.0f, yaw = 0.0f;
 
-	for (int i = 0; i < 3; ++i) {
-		demand[i] = 0.0f;
-		for (uint32_t m = 0; m < gains->motor_count; ++m)
-			demand[i] += gains->mixer[m][i] * control->action[m];
+	for (uint32_t m = 0; m < gains->motor_count; ++m) {
+		const float *share = gains->mixer[m];
+		roll += share[0] * control->action[m];
+		pitch += share[1] * control->action[m];
+		yaw += share[2] * control->action[m];
 	}
+	demand[0] = roll;
+	demand[1] = pitch;
+	demand[2] = yaw;
 	if (control->reversed)
 		demand[2] = -demand[2];
 	return gains->motor_count > 0;

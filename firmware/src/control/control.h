@@ -7,6 +7,7 @@
 
 #include "common/held.h"
 #include "common/nf_err.h"
+#include "control/estimator.h"
 #include "control/mixer.h"
 #include "control/observation.h"
 #include "control/pid.h"
@@ -22,7 +23,8 @@ enum controller {
 struct control_config {
 	const struct nf_settings *settings;
 	const float *weights;          /* [POLICY_WEIGHT_COUNT], 8-byte aligned; where policy_step reads them */
-	float policy_idle;             /* motor fraction at zero thrust, 0 to NF_IDLE_MAX */
+	const struct nf_policy_blob_header *policy; /* of the blob that the weights are of, checked: its idle, mix and
+						     * model are copied; NULL: none is good */
 	bool policy_good;              /* checked and self-tested */
 	const struct pid_gains *pid;   /* its motor_count is 0 where there is none */
 };
@@ -38,8 +40,9 @@ struct control_input {
 struct control {
 	struct policy policy;
 	struct observation observation;
+	struct estimator estimator;
 	struct pid pid;
-	struct mixer mixers[CONTROLLER_COUNT]; /* each with its controller's idle */
+	struct mixer mixers[CONTROLLER_COUNT]; /* each with its controller's idle and mix */
 	HELD(const float *, weights);
 	bool good[CONTROLLER_COUNT];         /* may fly */
 	enum nf_fallback_cause refused;      /* why the policy must not fly until it is acknowledged; NONE: it may */
@@ -53,7 +56,8 @@ struct control {
 	uint8_t misses;                      /* missed deadlines in a row, at most NF_DEADLINE_MISSES_MAX */
 	float seen[POLICY_OBSERVATION_COUNT]; /* what the policy was given last */
 	float action[POLICY_ACTION_COUNT];   /* the controller's last output, 0..1, before the throttle */
-	float output[POLICY_ACTION_COUNT];   /* what came of it */
+	float motors[POLICY_ACTION_COUNT];   /* what came of it before the idle, less the throttle */
+	float output[POLICY_ACTION_COUNT];   /* and what was commanded */
 	float offset[POLICY_ACTION_COUNT];   /* of the outputs at the last change of controller */
 	uint32_t handover_left;              /* control steps of the hand-over under way */
 	uint32_t handover_steps;

@@ -4,62 +4,33 @@
 
 #include "common/limit.h"
 
-/* Each writes one block and returns the end of it. */
-typedef float *block_writer(const struct observation *o, const struct observation_input *input, float *out);
+/* Where the values of each block lie in a step: one function for each of the contract's blocks that this core has a source
+ * for; one without it does not compile. */
+#define SOURCE(name, values)                                                                      \
+	static inline const float *observation_find_##name(const struct observation *o,           \
+							   const struct observation_input *input) \
+	{                                                                                         \
+		(void)o;                                                                          \
+		(void)input;                                                                      \
+		return values;                                                                    \
+	}
+SOURCE(rate, input->rate)
+SOURCE(rate_error, o->error)
+SOURCE(rate_error_delta, o->delta)
+SOURCE(rate_error_integral, o->integral)
+SOURCE(previous_action, input->previous_action)
+SOURCE(throttle, &input->throttle)
+SOURCE(previous_motors, input->previous_motors)
+SOURCE(rotor_estimate, input->rotor_estimate)
+SOURCE(rate_estimate, input->rate_estimate)
+SOURCE(rate_estimate_error, input->rate_estimate_error)
 
-static float *observation_put(const float *values, size_t count, float *out)
-{
-	for (size_t i = 0; i < count; ++i)
-		*out++ = values[i];
-	return out;
-}
-
-static float *observation_write_rate(const struct observation *o, const struct observation_input *input, float *out)
-{
-	(void)o;
-	return observation_put(input->rate, 3, out);
-}
-
-static float *observation_write_rate_error(const struct observation *o, const struct observation_input *input,
-					   float *out)
-{
-	(void)input;
-	return observation_put(o->error, 3, out);
-}
-
-static float *observation_write_rate_error_delta(const struct observation *o, const struct observation_input *input,
-						 float *out)
-{
-	(void)input;
-	return observation_put(o->delta, 3, out);
-}
-
-static float *observation_write_rate_error_integral(const struct observation *o, const struct observation_input *input,
-						    float *out)
-{
-	(void)input;
-	return observation_put(o->integral, 3, out);
-}
-
-static float *observation_write_previous_action(const struct observation *o, const struct observation_input *input,
-						float *out)
-{
-	return observation_put(input->previous_action, o->motor_count, out);
-}
-
-static float *observation_write_throttle(const struct observation *o, const struct observation_input *input, float *out)
-{
-	(void)o;
-	return observation_put(&input->throttle, 1, out);
-}
-
-/* One row for each of the contract's blocks that this core has a source for, at its code; one without a writer
- * does not compile. */
+/* Of each block at its code. */
 static const struct block {
-	block_writer *write;
-	size_t width; /* 0: one value a motor */
+	bool known;
+	unsigned char width; /* 0: one value a motor */
 } table[] = {
-#define ROW(name, code, width) [code] = { observation_write_##name, width },
+#define ROW(name, code, width) [code] = { true, width },
 	NF_OBSERVATION_BLOCKS(ROW)
 #undef ROW
 };
@@ -67,7 +38,7 @@ static const struct block {
 /* The block's values, 0 for a code that is none. */
 static size_t observation_block_width(unsigned char code, size_t motor_count)
 {
-	if (code >= sizeof table / sizeof table[0] || !table[code].write)
+	if (code >= sizeof table / sizeof table[0] || !table[code].known)
 		return 0;
 	return table[code].width ? table[code].width : motor_count;
 }
@@ -122,13 +93,23 @@ static void observation_update(struct observation *o, const struct observation_i
 	}
 }
 
-/* Replaces the values from `out` to `end` by their low-pass, whose state is `state`. */
-static void observation_pass(float *state, float gain, bool first, float *out, const float *end)
+/* Writes values; returns the end of them. */
+static inline float *observation_put(const float *values, size_t width, float *out)
 {
-	for (; out < end; ++out, ++state) {
-		*state = first ? *out : *state + gain * (*out - *state);
-		*out = *state;
+	for (size_t i = 0; i < width; ++i)
+		out[i] = values[i];
+	return out + width;
+}
+
+/* Writes the low-pass of values, whose state is `state`. */
+static inline float *observation_pass(float *state, float gain, bool first, const float *values, size_t width,
+				      float *out)
+{
+	for (size_t i = 0; i < width; ++i) {
+		state[i] = first ? values[i] : state[i] + gain * (values[i] - state[i]);
+		out[i] = state[i];
 	}
+	return out + width;
 }
 
 /* Exchanges the values from `out` to `end` with the oldest in the delay line. */
@@ -143,19 +124,22 @@ static void observation_exchange(float *oldest, float *out, const float *end)
 
 void observation_step(struct observation *o, const struct observation_input *input, float out[])
 {
+	const float *sources[sizeof table / sizeof table[0]]; /* set where table says so */
+#define ROW(name, code, width) sources[code] = observation_find_##name(o, input);
+	NF_OBSERVATION_BLOCKS(ROW)
+#undef ROW
 	float *memory = o->memory;
 
 	observation_update(o, input);
 	for (size_t i = 0; i < o->count; ++i) {
-		const unsigned age = o->ages[i];
+		const unsigned block = o->blocks[i], age = o->ages[i];
 		const float gain = o->gains[i];
-		float *const end = table[o->blocks[i]].write(o, input, out);
-		const size_t width = (size_t)(end - out);
+		const size_t width = table[block].width > 0 ? table[block].width : o->motor_count;
+		float *const end = gain > 0.0f ? observation_pass(memory, gain, o->first, sources[block], width, out) :
+						 observation_put(sources[block], width, out);
 
-		if (gain > 0.0f) {
-			observation_pass(memory, gain, o->first, out, end);
+		if (gain > 0.0f)
 			memory += width;
-		}
 		if (age > 0) {
 			observation_exchange(memory + o->turns[i] * width, out, end);
 			o->turns[i] = (unsigned char)(o->turns[i] + 1u == age ? 0u : o->turns[i] + 1u);

@@ -17,6 +17,11 @@ struct observation_input {
 	const float *setpoint;        /* [3] rad/s, body */
 	const float *previous_action; /* [motor_count], the policy's last output; zeros on the first step */
 	float throttle;               /* 0..1 */
+	const float *previous_motors; /* [motor_count], the last fractions before the idle, less the throttle */
+	/* Of the estimator; only for terms that are made of them. */
+	const float *rotor_estimate; /* [motor_count] rad/s */
+	const float *rate_estimate; /* [3] rad/s */
+	const float *rate_estimate_error; /* [3] rad/s */
 };
 
 /* The terms in the policy's order, `count` of each. */

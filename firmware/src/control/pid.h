@@ -24,6 +24,7 @@ struct pid_gains {
 	float smoothing;           /* part of a new derivative that its low-pass takes over in a step, (0, 1] */
 	float tpa_breakpoint;      /* throttle above which D falls, 0..1 */
 	float tpa_slope;           /* by how much of it a unit of throttle; 0: it stays */
+	enum nf_mix mix;           /* of its outputs with the pilot's thrust */
 	float nominal_voltage;     /* of the pack that the gains were found with [V]; 0: another is not compensated */
 	float mixer[POLICY_ACTION_COUNT][3]; /* share of each motor in roll, pitch, yaw */
 };

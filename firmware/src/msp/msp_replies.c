@@ -367,6 +367,7 @@ static void reply_policy_info(struct msp_writer *w, const struct msp_facts *s)
 	msp_put_u32(w, s->slots ? s->slots->sequence : 0);
 	for (unsigned i = 0; i < POLICY_SOURCE_COUNT; ++i) /* enum nf_err, each a signed byte */
 		msp_put_u8(w, s->slots ? (unsigned)s->slots->found[i] : 0);
+	msp_put_u8(w, s->slots ? (unsigned)s->slots->mix : 0);
 }
 
 static void reply_safety(struct msp_writer *w, const struct msp_facts *s)

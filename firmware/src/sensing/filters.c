@@ -6,6 +6,7 @@
 
 #include "common/crc32.h"
 #include "common/nf_math.h"
+#include "policy.h"
 
 /* What a kind is made of. `widen`: n low-passes in a row reach 0.707 at f when each does at f widen,
  * 1 / sqrt(2^(1/n) - 1). */
@@ -127,7 +128,7 @@ static uint32_t filters_thousandths(uint32_t crc, float value)
 	return filters_number(crc, (uint32_t)(value * 1000.0f + 0.5f));
 }
 
-uint32_t filters_hash(const struct nf_settings *settings)
+static uint32_t filters_hash_with(const struct nf_settings *settings, bool mean)
 {
 	uint32_t crc = filters_text(0, "[");
 	const char *between = "[\"";
@@ -150,6 +151,22 @@ uint32_t filters_hash(const struct nf_settings *settings)
 		crc = filters_thousandths(crc, settings->dynamic_notch_high_hz);
 		crc = filters_thousandths(crc, settings->dynamic_notch_q);
 		crc = filters_text(crc, "]");
+		between = ",[\"";
 	}
+	if (mean)
+		crc = filters_text(filters_text(filters_text(crc, between), NF_POLICY_FILTER_MEAN), "\"]");
 	return filters_text(crc, "]");
+}
+
+bool filters_take_mean(const struct nf_settings *settings)
+{
+	if (settings->gyro_mean != NF_GYRO_MEAN_POLICY)
+		return settings->gyro_mean == NF_GYRO_MEAN_ON;
+	return filters_hash_with(settings, true) == POLICY_FILTERS_HASH &&
+	       filters_hash_with(settings, false) != POLICY_FILTERS_HASH;
+}
+
+uint32_t filters_hash(const struct nf_settings *settings)
+{
+	return filters_hash_with(settings, filters_take_mean(settings));
 }

@@ -1,8 +1,10 @@
-/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches. Default:
- * none. A policy flies behind the filters that it was trained with, so their hash is part of it. */
+/* The gyro's filters: a chain of up to NF_FILTER_STAGES, the same on each axis, then the dynamic notches, then the mean of a
+ * control period's samples (gyro_mean.h). Default: the mean where the policy was trained behind it, else none. A policy
+ * flies behind the filters that it was trained with, so their hash is part of it. */
 #ifndef NF_FILTERS_H
 #define NF_FILTERS_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "nf_contract.h"
@@ -15,11 +17,11 @@
  * through at f. Biquad: low-pass of second order; notch: 1 but at f; both as their analog prototypes of quality Q
  * under the bilinear transform, warped to be exact at f. */
 struct filter_stage {
-	uint8_t order;           /* of a PTn; 0: of second order */
-	uint8_t notch;           /* of those of second order: 1 a notch, 0 a low-pass */
-	float damping;           /* 1 / Q of those of second order */
+	uint8_t order; /* of a PTn; 0: of second order */
+	uint8_t notch; /* of those of second order: 1 a notch, 0 a low-pass */
+	float damping; /* 1 / Q of those of second order */
 	union {
-		float gain;      /* a of a PTn */
+		float gain; /* a of a PTn */
 		struct svf svf;
 	};
 };
@@ -31,7 +33,7 @@ union filter_memory {
 
 struct filters {
 	struct filter_stage stages[NF_FILTER_STAGES];
-	uint32_t count;          /* used stages */
+	uint32_t count; /* used stages */
 	union filter_memory memory[NF_FILTER_STAGES][3];
 	struct dynamic_notch dynamic;
 };
@@ -39,13 +41,17 @@ struct filters {
 /* At rest at 0 rad/s. A biquad or notch at or above half the gyro rate has no effect and is left out. */
 void filters_init(struct filters *filters, const struct nf_settings *settings, unsigned gyro_rate_hz);
 
-/* One gyro sample, in place [rad/s], body axes. Without a stage not a bit changes. */
+/* One gyro sample, in place [rad/s], body axes, up to the dynamic notches. Without a stage not a bit changes. */
 void filters_step(struct filters *filters, float rate[3]);
+
+/* Do controllers see the mean of the samples of a control period? As set; left to the policy, where that with the other
+ * filters as set makes the chain of the image's policy, and without it does not. */
+bool filters_take_mean(const struct nf_settings *settings);
 
 /* What a policy blob says of the filters that it was trained behind (filters_hash): CRC-32 of the JSON list of the
  * filters as set. One list a filter, in order: its kind, then hertz and, where it has one, quality, both times 1000
- * and rounded: [["pt1",100000],["notch",180000,3000]]; the notches that follow tones last:
- * ["dynamic",count,low,high,quality]. NF_POLICY_FILTERS_NONE for [], no filter. */
+ * and rounded: [["pt1",100000],["notch",180000,3000]]; behind them the notches that follow tones,
+ * ["dynamic",count,low,high,quality], and last the mean, ["mean"]. NF_POLICY_FILTERS_NONE for [], no filter. */
 uint32_t filters_hash(const struct nf_settings *settings);
 
 #endif

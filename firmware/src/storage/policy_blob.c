@@ -49,16 +49,65 @@ static bool policy_blob_same_architecture(const struct nf_policy_blob_header *he
 	       header->observation_count == running->observation_count && header->action_count == running->action_count;
 }
 
-/* Is it at least 0 and at most NF_IDLE_MAX? By its bits: positive numbers are in order, whatever is negative or
- * no number lies above them. */
-static bool policy_blob_idles(const struct nf_policy_blob_header *header)
+static uint32_t policy_blob_bits(float value)
 {
-	static const float most = NF_IDLE_MAX;
-	uint32_t bits, most_bits;
+	uint32_t bits;
 
-	memcpy(&bits, &header->idle, sizeof bits);
-	memcpy(&most_bits, &most, sizeof most_bits);
-	return bits <= most_bits;
+	memcpy(&bits, &value, sizeof bits);
+	return bits;
+}
+
+/* Is it at least 0 and at most `most`, which is above 0? By their bits: positive numbers are in order, whatever is negative or
+ * no number lies above them. */
+static bool policy_blob_within(float value, float most)
+{
+	return policy_blob_bits(value) <= policy_blob_bits(most);
+}
+
+static bool policy_blob_positive(float value, float most)
+{
+	return policy_blob_bits(value) != 0 && policy_blob_within(value, most);
+}
+
+/* Is it a number, of any sign, of that size at most? */
+static bool policy_blob_number(float value)
+{
+	return (policy_blob_bits(value) & 0x7FFFFFFFu) <= policy_blob_bits(NF_MODEL_NUMBER_MAX);
+}
+
+/* Are all fields of a model numbers that an aircraft can have? */
+static bool policy_blob_models(const struct nf_policy_blob_header *header)
+{
+	enum { CURVE, RISE = 3, FALL, GAIN, LOSS, CORRECTION };
+	const float *rotor = header->model_rotor;
+	bool good = header->model_delay <= NF_ESTIMATOR_DELAY_MAX;
+
+	for (unsigned i = CURVE; i < RISE; ++i)
+		good &= policy_blob_number(rotor[i]);
+	for (unsigned i = 0; i < sizeof header->model_turn / sizeof header->model_turn[0]; ++i)
+		good &= policy_blob_number(header->model_turn[i]) && policy_blob_number(header->model_reaction[i]);
+	return good && policy_blob_positive(rotor[RISE], 1.0f) && policy_blob_positive(rotor[FALL], 1.0f) &&
+	       policy_blob_positive(rotor[GAIN], NF_MODEL_NUMBER_MAX) &&
+	       policy_blob_positive(rotor[LOSS], NF_MODEL_NUMBER_MAX) && policy_blob_positive(rotor[CORRECTION], 1.0f);
+}
+
+/* Does one of its terms come from a model? The terms are those of this image, whose architecture is the same. */
+static bool policy_blob_needs_model(const struct nf_policy_blob_header *header)
+{
+	for (uint32_t i = 0; i < header->observation_term_count && i < NF_OBSERVATION_TERMS_MAX; ++i) {
+		const unsigned block = header->observation_blocks[i];
+		if (block == NF_OBSERVATION_ROTOR_ESTIMATE || block == NF_OBSERVATION_RATE_ESTIMATE ||
+		    block == NF_OBSERVATION_RATE_ESTIMATE_ERROR)
+			return true;
+	}
+	return false;
+}
+
+/* Is there a good model, or none where none is needed? */
+static bool policy_blob_modelled(const struct nf_policy_blob_header *header)
+{
+	return policy_blob_needs_model(header) ? header->model_delay > 0 && policy_blob_models(header) :
+						 header->model_delay == 0;
 }
 
 enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t size,
@@ -84,8 +133,12 @@ enum nf_err policy_blob_check_behind(uint32_t magic, const void *bytes, size_t s
 		return NF_ERR_BLOB_FILTERS;
 	if (!policy_blob_same_architecture(&header, running))
 		return NF_ERR_BLOB_ARCHITECTURE;
-	if (!policy_blob_idles(&header))
+	if (!policy_blob_within(header.idle, NF_IDLE_MAX))
 		return NF_ERR_BLOB_IDLE;
+	if (header.mix > NF_MIX_CENTRED)
+		return NF_ERR_BLOB_MIX;
+	if (!policy_blob_modelled(&header))
+		return NF_ERR_BLOB_MODEL;
 	return NF_OK;
 }
 

@@ -19,10 +19,11 @@ struct policy_blob_identity {
 
 /* Checks the blob that begins at `bytes`, of any alignment and any value; `size` [bytes] is all that may be read there,
  * and may be more than the blob. Returns NF_OK, or the first of these that is wrong: NF_ERR_BLOB_SHORT, _MAGIC,
- * _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE.
+ * _LAYOUT, _SIZE, _CRC, _RATE, _FILTERS, _ARCHITECTURE, _IDLE, _MIX, _MODEL.
  *
  * NF_OK: the blob is whole and ends within `size`; its weights are weight_count floats behind the header, its
- * self-test follows them and is yet to be replayed. Its idle comes with its weights: whoever flies them flies it.
+ * self-test follows them and is yet to be replayed. Its idle, mix and model come with its weights: whoever flies them flies
+ * these.
  * Integers only; about 12 cycles a byte of the blob, 3 ms for the largest at 216 MHz: for boot and background, not
  * for an interrupt. */
 enum nf_err policy_blob_check(const void *bytes, size_t size, const struct policy_blob_identity *running);

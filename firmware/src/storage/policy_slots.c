@@ -89,6 +89,7 @@ static bool policy_slots_use(struct policy_slots *slots, enum policy_source sour
 	slots->flown = source;
 	slots->sequence = header.sequence;
 	slots->idle = header.idle;
+	slots->mix = (enum nf_mix)header.mix;
 	return true;
 }
 

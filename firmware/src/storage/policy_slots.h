@@ -47,6 +47,7 @@ struct policy_slots {
 	enum policy_source flown;               /* POLICY_SOURCE_COUNT: none is good */
 	uint32_t sequence;                      /* of the flown one */
 	float idle;                             /* of the flown one: motor fraction at zero thrust */
+	enum nf_mix mix;                        /* of the flown one */
 	struct policy_update update;
 	bool reverted;                          /* the flown slot's policy is none any more */
 };

@@ -273,7 +273,7 @@ static float settings_slowness(uint32_t kind, float q)
 	}
 }
 
-/* Of the whole chain, for slow motion. */
+/* Of the whole chain, for slow motion. A mean that is left to the policy comes with no other filter: it is fast enough. */
 static float settings_filter_delay_s(const struct nf_settings *settings)
 {
 	float delay_s = (float)settings->dynamic_notch_count /
@@ -286,6 +286,8 @@ static float settings_filter_delay_s(const struct nf_settings *settings)
 		settings_get(settings, stage + 2, &q);
 		delay_s += settings_slowness(kind.as_uint32_t, q.as_float) / (TURN * hz.as_float);
 	}
+	if (settings->gyro_mean == NF_GYRO_MEAN_ON) /* its samples are half of its span old, on average */
+		delay_s += 0.5f / (float)POLICY_CONTROL_RATE_HZ - 0.5f / (float)settings->gyro_rate_hz;
 	return delay_s;
 }
 
@@ -369,7 +371,7 @@ static const struct rule {
 	{ settings_filter_fits, SETTING_AT_filter3_kind, SETTING_AT_filter3_q },
 	{ settings_filter_fits, SETTING_AT_filter4_kind, SETTING_AT_filter4_q },
 	{ settings_dynamic_notch_fits, SETTING_AT_dynamic_notch_count, SETTING_AT_dynamic_notch_high_hz },
-	{ settings_filter_delay_fits, SETTING_AT_filter1_kind, SETTING_AT_dynamic_notch_q },
+	{ settings_filter_delay_fits, SETTING_AT_filter1_kind, SETTING_AT_gyro_mean },
 	{ settings_pid_fits, SETTING_AT_pid_roll_p, SETTING_AT_pid_yaw_d },
 	{ settings_map_fits, SETTING_AT_map_roll, SETTING_AT_map_aux4 },
 	{ settings_rates_fit, SETTING_AT_rates_style, RATES_LAST },

@@ -9,7 +9,8 @@
  *                                           SENT: neither
  *                                           each followed by the servo packets that it has sent meanwhile
  *     struct permit  simulator -> program   run to limit_ns, but first take in the packets that follow: a
- *                                           state packet, a receiver packet, as it says
+ *                                           state packet, a receiver packet, as it says; or, with `copies`, a
+ *                                           message follows whose descriptor is a copy's end of such a socket
  *
  * Betaflight hears state and receiver packets in a thread each, its serial ports live in another. They share
  * data with the main thread unguarded. Here one thread works at a time, each from one select() to the next.
@@ -18,6 +19,9 @@
  * waits on another one. With a packet, the main thread goes on there as if select() had returned, and comes
  * back at the next select(). So a packet is dealt with before time goes on, without waking a thread. They
  * take their stacks back when the program joins its threads. When the simulator goes away the program ends.
+ *
+ * A copy is a child of the program as it stands there, its main thread and its memory, and speaks to the
+ * simulator over a socket of its own. It has no other thread: its serial ports are silent.
  *
  * Servers get free ports on loopback. Servo packets (to 9001) go to the simulator as above, motor packets
  * (to 9002), which say the same in thousandths, nowhere.
@@ -29,6 +33,7 @@
 #include <netinet/in.h>
 #include <pthread.h>
 #include <sched.h>
+#include <signal.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -72,6 +77,8 @@ struct permit {
 	uint64_t limit_ns;
 	uint32_t states; /* packets that follow, at most one each */
 	uint32_t receivers;
+	uint32_t copies; /* 0 or 1; then nothing else is asked for */
+	uint32_t reserved;
 	uint8_t packets[STATE_BYTES + RECEIVER_BYTES];
 };
 
@@ -265,12 +272,61 @@ static ssize_t await_permit(void)
 	return got;
 }
 
+/* The descriptor of a copy's socket, in a message of its own. */
+static int receive_socket(void)
+{
+	union {
+		char bytes[CMSG_SPACE(sizeof(int))];
+		struct cmsghdr aligned;
+	} room;
+	char byte;
+	struct iovec part = {&byte, sizeof byte};
+	struct msghdr message = {
+		.msg_iov = &part, .msg_iovlen = 1, .msg_control = room.bytes, .msg_controllen = sizeof room.bytes};
+	const ssize_t got = recvmsg(s.control, &message, 0);
+	const struct cmsghdr *head = got == sizeof byte ? CMSG_FIRSTHDR(&message) : NULL;
+	int fd = -1;
+	if (head == NULL || head->cmsg_type != SCM_RIGHTS || head->cmsg_len != CMSG_LEN(sizeof fd)) {
+		_exit(1);
+	}
+	memcpy(&fd, CMSG_DATA(head), sizeof fd);
+	return fd;
+}
+
+/* Make a copy of the program, of the main thread while no other works: it goes on from here as the program
+ * does. The simulator sees one that could not be made by the end of its socket. */
+static void copy(void)
+{
+	const int control = receive_socket();
+	signal(SIGCHLD, SIG_IGN); /* nobody waits for copies */
+	pthread_mutex_lock(&s.lock);
+	const pid_t child = fork();
+	pthread_mutex_unlock(&s.lock);
+	if (child != 0) {
+		close(control);
+		return;
+	}
+	close(s.control);
+	s.control = control;
+	s.spins = false;
+	s.alone = true; /* there are many, and one that spins takes the others' processor */
+	s.lock = (pthread_mutex_t)PTHREAD_MUTEX_INITIALIZER;
+	s.changed = s.end = (pthread_cond_t)PTHREAD_COND_INITIALIZER; /* those that wait are not here */
+}
+
 /* Stand still until the simulator permits more and its packets are dealt with. */
 static void park(void)
 {
 	rest();
-	report(PARKED, 0, s.permit.limit_ns);
-	const ssize_t got = await_permit();
+	report(PARKED, 0, s.now_ns);
+	ssize_t got = await_permit();
+	while (got == offsetof(struct permit, packets) && s.permit.copies > 0) {
+		work(NULL);
+		copy();
+		rest();
+		report(PARKED, 0, s.now_ns);
+		got = await_permit();
+	}
 	const size_t states = s.permit.states * STATE_BYTES, receivers = s.permit.receivers * RECEIVER_BYTES;
 	if (got < 0 || (size_t)got != offsetof(struct permit, packets) + states + receivers) {
 		_exit(1);

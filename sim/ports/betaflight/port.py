@@ -72,7 +72,7 @@ ARMING_REASONS = (  # in the order of their bits
 )
 YAW_REVERSED = "set yaw_motors_reversed = ON"
 PROMPT, CLI_ERROR = b"\n# ", b"###ERROR"
-CLI_ANSWER_S = 5.0  # real, for one line
+CLI_ANSWER_S = 30.0  # real, for one line; on a busy machine it takes seconds
 CLI_BYTES_MAX = 1 << 16
 STOP_US, FULL_US = 1000.0, 2000.0  # pulse widths of a stopped motor and of one at full power
 COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a count
@@ -80,7 +80,7 @@ COUNTS_PER_DEG_S = 16.4  # of its virtual gyro, which drops what is left of a co
 # a time slightly too small would become one nanosecond less.
 TIME_MARGIN = 1e-9
 
-_WIRE_RATE_PER_COUNT = float(np.deg2rad(1 / COUNTS_PER_DEG_S))  # [rad/s]
+WIRE_RATE_PER_COUNT = float(np.deg2rad(1 / COUNTS_PER_DEG_S))  # [rad/s]
 
 
 class BetaflightPort:
@@ -112,6 +112,11 @@ class BetaflightPort:
         self._packet = b""  # the last servo packet
         self._dshot = np.zeros(MOTOR_COUNT, np.uint16)
         self._reply: Reply | None = None
+
+    @property
+    def process(self) -> BetaflightProcess:
+        """The program behind it."""
+        return self._process
 
     def exchange(self, sample: Sample, channels_us: Sequence[int] | None) -> Reply:
         """See FirmwarePort."""
@@ -198,7 +203,7 @@ def state_packet(time_s: float, raw: NDArray[np.integer], sample: Sample) -> byt
 
 def _wire_rate(count: int) -> float:
     """A rate [rad/s] in the middle of those that Betaflight makes `count` of; 0 of 0."""
-    return math.copysign(abs(count) + 0.5, count) * _WIRE_RATE_PER_COUNT if count else 0.0
+    return math.copysign(abs(count) + 0.5, count) * WIRE_RATE_PER_COUNT if count else 0.0
 
 
 def dshot_values(packet: bytes) -> NDArray[np.uint16]:

@@ -28,7 +28,7 @@ from toolchain.errors import LinkError
 START_NS = 3_000_000_000  # of simulated time, for its servers to stand
 STEP_NS = 1_000_000  # of simulated time, between two checks of its output
 ANSWER_S = 10.0  # real; a millisecond of its time takes some 50 us, on a busy machine longer
-END_S = 5.0  # real, from its decision to restart to its end
+END_S = 30.0  # real, from its decision to restart to its end
 LAST_WORDS_S = 0.1  # real, for the exit status of one that fails
 SPIN_NS = 200_000  # real, for which an answer is looked for before the process sleeps: a wake-up takes longer
 POLL_S = 0.0005  # real, for its TCP thread to carry bytes
@@ -36,7 +36,7 @@ EEPROM = "eeprom.bin"  # its settings, in its working directory
 
 # struct report and struct permit of clock.c, before the packets that follow
 _REPORT = struct.Struct("<IIQ")
-_PERMIT = struct.Struct("<QII")
+_PERMIT = struct.Struct("<QIIII")
 _PARKED, _BOUND = 1, 2
 
 
@@ -66,7 +66,7 @@ class BetaflightProcess:
                 self._process = self._start(betaflight, theirs)
             undo.callback(self._end)
             # Not settimeout(), which asks the system once more before each answer.
-            self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(ANSWER_S))
+            self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval(ANSWER_S))
             self._await_parked()
             while {SIM_STATE_PORT, SIM_RECEIVER_PORT, MSP_TCP_PORT} - set(self.ports):
                 if self.now_ns >= START_NS:
@@ -88,7 +88,7 @@ class BetaflightProcess:
         """Let it run for `ns` of its time, once it has taken in all packets sent so far. Raises LinkError."""
         limit = self.now_ns + ns
         with contextlib.suppress(OSError):  # its end shows in the answer
-            permit = _PERMIT.pack(limit, bool(self._state), bool(self._receiver))
+            permit = _PERMIT.pack(limit, bool(self._state), bool(self._receiver), 0, 0)
             self._control.send(permit + self._state + self._receiver)
         self._state = self._receiver = b""
         self._await_parked()
@@ -101,6 +101,35 @@ class BetaflightProcess:
     def send_receiver(self, packet: bytes) -> None:
         """Have a receiver packet taken in before the next run; one for each."""
         self._receiver = packet
+
+    @property
+    def pid(self) -> int:
+        """Its number; that of the group that its copies belong to as well."""
+        return self._process.pid
+
+    def copy(self) -> socket.socket:
+        """A child of it, as it stands there: the simulator's end of the child's own socket.
+
+        The child has run to `now_ns` like it and has no serial ports; it ends with its socket. Raises
+        LinkError.
+        """
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with contextlib.ExitStack() as undo:
+            undo.enter_context(ours)
+            with theirs:
+                with contextlib.suppress(OSError):  # its end shows in the answer
+                    self._control.send(_PERMIT.pack(self.now_ns, 0, 0, 1, 0))
+                    socket.send_fds(self._control, [b"c"], [theirs.fileno()])
+                self._await_parked()
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval(ANSWER_S))
+            try:
+                answer = ours.recv(PACKET_BYTES_MAX)
+            except OSError as error:
+                raise self.lost(f"a copy of it does not start ({error})") from error
+            if len(answer) < _REPORT.size:
+                raise self.lost("the system does not let it be copied")
+            undo.pop_all()
+        return ours
 
     def servo_packets(self) -> list[bytes]:
         """Servo packets that it sent since the last call, oldest first."""
@@ -193,7 +222,7 @@ class BetaflightProcess:
         self._process.wait()
 
 
-def _timeval(seconds: float) -> bytes:
+def timeval(seconds: float) -> bytes:
     """A time of the system's, struct timeval."""
     return struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
 

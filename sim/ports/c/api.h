@@ -1,4 +1,4 @@
-/* What Python calls of the simulator link (ports/simulator_link.py, ports/host.py). Python reads this file as it stands:
+/* What Python calls of the simulator link (ports/simulator_link.py, ports/host.py, ports/betaflight/fleet.py). Python reads this file as it stands:
  * plain declarations only; it skips the lines that begin with #. */
 #ifndef PORTS_API_H
 #define PORTS_API_H
@@ -12,6 +12,7 @@ enum {
 	LINK_CHANNELS = 16,
 	LINK_TURN_MS = 100, /* the longest wait without a look at signals */
 	LINK_PACKET_MAX = 256, /* longer than any good packet, so that a longer one shows */
+	FLEET_MOTORS = 4,
 };
 
 /* How an exchange went. */
@@ -44,6 +45,22 @@ struct link {
 	int error;
 };
 
+/* The simulator's ends of the sockets to `count` Betaflights and what they are told of their aircraft, a row for each. */
+struct fleet {
+	int count;
+	const int *sockets;
+	uint64_t limit_ns; /* up to which they run next, of their time */
+	double time_s; /* of the sample */
+	const double *rates; /* (count, 3) [rad/s], in the axes of the wire */
+	const double *force; /* (count, 3) [m/s^2], body axes */
+	const double *rotation, *velocity, *position; /* (count, 9), (count, 3), (count, 3), as of a Sample */
+	const uint16_t *channels; /* (count, LINK_CHANNELS) [us] */
+	const bool *heard; /* (count,): whether a receiver packet comes with the sample */
+	float *widths; /* (count, FLEET_MOTORS) [us] that they answer; as before where one does not */
+	int next; /* that is awaited, or failed */
+	int error;
+};
+
 /* Values of a state packet. values: of a Sample; rates [rad/s] and force [m/s^2]: in the axes of the wire; pressure: of
  * the air [Pa]. */
 void link_state(double time_s, const double rates[], const double force[], const double values[], double pressure,
@@ -59,5 +76,11 @@ int link_exchange(struct link *link, double time_s, const double values[], const
 
 /* Goes on awaiting. */
 int link_await(struct link *link);
+
+/* Sends all Betaflights their sample and has them run: LINK_NEW, or LINK_FAILED. */
+int fleet_send(struct fleet *fleet);
+
+/* Awaits that all stand again: LINK_NEW; LINK_AGAIN to be called again; LINK_SILENT or LINK_FAILED of `next`. */
+int fleet_await(struct fleet *fleet);
 
 #endif

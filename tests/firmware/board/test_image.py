@@ -51,7 +51,7 @@ HOT = (
         "gyro_step",
         "observation_step",
     ),
-    *("policy_step", "mixer_step", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
+    *("policy_step", "mixer_mix", "dshot_value", "dshot_frame", "motors_write", "memcpy", "gyro_tick"),
     *("program_gyro_silent", "receiver_line_read", "hal_deadline_missed"),
 )
 WHILE_FLASH_IS_BUSY = ("flash_memory_erase_sector", "flash_memory_program_words", "core_clean_caches")

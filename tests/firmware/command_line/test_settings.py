@@ -126,7 +126,9 @@ def test_get_tells_value_limits_and_default(desk: Desk) -> None:
     assert desk.tell("get pilot_name") == ["pilot_name = - (at most 16 characters, - for none)"]
     names = [line.split(" = ")[0] for line in desk.tell("get")]
     assert names[-len(SETTINGS) :] == [setting.name for setting in SETTINGS]
-    assert names[: -len(SETTINGS)] == ["version", "board", "uid", "policy", "policy_idle", "control_rate_hz"]
+    assert names[: -len(SETTINGS)] == [
+        *("version", "board", "uid", "policy", "policy_idle", "policy_mix", "control_rate_hz")
+    ]
     assert desk.tell("set") == desk.tell("get")
     desk.type("set rates_style = betaflight")
     assert desk.tell("get roll_max") == ["roll_max = 0.7 (0 to 1; default 0.7)"]

@@ -36,11 +36,12 @@ class Flight:
         core.lib.settings_default(self._settings)
         for name, value in settings.items():
             setattr(self._settings, name, value)
+        self._header = core.new("struct nf_policy_blob_header *", {"idle": idle})
         self._pid = pid if pid is not None else core.new("struct pid_gains *")
         self.self = core.new("struct control *")
         config = core.new(
             "struct control_config *",
-            (self._settings, core.lib.policy_weights, idle, policy_good, self._pid),
+            (self._settings, core.lib.policy_weights, self._header, policy_good, self._pid),
         )
         self.error = core.lib.control_init(self.self, config)
         self._out = core.new("float[4]")

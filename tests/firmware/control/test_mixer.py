@@ -1,4 +1,4 @@
-"""mixer.c: thrust is added only as far as the attitude demand leaves room."""
+"""mixer.c: the differences between the motors are kept, whatever the thrust."""
 
 from __future__ import annotations
 
@@ -7,23 +7,32 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.control.motors import raised, throttle_mix
+from toolchain.contract import Mix
+
 EPSILON = float(np.finfo(np.float32).eps)
 
 
-def make(core: Any, idle: float = 0.0, **changed: float) -> Any:
+def make(core: Any, idle: float = 0.0, kind: Mix = Mix.ATTITUDE_FIRST, **changed: float) -> Any:
     """A mixer with these settings."""
     values = core.new("struct nf_settings *")
     core.lib.settings_default(values)
     for name, value in changed.items():
         setattr(values, name, value)
     mixer = core.new("struct mixer *")
-    assert core.lib.mixer_init(mixer, values, idle) == 0
+    assert core.lib.mixer_init(mixer, values, idle, kind) == 0
     return mixer
 
 
 def mix(core: Any, action: Any, throttle: float, idle: float = 0.0, **changed: float) -> np.ndarray:  # type: ignore[type-arg]
-    mixer, out = make(core, idle, **changed), core.new("float[8]")
-    core.lib.mixer_step(mixer, list(action), throttle, out)
+    return step(core, make(core, idle, Mix.ATTITUDE_FIRST, **changed), action, throttle)
+
+
+def step(core: Any, mixer: Any, action: Any, throttle: float) -> np.ndarray:  # type: ignore[type-arg]
+    """Outputs of the mixer."""
+    mixed, out = core.new("float[8]"), core.new("float[8]")
+    core.lib.mixer_mix(mixer, list(action), throttle, mixed)
+    core.lib.mixer_raise(mixer, mixed, out)
     return np.array(list(out)[: len(action)])
 
 
@@ -81,6 +90,36 @@ def test_outputs_lie_between_idle_and_one_when_idle_is_set(scripted: Any, idle: 
         np.testing.assert_allclose(output, idle + (1 - idle) * mix(scripted, action, 0.3), atol=2 * EPSILON)
 
 
+# --- Centred ----------------------------------------------------------------------------------
+@pytest.mark.parametrize("idle", [0.0, 0.05])
+def test_the_twins_bits_come_when_the_mix_is_centred(scripted: Any, idle: float) -> None:
+    rng = np.random.default_rng(5)
+    mixer = make(scripted, idle, Mix.CENTRED)
+    some = actions(200)
+    throttles = rng.choice([0.0, 0.1, 0.5, 0.9, 1.0], len(some)).astype(np.float32)
+    expected = raised(throttle_mix(some, throttles, Mix.CENTRED), idle)
+    for action, throttle, row in zip(some, throttles, expected, strict=True):
+        assert step(scripted, mixer, action, throttle).astype(np.float32).tobytes() == row.tobytes()
+
+
+def test_the_motors_mean_is_the_throttle_when_the_mix_is_centred(scripted: Any) -> None:
+    mixer = make(scripted, 0.0, Mix.CENTRED)
+    output = step(scripted, mixer, [0.7, 0.5, 0.6, 0.6], 0.25)
+    np.testing.assert_allclose(output, [0.35, 0.15, 0.25, 0.25], atol=2 * EPSILON)
+
+
+def test_all_motors_move_together_when_one_would_leave_the_range(scripted: Any) -> None:
+    mixer = make(scripted, 0.0, Mix.CENTRED)
+    for throttle, expected in ((0.1, [0.4, 0.0, 0.2, 0.2]), (0.9, [1.0, 0.6, 0.8, 0.8])):
+        output = step(scripted, mixer, [0.7, 0.3, 0.5, 0.5], throttle)
+        np.testing.assert_allclose(output, expected, atol=2 * EPSILON)
+
+
+def test_every_motor_idles_when_a_centred_one_is_no_number(scripted: Any) -> None:
+    mixer = make(scripted, 0.25, Mix.CENTRED)
+    assert step(scripted, mixer, [0.5, float("nan"), 0.5, 0.5], 0.5).tolist() == [0.25] * 4
+
+
 # --- What the pilot sets ----------------------------------------------------------------------
 @pytest.mark.parametrize("idle", [0.0, 0.23, 0.5])
 def test_no_bit_changes_when_the_limit_is_one(scripted: Any, idle: float) -> None:
@@ -109,10 +148,11 @@ def test_all_motors_turn_at_the_limit_when_it_is_below_the_idle(scripted: Any) -
 
 
 def test_the_idle_is_the_new_controllers_when_it_takes_over(scripted: Any) -> None:
-    mixer, out = make(scripted, 0.1, motor_limit=0.8), scripted.new("float[4]")
+    mixer = make(scripted, 0.1, motor_limit=0.8)
     assert scripted.lib.mixer_set_idle(mixer, 0.3) == 0
-    scripted.lib.mixer_step(mixer, [0.0, 1.0, 0.5, 0.25], 0.0, out)
-    np.testing.assert_allclose(list(out), [0.3, 0.8, 0.55, 0.425], atol=2 * EPSILON)
+    np.testing.assert_allclose(
+        step(scripted, mixer, [0.0, 1.0, 0.5, 0.25], 0.0), [0.3, 0.8, 0.55, 0.425], atol=2 * EPSILON
+    )
 
 
 @pytest.mark.parametrize(("us", "stops"), [(880, True), (1050, True), (1051, False), (2000, False)])
@@ -128,8 +168,8 @@ def test_motors_stand_still_when_the_pilot_wants_so_and_the_throttle_is_low(
 def test_an_idle_is_refused_and_the_last_one_kept_when_it_is_out_of_range(scripted: Any, idle: float) -> None:
     values = scripted.new("struct nf_settings *")
     scripted.lib.settings_default(values)
-    assert scripted.lib.mixer_init(scripted.new("struct mixer *"), values, idle) == scripted.lib.NF_ERR_IDLE
-    mixer, out = make(scripted, 0.2), scripted.new("float[4]")
+    refused = scripted.new("struct mixer *")
+    assert scripted.lib.mixer_init(refused, values, idle, Mix.CENTRED) == scripted.lib.NF_ERR_IDLE
+    mixer = make(scripted, 0.2)
     assert scripted.lib.mixer_set_idle(mixer, idle) == scripted.lib.NF_ERR_IDLE
-    scripted.lib.mixer_step(mixer, [0.0] * 4, 0.0, out)
-    assert list(out) == pytest.approx([0.2] * 4)
+    assert step(scripted, mixer, [0.0] * 4, 0.0).tolist() == pytest.approx([0.2] * 4)

@@ -15,15 +15,16 @@ from toolchain.contract import (
     OBSERVATION_COUNT_MAX,
     OBSERVATION_MEMORY_MAX,
     OBSERVATION_TERMS_MAX,
+    needs_model,
     observation_blocks,
     observation_count,
 )
 
 BLOCKS = [block for block in OBSERVATION_BLOCKS if block.in_firmware]
 EVERY_BLOCK = ",".join(block.name for block in BLOCKS)
+OWN_BLOCKS = [block for block in BLOCKS if not needs_model(observation_blocks(block.name))]
 PERIOD_S = 1 / 1000
 Array = NDArray[np.float64]
-Row = tuple[Array, Array, Array, float]  # rate, setpoint, action, throttle
 
 
 class Observation:
@@ -61,28 +62,37 @@ class Observation:
         gains = [term.gain(rate_hz) for term in terms]
         return cls(core, codes, observation_count(terms, motors), ages, gains, motors, rate_hz)
 
-    def step(self, rate: Array, setpoint: Array, action: Array, throttle: float) -> Array:
-        arrays = [self.core.new("float[]", values.tolist()) for values in (rate, setpoint, action)]
-        given = self.core.new("struct observation_input *", (*arrays, throttle))
+    def step(self, rate: Array, setpoint: Array, action: Array, throttle: float, *more: Array) -> Array:
+        """The next observation. more: last motors, and of the estimator rotors, rate and its error."""
+        before, after = (
+            [self.core.new("float[]", values.tolist()) for values in part]
+            for part in ((rate, setpoint, action), more)
+        )
+        missing = [self.core.new("float[]", 8) for _ in range(4 - len(more))]
+        given = self.core.new("struct observation_input *", (*before, throttle, *after, *missing))
         self.lib.observation_step(self.self, given, self._out)
         return np.array(list(self._out)[: self._width])
 
 
-def flight(steps: int, motors: int, scale: float) -> tuple[Array, Array, Array, Array]:
-    """Random rates, setpoints, actions and throttles, as float32 holds them."""
+def flight(steps: int, motors: int, scale: float) -> tuple[Array, ...]:
+    """Random columns of what Observation.step takes, as float32 holds them."""
     rng = np.random.default_rng(steps)
     columns = (
         rng.normal(0, scale, (steps, 3)),
         rng.normal(0, scale, (steps, 3)),
         rng.random((steps, motors)),
         rng.random(steps),
+        rng.random((steps, motors)) - 0.5,
+        rng.normal(0, 100.0 * scale, (steps, motors)),
+        rng.normal(0, scale, (steps, 3)),
+        rng.normal(0, scale, (steps, 3)),
     )
-    rate, setpoint, action, throttle = (column.astype(np.float32).astype(float) for column in columns)
-    return rate, setpoint, action, throttle
+    return tuple(column.astype(np.float32).astype(float) for column in columns)
 
 
-def defined(rate: Array, setpoint: Array, action: Array, throttle: Array) -> dict[str, Array]:
+def defined(rate: Array, setpoint: Array, action: Array, throttle: Array, *more: Array) -> dict[str, Array]:
     """Each block at each step, as the contract's words say."""
+    motors, rotors, estimate, estimate_error = more
     error = setpoint - rate
     return {
         "rate": rate,
@@ -91,6 +101,10 @@ def defined(rate: Array, setpoint: Array, action: Array, throttle: Array) -> dic
         "rate_error_integral": np.cumsum(error * PERIOD_S, axis=0),
         "previous_action": action,
         "throttle": throttle[:, None],
+        "previous_motors": motors,
+        "rotor_estimate": rotors,
+        "rate_estimate": estimate,
+        "rate_estimate_error": estimate_error,
     }
 
 
@@ -137,7 +151,7 @@ def test_a_low_pass_is_as_defined_when_it_starts_and_goes_on(scripted: Any) -> N
 def test_old_values_are_those_of_their_step_and_zero_when_there_was_none(scripted: Any) -> None:
     columns = flight(100, 4, scale=2.0)
     observation = Observation.of(scripted, "rate@1,previous_action@16,throttle@3,rate@2")
-    rate, _, action, throttle = columns
+    rate, _, action, throttle = columns[:4]
     for index, row in enumerate(zip(*columns, strict=True)):
 
         def ago(values: Array, steps: int, now: int = index) -> Array:
@@ -152,7 +166,7 @@ def random_terms(rng: np.random.Generator, motors: int, rate_hz: int) -> str:
     texts = ["rate_error~15Hz@2"]
     width, remembered = 3, 9
     for _ in range(30):
-        block = BLOCKS[rng.integers(len(BLOCKS))]
+        block = OWN_BLOCKS[rng.integers(len(OWN_BLOCKS))]
         age = int(rng.integers(0, OBSERVATION_AGE_MAX + 1)) * int(rng.random() < 0.4)
         passed = bool(rng.random() < 0.5)
         width += block.count(motors)
@@ -173,13 +187,18 @@ def test_c_gives_the_twins_bits_when_terms_are_random(scripted: Any, seed: int) 
     observer = Observer(observation_blocks(text), 1, motors, rate_hz)
     rows = list(zip(*flight(400 + seed, motors, scale=10 ** rng.uniform(-2, 1.5)), strict=True))
     seen = set()
+    last = np.zeros(motors)
     for index, row in enumerate(rows):
         if index > 0 and rng.random() < 0.02:
             compiled.lib.observation_reset(compiled.self)
             observer.reset(np.arange(1))
-        rate, setpoint, action, throttle = (np.atleast_1d(np.float32(values)) for values in row)
+            last[:] = 0.0
+        rate, setpoint, action, throttle = (np.float32(values).reshape(-1) for values in row[:4])
         expected = observer.observe(slice(None), setpoint[None], rate[None], action[None], throttle)
-        given = np.float32(compiled.step(*row))
+        given = np.float32(compiled.step(*row[:4], last))
+        fractions = rng.random(motors).astype(np.float32)
+        observer.commanded(slice(None), fractions[None], throttle)
+        last = (fractions - throttle).astype(float)
         assert given.tobytes() == expected[0].tobytes(), f"{text}, step {index}"
         seen.add(given.tobytes())
     assert len(seen) > 300, "the observation must have moved"
@@ -200,7 +219,7 @@ def test_the_past_is_forgotten_when_it_is_reset(scripted: Any, text: str) -> Non
 # --- Refusals ---------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("codes", "width"),
-    [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
+    [([0], 3), ([7], 4), ([8], 3), ([9], 3), ([13], 3), ([255], 3), ([1, 2], 7), ([5], 3), ([1], 0)],
 )
 def test_init_refuses_when_a_block_is_unknown_or_the_width_differs(
     scripted: Any,

@@ -9,7 +9,7 @@
 #include "receiver/receiver.h"
 #include "storage/settings.h"
 
-#define SETPOINT_MAX 34.04f /* rad/s: 1950 deg/s and a hair */
+#define SETPOINT_MAX 27.93f /* rad/s: 1600 deg/s and a hair */
 #define GAP 16u /* gyro samples: longer than any pause within a frame */
 #define GYRO_HZ 1000u
 #define LOOK_EVERY 16u /* gyro samples without a byte */

@@ -131,25 +131,25 @@ UNITS = {
 
 
 def test_the_pid_that_stands_by_is_told_and_scaled_in_the_apps_units(app: App) -> None:
-    tuned = dict(load_aircraft("nf1").pids)["tuned"]
+    pid = dict(load_aircraft("nf1").pids)["flying"]
     gains = {
         f"{axis}_{term}": gain
-        for axis, row in zip(("roll", "pitch", "yaw"), tuned.gains, strict=True)
+        for axis, row in zip(("roll", "pitch", "yaw"), pid.gains, strict=True)
         for term, gain in zip("pid", row, strict=True)
     }
     told = app.get(112)
     assert {name: told[name] for name in gains} == {n: round(g / UNITS[n[-1]]) for n, g in gains.items()}
-    assert app.get(92)["d_lowpass_hz"] == app.get(140)["d_lowpass_hz"] == 15
+    assert app.get(92)["d_lowpass_hz"] == app.get(140)["d_lowpass_hz"] == 20
     advanced = app.get(94)
-    assert (advanced["tpa_rate"], advanced["tpa_breakpoint"]) == (15, 1600)
-    assert app.get(90)["motor_idle"] == 2300
+    assert (advanced["tpa_rate"], advanced["tpa_breakpoint"]) == (0, 1000)
+    assert app.get(90)["motor_idle"] == 550
     expected = app.settings()
-    app.ask(202, app.payload(202, roll_p=60, yaw_i=100))
+    app.ask(202, app.payload(202, roll_p=45, yaw_i=180))
     settings = app.settings()
-    assert settings.pop("pid_roll_p") == pytest.approx(60 * UNITS["p"] / gains["roll_p"], rel=1e-5)
-    assert settings.pop("pid_yaw_i") == pytest.approx(100 * UNITS["i"] / gains["yaw_i"], rel=1e-5)
+    assert settings.pop("pid_roll_p") == pytest.approx(45 * UNITS["p"] / gains["roll_p"], rel=1e-5)
+    assert settings.pop("pid_yaw_i") == pytest.approx(180 * UNITS["i"] / gains["yaw_i"], rel=1e-5)
     assert settings == {n: v for n, v in expected.items() if n not in ("pid_roll_p", "pid_yaw_i")}
-    assert (app.get(112)["roll_p"], app.get(112)["yaw_i"]) == (60, 100)
+    assert (app.get(112)["roll_p"], app.get(112)["yaw_i"]) == (45, 180)
     for beyond in ({"roll_p": 5}, {"roll_p": 200}, {"pitch_i": 9}, {"level_p": 50}):
         assert app.refused(202, app.payload(202, **beyond)), beyond
 

@@ -60,9 +60,8 @@ class Board:
         settings, pid = (self._kept(data) for data in (host.settings_bytes(), host.pid_bytes()))
         weights = self._kept(host.weights_bytes())
         # AAPCS gives a small enum and a bool one byte, the others are padding.
-        words = (GYRO_HZ, CW180, settings, weights)
-        config = b"".join(word.to_bytes(4, "little") for word in words) + np.float32(host.idle).tobytes()
-        config += (1).to_bytes(4, "little") + pid.to_bytes(4, "little")
+        words = (GYRO_HZ, CW180, settings, weights, self._kept(host.header_bytes()), 1, pid)
+        config = b"".join(word.to_bytes(4, "little") for word in words)
         self._core.write(self._argument, config)
         assert self._core.call("firmware_init", self.firmware, self._argument) == 0
         self._core.call("firmware_forbid", self.firmware, ArmingReason.BATTERY_UNKNOWN, 0)
@@ -98,10 +97,12 @@ class Host:
         self.settings.mode5 = ModeRange(Mode.CHIRP, 5, 1700, 2100).packed
         self.settings.chirp_s = 1.0
         lib, self._pid = core.lib, core.ffi.addressof(core.lib, "pid_gains_built_in")
-        self.idle = lib.policy_blob.header.idle
+        self._header = core.ffi.cast(
+            "struct nf_policy_blob_header *", core.ffi.addressof(lib.policy_blob.header)
+        )
         config = core.new(
             "struct firmware_config *",
-            (GYRO_HZ, CW180, MPU6500, self.settings, lib.policy_weights, self.idle, True, self._pid),
+            (GYRO_HZ, CW180, MPU6500, self.settings, lib.policy_weights, self._header, True, self._pid),
         )
         assert lib.firmware_init(self.firmware, config) == 0
         lib.firmware_forbid(self.firmware, ArmingReason.BATTERY_UNKNOWN, False)
@@ -109,6 +110,9 @@ class Host:
 
     def settings_bytes(self) -> bytes:
         return bytes(self._core.ffi.buffer(self.settings))
+
+    def header_bytes(self) -> bytes:
+        return bytes(self._core.ffi.buffer(self._header))
 
     def pid_bytes(self) -> bytes:
         return bytes(self._core.ffi.buffer(self._pid))

@@ -19,6 +19,7 @@ from toolchain.contract import (
     FallbackCause,
     FlightState,
     GyroHealth,
+    Mix,
     Msp,
     StopCause,
     layout_of,
@@ -240,6 +241,7 @@ def test_policy_info_is_the_compiled_in_policys_when_asked(server: Callable[...,
         source=PolicySource.COMPILED_IN,
         sequence=0,
         found=(0, 0, 0),
+        mix=Mix.ATTITUDE_FIRST,
     )
     assert not messages.policy_info(server(policy_good=False).ask(Msp.POLICY_INFO)).good
 

@@ -138,8 +138,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="a demand is read from the mixer's column of another axis",
         file=CONTROL,
-        old="gains->mixer[m][i] * control->action[m]",
-        new="gains->mixer[m][2 - i] * control->action[m]",
+        old="roll += share[0] * control->action[m]",
+        new="roll += share[2] * control->action[m]",
         tests=(OF_CONTROL,),
     ),
     Mutant(
@@ -195,8 +195,8 @@ CONTROL_MUTANTS = (
     Mutant(
         name="a filtered block begins at zero",
         file=OBSERVATION,
-        old="*state = first ? *out : *state + gain",
-        new="*state = first && gain > 1.0f ? *out : *state + gain",
+        old="state[i] = first ? values[i] : state[i] + gain",
+        new="state[i] = first && gain > 1.0f ? values[i] : state[i] + gain",
         tests=(OF_OBSERVATION,),
     ),
     Mutant(

@@ -110,8 +110,8 @@ STORAGE_MUTANTS = (
     Mutant(
         name="the largest idle is refused",
         file=BLOB,
-        old="return bits <= most_bits;",
-        new="return bits < most_bits;",
+        old="return policy_blob_bits(value) <= policy_blob_bits(most);",
+        new="return policy_blob_bits(value) < policy_blob_bits(most);",
         tests=(OF_BLOB,),
     ),
     Mutant(

@@ -11,7 +11,7 @@
 #include "storage/settings.h"
 
 #define PIECES_MAX 300000
-#define SETPOINT_MAX 34.04f /* rad/s: 1950 deg/s and a hair */
+#define SETPOINT_MAX 27.93f /* rad/s: 1600 deg/s and a hair */
 
 static const struct piece {
 	const uint8_t *bytes; /* a heap block of its own size, so that one byte too far is seen */

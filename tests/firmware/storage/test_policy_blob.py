@@ -18,7 +18,7 @@ from toolchain.rendering.contract_header import blob_header_fields
 
 Check = Callable[..., int]
 SUCCESS, SHORT, MAGIC, LAYOUT, SIZE, CRC, RATE, FILTERS, ARCHITECTURE, IDLE = 0, *range(-6, -15, -1)
-HEADER_BYTES = 344
+HEADER_BYTES = 576
 
 BLOB = PolicyBlob(
     sequence=3,

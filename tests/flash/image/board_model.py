@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 
 from flash.msp import Decoder, Direction, Message, encode
-from toolchain.contract import FLASH_BANK_A, Msp, Refusal, image_checksum, image_header
+from toolchain.contract import FLASH_BANK_A, Mix, Msp, Refusal, image_checksum, image_header
 from toolchain.errors import LinkError
 
 BOARD = "MATEKF722"
@@ -138,7 +138,7 @@ class BoardModel:
     def policy(self, _: bytes) -> bytes:
         bad = self.fate is Fate.POLICY_BAD and self.running == 1
         head = struct.pack("<IHHIHHB", 1, 6, 4, 100, 1000, 4000, not bad)
-        return head + b"\x03nf1" + bytes(32) + struct.pack("<fBI3b", 0.1, 2, 0, 0, 0, 0)
+        return head + b"\x03nf1" + bytes(32) + struct.pack("<fBI3bB", 0.1, 2, 0, 0, 0, 0, Mix.CENTRED)
 
     def version(self, _: bytes) -> bytes:
         header = image_header(self.banks[self.running].data)

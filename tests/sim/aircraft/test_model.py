@@ -364,7 +364,8 @@ class Recording(StrictTable):
     def _note(self, key: str, allowed: str, default: object) -> None:
         name = re.sub(r"\[\d+\]", "", f"{self._path}{key}")
         name = re.sub(r"^(motor|propeller)_part\.", "part.", name)
-        shown = str(list(default)) if isinstance(default, tuple) else f"{default:g}" if default else "0"
+        shown = str(list(default)) if isinstance(default, tuple) else "0"
+        shown = f"{default:g}" if default and isinstance(default, int | float) else shown
         shown = "" if default is None else default if isinstance(default, str) else shown
         self.asked.setdefault(name, set()).add((allowed, shown.replace(".0", "")))
 

@@ -8,6 +8,7 @@ import pytest
 from sim.analysis.metrics import controller_output, effort, figures, tracking
 from sim.control.motors import throttle_mix
 from sim.flight.trace import Trace
+from toolchain.contract import Mix
 
 STEP_S = 0.001
 
@@ -80,6 +81,16 @@ def test_output_keeps_the_differences_when_the_throttle_is_full() -> None:
     y = np.array([[0.1, 0.2, 0.3, 0.4]], np.float32)
     recovered = controller_output(throttle_mix(y, np.ones(1, np.float32)), np.ones(1))
     assert np.diff(recovered) == pytest.approx(np.diff(y))
+
+
+@pytest.mark.parametrize("mix", [Mix.CENTRED, None])
+def test_output_is_the_motors_above_the_idle_when_the_mix_cannot_be_undone(mix: Mix | None) -> None:
+    rng = np.random.default_rng(4)
+    y, throttle = rng.random((50, 4), np.float32), rng.random(50, np.float32)
+    u = throttle_mix(y, throttle, Mix.CENTRED).astype(np.float64)
+    told = controller_output(0.055 + 0.945 * u, throttle, 0.055, mix)
+    assert told == pytest.approx(u, abs=1e-12)
+    assert told != pytest.approx(controller_output(0.055 + 0.945 * u, throttle, 0.055), abs=0.01)
 
 
 def test_effort_has_its_closed_form_when_one_motor_of_four_alternates() -> None:

@@ -22,7 +22,7 @@ from sim.flight.trace import save_trace
 from sim.identification.recording import read_recording
 from tests.sim.blackbox.own import LEAD, log_of, trace
 from tests.sim.blackbox.writer import event
-from toolchain.contract import FallbackCause, FlightState
+from toolchain.contract import FallbackCause, FlightState, Mix
 from toolchain.errors import TraceError
 
 IDLE = 0.055
@@ -171,6 +171,33 @@ def test_idle_is_that_of_the_controller_that_flew(tmp_path: Path) -> None:
     assert channels(read_log(save(tmp_path, data))).idle == 0.06
     assert channels(read_log(save(tmp_path, log_of(trace(100))))).idle == IDLE
     assert channels(read_log(save(tmp_path, log_of(trace(100), nf_idle="nan,")))).idle is None
+
+
+def test_mix_is_that_of_the_controller_that_flew(tmp_path: Path) -> None:
+    def mix(data: bytes) -> Mix | None:
+        return channels(read_log(save(tmp_path, data))).mix
+
+    assert mix(log_of(trace(100))) is Mix.ATTITUDE_FIRST  # of a log from before there were two
+    assert mix(log_of(trace(100), nf_mix="centred,attitude-first")) is Mix.CENTRED
+    assert mix(log_of(trace(100), nf_mix="sideways,centred")) is None
+    data = log_of(trace(100), nf_mix="attitude-first,centred").replace(b"flightModeFlags", b"nfFlags")
+    assert mix(data) is Mix.CENTRED  # the PID flies
+
+
+def test_effort_is_the_motors_when_the_mix_is_centred(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = trace(STEPS)
+    log = read_log(save(tmp_path, log_of(flown, nf_mix="centred,centred")))
+    u = ((flown.motors - IDLE) / (1 - IDLE)).clip(0, 1)
+    assert log_flight(log).figures.effort.output == pytest.approx(u.mean(), rel=1e-9)
+    assert (
+        log_flight(log, mix=Mix.ATTITUDE_FIRST).figures.effort
+        == log_flight(read_log(save(tmp_path, log_of(flown), "LOG00002.BBL"))).figures.effort
+    )
+    save_trace(tmp_path / "flight.npz", flown)
+    words = ["metrics", str(tmp_path / "flight.npz"), "--idle", str(IDLE), "--mix", "centred"]
+    assert as_json(capsys, *words)["effort"]["output"] == pytest.approx(u.mean(), rel=1e-9)
 
 
 def test_list_tells_each_file_of_a_cards_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

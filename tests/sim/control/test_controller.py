@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sim.aircraft.model import load_aircraft
 from sim.control.controller import PolicyController
-from toolchain.contract import observation_blocks
+from sim.control.estimator import Estimator
+from sim.control.motors import throttle_mix
+from sim.control.observation import Observer
+from toolchain.contract import Mix, observation_blocks
+from toolchain.ir.interpreter import evaluate
 from toolchain.ir.network import chain
 from toolchain.ir.operations import Clip, Linear
-from toolchain.policy.model import PolicyModel
+from toolchain.policy.model import PolicyModel, read_policy
 from training.evaluation.evaluation import record
 from training.tasks.task import PulseTask
 
@@ -67,3 +74,62 @@ def test_an_evaluation_gives_the_twins_rotor_speed_when_the_policy_observes_it()
     )
     assert (flights.output[:, 0] == 0).all()  # at rest
     assert (flights.output[:, -1] == 1).all()  # idling, so many rad/s
+
+
+def test_an_estimating_policys_bits_are_the_same_alone_and_in_a_batch(estimating_policy: Path) -> None:
+    policy, rng = read_policy(estimating_policy), np.random.default_rng(4)
+    batch = PolicyController(policy, 5)
+    alone = [PolicyController(policy, 1) for _ in range(5)]
+    throttle = rng.random(5, np.float32)
+    seen = []
+    for _ in range(100):
+        setpoint, gyro = rng.normal(size=(2, 5, 3)).astype(np.float32)
+        together = batch.step(setpoint, gyro, throttle)
+        apart = [
+            one.step(setpoint[i : i + 1], gyro[i : i + 1], throttle[i : i + 1]) for i, one in enumerate(alone)
+        ]
+        assert np.concatenate(apart).tobytes() == together.tobytes()
+        seen.append(together.copy())
+    assert np.ptp(seen, axis=0).min() > 0.0  # it answers what it sees
+
+
+def test_an_estimating_policy_observes_its_own_mixed_commands(estimating_policy: Path) -> None:
+    policy, rng = read_policy(estimating_policy), np.random.default_rng(6)
+    assert policy.mix is Mix.CENTRED
+    controller = PolicyController(policy, 1)
+    observer = Observer(policy.blocks, 1, 4, 1000, model=policy.model, idle=policy.idle)
+    action, throttle = np.zeros((1, 4), np.float32), np.full(1, 0.4, np.float32)
+    for _ in range(50):
+        setpoint, gyro = rng.normal(size=(2, 1, 3)).astype(np.float32)
+        action = evaluate(policy.network, observer.observe(slice(None), setpoint, gyro, action, throttle))
+        observer.commanded(slice(None), throttle_mix(action, throttle, Mix.CENTRED), throttle)
+        assert np.abs(controller.step(setpoint, gyro, throttle) - action).max() < 1e-5
+
+
+def test_an_estimating_policy_begins_anew_when_reset(estimating_policy: Path) -> None:
+    controller = PolicyController(read_policy(estimating_policy), 2)
+    first = [controller.step(ZERO, ZERO + 1, NO_THRUST).copy() for _ in range(20)]
+    controller.reset()
+    again = [controller.step(ZERO, ZERO + 1, NO_THRUST).copy() for _ in range(20)]
+    assert np.array_equal(first, again)
+
+
+def test_a_policy_estimates_with_the_idle_that_it_flies_with(estimating_policy: Path) -> None:
+    shipped = read_policy(estimating_policy)
+    assert shipped.model is not None
+    # Its actions are thousandths of how far its rotors are below rest.
+    thousandth = np.diag(np.full(4, -1e-3, np.float32))
+    below = chain(4, [Linear(thousandth, np.zeros(4, np.float32)), Clip(0.0, 1.0)])
+    policy = replace(showing("rotor_estimate", [0, 1, 2, 3]), model=shipped.model, idle=0.055, network=below)
+    begun = []
+    for idle in (None, 0.2):
+        controller = PolicyController(policy, 1, idle=idle)
+        estimator = Estimator(shipped.model, 1, 0.055 if idle is None else idle)
+        for _ in range(3):
+            action = controller.step(ZERO[:1], ZERO[:1], NO_THRUST[:1])
+            estimator.observe(slice(None), None, ZERO[:1])
+            rotor = estimator.rotor_estimate(slice(None), NO_THRUST[:1])
+            assert action == pytest.approx(np.clip(rotor / -1000, 0, 1), abs=1e-6)
+            estimator.command(slice(None), throttle_mix(action, NO_THRUST[:1]))
+        begun.append(float(action.min()))
+    assert begun[0] + 0.1 < begun[1]

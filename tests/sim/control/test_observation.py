@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from sim.aircraft.model import load_aircraft
+from sim.control.estimator import Estimator, model_constants
 from sim.control.observation import Observer, limits
 from toolchain.contract import OBSERVATION_BLOCKS, ObservationTerm, observation_blocks
 
@@ -92,3 +94,62 @@ def test_rotor_speed_and_gravity_are_observed_when_given_and_missed_when_not() -
     throttle = np.zeros(1, np.float32)
     seen = observer.observe(EVERYONE, one, one, speed, throttle, rotor_speed=speed, gravity=down)
     assert seen[0].tolist() == [0, 0, -1, 1, 2, 3, 4]
+
+
+ESTIMATED = "previous_motors,rotor_estimate,rate_estimate,rate_estimate_error"
+
+
+def test_previous_motors_are_the_last_fractions_less_the_throttle_of_their_step() -> None:
+    observer = Observer(observation_blocks("previous_motors"), 2, 4, 1000)
+    assert look(observer, 0.0, 0.0, 2).tolist() == [[0.0] * 4] * 2
+    fractions = np.array([[0.5, 0.75, 0.25, 1.0], [0.0, 0.5, 0.5, 0.0]], np.float32)
+    observer.commanded(EVERYONE, fractions, np.array([0.5, 0.25], np.float32))
+    assert look(observer, 0.0, 0.0, 2).tolist() == [[0, 0.25, -0.25, 0.5], [-0.25, 0.25, 0.25, -0.25]]
+    observer.reset(np.array([0]))
+    assert look(observer, 0.0, 0.0, 2)[:, 0].tolist() == [0.0, -0.25]
+
+
+def test_estimates_are_those_of_the_model_at_the_policys_idle() -> None:
+    model = model_constants(load_aircraft("nf1"), 1000)
+    terms = observation_blocks(ESTIMATED + ",rate_estimate@2")
+    observer, estimator = Observer(terms, 3, 4, 1000, model=model, idle=0.055), Estimator(model, 3, 0.055)
+    rng, estimates = np.random.default_rng(3), [np.zeros((3, 3), np.float32)] * 2
+    throttle = rng.random(3, np.float32)
+    for k in range(20):
+        setpoint, gyro = rng.normal(size=(2, 3, 3)).astype(np.float32)
+        seen = observer.observe(EVERYONE, setpoint, gyro, np.zeros((3, 4), np.float32), throttle)
+        estimator.observe(EVERYONE, np.full((3, 1), k == 0), gyro)
+        estimates.append(estimator.rate_estimate(EVERYONE).copy())
+        assert seen[:, 4:8].tobytes() == estimator.rotor_estimate(EVERYONE, throttle).tobytes()
+        assert seen[:, 8:11].tobytes() == estimates[-1].tobytes()
+        assert seen[:, 11:14].tobytes() == (setpoint - estimates[-1]).tobytes()
+        assert seen[:, 14:].tobytes() == estimates[-3].tobytes()
+        fractions = rng.random((3, 4), np.float32)
+        observer.commanded(EVERYONE, fractions, throttle)
+        estimator.command(EVERYONE, fractions)
+
+
+def test_estimates_of_part_of_the_aircraft_begin_anew_without_touching_the_others() -> None:
+    model = model_constants(load_aircraft("nf1"), 1000)
+    observer = Observer(observation_blocks(ESTIMATED), 2, 4, 1000, model=model, idle=0.055)
+    fractions, throttle = np.full((2, 4), 0.5, np.float32), np.full(2, 0.25, np.float32)
+
+    def run(steps: int) -> np.ndarray:
+        for _ in range(steps):
+            seen = look(observer, 1.0, 0.5, 2)
+            observer.commanded(EVERYONE, fractions, throttle)
+        return seen
+
+    begun = run(1)
+    later = run(30)
+    assert not np.array_equal(begun, later)
+    observer.reset(np.array([1]))
+    again = run(1)
+    assert again[1].tobytes() == begun[1].tobytes()
+    assert (again[0, 4:8] > later[0, 4:8]).all()  # its rotors gain speed still
+
+
+def test_an_observation_is_refused_when_its_model_is_missing() -> None:
+    for name in ("rotor_estimate", "rate_estimate", "rate_estimate_error"):
+        with pytest.raises(ValueError, match="needs a model of the aircraft, got none"):
+            Observer(observation_blocks(f"rate,{name}"), 1, 4, 1000)

@@ -153,7 +153,7 @@ def test_all_terms_grow_when_the_battery_sags(volts: float, factor: float) -> No
 
 def test_the_same_bits_are_flown_when_nothing_attenuates_or_compensates() -> None:
     aircraft = load_aircraft("nf1")
-    tuned = aircraft.pids[0][1]
+    tuned = dict(aircraft.pids)["tuned"]
     plain = dataclasses.replace(tuned, tpa_rate=0.0, nominal_voltage=None)
     both = [Pid(mixer(aircraft), settings, 1, RATE_HZ) for settings in (tuned, plain)]
     rng = np.random.default_rng(8)

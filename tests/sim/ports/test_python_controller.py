@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from sim.control import sticks
 from sim.ports.library import ReferencePort
 from sim.ports.port import Reply, Sample
 from sim.ports.python_controller import ControllerPort
-from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS
+from toolchain.contract import RECEIVER_HOLD_MS, RECEIVER_LOST_MS, Mix
 
 Array = NDArray[np.float32]
 RATE_HZ = 1000  # gyro and control alike, for short tests
@@ -55,7 +56,7 @@ def armed_port(controller: Echo) -> ControllerPort:
 
 def test_gyro_is_the_firmwares_bits_when_both_hear_the_same_noise(reference_library: Path) -> None:
     rng = np.random.default_rng(1)
-    ours, theirs = ControllerPort(Echo(), 4), ReferencePort(reference_library)
+    ours, theirs = ControllerPort(Echo(), 4, gyro_mean=True), ReferencePort(reference_library)
     for k in range(4400):  # a second of calibration, then a tenth of motion as fast as a gyro tells
         noise = rng.normal((0.1, -0.05, 0.02), 0.02)
         gyro = noise if k < 4000 else noise + 33.0 * np.sin(0.3 * (k - 4000)) * np.array([1.0, -0.8, 0.6])
@@ -83,6 +84,24 @@ def test_idle_lifts_the_motors_when_given() -> None:
     port = ControllerPort(Echo([0.0, 0.0, 0.0, 1.0]), 4, RATE_HZ, idle=0.1)
     run(port, OFF, BOOT)
     assert run(port, ON, 1).dshot.tolist() == [248, 248, 248, 2047]
+
+
+def test_the_mix_is_the_controllers_when_given() -> None:
+    port = ControllerPort(Echo(), 4, RATE_HZ, mix=Mix.CENTRED)
+    run(port, OFF, BOOT)
+    assert run(port, ON, 1).dshot.tolist() == [48 + round(1999 * y) for y in (0.0, 0.1, 0.2, 0.3)]
+    half = sticks.channels((0.0, 0.0, 0.0), 0.5, armed=True).tolist()
+    level = port.exchange(sample(), half).dshot
+    assert level.tolist() == [48 + round(1999 * u) for u in (0.35, 0.45, 0.55, 0.65)]
+
+
+def test_the_controller_sees_the_mean_of_the_samples_since_its_last_step_when_asked() -> None:
+    port = ControllerPort(Echo(), 4, 4000, gyro_mean=True)
+    replies = [port.exchange(sample(np.full(3, (k + 1) / 10)), None) for k in range(9)]
+    count = float(np.deg2rad(2000 / 32768))
+    assert replies[0].gyro == pytest.approx(0.1, abs=count)  # the first stands for those before it
+    assert replies[4].gyro == pytest.approx(0.35, abs=count)
+    assert replies[8].gyro == pytest.approx(0.75, abs=count)
 
 
 def test_it_does_not_arm_when_the_switch_was_left_on() -> None:

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from toolchain.codegen.compiler import compile_policy
-from toolchain.contract import MOTOR_COUNT_MAX, image_header
+from toolchain.contract import MOTOR_COUNT_MAX, Mix, image_header
 from toolchain.cortex_m7.llvm_mca import find_pricer
 from toolchain.errors import BuildError, NeuroflightError, PolicyError
 from toolchain.image.build import TARGETS, MakeError, build, check_fit
 from toolchain.image.elf import read_image
-from toolchain.image.report import built_idle
+from toolchain.image.report import MotorFacts, built_motors
 from toolchain.policy.model import read_policy
 from toolchain.rendering.pid_table import PidTable
 
@@ -135,7 +135,7 @@ def broad(kit: Kit) -> Chain:
 MISFITS: list[tuple[Callable[[Kit], Chain], str]] = [
     (seven_motors, "the policy drives 7 motors, MATEKF722 has 6; train it for an aircraft with no more"),
     (slow, "the policy runs at 500 Hz, the firmware at 1000, 2000, 4000 Hz"),
-    (filtered, 'trained behind the gyro filters ["pt1:100"], the firmware has none'),
+    (filtered, 'trained behind the gyro filters ["pt1:100"], expected [] or [["mean"]]'),
     (wide, "the policy cannot be flown: the observation has 66 values, expected at most 64"),
     (remembering, "the policy cannot be flown: the observation remembers 288 values, expected at most 256"),
     (sighted, "the policy observes gravity, which the firmware has no source for; train it on other blocks"),
@@ -198,15 +198,15 @@ def test_the_pid_stands_in_report_and_sources_when_one_is_given(tmp_path: Path, 
     root = project(tmp_path / "root")
     build("HOST", policy_file, root, pid=table(4))
     written = json.loads((root / "build" / "HOST" / "report.json").read_text())
-    assert written["pid"] == {"aircraft": "nf9", "name": "tuned", "idle": 0.125}
+    assert written["pid"] == {"aircraft": "nf9", "name": "tuned", "idle": 0.125, "mix": "attitude-first"}
     source = (root / "firmware" / "generated" / "HOST" / "pid_table.c").read_text()
     assert "PID tuned of aircraft nf9" in source and ".idle = 0.125f" in source
     product = root / "build" / "HOST" / "neuroflight"
-    assert built_idle(product, pid=True) == 0.125
+    assert built_motors(product, pid=True) == MotorFacts(0.125, Mix.ATTITUDE_FIRST)
     build("HOST", policy_file, root)
     assert json.loads((root / "build" / "HOST" / "report.json").read_text())["pid"] is None
     with pytest.raises(BuildError, match="has no PID built in; build it with --aircraft"):
-        built_idle(product, pid=True)
+        built_motors(product, pid=True)
 
 
 def test_build_is_refused_when_the_pid_is_of_another_number_of_motors(

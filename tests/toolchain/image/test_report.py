@@ -10,7 +10,21 @@ from rich.console import Console
 
 from toolchain.image.report import BuildReport, PolicyFacts, print_report
 
-POLICY = PolicyFacts("p.onnx", "0" * 64, "6-4", "rate_error", 2000, 0.25, 28, "0" * 8, "nf1", "0" * 64, {})
+POLICY = PolicyFacts(
+    "p.onnx",
+    "0" * 64,
+    "6-4",
+    "rate_error",
+    2000,
+    0.25,
+    "centred",
+    (["mean"],),
+    28,
+    "0" * 8,
+    "nf1",
+    "0" * 64,
+    {},
+)
 
 
 def printed(

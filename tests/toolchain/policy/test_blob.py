@@ -27,10 +27,11 @@ from toolchain.policy.blob import (
     parse,
     same_architecture,
 )
+from toolchain.policy.model_constants import ModelConstants
 from toolchain.rendering.contract_header import blob_header_fields
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "policy-blob.md"
-HEADER_BYTES = 344
+HEADER_BYTES = 576
 WEIGHTS = np.array([1.5, -0.0, 1e-45, 3.4028235e38, -2.0], np.float32)
 OBSERVATION = np.array([[0, np.nan, np.inf, -np.inf, 1e-45, -0.0], [1, 2, 3, 4, 5, 6]], np.float32)
 ACTION = np.array([[0, 1, 0.5, 1e-45], [0.25, 0.75, 1, 0]], np.float32)
@@ -56,11 +57,11 @@ BLOB = PolicyBlob(
     selftest_action=ACTION,
     selftest_steps=2,
 )
-# The first bytes of layout version 2, by hand. Changing them means another layout version.
+# The first bytes of layout version 4, by hand. Changing them means another layout version.
 NUMBERS = struct.pack(
     "<4sHHIIIIIHHIIIHHI",
     b"NFPB",
-    3,
+    4,
     HEADER_BYTES,
     HEADER_BYTES + 4 * (5 + 12 + 8) + 4,
     7,
@@ -79,7 +80,19 @@ NUMBERS = struct.pack(
 TERMS = bytes([2, 3]).ljust(32, b"\0") + bytes([0, 3]).ljust(32, b"\0") + bytes(4)
 TERMS += struct.pack("<f", 1 - np.exp(-2 * np.pi * 15 / 1000)).ljust(4 * 31, b"\0")
 NAMES = b"nf1".ljust(32, b"\0") + b"\x0f" * 32 + b"\xa1" * 32
-REST = TERMS + NAMES + struct.pack("<f", 0.25)
+REST = TERMS + NAMES + struct.pack("<fII", 0.25, 0, 0) + bytes(32 + 96 + 96)
+# A model of four rotors; every number is exactly a float32.
+MODEL = ModelConstants(
+    delay_steps=3,
+    speed_curve=(-900.0, 4000.0, 150.0),
+    rise=0.0625,
+    fall=0.03125,
+    gain_max=1e9,
+    loss_max=40.0,
+    correction=0.0625,
+    turn=((1.0, -1.0, 2.0, -2.0), (3.0, 3.5, -3.0, -3.5), (4.0, -4.0, -4.5, 4.5)),
+    reaction=((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.25, 0.0), (0.125, -0.125, -0.125, 0.125)),
+)
 
 
 def at(name: str) -> int:
@@ -111,13 +124,20 @@ def same(a: PolicyBlob, b: PolicyBlob) -> bool:
 
 
 # --- Bytes out, bytes in ----------------------------------------------------------------------
-def test_bytes_are_those_of_layout_three_when_packed() -> None:
+def test_bytes_are_those_of_layout_four_when_packed() -> None:
     data = pack(BLOB)
     floats = WEIGHTS.tobytes() + OBSERVATION.tobytes() + ACTION.tobytes()
     assert data[:52] == NUMBERS
     assert data[52:HEADER_BYTES] == REST
     assert data[HEADER_BYTES:-4] == floats
     assert data[-4:] == struct.pack("<I", zlib.crc32(NUMBERS + REST + floats))
+
+
+def test_mix_and_model_stand_behind_the_idle_when_packed() -> None:
+    data = pack(replace(BLOB, mix=contract.Mix.CENTRED, model=MODEL))
+    rotor = struct.pack("<8f", -900, 4000, 150, 0.0625, 0.03125, 1e9, 40, 0.0625)
+    rows = [struct.pack("<8f", *row, 0, 0, 0, 0) for row in (*MODEL.turn, *MODEL.reaction)]
+    assert data[344:HEADER_BYTES] == struct.pack("<II", 1, 3) + rotor + b"".join(rows)
 
 
 def test_nothing_is_lost_when_packed_and_parsed() -> None:
@@ -135,6 +155,9 @@ def test_nothing_is_lost_when_packed_and_parsed() -> None:
         {"aircraft": "A" * 32},
         {"idle": 0.0},
         {"idle": 0.5},
+        {"mix": contract.Mix.CENTRED},
+        {"model": MODEL},
+        {"model": replace(MODEL, delay_steps=8, gain_max=0.25, loss_max=1e9, rise=1.0)},
         {"selftest_steps": 1},
         {"weights": np.zeros(0, np.float32)},
         {"weights": np.linspace(-1, 1, 12288, dtype=np.float32)},
@@ -196,14 +219,14 @@ def test_a_blob_is_refused_when_cut_or_longer() -> None:
     for length in range(len(data)):
         text = refusal(lambda length=length: parse(data[:length]))  # type: ignore[misc]
         assert f"is {length} bytes, expected" in text
-    assert "is 449 bytes, expected 448 by its header" in refusal(lambda: parse(data + b"\0"))
+    assert "is 681 bytes, expected 680 by its header" in refusal(lambda: parse(data + b"\0"))
 
 
 def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     rng = np.random.default_rng(3)
     data = pack(BLOB)
     for _ in range(3000):
-        noise = rng.integers(0, 256, rng.integers(0, 700), np.uint8).tobytes()
+        noise = rng.integers(0, 256, rng.integers(0, 932), np.uint8).tobytes()
         keep = int(rng.integers(0, 60))
         refusal(lambda noise=noise, keep=keep: parse(sealed(data[:keep] + noise)))  # type: ignore[misc]
 
@@ -212,16 +235,16 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
     ("name", "value", "text"),
     [
         ("magic", b"NFPX", r"begins with b'NFPX', expected b'NFPB'; is it a policy blob\?"),
-        ("layout", b"\x01\x00", "layout version 1, expected 3"),
-        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 344"),
-        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 448 by its counts"),
-        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 344"),
-        ("weight_count", b"\xff" * 4, "selftest_offset is 364, expected 17179869524"),
-        ("weight_count", b"\x04\0\0\0", "selftest_offset is 364, expected 360"),
-        ("selftest_offset", b"\x6d\1\0\0", "selftest_offset is 365, expected 364"),
-        ("selftest_count", b"\xff\xff", "total_bytes is 448, expected"),
-        ("observation_count", b"\x05\x00", "total_bytes is 448, expected"),
-        ("action_count", b"\x00\x00", "total_bytes is 448, expected"),
+        ("layout", b"\x01\x00", "layout version 1, expected 4"),
+        ("header_bytes", b"\xe0\x00", "header_bytes is 224, expected 576"),
+        ("total_bytes", b"\xff" * 4, "total_bytes is 4294967295, expected 680 by its counts"),
+        ("weight_offset", b"\0" * 4, "weight_offset is 0, expected 576"),
+        ("weight_count", b"\xff" * 4, "selftest_offset is 596, expected 17179869756"),
+        ("weight_count", b"\x04\0\0\0", "selftest_offset is 596, expected 592"),
+        ("selftest_offset", b"\x55\2\0\0", "selftest_offset is 597, expected 596"),
+        ("selftest_count", b"\xff\xff", "total_bytes is 680, expected"),
+        ("observation_count", b"\x05\x00", "total_bytes is 680, expected"),
+        ("action_count", b"\x00\x00", "total_bytes is 680, expected"),
         ("selftest_steps", b"\0\0", "self-test steps is 0, expected 1 to 2"),
         ("selftest_steps", b"\3\0", "self-test steps is 3, expected 1 to 2"),
         ("control_rate_hz", b"\0" * 4, "control rate is 0, expected 1 to"),
@@ -229,7 +252,7 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
         ("observation_term_count", b"\x21\0\0\0", "33 observation terms are not those of its lists"),
         ("observation_term_count", b"\xff" * 4, "4294967295 observation terms are not"),
         ("observation_term_count", b"\3\0\0\0", "observation block 0 is unknown, known are"),
-        ("observation_blocks", b"\x02\x09", "observation block 9 is unknown, known are"),
+        ("observation_blocks", b"\x02\x0d", "observation block 13 is unknown, known are"),
         ("observation_blocks", b"\x02\x06", "takes 6 values, but its blocks make 4"),
         ("aircraft", b"n\0f", "aircraft is 'n.x00f', expected at most 32 letters"),
         ("aircraft", b'"; ', "expected at most 32 letters"),
@@ -253,10 +276,39 @@ def test_nothing_but_a_refusal_comes_out_when_bytes_are_random() -> None:
         ("idle", struct.pack("<f", np.nan), "idle is nan, expected 0 to 0.5"),
         ("idle", struct.pack("<f", 0.75), "idle is 0.75, expected 0 to 0.5"),
         ("idle", struct.pack("<f", -0.25), "idle is -0.25, expected 0 to 0.5"),
+        ("mix", b"\2\0\0\0", r"mix is 2, known are \[0, 1\]; write it again with"),
+        ("mix", b"\xff" * 4, "mix is 4294967295, known are"),
+        ("model_rotor", struct.pack("<f", 1), "has no model, but constants of one"),
+        ("model_turn", bytes(92) + struct.pack("<f", 1), "has no model, but constants of one"),
+        ("model_reaction", struct.pack("<f", np.nan), "has no model, but constants of one"),
+        ("model_delay", b"\1\0\0\0", "model: rise is 0.0, expected above 0 and at most 1"),
     ],
 )
 def test_a_blob_is_refused_in_its_words_when_a_field_lies(name: str, value: bytes, text: str) -> None:
     assert re.search(text, refusal(lambda: parse(patched(name, value))))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("model_delay", b"\0\0\0\0", "has no model, but constants of one"),
+        ("model_delay", b"\x09\0\0\0", "model: delay_steps is 9, expected 1 to 8"),
+        ("model_delay", b"\xff" * 4, "model: delay_steps is 4294967295, expected 1 to 8"),
+        ("model_rotor", struct.pack("<f", np.nan), "model: speed_curve holds 'nan', expected a number"),
+        ("model_rotor", struct.pack("<f", 2e9), r"model: a number is not finite or beyond 1e\+09"),
+        ("model_turn", struct.pack("<f", np.inf), "model: turn holds 'inf', expected a number"),
+        (
+            "model_turn",
+            bytes(16) + struct.pack("<f", 1),
+            "model has values of more motors than the 4 it drives",
+        ),
+        ("model_reaction", bytes(92) + b"\1\0\0\0", "model has values of more motors than the 4 it drives"),
+    ],
+)
+def test_a_model_is_refused_in_its_words_when_a_number_lies(name: str, value: bytes, text: str) -> None:
+    data = pack(replace(BLOB, model=MODEL))
+    changed = data[: at(name)] + value + data[at(name) + len(value) :]
+    assert re.search(text, refusal(lambda: parse(sealed(changed))))
 
 
 @pytest.mark.parametrize(
@@ -276,6 +328,14 @@ def test_a_blob_is_refused_in_its_words_when_a_field_lies(name: str, value: byte
         ({"policy_sha256": "a1" * 31}, "SHA-256 of the policy is .*, expected 64 hexadecimal digits"),
         ({"aircraft_sha256": "A1" * 32}, "SHA-256 of the aircraft is"),
         ({"terms": terms("rate_error")}, "takes 6 values, but its blocks make 3"),
+        (
+            {"terms": terms("rate_error,rate_estimate")},
+            "observes what a model of its aircraft tells, but has",
+        ),
+        (
+            {"model": replace(MODEL, turn=((0.0,) * 6,) * 3, reaction=((0.0,) * 6,) * 3)},
+            "model is of 6 motors, it drives 4",
+        ),
         (
             {
                 "terms": terms(",".join(["throttle"] * 33)),

@@ -14,6 +14,9 @@ import pytest
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
+from sim.aircraft.model import load_aircraft
+from sim.control.estimator import model_constants
+from toolchain.contract import Mix
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
 from toolchain.policy.freeze import freeze, to_onnx
@@ -116,6 +119,32 @@ def test_policy_squashes_its_last_sum_when_the_trained_one_did(state: dict[str, 
 def test_policy_has_the_idle_that_it_was_trained_with(state: dict[str, torch.Tensor]) -> None:
     assert parse_policy(to_onnx(configuration(idle=0.23), state)).idle == 0.23
     assert parse_policy(to_onnx(configuration(), state)).idle == 0.0
+
+
+def test_policy_has_mix_filters_and_model_of_its_training(
+    tmp_path: Path, state: dict[str, torch.Tensor]
+) -> None:
+    model = model_constants(load_aircraft("nf1"), 1000)
+    told = configuration(
+        observation="rate_estimate,rate_estimate_error",
+        filters=[["mean"]],
+        mix="centred",
+        gyro_filter="mean",
+        model=model.document(),
+    )
+    freeze(save(tmp_path / "checkpoint.pt", told, state), tmp_path / "policy.onnx")
+    policy = read_policy(tmp_path / "policy.onnx")
+    assert (policy.mix, policy.filters, policy.model) == (Mix.CENTRED, (["mean"],), model)
+    assert not {"mix", "model", "filters", "gyro_filter"} & set(policy.training)
+    plain = parse_policy(to_onnx(configuration(), state))
+    assert (plain.mix, plain.filters, plain.model) == (Mix.ATTITUDE_FIRST, (), None)
+
+
+def test_freeze_is_refused_when_mix_or_model_is_none_that_is_known(state: dict[str, torch.Tensor]) -> None:
+    with pytest.raises(PolicyError, match=r"neuroflight\.mix is 'sideways', expected attitude-first or"):
+        to_onnx(configuration(mix="sideways"), state)
+    with pytest.raises(PolicyError, match=r"the metadata lack neuroflight\.model"):
+        to_onnx(configuration(observation="rate_estimate,rate_estimate_error"), state)
 
 
 def test_file_holds_the_policy_only_when_frozen(state: dict[str, torch.Tensor]) -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import load_aircraft
-from toolchain.contract import POLICY_FILE_BYTES_MAX
+from sim.control.estimator import model_constants
+from toolchain.contract import POLICY_FILE_BYTES_MAX, Mix
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
 from toolchain.policy.import_onnx import PolicyClaims, import_onnx, imported_model
@@ -73,7 +74,7 @@ def test_model_becomes_a_policy_when_frozen_with_what_it_does_not_say(
         "renamed the output 'act' to 'action'",
         "fixed axis 0 of 'action' to 1",
         "appended a Clip to [0, 1]",
-        f"{source} -> {out}: 6-8-4 tanh, nf1, 1000 Hz",
+        f"{source} -> {out}: 6-8-4 tanh, nf1, 1000 Hz, mix attitude-first, filters []",
     ]
     policy = read_policy(out)
     assert (policy.aircraft, policy.aircraft_sha256) == ("nf1", load_aircraft("nf1").sha256)
@@ -114,6 +115,33 @@ def test_policy_has_the_idle_that_it_is_frozen_with(source: Path, tmp_path: Path
     out = tmp_path / "policy.onnx"
     assert main(["freeze", str(source), *OPTIONS, "--clip", "--idle", "0.23", "--out", str(out)]) == 0
     assert read_policy(out).idle == 0.23
+
+
+def test_policy_has_mix_filters_and_its_aircrafts_model_when_frozen_with_them(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(foreign(kit.mlp((6, 8, 4))))
+    told = ["--observation", "rate_estimate,rate_estimate_error", "--rate", "2000", "--aircraft", "nf1"]
+    told += ["--mix", "centred", "--filters", '[["mean"]]', "--out", str(out)]
+    assert main(["freeze", str(source), *told]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith(', 2000 Hz, mix centred, filters [["mean"]]')
+    policy, model = read_policy(out), model_constants(load_aircraft("nf1"), 2000)
+    assert (policy.mix, policy.gyro_mean, policy.model) == (Mix.CENTRED, True, model)
+    assert main(["freeze", str(source), *told, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["mix"], document["filters"]) == ("centred", [["mean"]])
+    assert document["model"] == json.loads(json.dumps(model.document()))
+
+
+def test_freeze_refuses_a_model_that_the_aircraft_has_not_at_that_rate(
+    kit: Kit, tmp_path: Path, capsys: Capture
+) -> None:
+    source, out = tmp_path / "model.onnx", tmp_path / "policy.onnx"
+    source.write_bytes(foreign(kit.mlp((6, 8, 4))))
+    told = ["--observation", "rate_estimate,rate_estimate_error", "--aircraft", "nf1", "--out", str(out)]
+    assert "its delay 0.002 s is 16 control steps" in refused([str(source), *told, "--rate", "8000"], capsys)
+    assert "neuroflight.control_rate_hz is '0'" in refused([str(source), *told, "--rate", "0"], capsys)
 
 
 @pytest.mark.parametrize(("name", "words"), [("", "is a directory"), ("file/policy.onnx", "is no directory")])

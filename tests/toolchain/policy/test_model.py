@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,6 +70,73 @@ def test_policy_has_the_terms_that_its_metadata_tell(kit: Kit) -> None:
     policy = parse_policy(chain.data())
     assert policy.observation == "rate_error@2,rate~15Hz"
     assert [(term.cutoff_hz, term.age) for term in policy.blocks] == [(None, 2), (15.0, 0)]
+
+
+@pytest.mark.parametrize(("text", "mix"), [("attitude-first", 0), ("centred", 1)])
+def test_policy_has_the_mix_that_its_metadata_tell(kit: Kit, text: str, mix: int) -> None:
+    chain = kit.mlp()
+    assert parse_policy(chain.data()).mix is contract.Mix.ATTITUDE_FIRST
+    chain.metadata["neuroflight.mix"] = text
+    assert parse_policy(chain.data()).mix is contract.Mix(mix)
+
+
+def test_policy_is_behind_the_gyros_mean_when_its_filters_are_that(kit: Kit) -> None:
+    chain = kit.mlp()
+    assert not parse_policy(chain.data()).gyro_mean
+    chain.metadata["neuroflight.filters"] = '[["mean"]]'
+    policy = parse_policy(chain.data())
+    assert (policy.gyro_mean, policy.filters) == (True, (["mean"],))
+
+
+MODEL = {
+    "delay_steps": 2,
+    "speed_curve": [-900, 4000, 150],
+    "rise": 0.0625,
+    "fall": 0.03125,
+    "gain_max": 1e9,
+    "loss_max": 40,
+    "correction": 0.0625,
+    "turn": [[1, -1, 2, -2], [3, 3.5, -3, -3.5], [4, -4, -4.5, 4.5]],
+    "reaction": [[0, 0, 0, 0]] * 3,
+}
+
+
+def estimating(kit: Kit, model: object) -> Chain:
+    """A policy that observes the estimated rates, with this model."""
+    chain = kit.mlp()
+    chain.metadata["neuroflight.observation"] = "rate_estimate,rate_estimate_error"
+    chain.metadata["neuroflight.model"] = json.dumps(model)
+    return chain
+
+
+def test_policy_has_the_model_of_its_metadata_when_it_observes_by_one(kit: Kit) -> None:
+    model = parse_policy(estimating(kit, MODEL).data()).model
+    assert model is not None
+    assert json.loads(json.dumps(model.document())) == MODEL
+    unused = estimating(kit, MODEL)
+    unused.metadata["neuroflight.observation"] = "rate_error,rate"
+    assert parse_policy(unused.data()).model is None
+
+
+def test_policy_is_refused_when_it_observes_by_a_model_and_has_none(kit: Kit) -> None:
+    chain = estimating(kit, MODEL)
+    del chain.metadata["neuroflight.model"]
+    assert refusal(chain.data()).startswith("the metadata lack neuroflight.model")
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        ([], "neuroflight.model is "),
+        ({**MODEL, "rise": 0}, "neuroflight.model: rise is 0.0, expected above 0 and at most 1; write the"),
+        (
+            {**MODEL, "turn": [[1] * 6] * 3, "reaction": [[1] * 6] * 3},
+            "neuroflight.model is of 6 motors, the",
+        ),
+    ],
+)
+def test_policy_is_refused_when_its_model_is_that_of_no_aircraft(kit: Kit, model: object, text: str) -> None:
+    assert refusal(estimating(kit, model).data()).startswith(text)
 
 
 def plain(kit: Kit) -> tuple[Chain, np.random.Generator]:
@@ -243,8 +311,11 @@ def test_policy_is_refused_when_nothing_bounds_its_output(kit: Kit) -> None:
     )
 
 
+OPTIONAL = ("META_IDLE", "META_MIX", "META_MODEL")
+
+
 @pytest.mark.parametrize(
-    "key", sorted(k for k in vars(contract) if k.startswith("META_") and k != "META_IDLE")
+    "key", sorted(k for k in vars(contract) if k.startswith("META_") and k not in OPTIONAL)
 )
 def test_policy_is_refused_when_a_key_of_its_metadata_is_missing(kit: Kit, key: str) -> None:
     chain = kit.mlp()
@@ -262,6 +333,9 @@ def test_policy_is_refused_when_a_key_of_its_metadata_is_missing(kit: Kit, key: 
         ("filters", "{}"),
         ("filters", "["),
         ("observation", "rate_error@17,rate"),
+        ("mix", "centered"),
+        ("mix", ""),
+        ("mix", "x" * 100_000),
         ("idle", ""),
         ("idle", "0.51"),
         ("idle", "-0.1"),

@@ -272,7 +272,7 @@ def test_state_is_named_when_it_does_not_stay_finite(
     assert (found.machine, found.law) == ("evaluator", "state")
 
 
-def checkpoint(path: Path, seed: int = 0, *, squash: bool = False) -> Path:
+def checkpoint(path: Path, seed: int = 0, *, squash: bool = False, recurrent: bool = False) -> Path:
     """A small network as training leaves it, in `path`, with the policy frozen from it beside."""
     generator = torch.Generator().manual_seed(seed)
     shapes = {
@@ -284,6 +284,17 @@ def checkpoint(path: Path, seed: int = 0, *, squash: bool = False) -> Path:
     for name, (outputs, inputs) in shapes.items():
         state[f"{name}.weight"] = torch.randn(outputs, inputs, generator=generator) / inputs**0.5
         state[f"{name}.bias"] = 0.1 * torch.randn(outputs, generator=generator)
+    if recurrent:
+        names: dict[str, tuple[int, ...]] = {
+            "recurrent.weight_ih_l0": (24, 6),
+            "recurrent.weight_hh_l0": (24, 8),
+        }
+        names |= {"recurrent.bias_ih_l0": (24,), "recurrent.bias_hh_l0": (24,)}
+        state = {name: 0.5 * torch.randn(shape, generator=generator) for name, shape in names.items()} | {
+            "mlp_extractor.policy_net.0.weight": state["mlp_extractor.policy_net.2.weight"],
+            "mlp_extractor.policy_net.0.bias": state["mlp_extractor.policy_net.2.bias"],
+            **{name: value for name, value in state.items() if name.startswith("action_net")},
+        }
     config = {
         "aircraft": {"name": "nf1", "sha256": "0" * 64},
         "observation": "rate_error,rate_error_delta",
@@ -291,6 +302,7 @@ def checkpoint(path: Path, seed: int = 0, *, squash: bool = False) -> Path:
         "control_rate_hz": 1000,
         "filters": [],
         "hidden": [8, 5],
+        "recurrent": "gru" if recurrent else "none",
         "activation": "tanh",
         "output": {"scale": 0.5, "offset": 0.5, "squash": squash},
         "motors": 4,
@@ -302,12 +314,12 @@ def checkpoint(path: Path, seed: int = 0, *, squash: bool = False) -> Path:
     return path
 
 
-@pytest.mark.parametrize("squash", [False, True])
+@pytest.mark.parametrize("kind", [{}, {"squash": True}, {"recurrent": True}], ids=["plain", "squash", "gru"])
 def test_torch_agrees_when_the_policy_was_frozen_from_the_checkpoint(
-    kit: Kit, tmp_path: Path, squash: bool
+    kit: Kit, tmp_path: Path, kind: dict[str, bool]
 ) -> None:
-    own = checkpoint(tmp_path / "a" / "checkpoint.pt", squash=squash)
-    other = checkpoint(tmp_path / "b" / "checkpoint.pt", 1, squash=squash)
+    own = checkpoint(tmp_path / "a" / "checkpoint.pt", **kind)
+    other = checkpoint(tmp_path / "b" / "checkpoint.pt", 1, **kind)
     data = own.with_name("policy.onnx").read_bytes()
     compiled = kit.compiled(data)
     assert seen_on(("torch", "evaluator"), compiled, data, tmp_path, own).verdict == "holds"

@@ -25,6 +25,8 @@ OTHER = TrainingConfig(
     activation="relu",
     output=OutputMap(0.25, 0.2, squash=True),
     idle=0.23,
+    mix="centred",
+    gyro_filter="mean",
     task=EnvelopeTask(hold_s=0.7, sigma_deg_s=200.0),
     reward=TrackingReward(change=0.5),
     world=WorldConfig(
@@ -49,6 +51,8 @@ def test_a_file_gives_each_field_when_it_names_them_all(tmp_path: Path) -> None:
         hidden = [32]
         activation = "relu"
         idle = 0.23
+        mix = "centred"
+        gyro_filter = "mean"
         checkpoint_steps = 500
         [output]
         scale = 0.25
@@ -79,7 +83,10 @@ def test_a_file_gives_each_field_when_it_names_them_all(tmp_path: Path) -> None:
     assert load_config(file) == OTHER
 
 
-@pytest.mark.parametrize("config", [TrainingConfig(), OTHER])
+ESTIMATING = replace(OTHER, observation="rate_estimate_error,rotor_estimate@1,previous_motors")
+
+
+@pytest.mark.parametrize("config", [TrainingConfig(), OTHER, ESTIMATING])
 def test_a_record_repeats_its_run_when_it_is_the_source(config: TrainingConfig, tmp_path: Path) -> None:
     file = tmp_path / "training.json"
     file.write_text(json.dumps({"config": config.document(NF1), "steps": 99, "complete": True}))
@@ -115,6 +122,7 @@ def test_every_recipe_is_read_and_its_document_repeats_it(name: str, tmp_path: P
             replace(TrainingConfig(), task=EnvelopeTask(hold_s=2.0)),
         ),
         (["seed=2", "seed=3"], replace(TrainingConfig(), seed=3)),
+        (["mix=centred", "gyro_filter=mean"], replace(TrainingConfig(), mix="centred", gyro_filter="mean")),
         (
             ["world.randomization.lag=[1,2]", "world.gravity=false", "world.randomization={mass=[0.9,1.1]}"],
             replace(
@@ -206,6 +214,9 @@ def test_an_invalid_key_or_value_is_rejected_in_one_line(overrides: list[str], m
         ("a.toml", b'"a\\u001bb" = 4', "a.toml: 'a\\x1bb': unknown key"),
         ("a.toml", b"[task]\nsigma = 1", "a.toml: task.sigma: unknown key; nearest: sigma_deg_s"),
         ("a.json", b'{"filters": ["lowpass"]}', "a.json: filters: got ['lowpass'], expected []"),
+        ("a.json", b'{"gyro_filter": "mean", "filters": []}', "filters: got [], expected [['mean']]: gyro"),
+        ("a.toml", b'mix = "centered"', "mix 'centered', expected one of: attitude-first, centred"),
+        ("a.toml", b'gyro_filter = "median"', "gyro_filter 'median', expected one of: none, mean"),
         ("a.json", b'{"motors": 900, "observation_scale": []}', "motors: got 900, expected 1 to 8"),
         ("a.json", b'{"motors": 4, "observation_scale": [1]}', "observation_scale: that run scaled its"),
         ("a.json", b'{"config": {"ppo": {}}}', "a.json: ppo: unknown key; known here: "),

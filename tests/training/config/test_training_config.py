@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from sim.aircraft.model import load_aircraft
+from sim.control.estimator import model_constants
 from toolchain.errors import TrainingError
 from training.config.algorithms import PpoConfig
 from training.config.randomization import Randomization
@@ -31,6 +32,8 @@ def world(**options: Any) -> dict[str, WorldConfig]:
         ({"hidden": (64, 100_000)}, r"hidden layers \[64, 100000\], expected 1 to 8 widths of at least 1"),
         ({"hidden": (8,) * 9}, "expected 1 to 8 widths"),
         ({"idle": 0.6}, "idle 0.6, expected 0 to 0.5"),
+        ({"mix": "throttle-first"}, "mix 'throttle-first', expected one of: attitude-first, centred"),
+        ({"gyro_filter": "pt1"}, "gyro_filter 'pt1', expected one of: none, mean"),
         ({"idle": float("nan")}, "idle nan, expected 0 to 0.5"),
         ({"output": OutputMap(scale=0.0)}, "output.scale 0.0, expected 0.001 to 1000"),
         ({"output": OutputMap(offset=float("nan"))}, "output.offset nan, expected -1000 to 1000"),
@@ -53,6 +56,10 @@ def world(**options: Any) -> dict[str, WorldConfig]:
         (world(gust_m_s=-1.0), "gust_m_s -1.0, expected 0 to 30 m/s"),
         (world(throttle_max=1.5), "throttle_max 1.5, expected 0 to 1"),
         (world(throttle_share=-0.1), "throttle_share -0.1, expected 0 to 1"),
+        (world(throttle_steps=1.1), "throttle_steps 1.1, expected 0 to 1"),
+        (world(throttle_steps=0.5), "throttle_steps: ppo flies one throttle; set it to 0 or choose pathwise"),
+        ({"recurrent": "lstm"}, "recurrent 'lstm', expected one of: none, gru"),
+        ({"recurrent": "gru"}, "recurrent 'gru': ppo trains no memory; choose pathwise"),
         (world(randomization=Randomization(lag=(2.0, 1.0))), r"randomization lag \[2.0, 1.0\]"),
         (world(randomization=Randomization(mass=(0.0, 1.0))), "randomization mass .* within 0.01 to 100"),
         (world(randomization=Randomization(delay_s=(0.0, 1.0))), "randomization delay_s .* within 0 to 0.1"),
@@ -87,6 +94,11 @@ def test_an_invalid_configuration_is_rejected(options: dict[str, Any], message: 
             "aircraft nf1 has an ideal gyro, so randomization noise has nothing to vary",
         ),
         (
+            {"observation": "rotor_estimate", "control_rate_hz": 4000},
+            lambda: replace(NF1, propulsion=replace(NF1.propulsion, delay=0.003)),
+            "aircraft nf1: its delay 0.003 s is 12 control steps, a model has at most 8; observe without",
+        ),
+        (
             {"observation": ",".join(["previous_action"] * 17)},
             lambda: NF1,
             "aircraft nf1: the observation has",
@@ -104,3 +116,18 @@ def test_a_configuration_is_rejected_when_the_aircraft_lacks_a_part(
 def test_every_kind_of_variation_is_taken_by_an_aircraft_that_has_it() -> None:
     varied = Randomization(mass=(0.8, 1.2), noise=(1.0, 3.0), delay_s=(0.0, 0.006), charge=(0.0, 1.0))
     TrainingConfig(world=WorldConfig(mount="rig", gravity=True, randomization=varied)).check(NF1)
+
+
+@pytest.mark.parametrize(("observation", "estimated"), [("rate,throttle", False), ("rate_estimate", True)])
+def test_the_document_has_the_model_when_the_observation_is_made_by_one(
+    observation: str, estimated: bool
+) -> None:
+    document = TrainingConfig(observation=observation).document(NF1)
+    assert ("model" in document) == estimated
+    if estimated:
+        assert document["model"] == model_constants(NF1, 1000).document()
+
+
+def test_the_document_has_the_filters_that_the_policy_is_trained_behind() -> None:
+    assert TrainingConfig().document(NF1)["filters"] == []
+    assert TrainingConfig(gyro_filter="mean").document(NF1)["filters"] == [["mean"]]

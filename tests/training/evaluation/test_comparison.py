@@ -135,24 +135,32 @@ def test_plot_has_a_line_for_each_in_every_panel() -> None:
     assert [panel.get_title(loc="left").split(",")[0] for panel in panels] == [
         *("roll", "pitch", "yaw"),
         *("error", "spectrum of the motors"),
+        *("PID tuned: first command [deg/s]", "PID published: first command [deg/s]", ""),
+        *("PID tuned: motors", "PID published: motors", ""),
     ]
-    for panel in panels:
+    for panel in panels[:5]:
         lines = [line for line in panel.lines if not str(line.get_label()).startswith("_")]
         assert [str(line.get_label()).split(",")[0] for line in lines] == ["PID tuned", "PID published"]
     drawn = np.asarray(panels[3].lines[0].get_ydata())
     assert drawn == pytest.approx(np.maximum(entries[0].curves.error[1], 0.1))
     spectrum = np.asarray(panels[4].lines[1].get_ydata())
     assert spectrum == pytest.approx(100 * entries[1].evaluation.spectrum.amplitude)
+    for entry, rates, motors in zip(entries, panels[5:], panels[8:], strict=False):
+        example = entry.curves.example
+        assert example.motors is not None
+        pitch = [line for line in rates.lines if line.get_label() == "pitch"]
+        assert np.asarray(pitch[0].get_ydata()) == pytest.approx(example.rate[:, 1])
+        assert np.asarray([line.get_ydata() for line in motors.lines]) == pytest.approx(example.motors.T)
 
 
 def test_plot_has_no_responses_when_no_command_is_held() -> None:
     flown = Conditions(NF1, PulseTask(idle_s=0.0, command_s=0.1, rest_s=0.0), episodes=2, seed=2)
     panels = draw([enter(constant(0.1), flown, 0.0)], "title").axes
-    assert len(panels) == 2
+    assert len(panels) == 2 + 6  # error, spectrum, and the first command of up to three
 
 
 def test_controller_has_a_short_label(shipped_policy: Path) -> None:
-    assert load_controller("pid", NF1).label == "PID tuned"
+    assert load_controller("pid", NF1).label == "PID flying"
     policy = load_controller(str(shipped_policy), NF1)
     assert policy.label == "policy nf1"
     assert len(policy.facts["policy_sha256"]) == 64

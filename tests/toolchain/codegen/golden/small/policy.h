@@ -53,6 +53,11 @@ struct policy_blob_header {
     uint8_t aircraft_sha256[32]; /* of the aircraft trained for */
     uint8_t policy_sha256[32]; /* of the ONNX file */
     float idle; /* motor fraction at zero thrust, 0 to 0.5 */
+    uint32_t mix; /* how outputs and throttle become motor fractions: enum nf_mix */
+    uint32_t model_delay; /* steps: from output to rotor; 0: there is no model */
+    float model_rotor[8]; /* rad/s, 1: a, b, c, rise, fall, gain, loss, correction */
+    float model_turn[24]; /* s/rad: roll, pitch, yaw, a value a motor */
+    float model_reaction[24]; /* 1: likewise */
 };
 _Static_assert(offsetof(struct policy_blob_header, magic) == 0, "magic");
 _Static_assert(offsetof(struct policy_blob_header, layout) == 4, "layout");
@@ -77,7 +82,12 @@ _Static_assert(offsetof(struct policy_blob_header, aircraft) == 244, "aircraft")
 _Static_assert(offsetof(struct policy_blob_header, aircraft_sha256) == 276, "aircraft_sha256");
 _Static_assert(offsetof(struct policy_blob_header, policy_sha256) == 308, "policy_sha256");
 _Static_assert(offsetof(struct policy_blob_header, idle) == 340, "idle");
-_Static_assert(sizeof(struct policy_blob_header) == 344, "policy_blob_header");
+_Static_assert(offsetof(struct policy_blob_header, mix) == 344, "mix");
+_Static_assert(offsetof(struct policy_blob_header, model_delay) == 348, "model_delay");
+_Static_assert(offsetof(struct policy_blob_header, model_rotor) == 352, "model_rotor");
+_Static_assert(offsetof(struct policy_blob_header, model_turn) == 384, "model_turn");
+_Static_assert(offsetof(struct policy_blob_header, model_reaction) == 480, "model_reaction");
+_Static_assert(sizeof(struct policy_blob_header) == 576, "policy_blob_header");
 
 /* The policy in the layout that a policy slot holds, CRC-32 over all before it at the end. */
 struct policy_blob {

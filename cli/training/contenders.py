@@ -1,0 +1,98 @@
+"""Shared by `evaluate` and `compare`: who flies, Betaflight included, and the conditions that suit all."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.training.conditions import THROTTLES_MAX, check_ranges
+
+if TYPE_CHECKING:
+    from training.evaluation.controllers import Conditions, Contender
+
+BETAFLIGHT = "betaflight"
+THRUST_MAX = 20.0  # of the weight
+
+
+def add_contender_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of who flies besides, and at which thrust."""
+    parser.add_argument(
+        "--on",
+        choices=(BETAFLIGHT,),
+        help="add Betaflight with its default PID, filters, mixer and idle, fetched and built at first use; "
+        "all then fly at the gyro rate of 4 kHz, commands rounded as sticks are",
+    )
+    parser.add_argument(
+        "--build", type=Path, metavar="DIR", help="Betaflight's build; default: build/BETAFLIGHT"
+    )
+    parser.add_argument(
+        "--thrust",
+        type=float,
+        nargs="+",
+        metavar="W",
+        help="fly each controller at the throttle that gives this thrust at rest, of the aircraft's weight, "
+        "or the nearest that it can; 0: throttle closed. Prints thrust against throttle too",
+    )
+
+
+@contextmanager
+def open_contenders(
+    args: argparse.Namespace, names: Sequence[str], flown: Conditions
+) -> Iterator[tuple[list[Contender], Conditions]]:
+    """The controllers called `names`, Betaflight last if only `--on` asks for it, and what they fly in.
+
+    All fly the gyro rate that one of them needs; beside Betaflight, and where thrusts are compared, the
+    commands are those that sticks can say. Betaflight ends with the `with`.
+    """
+    from training.evaluation.controllers import load_controller
+
+    thrusts = args.thrust is not None or getattr(args, "transparency", False)
+    with ExitStack() as ends:
+        contenders: list[Contender] = []
+        for name in all_names(args, names):
+            if name == BETAFLIGHT:
+                contenders.append(_betaflight(args, flown, ends))
+            else:
+                contenders.append(load_controller(name, flown.aircraft, args.idle))
+        yield contenders, _at_gyro_rate(flown, contenders, thrusts or BETAFLIGHT in all_names(args, names))
+
+
+def all_names(args: argparse.Namespace, names: Sequence[str]) -> list[str]:
+    """The names of all that fly."""
+    return [*names, *([BETAFLIGHT] if args.on == BETAFLIGHT and BETAFLIGHT not in names else [])]
+
+
+def check_thrusts(args: argparse.Namespace) -> None:
+    """Raise TrainingError on thrusts outside their range, too many, or beside throttles."""
+    from toolchain.errors import TrainingError
+
+    if args.thrust is None:
+        return
+    if args.throttle is not None:
+        raise TrainingError("--throttle: --thrust finds each controller's throttle; leave one of them out")
+    if len(args.thrust) > THROTTLES_MAX:
+        raise TrainingError(f"--thrust: {len(args.thrust)} values, expected 1 to {THROTTLES_MAX}")
+    check_ranges(*(("--thrust", thrust, 0.0, THRUST_MAX) for thrust in args.thrust))
+
+
+def _at_gyro_rate(flown: Conditions, contenders: Sequence[Contender], sticks: bool) -> Conditions:
+    """The conditions at one gyro rate; sticks: whether commands are rounded as sticks are."""
+    from toolchain.contract import GYRO_RATE_DEFAULT_HZ
+
+    if sticks or any(contender.gyro_mean for contender in contenders):
+        return replace(flown, gyro_rate_hz=GYRO_RATE_DEFAULT_HZ, sticks=sticks)
+    return flown
+
+
+def _betaflight(args: argparse.Namespace, flown: Conditions, ends: ExitStack) -> Contender:
+    """Betaflight, built if need be, armed and at rest; it ends with `ends`."""
+    from cli.sim.fly_ports import built_betaflight
+    from sim.ports.betaflight.fleet import ArmedBetaflight
+    from training.evaluation.betaflight import BetaflightSpec
+
+    built = built_betaflight(args, flown.aircraft)
+    return BetaflightSpec(ends.enter_context(ArmedBetaflight(built, flown.aircraft)))

@@ -1,0 +1,155 @@
+"""What `tune-pid` tells of a search: the aircraft file's comment, tables and JSON."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.output import command_line
+from toolchain.contract import Mix
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.console import Console
+
+    from sim.aircraft.model import Aircraft, PidSettings
+    from training.evaluation.evaluation import Evaluation
+    from training.pid_tuning.trial import Limits
+    from training.pid_tuning.tuning import Tuning
+
+# Defaults that decide what is found; a command is told without them.
+USUAL: dict[str, object] = {
+    "commands": 12,
+    "budget": 720,
+    "max_output": 0.12,
+    "max_change": 0.012,
+    "mix": Mix.ATTITUDE_FIRST.text,
+    "gyro_filter": "none",
+    "throttle_max": 0.0,
+}
+
+
+def comment(args: argparse.Namespace, evaluation: Evaluation) -> str:
+    """What stands above the settings in the aircraft file."""
+    effort = evaluation.effort
+    under = f" at throttles from 0 to {args.throttle_max:g}" if args.throttle_max else ""
+    of = "" if args.max_motor_change is None else " of the motor values"
+    return (
+        f"Found by `{command(args)}`.\n"
+        f"{args.check:,} unseen pulses{under}: MAE {evaluation.tracking.mae.mean():.2f} deg/s, MSE "
+        f"{evaluation.tracking.mse.mean():.0f}, mean output {effort.output:.3f}, mean change{of} in 1 ms "
+        f"{effort.change:.4f}."
+    )
+
+
+def command(args: argparse.Namespace) -> str:
+    """The command that finds the same settings: options that decide them, if not the default."""
+    given = {name: getattr(args, name) for name, usual in USUAL.items() if getattr(args, name) != usual}
+    return command_line(
+        "tune-pid",
+        aircraft=Path(args.aircraft).name,
+        seed=args.seed,
+        **given,
+        max_motor_change=args.max_motor_change,
+        max_idle=args.max_idle,
+        start=args.start,
+    )
+
+
+def _settings(settings: PidSettings) -> dict[str, Any]:
+    from toolchain.contract import AXES
+
+    gains = {axis: list(values) for axis, values in zip(AXES, settings.gains, strict=True)}
+    return {"idle": settings.idle, "derivative_cutoff_hz": settings.derivative_cutoff_hz, **gains}
+
+
+def _figures(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "mae": list(evaluation.tracking.mae),
+        "mse": list(evaluation.tracking.mse),
+        "output": evaluation.effort.output,
+        "change": evaluation.effort.change,
+    }
+
+
+def document(
+    args: argparse.Namespace,
+    aircraft: Aircraft,
+    limits: Limits,
+    tuning: Tuning,
+    checked: dict[str, Evaluation],
+) -> dict[str, Any]:
+    """The whole result as JSON data."""
+    from toolchain.contract import AXES
+
+    found = zip(AXES, tuning.ultimate_gains, strict=True)
+    return {
+        "command": command(args),
+        "aircraft": aircraft.name,
+        "aircraft_sha256": aircraft.sha256,
+        "seed": args.seed,
+        "commands": args.commands,
+        "candidates": len(tuning.trials),
+        "interrupted": tuning.interrupted,
+        "limits": {
+            "output": limits.output,
+            "change": limits.change,
+            "change_of": "motors" if limits.of_motors else "outputs",
+            "idle": limits.idle,
+        },
+        "mix": args.mix,
+        "gyro_filter": args.gyro_filter,
+        "throttle_max": args.throttle_max,
+        "ultimate": {axis: {"gain": item.gain, "period_s": item.period} for axis, item in found},
+        "rules": {rule: _settings(trial.settings) for rule, trial in tuning.rules.items()},
+        "settings": _settings(tuning.best.settings),
+        "unseen": args.check,
+        "figures": {name: _figures(evaluation) for name, evaluation in checked.items()},
+    }
+
+
+def print_tables(
+    console: Console,
+    args: argparse.Namespace,
+    aircraft: Aircraft,
+    tuning: Tuning,
+    checked: dict[str, Evaluation],
+) -> None:
+    """Gains and figures as tables."""
+    from rich.table import Table
+
+    from toolchain.contract import AXES
+
+    gains = Table(title=f"PID of {aircraft.name}: K_P, K_I, K_D", title_justify="left")
+    for heading in ("", *AXES):
+        gains.add_column(heading, justify="right" if heading else "left")
+    gains.add_row("K_u, T_u", *(f"{u.gain:.3g}, {1e3 * u.period:.0f} ms" for u in tuning.ultimate_gains))
+    for name, trial in (*tuning.rules.items(), ("tuned", tuning.best)):
+        sets = (", ".join(f"{value:.3g}" for value in axis) for axis in trial.settings.gains)
+        gains.add_row(name, *sets)
+    console.print(gains)
+    best = tuning.best.settings
+    console.print(f"derivative low-pass {best.derivative_cutoff_hz:g} Hz, idle {best.idle:g}\n")
+
+    under = f", throttles to {args.throttle_max:g}" if args.throttle_max else ""
+    table = Table(title=f"{args.check:,} unseen pulses{under}, seed {args.seed}", title_justify="left")
+    for heading in ("", *checked):
+        table.add_column(heading, justify="right" if heading else "left")
+    errors = [evaluation.tracking for evaluation in checked.values()]
+    efforts = [evaluation.effort for evaluation in checked.values()]
+    table.add_row("MAE, deg/s", *(_each(item.mae, 2) for item in errors))
+    table.add_row("  average", *(f"{item.mae.mean():.2f}" for item in errors))
+    table.add_row("MSE, (deg/s)²", *(_each(item.mse, 0) for item in errors))
+    table.add_row("  average", *(f"{item.mse.mean():,.0f}" for item in errors))
+    table.add_row("mean output ū", *(f"{item.output:.3f}" for item in efforts))
+    of = "" if args.max_motor_change is None else " of the motor values"
+    table.add_row(f"mean |Δu|{of} in 1 ms", *(f"{item.change:.4f}" for item in efforts))
+    console.print(table)
+    if args.write:
+        console.print(f"[pid.{args.name}] is in {args.write}", markup=False, highlight=False)
+
+
+def _each(values: NDArray[np.float64], digits: int) -> str:
+    return " / ".join(f"{value:,.{digits}f}" for value in values)

@@ -1,0 +1,71 @@
+"""Figures of a manoeuvre: errors, overshoot behind each change of a command, stray of axes left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.analysis.metrics import CHANGE_S, tracking
+from sim.flight.trace import Trace
+
+Array = NDArray[np.float64]
+STEP_MIN_DEG_S = 20.0  # a smaller change of a command has no overshoot to speak of
+
+
+@dataclass(frozen=True)
+class ManoeuvreFigures:
+    """Of one flight, without its first hover; errors are against the true rate."""
+
+    mae: float  # [deg/s], mean of the axes
+    mse: float  # [(deg/s)^2], likewise
+    overshoot: float  # [%] of the largest relative step past a command, of commanded axes
+    stray: float  # [deg/s], mean |rate| of the axes that are never commanded
+    stray_peak: float  # [deg/s], and the largest
+    thrust: float  # mean over weight
+    change: float  # mean |change| of a motor's fraction in 1 ms
+
+
+def manoeuvre_figures(
+    trace: Trace, thrust: Array, commanded: tuple[bool, bool, bool], settle_s: float
+) -> ManoeuvreFigures:
+    """Figures of a flight from `settle_s` [s] on.
+
+    thrust: of all rotors over weight at each row of the trace, (N,). commanded: axes that have a command at
+    some time, and not all of them. Raises ValueError if nothing is left of the flight.
+    """
+    step_s = 1.0 / trace.control_rate_hz
+    begin = round(settle_s * trace.control_rate_hz)
+    if begin >= len(trace.t):
+        raise ValueError(f"a flight of {len(trace.t)} rows, {begin} of them before the figures")
+    setpoint, rate = np.rad2deg(trace.setpoint[begin:].astype(np.float64)), np.rad2deg(trace.rate[begin:])
+    errors = tracking(trace.setpoint[begin:], trace.rate[begin:], step_s)
+    axes = np.array(commanded)
+    alone = np.abs(rate[:, ~axes])
+    stride = max(1, round(CHANGE_S / step_s))
+    return ManoeuvreFigures(
+        mae=float(errors.mae.mean()),
+        mse=float(errors.mse.mean()),
+        overshoot=max(
+            (overshoot(setpoint[:, axis], rate[:, axis]) for axis in np.flatnonzero(axes)), default=0.0
+        ),
+        stray=float(alone.mean()),
+        stray_peak=float(alone.max()),
+        thrust=float(thrust[begin:].mean()),
+        change=float(np.abs(np.diff(trace.motors[begin::stride], axis=0)).mean()),
+    )
+
+
+def overshoot(setpoint: Array, rate: Array) -> float:
+    """How far a rate (T,) goes past a setpoint (T,) that jumps, in % of the jump; the most of all jumps.
+
+    Each jump counts until the next one. Jumps below STEP_MIN_DEG_S [deg/s] are none.
+    """
+    jumps = np.flatnonzero(np.abs(np.diff(setpoint)) >= STEP_MIN_DEG_S) + 1
+    most = 0.0
+    for begin, end in zip(jumps, [*jumps[1:], len(setpoint)], strict=True):
+        step = setpoint[begin] - setpoint[begin - 1]
+        past = (rate[begin:end] - setpoint[begin]) * np.sign(step)
+        most = max(most, float(100.0 * past.max() / abs(step)))
+    return most

@@ -1,0 +1,136 @@
+"""What a policy may observe through a model of its aircraft: rotor speeds and rates that the model predicts.
+
+The rotors' equation is run on the motor fractions that were commanded; the rate is predicted from the rotors
+and corrected by the gyro. float32 and in the firmware's order of operations (control/estimator.c).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft, TorqueResponse
+from sim.control.motors import raised
+from sim.physics.rotor import coefficient, response_rows, rotor_geometry, target_speed
+from toolchain.contract import ESTIMATOR_CORRECTION_HZ, ESTIMATOR_DELAY_MAX, GRAVITY
+from toolchain.errors import AircraftError
+from toolchain.policy.model_constants import UNLIMITED, ModelConstants
+
+Array = NDArray[np.float32]
+Which = NDArray[np.intp] | slice
+
+
+def model_constants(aircraft: Aircraft, control_rate_hz: int) -> ModelConstants:
+    """The model of `aircraft` for policies at that rate.
+
+    Coefficients that depend on the rotor's speed are taken at hover. Raises AircraftError on an aircraft that
+    a model cannot say: its commands act later, or a number is beyond its limits.
+    """
+    propulsion, dt = aircraft.propulsion, 1.0 / control_rate_hz
+    delay = max(1, round(propulsion.delay * control_rate_hz))
+    if delay > ESTIMATOR_DELAY_MAX:
+        raise AircraftError(
+            f"aircraft {aircraft.name}: its delay {propulsion.delay:g} s is {delay} control steps, a model "
+            f"has at most {ESTIMATOR_DELAY_MAX}; observe without rotor_estimate and rate_estimate"
+        )
+    limited = isinstance(propulsion.response, TorqueResponse)
+    first, second, third = response_rows(propulsion, dt, np.ones(1))[0].tolist()
+    speed = _hover_speed(aircraft)
+    thrust = float(coefficient(propulsion.thrust_coefficient, speed))
+    torque = thrust * float(coefficient(propulsion.torque_ratio, speed))
+    geometry, inverse = rotor_geometry(aircraft), np.linalg.inv(aircraft.mass_properties.inertia)
+    moments = thrust * geometry.thrust_wrench[:, 3:] + torque * geometry.torque_wrench[:, 3:]
+    document = {
+        "delay_steps": delay,
+        "speed_curve": list(propulsion.speed_curve),
+        "rise": first,
+        "fall": first if limited else second,
+        "gain_max": second if limited else UNLIMITED,
+        "loss_max": third if limited else UNLIMITED,
+        "correction": -np.expm1(-2.0 * np.pi * ESTIMATOR_CORRECTION_HZ * dt).item(),
+        "turn": (dt * inverse @ moments.T).tolist(),
+        "reaction": (inverse @ geometry.reaction_wrench[:, 3:].T).tolist(),
+    }
+    try:
+        return ModelConstants.of(document)
+    except ValueError as error:
+        raise AircraftError(
+            f"aircraft {aircraft.name} has no model at {control_rate_hz} Hz: {error}"
+        ) from error
+
+
+def _hover_speed(aircraft: Aircraft) -> float:
+    """Speed [rad/s] of each rotor when all together carry the aircraft; full speed if they cannot."""
+    propulsion = aircraft.propulsion
+    speeds = np.asarray(target_speed(np.linspace(0.0, 1.0, 201), propulsion))
+    thrust = aircraft.motor_count * coefficient(propulsion.thrust_coefficient, speeds) * speeds**2
+    enough = np.flatnonzero(thrust >= aircraft.mass_properties.mass * GRAVITY)
+    return float(speeds[enough[0] if len(enough) else -1])
+
+
+class Estimator:
+    """The models of N aircraft: `observe` once a control step, `command` what came of it."""
+
+    def __init__(self, model: ModelConstants, count: int, idle: float) -> None:
+        """idle: the fraction of armed motors without thrust."""
+        self._model, self._idle = model, idle
+        motors = model.motor_count
+        self._commands = np.zeros((model.delay_steps + 1, count, motors), np.float32)  # the oldest first
+        self._speed = np.zeros((count, motors), np.float32)
+        self._rate = np.zeros((count, 3), np.float32)
+
+    def reset(self, index: Which) -> None:
+        """Rotors of the aircraft of `index` at rest."""
+        self._commands[:, index] = 0.0
+        self._speed[index] = 0.0
+        self._rate[index] = 0.0
+
+    def observe(self, which: Which, first: NDArray[np.bool_] | None, gyro: Array) -> None:
+        """A control step of the aircraft of `which` begins with the gyro's rate (K, 3) [rad/s].
+
+        first: (K, 1), whether it is the first step; None: of no aircraft.
+        """
+        model = self._model
+        before = self._speed[which]
+        after = self._advanced(before, self._commands[0, which])
+        gained, square = after - before, after * after
+        rate = self._rate[which].copy()
+        for axis in range(3):
+            for turn, speed in zip(model.turn[axis], square.T, strict=True):
+                rate[:, axis] = rate[:, axis] + np.float32(turn) * speed
+            for reaction, gain in zip(model.reaction[axis], gained.T, strict=True):
+                rate[:, axis] = rate[:, axis] + np.float32(reaction) * gain
+        rate = rate + np.float32(model.correction) * (gyro - rate)
+        self._rate[which] = rate if first is None else np.where(first, gyro, rate)
+        self._speed[which] = after
+
+    def command(self, which: Which, fractions: Array) -> None:
+        """The step ends with these motor fractions (K, M) before the idle."""
+        commands = self._commands[:, which]
+        commands[:-1] = commands[1:]
+        commands[-1] = raised(fractions, self._idle)
+        self._commands[:, which] = commands
+
+    def rotor_estimate(self, which: Which, throttle: Array) -> Array:
+        """Speeds (K, M) [rad/s] less those at which rotors rest under `throttle` (K,)."""
+        at_rest = self._target(raised(throttle, self._idle))
+        estimate: Array = self._speed[which] - at_rest[:, None]
+        return estimate
+
+    def rate_estimate(self, which: Which) -> Array:
+        """Rates (K, 3) [rad/s]."""
+        rate: Array = self._rate[which]
+        return rate
+
+    def _target(self, command: Array) -> Array:
+        a, b, c = (np.float32(number) for number in self._model.speed_curve)
+        target: Array = (a * command + b) * command + c
+        return target
+
+    def _advanced(self, speed: Array, command: Array) -> Array:
+        model = self._model
+        away = self._target(command) - speed
+        change = np.where(away > 0.0, np.float32(model.rise), np.float32(model.fall)) * away
+        change = np.minimum(np.maximum(change, np.float32(-model.loss_max)), np.float32(model.gain_max))
+        advanced: Array = np.maximum(np.float32(0.0), speed + change)
+        return advanced

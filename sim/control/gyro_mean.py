@@ -1,0 +1,52 @@
+"""The gyro filter `mean`: controllers see the mean of the gyro's samples of a control period.
+
+The gyro runs faster than the controllers: the NF1's four times. One sample in four has twice the noise of
+the mean of four, which comes three eighths of a control period late. float32, as filters.c.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolchain.contract import GYRO_RATE_DEFAULT_HZ
+
+Array = NDArray[np.float32]
+
+
+def samples_per_step(gyro_mean: bool, control_rate_hz: int) -> int:
+    """Gyro samples in a control period of a batch: those that the mean is made of, else one."""
+    return max(1, GYRO_RATE_DEFAULT_HZ // control_rate_hz) if gyro_mean else 1
+
+
+class GyroMean:
+    """The last samples of N gyros."""
+
+    def __init__(self, count: int, samples: int) -> None:
+        """samples: of the mean, 1 or more."""
+        self._last = np.zeros((samples, count, 3), np.float32)  # the oldest first
+        self._share = np.float32(1.0 / samples)
+        self._fresh = np.ones(count, bool)
+
+    def reset(self, index: NDArray[np.intp] | slice) -> None:
+        """The next sample of the aircraft of `index` is their first: it stands for those before it too."""
+        self._fresh[index] = True
+
+    def add(self, rate: Array, which: NDArray[np.intp] | slice = slice(None)) -> None:
+        """A sample (K, 3) [rad/s] of the gyros of `which`."""
+        last = self._last[:, which]
+        last[:-1] = last[1:]
+        last[-1] = rate
+        fresh = self._fresh[which]
+        if fresh.any():
+            last[:, fresh] = rate[fresh]
+            self._fresh[which] = False
+        self._last[:, which] = last
+
+    def mean(self, which: NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The mean (K, 3) [rad/s] of the gyros of `which`."""
+        total = self._last[0, which]
+        for sample in self._last[1:]:
+            total = total + sample[which]
+        mean: Array = total * self._share
+        return mean

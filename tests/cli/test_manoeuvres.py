@@ -1,0 +1,115 @@
+"""`neuroflight manoeuvres` as a user types it; and who may fly by eye."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from cli.main import main
+from sim.analysis.manoeuvre import ManoeuvreFigures
+from sim.analysis.stick_flight import DescentFigures
+from sim.flight.manoeuvres import MANOEUVRES, Manoeuvre, ThrustCurve
+from training.evaluation import manoeuvres
+from training.evaluation.manoeuvres import Air, Contender
+from training.results_page.page import render
+from training.results_page.stored_results import Stored
+
+Capture = pytest.CaptureFixture[str]
+TUNED, PUBLISHED = "pid:tuned", "pid:published"
+
+
+def flown(
+    contender: Contender,
+    aircraft: object,
+    air: Air,
+    manoeuvre: Manoeuvre,
+    curve: ThrustCurve,
+    seed: int,
+    *_: Any,
+) -> ManoeuvreFigures:
+    """The tuned one has the smaller error but in the flip; in the roll it is chance."""
+    better = (contender.name == TUNED) != (manoeuvre.name == "flip")
+    error = 10.0 + seed + (0.0 if better else 1.0)
+    if manoeuvre.name == "roll":
+        error = 10.0 + (0.0 if better else 0.1) + (seed % 2 if better else 0)
+    return ManoeuvreFigures(error, error**2, curve.throttle_of(1.0), air.gust, 4.0, 1.5, 0.004)
+
+
+@pytest.fixture
+def in_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flights that are over at once."""
+    curve = ThrustCurve((0.0, 0.15, 0.3, 0.6, 1.0), (0.25, 0.5, 1.0, 3.0, 6.0))
+    monkeypatch.setattr(manoeuvres, "thrust_curve", lambda *_: curve)
+    monkeypatch.setattr(manoeuvres, "fly_manoeuvre", flown)
+    monkeypatch.setattr(manoeuvres, "fly_descent", lambda *_: DescentFigures(17.5, 100.0, 2.0))
+
+
+@pytest.mark.usefixtures("in_no_time")
+def test_it_tells_who_wins_each_manoeuvre_and_how_surely(capsys: Capture) -> None:
+    assert main(["manoeuvres", PUBLISHED, TUNED, "--seeds", "4", "--seed", "2", "--gust", "5", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == (
+        "neuroflight manoeuvres pid:published pid:tuned --aircraft nf1 --seeds 4 --seed 2 "
+        "--battery 0.9 --gust 5"
+    )
+    told = document["manoeuvres"]
+    first, second = told["contenders"]
+    assert (told["seeds"], told["descents"]) == (4, 3)
+    assert list(first["figures"]) == [each.name for each in MANOEUVRES]
+    assert first["figures"]["flip"]["wins"] == ["mae", "mse"] == first["figures"]["flip"]["clear_wins"]
+    assert second["figures"]["punch-out"]["clear_wins"] == ["mae", "mse"]
+    assert second["figures"]["punch-out"]["mae"]["value"] == 13.5  # of seeds 2 to 5
+    assert second["figures"]["punch-out"]["difference"]["mae"]["value"] == -1.0
+    assert first["figures"]["roll"]["wins"] == ["mae", "mse"]
+    assert first["figures"]["roll"]["clear_wins"] == []
+    assert first["figures"]["roll"]["overshoot"]["value"] == 0.3
+    assert second["descent"]["sink_m_s"]["value"] == 17.5
+    page = render([Stored("manoeuvres-1.json", document)])
+    assert (
+        "Won of 5: PID `published`: 2 in MAE, 2 in MSE; PID `tuned`, idle 0.23: 3 in MAE, 3 in MSE." in page
+    )
+
+
+@pytest.mark.usefixtures("in_no_time")
+def test_the_table_marks_wins(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    assert main(["manoeuvres", TUNED, PUBLISHED, "--seeds", "3"]) == 0
+    out = capsys.readouterr().out
+    assert "** 12.00" in out
+    assert "dive-recovery" in out
+    assert "17.5" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["pid", "pid"], "2 controllers, 1 of them different"),
+        (["pid:none"], "no PID 'none'"),
+        (["nowhere.onnx"], "nowhere.onnx"),
+        (["pid", "--seeds", "0"], "--seeds 0"),
+        (["pid", "--battery", "1.5"], "--battery 1.5"),
+        (["pid", "--gust", "-1"], "--gust -1"),
+    ],
+)
+def test_it_is_refused_in_one_line(words: list[str], message: str, capsys: Capture) -> None:
+    assert main(["manoeuvres", *words]) == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+
+
+def test_a_flight_by_eye_is_refused_where_there_is_no_ground_or_no_twin(capsys: Capture) -> None:
+    assert main(["fly", "--scenario", "sticks", "--on", "reference"]) == 1
+    assert "takes off and lands; add --ground" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_both_pids_fly_all_manoeuvres(capsys: Capture) -> None:
+    assert main(["manoeuvres", TUNED, PUBLISHED, "--seeds", "2", "--json"]) == 0
+    tuned, published = json.loads(capsys.readouterr().out)["manoeuvres"]["contenders"]
+    for one in (tuned, published):
+        assert all(0 < each["mae"]["value"] < 60 for each in one["figures"].values())
+        assert sorted(one["thrust_at_rest"]) == one["thrust_at_rest"]
+    assert tuned["figures"]["roll"]["mae"]["value"] < published["figures"]["roll"]["mae"]["value"]
+    assert published["descent"]["sink_m_s"]["value"] > tuned["descent"]["sink_m_s"]["value"] > 0

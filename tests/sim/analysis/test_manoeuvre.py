@@ -1,0 +1,97 @@
+"""Figures of manoeuvres, of flights by eye and of descents, on motions that are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from sim.analysis.manoeuvre import manoeuvre_figures, overshoot
+from sim.analysis.stick_flight import descent_figures, stick_figures
+from sim.flight.motion import Motion
+from sim.flight.scenario import Scenario, Segment
+from sim.flight.trace import Trace
+
+HZ = 1000
+
+
+def trace(setpoint: np.ndarray, rate: np.ndarray, motors: np.ndarray | None = None) -> Trace:
+    """A flight of rates in deg/s."""
+    count = len(setpoint)
+    return Trace(
+        t=np.arange(count) / HZ,
+        setpoint=np.deg2rad(setpoint).astype(np.float32),
+        rate=np.deg2rad(rate),
+        gyro=np.deg2rad(rate).astype(np.float32),
+        motors=np.zeros((count, 4)) if motors is None else motors,
+        dshot=np.full((count, 4), 48, np.uint16),
+        throttle=np.zeros(count, np.float32),
+    )
+
+
+def motion(height: np.ndarray, **more: Any) -> Motion:
+    """A motion up and down along a given height (N,) [m]."""
+    count = len(height)
+    position, velocity = np.zeros((count, 3)), np.zeros((count, 3))
+    position[:, 2], velocity[:, 2] = height, np.gradient(height) * HZ
+    made = {"position": position, "velocity": velocity, "tilt": np.zeros(count), **more}
+    return cast(Motion, SimpleNamespace(**made))
+
+
+def test_overshoot_is_the_most_past_any_jump_in_percent_of_it() -> None:
+    setpoint = np.repeat([0.0, 100.0, 0.0, 5.0], 10)
+    rate = setpoint.copy()
+    rate[15], rate[25], rate[35] = 110.0, -30.0, 500.0  # 10 %, 30 %, behind a jump that is none
+    assert overshoot(setpoint[:30], rate[:30]) == pytest.approx(30)
+    assert overshoot(setpoint[:20], rate[:20]) == pytest.approx(10)
+    assert overshoot(setpoint[:20], np.zeros(20)) == 0
+    assert overshoot(np.repeat([0.0, 100.0, 50.0], 10), np.repeat([0.0, 104.0, 45.0], 10)) == pytest.approx(
+        10
+    )
+
+
+def test_figures_leave_out_the_first_hover_and_tell_axes_apart() -> None:
+    setpoint, rate = np.zeros((2000, 3)), np.zeros((2000, 3))
+    rate[:1000] = 900.0  # before the figures
+    setpoint[1500:, 0] = 100.0
+    rate[1500:, 0] = 120.0
+    rate[1000:, 1], rate[1700, 2] = 3.0, -50.0
+    thrust = np.repeat([5.0, 2.0], 1000)
+    motors = np.zeros((2000, 4))
+    motors[1000::2] = 0.25
+    found = manoeuvre_figures(trace(setpoint, rate, motors), thrust, (True, False, False), 1.0)
+    assert found.mae == pytest.approx((10 + 3 + 0.05) / 3)
+    assert found.mse == pytest.approx((200 + 9 + 2.5) / 3, rel=1e-4)
+    assert found.overshoot == pytest.approx(20)
+    assert found.stray == pytest.approx((3 + 0.05) / 2)
+    assert found.stray_peak == pytest.approx(50)
+    assert found.thrust == 2
+    assert found.change == pytest.approx(0.25)
+    with pytest.raises(ValueError, match="2000 rows"):
+        manoeuvre_figures(trace(setpoint, rate), thrust, (True, False, False), 2.0)
+
+
+def test_stick_figures_tell_height_touchdown_and_standing() -> None:
+    scenario = Scenario("hop", (Segment(4.0, height_m=2.0), Segment(3.0, height_m=0.0), Segment(1.0)))
+    height = np.concatenate(
+        [np.linspace(0, 2.1, 1000), np.full(3000, 2.1), np.linspace(2.1, 0, 3000), np.zeros(1000)]
+    )
+    found = stick_figures(scenario, motion(height), HZ)
+    assert found.height_error_m == pytest.approx(0.1)
+    assert found.touchdown_m_s == pytest.approx(0.7, rel=0.01)
+    assert found.touchdown_level_m_s == 0
+    assert found.landed
+    over = np.zeros(8000)
+    over[-1] = np.deg2rad(90)
+    assert not stick_figures(scenario, motion(height, tilt=over), HZ).landed
+    aloft = stick_figures(scenario, motion(height + np.linspace(0, 3, 8000)), HZ)
+    assert (aloft.landed, aloft.touchdown_m_s) == (False, None)
+
+
+def test_descent_figures_take_the_last_second() -> None:
+    height = np.concatenate([np.full(1000, 20.0), 20 - np.arange(1, 4001) * 0.005])
+    found = descent_figures(motion(height), 1000, HZ)
+    assert found.sink_m_s == pytest.approx(5)
+    assert found.fallen_m == pytest.approx(20, abs=0.01)

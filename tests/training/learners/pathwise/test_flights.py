@@ -1,0 +1,190 @@
+"""Flights in C against the twin, pybullet included."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sim.aircraft.model import load_aircraft
+from sim.control.motors import raised, throttle_mix
+from sim.control.observation import Observer
+from sim.physics.imu import quantised_rate
+from sim.physics.twin import Twin
+from tests.training.learners.pathwise.cases import RATE_HZ, WEIGHTS, Case
+from tests.training.learners.pathwise.reference import Network
+from toolchain.contract import Mix
+from training.learners.pathwise.batch import disturbances
+from training.learners.pathwise.flights import Flights, Record
+
+NAMES = ("nf1", "iris", "hexa")
+
+
+def recorded(case: Case) -> Record:
+    flights = Flights(case.surroundings)
+    _, record = flights.record(case.batch(), case.parameters(), WEIGHTS)
+    flights.close()
+    return record
+
+
+def flown_by_twin(case: Case) -> Record:
+    """The same flights in the twin, with the observation and the mix that everybody uses."""
+    own, batch = case.surroundings, case.batch()
+    count, aircraft = case.count, own.aircraft
+    twin = Twin(
+        aircraft,
+        count,
+        rate_hz=RATE_HZ * case.samples,
+        noise=False,
+        variation=batch.variation,
+        rng=np.random.default_rng(0),
+    )
+    observer = Observer(own.terms, count, aircraft.motor_count, RATE_HZ, model=own.model, idle=own.idle)
+    network = Network(own.shape, case.parameters(), count)
+    scale = [
+        own.scales[i] for i, term in enumerate(own.terms) for _ in range(term.count(aircraft.motor_count))
+    ]
+    action, everyone = np.zeros((count, aircraft.motor_count), np.float32), slice(None)
+    rates, speeds, seen, fractions = [twin.rate], [twin.rotor_speed], [], []
+    for k in range(case.steps):
+        last = np.array(rates[-case.samples :])
+        gyro = np.concatenate([np.repeat(last[:1], case.samples - len(last), axis=0), last]).mean(axis=0)
+        sensed = {"rotor_speed": speeds[-1].astype(np.float32)} if "rotor_speed" in observer.names else {}
+        throttle = batch.throttle[:, k]
+        raw = observer.observe(
+            everyone, batch.setpoint[:, k], gyro.astype(np.float32), action, throttle, **sensed
+        )
+        seen.append(raw * np.array(scale, np.float32))
+        action = np.clip(network(seen[-1]), np.float32(0.0), np.float32(1.0))
+        mixed = throttle_mix(action, throttle, own.mix)
+        observer.commanded(everyone, mixed, throttle)
+        fractions.append(raised(mixed, own.idle))
+        for _ in range(case.samples if k + 1 < case.steps else 0):
+            twin.step(fractions[-1])
+            rates.append(twin.rate)
+            speeds.append(twin.rotor_speed)
+    twin.close()
+    told = [np.moveaxis(np.array(part, np.float64), 1, 2) for part in (rates, speeds, seen, fractions)]
+    return Record(told[0], told[1], told[2], told[3])
+
+
+def assert_close(case: Case, found: Record, twin: Record) -> None:
+    speed_max = case.surroundings.aircraft.propulsion.speed_max
+    assert np.abs(twin.rate).max() > 0.2
+    assert found.rotor_speed == pytest.approx(twin.rotor_speed, abs=1e-4 * speed_max)
+    assert found.rate == pytest.approx(twin.rate, abs=1e-4 * np.abs(twin.rate).max())
+    assert found.motors == pytest.approx(twin.motors, abs=1e-4)
+    assert found.observation == pytest.approx(twin.observation, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("charge", [np.nan, 0.6])
+def test_flight_is_the_twins_when_outputs_do_not_depend_on_it(name: str, charge: float) -> None:
+    # Later the Iris' battery and rotors swing against each other from sample to sample, the twin's likewise.
+    steps = 700 if np.isnan(charge) else 400
+    case = Case(name, "rate_error", steps=steps, noise=False, charge=charge)
+    parameters = np.zeros_like(case.parameters())
+    motors = case.surroundings.aircraft.motor_count
+    parameters[-motors:] = np.random.default_rng(6).uniform(-1.0, 1.0, motors) * (
+        0.02 if name == "nf1" else 0.1
+    )
+    case = replace(case, weights=parameters)
+    assert_close(case, recorded(case), flown_by_twin(case))
+
+
+@pytest.mark.parametrize("mix", Mix)
+@pytest.mark.parametrize("name", NAMES)
+def test_flight_is_the_twins_when_a_policy_flies(name: str, mix: Mix) -> None:
+    case = Case(name, mix=mix, steps=700, noise=False, strength=0.05)
+    assert_close(case, recorded(case), flown_by_twin(case))
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(noise=False, samples=1, strength=0.05, steps=400),
+        Case(noise=False, recurrent=True, strength=0.05, steps=400),
+        Case(noise=False, activation="relu", squash=True, strength=0.05, steps=400),
+        Case(observation="rate~15Hz,rate_error~40Hz@3,previous_motors@2,rotor_estimate~90Hz@1", noise=False),
+    ],
+    ids=["a sample a control step", "gru", "relu and squash", "low-passes and ages"],
+)
+def test_flight_is_the_twins_when_the_policy_differs(case: Case) -> None:
+    assert_close(case, recorded(case), flown_by_twin(case))
+
+
+def test_gyro_has_bias_white_noise_and_counts() -> None:
+    case = Case(observation="rate", samples=1, steps=2000, rounded=True, count=16, varied=False, strength=0.0)
+    record = recorded(case)
+    read = record.observation / 0.3
+    noise = np.asarray(read) - record.rate
+    gyro = load_aircraft("nf1").gyro
+    assert noise.std(axis=0).mean(axis=1) == pytest.approx(gyro.noise, rel=0.03)
+    assert noise.mean(axis=0).std() == pytest.approx(gyro.bias, rel=0.3)
+    assert quantised_rate(read.astype(np.float64)) == pytest.approx(read, abs=1e-6)
+
+
+def test_mean_of_four_samples_has_half_the_noise() -> None:
+    case = Case(observation="rate", samples=4, steps=2000, count=16, varied=False, strength=0.0)
+    noise = recorded(case).observation / 0.3 - recorded(case).rate[::4]
+    assert noise.std(axis=0).mean(axis=1) == pytest.approx(
+        np.array(load_aircraft("nf1").gyro.noise) / 2, rel=0.03
+    )
+
+
+def test_gyro_lags_turns_and_vibrates_as_the_twins() -> None:
+    aircraft = load_aircraft("nf1")
+    gyro = replace(
+        aircraft.gyro,
+        noise=(0.0, 0.0, 0.0),
+        bias=0.0,
+        bandwidth_hz=80.0,
+        misalignment=(0.02, -0.03, 0.05),
+        vibration=(0.3, 0.2, 0.1),
+    )
+    case = Case(
+        aircraft=replace(aircraft, gyro=gyro), observation="rate", samples=1, steps=400, count=3, varied=False
+    )
+    record = recorded(case)
+    assert record.observation / 0.3 == pytest.approx(sensed_by_twin(case, record), abs=2e-3)
+
+
+def sensed_by_twin(case: Case, record: Record) -> NDArray[np.float64]:
+    """What the twin's gyro reads while its rotors do what they did in `record`, phases included."""
+    own = case.surroundings
+    twin = Twin(own.aircraft, case.count, rate_hz=RATE_HZ, rng=np.random.default_rng(0))
+    phases = np.random.Generator(np.random.SFC64([case.batch().seed, 0])).uniform(-0.5, 0.5, (4, 16))
+    twin._phase[:] = 2.0 * np.pi * phases[:, : case.count].T  # type: ignore[index]
+    read = [record.rate[0].T]
+    for k in range(case.steps - 1):
+        twin.step(record.motors[k].T)
+        read.append(twin.gyro)
+    twin.close()
+    return np.moveaxis(np.array(read), 1, 2)
+
+
+def test_an_aircraft_turns_as_fast_as_a_disturbance_accelerates_it() -> None:
+    case = Case(observation="rate", steps=200, count=3, varied=False, noise=False, idle=0.0)
+    acceleration = np.zeros((3, 200, 3), np.float32)
+    for axis, value in enumerate((40.0, -25.0, 10.0)):  # an axis each, so that nothing couples them
+        acceleration[axis, :, axis] = value
+    acceleration[:, 100:] = 0.0
+    still = replace(case.batch(), throttle=np.zeros((3, 200), np.float32), disturbance=acceleration)
+    flights = Flights(case.surroundings, number="float64")
+    _, record = flights.record(still, np.zeros(case.surroundings.shape.count), WEIGHTS)
+    flights.close()
+    t = np.minimum(np.arange(len(record.rate)) / 4000, 0.1)
+    turned = record.rate.transpose(2, 0, 1)
+    for aircraft, rate in enumerate((40.0, -25.0, 10.0)):
+        np.testing.assert_allclose(turned[aircraft, :, aircraft], rate * t, rtol=0.02, atol=1e-9)
+
+
+def test_disturbances_are_of_drawn_size_and_smooth() -> None:
+    drawn = disturbances(4000, 700, 1000, 100.0, np.random.default_rng(1)).astype(float)
+    sizes = np.sqrt(np.square(drawn[:, ::150, :2]).mean(axis=(1, 2)))
+    assert (sizes == 0.0).mean() == pytest.approx(0.3, abs=0.03)
+    assert np.median(sizes[sizes > 0.0]) == pytest.approx(100.0 * 0.03**0.5, rel=0.15)
+    assert drawn[..., 2].std() == pytest.approx(0.2 * drawn[..., 0].std(), rel=0.1)
+    assert np.abs(np.diff(drawn, axis=1)).max() < 10.0 * 100.0 * 0.001 / 0.15

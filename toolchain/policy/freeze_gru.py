@@ -1,0 +1,78 @@
+"""The memory of a recurrent policy in policy.onnx: its first layer, a GRU as torch's exporter writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from toolchain.errors import PolicyError
+
+Matrix = NDArray[np.float64]
+GATES = 3
+_NAMES = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """Weights of H units with n inputs, rows by gates as torch has them: reset, update, new."""
+
+    weight: Matrix  # (3H, n)
+    state_weight: Matrix  # (3H, H)
+    bias: Matrix  # (3H,)
+    state_bias: Matrix  # (3H,)
+
+    @property
+    def units(self) -> int:
+        """H."""
+        return int(self.state_weight.shape[1])
+
+    @staticmethod
+    def of(state: Mapping[str, ArrayLike], inputs: int, units: int) -> Memory:
+        """The GRU of a checkpoint's tensors. Raises PolicyError naming the one that does not fit."""
+        size = GATES * units
+        parts = []
+        for name, shape in zip(_NAMES, ((size, inputs), (size, units), (size,), (size,)), strict=True):
+            key = f"recurrent.{name}_l0"
+            if key not in state:
+                raise PolicyError(f"the checkpoint lacks the tensor {key!r}")
+            array = np.asarray(state[key])
+            if array.shape != shape or array.dtype != np.float32:
+                got = f"{array.dtype} {list(array.shape)}"
+                raise PolicyError(f"tensor {key!r} is {got}, expected float32 {list(shape)}")
+            parts.append(array.astype(np.float64))
+        return Memory(*parts)
+
+    def scaled(self, factors: Matrix) -> Memory:
+        """The same for inputs that are not yet multiplied by `factors` (n,)."""
+        return Memory(self.weight * factors, self.state_weight, self.bias, self.state_bias)
+
+    def onnx_arrays(self) -> dict[str, Matrix]:
+        """W (1, 3H, n), R (1, 3H, H) and B (1, 6H) of an ONNX GRU, whose gates are update, reset, new."""
+
+        def ordered(values: Matrix) -> Matrix:
+            reset, update, new = np.split(values, GATES)
+            return np.concatenate([update, reset, new])
+
+        biases = np.concatenate([ordered(self.bias), ordered(self.state_bias)])
+        return {
+            "memory_weight": ordered(self.weight)[None],
+            "memory_state_weight": ordered(self.state_weight)[None],
+            "memory_bias": biases[None],
+        }
+
+    def onnx_nodes(self, value: str, result: str) -> list[Any]:
+        """Nodes from the row `value` (1, n) to the row `result` (1, H); `memory_axis` is the tensor [0]."""
+        from onnx import helper
+
+        weights = list(self.onnx_arrays())
+        outputs = ["", "memory_after"]
+        options: dict[str, Any] = {"hidden_size": self.units, "linear_before_reset": 1}
+        return [
+            helper.make_node("Unsqueeze", [value, "memory_axis"], ["memory_sequence"], name="sequence"),
+            helper.make_node("GRU", ["memory_sequence", *weights], outputs, name="memory", **options),
+            helper.make_node("Squeeze", ["memory_after", "memory_axis"], [result], name="remembered"),
+        ]

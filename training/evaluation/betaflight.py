@@ -1,0 +1,99 @@
+"""Betaflight beside controllers: its defaults fly the commands, gyros and noise that they fly.
+
+Each command is flown by a Betaflight of its own, a copy of one that armed at rest (see
+sim/ports/betaflight/fleet.py): an episode begins as every controller's, with rotors and integral at rest, and
+knows nothing of the others. Flown first or tenth among others, an episode gives the same bits.
+
+Its loop runs at each gyro sample and faster, with its own filters, mixer and idle; rows are kept at
+1 kHz, as of the others. It tells no outputs before its mixer: what stands for them is its motor values above
+idle, 0..1, which hold the throttle too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.control import sticks
+from sim.physics.imu import counts
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from sim.ports.betaflight.build import VERSION
+from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
+from sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
+from training.evaluation.evaluation import Flights, Rows, drawn
+from training.tasks.pieces import RecordedPieces
+from training.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class BetaflightSpec:
+    """Betaflight with its default PID, filters, mixer and idle."""
+
+    armed: ArmedBetaflight
+    name: ClassVar[str] = "betaflight"
+    label: ClassVar[str] = "Betaflight 4.6"
+    control_rate_hz: ClassVar[int] = ROW_RATE_HZ
+    idle: ClassVar[float] = IDLE
+    gyro_mean: ClassVar[bool] = False  # its filters take in all samples
+    facts: dict[str, str] = field(default_factory=lambda: {"betaflight": VERSION})
+
+
+def record_betaflight(
+    armed: ArmedBetaflight,
+    aircraft: Aircraft,
+    task: Task,
+    *,
+    episodes: int,
+    seed: int,
+    mount: Mount = Mount.CENTRE,
+    noise: bool = True,
+    throttle: float | NDArray[np.float32] = 0.0,
+    charge: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Flights:
+    """Fly `episodes` commands of `task`, a Betaflight and an aircraft each, all at once; see `record`.
+
+    Commands and throttle are rounded to what sticks can say, and errors are to these setpoints. Raises
+    LinkError when a Betaflight fails, ScenarioError on commands beyond full stick.
+    """
+    commands, noise_rng = drawn(seed)
+    wanted = task.episodes(episodes, commands, ROW_RATE_HZ)
+    steps, samples = wanted.shape[1], armed.gyro_rate_hz // ROW_RATE_HZ
+    thrust = np.broadcast_to(np.asarray(throttle, np.float32).T, (steps, episodes))
+    rows = Rows(steps, episodes, aircraft.motor_count)
+    setpoints = np.empty((steps, episodes, 3), np.float32)
+    twin = Twin(
+        aircraft,
+        episodes,
+        rate_hz=armed.gyro_rate_hz,
+        mount=mount,
+        noise=noise,
+        charge=charge,
+        rng=noise_rng,
+    )
+    with closing(twin), BetaflightFleet(armed, twin.live) as fleet:
+        before = None
+        for k in range(steps):
+            asked = (wanted[:, k].tobytes(), thrust[k].tobytes())
+            frame = None
+            if asked != before:
+                frame = sticks.channels(np.rad2deg(wanted[:, k]), thrust[k], armed=True)
+                before = asked
+            setpoints[k] = setpoints[k - 1] if frame is None else sticks.setpoint(frame)
+            for sample in range(samples):
+                motors = fleet.exchange(counts(twin.live.gyro), frame if sample == 0 else None)
+                if sample == 0:
+                    rows.put(k, twin, motors)
+                twin.step(motors)
+            if progress is not None:
+                progress(k + 1, steps)
+    np.divide(rows.motors - np.float32(IDLE), np.float32(1.0 - IDLE), out=rows.output)
+    recorded = isinstance(task, RecordedPieces)
+    return rows.flights(setpoints.swapaxes(0, 1), 1.0 / ROW_RATE_HZ, recorded)

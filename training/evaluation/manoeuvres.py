@@ -1,0 +1,234 @@
+"""Manoeuvres in free flight, with drag, battery and gusts, of policies, PIDs and Betaflight on equal terms.
+
+Every contender flies alone behind its port, from its boot, through the lockstep loop of `neuroflight fly`:
+receiver frames, calibration and arming included. Before that it flies the stairs: zero command, the centre
+of mass held, gyro noise on, the same battery, a throttle after the other; what thrust its rotors give is its
+curve, by which the thrust that a manoeuvre asks for becomes its own throttle. A policy is computed in Python
+with float32's roundings, which flies any file without a build.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import Mean, mean_of, paired
+from sim.analysis.manoeuvre import ManoeuvreFigures, manoeuvre_figures
+from sim.analysis.stick_flight import DescentFigures, descent_figures
+from sim.control.controller import PolicyController
+from sim.flight.loop import Progress, fly
+from sim.flight.manoeuvres import DESCENT, SETTLE_S, Manoeuvre, ThrustCurve, stairs
+from sim.flight.motion import Motion
+from sim.flight.scenario import Scenario
+from sim.flight.trace import Trace
+from sim.physics.twin import Twin
+from sim.physics.world import Mount
+from sim.ports.betaflight.build import VERSION, Betaflight
+from sim.ports.betaflight.port import IDLE, BetaflightPort, aircraft_settings
+from sim.ports.port import FirmwarePort
+from sim.ports.python_controller import ControllerPort
+from toolchain.contract import GYRO_RATE_DEFAULT_HZ
+from toolchain.errors import PolicyError
+from training.evaluation.controllers import ControllerSpec, load_controller
+from training.evaluation.evaluation import interval
+
+BETAFLIGHT = "betaflight"
+COMPARED = ("mae", "mse")  # figures of which the lowest wins
+
+
+@dataclass(frozen=True)
+class Air:
+    """What everybody flies in."""
+
+    charge: float  # of the battery at power-on, 0..1
+    gust: float  # wind 20 feet above the ground whose turbulence is flown in [m/s]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """Somebody who can be put behind a port, freshly booted."""
+
+    name: str  # as the user wrote it
+    label: str
+    open: Callable[[], FirmwarePort]
+    idle: float
+    facts: dict[str, str]  # what a stored result records of it
+
+
+def load_contender(name: str, aircraft: Aircraft, betaflight: Betaflight | None) -> Contender:
+    """A policy file, `pid`, `pid:NAME`, or `betaflight`, which is built.
+
+    Raises AircraftError or PolicyError where it does not exist or cannot fly the aircraft behind a port.
+    """
+    if name == BETAFLIGHT:
+        if betaflight is None:
+            raise ValueError("Betaflight is to fly, but is not built")
+        built, settings = betaflight, aircraft_settings(aircraft)
+        return Contender(
+            name=name,
+            label="Betaflight 4.6",
+            open=lambda: BetaflightPort(built, GYRO_RATE_DEFAULT_HZ, settings),
+            idle=IDLE,
+            facts={BETAFLIGHT: VERSION},
+        )
+    spec = load_controller(name, aircraft)
+    controller = spec.build(1)
+    if isinstance(controller, PolicyController) and controller.senses:
+        raise PolicyError(
+            f"{name}: observes rotor speed or attitude, which no port gives; evaluate it with `neuroflight "
+            f"evaluate`"
+        )
+    return Contender(name, spec.label, lambda: _port(spec, aircraft), spec.idle, spec.facts)
+
+
+def _port(spec: ControllerSpec, aircraft: Aircraft) -> ControllerPort:
+    return ControllerPort(
+        spec.build(1),
+        aircraft.motor_count,
+        GYRO_RATE_DEFAULT_HZ,
+        spec.control_rate_hz,
+        spec.idle,
+        mix=spec.mix,
+        gyro_mean=spec.gyro_mean,
+    )
+
+
+def thrust_curve(
+    contender: Contender, aircraft: Aircraft, air: Air, seed: int, progress: Progress | None = None
+) -> ThrustCurve:
+    """Thrust at rest against throttle, flown on the stairs."""
+    _, motion, rate_hz = _flight(contender, aircraft, air, stairs(), seed, progress)
+    return ThrustCurve.of_steps(motion.thrust.tolist(), rate_hz)
+
+
+def fly_manoeuvre(
+    contender: Contender,
+    aircraft: Aircraft,
+    air: Air,
+    manoeuvre: Manoeuvre,
+    curve: ThrustCurve,
+    seed: int,
+    progress: Progress | None = None,
+) -> ManoeuvreFigures:
+    """One flight of a seed, which draws noise, bias and gusts."""
+    scenario = manoeuvre.scenario(curve.throttle_of)
+    trace, motion, _ = _flight(contender, aircraft, air, scenario, seed, progress)
+    return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S)
+
+
+def fly_descent(
+    contender: Contender,
+    aircraft: Aircraft,
+    air: Air,
+    curve: ThrustCurve,
+    seed: int,
+    progress: Progress | None = None,
+) -> DescentFigures:
+    """The descent of a seed: from the hover, level, the throttle closed."""
+    scenario = DESCENT.scenario(curve.throttle_of)
+    _, motion, rate_hz = _flight(contender, aircraft, air, scenario, seed, progress)
+    return descent_figures(motion, round(SETTLE_S * rate_hz), rate_hz)
+
+
+def _flight(
+    contender: Contender,
+    aircraft: Aircraft,
+    air: Air,
+    scenario: Scenario,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[Trace, Motion, int]:
+    """A flight in a fresh twin; noise and gusts are those of the seed, whoever flies."""
+    port = contender.open()
+    with closing(port):
+        twin = Twin(
+            aircraft,
+            rate_hz=port.gyro_rate_hz,
+            mount=scenario.mount,
+            charge=air.charge,
+            gust=air.gust if scenario.mount is Mount.FREE else 0.0,
+            rng=np.random.default_rng((seed, 1)),
+        )
+        with closing(twin):
+            motion = Motion(twin)
+            trace = fly(twin, port, scenario, progress=progress, watch=motion)
+            return trace, motion, port.control_rate_hz
+
+
+# --- Means over seeds ------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Flown:
+    """All flights of one contender."""
+
+    contender: Contender
+    curve: ThrustCurve
+    manoeuvres: dict[str, tuple[ManoeuvreFigures, ...]]  # by name, a flight a seed
+    descents: tuple[DescentFigures, ...]
+
+
+def means(flights: Sequence[ManoeuvreFigures] | Sequence[DescentFigures]) -> dict[str, Mean]:
+    """Each figure over seeds with its 95 % confidence."""
+    names = [field.name for field in fields(flights[0])]
+    return {name: _mean(_values(flights, name)) for name in names}
+
+
+def winner(flown: Sequence[Flown], manoeuvre: str, figure: str) -> int:
+    """Index of the contender with the lowest mean."""
+    return int(np.argmin([_values(one.manoeuvres[manoeuvre], figure).mean() for one in flown]))
+
+
+def significant(flown: Sequence[Flown], manoeuvre: str, figure: str, best: int) -> bool:
+    """Whether the best differs from every other with 95 % confidence, seed by seed."""
+    first = _values(flown[best].manoeuvres[manoeuvre], figure)
+    others = [_values(one.manoeuvres[manoeuvre], figure) for k, one in enumerate(flown) if k != best]
+    return len(first) > 1 and all(float(paired(first, other).low) > 0.0 for other in others)
+
+
+def document(flown: Sequence[Flown]) -> list[dict[str, object]]:
+    """Contenders with their figures as JSON data; differences are to the first, seed by seed."""
+    return [_contender_document(flown, index) for index in range(len(flown))]
+
+
+def _contender_document(flown: Sequence[Flown], index: int) -> dict[str, object]:
+    one, first = flown[index], flown[0]
+    found: dict[str, object] = {}
+    for name, flights in one.manoeuvres.items():
+        figures: dict[str, object] = {key: interval(mean) for key, mean in means(flights).items()}
+        if index:
+            figures["difference"] = {key: _difference(first, one, name, key) for key in COMPARED}
+        figures["wins"] = [key for key in COMPARED if len(flown) > 1 and winner(flown, name, key) == index]
+        figures["clear_wins"] = [
+            key
+            for key in COMPARED
+            if len(flown) > 1 and winner(flown, name, key) == index and significant(flown, name, key, index)
+        ]
+        found[name] = figures
+    return {
+        "controller": one.contender.name,
+        **one.contender.facts,
+        "idle": one.contender.idle,
+        "throttle": list(one.curve.throttle),
+        "thrust_at_rest": list(one.curve.thrust),
+        "figures": found,
+        "descent": {key: interval(mean) for key, mean in means(one.descents).items()},
+    }
+
+
+def _difference(first: Flown, one: Flown, manoeuvre: str, figure: str) -> dict[str, float | bool]:
+    mean = paired(*(_values(each.manoeuvres[manoeuvre], figure) for each in (first, one)))
+    return {**interval(mean), "significant": bool(mean.low > 0.0 or mean.high < 0.0)}
+
+
+def _values(
+    flights: Sequence[ManoeuvreFigures] | Sequence[DescentFigures], figure: str
+) -> NDArray[np.float64]:
+    return np.array([getattr(flight, figure) for flight in flights], np.float64)
+
+
+def _mean(values: NDArray[np.float64]) -> Mean:
+    return mean_of(values, np.ones(len(values), bool))

@@ -1,0 +1,85 @@
+"""The episodes of an update: what is drawn for them, and their shares in the means of the loss."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.physics.variation import Variation
+from training.config.training_config import TrainingConfig
+from training.tasks.random_steps import RandomStepsTask, StepWeights
+
+Array = NDArray[np.float32]
+KNOT_S = 0.15  # in which the air around a tumbling aircraft changes
+CALM = 0.3  # of the aircraft
+LEAST = 0.03  # of the largest standard deviation
+YAW = 0.2  # of the standard deviation in roll and pitch: the drag of rotors above the centre of mass tilts
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Episodes of T control steps for B aircraft."""
+
+    setpoint: Array  # (B, T, 3) [rad/s]
+    step_weights: StepWeights  # (B, T), weight of each control step
+    throttle: Array  # (B, T), the pilot's thrust
+    variation: Variation  # of the B aircraft
+    seed: int  # of the noise
+    disturbance: Array | None = None  # (B, T, 3) [rad/s^2], by moments from outside at the file's inertia
+
+    def shares(self) -> list[Array]:
+        """Shares (B, T) of the control steps in the means.
+
+        Of the absolute error, of the squared error, of output and change, and of the motors at closed
+        throttle.
+        """
+        weights = self.step_weights
+        closed = weights.effort * (self.throttle == 0.0)
+        return [
+            (part / max(float(part.sum()), 1.0)).astype(np.float32)
+            for part in (weights.error, weights.square, weights.effort, closed)
+        ]
+
+
+def draw(
+    config: TrainingConfig, count: int, delay_s: float, disturbance: float, rng: np.random.Generator
+) -> Batch:
+    """Episodes for `count` aircraft.
+
+    delay_s: the aircraft's own. disturbance [rad/s^2]: see PathwiseConfig.
+    """
+    task, world, rate_hz = config.task, config.world, config.control_rate_hz
+    if isinstance(task, RandomStepsTask):
+        setpoint, step_weights = task.batch(count, rng, rate_hz)
+    else:
+        setpoint = task.episodes(count, rng, rate_hz)
+        step_weights = StepWeights.equal(*setpoint.shape[:2])
+    return Batch(
+        setpoint=setpoint,
+        step_weights=step_weights,
+        throttle=world.draw_throttles(count, setpoint.shape[1], rate_hz, rng),
+        variation=world.randomization.draw(count, rng, delay_s),
+        seed=int(rng.integers(2**63)),
+        disturbance=disturbances(count, setpoint.shape[1], rate_hz, disturbance, rng)
+        if disturbance
+        else None,
+    )
+
+
+def disturbances(count: int, steps: int, rate_hz: int, largest: float, rng: np.random.Generator) -> Array:
+    """Angular accelerations (count, steps, 3) [rad/s^2] that no rotor makes, as drag in fast air does.
+
+    Straight lines between values that are drawn every KNOT_S. Their standard deviation is drawn log-uniformly
+    up to `largest`; CALM of the aircraft have none.
+    """
+    knots = math.ceil(steps / rate_hz / KNOT_S) + 1
+    sigma = largest * LEAST ** rng.random(count) * (rng.random(count) >= CALM)
+    values = rng.standard_normal((count, knots, 3)) * sigma[:, None, None] * (1.0, 1.0, YAW)
+    at = np.arange(steps) / rate_hz / KNOT_S
+    before = at.astype(np.intp)
+    part = (at - before)[:, None]
+    lines = (1.0 - part) * values[:, before] + part * values[:, before + 1]
+    return lines.astype(np.float32)

@@ -1,0 +1,171 @@
+/* What Python calls and fills in. Read by the C compiler and by cffi.
+ *
+ * A block is LANES aircraft that fly side by side, an episode each. A row holds a number of each of them, lane by lane; an
+ * array of shape (T, 3) here is T times 3 rows. Arrays belong to Python and outlive the structs that point to them. T is the
+ * number of control steps, S that of gyro samples and physics steps in a control step, M that of motors. Units are SI; body
+ * axes are x forward, y left, z up. `real` is float for training and double for tests. */
+
+#ifndef API_H
+#define API_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef FLOAT64
+#include "float64/api.h"
+#else
+#include "float32/api.h"
+#endif
+
+enum {
+	LANES = 16,
+	MOTORS_MAX = 8,
+	POLYNOMIAL_MAX = 8,
+	TERMS_MAX = 32,
+	LAYERS_MAX = 9, /* with the last */
+	POINTS_MAX = 32,
+	AGE_MAX = 16,
+};
+
+/* ---- the aircraft as its file says ---- */
+
+struct polynomial {
+	uint32_t terms;
+	real term[POLYNOMIAL_MAX]; /* the constant first */
+};
+
+struct propulsion {
+	real speed_curve[3];      /* a, b, c: a command u settles at (a u + b) u + c [rad/s] */
+	struct polynomial thrust; /* K_T(w) [N s^2/rad^2] */
+	struct polynomial torque; /* K_Q(w) [m] */
+	bool limited;             /* acceleration has limits; else of first order */
+	real lever[2 * MOTORS_MAX];  /* roll and pitch a newton of each rotor's thrust */
+	real drag[MOTORS_MAX];       /* yaw a newton metre of drag torque */
+	real reaction[MOTORS_MAX];   /* yaw for a rad/s gained in a sample [N m s/rad] */
+	real motion[9 * MOTORS_MAX]; /* moment for rotor speed times body rate: rows by rate */
+};
+
+struct body {
+	real inertia[9], inverse[9]; /* about the centre of mass */
+};
+
+struct pack {
+	bool present;
+	uint32_t points;
+	real left[POINTS_MAX]; /* state of charge */
+	real volts[POINTS_MAX]; /* of the rested pack over it, divided by the bench supply's voltage */
+	real capacity;          /* [A s] */
+	real resistance;        /* [ohm], divided by the square of the bench supply's voltage */
+	real amperes;           /* for a watt, at the bench supply's voltage */
+	real electronics;       /* [W] */
+	real efficiency;
+	real rotor_inertia;     /* [kg m^2], over the time of a sample */
+};
+
+struct gyro {
+	bool turned;
+	real turn[9];  /* rows times it: the body's axes to the chip's */
+	real follow;   /* share of the way to its input that the low-pass goes in a sample; 1: there is none */
+	bool vibrates;
+	real amplitude[3]; /* [rad/s], by one rotor at speed_max */
+	real speed_max;    /* [rad/s] */
+	real counts;       /* a rad/s */
+	real count_max;
+};
+
+/* ---- the policy and what surrounds it ---- */
+
+enum { MIX_ATTITUDE_FIRST, MIX_CENTRED };
+enum { ACTIVATION_RELU, ACTIVATION_TANH };
+enum { DSHOT_STEPS = 1999 };
+
+struct term {
+	uint32_t block; /* the contract's code */
+	uint32_t width;
+	uint32_t age;
+	real gain;  /* of the low-pass; 0: there is none */
+	real scale; /* of the network's input */
+};
+
+/* Constants of the model that a policy observes by; see toolchain/policy/model_constants.py. */
+struct estimator {
+	bool present;
+	uint32_t delay;
+	real speed_curve[3];
+	real rise, fall, gain_max, loss_max;
+	real correction;
+	real turn[3 * MOTORS_MAX], reaction[3 * MOTORS_MAX]; /* (3, M) */
+};
+
+struct network {
+	uint32_t layers;               /* the hidden ones and the last */
+	uint32_t width[LAYERS_MAX + 1]; /* observation, hidden layers, motors */
+	bool recurrent;                /* the first hidden layer is a GRU */
+	int activation;
+	real scale, offset; /* output to motor fraction */
+	bool squash;
+};
+
+struct controller {
+	int mix;
+	real idle;
+	real dt; /* [s], of a control step */
+	real integral_max;
+	uint32_t terms;
+	struct term term[TERMS_MAX];
+	struct estimator estimator;
+	struct network network;
+};
+
+struct loss {
+	real square, output, change, closed; /* weights */
+	real soft;                           /* [deg/s], below which an error counts by its square */
+	bool of_motors;                      /* whose change it is: the motors', or the outputs' */
+	real change_scale;                   /* of a change in a control step */
+};
+
+struct plan {
+	size_t steps;     /* T */
+	uint32_t samples; /* S */
+	uint32_t motors;  /* M */
+	real dt;          /* [s], of a sample */
+	bool rounded;     /* the gyro has counts, and ESCs have steps */
+	struct propulsion propulsion;
+	struct body body;
+	struct pack pack;
+	struct gyro gyro;
+	struct controller controller;
+	struct loss loss;
+};
+
+/* ---- a block ---- */
+
+struct block {
+	/* rows */
+	const real *response;               /* (3), as physics/c/rotor.c takes it */
+	const real *speed;                  /* factor of the speed that a command settles at */
+	const real *lift, *drag, *light;    /* factors of thrust, drag torque and all moments, over that of inertia */
+	const real *load;                   /* factor of the drag torque in the battery's power */
+	const real *charge;                 /* state of charge at the start; negative: the bench supply */
+	const int32_t *delay;               /* [samples], at least 1 */
+	const real *phase;                  /* (M) [rad], of the rotors at the start, where the gyro vibrates */
+	const real *setpoint;               /* (T, 3) [rad/s] */
+	const real *throttle;               /* (T) */
+	const real *disturbance;            /* (T, 3) [N m], moments from outside on an aircraft of the file's inertia; NULL: none */
+	const real *absolute, *squared, *effort, *closed; /* (T), shares of the control steps in the batch's means */
+	const real *noise;                  /* ((T - 1) S + 1, 3) [rad/s], with the bias */
+	const real *parameters;             /* of the network, in the order of Python's */
+	real *gradient;                     /* likewise; NULL: only the flight */
+	double *figures;                    /* (5): mean |e| and e^2, output, change, closed */
+	/* What is flown, for tests; or NULL. */
+	real *rate;                         /* ((T - 1) S + 1, 3) [rad/s] */
+	real *rotor_speed;                  /* ((T - 1) S + 1, M) [rad/s] */
+	real *observation;                  /* (T, n), as the network gets it */
+	real *motors;                       /* (T, M), fractions after mix and idle, unrounded */
+};
+
+size_t flight_memory(const struct plan *p);
+void flight_run(const struct plan *p, const struct block *b, real *memory);
+
+#endif

@@ -1,0 +1,2 @@
+/* Numbers of training. */
+typedef float real;

@@ -1,0 +1,2 @@
+/* Numbers of tests, which compare derivatives with differences. */
+typedef double real;

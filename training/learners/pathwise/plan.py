@@ -1,0 +1,155 @@
+"""What the flights of a run have in common, as C has it: aircraft, surroundings of the policy, network."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Aircraft, TorqueResponse
+from sim.physics.battery import CELL_VOLTAGE, STATE_OF_CHARGE
+from sim.physics.imu import rotation_by
+from sim.physics.rotor import rotor_geometry
+from toolchain.contract import (
+    GYRO_COUNTS,
+    GYRO_FULL_SCALE_DEG_S,
+    RATE_ERROR_INTEGRAL_LIMIT_RAD,
+    Mix,
+    ObservationTerm,
+    needs_model,
+)
+from toolchain.policy.model_constants import ModelConstants
+from training.learners.pathwise.library import library
+from training.learners.pathwise.loss import Weights
+from training.learners.pathwise.network import Shape
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is flown, and what lies between the aircraft and the network."""
+
+    aircraft: Aircraft
+    steps: int  # control steps of an episode
+    control_rate_hz: int
+    samples: int  # of the gyro, and steps of the physics, in a control step
+    terms: tuple[ObservationTerm, ...]
+    scales: tuple[float, ...]  # of the network's input, one a term
+    mix: Mix
+    idle: float
+    model: ModelConstants | None  # that the observation needs
+    shape: Shape
+    of_motors: bool = (
+        False  # whether the change of the motors is in the loss, in 1 ms, or that of the outputs
+    )
+    soft: float = 0.0  # [deg/s], of the loss: see PathwiseConfig
+    noise: bool = True  # of the gyro
+    rounded: bool = True  # the gyro has counts, and ESCs have steps
+
+    @property
+    def dt(self) -> float:
+        """Time of a sample [s]."""
+        return 1.0 / (self.control_rate_hz * self.samples)
+
+    def plan(self, weights: Weights, battery: bool, number: str) -> Any:  # noqa: ANN401 - a struct of cffi
+        """The plan for C. battery: whether any aircraft flies on one."""
+        made = library(number).ffi.new("struct plan *")
+        made.steps, made.samples, made.motors = self.steps, self.samples, self.aircraft.motor_count
+        made.dt, made.rounded = self.dt, self.rounded
+        self._propulsion(made.propulsion)
+        inertia = self.aircraft.mass_properties.inertia
+        made.body.inertia = inertia.ravel().tolist()
+        made.body.inverse = np.linalg.inv(inertia).ravel().tolist()
+        if battery:
+            self._pack(made.pack)
+        self._gyro(made.gyro)
+        self._controller(made.controller)
+        made.loss.of_motors, made.loss.soft = self.of_motors, self.soft
+        made.loss.change_scale = self.control_rate_hz / 1000.0 if self.of_motors else 1.0
+        for name, weight in vars(weights).items():
+            setattr(made.loss, name, weight)
+        return made
+
+    def _propulsion(self, made: Any) -> None:  # noqa: ANN401
+        propulsion, geometry = self.aircraft.propulsion, rotor_geometry(self.aircraft)
+        motors = self.aircraft.motor_count
+        made.speed_curve = list(propulsion.speed_curve)
+        for name, terms in (("thrust", propulsion.thrust_coefficient), ("torque", propulsion.torque_ratio)):
+            polynomial = getattr(made, name)
+            polynomial.terms = len(terms)
+            _fill(polynomial.term, np.array(terms))
+        made.limited = isinstance(propulsion.response, TorqueResponse)
+        _fill(made.lever, geometry.thrust_wrench[:, 3:5])
+        _fill(made.drag, geometry.torque_wrench[:, 5])
+        _fill(made.reaction, geometry.reaction_wrench[:, 5] / self.dt)
+        _fill(made.motion, geometry.motion_wrench.reshape(motors, 6, 6)[:, 3:, 3:].transpose(0, 2, 1))
+
+    def _pack(self, made: Any) -> None:  # noqa: ANN401
+        battery, propulsion = self.aircraft.battery, self.aircraft.propulsion
+        bench = propulsion.supply_voltage
+        assert battery is not None and bench is not None  # TrainingConfig.check
+        made.present = True
+        made.points = len(STATE_OF_CHARGE)
+        _fill(made.left, STATE_OF_CHARGE)
+        _fill(made.volts, CELL_VOLTAGE * (battery.rest_voltage / CELL_VOLTAGE[-1] / bench))
+        made.capacity = battery.capacity
+        made.resistance = battery.resistance / bench**2
+        made.amperes = 1.0 / bench
+        made.electronics = battery.electronics_power
+        made.efficiency = propulsion.efficiency
+        made.rotor_inertia = propulsion.rotor_inertia / self.dt
+
+    def _gyro(self, made: Any) -> None:  # noqa: ANN401
+        gyro = self.aircraft.gyro
+        made.counts = math.degrees(1.0) * GYRO_COUNTS / GYRO_FULL_SCALE_DEG_S
+        made.count_max = GYRO_COUNTS - 1
+        made.follow = 1.0
+        if not self.noise:
+            return
+        made.turned = any(gyro.misalignment)
+        made.turn = rotation_by(np.array(gyro.misalignment)).ravel().tolist()
+        if gyro.bandwidth_hz is not None:
+            made.follow = -math.expm1(-2.0 * math.pi * gyro.bandwidth_hz * self.dt)
+        made.vibrates = any(gyro.vibration)
+        made.amplitude = list(gyro.vibration)
+        made.speed_max = self.aircraft.propulsion.speed_max
+
+    def _controller(self, made: Any) -> None:  # noqa: ANN401
+        rate_hz, motors = self.control_rate_hz, self.aircraft.motor_count
+        made.mix = getattr(library().lib, f"MIX_{self.mix.name}")
+        made.idle, made.dt = self.idle, 1.0 / rate_hz
+        made.integral_max = RATE_ERROR_INTEGRAL_LIMIT_RAD
+        made.terms = len(self.terms)
+        for term, scale, own in zip(self.terms, self.scales, made.term, strict=False):
+            own.block, own.width, own.age = term.block.code, term.count(motors), term.age
+            own.gain, own.scale = term.gain(rate_hz), scale
+        if needs_model(self.terms):
+            self._estimator(made.estimator)
+        shape, network = self.shape, made.network
+        network.layers = len(shape.widths) - 1
+        _fill(network.width, np.array(shape.widths))
+        network.recurrent = shape.recurrent
+        network.activation = getattr(library().lib, f"ACTIVATION_{shape.activation.upper()}")
+        output = shape.output
+        network.scale, network.offset, network.squash = output.scale, output.offset, output.squash
+
+    def _estimator(self, made: Any) -> None:  # noqa: ANN401
+        model = self.model
+        assert model is not None
+        made.present = True
+        made.delay = model.delay_steps
+        made.speed_curve = list(model.speed_curve)
+        for name in ("rise", "fall", "gain_max", "loss_max", "correction"):
+            setattr(made, name, getattr(model, name))
+        _fill(made.turn, np.array(model.turn))
+        _fill(made.reaction, np.array(model.reaction))
+
+
+def _fill(members: Any, values: NDArray[Any]) -> None:  # noqa: ANN401
+    """Fill the start of an array of a struct."""
+    for i, value in enumerate(values.ravel().tolist()):
+        members[i] = value

@@ -1,0 +1,137 @@
+"""The sections about equal thrust, and about thrust against throttle, on the page of results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from training.results_page.markdown import axes, number, table
+from training.results_page.rows import controller_label
+from training.results_page.stored_results import Stored
+
+MEANS = (
+    ("mae", "MAE", 3),
+    ("mse", "MSE", 1),
+    ("motor_change", "motors, abs Δ", 5),
+)  # figure, heading, digits
+
+
+def equal_thrust_section(stored: Stored) -> str:
+    """Controllers at equal thrust: a table of each thrust, their mean, and thrust against throttle."""
+    levels = stored.entries("equal_thrust")
+    body = [row for level in levels for row in _level_rows(level)]
+    headings = (
+        "thrust, controller",
+        "throttle",
+        "at rest",
+        "MAE",
+        "mean",
+        "MSE",
+        "motors, abs Δ",
+        "at rest, s.d.",
+    )
+    first = controller_label(levels[0].entries("controllers")[0])
+    less = tuple(f"{heading} less the first" for _, heading, _ in MEANS)
+    about = ABOUT.format(episodes=f"{stored.number('episodes'):.0f}", first=first)
+    parts = [f"## Equal thrust, {stored.text('aircraft')}\n\n{about}", table((*headings, *less), body)]
+    lifted = [level for level in levels if level.number("thrust") > 0]
+    if len(lifted) > 1:
+        told = ", ".join(f"{level.number('thrust'):g}" for level in lifted)
+        columns = [part for _, heading, _ in MEANS for part in (heading, "of the first's")]
+        parts.append(table((f"mean over the thrusts {told}", *columns), _mean_rows(lifted)))
+    return "\n\n".join([*parts, transparency_table(stored)])
+
+
+def transparency_section(stored: Stored) -> str:
+    """Thrust against throttle alone."""
+    return f"## Thrust against throttle, {stored.text('aircraft')}\n\n{transparency_table(stored)}"
+
+
+def transparency_table(stored: Stored) -> str:
+    """Thrust and motors at rest of each controller, a column a throttle."""
+    entries = stored.entries("transparency")
+    throttles = _numbers(entries[0], "throttle")
+    low, high = _numbers(entries[0], "deviation", "throttles")
+    body = []
+    for each in entries:
+        found = (_numbers(each, name) for name in ("thrust", "motor", "ideal"))
+        cells = [
+            f"{thrust:.2f} ({motor:.3f} / {ideal:.3f})" for thrust, motor, ideal in zip(*found, strict=True)
+        ]
+        off = f"{each.number('deviation', 'value'):+.3f} at {each.number('deviation', 'throttle'):g}"
+        rises = "yes" if each.get("falls") is None else "no: {:g} to {:g}".format(*_numbers(each, "falls"))
+        body.append((controller_label(each), *cells, off, rises))
+    headings = (*(f"{throttle:g}" for throttle in throttles), f"deviation, {low:g} to {high:g}", "rises")
+    return f"{ABOUT_REST}\n\n{table(('throttle', *headings), body)}"
+
+
+def _level_rows(level: Stored) -> list[Sequence[str]]:
+    thrust = level.number("thrust")
+    rows: list[Sequence[str]] = []
+    for each in level.entries("controllers"):
+        nearest = "" if each.get("reached") is True or not thrust else ", nearest"
+        change = [_less(each, name, digits) for name, _, digits in MEANS]
+        rows.append(
+            (
+                f"{f'{thrust:g}' if thrust else 'closed'}, {controller_label(each)}",
+                number(each.number("throttle"), 3),
+                f"{each.number('thrust_at_rest', 'value'):.3f}{nearest}",
+                axes(each.axes("mae"), 2),
+                _mean(each, "mae", 3),
+                _mean(each, "mse", 1),
+                _mean(each, "motor_change", 5),
+                number(each.number("motor_deviation_at_rest"), 5),
+                *change,
+            )
+        )
+    return rows
+
+
+def _mean_rows(levels: Sequence[Stored]) -> list[Sequence[str]]:
+    columns = [level.entries("controllers") for level in levels]
+    rows: list[Sequence[str]] = []
+    for own in zip(*columns, strict=True):
+        cells = []
+        for name, _, digits in MEANS:
+            mean, first = (
+                sum(each.number("means", name, "value") for each in row) / len(levels)
+                for row in (own, [column[0] for column in columns])
+            )
+            cells += [number(mean, digits), f"{mean / first:.3f}" if first else ""]
+        rows.append((controller_label(own[0]), *cells))
+    return rows
+
+
+def _mean(each: Stored, name: str, digits: int) -> str:
+    value, low, high = (each.number("means", name, part) for part in ("value", "low", "high"))
+    return f"{value:,.{digits}f} ± {(high - low) / 2:,.{digits}f}"
+
+
+def _less(each: Stored, name: str, digits: int) -> str:
+    """A paired difference to the first controller; empty for itself."""
+    if not each.has("difference"):
+        return ""
+    value, low, high = (each.number("difference", name, part) for part in ("value", "low", "high"))
+    mark = "" if low > 0 or high < 0 else "≈ "
+    return f"{mark}{value:+,.{digits}f} ± {(high - low) / 2:,.{digits}f}"
+
+
+def _numbers(stored: Stored, *path: str) -> list[float]:
+    """A list of numbers at a path. Raises ResultsError if there is none."""
+    values = stored.get(*path)
+    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) for v in values):
+        raise stored.error(".".join(path), values, "a list of numbers")
+    return [float(value) for value in values]
+
+
+ABOUT = """Pulses as above, {episodes} of them, the same for all, rounded to what sticks can say; the gyro
+runs at 4 kHz with the same noise and bias, the delay is the aircraft's. Each controller flies at the throttle
+that gives this thrust at rest, in parts of the weight, or at the nearest that it can; closed is throttle 0.
+So none buys its error with rotors that turn faster than the others'. The terms are the same for all, the
+idle too unless a row names another; each was tuned by its own means: a policy by training, a PID by this
+project's search, Betaflight by its authors, for no aircraft in particular. Every row is shown, whoever wins
+it. Motors: mean change of their fractions, after mix and idle, in 1 ms; their standard deviation (s.d.) at
+rest shows a slow swing as well. ± is 95 % confidence; differences are to {first}, command by command, and
+≈ marks those whose confidence interval includes zero."""
+ABOUT_REST = """Thrust at rest in parts of the weight against the throttle, with gyro noise; in brackets the
+mean motor fraction beside the transparent one, idle + (1 - idle) throttle, and last the largest deviation
+from it and whether the motors turn faster with every step of the throttle."""

@@ -1,0 +1,94 @@
+"""The section about manoeuvres on the page of results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from training.results_page.markdown import table
+from training.results_page.rows import controller_label
+from training.results_page.stored_results import Stored
+
+TITLES = {
+    "roll": "roll",
+    "flip": "flip",
+    "split-s": "Split-S",
+    "punch-out": "punch-out with a roll",
+    "dive-recovery": "dive recovery",
+}
+COMPARED = (("mae", 2), ("mse", 0))  # figures that are won: name, digits
+OTHERS = (("overshoot", 0), ("stray", 1), ("stray_peak", 0), ("thrust", 2), ("change", 4))
+THROTTLES = (0.0, 0.15, 0.3, 0.6)  # of the table of thrust at rest
+
+
+def manoeuvre_section(stored: Stored) -> str:
+    """Errors, overshoot, stray axes of each contender in each manoeuvre; wins, thrust at rest, descents."""
+    contenders = stored.entries("manoeuvres", "contenders")
+    figures = contenders[0].get("figures")
+    if not isinstance(figures, dict) or not figures:
+        raise contenders[0].error("figures", figures, "an object")
+    body = [_row(each, name, first=not index) for name in figures for index, each in enumerate(contenders)]
+    about = ABOUT.format(
+        seeds=f"{stored.number('manoeuvres', 'seeds'):.0f}",
+        charge=f"{100 * stored.number('manoeuvres', 'battery'):g}",
+        gust=f"{stored.number('manoeuvres', 'gust_m_s'):g}",
+        settle=f"{stored.number('manoeuvres', 'settle_s'):g}",
+    )
+    headings = ("", "", "MAE", "MSE", "overshoot, %", "stray", "peak", "thrust", "abs Δu")
+    parts = [f"## Manoeuvres, {stored.text('aircraft')}\n\n{about}", table(headings, body, align="---:")]
+    if len(contenders) > 1:
+        parts.append(_wins(contenders, len(figures)))
+    closed = ABOUT_DESCENT.format(flights=f"{stored.number('manoeuvres', 'descents'):.0f}")
+    thrusts = [*(f"thrust at {throttle:g}" for throttle in THROTTLES), "sinks, m/s"]
+    parts += [closed, table(("", *thrusts), [_descent(each) for each in contenders])]
+    return "\n\n".join(parts)
+
+
+def _row(contender: Stored, name: str, first: bool) -> tuple[str, ...]:
+    cells = []
+    for figure, digits in COMPARED:
+        value, high = (contender.number("figures", name, figure, part) for part in ("value", "high"))
+        text = f"{value:,.{digits}f} ± {high - value:,.{digits}f}"
+        if figure in contender.get("figures", name, "wins"):
+            told = figure in contender.get("figures", name, "clear_wins")
+            text = f"{'' if told else '≈ '}**{text}**"
+        cells.append(text)
+    cells += [
+        f"{contender.number('figures', name, figure, 'value'):,.{digits}f}" for figure, digits in OTHERS
+    ]
+    return (TITLES.get(name, name) if first else "", controller_label(contender), *cells)
+
+
+def _wins(contenders: Sequence[Stored], count: int) -> str:
+    """A sentence: how many of the manoeuvres each contender wins."""
+    words = []
+    for each in contenders:
+        won = [each.get("figures", name, "wins") for name in each.get("figures")]
+        mae, mse = (sum(figure in names for names in won) for figure in ("mae", "mse"))
+        words.append(f"{controller_label(each)}: {mae} in MAE, {mse} in MSE")
+    return f"Won of {count}: {'; '.join(words)}."
+
+
+def _descent(contender: Stored) -> tuple[str, ...]:
+    throttles, thrusts = contender.get("throttle"), contender.get("thrust_at_rest")
+    if not isinstance(throttles, list) or not isinstance(thrusts, list) or len(throttles) != len(thrusts):
+        raise contender.error("thrust_at_rest", thrusts, "a number for each throttle")
+    at_rest = dict(zip(throttles, thrusts, strict=True))
+    missing = [throttle for throttle in THROTTLES if throttle not in at_rest]
+    if missing:
+        raise contender.error("throttle", throttles, f"{missing[0]:g} among them")
+    sink, high = (contender.number("descent", "sink_m_s", part) for part in ("value", "high"))
+    cells = [f"{at_rest[throttle]:.2f}" for throttle in THROTTLES]
+    return (controller_label(contender), *cells, f"{sink:.1f} ± {high - sink:.1f}")
+
+
+ABOUT = """Free flight with drag, on the aircraft's battery charged to {charge} %, in the gusts of a wind of
+{gust} m/s; {seeds} flights of each, whose seeds draw noise, bias and gusts, the same for all. Errors are
+means of the axes behind {settle} s of hover, ± is 95 % confidence over seeds; the lowest of a manoeuvre is
+bold, ≈ where such confidence, seed by seed, does not tell it from every other. Overshoot is the most that a
+commanded axis goes past its command, in % of the command's jump; stray the mean and the largest rate
+of the axes that are never commanded [deg/s]; thrust that of all rotors over the weight as flown; abs Δu the
+mean change of the motors' fractions in 1 ms. A manoeuvre says thrust: each contender's throttle is the one
+whose thrust at rest is that, or the nearest that it gives, by its curve flown before at zero command."""
+ABOUT_DESCENT = """Thrust at rest over weight against throttle, on that battery; and how fast the aircraft
+comes down, level, ten seconds after the throttle was closed in the hover, mean of {flights} flights: below
+zero it climbs."""

@@ -1,0 +1,113 @@
+"""What varies in a sweep: grid axes, ranges to draw from, and variants that are listed one by one."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.strict_toml import StrictTable
+from toolchain.errors import TrainingError
+
+NUMBER_MAX = 1e12  # of a range's ends
+RANGE_KEYS = ("low", "high", "log", "whole")
+VARIANTS_MAX = 100
+VARIANT = "variant"  # the axis of variants: its values are their names
+
+Varied = dict[str, Any]  # dotted key -> value
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers to draw from."""
+
+    low: float
+    high: float
+    log: bool  # log-uniform
+    whole: bool  # whole numbers
+
+    def draw(self, rng: np.random.Generator) -> float | int:
+        """Draw a number; unless whole, it has four significant digits."""
+        if self.log:
+            value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
+        else:
+            value = rng.uniform(self.low, self.high)
+        if self.whole:
+            return min(max(round(value), math.ceil(self.low)), math.floor(self.high))
+        return float(f"{value:.4g}")  # so that tables show the exact value
+
+
+def read_axes(vary: Mapping[str, Any], where: str) -> dict[str, list[Any] | Range]:
+    """Grid axes and ranges of [vary], by dotted key."""
+    table = StrictTable(vary, where, TrainingError, "vary.")
+    axes: dict[str, list[Any] | Range] = {}
+    for key, value in flat(vary).items():
+        if isinstance(value, dict):
+            axes[key] = _range(value, where, f"vary.{key}.")
+        elif not isinstance(value, list) or not value:
+            raise table.error(key, "expected a list of values, or a range {low = ..., high = ...}")
+        elif any(value.index(item) < i for i, item in enumerate(value)):
+            raise table.error(key, "has a value twice; give each once")
+        else:
+            axes[key] = value
+    return axes
+
+
+def _range(values: dict[str, Any], where: str, path: str) -> Range:
+    ends = StrictTable(values, where, TrainingError, path)
+    low, high = (ends.number(key, -NUMBER_MAX, NUMBER_MAX) for key in ("low", "high"))
+    for key, value in values.items():
+        if key not in RANGE_KEYS:
+            raise ends.error(key, f"unknown key; known here: {', '.join(RANGE_KEYS)}")
+        if key in ("log", "whole") and not isinstance(value, bool):
+            raise ends.error(key, "expected true or false")
+    log, whole = values.get("log", False), values.get("whole", False)
+    if not low < high:
+        raise ends.error("high", f"got {high:g}, expected more than low, {low:g}")
+    if log and low <= 0:
+        raise ends.error("low", f"got {low:g}, expected more than 0, since log = true")
+    if whole and math.ceil(low) > math.floor(high):
+        raise ends.error("high", f"got {high:g}, expected a whole number between low, {low:g}, and it")
+    return Range(low, high, log, whole)
+
+
+def read_variants(table: StrictTable, document: Mapping[str, Any]) -> dict[str, Varied]:
+    """The values that each [[variant]] of a sweep file sets, by its name, in the file's order.
+
+    table: of the file's content, `document`. Raises TrainingError on a name that is given twice.
+    """
+    if not table.has(VARIANT):
+        return {}
+    found: dict[str, Varied] = {}
+    for own, values in zip(table.tables(VARIANT, 1, VARIANTS_MAX), document[VARIANT], strict=True):
+        name = own.text("name")
+        if name in found:
+            raise own.error("name", f"{name!r} for a second time; give each variant a name of its own")
+        found[name] = flat(values["set"]) if own.has("set") and own.table("set") else {}
+        own.finish()
+    return found
+
+
+def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Dotted keys and their values; a table with the key `low` is a range, and so a value."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, dict) and "low" not in value:
+            found |= flat(value, f"{path}{key}.")
+        else:
+            found[f"{path}{key}"] = value
+    return found
+
+
+def combinations(
+    axes: Mapping[str, list[Any] | Range], samples: int, rng: np.random.Generator
+) -> Iterator[Varied]:
+    """Every point of the grid with each draw of all ranges, in the file's order, the last axis fastest."""
+    for _ in range(samples):
+        drawn = {key: [axis.draw(rng)] if isinstance(axis, Range) else axis for key, axis in axes.items()}
+        for values in itertools.product(*drawn.values()):
+            yield dict(zip(drawn, values, strict=True))

@@ -1,0 +1,105 @@
+"""What workers of every kind do: a run in its folder, progress to whom it concerns, the end on request."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.aircraft.model import Aircraft
+from toolchain.errors import NeuroflightError
+from training.runs.checkpoint import Policy
+from training.runs.train import Callback, Progress
+from training.sweeps.config import Trial, Validation
+from training.sweeps.trial import run_trial
+
+FAILURES_MAX = 3  # restarts of a run after its worker died
+REPORT_S = 1.0  # between two reports of a run
+STOP = "stop"  # a file of this name in the sweep's folder makes runs save their last segment and end
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+Report = Callable[[int, float], None]  # steps trained, reward
+
+
+class SweepCallback:
+    """Called while a sweep goes on; a subclass overrides what it needs."""
+
+    def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
+        """Run `number` has trained `steps` in the process `pid`; about once in REPORT_S."""
+
+    def finished(self, number: int) -> None:
+        """Run `number` has its result."""
+
+    def restarted(self, number: int) -> None:
+        """The worker of run `number` died; another worker resumes it from its last checkpoint."""
+
+    def failed(self, number: int, reason: str) -> None:
+        """Run `number` was given up."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """The task of a worker: a run and the folder of its results."""
+
+    trial: Trial
+    aircraft: Aircraft
+    validation: Validation
+    folder: Path
+
+
+@dataclass(frozen=True)
+class End:
+    """How a worker left a run."""
+
+    finished: bool = False
+    reason: str = ""  # why it failed; empty if it was stopped
+
+
+def request_stop(out: Path) -> None:
+    """Make the runs of a sweep save their state and end."""
+    (out / STOP).touch()
+
+
+def clear_stop(out: Path) -> None:
+    """Take back `request_stop`."""
+    (out / STOP).unlink(missing_ok=True)
+
+
+def do(job: Job, out: Path, report: Report) -> End:
+    """Do a run, or the rest of it, unless the sweep in `out` is to stop.
+
+    NeuroflightErrors are the run's End; any other exception is raised.
+    """
+    if (out / STOP).exists():
+        return End()
+    try:
+        run_trial(job.trial, job.aircraft, job.validation, job.folder, _Reporter(out / STOP, report))
+    except KeyboardInterrupt:
+        return End()
+    except NeuroflightError as error:
+        return End(reason=str(error))
+    return End(finished=True)
+
+
+class _Reporter(Callback):
+    """Reports progress, checkpoints without delay, and ends the run on request."""
+
+    def __init__(self, stop: Path, report: Report) -> None:
+        self._stop, self._report = stop, report
+        self._next = time.monotonic()
+
+    def progressed(self, progress: Progress) -> None:
+        """See Callback. Raises KeyboardInterrupt if the sweep is to stop."""
+        if self._stop.exists():
+            raise KeyboardInterrupt
+        if time.monotonic() >= self._next:
+            self._tell(progress)
+
+    def checkpointed(self, progress: Progress, policy: Policy) -> None:
+        """See Callback."""
+        self._tell(progress)
+
+    def _tell(self, progress: Progress) -> None:
+        self._report(progress.steps, progress.reward)
+        self._next = time.monotonic() + REPORT_S

@@ -1,0 +1,32 @@
+"""A task as a pilot's sticks say it: commands rounded to what a receiver's channels hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sim.control import sticks
+from training.tasks.task import Setpoints, Task
+
+
+@dataclass(frozen=True)
+class OnSticks:
+    """The commands of a task, rounded as every firmware's are: to 2 deg/s."""
+
+    name: ClassVar[str] = "sticks"
+    task: Task
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.task.duration_s
+
+    def episodes(self, count: int, rng: np.random.Generator, rate_hz: int) -> Setpoints:
+        """See Task."""
+        wanted = np.rad2deg(self.task.episodes(count, rng, rate_hz).astype(np.float64))
+        said: Setpoints = np.empty(wanted.shape, np.float32)
+        for episode in range(count):
+            said[episode] = sticks.setpoint(sticks.channels(wanted[episode], 0.0, armed=True))
+        return said
