@@ -126,7 +126,9 @@ TEXTS = {
     "levers": (
         "Levers",
         "What each part of the recipe brings: the recipe, and the same with one thing taken away or\n"
-        "changed. All are short runs of the same number of steps unless the row says another.",
+        "changed. All are short runs of the same number of steps unless the row says another. Where the\n"
+        "second table says at which thrust a row flew, the policy cannot give as little as was asked for:\n"
+        "it buys its smaller error with thrust.",
     ),
     SIZES: (
         "What a policy costs and gives by size",
