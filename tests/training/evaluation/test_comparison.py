@@ -14,6 +14,7 @@ from cli.main import main
 from sim.aircraft.model import load_aircraft
 from sim.analysis.metrics import Tracking
 from sim.analysis.spectrum import Spectrum
+from tests.training.evaluation.constant import Constant
 from toolchain.errors import AircraftError, PolicyError
 from training.evaluation.comparison import curves, differences, document, enter, means, significant
 from training.evaluation.comparison_plot import draw
@@ -25,21 +26,6 @@ Capture = pytest.CaptureFixture[str]
 NF1 = load_aircraft("nf1")
 STEP_S = 0.001
 NO_SPECTRUM = Spectrum(np.empty(0), np.empty(0))
-
-
-class Constant:
-    """The same output for every motor."""
-
-    def __init__(self, count: int, level: float) -> None:
-        self.action = np.full((count, 4), level, np.float32)
-
-    def reset(self) -> None:
-        """It has no state."""
-
-    def step(
-        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        return self.action
 
 
 def constant(level: float) -> ControllerSpec:

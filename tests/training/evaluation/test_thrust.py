@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sim.aircraft.model import load_aircraft
 from sim.physics.rotor import target_speed, thrust_and_torque
+from tests.training.evaluation.constant import Constant
 from toolchain.contract import GRAVITY, Mix
 from training.evaluation import comparison
 from training.evaluation import equal_thrust as module
@@ -26,21 +27,6 @@ NF1 = load_aircraft("nf1")
 SHORT = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
 CONDITIONS = Conditions(NF1, SHORT, 3, 7)
 WEIGHT = NF1.mass_properties.mass * GRAVITY  # [N]
-
-
-class Constant:
-    """The same output for every motor."""
-
-    def __init__(self, count: int, level: float) -> None:
-        self.action = np.full((count, 4), level, np.float32)
-
-    def reset(self) -> None:
-        """It has no state."""
-
-    def step(
-        self, setpoint: NDArray[np.float32], gyro: NDArray[np.float32], throttle: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        return self.action
 
 
 def constant(level: float, idle: float, mix: Mix = Mix.ATTITUDE_FIRST) -> ControllerSpec:
