@@ -13,6 +13,7 @@ from training.config.pathwise_config import PathwiseConfig
 REPEATS_MAX = 10_000  # of what an update repeats: more would not end within a day
 LEG_MAX = 1_000_000  # of what a segment repeats
 BUFFER_MAX = 10_000_000  # control steps: more are larger than any checkpoint
+LOG_STD_MAX = 10.0
 MOST = {"leg": LEG_MAX, "minibatch": BUFFER_MAX, "horizon": BUFFER_MAX}  # their own errors say more
 
 
@@ -75,6 +76,48 @@ class PpoConfig:
         yield from _share_errors(self, ("discount", "gae_lambda"))
         yield from _number_errors(self, not_negative=("smoothness_spatial", "smoothness_temporal"))
         yield from _rollout_errors(self.aircraft, self.horizon, self.minibatch, episode_steps)
+
+
+@dataclass(frozen=True)
+class Ppo1Config:
+    """PPO as OpenAI Baselines' PPO1 has it, Koch 2019's learner; see `training.learners.ppo1.learner`.
+
+    Its horizon (Tables 3.1, 4.2, 5.5) is `aircraft` times `horizon` here. The defaults are Table 3.1's.
+    """
+
+    name: ClassVar[str] = "ppo1"
+    aircraft: int = 16
+    horizon: int = 128  # control steps of each aircraft between updates
+    minibatch: int = 64  # samples of a rollout that do not fill one are left out of an epoch
+    epochs: int = 10
+    learning_rate: float = 3e-4
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.0  # weight of the distribution's entropy in the loss
+    log_std: float = 0.0  # exploration at first, network output units; learned
+    anneal: bool = True  # learning rate and clip range fall linearly to 0 over the run
+    leg: int = 48  # rollouts
+
+    @property
+    def leg_steps(self) -> int:
+        """See Algorithm."""
+        return self.leg * self.aircraft * self.horizon
+
+    def errors(self, episode_steps: int) -> Iterator[str]:
+        """See Algorithm."""
+        yield from _aircraft_errors(self.aircraft)
+        yield from _count_errors(self, ("horizon", "minibatch", "epochs", "leg"))
+        yield from _number_errors(self, positive=("learning_rate", "clip"), not_negative=("entropy",))
+        yield from _share_errors(self, ("discount", "gae_lambda"))
+        if not abs(self.log_std) <= LOG_STD_MAX:
+            yield f"log_std {self.log_std}, expected {-LOG_STD_MAX:g} to {LOG_STD_MAX:g}"
+        batch = self.aircraft * self.horizon
+        if not self.minibatch <= batch <= BUFFER_MAX:
+            yield (
+                f"a rollout has {batch} steps ({self.aircraft} aircraft x {self.horizon}), expected at least "
+                f"the minibatch of {self.minibatch} and at most {BUFFER_MAX}"
+            )
 
 
 @dataclass(frozen=True)
@@ -235,5 +278,13 @@ def _noise_errors(noise: tuple[float, float]) -> Iterator[str]:
 
 ALGORITHMS: dict[str, type[Algorithm]] = {
     algorithm.name: algorithm
-    for algorithm in (PpoConfig, TrpoConfig, DdpgConfig, Td3Config, SacConfig, PathwiseConfig)
+    for algorithm in (
+        PpoConfig,
+        Ppo1Config,
+        TrpoConfig,
+        DdpgConfig,
+        Td3Config,
+        SacConfig,
+        PathwiseConfig,
+    )
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sim.aircraft.model import Aircraft
 from toolchain.errors import TrainingError
-from training.config.algorithms import OffPolicyConfig, PpoConfig, TrpoConfig
+from training.config.algorithms import OffPolicyConfig, Ppo1Config, PpoConfig, TrpoConfig
 from training.config.pathwise_config import PathwiseConfig
 from training.config.training_config import TrainingConfig
 from training.learners.protocol import Learner
@@ -17,6 +17,10 @@ def make_learner(aircraft: Aircraft, config: TrainingConfig) -> Learner:
             from training.learners.ppo import PpoLearner
 
             return PpoLearner(aircraft, config, ppo)
+        case Ppo1Config() as ppo1:
+            from training.learners.ppo1.learner import Ppo1Learner
+
+            return Ppo1Learner(aircraft, config, ppo1)
         case TrpoConfig() as trpo:
             from training.learners.trpo import TrpoLearner
 

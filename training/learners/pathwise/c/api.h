@@ -5,25 +5,15 @@
  * number of control steps, S that of gyro samples and physics steps in a control step, M that of motors. Units are SI; body
  * axes are x forward, y left, z up. `real` is float for training and double for tests. */
 
-#ifndef API_H
-#define API_H
+#ifndef PATHWISE_API_H
+#define PATHWISE_API_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
-
-#ifdef FLOAT64
-#include "float64/api.h"
-#else
-#include "float32/api.h"
-#endif
+#include "network/c/api.h"
 
 enum {
-	LANES = 16,
 	MOTORS_MAX = 8,
 	POLYNOMIAL_MAX = 8,
 	TERMS_MAX = 32,
-	LAYERS_MAX = 9, /* with the last */
 	POINTS_MAX = 32,
 	AGE_MAX = 16,
 };
@@ -77,7 +67,6 @@ struct gyro {
 /* ---- the policy and what surrounds it ---- */
 
 enum { MIX_ATTITUDE_FIRST, MIX_CENTRED };
-enum { ACTIVATION_RELU, ACTIVATION_TANH };
 enum { DSHOT_STEPS = 1999 };
 
 struct term {
@@ -96,15 +85,6 @@ struct estimator {
 	real rise, fall, gain_max, loss_max;
 	real correction;
 	real turn[3 * MOTORS_MAX], reaction[3 * MOTORS_MAX]; /* (3, M) */
-};
-
-struct network {
-	uint32_t layers;               /* the hidden ones and the last */
-	uint32_t width[LAYERS_MAX + 1]; /* observation, hidden layers, motors */
-	bool recurrent;                /* the first hidden layer is a GRU */
-	int activation;
-	real scale, offset; /* output to motor fraction */
-	bool squash;
 };
 
 struct controller {

@@ -2,7 +2,8 @@
 #ifndef MIX_H
 #define MIX_H
 
-#include "lanes.h"
+#include "api.h"
+#include "network/c/lanes.h"
 
 void mix(const struct plan *p, const real *unclipped, const real *throttle, real *action, real *motors, real *command);
 void mix_back(const struct plan *p, const real *unclipped, const real *throttle, const real *by_motors, real *by_action);

@@ -3,7 +3,8 @@
 #ifndef ROTOR_H
 #define ROTOR_H
 
-#include "lanes.h"
+#include "api.h"
+#include "network/c/lanes.h"
 
 /* A sample of a block, rows. */
 struct turning {

@@ -2,7 +2,8 @@
 #ifndef TAPE_H
 #define TAPE_H
 
-#include "network.h"
+#include "api.h"
+#include "network/c/network.h"
 
 struct tape {
 	size_t width;      /* n, of the observation */

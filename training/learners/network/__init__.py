@@ -1,0 +1,1 @@
+"""Networks in C, of all learners that are in C."""

@@ -1,0 +1,51 @@
+"""Networks in C (`c/`) for the learners that are in C: how they are built, and the arrays that Python and C share."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import compiled
+from sim.physics.library import fused
+
+LEARNERS = Path(__file__).parents[1]
+C = Path(__file__).parent / "c"
+# Branches may become selections, and square roots are the processor's: no value depends on it.
+FLAGS = ("-O3", "-fno-trapping-math", "-fno-math-errno", "-Wno-psabi", "-Wno-unknown-pragmas")
+CACHE_LINE = 64  # bytes
+_KINDS = {"float64": "double[]", "float32": "float[]", "int32": "int32_t[]"}
+
+
+@cache
+def load(learner: str, number: str) -> compiled.Library:
+    """The C of a `learner` (a folder beside this one) with the networks. Raises BuildError, one line.
+
+    number: float32 for training, float64 for tests.
+    """
+    wide = ("-DFLOAT64",) if number == "float64" else ()
+    return compiled.load(
+        compiled.Source(
+            name=f"{learner}-{number}",
+            what=f"the {learner} learner",
+            parts=(C / number, C, LEARNERS / learner / "c"),
+            flags=(*FLAGS, *fused(), *wide),
+            includes=(LEARNERS,),
+        )
+    )
+
+
+def pointer(library: compiled.Library, array: NDArray[Any] | None) -> Any:  # noqa: ANN401 - of cffi
+    """Pointer to the first element of an array in C order, which the caller keeps alive; NULL for None."""
+    ffi = library.ffi
+    return ffi.NULL if array is None else ffi.from_buffer(_KINDS[array.dtype.name], array)
+
+
+def aligned(count: int, number: str) -> NDArray[np.floating]:
+    """`count` numbers, not initialized, at the start of a cache line."""
+    raw = np.empty(count * np.dtype(number).itemsize + CACHE_LINE, np.uint8)
+    start = -raw.ctypes.data % CACHE_LINE
+    return raw[start : start + count * np.dtype(number).itemsize].view(number)

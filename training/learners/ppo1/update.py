@@ -1,0 +1,190 @@
+"""Actor and critic as one array of parameters, and the C that computes and updates them (`c/`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.learners.network.library import aligned, load, pointer
+from training.learners.pathwise.network import Shape
+
+Numbers = NDArray[np.floating]
+
+DECAYS = 0.9, 0.999  # Adam's
+EPS = 1e-5  # Adam's, as in Baselines
+LAST_GAIN = 0.01  # length of the actor's last rows at first: outputs are then near 0
+
+
+@dataclass(frozen=True)
+class ActorCritic:
+    """Two networks that share nothing, and log_std: parameters are the actor's, log_std (M,), the critic's."""
+
+    actor: Shape
+    critic: Shape
+
+    @property
+    def motors(self) -> int:
+        """Number of outputs of the actor."""
+        return self.actor.widths[-1]
+
+    @property
+    def count(self) -> int:
+        """Number of parameters."""
+        return self.actor.count + self.motors + self.critic.count
+
+    def split(self, parameters: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Views of the actor's parameters, of log_std and of the critic's parameters."""
+        first, second = self.actor.count, self.actor.count + self.motors
+        return parameters[:first], parameters[first:second], parameters[second:]
+
+    def fresh(self, log_std: float, rng: np.random.Generator) -> NDArray[np.float32]:
+        """Parameters of untrained networks: each unit's weights have length 1, those of the outputs LAST_GAIN."""
+        parameters = np.zeros(self.count, np.float32)
+        actor, deviations, critic = self.split(parameters)
+        deviations[:] = log_std
+        for shape, part, gain in ((self.actor, actor, LAST_GAIN), (self.critic, critic, 1.0)):
+            weights = shape.split(part)[::2]
+            for weight in weights:
+                drawn = rng.standard_normal(weight.shape)
+                length = gain if weight is weights[-1] else 1.0
+                weight[:] = length * drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+        return parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Normalization:
+    """Of observations: (x - mean) times factor, (n,) each."""
+
+    mean: Numbers
+    factor: Numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A rollout: what the losses are made of."""
+
+    observations: Numbers  # (N, n)
+    actions: Numbers  # (N, M)
+    log_prob: Numbers  # (N,), before the update
+    advantages: Numbers  # (N,)
+    returns: Numbers  # (N,), in the critic's units
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Constants of an update."""
+
+    clip: float
+    entropy: float
+    rate: float  # Adam's
+    minibatch: int
+
+
+class Engine:
+    """The networks in C; number: float32 for training, float64 for tests. All arrays are of it."""
+
+    def __init__(self, networks: ActorCritic, number: str = "float32") -> None:
+        """Raises BuildError, one line, without a C compiler."""
+        self._networks, self._number = networks, number
+        self._library = load("ppo1", number)
+        self._actor, self._critic = self._described(networks.actor), self._described(networks.critic)
+        memory = self._library.lib.ppo1_memory(self._actor, self._critic)
+        self._memory = aligned(memory, number)
+        self._acting = aligned(memory, number)  # of `outputs` alone, which uses what it has loaded again
+
+    def outputs(
+        self, parameters: Numbers, normalization: Normalization, observations: Numbers, *, again: bool = False
+    ) -> Numbers:
+        """The actor's outputs (N, M) for observations (N, n); again: with the parameters of the last call."""
+        actor = self._networks.split(parameters)[0]
+        found = np.empty((len(observations), self._networks.motors), self._number)
+        self._compute(self._actor, actor, normalization, observations, found, self._acting, again)
+        return found
+
+    def values(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
+        """The critic's values (N,), in its units."""
+        critic = self._networks.split(parameters)[2]
+        found = np.empty(len(observations), self._number)
+        self._compute(self._critic, critic, normalization, observations, found, self._memory, False)
+        return found
+
+    def log_prob(
+        self, parameters: Numbers, normalization: Normalization, observations: Numbers, actions: Numbers
+    ) -> Numbers:
+        """Log-likelihood (N,) of the actions (N, M), without its constant."""
+        means = self.outputs(parameters, normalization, observations)
+        found = np.empty(len(actions), self._number)
+        log_std = self._networks.split(parameters)[1]
+        point = self._pointer
+        self._library.lib.ppo1_log_prob(
+            len(actions), self._networks.motors, point(actions), point(means), point(log_std), point(found)
+        )
+        return found
+
+    def epoch(
+        self,
+        parameters: Numbers,
+        adam: tuple[Numbers, Numbers],
+        updates: int,
+        normalization: Normalization,
+        samples: Samples,
+        order: NDArray[np.int32],
+        losses: Losses,
+    ) -> tuple[NDArray[np.float64], Numbers]:
+        """Change `parameters` and Adam's two means in place, by each whole minibatch of `order`.
+
+        Samples that are left over count nothing, as in Baselines. updates: Adam's so far. Returns means of the
+        surrogate, of the squared error of values and of the share of clipped ratios, and the last gradient.
+        """
+        point, count = self._pointer, len(order) - len(order) % losses.minibatch
+        gradient, figures = np.zeros_like(parameters), np.zeros(self._library.lib.PPO1_FIGURES)
+        epoch = self._library.ffi.new("struct epoch *")
+        epoch.actor, epoch.critic = self._actor[0], self._critic[0]
+        epoch.count, epoch.minibatch, epoch.order = count, losses.minibatch, point(order)
+        epoch.observed = self._observed(normalization, samples.observations)[0]
+        for name in ("actions", "log_prob", "advantages", "returns"):
+            setattr(epoch, name, point(getattr(samples, name)))
+        epoch.clip, epoch.entropy, epoch.rate = losses.clip, losses.entropy, losses.rate
+        epoch.decay, epoch.eps, epoch.updates = DECAYS, EPS, updates
+        epoch.parameters, epoch.gradient, epoch.figures = point(parameters), point(gradient), point(figures)
+        epoch.first, epoch.second = (point(mean) for mean in adam)
+        self._library.lib.ppo1_epoch(epoch, point(self._memory))
+        return figures, gradient
+
+    def _compute(
+        self,
+        network: Any,  # noqa: ANN401 - a struct of cffi
+        parameters: Numbers,
+        normalization: Normalization,
+        observations: Numbers,
+        found: Numbers,
+        memory: Numbers,
+        loaded: bool,
+    ) -> None:
+        point = self._pointer
+        observed = self._observed(normalization, observations)
+        self._library.lib.ppo1_outputs(
+            network, point(parameters), loaded, len(observations), observed, point(found), point(memory)
+        )
+
+    def _observed(self, normalization: Normalization, observations: Numbers) -> Any:  # noqa: ANN401
+        observed = self._library.ffi.new("struct observed *")
+        observed.values = self._pointer(observations)
+        observed.mean = self._pointer(normalization.mean)
+        observed.factor = self._pointer(normalization.factor)
+        return observed
+
+    def _described(self, shape: Shape) -> Any:  # noqa: ANN401 - a struct of cffi
+        made = self._library.ffi.new("struct network *")
+        made.layers = len(shape.widths) - 1
+        for index, width in enumerate(shape.widths):
+            made.width[index] = width
+        made.activation = getattr(self._library.lib, f"ACTIVATION_{shape.activation.upper()}")
+        made.scale = 1.0
+        return made
+
+    def _pointer(self, array: NDArray[Any]) -> Any:  # noqa: ANN401 - a pointer of cffi
+        return pointer(self._library, array)
