@@ -75,6 +75,7 @@ ROOMS = (
     "training/evaluation",
     "training/pid_tuning",
     "training/sweeps",
+    "training/dissertation",
     "training/results_page",
     "training/__init__.py",
     "cli",

@@ -1,6 +1,6 @@
 """What a pilot asked for in a flight: the distribution of the commanded rates.
 
-Training draws commands from a distribution (Koch 2019, chapter 4); a flown log says what pilots really ask
+Training draws commands from a distribution (Koch 2019, chapter 5); a flown log says what pilots really ask
 for: the dissertation's had 786,022 samples with a standard deviation of 12.4 deg/s.
 """
 

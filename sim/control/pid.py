@@ -13,8 +13,9 @@ do not name them.
 Three choices are ours. The derivative is the gyro's, not the error's: no kick when the sticks jump. It may
 be low-passed, as on every flight controller: bare, the NF1's gyro noise alone moves the motors by a tenth
 of their range each step. And the outputs are lifted just as far as they must be. With the published gains
-and mixer, without noise and delay, 1,000 commands give MAE 4.4 / 4.7 / 3.7 deg/s and MSE 390 / 434 / 175
-where Koch 2019 prints 4.8 / 4.9 / 3.8 and 414 / 492 / 199. The derivative of the error gives the same to
+and mixer, without noise and delay, 1,000 commands give MAE 4.50 / 4.77 / 3.77 deg/s and MSE 410 / 455 / 177
+(docs/results.md). Koch 2019, table 5.7, prints MAE 4 / 4 / 3, which its IAE = 1000 MAE shows to be cut from
+4.773 / 4.941 / 3.829, and MSE 414 / 492 / 199. The derivative of the error gives the same to
 0.01 deg/s, lifting by half the span 0.2 deg/s more, and clipping at zero half as much error again.
 """
 

@@ -32,8 +32,8 @@ from toolchain.files import file_size
 
 Rates = tuple[float, float, float]  # roll, pitch, yaw [deg/s]
 STILL: Rates = (0.0, 0.0, 0.0)
-COMMAND_SIGMA_DEG_S = 100.0  # Koch 2019, ch. 4: training and test commands from N(0, 100 deg/s)
-PULSE_IDLE_S, PULSE_HOLD_S, PULSE_REST_S = 0.5, 2.0, 2.0  # Koch 2019, ch. 4
+COMMAND_SIGMA_DEG_S = 100.0  # Koch 2019, ch. 5: training and test commands from N(0, 100 deg/s)
+PULSE_IDLE_S, PULSE_HOLD_S, PULSE_REST_S = 0.5, 2.0, 2.0  # Koch 2019, ch. 5
 PULSE_S = PULSE_IDLE_S + PULSE_HOLD_S + PULSE_REST_S
 TURN_DEG_S = 720.0  # rate of the acrobatic figures: a full turn in half a second
 FILE_BYTES_MAX = 1 << 20

@@ -33,7 +33,7 @@ from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
 FORMULATIONS = ("reduced", "maximal")
-STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5
+STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5, of maximal coordinates; reduced ones at 1 ms alone
 DURATION_S = 0.5  # of each flight; a racer with two of four motors on is past RATE_MAX in 0.2 s
 RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s], where a flight ends: full scale of the gyro
 HINGE_HALF = 0.005  # [m], from the middle of a hinge to each of its two ball joints

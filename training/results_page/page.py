@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from training.results_page.dissertation import PRINTED, PRINTED_AIRCRAFT, PRINTED_DRIFT_MM, Difference, Row
+from training.dissertation.quotes import quotes
+from training.results_page.dissertation import Difference, Row, printed_drift_mm, printed_rows
 from training.results_page.equal_thrust import equal_thrust_section, transparency_section
 from training.results_page.manoeuvres import manoeuvre_section
 from training.results_page.markdown import axes, number, table
@@ -63,8 +64,7 @@ def render(results: Sequence[Stored]) -> str:
     blocks = [HEAD]
     for task, section in SECTIONS.items():
         for aircraft, rows in ((which, rows) for (name, which), rows in tables.items() if name == task):
-            printed = PRINTED[task] if aircraft == PRINTED_AIRCRAFT[task] else ()
-            blocks.append(section(aircraft, [*rows, *printed]))
+            blocks.append(section(aircraft, [*rows, *printed_rows(task, aircraft)]))
     blocks += lifted
     blocks += [manoeuvre_section(stored) for stored in freely]
     blocks += [robustness_section(stored) for stored in robust]
@@ -85,7 +85,7 @@ def _pulse_section(aircraft: str, rows: Sequence[Row]) -> str:
             _margins(row),
             f"{_mean_mae(row):.2f}",
             axes(row.tracking["mse"], 0),
-            f"{sum(row.tracking['mse']) / 3:.0f}",
+            f"{_mean_mse(row):.0f}",
             number(row.output, 2 if row.printed else 3),
             number(row.change, 2 if row.printed else 4),
             "" if row.smoothness is None else f"{1e6 * row.smoothness:.0f}",
@@ -142,7 +142,8 @@ def _envelope_section(aircraft: str, rows: Sequence[Row]) -> str:
     ]
     apart = [(row.label, *(_figure(row, name, 1) for name in ALL_AXES)) for row in rows if row.response]
     headings = ("after 500 ms", "bare", "after 750 ms", "bare")
-    parts = [f"## Flight envelope, {aircraft}\n\n{ABOUT_ENVELOPE}"]
+    after = {f"{key}_750": quotes().number(f"5/envelope_{key}_750") for key in ("policy", "pid")}
+    parts = [f"## Flight envelope, {aircraft}\n\n{ABOUT_ENVELOPE.format(**after)}"]
     strict = ("every sample", "bare")
     parts.append(table(("all axes at once, %", "setpoints", *strict, *headings), together))
     parts.append(table(("each axis, % of the time", *headings), apart))
@@ -177,7 +178,7 @@ def _drift_section(stored: Stored) -> str:
     body = []
     for run in stored.entries("runs"):
         formulation, step = run.text("formulation"), run.number("step_ms")
-        printed = PRINTED_DRIFT_MM.get(step) if formulation == "maximal" else 0.0
+        printed = printed_drift_mm(formulation, step)
         body.append((formulation, f"{step:g}", f"{1e3 * run.number('drift_m'):.2g}", number(printed, 0)))
     headings = ("coordinates", "step, ms", "largest drift, mm", "dissertation, mm")
     about = ABOUT_DRIFT.format(
@@ -204,8 +205,13 @@ def _command(stored: Stored) -> str:
 
 
 def _mean_mae(row: Row) -> float:
-    """Mean of the axes; for the dissertation from IAE = 1000 MAE, which has more digits."""
-    return sum(row.tracking["iae"]) / 3000 if row.printed else sum(row.tracking["mae"]) / 3
+    """Mean of the axes; for the dissertation from its IAE = 1000 MAE, which has more digits."""
+    return row.means["iae"] / 1000 if row.printed else sum(row.tracking["mae"]) / 3
+
+
+def _mean_mse(row: Row) -> float:
+    """Mean of the axes; the dissertation's as printed, since its axes are cut to whole numbers."""
+    return row.means["mse"] if row.printed else sum(row.tracking["mse"]) / 3
 
 
 def _margins(row: Row) -> str:
@@ -231,13 +237,14 @@ rest. ± is 95 % confidence of the mean over commands. IAE to ITSE are sums over
 episode's seconds; ū is the mean output of the controller before throttle mix and idle, abs Δu its mean
 change in 1 ms, Sm the weight of its fast part: the mean over the components of an episode's spectrum of
 amplitude times frequency in parts of half the sampling rate (Mysore et al. 2021). The dissertation prints MAE
-without decimals; its means here are computed from its IAE. Rows of one comparison flew the same commands:
-differences are taken command by command, and ≈ marks those whose 95 % confidence interval includes zero.
+without decimals; the mean of its MAE is a thousandth of its IAE's (tables 5.6 and 5.7). Rows of one
+comparison flew the same commands: differences are taken command by command, and ≈ marks those whose 95 %
+confidence interval includes zero.
 Rows without a throttle flew with it closed, and none of this table compares equal thrust: rotors that idle at
 23 % carry most of the weight or more with the throttle closed, and faster rotors make errors smaller. The
-dissertation's mean squared error of 117 (its ISE, mean of the axes) is such a figure too: its policy's mean
-output of 0.12 is thrust, with the throttle closed. It says nothing of rotors that idle at 5.5 % and let the
-aircraft fall; what those reach stands under equal thrust, as closed."""
+dissertation's mean squared error of 117 is such a figure too: its policy's mean output of 0.12 is thrust,
+with the throttle closed. It says nothing of rotors that idle at 5.5 % and let the aircraft fall; what those
+reach stands under equal thrust, as closed."""
 ABOUT_EPISODIC = """From rest, a command uniform within ±300 deg/s on all axes, held for 1 s. Success is the
 share [%] of commands whose error enters and stays within 10 % of the initial one, or within 5 deg/s where
 that is wider; bare is without that floor. Failure is the mean error after 500 ms of the others, rise the
@@ -247,14 +254,15 @@ after 500 ms [deg/s²]."""
 ABOUT_ENVELOPE = """From rest, a setpoint from N(0, 300 deg/s) on all axes, held for 1.5 s. Every sample is
 the share of setpoints [%] whose error stays within 10 % of them, or within 5 deg/s where that is wider, on
 all axes and at each sample from 0.5 to 1.5 s; bare is without that floor. The other shares are of time. The
-dissertation does not say whether its share is of each axis or of all at once; both are shown, and its figures
-stand beside the stricter one."""
+dissertation counted how often a controller remained within 10 % of the setpoint after 500 ms, so its shares
+stand under every sample; after 750 ms they are {policy_750:.0f} % (policy) and {pid_750:.0f} % (PID). It does
+not say whether all axes had to remain, nor for how long."""
 ABOUT_DRIFT = """The airframe and each propeller as links of their own, joined by hinges; all {combinations}
 combinations of motors on and off from rest, free, up to {limit} deg/s. Drift is how far a propeller's
 distance from the airframe changes. The twin itself is one rigid body: nothing in it can drift, and it keeps
 its angular momentum to rounding where pybullet's own step gains or loses 0.2 % of a tumbling racer's each
 second. The dissertation's simulator had another solver, so the magnitudes differ; in both, reduced
-coordinates do not drift and maximal ones do, more at larger steps."""
+coordinates do not drift and maximal ones do, more at larger steps. It shows reduced ones at 1 ms alone."""
 ABOUT_SOURCES = """Each command reproduces its file from the same aircraft file and policy."""
 SECTIONS: dict[str, Callable[[str, Sequence[Row]], str]] = {
     "pulse": _pulse_section,

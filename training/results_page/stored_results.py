@@ -12,7 +12,7 @@ from typing import Any
 
 from toolchain.errors import NeuroflightError
 from toolchain.files import file_size
-from training.results_page.dissertation import Axes
+from training.dissertation.quotes import Axes
 
 FILE_BYTES_MAX = 4 << 20
 FILES_MAX = 200

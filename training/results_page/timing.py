@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from training.results_page.dissertation import PRINTED_TIMING, Timing
+from training.results_page.dissertation import Timing, printed_timing
 from training.results_page.markdown import number, table
 from training.results_page.stored_results import Stored
 
@@ -34,7 +34,7 @@ def timing_section(stored: Stored) -> str:
     parts = [f"## Timing on the board, {stored.text('aircraft')}", fill(about, PAGE_WIDTH)]
     headings = ("runs", "instructions", "predicted cycles", "µs", "variability, %")
     for work, rows in tables.items():
-        printed = [_printed(timing) for timing in PRINTED_TIMING if timing.work == work]
+        printed = [_printed(timing) for timing in printed_timing(work)]
         parts.append(table((f"{work}, worst / best", *headings), [*rows, *printed]))
     return "\n\n".join(parts)
 

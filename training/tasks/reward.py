@@ -143,9 +143,11 @@ class ProgressReward:
         - penalty Σ max(0, a - 1) - penalty if all u = 1 - penalty if more than two motors stand still
         while a rate is commanded; r_e = -Σe², e in deg/s, a the outputs before they are clipped to 0..1.
 
-    Source: Koch 2019, chapter 5, the last algorithm. Taken from the author's published environment because
-    they are not printed: alpha = beta = 1000, the band, the idle of 12 % below which lower outputs earn no
-    more, and deg/s as the unit of e. There the first step of an episode has no progress; here it has.
+    Source: Koch 2019, chapter 5, alg:reward, as its text describes it: the listing sets r to the output's
+    term instead of adding it, and counts motors that turn where the text counts those at zero. Taken from
+    the author's published environment because they are not printed: alpha = beta = 1000, the band, the idle
+    of 12 % below which lower outputs earn no more, and deg/s as the unit of e. There the first step of an
+    episode has no progress; here it has.
     `scale` multiplies the whole; 1 is as published.
     """
 

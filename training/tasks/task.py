@@ -133,9 +133,10 @@ class EnvelopeTask(EpisodicTask):
 class ContinuousTask(RandomCommands):
     """Random commands on all axes one after the other, each for a random time, with rest between.
 
-    Koch 2019, chapter 4. The text names no numbers; those here are of the author's published environment,
-    with two differences: an episode is 10 s instead of 60 (its statistics do not depend on its length, its
-    memory does), and it begins with rest, as a flight does.
+    Koch 2019, chapter 4, whose episodes last 30 s; it prints neither the range of the commands nor their
+    times. Times of 0.1 to 1 s are those of chapter 3's continuous evaluation (60 s, figure `fig:ppo1`) and of
+    the author's published environment, which has ±360 deg/s. Two things differ here: an episode is 10 s, as
+    its statistics do not depend on its length but its memory does, and it begins with rest, as a flight does.
     """
 
     name: ClassVar[str] = "continuous"

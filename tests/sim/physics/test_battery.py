@@ -9,7 +9,7 @@ import pytest
 from sim.aircraft.model import Battery
 from sim.physics.battery import BatteryState, loaded_voltage, open_circuit_voltage
 
-PACK = Battery(cells=4, capacity=3600 * 1.55, rest_voltage=16.78, resistance=0.05, electronics_power=6.21)
+PACK = Battery(cells=4, capacity=3600 * 1.5, rest_voltage=16.78, resistance=0.05, electronics_power=6.21)
 DT = 1e-3
 
 
@@ -97,7 +97,7 @@ def test_energy_balances_when_flown_from_full_to_empty() -> None:
     # Each step takes its charge at the voltage of its start: too high by at most what the step lets it fall.
     excess = drawn + lost - stored
     assert 0.0 < excess < most * (open_circuit[-1] - open_circuit[0])
-    assert stored > 80e3  # [J], of a pack of 1.55 Ah
+    assert stored > 80e3  # [J], of a pack of 1.5 Ah
 
 
 def test_nothing_is_left_when_drawn_beyond_empty() -> None:

@@ -229,7 +229,12 @@ def contender(mae: float, wins: list[str], clear: list[str], **more: Any) -> Doc
 
 def drifted() -> Document:
     """The output of `stability --json`."""
-    runs = [("reduced", 1.0, 2e-16), ("maximal", 1.0, 3.4e-4), ("maximal", 0.25, 1e-5)]
+    runs = [
+        ("reduced", 2.0, 2e-16),
+        ("reduced", 1.0, 2e-16),
+        ("maximal", 1.0, 3.4e-4),
+        ("maximal", 0.25, 1e-5),
+    ]
     return {
         "command": "neuroflight stability",
         "aircraft": "nf1",
@@ -274,6 +279,7 @@ def test_pulses_stand_above_the_dissertations_when_flown_on_the_nf1() -> None:
     ]
     assert row(text, "dissertation, PID", 1)[0] == "4,773 / 4,941 / 3,829"
     assert row(text, "PID `tuned`", 2)[0] == "87.5 / 87.5 / 87.5"
+    assert row(text, "dissertation, policy")[3:5] == ["148 / 135 / 66", "117"]  # of the axes it would be 116
     assert text.index("PID `tuned`") < text.index("dissertation, PID")
 
 
@@ -317,6 +323,8 @@ def test_episodic_rows_stand_beside_the_dissertations_when_flown_on_the_iris() -
     assert row(text, "PID `tuned`")[:3] == ["1000", "87.5 / 87.5 / 87.5", "87.5 / 87.5 / 87.5"]
     assert row(text, "PID `tuned`")[3] == "12.3 / 0.0 / -"
     assert row(text, "dissertation, PPO, m = 1")[4] == "66.6 / 70.8 / 72.9"
+    assert row(text, "dissertation, TRPO, m = 1")[6] == "1,965.2 / 930.5 / 713.7"
+    assert row(text, "dissertation, TRPO, m = 3")[1] == "96.8 / 60.8 / 73.2"
     assert text.count("dissertation, PPO, m = 1") == 1
     assert (
         text.index("## Episodic task, iris")
@@ -329,7 +337,9 @@ def test_envelope_has_shares_of_each_axis_and_of_all_at_once() -> None:
     text = page(evaluated("pid", "envelope", pid="tuned"))
     assert row(text, "PID `tuned`") == ["1000", "", "", "87.5", "87.5", "87.5", "87.5"]
     assert row(text, "PID `tuned`", 1)[0] == "87.5 / 87.5 / 87.5"
-    assert row(text, "dissertation, policy") == ["1000", "", "", "72", "", "76", ""]
+    assert row(text, "dissertation, policy") == ["1000", "72", "", "", "", "", ""]
+    assert row(text, "dissertation, PID") == ["1000", "16", "", "", "", "", ""]
+    assert "after 750 ms they are 76 % (policy) and 29 % (PID)" in text
 
 
 def test_envelope_has_the_strict_share_when_it_was_taken() -> None:
@@ -418,7 +428,8 @@ def test_runs_have_their_speed_and_the_time_to_a_small_error() -> None:
 
 def test_drift_stands_beside_the_dissertations_when_the_step_is_the_same() -> None:
     text = page(drifted())
-    assert row(text, "reduced") == ["1", "2e-13", "0"]
+    assert row(text, "reduced") == ["2", "2e-13", ""]  # shown at 1 ms alone
+    assert row(text, "reduced", 1) == ["1", "2e-13", "0"]
     assert row(text, "maximal") == ["1", "0.34", "39"]
     assert row(text, "maximal", 1) == ["0.25", "0.01", ""]
 
@@ -467,6 +478,8 @@ def test_tasks_stand_above_the_dissertations_when_an_image_was_timed() -> None:
     printed = "dissertation, policy 6-32-32-4, armed"
     assert row(text, printed) == ["", "", "", "210 / 195", "7.1"]
     assert row(text, printed, 1) == ["", "", "", "423 / 263", "37.8"]
+    assert row(text, "dissertation, Betaflight, armed") == ["", "", "", "15 / 9", "40.0"]
+    assert row(text, "dissertation, Betaflight, disarmed", 1) == ["", "", "", "58 / 45", "22.4"]
     assert text.index("| control algorithm,") < text.index("| PID, armed") < text.index("| disarmed")
     assert "predicted by LLVM 14.0.6's model of the Cortex-M7, with 12 more" in text.replace("\n", " ")
     assert "which came 7 times" in text.replace("\n", " ")
