@@ -23,7 +23,17 @@ SUMMARY = (
 ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
-    "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "manoeuvres", "results"),
+    "training": (
+        "train",
+        "sweep",
+        "tune-pid",
+        "evaluate",
+        "compare",
+        "robustness",
+        "manoeuvres",
+        "results",
+        "reproduce",
+    ),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
     "logs": ("log",),
 }
@@ -43,6 +53,7 @@ COMMANDS = {
     "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",
+    "reproduce": "run the dissertation's experiments again, its figures beside ours",
     "fly": "fly a firmware against the twin and print tracking figures",
     "board": "run the image on an emulated board that lies still; other programs use its serial ports",
     "twin": "measure gyro noise and bias of a recording, for the aircraft file",

@@ -10,6 +10,7 @@ from toolchain.errors import NeuroflightError
 Value = TypeVar("Value")
 SHOWN_MAX = 60  # characters of a wrong value in a message
 TEXT_MAX = 200  # characters
+LINES_MAX = 4000  # of text with several lines
 
 
 class StrictTable:
@@ -63,6 +64,14 @@ class StrictTable:
         if not isinstance(value, str) or not 1 <= len(value) <= TEXT_MAX or not value.isprintable():
             raise self.error(key, f"got {shown(value)}, expected one line of 1 to {TEXT_MAX} characters")
         return value
+
+    def lines(self, key: str) -> list[str]:
+        """Text of one or more lines, as they stand."""
+        value = self._get(key, None)
+        printable = isinstance(value, str) and all(line.isprintable() for line in value.split("\n"))
+        if not printable or not 1 <= len(value) <= LINES_MAX:
+            raise self.error(key, f"got {shown(value)}, expected text of 1 to {LINES_MAX} characters")
+        return str(value).strip().split("\n")
 
     def choice(self, key: str, values: Mapping[str, Value], default: str | None = None) -> Value:
         """The value of `values` whose name the file gives."""

@@ -77,6 +77,7 @@ ROOMS = (
     "training/sweeps",
     "training/dissertation",
     "training/results_page",
+    "training/reproduction",
     "training/__init__.py",
     "cli",
 )

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.control import sticks
+from sim.flight.freestyle import FRAME_S, stick_strokes
 from sim.physics.world import Mount
 from sim.strict_toml import StrictTable
 from toolchain.contract import RATE_FULL_STICK_DEG_S
@@ -139,6 +140,14 @@ def sticks_flight() -> Scenario:
     return Scenario("sticks", segments, Mount.FREE)
 
 
+def freestyle(seed: int) -> Scenario:
+    """A minute of a pilot's cruising and aerobatics, drawn from `seed`; see `sim.flight.freestyle`."""
+    rates, throttle = stick_strokes(seed)
+    flown = zip(rates.tolist(), throttle.tolist(), strict=True)
+    segments = (Segment(FRAME_S, (roll, pitch, yaw), thrust) for (roll, pitch, yaw), thrust in flown)
+    return Scenario("freestyle", tuple(segments))
+
+
 BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
     "pulse": ("one command: 0.5 s still, 2 s held, 2 s still", lambda seed, _: pulses(seed, 1, "pulse")),
     "pulses": ("commands like `pulse`'s, one after another (100 unless --count)", pulses),
@@ -147,6 +156,10 @@ BUILDERS: dict[str, tuple[str, Callable[[int, int], Scenario]]] = {
     "sticks": (
         "take-off to landing by eye, in free flight: fly it with --ground",
         lambda *_: sticks_flight(),
+    ),
+    "freestyle": (
+        "a minute of cruising and aerobatics, drawn from the seed",
+        lambda seed, _: freestyle(seed),
     ),
 }
 

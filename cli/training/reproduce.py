@@ -1,0 +1,262 @@
+"""neuroflight reproduce: the dissertation's experiments again, its figures beside ours."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from training.reproduction.experiments import Experiments, Row, Step
+    from training.reproduction.steps import Done
+    from training.reproduction.stored import Kept, RowResult
+
+ROOT = Path(__file__).resolve().parents[2]
+STORED = ROOT / "docs" / "results" / "dissertation"
+PAGE = ROOT / "docs" / "dissertation.md"
+PICTURES = ROOT / "docs" / "dissertation"
+JOBS_MAX = 256
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "rows",
+        nargs="*",
+        metavar="ROW",
+        help="such as 3.9, 4.4 or 3.9-ppo; 3 stands for all of chapter 3; default: all",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="run nothing; list rows, commands, stored figures"
+    )
+    parser.add_argument(
+        "--budget",
+        choices=("quick", "full"),
+        default="quick",
+        help="quick: all rows within half an hour on two cores; full: as many steps as the dissertation",
+    )
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="commands at a time; default: 2")
+    parser.add_argument(
+        "--address",
+        metavar="ADDRESS",
+        help="on Ray: local, or HOST:PORT of a cluster that sees the same folder",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/reproduce"),
+        metavar="DIR",
+        help="what the commands write; finished ones are not repeated; default: runs/reproduce",
+    )
+    parser.add_argument("--force", action="store_true", help="repeat what is finished too")
+    parser.add_argument(
+        "--store",
+        action="store_true",
+        help="keep the figures in docs/results/dissertation and write docs/dissertation.md; figures of the "
+        "full budget are not replaced by quick ones",
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="run nothing; fail if the page is not up to date"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what the rows need, then print them; or list them, or check the page."""
+    from rich.console import Console
+
+    from toolchain.errors import NeuroflightError
+    from training.reproduction.experiments import experiments
+    from training.reproduction.stored import read_stored, row_result
+
+    if not 1 <= args.jobs <= JOBS_MAX:
+        raise NeuroflightError(f"--jobs {args.jobs}, expected 1 to {JOBS_MAX}")
+    known = experiments()
+    rows = known.chosen(args.rows)
+    if args.check:
+        return _check(known)
+    if args.list:
+        _list(args, known, [row_result(row, read_stored(STORED)) for row in rows])
+        return 0
+    kept, failed = _run(args, known, rows)
+    results = [row_result(row, kept) for row in rows if not row.hardware]
+    if args.json:
+        print(json.dumps([_document(each, known) for each in results], indent=2))
+    else:
+        _print(Console(), results)
+    return 1 if failed else 0
+
+
+def _run(
+    args: argparse.Namespace, known: Experiments, rows: Sequence[Row]
+) -> tuple[Mapping[str, Kept], Mapping[str, str]]:
+    """Run the steps of rows; what is kept of them, and why others failed."""
+    from rich.console import Console
+
+    from training.reproduction.ray_steps import on_ray
+    from training.reproduction.steps import Place, run_steps
+    from training.reproduction.stored import keep
+
+    place = Place(ROOT, args.out.resolve(), args.budget)
+    watcher = _watcher(Console(stderr=True, highlight=False), len(known.plan(rows)))
+    with nullcontext(None) if args.address is None else on_ray(args.address, args.jobs) as execute:
+        done = run_steps(
+            known.plan(rows),
+            place,
+            jobs=args.jobs,
+            force=args.force,
+            execute=execute,
+            watcher=watcher,
+        )
+    # Every row that reads a step keeps its figures, also one that was not asked for.
+    used = {name for row in rows for name in row.steps}
+    kept = {name: keep(each, known.rows) for name, each in done.items() if name in used}
+    if args.store:
+        _store(known, kept, done)
+    return kept, watcher.reasons
+
+
+def _store(known: Experiments, kept: Mapping[str, Kept], done: Mapping[str, Done]) -> None:
+    from toolchain.files import write_text_if_changed
+    from training.reproduction.page import render
+    from training.reproduction.stored import read_stored, store
+
+    before = read_stored(STORED)
+    for name, each in kept.items():
+        if each.budget == "full" or name not in before or before[name].budget == "quick":
+            store(each, STORED, done[name].picture, PICTURES)
+    write_text_if_changed(PAGE, render(known, read_stored(STORED), PICTURES.name))
+
+
+def _check(known: Experiments) -> int:
+    from toolchain.errors import NeuroflightError
+    from training.reproduction.page import render
+    from training.reproduction.stored import read_stored
+
+    page = render(known, read_stored(STORED), PICTURES.name)
+    if not PAGE.is_file() or PAGE.read_bytes() != page.encode():
+        raise NeuroflightError(
+            f"{PAGE}: not what the files in {STORED} give; run `neuroflight reproduce --store ROW`"
+        )
+    print(f"{PAGE}: up to date")
+    return 0
+
+
+def _watcher(console: Console, count: int) -> Any:  # noqa: ANN401 - a class made here, as imports are late
+    from training.reproduction.steps import Watcher
+
+    class Lines(Watcher):
+        """Tells each step on a line of stderr."""
+
+        def __init__(self) -> None:
+            self.reasons: dict[str, str] = {}
+            self._ended = 0
+
+        def started(self, step: Step) -> None:
+            console.print(f"{step.name}: begins", style="dim")
+
+        def finished(self, done: Done, *, again: bool) -> None:
+            self._ended += 1
+            took = f"{done.seconds:.0f} s" if again else "was there"
+            console.print(f"[{self._ended} of {count}] {done.step.name}: {took}", markup=False)
+
+        def failed(self, step: Step, reason: str) -> None:
+            self._ended += 1
+            self.reasons[step.name] = reason
+            line = f"[{self._ended} of {count}] {step.name}: failed: {reason}"
+            console.print(line, markup=False, style="red")
+
+    return Lines()
+
+
+def _list(args: argparse.Namespace, known: Experiments, results: Sequence[RowResult]) -> None:
+    """Each row with its commands and what is stored of it."""
+    from rich.console import Console
+
+    if args.json:
+        print(json.dumps([_document(each, known) for each in results], indent=2))
+        return
+    console = Console(highlight=False)
+    for each in results:
+        row = each.row
+        if row.hardware:
+            console.print(f"{row.name}  {row.place}: {row.title}", markup=False, style="bold")
+            console.print(f"    only hardware: {row.hardware}", markup=False)
+            continue
+        budgets = " and ".join(each.budgets) or "nothing stored"
+        verdict = "" if each.verdict is None else f", {each.verdict}".rstrip(", ")
+        console.print(f"{row.name}  {row.place}: {row.title}", markup=False, style="bold")
+        told = "; ".join(_told(result) for result in each.results) or "a picture"
+        console.print(f"    {budgets}{verdict}: {told}", markup=False)
+        for step in known.plan([row]):
+            words = " ".join(step.words(args.budget))
+            console.print(f"    {step.name}: neuroflight {words}", markup=False, style="dim")
+    console.print(f"{len(results)} rows", style="dim")
+
+
+def _told(result: Any) -> str:  # noqa: ANN401 - a Result
+    from training.reproduction.page import shown
+
+    return f"{result.figure.what} {shown(result.value, result.figure)}"
+
+
+def _print(console: Console, results: Sequence[RowResult]) -> None:
+    from rich.table import Table
+
+    from training.reproduction.page import quoted, shown
+
+    for each in results:
+        row = each.row
+        if each.results:
+            table = Table(title=f"{row.place}: {row.title}", title_justify="left", box=None, pad_edge=False)
+            table.add_column("")
+            for heading in ("dissertation", "ours"):
+                table.add_column(heading, justify="right")
+            table.add_column("")
+            for result in each.results:
+                value = shown(result.value, result.figure)
+                judged = "" if result.judged is None else str(result.judged)
+                table.add_row(result.figure.what, quoted(result.figure), value, judged)
+            console.print(table)
+        else:
+            console.print(f"{row.place}: {row.title}: a picture", markup=False)
+        if row.why:
+            console.print(f"  {row.why}", markup=False, style="dim")
+
+
+def _document(each: RowResult, known: Experiments) -> dict[str, Any]:
+    row = each.row
+    return {
+        "row": row.name,
+        "place": row.place,
+        "title": row.title,
+        "hardware": row.hardware or None,
+        "budgets": list(each.budgets),
+        "commands": {
+            step.name: {
+                "quick": ["neuroflight", *step.words("quick")],
+                "full": ["neuroflight", *step.words("full")],
+            }
+            for step in known.plan([row])
+        },
+        "verdict": each.verdict and each.verdict.value,
+        "why": row.why or None,
+        "seconds": round(each.seconds, 1),
+        "picture": row.picture,
+        "figures": [
+            {
+                "what": result.figure.what,
+                "quote": result.figure.quote and result.figure.quote.name,
+                "dissertation": result.figure.quote and result.figure.quote.value,
+                "margin": result.figure.quote and result.figure.quote.margin,
+                "ours": result.value,
+                "verdict": result.judged and str(result.judged),
+            }
+            for result in each.results
+        ],
+    }

@@ -1,0 +1,178 @@
+"""Steps run once, in order, and go on after a failure or an interruption."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from training.reproduction.experiments import Experiments, ReproduceError, Step, parse
+from training.reproduction.steps import Done, Place, Watcher, execute_here, run_steps
+
+TEXT = """
+[steps.train]
+quick = "train --steps 10 --out {out}"
+full = "train --steps 1000 --out {out}"
+[steps.fly]
+full = "compare {train}/policy.onnx --plot {plot}"
+[steps.alone]
+full = '''
+evaluate pid
+  --episodes 5'''
+[[rows]]
+name = "3.9-ppo"
+place = "Table 3.9"
+title = "Rise time: PPO"
+picture = "fly"
+figures = [
+    { what = "m = 1", quote = "3.9/ppo-1", ours = "fly a.b", aim = "lower" },
+    { what = "it", ours = "alone c" },
+]
+[[rows]]
+name = "4.7"
+place = "Table 4.7"
+title = "Real flights"
+hardware = "no aircraft"
+"""
+
+
+@pytest.fixture
+def known() -> Experiments:
+    """Three steps and two rows."""
+    return parse(TEXT, "test")
+
+
+class Commands:
+    """Answers commands; those that name a word of `broken` fail."""
+
+    def __init__(self, *broken: str) -> None:
+        self.seen: list[list[str]] = []
+        self.broken = broken
+        self._lock = threading.Lock()
+
+    def __call__(self, words: Sequence[str], folder: Path, stop: Callable[[], bool]) -> str:
+        """Run a command."""
+        with self._lock:
+            self.seen.append(list(words))
+        if words[0] in self.broken:
+            raise ReproduceError(f"{words[0]} ended with 1")
+        if "--plot" in words:
+            Path(words[words.index("--plot") + 1]).write_bytes(b"png")
+        return json.dumps({"a": {"b": 5.0}, "c": 7, "words": list(words)})
+
+
+class Seen(Watcher):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def finished(self, done: Done, *, again: bool) -> None:
+        """See Watcher."""
+        self.told.append(f"{done.step.name} {'ran' if again else 'was there'}")
+
+    def failed(self, step: Step, reason: str) -> None:
+        """See Watcher."""
+        self.told.append(f"{step.name} failed: {reason}")
+
+
+def run(
+    known: Experiments, out: Path, commands: Commands, *, force: bool = False, jobs: int = 1
+) -> list[str]:
+    """Run all rows' steps; what was told."""
+    seen = Seen()
+    place = Place(out, out, "quick")
+    run_steps(known.plan(known.rows), place, jobs=jobs, force=force, execute=commands, watcher=seen)
+    return seen.told
+
+
+def test_what_a_step_needs_runs_before_it(known: Experiments, tmp_path: Path) -> None:
+    commands = Commands()
+    assert run(known, tmp_path, commands, jobs=2)[-1] == "fly ran"
+    words = {words[0]: words for words in commands.seen}
+    assert words["compare"][1] == str(tmp_path / "quick/train/policy.onnx")
+    assert words["train"][-1] == "--json"
+    assert words["evaluate"] == ["evaluate", "pid", "--episodes", "5", "--json"]
+
+
+def test_finished_steps_are_not_repeated_unless_forced(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands())
+    again = Commands()
+    assert sorted(run(known, tmp_path, again)) == ["alone was there", "fly was there", "train was there"]
+    assert again.seen == []
+    run(known, tmp_path, again, force=True)
+    assert len(again.seen) == 3
+
+
+def test_another_command_is_another_result(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands())
+    changed = parse(TEXT.replace("--episodes 5", "--episodes 6"), "test")
+    again = Commands()
+    run(changed, tmp_path, again)
+    assert [words[0] for words in again.seen] == ["evaluate"]
+
+
+def test_a_failed_step_takes_with_it_only_those_that_need_it(known: Experiments, tmp_path: Path) -> None:
+    told = run(known, tmp_path, Commands("train"))
+    assert "train failed: train ended with 1" in told
+    assert "fly failed: needs train" in told
+    assert "alone ran" in told
+
+
+def test_a_training_goes_on_with_its_last_checkpoint(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands("train"))
+    folder = tmp_path / "quick/train"
+    folder.mkdir(exist_ok=True)
+    (folder / "checkpoint.pt").write_bytes(b"half")
+    again = Commands()
+    run(known, tmp_path, again)
+    assert again.seen[0][-2:] == ["--resume", "--json"]
+    assert (folder / "checkpoint.pt").is_file()
+
+
+def test_a_checkpoint_of_another_command_is_removed(known: Experiments, tmp_path: Path) -> None:
+    run(known, tmp_path, Commands("train"))
+    folder = tmp_path / "quick/train"
+    folder.mkdir(exist_ok=True)
+    (folder / "checkpoint.pt").write_bytes(b"half")
+    changed = parse(TEXT.replace("--steps 10 ", "--steps 11 "), "test")
+    again = Commands()
+    run(changed, tmp_path, again)
+    assert "--resume" not in again.seen[0]
+    assert not (folder / "checkpoint.pt").exists()
+
+
+def test_a_command_that_fails_is_told_with_its_last_line(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[3]
+    with pytest.raises(ReproduceError, match=r"evaluate.*ended with 1: neuroflight: .*no-such"):
+        execute_here(["evaluate", "no-such.onnx", "--aircraft", "nf1"], root, lambda: False)
+
+
+def test_a_command_is_stopped_on_request() -> None:
+    root = Path(__file__).resolve().parents[3]
+    with pytest.raises(ReproduceError, match="stopped"):
+        execute_here(["evaluate", "pid", "--episodes", "1000", "--json"], root, lambda: True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "named"),
+    [
+        ("{train}/policy", "{trian}/policy", "needs {trian}, which is no step"),
+        ('"train --steps 10 --out {out}"', '"train {fly}"', "needs itself"),
+        ('quote = "3.9/ppo-1"', 'quote = "3.9/ppo-9"', "no quote '3.9/ppo-9'"),
+        ('ours = "fly a.b"', 'ours = "fyl a.b"', "fyl"),
+        ('aim = "lower"', 'aim = "better"', "expected one of: lower"),
+        ('picture = "fly"', 'picture = "alone"', r"expected a step whose command has {plot}"),
+        ('name = "4.7"', 'name = "3.9-ppo"', "second time"),
+        ('name = "4.7"', 'name = "nine"', "expected such as 3.9"),
+        ('{ what = "it", ours = "alone c" },', "", "alone: no row"),
+    ],
+)
+def test_a_mistake_in_the_file_is_named(before: str, after: str, named: str) -> None:
+    assert before in TEXT
+    with pytest.raises(ReproduceError) as caught:
+        parse(TEXT.replace(before, after), "test")
+    assert named in str(caught.value)

@@ -1,0 +1,254 @@
+"""The experiments as data: rows of figures beside the dissertation's, and the commands that measure ours.
+
+`experiments.toml` has both. A step is one `neuroflight` command for each budget; it may use the folders of
+other steps, which then come first. A row is a table or a figure of the dissertation, or a part of one: its
+figures name a quote, and where in a step's output ours stands (see `lookup`).
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from sim.strict_toml import StrictTable
+from toolchain.errors import NeuroflightError
+from training.dissertation.quotes import QuoteError
+from training.reproduction.quoted import Quoted, quoted
+
+FILE = Path(__file__).with_name("experiments.toml")
+Budget = Literal["quick", "full"]
+BUDGETS: tuple[Budget, ...] = ("quick", "full")
+OUT, PLOT = "out", "plot"  # in braces in a command: the step's own folder, and its picture
+FOLDER = re.compile(r"\{([\w.-]+)\}")
+ROWS_MAX, FIGURES_MAX, STEPS_MAX = 400, 60, 200
+AIMS = ("lower", "higher", "near", "effect", "told")  # or "to NUMBER"
+TARGET = re.compile(r"to (-?\d+(?:\.\d+)?)")
+
+
+class ReproduceError(NeuroflightError):
+    """A row that is unknown, a step that failed, or stored figures that are damaged."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command that measures something."""
+
+    name: str
+    quick: str  # words after `neuroflight`, without --json
+    full: str
+
+    def words(self, budget: Budget) -> list[str]:
+        """The command's words, with folders still in braces."""
+        return shlex.split(self.full if budget == "full" else self.quick)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the steps whose folders the command uses."""
+        found = [name for text in (self.quick, self.full) for name in FOLDER.findall(text)]
+        return tuple(name for name in dict.fromkeys(found) if name not in (OUT, PLOT))
+
+    @property
+    def draws(self) -> bool:
+        """Whether the command draws a picture."""
+        return f"{{{PLOT}}}" in self.full
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a figure of ours stands."""
+
+    step: str
+    path: str  # in the JSON that the step's command prints, see `lookup`
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the dissertation and ours."""
+
+    what: str
+    quote: Quoted | None  # None: the dissertation only draws it
+    ours: Source
+    against: Source | None  # given: ours is the change from that, in %
+    scale: float
+    aim: str  # what is better: one of AIMS, or "to NUMBER": the nearer to it
+    within: float  # of "near": the largest relative difference that counts as reached
+
+
+@dataclass(frozen=True)
+class Row:
+    """A table or figure of the dissertation, or a part of one."""
+
+    name: str
+    place: str  # "Table 3.9"
+    title: str
+    figures: tuple[Figure, ...]
+    picture: str | None  # the step that draws it
+    hardware: str  # why no simulation can fill it; empty for all others
+    why: str  # what keeps ours from reaching it, where it does not
+
+    @property
+    def chapter(self) -> int:
+        """The chapter of the dissertation."""
+        return int(self.name.partition(".")[0])
+
+    @property
+    def steps(self) -> tuple[str, ...]:
+        """Names of the steps that it needs itself."""
+        sources = [source for figure in self.figures for source in (figure.ours, figure.against) if source]
+        names = [source.step for source in sources] + ([self.picture] if self.picture else [])
+        return tuple(dict.fromkeys(names))
+
+
+@dataclass(frozen=True)
+class Experiments:
+    """All rows, and the steps that they need."""
+
+    rows: tuple[Row, ...]
+    steps: Mapping[str, Step]
+
+    def chosen(self, names: Sequence[str]) -> tuple[Row, ...]:
+        """The rows called so; "3" or "3.9" stands for all that begin with it. None named: all.
+
+        Raises ReproduceError naming one that is unknown.
+        """
+        wanted = [name.lower().removeprefix("table ").removeprefix("figure ") for name in names]
+        for name in wanted:
+            if not any(_begins(row.name, name) for row in self.rows):
+                places = ", ".join(dict.fromkeys(row.name.partition("-")[0] for row in self.rows))
+                raise ReproduceError(f"row {name[:60]!r}: not there, expected one of: {places}; see --list")
+        return tuple(
+            row for row in self.rows if not wanted or any(_begins(row.name, name) for name in wanted)
+        )
+
+    def plan(self, rows: Iterable[Row]) -> tuple[Step, ...]:
+        """The steps of rows, each after those that it needs."""
+        found: dict[str, Step] = {}
+        for row in rows:
+            for name in row.steps:
+                self._add(name, found)
+        return tuple(found.values())
+
+    def _add(self, name: str, found: dict[str, Step]) -> None:
+        if name not in found:
+            for needed in self.steps[name].needs:
+                self._add(needed, found)
+            found[name] = self.steps[name]
+
+
+def _begins(name: str, start: str) -> bool:
+    return name == start or (name.startswith(start) and name[len(start)] in ".-")
+
+
+@cache
+def experiments() -> Experiments:
+    """The experiments of `experiments.toml`. Raises ReproduceError naming what is wrong in it."""
+    return parse(FILE.read_text(), FILE.name)
+
+
+def parse(text: str, where: str) -> Experiments:
+    """Experiments from TOML; a row that names no known step or quote is an error."""
+    table = StrictTable(tomllib.loads(text), where, ReproduceError)
+    steps = {step.name: step for step in _steps(table.table("steps"))}
+    _check_order(steps, where)
+    rows = tuple(_row(row, steps) for row in table.tables("rows", 1, ROWS_MAX))
+    table.finish()
+    names = [row.name for row in rows]
+    for name in names:
+        if names.count(name) > 1:
+            raise ReproduceError(f"{where}: row {name} for a second time, expected each once")
+    used = {name for row in rows for name in row.steps}
+    used |= {needed for step in steps.values() for needed in step.needs}
+    for name in steps:
+        if name not in used:
+            raise ReproduceError(f"{where}: steps.{name}: no row and no other step needs it; leave it out")
+    return Experiments(rows, steps)
+
+
+def _steps(table: StrictTable) -> Iterator[Step]:
+    names = table.names()
+    if not 1 <= len(names) <= STEPS_MAX:
+        raise ReproduceError(f"{len(names)} steps, expected 1 to {STEPS_MAX}")
+    for name in names:
+        step = table.table(name)
+        full = _command(step, "full")
+        yield Step(name, _command(step, "quick") if step.has("quick") else full, full)
+        step.finish()
+
+
+def _command(table: StrictTable, key: str) -> str:
+    """The words of a command; it may stand on several lines."""
+    lines = table.lines(key)
+    return " ".join(" ".join(lines).split())
+
+
+def _check_order(steps: Mapping[str, Step], where: str) -> None:
+    """Raise ReproduceError on a step that needs an unknown one, or itself by way of others."""
+
+    def follow(name: str, path: tuple[str, ...]) -> None:
+        if name not in steps:
+            raise ReproduceError(f"{where}: steps.{path[-1]}: needs {{{name}}}, which is no step")
+        if name in path:
+            raise ReproduceError(f"{where}: steps.{name}: needs itself: {' -> '.join((*path, name))}")
+        for needed in steps[name].needs:
+            follow(needed, (*path, name))
+
+    for name in steps:
+        follow(name, ())
+
+
+def _row(table: StrictTable, steps: Mapping[str, Step]) -> Row:
+    hardware = table.text("hardware", "")
+    figures = () if hardware else tuple(_figures(table, steps))
+    picture = table.text("picture", "") or None
+    if picture is not None and (picture not in steps or not steps[picture].draws):
+        raise table.error("picture", f"got {picture!r}, expected a step whose command has {{plot}}")
+    row = Row(
+        name=table.text("name"),
+        place=table.text("place"),
+        title=table.text("title"),
+        figures=figures,
+        picture=picture,
+        hardware=hardware,
+        why=" ".join(table.lines("why")) if table.has("why") else "",
+    )
+    if not re.fullmatch(r"[2-6]\.[\w.]+(-[\w.-]+)?", row.name):
+        raise table.error("name", f"got {row.name!r}, expected such as 3.9 or 3.9-ppo")
+    table.finish()
+    return row
+
+
+def _figures(table: StrictTable, steps: Mapping[str, Step]) -> Iterator[Figure]:
+    fewest = 0 if table.has("picture") else 1
+    if not table.has("figures") and not fewest:
+        return
+    for entry in table.tables("figures", fewest, FIGURES_MAX):
+        try:
+            quote = quoted(entry.text("quote")) if entry.has("quote") else None
+        except QuoteError as error:
+            raise entry.error("quote", f"{error}") from None
+        aim = entry.text("aim", None if quote else "told")
+        if aim not in AIMS and not TARGET.fullmatch(aim):
+            raise entry.error("aim", f"got {aim!r}, expected one of: {', '.join(AIMS)}, or 'to NUMBER'")
+        yield Figure(
+            what=entry.text("what"),
+            quote=quote,
+            ours=_source(entry, "ours", steps),
+            against=_source(entry, "against", steps) if entry.has("against") else None,
+            scale=entry.number("scale", -1e12, 1e12, 1.0),
+            aim=aim,
+            within=entry.number("within", 0.0, 10.0, 0.1),
+        )
+        entry.finish()
+
+
+def _source(table: StrictTable, key: str, steps: Mapping[str, Step]) -> Source:
+    step, _, path = table.text(key).partition(" ")
+    if step not in steps or not path:
+        raise table.error(key, f"got {step!r}, expected a step's name and a path in its output")
+    return Source(step, path.strip())

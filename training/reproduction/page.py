@@ -1,0 +1,132 @@
+"""docs/dissertation.md: every experiment of the dissertation beside ours, from stored figures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+
+from training.reproduction.experiments import Experiments, Figure, Row
+from training.reproduction.lookup import Value
+from training.reproduction.stored import Kept, RowResult, row_result
+from training.reproduction.verdict import Verdict
+from training.results_page.markdown import table
+
+CHAPTERS = {
+    2: "Background",
+    3: "Learning attitude control of the Iris (GymFC)",
+    4: "A firmware with a neural network (Neuroflight)",
+    5: "The aircraft's own digital twin (GymFC v2)",
+    6: "Future work",
+}
+HEADINGS = ("", "dissertation", "ours", "")
+
+
+def render(experiments: Experiments, kept: Mapping[str, Kept], pictures: str) -> str:
+    """The page; pictures: the folder of pictures, as a link from the page finds it."""
+    results = [row_result(row, kept) for row in experiments.rows]
+    parts = [HEAD, _summary(results)]
+    for chapter, rows in groupby(results, lambda result: result.row.chapter):
+        parts.append(f"## Chapter {chapter}: {CHAPTERS[chapter]}" if chapter < 6 else f"## {CHAPTERS[6]}")
+        filled = [each for each in rows if not each.row.hardware]
+        for place, group in groupby(filled, lambda result: result.row.place):
+            parts += _place(place, list(group), pictures)
+    parts.append(_hardware(experiments.rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def shown(value: Value | None, figure: Figure | None = None) -> str:
+    """A value with as many digits as the dissertation prints of it, or three that count."""
+    if value is None:
+        return "not run"
+    digits = figure.quote.digits if figure is not None and figure.quote is not None else None
+    return " / ".join(_digits(each, digits) for each in (value if isinstance(value, tuple) else (value,)))
+
+
+def quoted(figure: Figure) -> str:
+    """The dissertation's figure as it prints it, with its confidence."""
+    quote = figure.quote
+    if quote is None:
+        return "drawn"
+    text = shown(quote.value, figure)
+    return text if quote.margin is None else f"{text} ± {shown(quote.margin, figure)}"
+
+
+def _digits(value: float, digits: int | None) -> str:
+    if digits is not None and (abs(value) >= 10.0**-digits or value == 0.0):
+        return f"{value:,.{digits}f}"
+    if value != 0.0 and (abs(value) < 1e-3 or abs(value) >= 1e7):
+        return f"{value:.2e}"
+    return f"{float(f'{value:.3g}'):,.12g}"
+
+
+def _summary(results: Sequence[RowResult]) -> str:
+    counted = Counter(result.verdict for result in results if result.row.figures)
+    names = (
+        (Verdict.SURPASSED, "surpassed"),
+        (Verdict.REACHED, "reached"),
+        (Verdict.NOT_REACHED, "not reached"),
+    )
+    told = [f"{counted[verdict]} {name}" for verdict, name in names]
+    other = [result for result in results if not result.row.figures and not result.row.hardware]
+    plain = counted[Verdict.TOLD] + len(other)
+    hardware = sum(bool(result.row.hardware) for result in results)
+    return (
+        f"{len(results)} rows: {', '.join(told)}; {plain} pictures and figures without a better or worse, "
+        f"{hardware} that only hardware can fill. A row counts as the worst of its figures."
+    )
+
+
+def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
+    titles = dict.fromkeys(result.row.title for result in group)
+    parts = [f"### {place}: {titles.popitem()[0] if len(titles) == 1 else _common(list(titles))}"]
+    body = []
+    for result in group:
+        many = len(group) > 1 and len(result.row.figures) > 0
+        for index, each in enumerate(result.results):
+            name = f"{result.row.title.rpartition(': ')[2]}, {each.figure.what}" if many else each.figure.what
+            budget = "" if each.value is None or "quick" not in result.budgets else " (quick)"
+            judged = "" if each.judged is None else str(each.judged)
+            body.append((name, quoted(each.figure), shown(each.value, each.figure) + budget, judged))
+            del index
+    if body:
+        parts.append(table(HEADINGS, body))
+    for result in group:
+        if result.row.why:
+            head = f"{result.row.title.rpartition(': ')[2]}: " if len(group) > 1 else ""
+            parts.append(f"{head}{result.row.why}")
+    for name in dict.fromkeys(result.row.picture for result in group if result.row.picture):
+        parts.append(f"![{place}]({pictures}/{name}.png)")
+    names = _shortest([result.row for result in group])
+    parts.append(f"`neuroflight reproduce {names} --budget full`")
+    return parts
+
+
+def _common(titles: Sequence[str]) -> str:
+    """What titles such as "rise time: PPO", "rise time: TRPO" begin with."""
+    starts = {title.rpartition(": ")[0] for title in titles}
+    return starts.pop() if len(starts) == 1 else "; ".join(titles)
+
+
+def _shortest(rows: Sequence[Row]) -> str:
+    starts = {row.name.partition("-")[0] for row in rows}
+    return " ".join(sorted(starts))
+
+
+def _hardware(rows: Sequence[Row]) -> str:
+    body = [(row.place, row.title, row.hardware) for row in rows if row.hardware]
+    return f"## Only hardware can fill these\n\n{table(('', '', 'why'), body, align='---')}"
+
+
+HEAD = """# The dissertation's experiments, run again
+
+Written by `neuroflight reproduce --store` from the files in [results/dissertation/](results/dissertation/);
+`neuroflight reproduce --check` tests whether it is up to date. Beside each figure that W. Koch printed
+(*Flight Controller Synthesis via Deep Reinforcement Learning*, 2019) stands ours from the same experiment in
+this project's simulator, host program or emulated board: other physics engine, other learner's code, other
+random commands of the same distribution. Rates are in deg/s, roll / pitch / yaw. Tables and figures are
+numbered by their order in the source.
+
+*Surpassed*: better on every axis. *Reached*: no worse than the printed confidence or rounding allows; of an
+effect, the same sign and at least half its size. *Not reached*: worse on the axes named; the reason stands
+below. The commands of a row, and what each budget runs: `neuroflight reproduce --list ROW`."""

@@ -1,0 +1,228 @@
+"""Runs steps: each a command in a process of its own, several at a time; finished ones are not repeated.
+
+A step's folder is OUT/BUDGET/NAME with what its command writes, OUT/BUDGET/NAME.json holds what it printed
+and OUT/BUDGET/NAME.png its picture. A training that was interrupted goes on from its last checkpoint.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from toolchain.files import file_size, write_text
+from training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
+
+OUTPUT_BYTES_MAX = 64 << 20
+RESUMED = ("train", "sweep")  # commands that go on with what their --out holds
+LAST_SAID = 300  # characters of a failed command's last line
+POLL_S = 0.2  # between looks at a process and at the wish to stop
+
+
+@dataclass(frozen=True)
+class Done:
+    """A step that has been run."""
+
+    step: Step
+    budget: Budget
+    command: str  # as a user would type it
+    seconds: float
+    output: Any  # the JSON that it printed
+    picture: Path | None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the results of a budget's steps are."""
+
+    root: Path  # the project's folder, in which commands run
+    out: Path
+    budget: Budget
+
+    def folder(self, name: str) -> Path:
+        """What the step's command writes."""
+        return self.out / self.budget / name
+
+    def output(self, name: str) -> Path:
+        """What it printed, with the command."""
+        return self.out / self.budget / f"{name}.json"
+
+    def picture(self, name: str) -> Path:
+        """What it drew."""
+        return self.out / self.budget / f"{name}.png"
+
+    def words(self, step: Step) -> list[str]:
+        """The words of a step's command, after `neuroflight`."""
+
+        def filled(word: str) -> str:
+            return FOLDER.sub(lambda found: self._path(step, found[1]), word)
+
+        return [filled(word) for word in step.words(self.budget)]
+
+    def _path(self, step: Step, name: str) -> str:
+        if name == PLOT:
+            return str(self.picture(step.name))
+        return str(self.folder(step.name if name == OUT else name))
+
+
+class Watcher:
+    """Called while steps run, from one thread; a subclass overrides what it needs."""
+
+    def started(self, step: Step) -> None:
+        """A step's command has begun."""
+
+    def finished(self, done: Done, *, again: bool) -> None:
+        """A step has its result; `again` is False if it was there already."""
+
+    def failed(self, step: Step, reason: str) -> None:
+        """A step has none; steps that need it are left out."""
+
+
+Execute = Callable[[Sequence[str], Path, Callable[[], bool]], str]  # words, folder, stop? -> stdout
+
+
+def run_steps(
+    plan: Sequence[Step],
+    place: Place,
+    *,
+    jobs: int,
+    force: bool = False,
+    execute: Execute | None = None,
+    watcher: Watcher | None = None,
+) -> Mapping[str, Done]:
+    """Run what has no result yet, at most `jobs` at a time; the results by the steps' names.
+
+    plan: each step after those that it needs. force: repeat finished ones too. execute: runs one command;
+    None: in a process of this machine. A step that fails is reported to `watcher` and left out, with all that
+    need it. On KeyboardInterrupt the commands are asked to stop, so that trainings keep their state.
+    """
+    watcher, execute = watcher or Watcher(), execute or execute_here
+    done: dict[str, Done] = {}
+    lost: set[str] = set()
+    if not force:
+        for step in plan:
+            kept = None if any(name not in done for name in step.needs) else kept_result(step, place)
+            if kept is not None:
+                done[step.name] = kept
+                watcher.finished(kept, again=False)
+    open_steps = [step for step in plan if step.name not in done]
+    stop = Event()
+    active: dict[Future[Done], Step] = {}
+    with ThreadPoolExecutor(jobs, "step") as pool:
+        try:
+            while open_steps or active:
+                for step in list(open_steps):
+                    if any(name in lost for name in step.needs):
+                        open_steps.remove(step)
+                        lost.add(step.name)
+                        watcher.failed(step, f"needs {', '.join(n for n in step.needs if n in lost)}")
+                    elif len(active) < jobs and all(name in done for name in step.needs):
+                        open_steps.remove(step)
+                        active[pool.submit(_run, step, place, execute, stop)] = step
+                        watcher.started(step)
+                for future in wait(active, return_when=FIRST_COMPLETED).done if active else ():
+                    step = active.pop(future)
+                    try:
+                        done[step.name] = future.result()
+                        watcher.finished(done[step.name], again=True)
+                    except ReproduceError as error:
+                        lost.add(step.name)
+                        watcher.failed(step, str(error))
+        except BaseException:
+            stop.set()
+            raise
+    return done
+
+
+def kept_result(step: Step, place: Place) -> Done | None:
+    """The result that a step already has, if it is of the same command."""
+    path = place.output(step.name)
+    if not path.is_file() or file_size(path) > OUTPUT_BYTES_MAX:
+        return None
+    try:
+        record = json.loads(path.read_text())
+        if record["words"] != place.words(step):
+            return None
+        picture = place.picture(step.name) if step.draws else None
+        if picture is not None and not picture.is_file():
+            return None
+        return Done(
+            step, place.budget, _typed(record["words"]), float(record["seconds"]), record["output"], picture
+        )
+    except (ValueError, KeyError, TypeError, OSError):
+        return None
+
+
+def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
+    words = place.words(step)
+    folder = place.folder(step.name)
+    started = folder.with_suffix(".words")
+    before = json.dumps(words)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    more: list[str] = []
+    if words[0] in RESUMED and folder.exists():
+        same = started.is_file() and started.read_text() == before
+        if same and _begun(folder):
+            more = ["--resume"]
+        else:
+            shutil.rmtree(folder)
+    write_text(started, before)
+    began = time.monotonic()
+    text = execute([*words, *more, "--json"], place.root, stop.is_set)
+    seconds = time.monotonic() - began
+    try:
+        output = json.loads(text)
+    except ValueError as error:
+        raise ReproduceError(f"{_typed(words)}: printed no JSON ({error})") from error
+    record = {"words": words, "seconds": round(seconds, 1), "output": output}
+    write_text(place.output(step.name), json.dumps(record, indent=1) + "\n")
+    picture = place.picture(step.name) if step.draws else None
+    return Done(step, place.budget, _typed(words), seconds, output, picture)
+
+
+def _begun(folder: Path) -> bool:
+    """Whether a training or a sweep has left something to go on with."""
+    return (
+        any(folder.glob("checkpoint.pt"))
+        or any(folder.glob("seed-*/checkpoint.pt"))
+        or (folder / "trials").is_dir()
+    )
+
+
+def _typed(words: Sequence[str]) -> str:
+    return " ".join(["neuroflight", *words])
+
+
+def execute_here(words: Sequence[str], folder: Path, stop: Callable[[], bool]) -> str:
+    """Run a command in a process of its own. Raises ReproduceError with what it said last if it fails."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cli.main", *words],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C is for us: we ask it to stop
+    )
+    while True:
+        try:
+            printed, said = process.communicate(timeout=POLL_S)
+            break
+        except subprocess.TimeoutExpired:
+            if stop():
+                process.send_signal(signal.SIGINT)
+                process.communicate()
+                raise ReproduceError(f"{_typed(words)}: stopped") from None
+    if process.returncode:
+        last = (said.strip().splitlines() or ["it said nothing"])[-1][:LAST_SAID]
+        raise ReproduceError(f"`{_typed(words)}` ended with {process.returncode}: {last}")
+    return printed

@@ -1,0 +1,161 @@
+"""Stored figures of the rows: a small file a step, with what the rows read from its output and no more."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolchain.files import file_size, replacing, write_text
+from training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
+from training.reproduction.lookup import Value, find, ours
+from training.reproduction.steps import Done
+from training.reproduction.verdict import Judged, Verdict, judge
+
+FILE_BYTES_MAX = 1 << 20
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is kept of a step: the figures that rows read, by their paths in its output."""
+
+    step: str
+    budget: Budget
+    command: str
+    seconds: float
+    figures: Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A figure of a row with ours."""
+
+    figure: Figure
+    value: Value | None  # None: not measured yet
+    judged: Judged | None
+
+
+@dataclass(frozen=True)
+class RowResult:
+    """A row with our figures."""
+
+    row: Row
+    results: tuple[Result, ...]
+    budgets: tuple[Budget, ...]  # of the steps that its figures are from
+    commands: tuple[str, ...]
+    seconds: float
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The worst of its figures; None if one is not measured, or none has a verdict."""
+        found = [result.judged.verdict for result in self.results if result.judged]
+        if len(found) < len(self.results):
+            return None
+        found = [each for each in found if each is not Verdict.TOLD]
+        for verdict in (Verdict.NOT_REACHED, Verdict.REACHED, Verdict.SURPASSED):
+            if verdict in found:
+                return verdict
+        return Verdict.TOLD
+
+    @property
+    def measured(self) -> bool:
+        """Whether every figure is measured."""
+        return all(result.value is not None for result in self.results)
+
+
+def keep(done: Done, rows: Iterable[Row]) -> Kept:
+    """What is kept of a step that has run. Raises ReproduceError on a figure that its output lacks."""
+    paths = {source.path for row in rows for source in sources(row) if source.step == done.step.name}
+    try:
+        figures = {path: find(done.output, path) for path in sorted(paths)}
+    except ReproduceError as error:
+        raise ReproduceError(f"{done.step.name}: {error}") from error
+    return Kept(done.step.name, done.budget, done.command, done.seconds, figures)
+
+
+def sources(row: Row) -> tuple[Source, ...]:
+    """Where the figures of a row stand."""
+    both = [source for figure in row.figures for source in (figure.ours, figure.against)]
+    return tuple(source for source in both if source is not None)
+
+
+def row_result(row: Row, kept: Mapping[str, Kept]) -> RowResult:
+    """A row with the figures of the steps that are `kept`."""
+    used = [kept[name] for name in row.steps if name in kept]
+    return RowResult(
+        row,
+        tuple(_result(figure, kept) for figure in row.figures),
+        tuple(budget for budget in BUDGETS if any(each.budget == budget for each in used)),
+        tuple(each.command for each in used),
+        sum(each.seconds for each in used),
+    )
+
+
+def _result(figure: Figure, kept: Mapping[str, Kept]) -> Result:
+    found = _value(figure.ours, kept)
+    against = _value(figure.against, kept) if figure.against else None
+    if found is None or (figure.against and against is None):
+        return Result(figure, None, None)
+    value = ours(figure, found, against)
+    return Result(figure, value, judge(figure, value))
+
+
+def _value(source: Source, kept: Mapping[str, Kept]) -> Value | None:
+    step = kept.get(source.step)
+    return step.figures.get(source.path) if step else None
+
+
+def store(kept: Kept, folder: Path, picture: Path | None, pictures: Path) -> None:
+    """Write what is kept of a step into `folder`, and its picture into `pictures`."""
+    document = {
+        "step": kept.step,
+        "budget": kept.budget,
+        "command": kept.command,
+        "seconds": round(kept.seconds, 1),
+        "figures": {path: _plain(value) for path, value in kept.figures.items()},
+    }
+    write_text(folder / f"{kept.step}.json", json.dumps(document, indent=1) + "\n")
+    if picture is not None:
+        pictures.mkdir(parents=True, exist_ok=True)
+        with replacing(pictures / f"{kept.step}.png") as aside:
+            shutil.copyfile(picture, aside)
+
+
+def read_stored(folder: Path) -> dict[str, Kept]:
+    """What is kept in `folder`, by step. Raises ReproduceError naming a file that is damaged."""
+    return {kept.step: kept for kept in (_read(path) for path in sorted(folder.glob("*.json")))}
+
+
+def _read(path: Path) -> Kept:
+    if file_size(path) > FILE_BYTES_MAX:
+        raise ReproduceError(f"{path}: {file_size(path)} bytes, expected at most {FILE_BYTES_MAX}")
+    try:
+        document = json.loads(path.read_text())
+        figures = {str(key): _given(value) for key, value in document["figures"].items()}
+        budget = document["budget"]
+        if budget not in BUDGETS or document["step"] != path.stem:
+            raise ValueError(f"budget {budget!r}, step {document['step']!r}")
+        return Kept(path.stem, budget, str(document["command"]), float(document["seconds"]), figures)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ReproduceError(
+            f"{path}: not the stored figures of a step ({error}); make it anew with reproduce --store"
+        ) from error
+
+
+def _plain(value: Value) -> float | list[float]:
+    """Seven digits: more than any row prints, fewer than a command does."""
+    if isinstance(value, tuple):
+        return [float(f"{each:.7g}") for each in value]
+    return float(f"{value:.7g}")
+
+
+def _given(value: Any) -> Value:  # noqa: ANN401 - any JSON value
+    values = value if isinstance(value, list) else [value]
+    for each in values:
+        if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
+            raise ValueError(f"figure {str(value)[:40]}")
+    return tuple(float(each) for each in values) if isinstance(value, list) else float(value)
