@@ -23,7 +23,10 @@ SUMMARY = (
 ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
-    "training": ("train", "sweep", "tune-pid", "evaluate", "compare", "robustness", "manoeuvres", "results"),
+    "training": (
+        *("train", "learning-curves", "sweep", "tune-pid"),
+        *("evaluate", "compare", "robustness", "manoeuvres", "results"),
+    ),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
     "logs": ("log",),
 }
@@ -34,6 +37,7 @@ COMMANDS = {
     "timing": "count what a policy, or an image in flight, takes on the board: instructions, cycles",
     "freeze": "turn a checkpoint, or the model of another trainer, into policy.onnx",
     "train": "train a policy in the twin of an aircraft",
+    "learning-curves": "draw the training reward of runs over their steps, averaged over seeds",
     "sweep": "train many policies at once and show those that no other beats in every figure",
     "tune-pid": "find the gains of a PID for an aircraft in its twin",
     "evaluate": "measure a policy or the PID on unseen commands",
