@@ -40,7 +40,7 @@ def check_folder(path: Path | None, option: str) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def command_line(command: str, *words: str, **options: object) -> str:
+def command_line(command: str, /, *words: str, **options: object) -> str:
     """The command that repeats a result: without options that are None or False, paths cut short."""
     line = ["neuroflight", command, *(_short(word) for word in words)]
     for name, value in options.items():

@@ -7,28 +7,36 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from cli.training.average import average_document, check_average, print_average
 from cli.training.conditions import (
     ONE_EPISODE,
     THROTTLES_MAX,
     add_condition_arguments,
     check_controllers,
-    check_ranges,
     command,
     conditions,
     conditions_document,
     flight_document,
-    flown_words,
     progress_bars,
     throttle_words,
 )
-from cli.training.contenders import add_contender_arguments, all_names, check_thrusts, open_contenders
+from cli.training.contenders import (
+    add_contender_arguments,
+    all_names,
+    check_thrusts,
+    open_contenders,
+)
+from cli.training.ranges import check_ranges
+from cli.training.task_arguments import drawn_as_flown, flown_words
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
     from sim.analysis.confidence import Mean
     from training.evaluation.comparison import Entry
     from training.evaluation.controllers import Conditions, Contender
+    from training.evaluation.thrust import Transparency
 
 TRACKING_ROWS = (("MAE", "mae", 2), ("MSE", "mse", 1))  # heading, figure, digits: with a row an axis
 ROWS = (  # heading, figure, factor, digits
@@ -42,6 +50,7 @@ ROWS = (  # heading, figure, factor, digits
     ("Sm, 1e-6", "smoothness", 1e6, 1),
     ("success, %", "success", 100, 1),
     ("  bare 10 % band", "success_bare", 100, 1),
+    ("error, rad/s", "error", 1, 1),
     ("rise, ms", "rise_ms", 1, 1),
     ("peak, %", "peak", 1, 1),
     ("in band, 500 ms+, %", "all_in_band_500", 100, 1),
@@ -81,12 +90,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="thrust and motors at rest against the throttle too, beside what a transparent controller gives",
     )
+    parser.add_argument(
+        "--average",
+        action="store_true",
+        help="also the average of all policies over their commands together, as agents of several seeds, "
+        "and the best of them: the lowest error summed over the axes",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly each controller at each throttle, or at each thrust, and print the figures."""
     check_controllers(all_names(args, args.controllers))
     check_thrusts(args)
+    check_average(args)
     throttles = _throttles(args)
     with open_contenders(args, args.controllers, conditions(args)) as (contenders, flown):
         if args.thrust is not None:
@@ -105,7 +121,6 @@ def _at_throttles(
     from cli.training.thrust import print_transparency, rest_documents
     from sim.plotting import save_png
     from training.evaluation.comparison import enter
-    from training.evaluation.comparison_plot import draw
     from training.evaluation.equal_thrust import all_transparency
 
     rounds: dict[float | None, list[Entry]] = {}
@@ -118,18 +133,36 @@ def _at_throttles(
     title = f"{flown.aircraft.name}: {flown_words(flown)}"
     if args.plot:
         first = throttles[0]
-        save_png(args.plot, draw(rounds[first], title + throttle_words(first), rests))
+        save_png(args.plot, _drawn(flown, rounds[first], title + throttle_words(first), rests))
+    averages = [average_document(entries) for entries in rounds.values()] if args.average else []
     if args.json:
         comparison = [entry for entries in rounds.values() for entry in _documents(entries)]
-        _print_json(args, flown, {"comparison": comparison, **(rest_documents(rests) if rests else {})})
+        more = {"average": averages} if averages else {}
+        _print_json(
+            args, flown, {"comparison": comparison, **more, **(rest_documents(rests) if rests else {})}
+        )
         return 0
     console = Console()
     for throttle, entries in rounds.items():
         _print(console, title + throttle_words(throttle), entries)
+    for found in averages:
+        print_average(console, found)
     console.print(NOTE + (ONE_EPISODE if flown.episodes == 1 else ""), style="dim")
     if rests:
         print_transparency(console, rests)
     return 0
+
+
+def _drawn(flown: Conditions, entries: Sequence[Entry], title: str, rests: Sequence[Transparency]) -> Figure:
+    """One episode as all flew it where it says more than percentiles do; else all commands."""
+    from training.evaluation.comparison_plot import draw
+    from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
+
+    if not drawn_as_flown(flown):
+        return draw(entries, title, rests)
+    tracked = [Tracked(entry.controller.label, entry.curves.t, entry.curves.example) for entry in entries]
+    held = all(entry.evaluation.response is not None for entry in entries)
+    return draw_step(tracked, title) if held else draw_long(tracked, title)
 
 
 def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown: Conditions) -> int:
@@ -137,7 +170,6 @@ def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown
 
     from cli.training.thrust import documents, print_equal_thrust
     from sim.plotting import save_png
-    from training.evaluation.comparison_plot import draw
     from training.evaluation.equal_thrust import equal_thrust
 
     with progress_bars(args) as bar:
@@ -145,7 +177,8 @@ def _at_thrusts(args: argparse.Namespace, contenders: Sequence[Contender], flown
     title = f"{flown.aircraft.name}: {flown_words(flown)}"
     if args.plot:
         first = found.levels[0]
-        save_png(args.plot, draw(first.entries, f"{title}, thrust {first.wanted:g}", found.transparency))
+        words = f"{title}, thrust {first.wanted:g}"
+        save_png(args.plot, _drawn(flown, first.entries, words, found.transparency))
     if args.json:
         _print_json(args, flown, documents(found))
     else:

@@ -10,45 +10,25 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.training.ranges import check_ranges
+from cli.training.task_arguments import add_task_arguments, task_document, task_name, task_of
+
 if TYPE_CHECKING:
     from training.evaluation.controllers import Conditions, Contender
     from training.evaluation.evaluation import Evaluation
-    from training.tasks.pieces import RecordedPieces
-    from training.tasks.task import Task
 
-TASKS = ("pulse", "episodic", "envelope")
 MOUNTS = ("centre", "rig", "free")
 DELAY_MAX_S = 0.1
 IDLE_MAX = 0.5
 THROTTLES_MAX = 20
 CONTROLLERS_MAX = 8  # distinguishable colours, and columns that fit
 ONE_EPISODE = " One episode gives no confidence: its ± is 0."
-PIECE_S = 5.0  # of recorded commands, unless the user says
-PIECE_MIN_S, PIECE_MAX_S = 0.1, 3600.0
 
 
 def add_condition_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
     """The conditions that are the same for all controllers; `episodes` is the default number."""
     parser.add_argument("--aircraft", default="nf1", metavar="NAME|FILE", help="shipped name or a .toml file")
-    parser.add_argument("--task", choices=TASKS, help=f"what is commanded; default: {TASKS[0]}")
-    parser.add_argument(
-        "--episodes", type=int, metavar="N", help=f"commands, one aircraft each; default: {episodes}"
-    )
-    parser.set_defaults(episodes_default=episodes)
-    parser.add_argument(
-        "--commands",
-        type=Path,
-        metavar="FILE",
-        help="fly these recorded commands instead: a trace (.npz), a table (.csv), a blackbox log (.bbl, "
-        ".bfl, .txt; FILE:N for its log N)",
-    )
-    parser.add_argument(
-        "--piece",
-        type=float,
-        metavar="SECONDS",
-        help=f"cut them into episodes of at least this length, one aircraft each; 0: one, the whole; "
-        f"default: {PIECE_S:g}",
-    )
+    add_task_arguments(parser, episodes)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of commands, noise and bias")
     parser.add_argument("--mount", choices=MOUNTS, default="centre", help="what holds the aircraft")
     parser.add_argument("--no-noise", action="store_true", help="an ideal gyro")
@@ -76,7 +56,7 @@ def conditions(args: argparse.Namespace) -> Conditions:
         raise TrainingError(f"--delay {args.delay}, expected 0 to {DELAY_MAX_S:g} s")
     check_ranges(("--idle", args.idle, 0.0, IDLE_MAX))
     check_output(args.plot, ".png")
-    task, episodes = _task(args)
+    task, episodes = task_of(args)
     aircraft = load_aircraft(args.aircraft)
     if args.delay is not None:
         aircraft = replace(aircraft, propulsion=replace(aircraft.propulsion, delay=args.delay))
@@ -88,51 +68,6 @@ def conditions(args: argparse.Namespace) -> Conditions:
         mount=Mount(args.mount),
         noise=not args.no_noise,
     )
-
-
-def _task(args: argparse.Namespace) -> tuple[Task, int]:
-    """What is commanded, and its number of episodes."""
-    from sim.physics.world import COUNT_MAX
-    from toolchain.errors import TrainingError
-    from training.tasks.registry import TASKS as BUILDERS
-
-    if args.commands is None:
-        if args.piece is not None:
-            raise TrainingError("--piece: cuts recorded commands; give them with --commands")
-        episodes = args.episodes_default if args.episodes is None else args.episodes
-        check_ranges(("--episodes", episodes, 1, COUNT_MAX))
-        return BUILDERS[args.task or TASKS[0]](), episodes
-    for option in ("task", "episodes"):
-        if getattr(args, option) is not None:
-            raise TrainingError(f"--{option}: the commands are those of {args.commands}; leave it out")
-    if args.piece:
-        check_ranges(("--piece", args.piece, PIECE_MIN_S, PIECE_MAX_S))
-    pieces = _pieces(args)
-    check_ranges((f"pieces of {args.commands}", pieces.count, 1, COUNT_MAX))
-    return pieces, pieces.count
-
-
-def _pieces(args: argparse.Namespace) -> RecordedPieces:
-    """The recorded commands of the arguments; says on stderr what they lose."""
-    from sim.recorded.files import load_commands
-    from training.tasks.pieces import RecordedPieces
-
-    recorded = load_commands(args.commands)
-    for words in recorded.warnings():
-        print(words, file=sys.stderr)
-    piece_s = PIECE_S if args.piece is None else args.piece
-    return RecordedPieces.cut(recorded.scenario(), piece_s or None)
-
-
-def flown_words(flown: Conditions) -> str:
-    """What is flown, for titles."""
-    from training.tasks.pieces import RecordedPieces
-
-    task = flown.task
-    if isinstance(task, RecordedPieces):
-        cut = f"{flown.episodes} pieces of {task.duration_s:g} s of " if flown.episodes > 1 else ""
-        return f"{cut}the recording {task.scenario.name}, seed {flown.seed}"
-    return f"{flown.episodes} commands of {task.name}, seed {flown.seed}"
 
 
 def throttle_words(throttle: float | None) -> str:
@@ -170,15 +105,6 @@ def progress_bars(args: argparse.Namespace) -> Iterator[Callable[[str], Callable
         yield add
 
 
-def check_ranges(*ranges: tuple[str, float | None, float, float]) -> None:
-    """Raise TrainingError naming the first option outside its range, as NaN is; None is not checked."""
-    from toolchain.errors import TrainingError
-
-    for option, value, low, high in ranges:
-        if value is not None and not low <= value <= high:
-            raise TrainingError(f"{option} {value}, expected {low:g} to {high:g}")
-
-
 def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str, throttle: object) -> str:
     """The command that repeats a result."""
     from cli.output import command_line
@@ -187,8 +113,11 @@ def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str,
         name,
         *words,
         aircraft=args.aircraft,
-        task=flown.task.name if args.commands is None else None,
+        task=task_name(flown.task) if args.commands is None else None,
         episodes=flown.episodes if args.commands is None else None,
+        command=args.named_command,
+        limit=args.limit,
+        length=args.length,
         commands=args.commands,
         piece=args.piece,
         seed=args.seed,
@@ -201,6 +130,7 @@ def command(name: str, args: argparse.Namespace, flown: Conditions, *words: str,
         on=args.on,
         thrust=args.thrust,
         transparency=getattr(args, "transparency", False),
+        average=getattr(args, "average", False),
     )
 
 
@@ -209,7 +139,7 @@ def conditions_document(args: argparse.Namespace, flown: Conditions) -> dict[str
     return {
         "aircraft": flown.aircraft.name,
         "aircraft_sha256": flown.aircraft.sha256,
-        "task": flown.task.name,
+        **task_document(flown),
         "episodes": flown.episodes,
         "seed": flown.seed,
         "mount": args.mount,

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 from cli.training.conditions import (
     ONE_EPISODE,
     add_condition_arguments,
-    check_ranges,
     command,
     conditions,
     conditions_document,
     flight_document,
-    flown_words,
     progress_bars,
 )
 from cli.training.contenders import add_contender_arguments, check_thrusts, open_contenders
+from cli.training.ranges import check_ranges
+from cli.training.task_arguments import drawn_as_flown, flown_words
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,6 +47,7 @@ RESPONSE_ROWS = (  # heading, figure, factor, digits
     ("peak, %", "peak", 1, 1),
     ("error, rad/s", "error", 1, 1),
     ("stability, deg/s²", "stability", 1, 2),
+    ("  slope, rad/s²", "slope", 1, 4),
     ("in band, 500 ms+, %", "in_band_500", 100, 1),
     ("in band, 750 ms+, %", "in_band_750", 100, 1),
     ("  bare, 500 ms+, %", "in_band_500_bare", 100, 1),
@@ -123,7 +124,9 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     from sim.analysis.response_plot import draw
     from sim.analysis.spectrum_plot import Line
     from sim.plotting import save_png
+    from training.evaluation.comparison import as_flown
     from training.evaluation.evaluation import figures
+    from training.evaluation.tracking_plot import Tracked, draw_long, draw_step
 
     throttle = 0.0 if args.throttle is None and args.commands is None else args.throttle
     with progress_bars(args) as bar:
@@ -131,7 +134,10 @@ def _at_throttle(args: argparse.Namespace, controller: Contender, flown: Conditi
     result = figures(flights)
     title = f"{controller.name} on {flown.aircraft.name}: {flown_words(flown)}"
     held = flights.hold()
-    if args.plot and held and result.response:
+    if args.plot and drawn_as_flown(flown):
+        tracked = Tracked(controller.label, *as_flown(flights))
+        save_png(args.plot, draw_step([tracked], title) if held else draw_long([tracked], title))
+    elif args.plot and held and result.response:
         line = Line(controller.label, result.spectrum, result.smoothness)
         save_png(args.plot, draw(held, result.response, line, title))
     elif args.plot:

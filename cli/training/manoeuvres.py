@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from cli.sim.fly_jobs import Crew, Show, usable_cores
-from cli.training.conditions import check_controllers, check_ranges
+from cli.training.conditions import check_controllers
+from cli.training.ranges import check_ranges
 
 if TYPE_CHECKING:
     from sim.aircraft.model import Aircraft
@@ -25,6 +26,7 @@ T = TypeVar("T")
 SEEDS_MAX, DESCENTS = 100, 3
 GUST_MAX = 50.0  # [m/s]
 BUILD = Path(__file__).resolve().parents[2] / "build" / "BETAFLIGHT"
+DRAWN = ("roll", "split-s")
 COLUMNS = (  # heading, figure, digits
     ("MAE", "mae", 2),
     ("MSE", "mse", 0),
@@ -72,17 +74,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="flights at a time; default: the computer's cores"
     )
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE.png",
+        help=f"draw commanded and flown rates of the first flights of: {', '.join(DRAWN)}",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly everybody and print the figures."""
-    from cli.output import command_line
+    from cli.output import check_output, command_line
     from sim.aircraft.model import load_aircraft
     from sim.flight.manoeuvres import SETTLE_S
     from training.evaluation.manoeuvres import Air, document
 
     check_controllers(args.contenders)
+    check_output(args.plot, ".png")
     check_ranges(
         ("--seeds", args.seeds, 1, SEEDS_MAX),
         ("--seed", args.seed, 0, 2**31),
@@ -93,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     aircraft = load_aircraft(args.aircraft)
     air = Air(args.battery, args.gust)
     flown = _fly(args, aircraft, air)
+    if args.plot:
+        _plot(args, aircraft, air, flown)
     if not args.json:
         _print(args, aircraft, flown)
         return 0
@@ -163,6 +174,34 @@ def _fly(args: argparse.Namespace, aircraft: Aircraft, air: Air) -> list[Flown]:
         )
         for one, curve in pairs
     ]
+
+
+def _plot(args: argparse.Namespace, aircraft: Aircraft, air: Air, flown: Sequence[Flown]) -> None:
+    """Fly the first seed of some manoeuvres again, as it was flown, and draw it."""
+    import numpy as np
+
+    from sim.flight.manoeuvres import MANOEUVRES
+    from sim.plotting import save_png
+    from training.evaluation.manoeuvres import trace_manoeuvre
+    from training.evaluation.manoeuvres_plot import Shown, draw
+
+    pairs = [(each, one) for each in MANOEUVRES if each.name in DRAWN for one in flown]
+    tasks = [
+        partial(trace_manoeuvre, one.contender, aircraft, air, each, one.curve, args.seed)
+        for each, one in pairs
+    ]
+    traces = _all(args, "pictures", tasks)
+    shown = [
+        Shown(
+            each.name,
+            one.contender.label,
+            trace.t,
+            np.rad2deg(trace.setpoint.astype(np.float64)),
+            np.rad2deg(trace.rate.astype(np.float64)),
+        )
+        for (each, one), trace in zip(pairs, traces, strict=True)
+    ]
+    save_png(args.plot, draw(shown, f"{aircraft.name}: manoeuvres at equal thrust, seed {args.seed}"))
 
 
 def _descents(args: argparse.Namespace) -> int:

@@ -11,7 +11,8 @@ Axes last: roll, pitch, yaw. E is a number of episodes, L one of samples of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +66,9 @@ class Response:
     peak: Array  # largest rate towards the command, in % of the initial error; where `large`
     error: Array  # sum of |error| over 1 ms samples [rad/s]
     stability: Array  # |slope| of the rate's linear regression after LATE_S [deg/s^2]
+    slope: (
+        Array  # the same slope with its sign [rad/s^2], as Koch reports it: opposite drifts cancel in a mean
+    )
     in_band_500: Array  # share of the time after 500 ms in the band with the floor, 0..1
     in_band_750: Array
     in_band_500_bare: Array  # the same without the floor
@@ -92,6 +96,7 @@ class ResponseFigures:
     peak: Mean
     error: Mean
     stability: Mean
+    slope: Mean
     in_band_500: Mean
     in_band_750: Mean
     in_band_500_bare: Mean
@@ -160,6 +165,7 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
     success_bare, _ = _settled(bare, held.step_s)
     part, enough = progress(held), large(held, floor_deg_s)
     (began, _), (ended, reached) = (_first_crossing(part, level) for level in RISE)
+    slope = _slope(held.rate[:, late:], held.step_s)
     return Response(
         success=success,
         success_bare=success_bare,
@@ -170,7 +176,8 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         rise_ms=np.where(enough & reached, (ended - began) * held.step_s * 1e3, 0.0),
         peak=np.where(enough, 100 * part.max(axis=1), 0.0),
         error=error.sum(axis=1) * (held.step_s * SAMPLES_PER_S),
-        stability=np.rad2deg(np.abs(_slope(held.rate[:, late:], held.step_s))),
+        stability=np.rad2deg(np.abs(slope)),
+        slope=slope,
         in_band_500=inside[:, late:].mean(axis=1),
         in_band_750=inside[:, later:].mean(axis=1),
         in_band_500_bare=bare[:, late:].mean(axis=1),
@@ -182,6 +189,14 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         steady=np.asarray(inside[:, late:end].all(axis=(1, 2))),
         steady_bare=np.asarray(bare[:, late:end].all(axis=(1, 2))),
     )
+
+
+def together(each: Sequence[Response]) -> Response:
+    """The episodes of several responses as those of one."""
+    joined = {
+        field.name: np.concatenate([getattr(one, field.name) for one in each]) for field in fields(Response)
+    }
+    return Response(**joined)
 
 
 def response_figures(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFigures:
@@ -204,6 +219,7 @@ def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
         peak=mean_of(each.peak, each.large),
         error=mean_of(each.error, everyone),
         stability=mean_of(each.stability, everyone),
+        slope=mean_of(each.slope, everyone),
         in_band_500=mean_of(each.in_band_500, everyone),
         in_band_750=mean_of(each.in_band_750, everyone),
         in_band_500_bare=mean_of(each.in_band_500_bare, everyone),

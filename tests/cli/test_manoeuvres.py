@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from cli.main import main
 from sim.analysis.manoeuvre import ManoeuvreFigures
 from sim.analysis.stick_flight import DescentFigures
 from sim.flight.manoeuvres import MANOEUVRES, Manoeuvre, ThrustCurve
-from training.evaluation import manoeuvres
+from training.evaluation import manoeuvres, manoeuvres_plot
 from training.evaluation.manoeuvres import Air, Contender
 from training.results_page.page import render
 from training.results_page.stored_results import Stored
@@ -82,6 +86,45 @@ def test_the_table_marks_wins(capsys: Capture, monkeypatch: pytest.MonkeyPatch) 
     assert "17.5" in out
 
 
+@pytest.mark.usefixtures("in_no_time")
+def test_the_plot_shows_the_first_flights_of_roll_and_split_s(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    drawn = []
+
+    def traced(
+        contender: Contender,
+        aircraft: object,
+        air: Air,
+        manoeuvre: Manoeuvre,
+        curve: object,
+        seed: int,
+        *_: Any,
+    ) -> SimpleNamespace:
+        t = np.arange(0.0, 3.0, 0.01)
+        setpoint = np.zeros((len(t), 3))
+        setpoint[120:150, 0] = np.deg2rad(720.0)
+        off = np.deg2rad(5.0 if contender.name == TUNED else 8.0)
+        return SimpleNamespace(t=t, setpoint=setpoint, rate=setpoint + off)
+
+    def drawing(flights: list[manoeuvres_plot.Shown], title: str) -> Figure:
+        drawn.extend(flights)
+        return draw(flights, title)
+
+    draw = manoeuvres_plot.draw
+    monkeypatch.setattr(manoeuvres, "trace_manoeuvre", traced)
+    monkeypatch.setattr(manoeuvres_plot, "draw", drawing)
+    plot = tmp_path / "manoeuvres.png"
+    assert main(["manoeuvres", TUNED, PUBLISHED, "--seeds", "1", "--plot", str(plot), "--json"]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert [(one.manoeuvre, one.label, round(one.mae, 6)) for one in drawn] == [
+        ("roll", "PID tuned", 5.0),
+        ("roll", "PID published", 8.0),
+        ("split-s", "PID tuned", 5.0),
+        ("split-s", "PID published", 8.0),
+    ]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -91,6 +134,7 @@ def test_the_table_marks_wins(capsys: Capture, monkeypatch: pytest.MonkeyPatch) 
         (["pid", "--seeds", "0"], "--seeds 0"),
         (["pid", "--battery", "1.5"], "--battery 1.5"),
         (["pid", "--gust", "-1"], "--gust -1"),
+        (["pid", "--plot", "rates.pdf"], "ends in .png"),
     ],
 )
 def test_it_is_refused_in_one_line(words: list[str], message: str, capsys: Capture) -> None:

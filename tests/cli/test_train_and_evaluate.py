@@ -20,7 +20,7 @@ def test_train_writes_its_results_and_does_not_replace_them_without_force(
     assert "32,768 steps" in capsys.readouterr().out
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     results = {"checkpoint.pt", "policy.onnx", "training.json"}
-    assert set(made) == {*results, "monitor.json", "monitor.png"}
+    assert set(made) == {*results, "monitor.json", "monitor.png", "rewards.csv"}
     assert json.loads(made["training.json"])["command"] == (
         "neuroflight train --aircraft nf1 --algorithm ppo --steps 32768 --seed 3"
     )

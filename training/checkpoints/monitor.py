@@ -27,7 +27,7 @@ from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 EPISODES = 5
 SEED = 1_000_003  # of the monitor's episodes; results are measured on others
-OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # those that `neuroflight evaluate` flies
+OWN_TASKS = (PulseTask.name, EpisodicTask.name, EnvelopeTask.name)  # in which a command is held
 
 Weights = Mapping[str, NDArray[np.float32]]  # by the names that `toolchain.policy.freeze` knows
 

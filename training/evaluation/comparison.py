@@ -7,14 +7,14 @@ deg/s where the means alone would need ten times as many episodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.analysis.confidence import Mean, paired, share_of
-from sim.analysis.response import Hold, large, progress
+from sim.analysis.confidence import Mean, mean_of, paired, share_of
+from sim.analysis.response import Hold, large, mean_figures, progress, together
 from training.evaluation.controllers import Conditions, Contender
 from training.evaluation.evaluation import Evaluation, Flights, Scores, interval, scores, summary
 
@@ -23,6 +23,7 @@ CHUNK = 128  # episodes whose errors are computed at a time
 PERCENTILES = (5, 50, 95)  # over commands, of the drawn curves
 STEP_S = 0.6  # drawn part of a held command
 SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
+ERRORS = (*SUMS, "error")
 SHARES = ("steady", "steady_bare")  # shares of episodes, each 0 or 1
 
 
@@ -83,6 +84,7 @@ def values(each: Scores) -> dict[str, Array]:
         "success_bare": response.success_bare.astype(np.float64),
         "rise_ms": np.where(response.rose, response.rise_ms, np.nan),
         "peak": np.where(response.large, response.peak, np.nan),
+        "error": response.error,
         "all_in_band_500": response.all_in_band_500,
         "all_in_band_750": response.all_in_band_750,
         "all_in_band_500_bare": response.all_in_band_500_bare,
@@ -94,10 +96,7 @@ def values(each: Scores) -> dict[str, Array]:
 
 def means(scores: Scores) -> dict[str, Mean]:
     """Each figure over episodes, averaged over axes, with its 95 % confidence."""
-    return {
-        name: share_of(each == 1.0) if name in SHARES else _mean(each)
-        for name, each in values(scores).items()
-    }
+    return {name: _mean_of(name, each) for name, each in values(scores).items()}
 
 
 def differences(first: Scores, other: Scores) -> dict[str, Mean]:
@@ -111,6 +110,68 @@ def significant(difference: Mean) -> bool:
     return bool(difference.low > 0.0 or difference.high < 0.0)
 
 
+def percent(first: Scores, other: Scores) -> dict[str, Mean]:
+    """How much larger the means of ERRORS are in `other` than in `first` on the same commands [%].
+
+    The mean of all axes, of which each episode counts its own mean; see `change_percent`. NaN where the first
+    has no error at all.
+    """
+    before, after = values(first), values(other)
+    return {
+        name: change_percent(before[name].mean(axis=1), after[name].mean(axis=1))
+        for name in ERRORS
+        if name in before
+    }
+
+
+def change_percent(first: Array, other: Array) -> Mean:
+    """100 (mean of other / mean of first - 1) of paired values (E,), with its 95 % confidence.
+
+    The interval is that of the ratio's linearisation: of other - ratio * first, over the mean of first.
+    """
+    base = float(first.mean())
+    if base == 0.0:
+        unknown = np.array(np.nan)
+        return Mean(unknown, unknown, unknown, np.array(0, np.int64))
+    ratio = float(other.mean()) / base
+    each = 100.0 * ((ratio - 1.0) + (other - ratio * first) / base)
+    return mean_of(each, np.ones(len(each), bool))
+
+
+def times_faster(first: Evaluation, other: Evaluation) -> list[float | None]:
+    """Mean rise time of `first` over that of `other`, roll, pitch, yaw; None where one of them never rose."""
+    if first.response is None or other.response is None:
+        return [None] * 3
+    before, after = first.response.rise_ms, other.response.rise_ms
+    known = (before.count > 0) & (after.count > 0) & (after.value > 0)
+    return [
+        float(before.value[axis] / after.value[axis]) if known[axis] else None for axis in range(len(known))
+    ]
+
+
+def average(entries: Sequence[Entry]) -> dict[str, object]:
+    """All episodes of several entries as one, as JSON data: agents of one configuration, of several seeds.
+
+    `best` is the one with the lowest sum of the errors of the three axes (Koch 2019, chapter 3): of `error`
+    where commands are held, else of the integrated absolute error.
+    """
+    responses = [entry.scores.response for entry in entries]
+    held = [response for response in responses if response is not None]
+    pooled = [values(entry.scores) for entry in entries]
+    sums = [float(each["error" if "error" in each else "iae"].mean(axis=0).sum()) for each in pooled]
+    return {
+        "controllers": [entry.controller.name for entry in entries],
+        "episodes": sum(len(entry.scores.output) for entry in entries),
+        "sum_of_errors": sums,
+        "best": entries[int(np.argmin(sums))].controller.name,
+        "means": {
+            name: interval(_mean_of(name, np.concatenate([each[name] for each in pooled])))
+            for name in pooled[0]
+        },
+        "response": asdict(mean_figures(together(held))) if len(held) == len(entries) else None,
+    }
+
+
 def document(entry: Entry, first: Entry | None) -> dict[str, object]:
     """Means, and differences to `first` unless that is None, as JSON data."""
     found: dict[str, object] = {"means": {name: interval(mean) for name, mean in means(entry.scores).items()}}
@@ -119,6 +180,10 @@ def document(entry: Entry, first: Entry | None) -> dict[str, object]:
             name: {**interval(mean), "significant": significant(mean)}
             for name, mean in differences(first.scores, entry.scores).items()
         }
+        found["percent"] = {
+            name: interval(mean) for name, mean in percent(first.scores, entry.scores).items() if mean.count
+        }
+        found["times_faster"] = times_faster(first.evaluation, entry.evaluation)
     return found
 
 
@@ -136,11 +201,17 @@ def curves(flights: Flights) -> Curves:
         error=np.rad2deg(np.percentile(error, PERCENTILES, axis=0)),
         step_t=step_t,
         step=step,
-        example=Example(
-            setpoint=np.rad2deg(flights.setpoint[0], dtype=np.float64),
-            rate=np.rad2deg(flights.rate[0], dtype=np.float64),
-            motors=None if flights.motors is None else flights.motors[0].astype(np.float64),
-        ),
+        example=as_flown(flights)[1],
+    )
+
+
+def as_flown(flights: Flights) -> tuple[Array, Example]:
+    """The first episode: times [s], (T,), and what was flown."""
+    steps = flights.rate.shape[1]
+    return np.asarray(np.arange(steps) * flights.step_s, np.float64), Example(
+        setpoint=np.rad2deg(flights.setpoint[0], dtype=np.float64),
+        rate=np.rad2deg(flights.rate[0], dtype=np.float64),
+        motors=None if flights.motors is None else flights.motors[0].astype(np.float64),
     )
 
 
@@ -154,5 +225,5 @@ def _steps(held: Hold) -> tuple[Array, Array]:
     return held.t[shown], drawn
 
 
-def _mean(each: Array) -> Mean:
-    return paired(np.zeros_like(each), each)
+def _mean_of(name: str, each: Array) -> Mean:
+    return share_of(each == 1.0) if name in SHARES else paired(np.zeros_like(each), each)

@@ -121,6 +121,19 @@ def fly_manoeuvre(
     return manoeuvre_figures(trace, motion.thrust, manoeuvre.commanded, SETTLE_S)
 
 
+def trace_manoeuvre(
+    contender: Contender,
+    aircraft: Aircraft,
+    air: Air,
+    manoeuvre: Manoeuvre,
+    curve: ThrustCurve,
+    seed: int,
+    progress: Progress | None = None,
+) -> Trace:
+    """The same flight as it was flown."""
+    return _flight(contender, aircraft, air, manoeuvre.scenario(curve.throttle_of), seed, progress)[0]
+
+
 def fly_descent(
     contender: Contender,
     aircraft: Aircraft,

@@ -11,7 +11,7 @@ import io
 import json
 import sys
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from toolchain.files import file_size, write_bytes
 from training.checkpoints.metrics import CheckpointMetrics
 from training.checkpoints.selection import better
 from training.config.selection import SelectionLimits
+from training.runs.rewards import Rewards
 
 Policy = dict[str, torch.Tensor]  # weights by the names that `toolchain.policy.freeze` knows
 
@@ -70,6 +71,7 @@ class Run:
     steps: int  # control steps done
     policy: Policy  # the latest
     learner: dict[str, Any]  # Learner.state
+    rewards: Rewards = field(default_factory=Rewards)  # of training, from the first step on
 
 
 def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_state: MonitorState) -> None:
@@ -89,6 +91,7 @@ def save_checkpoint(path: Path, document: dict[str, Any], run: Run, monitor_stat
         },
         "readings": json.dumps([r.document() for r in monitor_state.history]),
         "pending": [[steps, waiting] for steps, waiting in monitor_state.pending],
+        "rewards": json.dumps(run.rewards.points),
     }
     # Through memory: given a path, torch would store the file's name.
     buffer = io.BytesIO()
@@ -114,7 +117,15 @@ def load_run(path: Path, document: dict[str, Any]) -> tuple[Run, MonitorState]:
         form = content["format"], content["version"]
         config = json.loads(content["config"])
         progress = content["progress"]
-        run = Run(int(progress["leg"]), int(progress["steps"]), dict(content["latest"]), content["learner"])
+        # A checkpoint of an older version has no rewards: the run's record then begins where it is resumed.
+        points = json.loads(content.get("rewards", "[]"))
+        run = Run(
+            segment=int(progress["leg"]),
+            steps=int(progress["steps"]),
+            policy=dict(content["latest"]),
+            learner=content["learner"],
+            rewards=Rewards(tuple((int(steps), float(reward)) for steps, reward in points)),
+        )
         history = tuple(CheckpointMetrics.of(item) for item in json.loads(content["readings"]))
         chosen = [r for r in history if r.steps == progress["chosen_steps"]]
         monitor_state = MonitorState(

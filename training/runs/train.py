@@ -1,4 +1,4 @@
-"""A training run: learns in the twin and writes checkpoint.pt, policy.onnx and training.json."""
+"""A training run: learns in the twin; writes checkpoint.pt, policy.onnx, training.json and rewards.csv."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ from training.config.training_config import TrainingConfig
 from training.learners.protocol import Report
 from training.runs.checkpoint import MonitorState, Policy, Run, load_run, save_checkpoint, snapshot
 from training.runs.make_learner import make_learner
+from training.runs.rewards import Rewards
 
 CHECKPOINT, POLICY, RECORD, MONITOR = "checkpoint.pt", "policy.onnx", "training.json", "monitor.json"
-RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR)
+REWARDS = "rewards.csv"
+RESULTS = (CHECKPOINT, POLICY, RECORD, MONITOR, REWARDS)
 RECORD_BYTES_MAX = 4 << 20
 TOOLS = ("torch", "stable_baselines3", "sb3_contrib", "pybullet", "gymnasium", "numpy")
 
@@ -89,7 +91,7 @@ def train(
     monitor: Monitor | None = None,
     command: str | None = None,
 ) -> Progress:
-    """Train and write `out`/checkpoint.pt, policy.onnx and training.json.
+    """Train and write `out`/checkpoint.pt, policy.onnx, training.json and rewards.csv.
 
     A run is a sequence of segments. Each begins with new episodes and a random stream of its own, and needs
     only what is saved at the end of the one before: a resumed run gives the bytes of one that never stopped.
@@ -113,6 +115,7 @@ def train(
         model.restore(run.learner)
         segment, before = run.segment, _seconds(out)
         marked = monitor_state.steps if monitor else run.steps
+    rewards = run.rewards if run is not None else Rewards()
     state = Progress(model.steps, config.steps, before, 0.0, chosen=monitor_state.best)
 
     def listen(*, wait: bool = False) -> None:
@@ -123,8 +126,9 @@ def train(
             callback.monitored(metrics)
 
     def report(update: Report) -> None:
-        nonlocal state
+        nonlocal state, rewards
         listen()
+        rewards = rewards.reported(update.steps, update.reward, config.steps)
         passed = before + time.monotonic() - began
         state = Progress(
             update.steps, config.steps, passed, update.reward, update.figures, monitor_state.best
@@ -147,7 +151,7 @@ def train(
                 break
             model.learn(segment, report)
             segment += 1
-            run = Run(segment, model.steps, snapshot(model.policy()), snapshot(model.state()))
+            run = Run(segment, model.steps, snapshot(model.policy()), snapshot(model.state()), rewards)
         assert run is not None
         listen(wait=True)
         results.write(run, monitor_state, state.seconds)
@@ -189,6 +193,7 @@ class _Results:
         freeze(self.out / CHECKPOINT, self.out / POLICY)
         self.write_monitor(monitor_state)
         write_text(self.out / RECORD, _text(self._record(run, monitor_state, seconds)))
+        run.rewards.write(self.out / REWARDS)
 
     def write_monitor(self, monitor_state: MonitorState) -> None:
         """monitor.json, if there is a monitor."""

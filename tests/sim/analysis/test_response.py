@@ -115,7 +115,9 @@ def test_stability_is_the_slope_when_the_rate_drifts_late() -> None:
     rate = np.full((1, 1000, 3), 100.0)
     rate[:, 0] = 0.0
     rate[0, 500:] += np.outer(T[:500], [30.0, -12.0, 0.0])
-    assert response(held(rate, command)).stability[0] == pytest.approx([30.0, 12.0, 0.0], abs=1e-6)
+    found = response(held(rate, command))
+    assert found.stability[0] == pytest.approx([30.0, 12.0, 0.0], abs=1e-6)
+    assert np.rad2deg(found.slope[0]) == pytest.approx([30.0, -12.0, 0.0], abs=1e-6)
 
 
 def test_command_is_found_when_it_stands_between_rests() -> None:

@@ -16,7 +16,16 @@ from sim.analysis.metrics import Tracking
 from sim.analysis.spectrum import Spectrum
 from tests.training.evaluation.constant import Constant
 from toolchain.errors import AircraftError, PolicyError
-from training.evaluation.comparison import curves, differences, document, enter, means, significant
+from training.evaluation.comparison import (
+    change_percent,
+    curves,
+    differences,
+    document,
+    enter,
+    means,
+    percent,
+    significant,
+)
 from training.evaluation.comparison_plot import draw
 from training.evaluation.controllers import Conditions, ControllerSpec, load_controller
 from training.evaluation.evaluation import Flights, Scores, scores
@@ -75,6 +84,27 @@ def test_difference_is_found_significant_one_time_in_twenty_when_there_is_none()
         one, two = (figures(command + rng.normal(0.0, 1.0, 30), np.zeros(30)) for _ in range(2))
         marks.append(significant(differences(one, two)["mae"]))
     assert np.mean(marks) == pytest.approx(0.05, abs=0.01)
+
+
+def test_percent_is_exact_and_sure_when_every_error_is_a_quarter_less() -> None:
+    errors = np.random.default_rng(3).uniform(1.0, 40.0, 50)
+    found = percent(figures(errors, np.zeros(50)), figures(0.75 * errors, np.zeros(50)))["mae"]
+    assert [float(value) for value in (found.value, found.low, found.high)] == pytest.approx([-25.0] * 3)
+
+
+def test_percent_covers_the_true_change_nineteen_times_in_twenty() -> None:
+    rng = np.random.default_rng(6)
+    hits = []
+    for _ in range(2000):
+        command = rng.gamma(4.0, 10.0, 60)
+        first, other = command + rng.normal(0.0, 5.0, 60), 0.8 * command + rng.normal(0.0, 5.0, 60)
+        found = change_percent(first, other)
+        hits.append(float(found.low) <= -20.0 <= float(found.high))
+    assert np.mean(hits) == pytest.approx(0.95, abs=0.015)
+
+
+def test_there_is_no_percentage_of_no_error() -> None:
+    assert not percent(figures(np.zeros(3), np.zeros(3)), figures(np.ones(3), np.zeros(3)))["mae"].count
 
 
 def test_means_are_those_of_the_axes_when_they_differ() -> None:

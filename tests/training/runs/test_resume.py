@@ -17,7 +17,7 @@ from toolchain.policy.model import read_policy
 ROOT = Path(__file__).resolve().parents[3]
 Capture = pytest.CaptureFixture[str]
 
-SAME = ("checkpoint.pt", "policy.onnx", "monitor.json")
+SAME = ("checkpoint.pt", "policy.onnx", "monitor.json", "rewards.csv")
 SHORT = ["hidden=[8,8]", "task=episodic", "task.hold_s=0.05"]
 RUNS = {  # eight segments each, a checkpoint every second
     "ppo": [

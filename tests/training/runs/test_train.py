@@ -16,6 +16,7 @@ from toolchain.policy.model import read_policy
 from training.config.algorithms import PpoConfig
 from training.config.training_config import OBSERVATION_SCALES, TrainingConfig, WorldConfig
 from training.evaluation.evaluation import figures, record
+from training.runs.rewards import read_rewards
 from training.runs.train import Callback, Progress, train
 from training.tasks.task import PulseTask
 
@@ -42,8 +43,10 @@ def test_writes_checkpoint_policy_and_record(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "checkpoint.pt",
         "policy.onnx",
+        "rewards.csv",
         "training.json",
     ]
+    assert read_rewards(tmp_path / "rewards.csv").points == tuple((p.steps, p.reward) for p in seen)
     policy = read_policy(tmp_path / "policy.onnx")
     assert policy.control_rate_hz == 1000
     assert policy.aircraft_sha256 == NF1.sha256

@@ -1,0 +1,203 @@
+"""What `evaluate` and `compare` command: the arguments of tasks, named commands and recordings, as a task."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.training.ranges import check_ranges
+
+if TYPE_CHECKING:
+    from training.evaluation.controllers import Conditions
+    from training.tasks.pieces import RecordedPieces
+    from training.tasks.task import Task
+
+TASKS = ("pulse", "episodic", "envelope", "continuous")
+CONTINUOUS_EPISODES = 10  # unless the user says: each holds many commands
+CONTINUOUS_MAX_S = 10_000.0  # of all episodes together; all are kept in memory, a gigabyte for this long
+LENGTH_MIN_S, LENGTH_MAX_S = 0.1, 600.0
+PIECE_S = 5.0  # of recorded commands, unless the user says
+PIECE_MIN_S, PIECE_MAX_S = 0.1, 3600.0
+
+
+def add_task_arguments(parser: argparse.ArgumentParser, episodes: int) -> None:
+    """The arguments; `episodes` is the default number of random commands."""
+    parser.add_argument("--task", choices=TASKS, help=f"what is commanded; default: {TASKS[0]}")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        metavar="N",
+        help=f"commands, one aircraft each; default: {episodes}, of the continuous task "
+        f"{CONTINUOUS_EPISODES}",
+    )
+    parser.set_defaults(episodes_default=episodes)
+    parser.add_argument(
+        "--command",
+        dest="named_command",  # `command` is the subcommand's name
+        type=float,
+        nargs=3,
+        metavar=("ROLL", "PITCH", "YAW"),
+        help="this command [deg/s] instead of random ones, in the pulse, episodic or envelope task; "
+        "--plot draws its step responses. Default: one episode; more differ in the noise",
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        metavar="DEG_S",
+        help="greatest command of the episodic and the continuous task; default: 300 and 360",
+    )
+    parser.add_argument(
+        "--length",
+        type=float,
+        metavar="SECONDS",
+        help="of an episode of the continuous task; default: 10",
+    )
+    parser.add_argument(
+        "--commands",
+        type=Path,
+        metavar="FILE",
+        help="fly these recorded commands instead: a trace (.npz), a table (.csv), a blackbox log (.bbl, "
+        ".bfl, .txt; FILE:N for its log N)",
+    )
+    parser.add_argument(
+        "--piece",
+        type=float,
+        metavar="SECONDS",
+        help=f"cut them into episodes of at least this length, one aircraft each; 0: one, the whole; "
+        f"default: {PIECE_S:g}",
+    )
+
+
+def task_of(args: argparse.Namespace) -> tuple[Task, int]:
+    """What is commanded, and its number of episodes."""
+    from sim.physics.world import COUNT_MAX
+    from toolchain.errors import TrainingError
+    from training.tasks.task import ContinuousTask
+
+    if args.commands is None:
+        if args.piece is not None:
+            raise TrainingError("--piece: cuts recorded commands; give them with --commands")
+        task = _commanded(args)
+        episodes = args.episodes_default
+        if args.named_command is not None:
+            episodes = 1
+        elif isinstance(task, ContinuousTask):
+            episodes = min(episodes, CONTINUOUS_EPISODES)
+        if args.episodes is not None:
+            episodes = args.episodes
+        check_ranges(("--episodes", episodes, 1, COUNT_MAX))
+        if isinstance(task, ContinuousTask) and episodes * task.length_s > CONTINUOUS_MAX_S:
+            raise TrainingError(
+                f"{episodes} episodes of {task.length_s:g} s, expected at most {CONTINUOUS_MAX_S:g} s "
+                f"together; ask for fewer, or for shorter ones with --length"
+            )
+        return task, episodes
+    for option in ("task", "episodes", "named_command", "limit", "length"):
+        if getattr(args, option) is not None:
+            word = "command" if option == "named_command" else option
+            raise TrainingError(f"--{word}: the commands are those of {args.commands}; leave it out")
+    if args.piece:
+        check_ranges(("--piece", args.piece, PIECE_MIN_S, PIECE_MAX_S))
+    pieces = _pieces(args)
+    check_ranges((f"pieces of {args.commands}", pieces.count, 1, COUNT_MAX))
+    return pieces, pieces.count
+
+
+def _commanded(args: argparse.Namespace) -> Task:
+    """The task of the arguments, with their limit, length or command."""
+    from toolchain.contract import RATE_FULL_STICK_DEG_S
+    from toolchain.errors import TrainingError
+    from training.tasks.named_command import NamedCommand
+    from training.tasks.registry import TASKS as BUILDERS
+    from training.tasks.task import ContinuousTask, EpisodicTask, PulseTask, RandomCommands
+
+    full = float(RATE_FULL_STICK_DEG_S)
+    task = BUILDERS[args.task or TASKS[0]]()
+    if args.length is not None:
+        if not isinstance(task, ContinuousTask):
+            raise TrainingError(f"--length: of the continuous task, got {task.name}; leave it out")
+        check_ranges(("--length", args.length, LENGTH_MIN_S, LENGTH_MAX_S))
+        task = replace(task, length_s=args.length)
+    if args.limit is not None:
+        if not isinstance(task, RandomCommands) or task.distribution != "uniform":
+            raise TrainingError(
+                f"--limit: of the episodic and the continuous task, got {task.name}; leave it out"
+            )
+        if args.named_command is not None:
+            raise TrainingError("--limit: of random commands; --command names one; leave it out")
+        check_ranges(("--limit", args.limit, 1.0, full))
+        task = replace(task, limit_deg_s=args.limit)
+    if args.named_command is None:
+        return task
+    if not isinstance(task, (PulseTask, EpisodicTask)):
+        raise TrainingError(
+            f"--command: holds in the pulse, episodic and envelope task, got {task.name}; choose one of them"
+        )
+    roll, pitch, yaw = args.named_command
+    check_ranges(*(("--command", value, -full, full) for value in (roll, pitch, yaw)))
+    if not any(args.named_command):
+        raise TrainingError("--command 0 0 0, expected a rate other than 0 on some axis")
+    return NamedCommand(task, (roll, pitch, yaw))
+
+
+def _pieces(args: argparse.Namespace) -> RecordedPieces:
+    """The recorded commands of the arguments; says on stderr what they lose."""
+    from sim.recorded.files import load_commands
+    from training.tasks.pieces import RecordedPieces
+
+    recorded = load_commands(args.commands)
+    for words in recorded.warnings():
+        print(words, file=sys.stderr)
+    piece_s = PIECE_S if args.piece is None else args.piece
+    return RecordedPieces.cut(recorded.scenario(), piece_s or None)
+
+
+def flown_words(flown: Conditions) -> str:
+    """What is flown, for titles."""
+    from training.tasks.named_command import NamedCommand
+    from training.tasks.pieces import RecordedPieces
+    from training.tasks.task import ContinuousTask
+
+    task = flown.task
+    if isinstance(task, RecordedPieces):
+        cut = f"{flown.episodes} pieces of {task.duration_s:g} s of " if flown.episodes > 1 else ""
+        return f"{cut}the recording {task.scenario.name}, seed {flown.seed}"
+    if isinstance(task, NamedCommand):
+        rates = ", ".join(f"{rate:g}" for rate in task.command_deg_s)
+        times = f", {flown.episodes} times" if flown.episodes > 1 else ""
+        return f"{task.task.name} command of ({rates}) deg/s{times}, seed {flown.seed}"
+    if isinstance(task, ContinuousTask):
+        episodes = f"{flown.episodes} episodes" if flown.episodes > 1 else "an episode"
+        return f"{episodes} of {task.name}, {task.length_s:g} s, seed {flown.seed}"
+    return f"{flown.episodes} commands of {task.name}, seed {flown.seed}"
+
+
+def task_name(task: Task) -> str:
+    """What --task calls it, with a named command too."""
+    from training.tasks.named_command import NamedCommand
+
+    return task.task.name if isinstance(task, NamedCommand) else task.name
+
+
+def drawn_as_flown(flown: Conditions) -> bool:
+    """Whether a plot shows the first episode as it was flown, rather than all of them on one scale."""
+    from training.tasks.named_command import NamedCommand
+    from training.tasks.task import ContinuousTask
+
+    return isinstance(flown.task, (NamedCommand, ContinuousTask))
+
+
+def task_document(flown: Conditions) -> dict[str, Any]:
+    """What is commanded, as JSON data."""
+    from training.tasks.named_command import NamedCommand
+    from training.tasks.task import ContinuousTask
+
+    task, found = flown.task, {"task": task_name(flown.task)}
+    if isinstance(task, NamedCommand):
+        return {**found, "command_deg_s": list(task.command_deg_s)}
+    if isinstance(task, ContinuousTask):
+        return {**found, "length_s": task.length_s, "limit_deg_s": task.limit_deg_s}
+    return found

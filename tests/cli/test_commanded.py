@@ -1,0 +1,98 @@
+"""`evaluate` and `compare` on a named command and on many continuous ones, as a user types them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+TUNED, PUBLISHED = "pid:tuned", "pid:published"
+
+
+def told(capsys: Capture, *words: str) -> dict[str, Any]:
+    assert main([*words, "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_a_named_command_is_flown_by_all_and_compared_by_axis(tmp_path: Path, capsys: Capture) -> None:
+    plot = tmp_path / "step.png"
+    words = ["compare", TUNED, PUBLISHED, "--task", "episodic", "--command", "126.1", "-294.5", "-103.7"]
+    document = told(capsys, *words, "--plot", str(plot))
+    assert (document["task"], document["episodes"]) == ("episodic", 1)
+    assert document["command_deg_s"] == [126.1, -294.5, -103.7]
+    first, other = document["comparison"]
+    errors = [np.array(each["response"]["error"]["value"]) for each in (first, other)]
+    # A thousand samples a second of an error that begins at the command.
+    assert 0.02 * np.deg2rad(294.5) * 1000 < errors[0][1] < 0.5 * np.deg2rad(294.5) * 1000
+    assert other["percent"]["error"]["value"] == pytest.approx(100 * (errors[1].sum() / errors[0].sum() - 1))
+    rises = [np.array(each["response"]["rise_ms"]["value"]) for each in (first, other)]
+    assert other["times_faster"] == pytest.approx((rises[0] / rises[1]).tolist())
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    again = told(capsys, *document["command"].split()[1:])
+    assert again == document
+    alone = told(capsys, "evaluate", TUNED, *words[3:], "--plot", str(plot))
+    assert alone["response"] == first["response"]
+
+
+def test_continuous_commands_are_as_long_and_as_large_as_asked_for(tmp_path: Path, capsys: Capture) -> None:
+    plot = tmp_path / "long.png"
+    words = ["--task", "continuous", "--length", "2", "--limit", "50", "--episodes", "3", "--no-noise"]
+    document = told(capsys, "compare", TUNED, PUBLISHED, *words, "--plot", str(plot))
+    assert (document["task"], document["length_s"], document["limit_deg_s"]) == ("continuous", 2.0, 50.0)
+    first, other = document["comparison"]
+    assert first["response"] is None
+    assert other["percent"]["mae"]["value"] == pytest.approx(
+        100 * (np.mean(other["mae"]) / np.mean(first["mae"]) - 1)
+    )
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert told(capsys, *document["command"].split()[1:])["comparison"] == document["comparison"]
+    wide = told(capsys, "evaluate", TUNED, *words, "--limit", "300", "--plot", str(plot))
+    assert np.mean(wide["mae"]) > 2 * np.mean(first["mae"])
+
+
+def test_agents_are_averaged_and_the_best_has_the_lowest_error(
+    shipped_policy: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    agent = tmp_path / "agent.onnx"
+    agent.write_bytes(shipped_policy.read_bytes())
+    words = ["compare", TUNED, str(shipped_policy), str(agent), "--task", "episodic", "--episodes", "4"]
+    document = told(capsys, *words, "--average")
+    (average,) = document["average"]
+    assert average["controllers"] == [str(shipped_policy), str(agent)]
+    assert (average["episodes"], average["best"]) == (8, str(shipped_policy))
+    one = document["comparison"][1]["response"]
+    for name in ("success", "rise_ms", "peak", "error", "slope"):
+        assert average["response"][name]["value"] == pytest.approx(one[name]["value"])
+        assert average["response"][name]["count"] == [2 * count for count in one[name]["count"]]
+    assert average["sum_of_errors"][0] == pytest.approx(sum(one["error"]["value"]))
+    assert main([*words, "--average"]) == 0
+    assert f"best of 2: {shipped_policy}" in capsys.readouterr().out.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--command", "10", "0", "3000"], "--command 3000.0, expected -"),
+        (["--command", "0", "0", "nan"], "--command nan"),
+        (["--command", "0", "0", "0"], "expected a rate other than 0"),
+        (["--task", "continuous", "--command", "1", "2", "3"], "got continuous"),
+        (["--task", "episodic", "--limit", "9", "--command", "1", "2", "3"], "--limit: of random commands"),
+        (["--length", "5"], "--length: of the continuous task, got pulse"),
+        (["--limit", "50"], "--limit: of the episodic and the continuous task, got pulse"),
+        (["--task", "continuous", "--length", "0"], "--length 0.0, expected 0.1 to 600"),
+        (["--task", "continuous", "--length", "600", "--episodes", "17"], "17 episodes of 600 s"),
+        (["--average"], "--average: 0 policies, expected at least 2"),
+        (["--commands", "pilot.csv", "--limit", "5"], "--limit: the commands are those of pilot.csv"),
+    ],
+)
+def test_it_is_refused_in_one_line(words: list[str], message: str, capsys: Capture) -> None:
+    assert main(["compare", TUNED, *words]) == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
