@@ -108,11 +108,10 @@ class Ppo1Learner:
         rollout = Rollout.empty(self._ppo1.horizon, *observation.shape, networks.motors)
         drawn = rng.standard_normal(rollout.actions.shape, np.float32)
         drawn *= np.exp(networks.split(self._parameters)[1])
-        engine, env = self._engine, self._env
+        env, actor = self._env, self._engine.acting(self._parameters, normalization, len(observation))
         rollout.observations[0] = observation
         for step, noise in enumerate(drawn):
-            mean = engine.outputs(self._parameters, normalization, observation, again=step > 0)
-            rollout.actions[step] = mean + noise
+            rollout.actions[step] = actor(observation) + noise
             observation, rollout.rewards[step], ended, infos = env.step(rollout.actions[step])
             rollout.observations[step + 1] = observation
             rollout.ended[step] = ended

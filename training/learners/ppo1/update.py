@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,8 +39,14 @@ class ActorCritic:
 
     def split(self, parameters: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Views of the actor's parameters, of log_std and of the critic's parameters."""
-        first, second = self.actor.count, self.actor.count + self.motors
+        first, second = self._ends
         return parameters[:first], parameters[first:second], parameters[second:]
+
+    @cached_property
+    def _ends(self) -> tuple[int, int]:
+        """Where log_std begins, and the critic."""
+        count = self.actor.count
+        return count, count + self.motors
 
     def fresh(self, log_std: float, rng: np.random.Generator) -> NDArray[np.float32]:
         """Parameters of untrained networks: each unit's weights have length 1, those of the outputs LAST_GAIN."""
@@ -91,24 +99,47 @@ class Engine:
         self._networks, self._number = networks, number
         self._library = load("ppo1", number)
         self._actor, self._critic = self._described(networks.actor), self._described(networks.critic)
-        memory = self._library.lib.ppo1_memory(self._actor, self._critic)
-        self._memory = aligned(memory, number)
-        self._acting = aligned(memory, number)  # of `outputs` alone, which uses what it has loaded again
+        self._size = self._library.lib.ppo1_memory(self._actor, self._critic)
+        self._memory = aligned(self._size, number)
 
-    def outputs(
-        self, parameters: Numbers, normalization: Normalization, observations: Numbers, *, again: bool = False
-    ) -> Numbers:
-        """The actor's outputs (N, M) for observations (N, n); again: with the parameters of the last call."""
-        actor = self._networks.split(parameters)[0]
-        found = np.empty((len(observations), self._networks.motors), self._number)
-        self._compute(self._actor, actor, normalization, observations, found, self._acting, again)
-        return found
+    def acting(
+        self, parameters: Numbers, normalization: Normalization, count: int
+    ) -> Callable[[Numbers], Numbers]:
+        """The actor with these parameters: a function of observations (count, n) to outputs (count, M).
+
+        Each call overwrites what the last one returned.
+        """
+        actor, observations = self._networks.split(parameters)[0], np.empty((count, len(normalization.mean)))
+        observations = observations.astype(self._number)
+        found, memory = (
+            np.empty((count, self._networks.motors), self._number),
+            aligned(self._size, self._number),
+        )
+        observed = self._observed(normalization, observations)
+        weights, result, space = (self._pointer(array) for array in (actor, found, memory))
+        compute, loaded = self._library.lib.ppo1_outputs, False
+
+        def outputs(given: Numbers) -> Numbers:
+            nonlocal loaded
+            observations[:] = given
+            compute(self._actor, weights, loaded, count, observed, result, space)
+            loaded = True
+            return found
+
+        return outputs
+
+    def outputs(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
+        """The actor's outputs (N, M) for observations (N, n)."""
+        return self.acting(parameters, normalization, len(observations))(observations)
 
     def values(self, parameters: Numbers, normalization: Normalization, observations: Numbers) -> Numbers:
         """The critic's values (N,), in its units."""
-        critic = self._networks.split(parameters)[2]
+        critic, point = self._networks.split(parameters)[2], self._pointer
         found = np.empty(len(observations), self._number)
-        self._compute(self._critic, critic, normalization, observations, found, self._memory, False)
+        observed = self._observed(normalization, observations)
+        self._library.lib.ppo1_outputs(
+            self._critic, point(critic), False, len(found), observed, point(found), point(self._memory)
+        )
         return found
 
     def log_prob(
@@ -153,22 +184,6 @@ class Engine:
         epoch.first, epoch.second = (point(mean) for mean in adam)
         self._library.lib.ppo1_epoch(epoch, point(self._memory))
         return figures, gradient
-
-    def _compute(
-        self,
-        network: Any,  # noqa: ANN401 - a struct of cffi
-        parameters: Numbers,
-        normalization: Normalization,
-        observations: Numbers,
-        found: Numbers,
-        memory: Numbers,
-        loaded: bool,
-    ) -> None:
-        point = self._pointer
-        observed = self._observed(normalization, observations)
-        self._library.lib.ppo1_outputs(
-            network, point(parameters), loaded, len(observations), observed, point(found), point(memory)
-        )
 
     def _observed(self, normalization: Normalization, observations: Numbers) -> Any:  # noqa: ANN401
         observed = self._library.ffi.new("struct observed *")
