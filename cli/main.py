@@ -25,7 +25,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
     "training": (
         *("train", "learning-curves", "sweep", "tune-pid"),
-        *("evaluate", "compare", "robustness", "manoeuvres", "results", "reproduce"),
+        *("evaluate", "compare", "robustness", "manoeuvres", "power", "results", "reproduce"),
     ),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
     "logs": ("log",),
@@ -44,6 +44,7 @@ COMMANDS = {
     "compare": "compare policies and PIDs on the same unseen commands",
     "robustness": "measure controllers on aircraft whose parameters differ from their file",
     "manoeuvres": "fly roll, flip, Split-S, punch-out and dive recovery freely, with drag, battery, gusts",
+    "power": "measure what controllers draw from the battery: disarmed, armed idling, in flight",
     "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",
     "stability": "measure how far the links of an aircraft drift apart in pybullet",
     "results": "write the page of results from stored figures",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from toolchain.cortex_m7.timing import Timing
 
 INPUTS_MAX = 1_000_000
-DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1}
+DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1, "disarmed": 0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,6 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, metavar="S", help=f"of commands and noise; default: {DEFAULTS['seed']}"
     )
+    parser.add_argument(
+        "--disarmed",
+        type=int,
+        metavar="N",
+        help="control steps of another board that stays disarmed; default: 0, those before arming alone",
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw how long an image's runs took")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -52,7 +59,11 @@ def run(args: argparse.Namespace) -> int:
     from cli.toolchain import timing_image
 
     of_image = args.policy.suffix == ".bin"
-    _reject(args, ("inputs", "blocks") if of_image else ("aircraft", "count", "seed"), of_image)
+    _reject(
+        args,
+        ("inputs", "blocks") if of_image else ("aircraft", "count", "seed", "disarmed", "plot"),
+        of_image,
+    )
     for name, default in DEFAULTS.items():
         if getattr(args, name) is None:
             setattr(args, name, default)

@@ -23,10 +23,19 @@ if TYPE_CHECKING:
     from toolchain.image.report import Built
 
 SCENARIO, COUNT_MAX = "pulses", 100
+DISARMED_MAX = 1_000_000  # control steps
+NOTES = (
+    "instructions are exact, of the emulated board; cycles are predicted by llvm-mca's model of the "
+    "Cortex-M7, see docs/timing.md",
+    "the control algorithm is asked only where the motors may turn: disarmed it has no runs",
+    "highest_rate_hz: core_hz over the worst control task, with what a gyro sample between two steps takes "
+    "left out",
+)
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly the image under its policy and under its PID, count every control task, print what they took."""
+    from cli.output import check_output
     from sim.aircraft.model import load_aircraft
     from sim.board.debug.control_timing import task_costs
     from sim.flight.scenario import load_scenario
@@ -37,11 +46,18 @@ def run(args: argparse.Namespace) -> int:
     image: Path = args.policy
     if not 1 <= args.count <= COUNT_MAX:
         raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
+    if not 0 <= args.disarmed <= DISARMED_MAX:
+        raise NeuroflightError(f"--disarmed {args.disarmed}, expected 0 to {DISARMED_MAX}")
+    check_output(args.plot, ".png")
     inside = built(image)
     aircraft = load_aircraft(args.aircraft)
     scenario = load_scenario(SCENARIO, args.seed, args.count)
     code = disassemble(image.with_suffix(".elf"), lines=True)
-    flights = [scenario] if inside.pid_motors is None else [scenario, scenario.under_pid()]
+    flights: list[Scenario | None] = [scenario]
+    if inside.pid_motors is not None:
+        flights.append(scenario.under_pid())
+    if args.disarmed:
+        flights.append(None)
     metered = _fly_all(args, aircraft, flights, code)
     runs: dict[Kind, tuple[Run, ...]] = {}
     for flight in metered:
@@ -50,6 +66,11 @@ def run(args: argparse.Namespace) -> int:
     costs, priced = task_costs(runs, code)
     costs = tuple(sorted(costs, key=_place))
     document = _document(args, inside, aircraft, metered, costs, priced)
+    if args.plot:
+        from sim.board.debug.control_timing_plot import draw
+        from sim.plotting import save_png
+
+        save_png(args.plot, draw(costs, f"{image.name}, {inside.policy}: runs on the emulated board"))
     if args.json:
         print(json.dumps(document, indent=2))
     else:
@@ -58,16 +79,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _fly_all(
-    args: argparse.Namespace, aircraft: Aircraft, scenarios: list[Scenario], code: Mapping[int, Instruction]
+    args: argparse.Namespace,
+    aircraft: Aircraft,
+    scenarios: list[Scenario | None],
+    code: Mapping[int, Instruction],
 ) -> list[Metered]:
+    """All flights, each on a board of its own; None: the board stays disarmed."""
     from rich.console import Console
     from rich.progress import Progress
 
     quiet = args.json or not sys.stderr.isatty()
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
         metered = []
-        for scenario, name in zip(scenarios, ("policy", "PID"), strict=False):
-            task = bar.add_task(name, total=1.0)
+        for scenario in scenarios:
+            flown = "disarmed" if scenario is None else "PID" if scenario.segments[0].pid else "policy"
+            task = bar.add_task(flown, total=1.0)
 
             def show(part: float, task: TaskID = task) -> None:
                 bar.update(task, completed=part)
@@ -79,7 +105,7 @@ def _fly_all(
 def _fly(
     args: argparse.Namespace,
     aircraft: Aircraft,
-    scenario: Scenario,
+    scenario: Scenario | None,
     code: Mapping[int, Instruction],
     progress: Callable[[float], None],
 ) -> Metered:
@@ -87,8 +113,9 @@ def _fly(
     import numpy as np
 
     from sim.board.debug.control_timing import ControlMeter
-    from sim.flight.loop import fly
+    from sim.flight.loop import fly, stand
     from sim.physics.twin import Twin
+    from sim.physics.world import Mount
     from sim.ports.emulator import EmulatedPort
     from sim.ports.port import twin_settings
 
@@ -101,9 +128,13 @@ def _fly(
 
     settings = twin_settings(aircraft)
     with closing(EmulatedPort(args.policy, settings=settings, attach=attach)) as port:
-        twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+        mount = Mount.CENTRE if scenario is None else scenario.mount
+        twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=mount, rng=rng)
         with closing(twin):
-            fly(twin, port, scenario, progress=progress)
+            if scenario is None:
+                stand(twin, port, args.disarmed)
+            else:
+                fly(twin, port, scenario, progress=progress)
             return meters[0].metered()
 
 
@@ -125,6 +156,7 @@ def _document(
     from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     given = {name: getattr(args, name) for name in ("aircraft", "count", "seed")}
+    given["disarmed"] = args.disarmed or None
     return {
         "command": command_line("timing", str(args.policy), **given),
         "image": str(args.policy),
@@ -136,6 +168,7 @@ def _document(
         "scenario": SCENARIO,
         "count": args.count,
         "seed": args.seed,
+        "disarmed_steps": args.disarmed,
         "core_hz": CORE_HZ,
         "device_cycles": DEVICE_CYCLES,
         "model": priced.pricer or None,
@@ -147,6 +180,8 @@ def _document(
             "best": min(flight.edge[0] for flight in metered),
         },
         "board_timing": [_row(cost) for cost in costs],
+        "highest_rate_hz": _highest_rates(costs),
+        "notes": list(NOTES),
     }
 
 
@@ -160,9 +195,24 @@ def _row(cost: TaskCost) -> dict[str, Any]:
         "routes": cost.routes,
         "instructions": {"worst": cost.instructions[1], "best": cost.instructions[0]},
         "predicted_cycles": None if cycles is None else {"worst": cycles[1], "best": cycles[0]},
+        "microseconds": None if cycles is None else {"worst": _us(cycles[1]), "best": _us(cycles[0])},
         "variability": cost.variability,
         "device_accesses": {"most": cost.accesses[1], "fewest": cost.accesses[0]},
     }
+
+
+def _highest_rates(costs: tuple[TaskCost, ...]) -> dict[str, float] | None:
+    """By controller, the rate at which its worst armed control task would fill the time; None: no cycles."""
+    from sim.board.debug.control_timing import Work
+    from toolchain.cortex_m7.cycles import CORE_HZ
+
+    worst: dict[str, float] = {}
+    for cost in costs:
+        if cost.kind.work is Work.TASK and cost.kind.armed and cost.kind.controller:
+            if cost.cycles is None:
+                return None
+            worst[cost.kind.controller] = max(cost.cycles[1], worst.get(cost.kind.controller, 0.0))
+    return {name: CORE_HZ / cycles for name, cycles in worst.items()}
 
 
 def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced) -> None:
@@ -194,6 +244,11 @@ def _print(document: dict[str, Any], costs: tuple[TaskCost, ...], priced: Priced
             f"{cost.variability:.1%}",
         )
     console.print(table)
+    if rates := document["highest_rate_hz"]:
+        words = ", ".join(
+            f"{'PID' if name == 'pid' else name} {rate:,.0f} Hz" for name, rate in rates.items()
+        )
+        console.print(f"highest control rate, by the worst armed control task: {words}")
     if priced.no_cycles_reason:
         model = f"No predicted cycles: {priced.no_cycles_reason}"
     else:

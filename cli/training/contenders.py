@@ -21,6 +21,19 @@ THRUST_MAX = 20.0  # of the weight
 
 def add_contender_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of who flies besides, and at which thrust."""
+    add_betaflight_arguments(parser)
+    parser.add_argument(
+        "--thrust",
+        type=float,
+        nargs="+",
+        metavar="W",
+        help="fly each controller at the throttle that gives this thrust at rest, of the aircraft's weight, "
+        "or the nearest that it can; 0: throttle closed. Prints thrust against throttle too",
+    )
+
+
+def add_betaflight_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of who flies besides."""
     parser.add_argument(
         "--on",
         choices=(BETAFLIGHT,),
@@ -29,14 +42,6 @@ def add_contender_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--build", type=Path, metavar="DIR", help="Betaflight's build; default: build/BETAFLIGHT"
-    )
-    parser.add_argument(
-        "--thrust",
-        type=float,
-        nargs="+",
-        metavar="W",
-        help="fly each controller at the throttle that gives this thrust at rest, of the aircraft's weight, "
-        "or the nearest that it can; 0: throttle closed. Prints thrust against throttle too",
     )
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sim.control import sticks
 from sim.control.motors import each_fraction, motor_fractions
 from sim.flight.eye_pilot import EyePilot
-from sim.flight.scenario import Scenario
+from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
 from sim.ports.port import BatteryPort, FirmwarePort, Reply, Sample, SerialReceiverPort, control_divider
@@ -90,6 +90,19 @@ def fly(
     return rows.trace(port.control_rate_hz)
 
 
+def stand(twin: Twin, port: FirmwarePort, steps: int) -> None:
+    """Boot the firmware and leave it disarmed for `steps` control steps, receiver and sensors as in `fly`.
+
+    twin, port: as of `fly`. Raises LinkError when it arms or the link fails.
+    """
+    still = Scenario("disarmed", (Segment(1.0),))
+    link = _Lockstep(twin, port, _Pilot(still, port.control_rate_hz, on=False), None, None)
+    for _ in range(steps):
+        link.control_step()
+        if link.armed:
+            raise LinkError("the firmware is armed with the switch off")
+
+
 class _Rows:
     """What is kept of up to N control steps."""
 
@@ -132,7 +145,8 @@ Frame = tuple[int, ...]  # channels [us]; equal ones of a pilot are one object
 class _Pilot:
     """Sticks low and the switch off and on until the firmware is armed; the scenario; the switch off."""
 
-    def __init__(self, scenario: Scenario, control_rate_hz: int) -> None:
+    def __init__(self, scenario: Scenario, control_rate_hz: int, on: bool = True) -> None:
+        """on: False leaves the switch off for good."""
         known: dict[Frame, Frame] = {}
 
         def frame(channels: NDArray[np.uint16]) -> Frame:
@@ -148,17 +162,19 @@ class _Pilot:
         off = sticks.channels((0.0, 0.0, 0.0), 0.0, armed=False)
         self._off = frame(off)
         # The switch goes on with the sticks where the scenario begins, throttle low as arming demands.
-        on = channels[0].copy()
-        on[CHANNEL_THROTTLE] = off[CHANNEL_THROTTLE]
-        self._on = frame(on)
+        on_sticks = channels[0].copy()
+        on_sticks[CHANNEL_THROTTLE] = off[CHANNEL_THROTTLE]
+        self._on = frame(on_sticks)
         landed = channels[-1].copy()
         landed[[CHANNEL_THROTTLE, CHANNEL_ARM]] = off[[CHANNEL_THROTTLE, CHANNEL_ARM]]
         self._landed = frame(landed)
-        self._first = round(SWITCH_OFF_S * control_rate_hz)
+        self._first = round(SWITCH_OFF_S * control_rate_hz) if on else None
         self._period = round(SWITCH_PERIOD_S * control_rate_hz)
 
     def switched(self, step: int) -> bool:
         """Whether the switch is on at control step `step`, while it has not armed yet."""
+        if self._first is None:
+            return False
         phase = step - self._first
         return phase >= 0 and phase % self._period < self._period // 2
 

@@ -22,6 +22,12 @@ Capture = pytest.CaptureFixture[str]
         (["policy.onnx", "--seed", "1"], "--seed: is about an image, and this is a policy; leave it out"),
         (["image.bin", "--blocks"], "--blocks: is about a policy, and this is an image; leave it out"),
         (["image.bin", "--count", "0"], "--count 0, expected 1 to 100"),
+        (
+            ["policy.onnx", "--disarmed", "1"],
+            "--disarmed: is about an image, and this is a policy; leave it out",
+        ),
+        (["image.bin", "--disarmed", "-1"], "--disarmed -1, expected 0 to 1000000"),
+        (["image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
         (["image.bin"], "report.json (No such file or directory); build image.bin anew"),
     ],
 )
@@ -34,10 +40,15 @@ def test_it_refuses_in_one_line_what_makes_no_sense(
 
 
 @pytest.mark.slow
-def test_it_tells_what_other_counts_tell_when_the_image_has_flown(board_image: Path, capsys: Capture) -> None:
+def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
+    board_image: Path, tmp_path: Path, capsys: Capture
+) -> None:
     image = board_image.with_suffix(".bin")
     report = json.loads(image.with_name("report.json").read_text())
-    assert main(["timing", str(image), "--count", "1", "--json"]) == 0
+    plot = tmp_path / "runs.png"
+    more = ["--disarmed", "1000", "--plot", str(plot)]
+    assert main(["timing", str(image), "--count", "1", *more, "--json"]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
     document = json.loads(capsys.readouterr().out)
     assert document["image_sha256"] == hashlib.sha256(image.read_bytes()).hexdigest()
     rows: dict[tuple[Any, ...], Any] = {
@@ -47,13 +58,17 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(board_image: P
     assert policy["runs"] == rows["control task", "policy", True]["runs"] >= 4_500
     assert set(policy["instructions"].values()) == {report["step_instructions"]}
     disarmed = rows["control task", None, False]
-    assert disarmed["runs"] >= 2_000  # of two flights, until they armed
+    assert disarmed["runs"] >= 3_000  # of two flights, until they armed, and of the board that never did
     for row in rows.values():
         assert 0 < row["instructions"]["best"] <= row["instructions"]["worst"]
         if row["predicted_cycles"] is not None:
             worst, best = row["predicted_cycles"]["worst"], row["predicted_cycles"]["best"]
             assert row["variability"] == (worst - best) / worst
             assert worst < document["core_hz"] / 1000
+            assert row["microseconds"]["worst"] == pytest.approx(worst / 216)
+    task = rows["control task", "policy", True]["predicted_cycles"]
+    if task is not None:
+        assert document["highest_rate_hz"]["policy"] == pytest.approx(216e6 / task["worst"])
     if policy["predicted_cycles"] is not None:
         assert round(policy["predicted_cycles"]["worst"]) == report["predicted_cycles"]
     assert "| policy 19-64-64-4 tanh, armed |" in render([Stored("board-timing.json", document)])

@@ -99,6 +99,7 @@ class Conditions:
     episodes: int
     seed: int  # of commands, noise and bias
     mount: Mount = Mount.CENTRE
+    ground: bool = False  # whether they stand on it to begin with; mount free
     noise: bool = True
     charge: float | None = None  # of every battery, 0..1; None: the bench supply
     gyro_rate_hz: int | None = None  # of every gyro; None: as each controller needs, see `record`
@@ -128,6 +129,7 @@ class Conditions:
                 episodes=self.episodes,
                 seed=self.seed,
                 mount=self.mount,
+                ground=self.ground,
                 noise=self.noise,
                 throttle=throttle,
                 charge=self.charge,
@@ -141,6 +143,7 @@ class Conditions:
             seed=self.seed,
             control_rate_hz=controller.control_rate_hz,
             mount=self.mount,
+            ground=self.ground,
             noise=self.noise,
             throttle=throttle,
             idle=controller.idle,

@@ -41,6 +41,8 @@ class Flights:
     recorded: bool = False  # whether episodes are pieces of a recording: none begins with a command
     motors: NDArray[np.float32] | None = None  # (E, T, M) fractions, after throttle mix, idle and rounding
     lift: NDArray[np.float32] | None = None  # (E, T) [m/s^2], specific force along body z
+    volts: NDArray[np.float32] | None = None  # (E, T) [V], of the battery under load; None: the bench supply
+    amps: NDArray[np.float32] | None = None  # (E, T) [A], out of it
 
     def hold(self) -> Hold | None:
         """The held command of each episode; None if the task holds none for a second."""
@@ -85,17 +87,27 @@ class Rows:
         self._lift = np.empty((steps, episodes), np.float32)
         self.motors = np.empty((steps, episodes, motors), np.float32)
         self.output = np.empty((steps, episodes, motors), np.float32)
+        self._volts: NDArray[np.float32] | None = None
+        self._amps: NDArray[np.float32] | None = None
 
     def put(self, k: int, twin: Twin, motors: NDArray[np.float64]) -> None:
         """Keep step `k`: the twin as it is, and the motor fractions (E, M) that it will be given."""
         self._rate[k] = twin.live.rate
         self._lift[k] = twin.live.specific_force[:, 2]
         self.motors[k] = motors
+        if twin.battery is None:
+            return
+        if self._volts is None or self._amps is None:
+            self._volts, self._amps = np.empty_like(self._lift), np.empty_like(self._lift)
+        self._volts[k] = twin.battery.voltage[:, 0]
+        self._amps[k] = twin.battery.current
 
     def flights(self, setpoint: NDArray[np.float32], step_s: float, recorded: bool) -> Flights:
         """The record of all steps; see Flights."""
         rate, output, motors, lift = map(_by_episode, (self._rate, self.output, self.motors, self._lift))
-        return Flights(setpoint, rate, output, step_s, recorded, motors, lift)
+        volts = None if self._volts is None else _by_episode(self._volts)
+        amps = None if self._amps is None else _by_episode(self._amps)
+        return Flights(setpoint, rate, output, step_s, recorded, motors, lift, volts, amps)
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -113,6 +125,7 @@ def record(
     seed: int,
     control_rate_hz: int,
     mount: Mount = Mount.CENTRE,
+    ground: bool = False,
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     idle: float = IDLE_DEFAULT,
@@ -125,7 +138,8 @@ def record(
 ) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
 
-    controller: for `episodes` aircraft; seed: of commands and noise; throttle: the pilot's thrust 0..1, one
+    controller: for `episodes` aircraft; seed: of commands and noise; ground: they stand on it, mount free;
+    throttle: the pilot's thrust 0..1, one
     for all, (episodes,), or that of each control step, (episodes, T); charge: of every battery, 0..1, None:
     the bench supply, if no variation says it; idle, mix: of the controller; gyro_mean: whether it sees the
     mean of the gyro's samples of a control period instead of the last one; gyro_rate_hz: of the gyro and of
@@ -150,6 +164,7 @@ def record(
         episodes,
         rate_hz=samples * control_rate_hz,
         mount=mount,
+        ground=ground,
         noise=noise,
         charge=charge,
         variation=variation,

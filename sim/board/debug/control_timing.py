@@ -72,6 +72,7 @@ class TaskCost:
         tuple[float, float] | None
     )  # likewise, predicted, accesses of devices included; None without a model
     accesses: tuple[int, int]  # to registers of peripherals, fewest and most
+    spread: tuple[tuple[float, int], ...] = ()  # cycles (no model: instructions), and how many runs took them
 
     @property
     def variability(self) -> float:
@@ -307,6 +308,9 @@ def _task_cost(kind: Kind, runs: Sequence[Run], costs: Mapping[Route, RouteCost]
     accesses = [run.accesses for run in runs]
     taken = [costs[run.route].cycles_with_devices(run.accesses) for run in runs]
     cycles = [one for one in taken if one is not None]
+    spread: Counter[float] = Counter()
+    for one, run in zip(cycles or instructions, runs, strict=True):
+        spread[float(one)] += run.times
     return TaskCost(
         kind,
         times=sum(run.times for run in runs),
@@ -314,4 +318,5 @@ def _task_cost(kind: Kind, runs: Sequence[Run], costs: Mapping[Route, RouteCost]
         instructions=(min(instructions), max(instructions)),
         cycles=(min(cycles), max(cycles)) if cycles else None,
         accesses=(min(accesses), max(accesses)),
+        spread=tuple(sorted(spread.items())),
     )

@@ -10,7 +10,7 @@ import pytest
 
 from sim.aircraft.model import load_aircraft
 from sim.control import sticks
-from sim.flight.loop import fly
+from sim.flight.loop import fly, stand
 from sim.flight.scenario import Scenario, Segment
 from sim.flight.trace import Trace
 from sim.physics.twin import Twin
@@ -142,6 +142,16 @@ def test_the_first_frame_arrives_when_a_serial_line_can_carry_it(gyro_rate_hz: i
     port = Recorder(gyro_rate_hz)
     flown(port, Scenario("short", (Segment(0.01),)))
     assert port.frames[0][0] == first_ms * gyro_rate_hz // 1000
+
+
+def test_nobody_switches_on_and_frames_go_on_when_it_stands() -> None:
+    port, twin = Recorder(), Watched()
+    stand(twin, port, 1500)  # the port would arm after 1000
+    twin.close()
+    assert len(port.samples) == 4 * 1500
+    assert len(port.frames) == pytest.approx(150, abs=2)  # one every 10 ms
+    assert all(frame == UNHEARD for _, frame in port.frames)
+    assert not any(reply.armed for reply in port.replies) and not twin.given
 
 
 def test_boot_keeps_switch_and_throttle_low_when_not_yet_armed() -> None:

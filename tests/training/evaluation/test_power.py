@@ -1,0 +1,105 @@
+"""Power of controllers whose motors are known, against the aircraft's file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.aircraft.model import load_aircraft
+from sim.physics.rotor import target_speed, thrust_and_torque
+from tests.conftest import ROOT
+from tests.training.evaluation.constant import Constant
+from training.evaluation.controllers import Conditions, ControllerSpec
+from training.evaluation.evaluation import drawn as drawn_streams
+from training.evaluation.power import Draw, disarmed, document, power
+from training.evaluation.power_plot import draw
+from training.tasks.task import PulseTask
+
+NF1 = load_aircraft("nf1")
+NF1_FILE = ROOT / "sim" / "aircraft" / "nf1.toml"
+SHORT = PulseTask(idle_s=0.01, command_s=0.02, rest_s=0.01)
+CONDITIONS = Conditions(NF1, SHORT, 2, 7, charge=1.0)
+
+
+def constant(level: float, idle: float) -> ControllerSpec:
+    return ControllerSpec("constant", lambda n: Constant(n, level), 1000, idle, {"pid": f"{level}"})
+
+
+def bar(_: str) -> Callable[[int, int], None]:
+    return lambda done, total: None
+
+
+def number(drawn: Draw, name: str) -> float:
+    return float(getattr(drawn, name).value)
+
+
+def test_a_disarmed_aircraft_draws_its_electronics_alone() -> None:
+    assert NF1.battery is not None
+    still = disarmed(NF1.battery, 1.0)
+    volts, amps = number(still, "volts"), number(still, "amps")
+    assert number(still, "watts") == pytest.approx(NF1.battery.electronics_power, rel=1e-5)
+    assert volts == pytest.approx(NF1.battery.rest_voltage - NF1.battery.resistance * amps, abs=1e-4)
+    assert number(disarmed(NF1.battery, 0.5), "amps") > amps  # the same power of a lower voltage
+
+
+def test_an_idling_aircraft_draws_what_its_rotors_turn_with() -> None:
+    idle = 0.2
+    drawn = power(constant(0.0, idle), CONDITIONS, [], 0.2, bar)
+    assert NF1.battery is not None and NF1.propulsion.supply_voltage is not None
+    volts = number(drawn.idling, "volts")
+    speed = target_speed(idle, NF1.propulsion) * volts / NF1.propulsion.supply_voltage
+    _, torque = thrust_and_torque(speed, NF1.propulsion)
+    shaft = 4 * float(abs(torque)) * float(speed)
+    wanted = shaft / NF1.propulsion.efficiency + NF1.battery.electronics_power
+    assert number(drawn.idling, "watts") == pytest.approx(wanted, rel=0.02)
+    assert drawn.flown == ()
+
+
+def test_in_flight_more_thrust_takes_more_current_and_the_error_is_told() -> None:
+    drawn = power(constant(0.0, 0.05), CONDITIONS, [0.5, 1.0], 0.1, bar)
+    less, more = drawn.flown
+    assert number(drawn.idling, "amps") < number(less.rest, "amps") < number(more.rest, "amps")
+    assert less.trim.reached and more.trim.reached
+    # A controller that never answers is off by the command while it lasts: half of the time.
+    commands, _ = drawn_streams(CONDITIONS.seed)
+    wanted = np.rad2deg(np.abs(SHORT.episodes(2, commands, 1000))).mean()
+    assert float(more.mae.value) == pytest.approx(wanted, rel=0.02)
+    told = document(drawn)
+    assert isinstance(told["flights"], list) and len(told["flights"]) == 2
+    assert NF1.battery is not None
+    still = disarmed(NF1.battery, 1.0)
+    assert len(draw(still, [drawn], "title").axes) == 2
+    assert len(draw(still, [replace(drawn, flown=())], "title").axes) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "no controller; expected policies, pid, pid:NAME, or betaflight"),
+        (["pid", "--battery", "nan"], "--battery nan, expected 0 to 1"),
+        (["pid", "--seconds", "0"], "--seconds 0.0, expected 0.1 to 60"),
+        (["pid", "--thrust", "21"], "--thrust 21.0, expected 0 to 20"),
+        (["pid", "pid"], "2 controllers, 1 of them different"),
+        (["pid", "--plot", "power.jpg"], "power.jpg: expected a name that ends in .png"),
+    ],
+)
+def test_the_command_refuses_in_one_line(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["power", *words]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+def test_an_aircraft_without_a_battery_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = NF1_FILE.read_text()
+    head, _, rest = text.partition("[battery]")
+    file = tmp_path / "nf1.toml"
+    file.write_text(head + "[body]" + rest.partition("[body]")[2])
+    assert main(["power", "pid", "--aircraft", str(file)]) == 1
+    assert "no [battery] table" in capsys.readouterr().err

@@ -1,0 +1,134 @@
+"""Power that controllers draw from the aircraft's battery: disarmed, armed idling, and in flight.
+
+Disarmed, the battery feeds the electronics alone. Armed idling, the aircraft stands on the ground with the
+throttle closed and its gyro's noise, as a multimeter in line with the battery saw it (Koch 2019, ch. 4). In
+flight each controller is held at its centre at the throttle that gives a thrust at rest; there it rests, and
+then follows the commands of a task, so that its error stands beside what it draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.aircraft.model import Battery
+from sim.analysis.confidence import Mean
+from sim.physics.battery import BatteryState
+from sim.physics.world import Mount
+from training.evaluation.comparison import values
+from training.evaluation.controllers import Conditions, Contender
+from training.evaluation.evaluation import Flights, interval, mean_over, scores
+from training.evaluation.thrust import Progress, Trim, transparency, trims
+from training.tasks.task import EpisodicTask
+
+Bar = Callable[[str], Progress]  # adds a bar of that name and gives its update
+SAMPLE_S = 0.001
+SETTLING = 10  # samples until voltage and current of a constant power agree
+SPIN_UP_S = 0.5  # left out of idling and rest: rotors and filters settle
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What the battery gives, mean over time, then over aircraft."""
+
+    volts: Mean  # [V], under load
+    amps: Mean  # [A]
+    watts: Mean  # [W]
+
+    def document(self) -> dict[str, object]:
+        """As JSON data."""
+        return {name: interval(getattr(self, name)) for name in ("volts", "amps", "watts")}
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A controller at one thrust."""
+
+    trim: Trim
+    rest: Draw  # without any command
+    commands: Draw  # following the task's
+    mae: Mean  # [deg/s], mean of the axes, of the task's commands
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What a controller draws."""
+
+    controller: Contender
+    idling: Draw  # on the ground, throttle closed
+    flown: tuple[Flown, ...]  # by thrust, as asked
+
+
+def disarmed(battery: Battery, charge: float) -> Draw:
+    """What stopped motors leave of the load: the electronics. charge: 0..1."""
+    pack = BatteryState(battery, 1)
+    pack.reset(np.arange(1), charge)
+    for _ in range(SETTLING):
+        pack.step(np.full(1, battery.electronics_power), SAMPLE_S)
+    return _draw(pack.voltage.copy(), pack.current[:, None].copy())
+
+
+def power(
+    controller: Contender, conditions: Conditions, thrusts: Sequence[float], idle_s: float, bar: Bar
+) -> Drawn:
+    """Let a controller idle for `idle_s` and fly at each of `thrusts`, of the weight.
+
+    conditions: with the charge of the batteries. Raises AircraftError where the aircraft lacks a battery or
+    a body that could stand.
+    """
+    still = EpisodicTask(distribution="normal", sigma_deg_s=0.0, hold_s=SPIN_UP_S + idle_s)
+    standing = replace(conditions, task=still, mount=Mount.FREE, ground=True)
+    idling = settled(standing.fly(controller, 0.0, bar(f"{controller.label}, idling")))
+    if not thrusts:
+        return Drawn(controller, idling, ())
+    known = transparency(controller, conditions, bar(f"{controller.label}, at rest"))
+    resting = replace(conditions, task=still)
+    flown = []
+    for trim in trims(known, conditions, thrusts, bar(f"{controller.label}, throttles")):
+        throttle = trim.rest.throttle
+        rest = settled(resting.fly(controller, throttle, bar(f"{controller.label}, throttle {throttle:.3f}")))
+        flights = conditions.fly(controller, throttle, bar(f"{controller.label}, commands"))
+        errors = values(scores(flights))["mae"].mean(axis=1)
+        flown.append(Flown(trim, rest, _of(flights, 0), mean_over(errors)))
+    return Drawn(controller, idling, tuple(flown))
+
+
+def settled(flights: Flights) -> Draw:
+    """What flights draw after SPIN_UP_S."""
+    return _of(flights, round(SPIN_UP_S / flights.step_s))
+
+
+def document(drawn: Drawn) -> dict[str, object]:
+    """What a controller draws, as JSON data."""
+    return {
+        "controller": drawn.controller.name,
+        "label": drawn.controller.label,
+        **drawn.controller.facts,
+        "idle": drawn.controller.idle,
+        "control_rate_hz": drawn.controller.control_rate_hz,
+        "armed": drawn.idling.document(),
+        "flights": [
+            {
+                "thrust": flown.trim.wanted,
+                "reached": flown.trim.reached,
+                "throttle": flown.trim.rest.throttle,
+                "rest": flown.rest.document(),
+                "commands": {"mae": interval(flown.mae), **flown.commands.document()},
+            }
+            for flown in drawn.flown
+        ],
+    }
+
+
+def _of(flights: Flights, first: int) -> Draw:
+    assert flights.volts is not None and flights.amps is not None  # every charge gives a battery
+    return _draw(flights.volts[:, first:], flights.amps[:, first:])
+
+
+def _draw(volts: NDArray[np.floating], amps: NDArray[np.floating]) -> Draw:
+    """Means of (E, T), over T and then over E."""
+    each, drawn = volts.astype(np.float64), amps.astype(np.float64)
+    return Draw(*(mean_over(series.mean(axis=1)) for series in (each, drawn, each * drawn)))
