@@ -41,6 +41,8 @@ class Flights:
     recorded: bool = False  # whether episodes are pieces of a recording: none begins with a command
     motors: NDArray[np.float32] | None = None  # (E, T, M) fractions, after throttle mix, idle and rounding
     lift: NDArray[np.float32] | None = None  # (E, T) [m/s^2], specific force along body z
+    power: NDArray[np.float32] | None = None  # (E, T) [W], electric: motors and electronics
+    current: NDArray[np.float32] | None = None  # (E, T) [A]; NaN where the supply's voltage is not known
 
     def hold(self) -> Hold | None:
         """The held command of each episode; None if the task holds none for a second."""
@@ -58,6 +60,8 @@ class Scores:
     spectrum: Spectrum  # of all episodes
     response: Response | None  # None where the task holds no command for a second
     motor_change: NDArray[np.float64] | None = None  # (E,), mean |change| of a motor's fraction in 1 ms
+    power: NDArray[np.float64] | None = None  # (E,) [W], mean electric power
+    current: NDArray[np.float64] | None = None  # (E,) [A], mean
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,8 @@ class Rows:
     def __init__(self, steps: int, episodes: int, motors: int) -> None:
         self._rate = np.empty((steps, episodes, 3), np.float32)
         self._lift = np.empty((steps, episodes), np.float32)
+        self._power = np.empty((steps, episodes), np.float32)
+        self._current = np.empty((steps, episodes), np.float32)
         self.motors = np.empty((steps, episodes, motors), np.float32)
         self.output = np.empty((steps, episodes, motors), np.float32)
 
@@ -90,12 +96,16 @@ class Rows:
         """Keep step `k`: the twin as it is, and the motor fractions (E, M) that it will be given."""
         self._rate[k] = twin.live.rate
         self._lift[k] = twin.live.specific_force[:, 2]
+        drawn = twin.draw
+        self._power[k], self._current[k] = drawn.power, drawn.current
         self.motors[k] = motors
 
     def flights(self, setpoint: NDArray[np.float32], step_s: float, recorded: bool) -> Flights:
         """The record of all steps; see Flights."""
-        rate, output, motors, lift = map(_by_episode, (self._rate, self.output, self.motors, self._lift))
-        return Flights(setpoint, rate, output, step_s, recorded, motors, lift)
+        rate, output, motors, lift, power, current = map(
+            _by_episode, (self._rate, self.output, self.motors, self._lift, self._power, self._current)
+        )
+        return Flights(setpoint, rate, output, step_s, recorded, motors, lift, power, current)
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -213,7 +223,14 @@ def scores(flights: Flights) -> Scores:
             if flights.motors is None
             else np.array([effort(motors, step_s).change for motors in flights.motors])
         ),
+        power=_means(flights.power),
+        current=_means(flights.current),
     )
+
+
+def _means(rows: NDArray[np.float32] | None) -> NDArray[np.float64] | None:
+    """The mean of each episode (E,) of rows (E, T)."""
+    return None if rows is None else np.asarray(rows.mean(axis=1, dtype=np.float64))
 
 
 def summary(scores: Scores) -> Evaluation:
