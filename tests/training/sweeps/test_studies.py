@@ -114,7 +114,7 @@ def test_shipped_studies_vary_the_recipe_at_the_four_thrusts(name: str) -> None:
         assert [config.seed for config in configs] == [1, 2, 3, 4, 5]
 
 
-@pytest.mark.parametrize("name", ["power"])
+@pytest.mark.parametrize("name", ["beta", "power"])
 def test_shipped_studies_of_future_work_are_short_and_complete(name: str) -> None:
     sweep = load_sweep(STUDIES / f"{name}.toml")
     assert sweep.trials[0].varied[VARIANT] == sweep.baseline
@@ -182,7 +182,7 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(
         assert [each["asked"] for each in outcome["thrusts"]] == [None, 1.0, 2.0]
         closed, hover, twice = outcome["thrusts"]
         assert 0.4 < closed["current"]["mean"] < hover["current"]["mean"] < twice["current"]["mean"]
-        assert hover["power"]["mean"] == pytest.approx(16.0 * hover["current"]["mean"], rel=1e-5)
+        assert hover["beta", "power"]["mean"] == pytest.approx(16.0 * hover["current"]["mean"], rel=1e-5)
         assert outcome["mae"]["mean"] == pytest.approx((hover["mae"]["mean"] + twice["mae"]["mean"]) / 2)
         assert hover["throttle"] < twice["throttle"]
     assert (out / "power.png").read_bytes().startswith(b"\x89PNG")
