@@ -6,7 +6,7 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from training.sweeps.config import Sweep
     from training.sweeps.jobs import SweepCallback
     from training.sweeps.summary import Configuration, Run
-    from training.sweeps.trial import Figure
+    from training.sweeps.trial import AtThrust, Figure
 
 CPUS_MAX = 4096
 WIDTH = 160  # characters of a table printed to a file
@@ -151,6 +151,9 @@ def _print(
     if sweep.validation.thrust:
         console.print()
         console.print(_at_thrusts(runs))
+        if any(each.current for run in runs if run.outcome for each in run.outcome.thrusts):
+            console.print()
+            console.print(_draws(runs))
     if any(len(item.runs) > 1 for item in found):
         console.print()
         console.print(_configurations(found))
@@ -188,24 +191,36 @@ def _runs(runs: Sequence[Run]) -> Table:
 
 def _at_thrusts(runs: Sequence[Run]) -> Table:
     """MAE and |Δu| of the motors at each thrust at rest."""
+    title = "MAE, deg/s, and |Δu| of the motors in 1 ms, by thrust at rest over the weight"
+    return _by_thrust(
+        runs, title, lambda each: f"{each.mae.mean:.2f} {each.change.mean:.4f} ({each.thrust:.2f})"
+    )
+
+
+def _draws(runs: Sequence[Run]) -> Table:
+    """Electric current and power at each thrust at rest."""
+
+    def shown(each: AtThrust) -> str:
+        if each.current is None or each.power is None:
+            return "-"
+        return f"{each.current.mean:.2f} A {each.power.mean:,.1f} W"
+
+    return _by_thrust(runs, "Mean current and electric power, by thrust at rest over the weight", shown)
+
+
+def _by_thrust(runs: Sequence[Run], title: str, shown: Callable[[AtThrust], str]) -> Table:
+    """A column for each thrust at rest."""
     from rich.table import Table
 
     keys = list(runs[0].trial.varied)
     done = [(run, run.outcome) for run in runs if run.outcome]
-    table = Table(
-        title="MAE, deg/s, and |Δu| of the motors in 1 ms, by thrust at rest over the weight",
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-    )
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for heading in ("run", *keys):
         table.add_column(heading, overflow="fold")
     for each in done[0][1].thrusts if done else ():
         table.add_column("closed" if each.asked is None else f"{each.asked:g}", justify="right")
     for run, outcome in done:
-        figures = (
-            f"{each.mae.mean:.2f} {each.change.mean:.4f} ({each.thrust:.2f})" for each in outcome.thrusts
-        )
+        figures = map(shown, outcome.thrusts)
         table.add_row(f"{run.trial.number}", *_cells(run.trial.varied, keys), *figures)
     return table
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,15 @@ from sim.physics.rotor import propulsion_struct
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """What each of N aircraft draws from its supply, motors and electronics together; (N,) each."""
+
+    power: Array  # [W]
+    voltage: Array  # [V], under load; NaN on a bench supply of unknown voltage
+    current: Array  # [A], likewise
 
 
 class Supply:
@@ -81,16 +91,26 @@ class Supply:
 
     def telemetry(self, speed: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown."""
-        power, at = np.empty(self._count), pointer(speed)
-        propulsion = propulsion_struct(self._aircraft.propulsion)
-        library().lib.supply_power(self.state, propulsion, self._count, at, at, pointer(power))
+        drawn = self.draw(speed, speed)
+        return telemetry(speed.copy(), drawn.voltage, drawn.current, self._aircraft.esc)
+
+    def draw(self, before: Array, after: Array) -> Draw:
+        """What is drawn over a sample that rotors begin and end with these speeds (N, M) [rad/s].
+
+        Turning a rotor faster costs, and braking gives nothing back. Of a battery: what its last sample gave.
+        """
+        power, propulsion = np.empty(self._count), propulsion_struct(self._aircraft.propulsion)
+        library().lib.supply_power(
+            self.state, propulsion, self._count, pointer(before), pointer(after), pointer(power)
+        )
         voltage = np.full(self._count, _known(self._aircraft.propulsion.supply_voltage))
         current = power / voltage
         if self._battery is not None:
             drained = ~self._bench
             voltage[drained] = self._battery.voltage[drained, 0]
             current[drained] = self._battery.current[drained]
-        return telemetry(speed.copy(), voltage, current, self._aircraft.esc)
+            power[drained] = voltage[drained] * current[drained]
+        return Draw(power, voltage, current)
 
     def _connect(self) -> None:
         """Give each aircraft a battery."""

@@ -33,7 +33,7 @@ from sim.physics.rotor import (
     rotor_geometry,
     rotors_struct,
 )
-from sim.physics.supply import Supply
+from sim.physics.supply import Draw, Supply
 from sim.physics.variation import Variation
 from sim.physics.world import Mount, World
 from toolchain.contract import GRAVITY
@@ -237,6 +237,11 @@ class Twin:
         return self._supply.telemetry(self.live.rotor_speed)
 
     @property
+    def draw(self) -> Draw:
+        """What each aircraft drew from its supply over the last sample, unrounded; see Supply.draw."""
+        return self._supply.draw(self._scratch["before"], self.live.rotor_speed)
+
+    @property
     def pack_voltage(self) -> Array:
         """Voltage of each battery under load [V], (N,), unrounded; NaN on the bench supply."""
         return self._supply.pack_voltage
@@ -277,7 +282,7 @@ class Twin:
         """
         index = np.arange(self.count) if index is None else index
         self._delay.reset(index)
-        self.live.rotor_speed[index] = 0.0
+        self.live.rotor_speed[index] = self._scratch["before"][index] = 0.0
         if self._phase is not None:
             self._phase[index] = self._phase_rng.uniform(0.0, 2 * np.pi, (len(index), self._phase.shape[1]))
         self._world.reset(index.tolist())

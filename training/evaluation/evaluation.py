@@ -42,7 +42,8 @@ class Flights:
     motors: NDArray[np.float32] | None = None  # (E, T, M) fractions, after throttle mix, idle and rounding
     lift: NDArray[np.float32] | None = None  # (E, T) [m/s^2], specific force along body z
     volts: NDArray[np.float32] | None = None  # (E, T) [V], of the battery under load; None: the bench supply
-    amps: NDArray[np.float32] | None = None  # (E, T) [A], out of it
+    power: NDArray[np.float32] | None = None  # (E, T) [W], electric: motors and electronics
+    current: NDArray[np.float32] | None = None  # (E, T) [A]; NaN where the supply's voltage is not known
 
     def hold(self) -> Hold | None:
         """The held command of each episode; None if the task holds none for a second."""
@@ -60,6 +61,8 @@ class Scores:
     spectrum: Spectrum  # of all episodes
     response: Response | None  # None where the task holds no command for a second
     motor_change: NDArray[np.float64] | None = None  # (E,), mean |change| of a motor's fraction in 1 ms
+    power: NDArray[np.float64] | None = None  # (E,) [W], mean electric power
+    current: NDArray[np.float64] | None = None  # (E,) [A], mean
 
 
 @dataclass(frozen=True)
@@ -85,29 +88,31 @@ class Rows:
     def __init__(self, steps: int, episodes: int, motors: int) -> None:
         self._rate = np.empty((steps, episodes, 3), np.float32)
         self._lift = np.empty((steps, episodes), np.float32)
+        self._power = np.empty((steps, episodes), np.float32)
+        self._current = np.empty((steps, episodes), np.float32)
         self.motors = np.empty((steps, episodes, motors), np.float32)
         self.output = np.empty((steps, episodes, motors), np.float32)
         self._volts: NDArray[np.float32] | None = None
-        self._amps: NDArray[np.float32] | None = None
 
     def put(self, k: int, twin: Twin, motors: NDArray[np.float64]) -> None:
         """Keep step `k`: the twin as it is, and the motor fractions (E, M) that it will be given."""
         self._rate[k] = twin.live.rate
         self._lift[k] = twin.live.specific_force[:, 2]
+        drawn = twin.draw
+        self._power[k], self._current[k] = drawn.power, drawn.current
         self.motors[k] = motors
-        if twin.battery is None:
-            return
-        if self._volts is None or self._amps is None:
-            self._volts, self._amps = np.empty_like(self._lift), np.empty_like(self._lift)
-        self._volts[k] = twin.battery.voltage[:, 0]
-        self._amps[k] = twin.battery.current
+        if twin.battery is not None:
+            if self._volts is None:
+                self._volts = np.empty_like(self._lift)
+            self._volts[k] = twin.battery.voltage[:, 0]
 
     def flights(self, setpoint: NDArray[np.float32], step_s: float, recorded: bool) -> Flights:
         """The record of all steps; see Flights."""
-        rate, output, motors, lift = map(_by_episode, (self._rate, self.output, self.motors, self._lift))
+        rate, output, motors, lift, power, current = map(
+            _by_episode, (self._rate, self.output, self.motors, self._lift, self._power, self._current)
+        )
         volts = None if self._volts is None else _by_episode(self._volts)
-        amps = None if self._amps is None else _by_episode(self._amps)
-        return Flights(setpoint, rate, output, step_s, recorded, motors, lift, volts, amps)
+        return Flights(setpoint, rate, output, step_s, recorded, motors, lift, volts, power, current)
 
 
 def drawn(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -228,7 +233,14 @@ def scores(flights: Flights) -> Scores:
             if flights.motors is None
             else np.array([effort(motors, step_s).change for motors in flights.motors])
         ),
+        power=_means(flights.power),
+        current=_means(flights.current),
     )
+
+
+def _means(rows: NDArray[np.float32] | None) -> NDArray[np.float64] | None:
+    """The mean of each episode (E,) of rows (E, T)."""
+    return None if rows is None else np.asarray(rows.mean(axis=1, dtype=np.float64))
 
 
 def summary(scores: Scores) -> Evaluation:

@@ -124,8 +124,8 @@ def document(drawn: Drawn) -> dict[str, object]:
 
 
 def _of(flights: Flights, first: int) -> Draw:
-    assert flights.volts is not None and flights.amps is not None  # every charge gives a battery
-    return _draw(flights.volts[:, first:], flights.amps[:, first:])
+    assert flights.volts is not None and flights.current is not None  # every charge gives a battery
+    return _draw(flights.volts[:, first:], flights.current[:, first:])
 
 
 def _draw(volts: NDArray[np.floating], amps: NDArray[np.floating]) -> Draw:

@@ -14,11 +14,13 @@ from training.sweeps import process_workers, ray_workers
 from training.sweeps.config import Sweep
 from training.sweeps.jobs import STOP, Job, SweepCallback, clear_stop
 from training.sweeps.plot import draw
+from training.sweeps.power_plot import draw_power
 from training.sweeps.summary import Run, configurations, document
 from training.sweeps.trial import read_outcome
 
 RECORD = "sweep.json"
 PLOT = "sweep.png"
+POWER = "power.png"
 TRIALS = "trials"
 
 
@@ -102,10 +104,12 @@ class Keeper(SweepCallback):
         write_text(self._out / RECORD, json.dumps(content, indent=2) + "\n")
 
     def draw(self) -> None:
-        """Write sweep.png, if a run is finished."""
+        """Write sweep.png, if a run is finished, and power.png, if one was flown at equal thrust."""
         if found := configurations(self.runs):
             title = f"Sweep {self._sweep.name} on {self._sweep.aircraft.name}"
             save_png(self._out / PLOT, draw(found, title, self._sweep.validation))
+            if power := draw_power(self.runs, title, self._sweep.validation):
+                save_png(self._out / POWER, power)
 
     def progressed(self, number: int, steps: int, reward: float, pid: int) -> None:
         """See SweepCallback."""

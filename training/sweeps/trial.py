@@ -35,6 +35,7 @@ from training.tasks.registry import TASKS
 RESULT = "result.json"
 RESULT_BYTES_MAX = 1 << 20
 CLOSED = 0.0  # the thrust that stands for a closed throttle
+AT_THRUST = ("mae", "mse", "change", "power", "current")
 FIGURES = ("mae", "mse", "output", "change")
 TIMED_OBSERVATIONS = 30  # generated code has no branches that depend on them; every third one is extreme
 
@@ -63,6 +64,8 @@ class AtThrust:
     mae: Figure  # [deg/s]
     mse: Figure
     change: Figure  # |Δ| of a motor fraction in 1 ms
+    power: Figure | None = None  # [W], electric, motors and electronics; None: of an older sweep
+    current: Figure | None = None  # [A]; None also on a supply of unknown voltage
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ def read_outcome(folder: Path, trial: Trial, aircraft: Aircraft, validation: Val
 
 def _outcome(values: Mapping[str, Any]) -> Outcome:
     thrusts = tuple(
-        AtThrust(**{**each, **{name: Figure(**each[name]) for name in ("mae", "mse", "change")}})
+        AtThrust(**{**each, **{name: Figure(**each[name]) for name in AT_THRUST if each.get(name)}})
         for each in values["thrusts"]
     )
     figures = {name: Figure(**values[name]) for name in FIGURES}
@@ -189,7 +192,12 @@ def _at_thrusts(
             "mse": own["mse"].mean(axis=1),
             "change": own["motor_change"],
         }
-        means = {name: Figure.of(by_command) for name, by_command in figures.items()}
+        drawn = {"power": entry.scores.power, "current": entry.scores.current}
+        means = {
+            name: Figure.of(by_command)
+            for name, by_command in {**figures, **drawn}.items()
+            if by_command is not None and np.isfinite(by_command).all()
+        }
         asked = None if level.wanted == CLOSED else level.wanted
         found.append(AtThrust(asked, trim.rest.throttle, float(trim.rest.thrust.value), **means))
         if asked is not None:

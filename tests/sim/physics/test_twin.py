@@ -179,6 +179,43 @@ def test_battery_sags_under_load_and_empties_as_power_says() -> None:
     assert speed[0] == pytest.approx([settled[0, 0]] * 4, rel=2e-3)
 
 
+def test_draw_on_the_bench_is_the_rotors_power_and_more_while_they_speed_up() -> None:
+    bench = twin(noise=False)
+    still = bench.draw
+    bench.step(np.full((1, 4), 0.6))
+    for _ in range(30):
+        before = bench.rotor_speed
+        bench.step(np.full((1, 4), 0.6))
+    early, speed = bench.draw, bench.rotor_speed
+    for _ in range(1500):
+        bench.step(np.full((1, 4), 0.6))
+    late, settled = bench.draw, bench.rotor_speed
+    bench.reset()
+    again = bench.draw
+    bench.close()
+    propulsion, idle = NF1.propulsion, PACK.electronics_power
+    gained = propulsion.rotor_inertia * (speed - before) * 1000.0
+    shaft = (speed * (thrust_and_torque(speed, propulsion)[1] + gained)).sum()
+    assert (gained > 0.0).all()
+    assert early.power[0] == pytest.approx(shaft / propulsion.efficiency + idle, rel=1e-9)
+    held = (settled * thrust_and_torque(settled, propulsion)[1]).sum()
+    assert late.power[0] == pytest.approx(held / propulsion.efficiency + idle, rel=1e-3)
+    assert late.current[0] == pytest.approx(late.power[0] / propulsion.supply_voltage)
+    assert still.power[0] == again.power[0] == pytest.approx(idle)
+
+
+def test_draw_of_a_battery_is_what_it_gave_with_its_voltage() -> None:
+    flying = twin(charge=0.8, noise=False)
+    for _ in range(200):
+        flying.step(np.full((1, 4), 0.5))
+    drawn, packs = flying.draw, flying.battery
+    assert packs is not None
+    assert drawn.current[0] == packs.current[0]
+    assert drawn.voltage[0] == flying.pack_voltage[0]
+    assert drawn.power[0] == pytest.approx(drawn.voltage[0] * drawn.current[0])
+    flying.close()
+
+
 def test_rotors_that_brake_give_no_power_back() -> None:
     braking = twin(charge=1.0, noise=False)
     for _ in range(500):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import load_aircraft
 from sim.control.controller import PolicyController
 from sim.control.pid import aircraft_pid, pid_settings
+from sim.physics.rotor import target_speed, thrust_and_torque
 from toolchain.contract import Mix
 from toolchain.ir.interpreter import advance, clear_state
 from toolchain.passes import optimize
@@ -18,7 +19,7 @@ from toolchain.policy.model import read_policy
 from training.config.training_config import TrainingConfig, WorldConfig
 from training.envs.simulation import AttitudeSimulation
 from training.evaluation.controllers import Conditions, load_controller
-from training.evaluation.evaluation import Flights, figures, record
+from training.evaluation.evaluation import Flights, figures, record, scores
 from training.tasks.task import EnvelopeTask, EpisodicTask, PulseTask
 
 NF1 = load_aircraft("nf1")
@@ -54,6 +55,20 @@ def test_errors_are_the_commands_when_nothing_turns() -> None:
     assert result.worst_mae == pytest.approx(commands.max() * 2.0 / 4.5, rel=1e-4)
     assert result.effort.output == pytest.approx(0.25)
     assert result.effort.change == 0.0
+
+
+def test_power_and_current_are_those_of_the_rotors_and_the_electronics() -> None:
+    flights = record(Still(3), NF1, EpisodicTask(), episodes=3, seed=4, control_rate_hz=1000, noise=False)
+    assert flights.motors is not None
+    assert flights.power is not None
+    assert NF1.battery is not None
+    found, idle = scores(flights), NF1.battery.electronics_power
+    speed = target_speed(flights.motors[:, -1], NF1.propulsion)
+    shaft = (speed * thrust_and_torque(speed, NF1.propulsion)[1]).sum(axis=1)
+    assert flights.power[:, 0] == pytest.approx([idle] * 3)
+    assert flights.power[:, -1] == pytest.approx(shaft / NF1.propulsion.efficiency + idle, rel=1e-3)
+    assert found.power == pytest.approx(flights.power.mean(axis=1), rel=1e-4)
+    assert found.current == pytest.approx(flights.power.mean(axis=1) / 16.0, rel=1e-4)  # [V], the bench
 
 
 def test_every_controller_flies_the_same_commands_when_the_seed_is_the_same() -> None:

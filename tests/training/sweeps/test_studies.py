@@ -114,6 +114,14 @@ def test_shipped_studies_vary_the_recipe_at_the_four_thrusts(name: str) -> None:
         assert [config.seed for config in configs] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.parametrize("name", ["beta", "power"])
+def test_shipped_studies_of_future_work_are_short_and_complete(name: str) -> None:
+    sweep = load_sweep(STUDIES / f"{name}.toml")
+    assert sweep.trials[0].varied[VARIANT] == sweep.baseline
+    assert len({trial.config for trial in sweep.trials}) == len(sweep.trials)
+    assert all(trial.config.steps <= 4_000_000 for trial in sweep.trials)
+
+
 @pytest.mark.parametrize(
     ("weights", "cycles", "reason"),
     [
@@ -172,10 +180,14 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(
     for run in record["runs"]:
         outcome = run["outcome"]
         assert [each["asked"] for each in outcome["thrusts"]] == [None, 1.0, 2.0]
-        hover, twice = outcome["thrusts"][1:]
+        closed, hover, twice = outcome["thrusts"]
+        assert 0.4 < closed["current"]["mean"] < hover["current"]["mean"] < twice["current"]["mean"]
+        assert hover["beta", "power"]["mean"] == pytest.approx(16.0 * hover["current"]["mean"], rel=1e-5)
         assert outcome["mae"]["mean"] == pytest.approx((hover["mae"]["mean"] + twice["mae"]["mean"]) / 2)
         assert hover["throttle"] < twice["throttle"]
+    assert (out / "power.png").read_bytes().startswith(b"\x89PNG")
     assert main(words) == 0
     table = capsys.readouterr().out
     assert "16, noisy" in table
     assert "by thrust at rest" in table
+    assert "Mean current and electric power" in table
