@@ -10,7 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
 
 from toolchain.files import write_bytes
 
@@ -39,6 +40,19 @@ def dress(panel: Axes, name: str) -> None:
     for side, spine in panel.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(GRID)
+
+
+def dress_cube(panel: Axes3D, reach: float) -> None:
+    """Style of a panel of roll, pitch and yaw rates, each from -reach to reach [deg/s]."""
+    for axis, name in ((panel.xaxis, "roll"), (panel.yaxis, "pitch"), (panel.zaxis, "yaw")):
+        axis.set_label_text(f"{name}, deg/s", color=INK, fontsize=9)
+        axis.set_major_locator(MaxNLocator(5, symmetric=True))
+        axis.set_pane_color((1.0, 1.0, 1.0, 1.0))
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)  # mplot3d has no public setter
+    panel.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
+    panel.tick_params(colors=INK, labelsize=8, pad=0)
+    panel.patch.set_visible(False)  # or it hides the labels of the panel to its left
+    panel.set_box_aspect(None, zoom=0.9)
 
 
 def legend_above(panel: Axes) -> Legend:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.training.average import average_document, check_average, print_average
@@ -59,6 +60,8 @@ ROWS = (  # heading, figure, factor, digits
     ("  bare", "all_in_band_750_bare", 100, 1),
     ("every sample, %", "steady", 100, 1),
     ("  bare", "steady_bare", 100, 1),
+    ("  from 750 ms, %", "steady_750", 100, 1),
+    ("  bare", "steady_750_bare", 100, 1),
 )
 NOTE = (
     "Errors in deg/s against the true rate; ± is 95 % confidence. Differences are paired, command by "
@@ -86,6 +89,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_contender_arguments(parser)
     parser.add_argument(
+        "--envelope",
+        type=Path,
+        metavar="FILE.png",
+        help="draw the error of each command of --task envelope over its roll, pitch and yaw rate",
+    )
+    parser.add_argument(
         "--transparency",
         action="store_true",
         help="thrust and motors at rest against the throttle too, beside what a transparent controller gives",
@@ -103,11 +112,22 @@ def run(args: argparse.Namespace) -> int:
     check_controllers(all_names(args, args.controllers))
     check_thrusts(args)
     check_average(args)
+    _check_envelope(args)
     throttles = _throttles(args)
     with open_contenders(args, args.controllers, conditions(args)) as (contenders, flown):
         if args.thrust is not None:
             return _at_thrusts(args, contenders, flown)
         return _at_throttles(args, contenders, flown, throttles)
+
+
+def _check_envelope(args: argparse.Namespace) -> None:
+    """Raise NeuroflightError on a picture of another task, or on a name that is none of a picture."""
+    from cli.output import check_output
+    from toolchain.errors import TrainingError
+
+    check_output(args.envelope, ".png")
+    if args.envelope and (args.task != "envelope" or args.thrust is not None):
+        raise TrainingError("--envelope: draws --task envelope, without --thrust; use --plot for the others")
 
 
 def _at_throttles(
@@ -121,6 +141,7 @@ def _at_throttles(
     from cli.training.thrust import print_transparency, rest_documents
     from sim.plotting import save_png
     from training.evaluation.comparison import enter
+    from training.evaluation.envelope_plot import draw_envelope
     from training.evaluation.equal_thrust import all_transparency
 
     rounds: dict[float | None, list[Entry]] = {}
@@ -135,6 +156,9 @@ def _at_throttles(
         first = throttles[0]
         save_png(args.plot, _drawn(flown, rounds[first], title + throttle_words(first), rests))
     averages = [average_document(entries) for entries in rounds.values()] if args.average else []
+    if args.envelope:
+        first = throttles[0]
+        save_png(args.envelope, draw_envelope(rounds[first], title + throttle_words(first)))
     if args.json:
         comparison = [entry for entries in rounds.values() for entry in _documents(entries)]
         more = {"average": averages} if averages else {}
@@ -210,13 +234,16 @@ def _told(args: argparse.Namespace) -> Sequence[float] | None:
 
 def _documents(entries: Sequence[Entry]) -> list[dict[str, object]]:
     from training.evaluation.comparison import document
+    from training.evaluation.envelope import envelope, envelope_document
 
+    envelopes = [envelope(entry) for entry in entries]
     return [
         {
             **flight_document(entry.controller, entry.throttle, entry.evaluation),
             **document(entry, None if entry is entries[0] else entries[0]),
+            **({"envelope": envelope_document(found, envelopes[0])} if found and envelopes[0] else {}),
         }
-        for entry in entries
+        for entry, found in zip(entries, envelopes, strict=True)
     ]
 
 

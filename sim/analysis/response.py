@@ -79,6 +79,8 @@ class Response:
     all_in_band_750_bare: Array
     steady: Mask  # (E,), all three axes in the band at every sample from LATE_S to STEADY_S, or to the end
     steady_bare: Mask
+    steady_750: Mask  # the same from LATER_S on
+    steady_750_bare: Mask
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ class ResponseFigures:
     all_in_band_750_bare: Mean
     steady: Mean  # likewise
     steady_bare: Mean
+    steady_750: Mean
+    steady_750_bare: Mean
 
 
 def hold(setpoint: ArrayLike, rate: ArrayLike, step_s: float) -> Hold | None:
@@ -188,6 +192,8 @@ def response(held: Hold, floor_deg_s: float = FLOOR_DEG_S) -> Response:
         all_in_band_750_bare=bare[:, later:].all(axis=2).mean(axis=1),
         steady=np.asarray(inside[:, late:end].all(axis=(1, 2))),
         steady_bare=np.asarray(bare[:, late:end].all(axis=(1, 2))),
+        steady_750=np.asarray(inside[:, later:end].all(axis=(1, 2))),
+        steady_750_bare=np.asarray(bare[:, later:end].all(axis=(1, 2))),
     )
 
 
@@ -230,6 +236,8 @@ def mean_figures(each: Response, floor_deg_s: float = FLOOR_DEG_S) -> ResponseFi
         all_in_band_750_bare=mean_of(each.all_in_band_750_bare, everyone[:, 0]),
         steady=share_of(each.steady),
         steady_bare=share_of(each.steady_bare),
+        steady_750=share_of(each.steady_750),
+        steady_750_bare=share_of(each.steady_750_bare),
     )
 
 

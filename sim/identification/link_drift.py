@@ -36,6 +36,7 @@ FORMULATIONS = ("reduced", "maximal")
 STEPS_MS = (2.0, 1.0, 0.5)  # Koch 2019, chapter 5, of maximal coordinates; reduced ones at 1 ms alone
 DURATION_S = 0.5  # of each flight; a racer with two of four motors on is past RATE_MAX in 0.2 s
 RATE_MAX = math.radians(GYRO_FULL_SCALE_DEG_S)  # [rad/s], where a flight ends: full scale of the gyro
+ONSET_M = 0.001  # sum of the changes from which links count as apart; the dissertation names no threshold
 HINGE_HALF = 0.005  # [m], from the middle of a hinge to each of its two ball joints
 FORCE_MAX = 1e4  # [N], what a ball joint may hold with: never the limit
 SPEED_MAX = 1e5  # [rad/s], in place of pybullet's limit of 100
@@ -50,13 +51,32 @@ class Drift:
     formulation: str
     step_s: float
     flight: NDArray[np.intp]  # (K,), its motors as a binary number, motor 1 first
-    rate: Array  # (K,) [rad/s], of the airframe
-    drift: Array  # (K,) [m], change of distance of the propeller that moved most
+    rates: Array  # (K, 3) [rad/s], of the airframe about its own roll, pitch and yaw axes
+    drift: Array  # (K,) [m], change of distance of the propeller that moved most from the airframe
+    separation: Array  # (K,) [m], change of distance of every link from every other, summed
+
+    @property
+    def rate(self) -> Array:
+        """Magnitude of the airframe's rate (K,) [rad/s]."""
+        return np.asarray(np.linalg.norm(self.rates, axis=1))
 
     @property
     def worst(self) -> float:
         """Largest change of distance [m]."""
         return float(self.drift.max())
+
+
+@dataclass(frozen=True, eq=False)
+class Onset:
+    """The slowest sample of a run whose links are apart by more than a threshold."""
+
+    rates: Array  # (3,) [rad/s], roll, pitch, yaw
+    separation: float  # [m]
+
+    @property
+    def rate(self) -> float:
+        """Magnitude [rad/s]."""
+        return float(np.linalg.norm(self.rates))
 
 
 def drift(
@@ -70,7 +90,7 @@ def drift(
     Raises AircraftError if a rotor has no propeller part.
     """
     airframe, propellers = _links(aircraft)
-    rates, drifts = [], []
+    flights = []
     for command in product((0.0, 1.0), repeat=aircraft.motor_count):
         client = pybullet.connect(pybullet.DIRECT)
         try:
@@ -80,11 +100,22 @@ def drift(
             flown = _fly(aircraft, airframe, propellers, base, rotors, np.array([command]), step_s, client)
         finally:
             pybullet.disconnect(client)
-        rates.append(flown[0])
-        drifts.append(flown[1])
+        flights.append(flown)
         progress()
-    flight = np.repeat(np.arange(len(rates)), [len(flown) for flown in rates])
-    return Drift(formulation, step_s, flight, np.concatenate(rates), np.concatenate(drifts))
+    flight = np.repeat(np.arange(len(flights)), [len(rates) for rates, _ in flights])
+    rates, places = (np.concatenate(part) for part in zip(*flights, strict=True))
+    # Every flight begins where the links were put, so the first sample is the reference of all.
+    changes = np.abs(_distances(places) - _distances(places[:1]))
+    return Drift(formulation, step_s, flight, rates, changes[:, 0].max(axis=1), changes.sum(axis=(1, 2)))
+
+
+def onset(measured: Drift, threshold: float) -> Onset | None:
+    """The lowest rate at which the links are apart by more than `threshold` [m] in sum; None: at none."""
+    apart = np.flatnonzero(measured.separation > threshold)
+    if not len(apart):
+        return None
+    slowest = apart[np.argmin(measured.rate[apart])]
+    return Onset(measured.rates[slowest], float(measured.separation[slowest]))
 
 
 def worst_by_rate(measured: Drift, width: float) -> tuple[Array, Array]:
@@ -94,6 +125,11 @@ def worst_by_rate(measured: Drift, width: float) -> tuple[Array, Array]:
     np.maximum.at(worst, interval, measured.drift)
     flown = np.flatnonzero(worst >= 0)
     return np.asarray((flown + 0.5) * width, np.float64), np.asarray(worst[flown])
+
+
+def _distances(places: Array) -> Array:
+    """Distance of every link from every other (K, N, N) [m] from their places (K, N, 3) [m]."""
+    return np.asarray(np.linalg.norm(places[:, :, None] - places[:, None], axis=3))
 
 
 def _links(aircraft: Aircraft) -> tuple[MassProperties, list[MassProperties]]:
@@ -117,9 +153,12 @@ def _fly(
     step_s: float,
     client: int,
 ) -> tuple[Array, Array]:
-    """Rate of the airframe and largest drift after each step, until DURATION_S or RATE_MAX."""
+    """Rates (K, 3) [rad/s] of the airframe about its own axes and places (K, N, 3) [m] of the links.
+
+    The airframe is the first link. One sample at rest, where the links belong, then one after each step,
+    until DURATION_S or RATE_MAX.
+    """
     _, axes = principal(airframe.inertia)
-    distance = np.array([np.linalg.norm(p.centre - airframe.centre) for p in propellers])
     spin_inertia = np.array([p.inertia[2, 2] for p in propellers])
     steps = round(DURATION_S / step_s)
     targets = np.repeat(target_speed(command, aircraft.propulsion), steps, axis=0)
@@ -129,7 +168,8 @@ def _fly(
     shafts = aircraft.spins * spin_inertia * np.diff(speeds, axis=0) / step_s
     motors = shafts + aircraft.spins * torques
     world = pybullet.WORLD_FRAME
-    rates, drifts = [0.0], [0.0]
+    rates = [np.zeros(3)]
+    places = [np.array([np.zeros(3), *(propeller.centre - airframe.centre for propeller in propellers)])]
     _, turned = _pose(base, client)
     poses = [_pose(rotor, client) for rotor in rotors]
     for thrust, shaft, motor in zip(thrusts, shafts, motors, strict=True):
@@ -139,15 +179,14 @@ def _fly(
             pybullet.applyExternalForce(body, link, up * force, at, world, client)
             pybullet.applyExternalTorque(body, link, up * turn, world, client)
         pybullet.stepSimulation(client)
-        rate = float(np.linalg.norm(pybullet.getBaseVelocity(base[0], client)[1]))
-        if rate > RATE_MAX:
+        rate = np.array(pybullet.getBaseVelocity(base[0], client)[1])
+        if np.linalg.norm(rate) > RATE_MAX:
             break
         centre, turned = _pose(base, client)
         poses = [_pose(rotor, client) for rotor in rotors]
-        away = np.array([np.linalg.norm(at - centre) for at, _ in poses])
-        rates.append(rate)
-        drifts.append(float(np.abs(away - distance).max()))
-    return np.array(rates), np.array(drifts)
+        rates.append(rate @ (turned @ axes.T))
+        places.append(np.array([centre, *(at for at, _ in poses)]))
+    return np.array(rates), np.array(places)
 
 
 def _pose(part: Link, client: int) -> tuple[Array, Array]:

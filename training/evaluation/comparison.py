@@ -24,7 +24,7 @@ PERCENTILES = (5, 50, 95)  # over commands, of the drawn curves
 STEP_S = 0.6  # drawn part of a held command
 SUMS = ("mae", "mse", "iae", "ise", "itae", "itse")
 ERRORS = (*SUMS, "error")
-SHARES = ("steady", "steady_bare")  # shares of episodes, each 0 or 1
+SHARES = ("steady", "steady_bare", "steady_750", "steady_750_bare")  # shares of episodes, each 0 or 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,7 @@ class Entry:
     scores: Scores
     evaluation: Evaluation
     curves: Curves
+    commands: Array | None = None  # (E, 3) [deg/s], held; None where the task holds none for a second
 
 
 def enter(
@@ -67,7 +68,9 @@ def enter(
     """Fly a controller; throttle: see Conditions.fly; on_step: called with steps done and to do."""
     flights = conditions.fly(controller, throttle, on_step)
     each = scores(flights)
-    return Entry(controller, throttle, each, summary(each), curves(flights))
+    held = flights.hold()
+    asked = None if held is None else np.asarray(np.rad2deg(held.error[:, 0] + held.rate[:, 0]))
+    return Entry(controller, throttle, each, summary(each), curves(flights), asked)
 
 
 def values(each: Scores) -> dict[str, Array]:
@@ -91,6 +94,8 @@ def values(each: Scores) -> dict[str, Array]:
         "all_in_band_750_bare": response.all_in_band_750_bare,
         "steady": response.steady.astype(np.float64),
         "steady_bare": response.steady_bare.astype(np.float64),
+        "steady_750": response.steady_750.astype(np.float64),
+        "steady_750_bare": response.steady_750_bare.astype(np.float64),
     }
 
 

@@ -178,6 +178,9 @@ def test_steady_is_every_sample_of_every_axis_when_asked_for() -> None:
     each = response(held(rate, command))
     assert each.steady.tolist() == [True, False, True, True, False]
     assert each.steady_bare.tolist() == [True, False, False, True, False]
+    assert each.steady_750.tolist() == [True, True, True, True, False]
+    assert each.steady_750_bare.tolist() == [True, True, True, True, False]
     summary = response_figures(held(rate, command))
+    assert float(summary.steady_750.value) == 0.8
     assert [float(share.value) for share in (summary.steady, summary.steady_bare)] == [0.6, 0.4]
     assert summary.steady.low < 0.6 < summary.steady.high

@@ -11,8 +11,17 @@ import pytest
 
 from cli.main import main
 from sim.aircraft.model import Aircraft, load_aircraft
-from sim.identification.link_drift import FORMULATIONS, RATE_MAX, STEPS_MS, Drift, drift, worst_by_rate
-from sim.identification.link_drift_plot import draw
+from sim.identification.link_drift import (
+    FORMULATIONS,
+    ONSET_M,
+    RATE_MAX,
+    STEPS_MS,
+    Drift,
+    drift,
+    onset,
+    worst_by_rate,
+)
+from sim.identification.link_drift_plot import draw, draw_map
 from sim.physics.twin import Twin
 from sim.physics.world import Mount
 from toolchain.errors import AircraftError
@@ -76,8 +85,59 @@ def test_drift_is_the_same_when_flown_again(runs: dict[tuple[str, float], Drift]
     assert np.array_equal(again.drift, runs["maximal", 2.0].drift)
 
 
+def about_roll(rates: list[float], drifts: list[float]) -> Drift:
+    """A run of samples [rad/s] about roll, its two links off by `drifts` [m] as a pair in both orders."""
+    turned = np.array(rates)[:, None] * [1.0, 0.0, 0.0]
+    apart = np.array(drifts)
+    return Drift("maximal", 0.001, np.zeros(len(rates), int), turned, apart, 2 * apart)
+
+
+def test_separation_counts_each_pair_in_both_orders(runs: dict[tuple[str, float], Drift]) -> None:
+    for run in runs.values():
+        # The propeller that moved most is two of the sum's terms; 5 links make 20.
+        assert (run.separation >= 2 * run.drift).all()
+        assert run.separation.max() <= 20 * 2 * run.worst
+    assert runs["maximal", 1.0].separation.max() > 2.5 * runs["maximal", 1.0].worst
+
+
+def test_onset_comes_at_higher_rates_when_the_step_is_shorter(
+    runs: dict[tuple[str, float], Drift],
+) -> None:
+    threshold = 0.0002  # [m], which all three steps pass
+    found = [onset(runs["maximal", ms], threshold) for ms in STEPS_MS]
+    rates = [each.rate for each in found if each is not None]
+    assert len(rates) == 3
+    assert rates == sorted(rates)
+    assert all(onset(runs["reduced", ms], ONSET_M) is None for ms in STEPS_MS)
+
+
+def test_onset_is_the_slowest_sample_above_the_threshold() -> None:
+    run = about_roll([1.0, -2.0, 3.0, 4.0], [0.001, 0.003, 0.002, 0.004])
+    found = onset(run, 0.003)
+    assert found is not None
+    assert found.rates.tolist() == [-2.0, 0.0, 0.0]
+    assert (found.rate, found.separation) == (2.0, 0.006)
+    assert onset(run, 0.008) is None
+
+
+def test_rates_are_about_the_axes_of_the_airframe(runs: dict[tuple[str, float], Drift]) -> None:
+    run = runs["reduced", 1.0]
+    left = run.rates[run.flight == 0b0011][-1]  # motors 3 and 4 are on the left: it rolls to the right
+    assert left[0] > 5 * np.abs(left[1:]).max()
+    turning = run.rates[run.flight == 0b1001][-1]  # one diagonal: yaw alone
+    assert np.abs(turning[2]) > 5 * np.abs(turning[:2]).max()
+
+
+def test_map_has_a_panel_for_each_run_and_marks_the_onset(runs: dict[tuple[str, float], Drift]) -> None:
+    figure = draw_map(list(runs.values()), 0.0002, "title")
+    titles = [panel.get_title(loc="left") for panel in figure.axes[:6]]
+    assert titles[0] == "reduced, 2 ms\nnever above 0.2 mm"
+    assert titles[3].startswith("maximal, 2 ms\nabove 0.2 mm from ")
+    assert "sum over all pairs, mm" in figure.axes[6].get_ylabel()
+
+
 def test_worst_is_taken_in_each_interval_when_rates_are_scattered() -> None:
-    run = Drift("maximal", 0.001, np.zeros(4, int), np.array([0.5, 0.9, 3.1, 3.9]), np.array([4.0, 2, 1, 7]))
+    run = about_roll([0.5, 0.9, 3.1, -3.9], [4.0, 2, 1, 7])
     rate, worst = worst_by_rate(run, 1.0)
     assert rate.tolist() == [0.5, 3.5]
     assert worst.tolist() == [4.0, 7.0]
@@ -112,13 +172,19 @@ def test_every_combination_is_flown_when_there_are_three_rotors() -> None:
 def test_command_prints_one_document_when_asked_for_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plot = tmp_path / "drift.png"
-    assert main(["stability", "--steps-ms", "2", "--json", "--plot", str(plot)]) == 0
+    plot, rates = tmp_path / "drift.png", tmp_path / "map.png"
+    words = ["--threshold-mm", "0.5", "--json", "--plot", str(plot), "--map", str(rates)]
+    assert main(["stability", "--steps-ms", "2", *words]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["command"] == "neuroflight stability --aircraft nf1 --steps-ms 2"
+    assert document["command"] == "neuroflight stability --aircraft nf1 --steps-ms 2 --threshold-mm 0.5"
     assert [run["formulation"] for run in document["runs"]] == ["reduced", "maximal"]
     assert document["runs"][0]["drift_m"] < 1e-6 < document["runs"][1]["drift_m"]
+    still, apart = document["runs"]
+    assert still["onset"] is None
+    assert apart["separation_m"] > apart["onset"]["separation_m"] > 0.0005
+    assert np.linalg.norm(apart["onset"]["rates_deg_s"]) == pytest.approx(apart["onset"]["rate_deg_s"])
     assert plot.read_bytes().startswith(b"\x89PNG")
+    assert rates.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
@@ -127,6 +193,8 @@ def test_command_prints_one_document_when_asked_for_json(
         (["--steps-ms", "0"], "--steps-ms 0, expected 0.05 to 20 ms"),
         (["--steps-ms", "nan"], "--steps-ms nan"),
         (["--plot", "drift.jpg"], "expected a name that ends in .png"),
+        (["--map", "map.jpg"], "expected a name that ends in .png"),
+        (["--threshold-mm", "0"], "--threshold-mm 0, expected above 0, at most 1000 mm"),
         (["--aircraft", "nf9"], "no such file"),
     ],
 )

@@ -236,6 +236,7 @@ def test_compare_gives_the_figures_of_evaluate(capsys: Capture) -> None:
     told = json.loads(capsys.readouterr().out)
     entry = told.pop("comparison")[0]
     entry.pop("means")
+    entry.pop("envelope")
     assert alone.pop("command") == told.pop("command").replace("compare", "evaluate")
     assert {**told, **entry} == alone
 
@@ -250,6 +251,8 @@ def test_compare_gives_the_figures_of_evaluate(capsys: Capture) -> None:
         (["pid", "--episodes", "0"], "--episodes 0"),
         (["pid", "--idle", "nan"], "--idle nan"),
         (["pid", "none.onnx"], "none.onnx"),
+        (["pid", "--envelope", "a.png"], "--envelope: draws --task envelope, without --thrust"),
+        (["pid", "--envelope", "a.pdf"], "a.pdf: expected a name that ends in .png"),
         (["pid", "--plot", "a.pdf"], "a.pdf: expected a name that ends in .png"),
     ],
 )

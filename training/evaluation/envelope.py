@@ -1,0 +1,71 @@
+"""Flight envelope of a controller: its error and whether it holds, by the command (Koch 2019, chapter 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation.comparison import Entry
+
+Array = NDArray[np.float64]
+EDGES_DEG_S = (0.0, 200.0, 400.0, 600.0, 800.0, 1000.0, 2000.0)  # of the magnitude of a command
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """Each of E held commands, and how a controller followed it."""
+
+    commands: Array  # (E, 3) [deg/s]
+    mae: Array  # (E,) [deg/s], mean of the axes
+    held: NDArray[np.bool_]  # (E,), in the band with the floor at every sample from 500 ms on
+    held_bare: NDArray[np.bool_]  # (E,), the same without the floor
+
+    @property
+    def magnitude(self) -> Array:
+        """Length of each command as a vector (E,) [deg/s]."""
+        return np.asarray(np.linalg.norm(self.commands, axis=1))
+
+
+def envelope(entry: Entry) -> Envelope | None:
+    """The envelope of an entry; None where its task holds no command for a second."""
+    response = entry.scores.response
+    if entry.commands is None or response is None:
+        return None
+    mae = np.asarray(entry.scores.tracking.mae.mean(axis=1))
+    return Envelope(entry.commands, mae, response.steady, response.steady_bare)
+
+
+def by_magnitude(found: Envelope) -> tuple[NDArray[np.intp], Array, Array]:
+    """Commands, mean of their error [deg/s] and share held in each interval of EDGES_DEG_S; NaN for none.
+
+    Each is (B,).
+    """
+    interval = np.clip(np.digitize(found.magnitude, EDGES_DEG_S) - 1, 0, len(EDGES_DEG_S) - 2)
+    count = np.bincount(interval, minlength=len(EDGES_DEG_S) - 1)
+    number = np.where(count > 0, count, np.nan)
+    error, held = (np.bincount(interval, each, len(count)) / number for each in (found.mae, found.held))
+    return count, error, held
+
+
+def envelope_document(found: Envelope, first: Envelope) -> dict[str, object]:
+    """The figures as JSON data, the error beside that of `first`."""
+    mae, reference = float(found.mae.mean()), float(first.mae.mean())
+    count, error, held = by_magnitude(found)
+    return {
+        "mae": mae,
+        "mae_ratio_to_first": mae / reference if reference > 0.0 else None,
+        "held_to_deg_s": _largest(found.magnitude, found.held),
+        "held_to_bare_deg_s": _largest(found.magnitude, found.held_bare),
+        "largest_command_deg_s": float(found.magnitude.max()),
+        "magnitude_edges_deg_s": EDGES_DEG_S,
+        "magnitude_commands": count.tolist(),
+        "magnitude_mae": [None if np.isnan(value) else value for value in error.tolist()],
+        "magnitude_held": [None if np.isnan(value) else value for value in held.tolist()],
+    }
+
+
+def _largest(magnitude: Array, held: NDArray[np.bool_]) -> float | None:
+    """Magnitude of the largest command that was held; None if none was."""
+    return float(magnitude[held].max()) if held.any() else None
