@@ -99,6 +99,27 @@ class NormalizedReward:
 
 
 @dataclass(frozen=True)
+class SparseReward:
+    """Nothing while the error is small, else a penalty: r = 0 if Σ|e| < threshold, else -1.
+
+    Source: Koch 2019, chapter 3, the footnote on rewards that did poorly. The threshold is not printed. Here
+    it is a tenth of the largest command on each axis, the band of that chapter's success.
+    """
+
+    name: ClassVar[str] = "dissertation-3-sparse"
+    threshold_deg_s: float = 90.0
+
+    def __post_init__(self) -> None:
+        """Reject invalid rates."""
+        check_limits(f"reward {self.name}", self, threshold_deg_s=RATE_DEG_S)
+
+    def __call__(self, step: Transition) -> Rewards:
+        """See Reward."""
+        error = np.abs(step.error).sum(axis=1)
+        return np.where(error < np.deg2rad(self.threshold_deg_s), np.float32(0.0), np.float32(-1.0))
+
+
+@dataclass(frozen=True)
 class CalmReward:
     """Squared errors, low outputs and, once the command is reached, small changes of the outputs.
 
@@ -185,7 +206,8 @@ class ProgressReward:
 
 
 REWARDS: dict[str, type[Reward]] = {
-    reward.name: reward for reward in (TrackingReward, NormalizedReward, CalmReward, ProgressReward)
+    reward.name: reward
+    for reward in (TrackingReward, NormalizedReward, SparseReward, CalmReward, ProgressReward)
 }
 
 

@@ -20,12 +20,14 @@ from training.config.algorithms import (
     Algorithm,
     DdpgConfig,
     OffPolicyConfig,
+    Ppo1Config,
     PpoConfig,
     SacConfig,
     Td3Config,
     TrpoConfig,
 )
 from training.config.training_config import OutputMap, TrainingConfig
+from training.learners.ppo1.learner import Ppo1Learner
 from training.learners.sb3 import Sb3Learner
 from training.runs.make_learner import make_learner
 from training.tasks.reward import Transition
@@ -34,6 +36,7 @@ from training.tasks.task import PulseTask
 NF1 = load_aircraft("nf1")
 ON_POLICY: dict[str, Algorithm] = {
     "ppo": PpoConfig(aircraft=16, horizon=16, minibatch=128, leg=4),
+    "ppo1": Ppo1Config(aircraft=16, horizon=16, minibatch=100, leg=4),
     "trpo": TrpoConfig(aircraft=16, horizon=16, minibatch=128, leg=4),
 }
 FEW: dict[str, Any] = {
@@ -66,10 +69,10 @@ class Constant:
 
 
 @contextmanager
-def learning(config: TrainingConfig) -> Iterator[Sb3Learner]:
+def learning(config: TrainingConfig) -> Iterator[Sb3Learner | Ppo1Learner]:
     torch.set_num_threads(1)
     found = make_learner(NF1, config)
-    assert isinstance(found, Sb3Learner)
+    assert isinstance(found, Sb3Learner | Ppo1Learner)
     try:
         yield found
     finally:
@@ -98,7 +101,10 @@ def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
         session = onnxruntime.InferenceSession(to_onnx(config.document(NF1), trained.policy()))
         scale = np.array(config.observation_scale(4), np.float32)
         raw = np.random.default_rng(3).normal(0.0, 1.0 / scale, (50, 6)).astype(np.float32)
-        outputs, _ = trained._model.predict(raw * scale, deterministic=True)
+        if isinstance(trained, Ppo1Learner):
+            outputs = trained.outputs(raw * scale)
+        else:
+            outputs, _ = trained._model.predict(raw * scale, deterministic=True)
     if output.squash and name in ON_POLICY:
         outputs = np.tanh(outputs)
     expected = np.clip(output.scale * outputs + output.offset, 0.0, 1.0)
@@ -111,7 +117,7 @@ def test_the_frozen_policy_is_the_actor_without_exploration_when_it_has_learnt(
 def test_a_run_continues_as_if_it_had_never_stopped_when_resumed(name: str) -> None:
     config = config_of(ALL[name], output=SQUASHED)
 
-    def bytes_of(trained: Sb3Learner) -> bytes:
+    def bytes_of(trained: Sb3Learner | Ppo1Learner) -> bytes:
         buffer = io.BytesIO()
         torch.save({"policy": trained.policy(), "state": trained.state()}, buffer)
         return buffer.getvalue()
@@ -132,6 +138,7 @@ def test_a_run_continues_as_if_it_had_never_stopped_when_resumed(name: str) -> N
     "algorithm",
     [
         PpoConfig(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=30),
+        Ppo1Config(32, 8, 128, epochs=8, learning_rate=1e-2, discount=0.8, leg=30),
         TrpoConfig(32, 8, minibatch=128, learning_rate=1e-2, discount=0.8, leg=12),
         DdpgConfig(**{**FEW, "leg": 400}, discount=0.8, tau=0.5, learning_rate=1e-2),
     ],
@@ -144,10 +151,12 @@ def test_the_value_is_bootstrapped_when_an_episodes_time_is_over(algorithm: Algo
     )
     with learning(config) as trained:
         trained.learn(0, lambda report: None)
-        model: Any = trained._model
         observation = torch.from_numpy(trained._env.reset())
+        model: Any = trained if isinstance(trained, Ppo1Learner) else trained._model
         with torch.no_grad():
-            if isinstance(algorithm, OffPolicyConfig):
+            if isinstance(trained, Ppo1Learner) and isinstance(algorithm, Ppo1Config):
+                value = (1.0 - algorithm.discount) * trained.values(observation.numpy())
+            elif isinstance(algorithm, OffPolicyConfig):
                 value = model.critic(observation, model.actor(observation))[0]
             elif isinstance(algorithm, PpoConfig):
                 value = model._values(observation.numpy())
@@ -161,6 +170,7 @@ def test_a_draw_of_noise_is_held_for_some_steps_and_begins_anew_with_a_segment(n
     algorithm = replace(OFF_POLICY[name], hold=3)  # type: ignore[type-var]
     config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=algorithm, output=SQUASHED, task=SHORT)
     with learning(config) as trained:
+        assert isinstance(trained, Sb3Learner)
         noise: Any = trained._model.action_noise
         noise.restart()
         drawn = [noise().copy() for _ in range(7)]
@@ -175,6 +185,7 @@ def test_replay_buffer_holds_an_episodes_last_observation_when_its_time_is_over(
     config = TrainingConfig(steps=10**6, hidden=(8,), algorithm=OFF_POLICY[name], output=SQUASHED, task=SHORT)
     with learning(config) as trained:
         trained.learn(0, lambda report: None)
+        assert isinstance(trained, Sb3Learner)
         model: Any = trained._model
         memory = model.replay_buffer
         ends = np.argwhere(memory.dones[: memory.pos] == 1.0)
@@ -189,6 +200,9 @@ def test_replay_buffer_holds_an_episodes_last_observation_when_its_time_is_over(
     [
         (PpoConfig(horizon=5000), "horizon 5000, expected 1 to the 4500 control steps of an episode"),
         (TrpoConfig(horizon=5000), "horizon 5000, expected 1 to the 4500 control steps"),
+        (Ppo1Config(minibatch=4096), r"a rollout has 2048 steps \(16 aircraft x 128\), expected at least"),
+        (Ppo1Config(log_std=11.0), "log_std 11.0, expected -10 to 10"),
+        (Ppo1Config(entropy=-1.0), "entropy -1.0, expected at least 0"),
         (TrpoConfig(minibatch=1000), "minibatch 1000 does not divide the 16384 steps"),
         (TrpoConfig(target_kl=0.0), "target_kl 0.0, expected more than 0"),
         (PpoConfig(epochs=0), "epochs 0, expected at least 1"),

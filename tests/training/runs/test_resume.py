@@ -24,6 +24,10 @@ RUNS = {  # eight segments each, a checkpoint every second
         *("steps=1024", "checkpoint_steps=256", "algorithm=ppo", "algorithm.aircraft=8"),
         *("algorithm.horizon=16", "algorithm.minibatch=64", "algorithm.leg=1", "world.throttle_steps=0"),
     ],
+    "ppo1": [
+        *("steps=1024", "checkpoint_steps=256", "algorithm=ppo1", "algorithm.aircraft=8"),
+        *("algorithm.horizon=16", "algorithm.minibatch=50", "algorithm.leg=1"),
+    ],
     "pathwise": [
         *("steps=1600", "checkpoint_steps=400", "algorithm=pathwise", "algorithm.aircraft=4"),
         *("algorithm.leg_steps=200", "algorithm.warm_up=5"),
@@ -74,6 +78,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
         ("ppo", signal.SIGINT),
         ("pathwise", signal.SIGKILL),
         pytest.param("ppo", signal.SIGKILL, marks=pytest.mark.slow),
+        pytest.param("ppo1", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("pathwise", signal.SIGINT, marks=pytest.mark.slow),
     ],
 )

@@ -13,6 +13,7 @@ from training.tasks.reward import (
     NormalizedReward,
     ProgressReward,
     Reward,
+    SparseReward,
     TrackingReward,
     Transition,
 )
@@ -52,6 +53,20 @@ def test_the_tracking_reward_is_its_formula() -> None:
     expected = -1.5 - 0.5 * 0.25 - 2.0 * 0.1
     seen = worth(REWARD, error=[50.0, -100.0, 0.0], action=[0.1, 0.3, 0.2, 0.4])
     assert seen == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        ([29.0, -30.0, 30.0], 0.0),
+        ([0.0, 0.0, 0.0], 0.0),
+        ([31.0, -30.0, 30.0], -1.0),
+        ([0.0, -91.0, 0.0], -1.0),
+    ],
+)
+def test_the_sparse_reward_is_nothing_or_a_penalty(error: list[float], expected: float) -> None:
+    assert worth(SparseReward(), error=error) == expected
+    assert worth(SparseReward(threshold_deg_s=92.0), error=error) == 0.0
 
 
 def test_settling_costs_the_same_at_any_distance_beyond_its_limit() -> None:
@@ -171,6 +186,7 @@ def test_each_of_many_aircraft_gets_its_own_reward(name: str) -> None:
         (lambda: TrackingReward(output=-1.0), "reward tracking: output -1.0, expected 0 to 1e"),
         (lambda: TrackingReward(error=float("nan")), "reward tracking: error nan, expected 0 to 1e"),
         (lambda: NormalizedReward(0.0), "reward dissertation-3: rate_max_deg_s 0.0, expected 0.001 to 10000"),
+        (lambda: SparseReward(0.0), "reward dissertation-3-sparse: threshold_deg_s 0.0, expected 0.001 to"),
         (lambda: CalmReward(change_max=101.0), "reward dissertation-4: change_max 101.0, expected 0 to 100"),
         (lambda: CalmReward(scale=0.0), "reward dissertation-4: scale 0.0, expected 1e-12 to 1e"),
         (lambda: ProgressReward(idle=2.0), "reward dissertation-5: idle 2.0, expected 0 to 1"),

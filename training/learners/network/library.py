@@ -1,4 +1,4 @@
-"""Networks in C (`c/`) for the learners that are in C: how they are built, and the arrays that Python and C share."""
+"""Networks in C (`c/`) for the learners that are in C: their build, and arrays that Python and C share."""
 
 from __future__ import annotations
 

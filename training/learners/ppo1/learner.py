@@ -13,8 +13,8 @@ Differences from the learner `ppo`:
 Differences from Baselines: several aircraft share a rollout, where it has one (or one a process); an episode
 ends by time alone, and the value of its last observation counts for what would have followed; the critic
 outputs values normalized by their running mean and spread, and its last layer is rescaled when these change
-(van Hasselt et al. 2016, PopArt), because rewards of the dissertation reach from 1 to 1e9; Adam's eps is added
-behind the bias correction.
+(van Hasselt et al. 2016, PopArt), because rewards of the dissertation reach from 1 to 1e9; Adam's eps is
+added behind the bias correction.
 """
 
 from __future__ import annotations
@@ -105,14 +105,15 @@ class Ppo1Learner:
     def _fly(self, observation: Floats, rng: np.random.Generator) -> Rollout:
         """A rollout from `observation` (N, n) on."""
         networks, normalization = self._networks, self._normalization()
-        rollout = Rollout.empty(self._ppo1.horizon, *observation.shape, networks.motors)
+        rollout = Rollout.empty(self._ppo1.horizon, len(observation), observation.shape[1], networks.motors)
         drawn = rng.standard_normal(rollout.actions.shape, np.float32)
         drawn *= np.exp(networks.split(self._parameters)[1])
         env, actor = self._env, self._engine.acting(self._parameters, normalization, len(observation))
         rollout.observations[0] = observation
         for step, noise in enumerate(drawn):
             rollout.actions[step] = actor(observation) + noise
-            observation, rollout.rewards[step], ended, infos = env.step(rollout.actions[step])
+            env.step_async(rollout.actions[step])
+            observation, rollout.rewards[step], ended, infos = env.step_wait()
             rollout.observations[step + 1] = observation
             rollout.ended[step] = ended
             for who in np.flatnonzero(ended).tolist():

@@ -22,7 +22,7 @@ LAST_GAIN = 0.01  # length of the actor's last rows at first: outputs are then n
 
 @dataclass(frozen=True)
 class ActorCritic:
-    """Two networks that share nothing, and log_std: parameters are the actor's, log_std (M,), the critic's."""
+    """Two networks that share nothing, and log_std. Parameters: the actor's, log_std (M,), the critic's."""
 
     actor: Shape
     critic: Shape
@@ -49,7 +49,7 @@ class ActorCritic:
         return count, count + self.motors
 
     def fresh(self, log_std: float, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Parameters of untrained networks: each unit's weights have length 1, those of the outputs LAST_GAIN."""
+        """Parameters of untrained networks: each unit's weights have length 1, the actor's last LAST_GAIN."""
         parameters = np.zeros(self.count, np.float32)
         actor, deviations, critic = self.split(parameters)
         deviations[:] = log_std
@@ -109,12 +109,10 @@ class Engine:
 
         Each call overwrites what the last one returned.
         """
-        actor, observations = self._networks.split(parameters)[0], np.empty((count, len(normalization.mean)))
-        observations = observations.astype(self._number)
-        found, memory = (
-            np.empty((count, self._networks.motors), self._number),
-            aligned(self._size, self._number),
-        )
+        networks, number = self._networks, self._number
+        actor, memory = networks.split(parameters)[0], aligned(self._size, number)
+        observations = np.empty((count, networks.actor.widths[0]), number)
+        found = np.empty((count, networks.motors), number)
         observed = self._observed(normalization, observations)
         weights, result, space = (self._pointer(array) for array in (actor, found, memory))
         compute, loaded = self._library.lib.ppo1_outputs, False
@@ -167,8 +165,8 @@ class Engine:
     ) -> tuple[NDArray[np.float64], Numbers]:
         """Change `parameters` and Adam's two means in place, by each whole minibatch of `order`.
 
-        Samples that are left over count nothing, as in Baselines. updates: Adam's so far. Returns means of the
-        surrogate, of the squared error of values and of the share of clipped ratios, and the last gradient.
+        Samples that are left over count nothing, as in Baselines. updates: Adam's so far. Returns means of
+        the surrogate, of the values' squared error and of the share of clipped ratios, and the last gradient.
         """
         point, count = self._pointer, len(order) - len(order) % losses.minibatch
         gradient, figures = np.zeros_like(parameters), np.zeros(self._library.lib.PPO1_FIGURES)

@@ -46,7 +46,7 @@ class Case:
         )
         self.order = rng.permutation(COUNT).astype(np.int32)
 
-    def kind(self, value: float) -> Any:  # noqa: ANN401
+    def kind(self, value: float) -> Any:
         return np.dtype(self.number).type(value)
 
     def drawn(self, rng: np.random.Generator, *shape: int) -> NDArray[Any]:
@@ -75,21 +75,20 @@ class Case:
         observed = (samples["observations"] - mean) * factor
         surrogates, errors = [], []
         size = LOSSES.minibatch
-        for batch in torch.from_numpy(self.order[: COUNT // size * size]).long().split(size):
+        for batch in np.split(self.order[: COUNT // size * size], COUNT // size):
             means, values = (
                 computed(actor, observed[batch], activation),
                 computed(critic, observed[batch], activation),
             )
-            normal = torch.distributions.Normal(means, log_std[0].exp())
-            constant = MOTORS * 0.5 * np.log(2.0 * np.pi)
-            log_prob = normal.log_prob(samples["actions"][batch]).sum(dim=1) + constant
+            away = (samples["actions"][batch] - means) / log_std[0].exp()
+            log_prob = -(0.5 * away.square() + log_std[0]).sum(dim=1)
             ratio = (log_prob - samples["log_prob"][batch]).exp()
             advantage = samples["advantages"][batch]
             lesser = torch.min(
                 advantage * ratio, advantage * ratio.clamp(1.0 - LOSSES.clip, 1.0 + LOSSES.clip)
             ).mean()
             error = (values[:, 0] - samples["returns"][batch]).square().mean()
-            loss = error - lesser - LOSSES.entropy * normal.entropy().sum(dim=1).mean()
+            loss = error - lesser - LOSSES.entropy * log_std[0].sum()
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             adam.step()
