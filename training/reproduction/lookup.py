@@ -52,14 +52,15 @@ def find(document: Any, path: str) -> Value:  # noqa: ANN401 - any JSON value
 
 
 def ours(figure: Figure, found: Value, against: Value | None) -> Value:
-    """Our figure from what stands in the output: scaled, or the change in % from `against`."""
+    """Our figure from what stands in the output, or the change in % from `against`; scaled."""
     if against is None:
         return _each(found, lambda value: figure.scale * value)
     if isinstance(found, tuple) and isinstance(against, tuple):
-        return tuple(_change(new, old) for new, old in zip(found, against, strict=True))
+        changes = tuple(_change(new, old) for new, old in zip(found, against, strict=True))
+        return _each(changes, lambda value: figure.scale * value)
     if isinstance(found, tuple) or isinstance(against, tuple):
         raise ReproduceError(f"{figure.what}: one number is compared with three")
-    return _change(found, against)
+    return figure.scale * _change(found, against)
 
 
 def _error(entry: Any) -> float:  # noqa: ANN401 - any JSON value

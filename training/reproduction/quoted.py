@@ -20,14 +20,13 @@ class Quoted:
     @property
     def digits(self) -> int:
         """Decimals that are printed, at most."""
-        return max(_decimals(value) for value in self.value)
+        return max(_decimals(value) for value in (*self.value, *(self.margin or ())))
 
     @property
     def allowed(self) -> tuple[float, ...]:
-        """Half width of what each number may stand for: its confidence, or what was rounded away."""
-        if self.margin is not None:
-            return self.margin
-        return (0.5 * 10.0**-self.digits,) * len(self.value)
+        """Half width of what each number may stand for: its confidence, or more if rounding took more away."""
+        rounded = 0.5 * 10.0**-self.digits
+        return tuple(max(rounded, margin) for margin in self.margin or (0.0,) * len(self.value))
 
 
 def quoted(name: str) -> Quoted:
