@@ -12,7 +12,7 @@ import pytest
 from cli.main import parser
 from tests.conftest import ROOT
 
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 NEUROFLIGHT = re.compile(r"^ *(?:\.venv/bin/)?neuroflight (.*)$")
 

@@ -13,6 +13,8 @@ from training.config.pathwise_config import PathwiseConfig
 REPEATS_MAX = 10_000  # of what an update repeats: more would not end within a day
 LEG_MAX = 1_000_000  # of what a segment repeats
 BUFFER_MAX = 10_000_000  # control steps: more are larger than any checkpoint
+DISTRIBUTIONS = ("normal", "beta")
+BETA_LOG_STD_MAX = -0.5 * math.log(3.0)  # all outputs in -1..1 equally likely
 MOST = {"leg": LEG_MAX, "minibatch": BUFFER_MAX, "horizon": BUFFER_MAX}  # their own errors say more
 
 
@@ -46,6 +48,7 @@ class PpoConfig:
 
     Outputs are drawn from a normal distribution, or with `OutputMap.squash` from tanh of one: bounded. The
     factor that tanh puts on a probability is the same before and after an update, so it cancels in the ratio.
+    Or they are drawn from a beta distribution, which is bounded itself: see `training.learners.exploration`.
     """
 
     name: ClassVar[str] = "ppo"
@@ -59,6 +62,7 @@ class PpoConfig:
     clip: float = 0.2
     log_std: tuple[float, float] = (-1.0, -2.5)  # exploration, network output units, first to last step
     hold: int = 8  # control steps for which a draw of the exploration is held
+    distribution: str = "normal"  # or "beta", which needs `OutputMap.squash`
     smoothness_spatial: float = 1.0  # weight of the mean output's change under gyro noise, see smooth_ppo
     smoothness_temporal: float = 0.0  # of its change from a control step to the next
     leg: int = 16  # rollouts
@@ -74,6 +78,13 @@ class PpoConfig:
         yield from _number_errors(self, positive=("learning_rate", "clip"))
         yield from _share_errors(self, ("discount", "gae_lambda"))
         yield from _number_errors(self, not_negative=("smoothness_spatial", "smoothness_temporal"))
+        if self.distribution not in DISTRIBUTIONS:
+            yield f"distribution {self.distribution!r}, expected one of: {', '.join(DISTRIBUTIONS)}"
+        if self.distribution == "beta" and not max(self.log_std) <= BETA_LOG_STD_MAX:
+            yield (
+                f"log_std {list(self.log_std)}, expected at most {BETA_LOG_STD_MAX:.3f}: a beta distribution "
+                f"is no wider"
+            )
         yield from _rollout_errors(self.aircraft, self.horizon, self.minibatch, episode_steps)
 
 

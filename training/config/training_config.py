@@ -200,6 +200,8 @@ class TrainingConfig:
         yield from self.output.errors()
         if not self.output.squash and isinstance(self.algorithm, OffPolicyConfig):
             yield f"output.squash false, expected true: {self.algorithm.name}'s policies end in tanh"
+        if not self.output.squash and self.drawn_bounded and isinstance(self.algorithm, PpoConfig):
+            yield "output.squash false, expected true: a beta distribution has its mode at tanh of a sum"
         episode_steps = round(self.task.duration_s * self.control_rate_hz)
         if not 2 <= episode_steps <= EPISODE_STEPS_MAX:
             yield (
@@ -250,6 +252,15 @@ class TrainingConfig:
     def mixing(self) -> Mix:
         """How outputs and throttle become motor fractions."""
         return Mix.of(self.mix)
+
+    @property
+    def drawn_bounded(self) -> bool:
+        """Whether the algorithm's own outputs lie in -1..1, after the tanh of `OutputMap.squash`."""
+        match self.algorithm:
+            case PpoConfig(distribution=distribution):
+                return distribution == "beta"
+            case algorithm:
+                return isinstance(algorithm, OffPolicyConfig)
 
     @property
     def gyro_mean(self) -> bool:

@@ -12,7 +12,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from sim.aircraft.model import Aircraft
-from training.config.algorithms import OffPolicyConfig
 from training.config.training_config import TrainingConfig
 from training.envs.simulation import AttitudeSimulation
 
@@ -24,9 +23,10 @@ OUTPUT_MAX = 1e3
 class AttitudeVecEnv(VecEnv):
     """N aircraft behind SB3's vector interface. Observations are scaled, actions are the network's.
 
-    Off-policy actors end in tanh, so their actions lie in -1..1; those of the others have no bound, and with
-    `OutputMap.squash` go through tanh here. An episode ends only when its time is over: every end is reported
-    as a truncation with its last observation, so that the learner bootstraps its value.
+    Off-policy actors end in tanh, and PPO's with a beta distribution too, so their actions lie in -1..1;
+    those of the others have no bound, and with `OutputMap.squash` go through tanh here. An episode ends only
+    when its time is over: every end is reported as a truncation with its last observation, so that the
+    learner bootstraps its value.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class AttitudeVecEnv(VecEnv):
         self._simulation = simulation = self._build(count, np.random.default_rng(config.seed))
         self._scale = np.array(config.observation_scale(simulation.motors), np.float32)
         self._output = config.output
-        bounded = isinstance(config.algorithm, OffPolicyConfig)
+        bounded = config.drawn_bounded
         self._squash = config.output.squash and not bounded
         limit = 1.0 if bounded else OUTPUT_MAX
         self._action = np.zeros((simulation.count, simulation.motors), np.float32)

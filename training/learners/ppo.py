@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sim.aircraft.model import Aircraft
 from training.config.algorithms import PpoConfig
 from training.config.training_config import TrainingConfig
+from training.learners.exploration import EXPLORATIONS
 from training.learners.sb3 import MODULES, Sb3Learner
 from training.learners.smooth_ppo import Smoothness, SmoothPpo
 
@@ -32,6 +33,7 @@ class PpoLearner(Sb3Learner):
             gae_lambda=ppo.gae_lambda,
             clip=ppo.clip,
             hold=ppo.hold,
+            exploration=EXPLORATIONS[ppo.distribution](),
             log_std=lambda: first + (last - first) * self.part,
             policy_kwargs={
                 "net_arch": list(config.hidden),

@@ -15,7 +15,6 @@ lock inside its kernels.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -31,9 +30,10 @@ from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
+from training.learners.exploration import BetaExploration, Exploration, NormalExploration
+
 ADAM_EPS = 1e-5  # Stable-Baselines3's for PPO
 VALUE_SPREAD_MIN = 1e-6
-LOG_SQRT_2_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class SmoothPpo(PPO):
         clip: float,
         log_std: Callable[[], float],
         hold: int,
+        exploration: Exploration | None = None,
         **kwargs: Any,  # noqa: ANN401 - PPO's own
     ) -> None:
         """log_std: schedule of the exploration, called before each update.
@@ -77,15 +78,18 @@ class SmoothPpo(PPO):
         If PPO learns it, it stays so large that the mean output drifts: the reward hardly depends on it.
         hold: control steps for which a draw is held. Rotors hardly respond to a change of one millisecond;
         they respond to a held one, and each of its steps is credited with the rewards of the others.
+        exploration: what outputs are drawn from; None: a normal distribution.
         """
         super().__init__(*args, **kwargs)
         self._log_std, self._hold = log_std, hold
+        self._exploration = exploration or NormalExploration()
         self.policy.log_std.requires_grad_(False)
         self._smoothness = smoothness
         self._noise = torch.as_tensor(smoothness.observation_noise)
         self._clip = clip
         layers = self.policy.mlp_extractor
-        self.actor = torch.nn.Sequential(*layers.policy_net, self.policy.action_net)
+        bound = [torch.nn.Tanh()] if isinstance(self._exploration, BetaExploration) else []
+        self.actor = torch.nn.Sequential(*layers.policy_net, self.policy.action_net, *bound)
         self.critic = torch.nn.Sequential(*layers.value_net, self.policy.value_net)
         self._value_mean, self._value_spread = torch.zeros(()), torch.ones(())
         self.policy.register_buffer("value_mean", self._value_mean)  # so it is saved with the networks
@@ -101,17 +105,17 @@ class SmoothPpo(PPO):
         """Fly n_rollout_steps with drawn outputs. Returns whether the callback wants to go on."""
         observation = self._last_obs
         assert isinstance(observation, np.ndarray)
-        buffer, std = rollout_buffer, float(self.policy.log_std.detach().exp()[0])
+        buffer, log_std = rollout_buffer, float(self.policy.log_std.detach()[0])
         buffer.reset()
         callback.on_rollout_start()
         draws = torch.randn(-(-n_rollout_steps // self._hold), *buffer.actions.shape[1:])
         noise = draws.repeat_interleave(self._hold, dim=0)[:n_rollout_steps]
-        buffer.log_probs[:] = -(0.5 * noise.square() + math.log(std) + LOG_SQRT_2_PI).sum(dim=2).numpy()
-        drawn = (noise * std).numpy()
+        held, centres = noise.numpy(), np.empty_like(buffer.actions)
         ends: list[tuple[int, int, NDArray[np.float32]]] = []  # step, aircraft, its last observation
         for step in range(n_rollout_steps):
             with torch.no_grad():
-                action = self.actor(torch.from_numpy(observation)).numpy() + drawn[step]
+                centres[step] = self.actor(torch.from_numpy(observation)).numpy()
+            action = self._exploration.drawn(centres[step], held[step], log_std)
             buffer.observations[step] = observation
             buffer.actions[step] = action
             buffer.episode_starts[step] = self._last_episode_starts
@@ -127,6 +131,8 @@ class SmoothPpo(PPO):
             if not callback.on_step():
                 return False
         buffer.pos, buffer.full = n_rollout_steps, True
+        actions, means = torch.from_numpy(buffer.actions), torch.from_numpy(centres)
+        buffer.log_probs[:] = self._exploration.log_prob_drawn(actions, means, noise, log_std).numpy()
         buffer.values[:] = self._values(buffer.observations)
         if ends:  # truncated episodes: the critic estimates the value of what would have followed
             steps, whose, last = zip(*ends, strict=True)
@@ -204,8 +210,7 @@ class SmoothPpo(PPO):
         return float(loss.detach())
 
     def _surrogate(self, rollout: Rollout, batch: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
-        away = (rollout.actions[batch] - mean) * torch.exp(-self.policy.log_std)
-        log_prob = -(0.5 * away.square() + self.policy.log_std + LOG_SQRT_2_PI).sum(dim=1)
+        log_prob = self._exploration.log_prob(rollout.actions[batch], mean, self.policy.log_std)
         advantages = rollout.advantages[batch]
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         ratio = torch.exp(log_prob - rollout.log_prob[batch])
