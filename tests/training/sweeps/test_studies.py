@@ -114,7 +114,7 @@ def test_shipped_studies_vary_the_recipe_at_the_four_thrusts(name: str) -> None:
         assert [config.seed for config in configs] == [1, 2, 3, 4, 5]
 
 
-@pytest.mark.parametrize("name", ["beta", "power"])
+@pytest.mark.parametrize("name", ["beta", "power", "recurrent"])
 def test_shipped_studies_of_future_work_are_short_and_complete(name: str) -> None:
     sweep = load_sweep(STUDIES / f"{name}.toml")
     assert sweep.trials[0].varied[VARIANT] == sweep.baseline
