@@ -1,0 +1,1 @@
+"""A flight as pictures of the aircraft in its attitudes."""
