@@ -1,1 +1,1 @@
-"""A flight as pictures of the aircraft in its attitudes."""
+"""A flight shown by the aircraft in its attitudes: page, window, animation, poses side by side."""
