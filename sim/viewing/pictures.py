@@ -113,7 +113,7 @@ def _figure(scene: Scene, rows: list[int], side: float) -> Figure:
         draw_pose(view, scene.aircraft, scene.rotation[row], trace.motors[row].tolist())
         title = f"{trace.t[row]:.2f} s"
         if scene.position is not None:
-            title += "\n" + ", ".join(f"{value:.1f}" for value in scene.position[row] + 0.0) + " m"
+            title += "\n" + ", ".join(f"{value:.1f}" for value in scene.position[row].round(1) + 0.0) + " m"
         figure.text(
             (number + 0.5) / len(rows),
             1 - 0.08 / height,
