@@ -22,7 +22,7 @@ SUMMARY = (
 )
 ROOMS = {  # which folder of cli/ holds the module of a command; its name is the command's
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
-    "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft"),
+    "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft", "view"),
     "training": (
         *("train", "learning-curves", "sweep", "tune-pid"),
         *("evaluate", "compare", "robustness", "manoeuvres", "power", "results", "reproduce"),
@@ -53,6 +53,7 @@ COMMANDS = {
     "board": "run the image on an emulated board that lies still; other programs use its serial ports",
     "twin": "measure gyro noise and bias of a recording, for the aircraft file",
     "aircraft": "check and draw an aircraft file",
+    "view": "show the aircraft in the attitudes of a flight: in a window, as a page that plays it, GIF, PNG",
     "rescue": "put an image on a board through the boot loader in its chip's ROM, whatever its flash holds",
     "msp": "ask a running firmware over MSP, change and keep its settings",
     "motor": "turn motors on the bench, propellers off; stop them; set their directions and order",

@@ -65,6 +65,7 @@ ROOMS = (
     "sim/replay",
     "sim/recorded",
     "sim/design",
+    "sim/viewing",
     "sim/identification",
     "training/tasks",
     "training/config",

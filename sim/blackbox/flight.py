@@ -39,13 +39,13 @@ def armed_rows(log: Log, told: Channels, part: Part = WHOLE) -> slice:
     if not len(rows):
         raise TraceError(f"{log.path}: log {log.number} has no armed row")
     first, last = int(rows[0]), int(rows[-1]) + 1
-    chosen = _rows(f"{log.path}: log {log.number}", told.time(first)[: last - first], part)
+    chosen = part_rows(f"{log.path}: log {log.number}", told.time(first)[: last - first], part)
     return slice(first + chosen.start, first + chosen.stop)
 
 
 def cut(trace: Trace, part: Part) -> Trace:
     """The part of a trace, whose t begins with it. Raises TraceError where it holds no row."""
-    rows = _rows("trace", trace.t, part)
+    rows = part_rows("trace", trace.t, part)
     taken = {name: getattr(trace, name)[rows] for name in COLUMNS}
     # By the rate, as a log counts it: a difference of times would be another number by a bit.
     if rows.start and trace.control_rate_hz:
@@ -53,7 +53,7 @@ def cut(trace: Trace, part: Part) -> Trace:
     return Trace(**taken)
 
 
-def _rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
+def part_rows(what: str, t: NDArray[np.float64], part: Part) -> slice:
     """Rows of `part` in times t (N,) [s] that begin with 0. Raises TraceError where there are none."""
     # Half a row's tolerance: 0.3 s are 300 rows at 1 kHz, whatever 0.3 is in binary.
     half = 0.5 * float(t[1]) if len(t) > 1 else 0.0

@@ -39,7 +39,7 @@ FROM_ABOVE, FROM_BEHIND = (1, 0, 2), (1, 2, 0)  # axes across the page, up it, a
 
 def draw_aircraft(aircraft: Aircraft, figures: Figures) -> Figure:
     """The aircraft from above (x up the page, y to the left) and from behind, with its figures."""
-    radius = _radius(aircraft)
+    radius = propeller_radius(aircraft)
     points = _outline_points(aircraft, radius)
     low, high = MM * points.min(axis=0), MM * points.max(axis=0)
     across = 2 * 1.08 * max(abs(low[1]), abs(high[1]))
@@ -106,7 +106,7 @@ def save_drawing(path: Path, aircraft: Aircraft, figures: Figures) -> None:
     save_png(path, draw_aircraft(aircraft, figures))
 
 
-def _radius(aircraft: Aircraft) -> float:
+def propeller_radius(aircraft: Aircraft) -> float:
     """Of a propeller as it is drawn [m]."""
     diameter = aircraft.propulsion.propeller_diameter
     if diameter is not None:
@@ -121,19 +121,19 @@ def _outline_points(aircraft: Aircraft, radius: float) -> Array:
     hubs = np.array([rotor.position for rotor in aircraft.rotors])
     reach = np.array([[radius, radius, 0.0]])
     points = [hubs - reach, hubs + reach, aircraft.mass_properties.centre[None]]
-    points += [_surface(part)[0].reshape(-1, 3) for part in aircraft.parts if not _is_propeller(part)]
+    points += [part_surface(part)[0].reshape(-1, 3) for part in aircraft.parts if not is_propeller(part)]
     if aircraft.body is not None:
         centre, half = np.array(aircraft.body.centre), np.array(aircraft.body.size) / 2
         points.append(np.array([[0.0, 0.0, centre[2] - half[2]]]))
     return np.concatenate(points)
 
 
-def _is_propeller(part: Part) -> bool:
+def is_propeller(part: Part) -> bool:
     """Whether a part sits on a rotor, where its disc is drawn instead."""
     return part.name.startswith("propeller ") and part.surface is None
 
 
-def _surface(part: Part) -> tuple[Array, bool]:
+def part_surface(part: Part) -> tuple[Array, bool]:
     """Triangles (K, 3, 3) [m] of a part in the body frame, and whether they are its true shape."""
     if part.surface is not None:
         own, true = part.surface, True
@@ -157,7 +157,7 @@ def _equal_solid(part: Part) -> Array:
 
 
 def _draw_parts(view: Axes, parts: Sequence[Part], axes: tuple[int, int, int]) -> None:
-    surfaces = [_surface(part) for part in parts if not _is_propeller(part)]
+    surfaces = [part_surface(part) for part in parts if not is_propeller(part)]
     true = [surface for surface, known in surfaces if known]
     if true:
         _draw_solid(view, MM * np.concatenate(true)[:, :, axes], axes)
@@ -373,7 +373,7 @@ def _legend(aircraft: Aircraft) -> list[Line2D]:
     handles.append(_ring(INK, INK, "centre of mass"))
     handles[-1].set_fillstyle("left")
     handles.append(_ring("white", THRUST, "centre of thrust"))
-    if any(part.surface is None and not _is_propeller(part) for part in aircraft.parts):
+    if any(part.surface is None and not is_propeller(part) for part in aircraft.parts):
         handles.append(Line2D([], [], color=ESTIMATE, lw=1, ls=(0, (3, 2)), label="solid of equal inertia"))
     if aircraft.body is not None:
         handles.append(Line2D([], [], color=INK, lw=1, ls=(0, (1, 2)), label="body: drag, ground"))

@@ -1,0 +1,70 @@
+"""The window, played without one: pybullet's own bodies, no display."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from sim.aircraft.model import load_aircraft
+from sim.physics.bullet import pybullet
+from sim.viewing import window
+from sim.viewing.scene import recorded
+from tests.sim.viewing.test_view import rolling, rolling_trace
+from toolchain.errors import NeuroflightError
+
+
+class Hand:
+    """A clock that moves when somebody waits, and a hand that closes the window after some waits."""
+
+    def __init__(self, waits: int) -> None:
+        self.now = 0.0
+        self.left = waits
+        self.seen: list[tuple[float, ...]] = []  # orientation of body 0 at each wait
+
+    def clock(self) -> float:
+        """Seconds."""
+        return self.now
+
+    def wait(self, seconds: float) -> None:
+        """Look at the aircraft, let the time pass, close the window at last."""
+        self.seen.append(pybullet.getBasePositionAndOrientation(0)[1])
+        self.now += seconds
+        self.left -= 1
+        if self.left == 0:
+            pybullet.disconnect()
+
+
+@pytest.fixture
+def no_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    connect = pybullet.connect
+    monkeypatch.setattr(pybullet, "connect", lambda mode: connect(pybullet.DIRECT))
+
+
+@pytest.mark.usefixtures("no_window")
+def test_the_window_plays_in_time_until_it_is_closed() -> None:
+    hand = Hand(90)
+    window.play(recorded("roll", load_aircraft("nf1"), rolling_trace()), 2.0, hand.clock, hand.wait)
+    rolls = [2 * np.arctan2(seen[0], seen[3]) for seen in hand.seen]
+    assert len(rolls) == 90
+    assert rolls[15] == pytest.approx(np.pi / 4, abs=0.02)  # 0.25 s at twice the speed: half of it
+    assert rolls[45] == pytest.approx(np.pi / 4, abs=0.05)  # it begins anew after 0.5 s
+
+
+def test_a_window_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pybullet, "connect", lambda mode: -1)
+    hand = Hand(1)
+    with pytest.raises(NeuroflightError, match=r"--out FILE\.html"):
+        window.play(recorded("roll", load_aircraft("nf1"), rolling_trace()), 1.0, hand.clock, hand.wait)
+
+
+def test_with_a_display_and_no_file_the_window_is_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played: list[float] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(window, "play", lambda scene, speed, clock, wait: played.append(speed))
+    assert main(["view", str(rolling(tmp_path / "roll.npz")), "--speed", "0.5"]) == 0
+    assert played == [0.5] and "level at 0.00 s" in capsys.readouterr().out
