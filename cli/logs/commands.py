@@ -19,39 +19,66 @@ from cli.output import print_table
 from toolchain.contract import AXES
 
 if TYPE_CHECKING:
-    from sim.blackbox.commands import Commands
+    from sim.blackbox.commands import Commands, Sticks
+    from sim.blackbox.flight import Part
 
 BAR = 12  # characters of the longest bar
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", type=Path, nargs="+", metavar="FILE", help="logs, counted together")
+    parser.add_argument(
+        "file", type=Path, nargs="+", metavar="FILE", help="logs or traces (.npz), counted together"
+    )
     add_choice_arguments(parser)
     add_part_arguments(parser, "the first armed row, in each")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw histograms, fitted normals")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Decode, count, print."""
-    from cli.output import plain
-    from sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands, log_sticks
+    """Decode, count, draw, print."""
+    from cli.output import check_output, plain
+    from sim.blackbox.commands import EDGES_DEG_S, QUANTILES, commands
 
+    check_output(args.plot, ".png")
     chosen = part(args)
-    logs = [open_log(args, path) for path in args.file]
-    told = commands([log_sticks(log, chosen) for log in logs])
-    for log in logs:
-        tell_damage(log)
+    told = commands([_sticks(args, path, chosen) for path in args.file])
+    names = " ".join(path.name for path in args.file)
+    if args.plot:
+        from sim.blackbox.commands_plot import draw_commands
+        from sim.plotting import save_png
+
+        all_axes = f"mean {told.overall.mean:.1f}, sigma {told.overall.sigma:.1f} deg/s"
+        save_png(args.plot, draw_commands(told, f"{names}: {told.samples:,} samples, {all_axes}"))
     if args.json:
         document = {
             "files": [str(path) for path in args.file],
+            "plot": None if args.plot is None else str(args.plot),
+            "sigma": told.overall.sigma,
             **asdict(told),
             "quantiles_percent": QUANTILES,
             "histogram_edges_deg_s": EDGES_DEG_S,
         }
         print(json.dumps(plain(document), indent=2, default=plain))
         return 0
-    _print(" ".join(path.name for path in args.file), told)
+    _print(names, told)
+    if args.plot:
+        print(args.plot)
     return 0
+
+
+def _sticks(args: argparse.Namespace, path: Path, chosen: Part) -> Sticks:
+    """What a file says, a trace by its suffix; a log's damage is told."""
+    from sim.blackbox.commands import log_sticks, trace_sticks
+
+    if path.suffix == ".npz":
+        from sim.flight.trace import load_trace
+
+        return trace_sticks(load_trace(path), chosen)
+    log = open_log(args, path)
+    sticks = log_sticks(log, chosen)
+    tell_damage(log)
+    return sticks
 
 
 def _print(title: str, told: Commands) -> None:
@@ -75,7 +102,8 @@ def _print(title: str, told: Commands) -> None:
         f"none of the axes {none:.1f} % of the time, one {one:.1f} %, two {two:.1f} %, three {three:.1f} %; "
         f"throttle {mean:.0f} % ({least:.0f} to {largest:.0f})"
     )
-    heading = f"{title}: {told.samples:,} samples in {told.seconds:,.1f} s, sigma {told.sigma:.1f} deg/s"
+    overall = f"mean {told.overall.mean:.1f}, sigma {told.overall.sigma:.1f} deg/s"
+    heading = f"{title}: {told.samples:,} samples in {told.seconds:,.1f} s, {overall}"
     print_table(heading, rows, note)
     most = max(1, int(told.histogram.max()))
     bars: list[tuple[str, ...]] = [("size, deg/s", *AXES)]

@@ -6,15 +6,17 @@ for: the dissertation's had 786,022 samples with a standard deviation of 12.4 de
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.blackbox.flight import WHOLE, Part, armed_rows
+from sim.blackbox.flight import WHOLE, Part, armed_rows, cut
 from sim.blackbox.log import Log
 from sim.blackbox.units import channels
+from sim.flight.trace import Trace
 from toolchain.errors import TraceError
 
 Array = NDArray[np.float64]
@@ -23,6 +25,24 @@ ASKED_DEG_S = 5.0  # from here on a command is no stick at rest: 0.5 % of a full
 EDGES_DEG_S = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # of the histogram of sizes
 DIGITS = 3  # of a command in deg/s
 QUANTILES = (50.0, 90.0, 99.0, 99.9)  # [%]
+BINS = 21  # of a signed histogram: the dissertation's 20 and one, so that the middle one lies about 0
+
+
+@dataclass(frozen=True)
+class Overall:
+    """All samples of all axes together, as a normal distribution."""
+
+    mean: float  # [deg/s]
+    sigma: float  # [deg/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Histograms:
+    """Signed histograms of the axes, each beside the normal distribution of that axis' mean and sigma."""
+
+    edges_deg_s: Array  # (3, BINS + 1), symmetric about 0; bins are a whole number of deg/s wide
+    counts: NDArray[np.int64]  # (3, BINS) samples
+    normal: Array  # (3, BINS) samples that the normal distribution puts into each bin
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +52,7 @@ class Commands:
     samples: int  # rows of the log, all three axes in each
     seconds: float
     rate_hz: float
-    sigma: float  # [deg/s] of all axes together
+    overall: Overall
     axis_sigma: Array  # [deg/s]
     mean: Array  # [deg/s]
     largest: Array  # [deg/s] of the size
@@ -41,6 +61,7 @@ class Commands:
     asked: Array  # part of the time that an axis is asked to turn, 0..1
     together: Array  # (4,) part of the time that 0, 1, 2, 3 axes are asked to turn
     histogram: NDArray[np.int64]  # (B, 3) samples whose size lies from EDGES_DEG_S[b] to below the next
+    signed: Histograms
     throttle: Array  # (3,) mean, least, largest, 0..1
 
 
@@ -71,6 +92,12 @@ def log_sticks(log: Log, part: Part = WHOLE) -> Sticks:
     return sticks
 
 
+def trace_sticks(trace: Trace, part: Part = WHOLE) -> Sticks:
+    """What was asked for in a trace. Raises TraceError where `part` holds no row of it."""
+    taken = cut(trace, part)
+    return Sticks(taken.setpoint, taken.throttle, taken.t)
+
+
 def commands(flights: Sequence[Sticks]) -> Commands:
     """The distribution of what was asked for in all flights together; there is at least one."""
     asked = np.concatenate([_deg_s(one) for one in flights])
@@ -85,7 +112,7 @@ def commands(flights: Sequence[Sticks]) -> Commands:
         samples=len(asked),
         seconds=seconds,
         rate_hz=steps / seconds if seconds > 0 else 0.0,
-        sigma=float(asked.std()),
+        overall=Overall(float(asked.mean()), float(asked.std())),
         axis_sigma=asked.std(axis=0),
         mean=asked.mean(axis=0),
         largest=size.max(axis=0),
@@ -94,8 +121,31 @@ def commands(flights: Sequence[Sticks]) -> Commands:
         asked=turning.mean(axis=0),
         together=np.bincount(turning.sum(axis=1), minlength=4) / len(asked),
         histogram=np.stack([np.histogram(size[:, axis], edges)[0] for axis in range(3)], axis=1),
+        signed=_histograms(asked),
         throttle=np.array((throttle.mean(), throttle.min(), throttle.max()), np.float64),
     )
+
+
+def _histograms(asked: Array) -> Histograms:
+    """Of commands (N, 3) [deg/s]."""
+    edges, counts, normal = [], [], []
+    for axis in asked.T:
+        # Odd widths put the edges between whole numbers: many logs count whole deg/s, and a command on an
+        # edge would fall to one side.
+        width = math.ceil(2.0 * np.abs(axis).max() / BINS) // 2 * 2 + 1
+        bounds = width * (np.arange(BINS + 1) - BINS / 2)
+        edges.append(bounds)
+        counts.append(np.histogram(axis, bounds)[0])
+        below = [_normal_below(float(bound), float(axis.mean()), float(axis.std())) for bound in bounds]
+        normal.append(len(axis) * np.diff(below))
+    return Histograms(np.array(edges), np.array(counts), np.round(normal, DIGITS))
+
+
+def _normal_below(value: float, mean: float, sigma: float) -> float:
+    """Part of a normal distribution below `value`; without a width all of it lies at the mean."""
+    if sigma == 0.0:
+        return float(value > mean)
+    return 0.5 * math.erfc((mean - value) / (sigma * math.sqrt(2.0)))
 
 
 def _deg_s(flight: Sticks) -> Array:

@@ -12,7 +12,7 @@ from sim.aircraft.model import Aircraft
 from sim.physics.battery import BatteryState, pack_struct
 from sim.physics.esc import Telemetry, telemetry
 from sim.physics.library import assign, library, pointer, struct
-from sim.physics.rotor import propulsion_struct
+from sim.physics.rotor import propulsion_struct, thrust_and_torque
 from toolchain.errors import AircraftError
 
 Array = NDArray[np.float64]
@@ -89,10 +89,21 @@ class Supply:
         """The packs themselves, those of aircraft on the bench supply included; None: nobody has one."""
         return None if self._bench.all() else self._battery
 
-    def telemetry(self, speed: Array) -> Telemetry:
-        """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown."""
+    def telemetry(self, speed: Array, thrust_factor: Array) -> Telemetry:
+        """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown.
+
+        thrust_factor: of each aircraft's thrust, (N,); the drag torque's was given to `vary`.
+        """
         drawn = self.draw(speed, speed)
-        return telemetry(speed.copy(), drawn.voltage, drawn.current, self._aircraft.esc)
+        thrust, torque = thrust_and_torque(speed, self._aircraft.propulsion)
+        return telemetry(
+            speed.copy(),
+            drawn.voltage,
+            drawn.current,
+            thrust * thrust_factor[:, None],
+            torque * self._torque[:, None],
+            self._aircraft.esc,
+        )
 
     def draw(self, before: Array, after: Array) -> Draw:
         """What is drawn over a sample that rotors begin and end with these speeds (N, M) [rad/s].

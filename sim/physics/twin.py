@@ -233,8 +233,11 @@ class Twin:
 
     @property
     def telemetry(self) -> Telemetry:
-        """ESC telemetry of this sample; voltage and current are NaN on a supply of unknown voltage."""
-        return self._supply.telemetry(self.live.rotor_speed)
+        """ESC telemetry of this sample, and the rotors' thrust and drag torque.
+
+        Voltage and current are NaN on a supply of unknown voltage.
+        """
+        return self._supply.telemetry(self.live.rotor_speed, self._load_factor[:, 2])
 
     @property
     def draw(self) -> Draw:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks
+from sim.blackbox.commands import EDGES_DEG_S, Sticks, commands, log_sticks, trace_sticks
 from sim.blackbox.events import words
 from sim.blackbox.export import save_csv
 from sim.blackbox.flight import Part, cut, log_flight, log_trace, trace_flight
@@ -129,10 +129,53 @@ def test_distribution_of_commands_is_the_normal_one_that_was_drawn(
     assert (told.histogram.sum(axis=0) == 20_000).all() and len(told.histogram) == len(EDGES_DEG_S) - 1
     assert told.change_sigma[0] == pytest.approx(500 * 12.4 * np.sqrt(2), rel=0.02)
     twice = commands([sticks, sticks])
-    assert twice.samples == 40_000 and twice.sigma == pytest.approx(told.sigma)
+    assert twice.samples == 40_000 and twice.overall.sigma == pytest.approx(told.overall.sigma)
     path = save(tmp_path, log_of(trace(STEPS)))
     assert as_json(capsys, "commands", str(path), str(path))["samples"] == 2 * STEPS
     assert len(log_sticks(read_log(path)).t) == STEPS
+
+
+def test_histogram_has_the_counts_of_the_normal_distribution_that_was_drawn() -> None:
+    rng = np.random.default_rng(3)
+    asked = np.rint(
+        rng.normal((-20.0, 0.0, 5.0), (30.0, 12.4, 0.0), (50_000, 3))
+    )  # whole deg/s, as logs count
+    rows = len(asked)
+    sticks = Sticks(np.deg2rad(asked).astype(np.float32), np.zeros(rows, np.float32), np.arange(rows) / 500.0)
+    told = commands([sticks])
+    signed = told.signed
+    assert told.overall.mean == pytest.approx(-5.0, abs=0.1)
+    assert told.mean == pytest.approx([-20.0, 0.0, 5.0], abs=0.3)
+    assert (signed.counts.sum(axis=1) == rows).all() and signed.counts[2, 15] == rows  # 4.5 to 5.5 deg/s
+    assert np.array_equal(signed.edges_deg_s, -signed.edges_deg_s[:, ::-1])  # a middle bin about 0
+    # Five standard deviations of a count that follows the normal distribution.
+    near = np.abs(signed.counts - signed.normal)[:2]
+    assert (near <= 5 * np.sqrt(signed.normal[:2] + 1)).all()
+    assert np.array_equal(signed.normal[2], signed.counts[2])  # a constant has no width
+
+
+def test_a_histogram_of_no_command_lies_in_the_middle_bin() -> None:
+    told = commands([Sticks(np.zeros((9, 3), np.float32), np.zeros(9, np.float32), np.arange(9.0))])
+    assert told.signed.counts[:, 10].tolist() == [9, 9, 9] and told.signed.counts.sum() == 27
+    assert (told.overall.mean, told.overall.sigma) == (0.0, 0.0)
+
+
+def test_commands_of_a_trace_are_those_of_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flown = trace(STEPS)
+    log, path = save(tmp_path, log_of(flown)), tmp_path / "flight.npz"
+    save_trace(path, flown)
+    told = as_json(capsys, "commands", str(log), "--from", "0.5")
+    plot = tmp_path / "commands.png"
+    traced = as_json(capsys, "commands", str(path), "--from", "0.5", "--plot", str(plot))
+    assert (told.pop("files"), told.pop("plot")) == ([str(log)], None)
+    assert (traced.pop("files"), traced.pop("plot")) == ([str(path)], str(plot))
+    assert told.pop("seconds") == pytest.approx(traced.pop("seconds"))
+    assert told == traced and told["overall"]["sigma"] == told["sigma"]
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(TraceError, match="trace has no row from 99 s to its end"):
+        trace_sticks(flown, Part(99.0))
+    assert main(["log", "commands", str(path), "--plot", str(tmp_path / "commands.svg")]) != 0
+    assert "expected a name that ends in .png" in capsys.readouterr().err
 
 
 def test_csv_is_a_recording_of_the_gyro_for_the_twin(tmp_path: Path) -> None:

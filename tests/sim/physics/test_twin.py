@@ -216,6 +216,22 @@ def test_draw_of_a_battery_is_what_it_gave_with_its_voltage() -> None:
     flying.close()
 
 
+def test_telemetry_tells_the_thrust_that_lifts_the_aircraft_and_the_torque_that_is_paid_for() -> None:
+    weak = replace(Variation.nominal(2, NF1.propulsion.delay), thrust=np.array([1.0, 0.8]))
+    pair = twin(2, noise=False, mount=Mount.CENTRE, variation=weak)
+    for _ in range(500):
+        pair.step(np.full((2, 4), 0.5))
+    report, felt, drawn, speed = pair.telemetry, pair.specific_force[:, 2], pair.draw, pair.rotor_speed
+    pair.close()
+    assert report.force.shape == report.torque.shape == (2, 4)
+    # Held at the centre the aircraft feels its rotors alone.
+    assert report.force.sum(axis=1) == pytest.approx(felt * NF1.mass_properties.mass)
+    assert report.force[1] == pytest.approx(0.8 * report.force[0])
+    shaft = (report.torque * speed).sum(axis=1)
+    power = shaft / NF1.propulsion.efficiency + PACK.electronics_power
+    assert power == pytest.approx(drawn.power, rel=1e-3)  # the rotors hardly gain speed any more
+
+
 def test_rotors_that_brake_give_no_power_back() -> None:
     braking = twin(charge=1.0, noise=False)
     for _ in range(500):
