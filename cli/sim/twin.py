@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cli.sim.twin_inertia import add_inertia
 from toolchain.errors import NeuroflightError
 
 if TYPE_CHECKING:
@@ -46,9 +47,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one count of a blackbox log's raw gyroADC; default 1, 0.1 with blackbox_high_resolution",
     )
     noise.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    noise.set_defaults(act=run_noise)
+    add_inertia(actions)
 
 
 def run(args: argparse.Namespace) -> int:
+    """Do the action."""
+    return int(args.act(args))
+
+
+def run_noise(args: argparse.Namespace) -> int:
     """Measure, write the outputs, print the figures. Returns 0."""
     from cli.output import check_output
 

@@ -112,7 +112,8 @@ class Twin:
         self._variation = variation
         self._mass = np.full(count, aircraft.mass_properties.mass)  # [kg]
         self._load_factor = np.ones((count, 6))  # of the wrench of thrust and torque
-        self._speed_factor = np.ones(count)  # of the speed that a command settles at
+        self._strength = np.ones(shape)  # of each rotor's thrust at a command, as `weaken` left it
+        self._speed_factor = np.ones(shape)  # of the speed that a command settles at
         self._response = response_rows(aircraft.propulsion, self._dt, np.ones(count))
         self._wind = None
         if any(wind) or gust:
@@ -269,7 +270,7 @@ class Twin:
             raise ValueError("this twin was made without a variation; give it one to begin with")
         self._variation = everyone = self._variation.changed(index, variation)
         self._response[:] = response_rows(self.aircraft.propulsion, self._dt, everyone.lag)
-        self._speed_factor[:] = everyone.speed
+        self._speed_factor[:] = everyone.speed[:, None] * np.sqrt(self._strength)
         self._mass[:] = self.aircraft.mass_properties.mass * everyone.mass
         self._load_factor[:] = load_factors(everyone.thrust, everyone.torque)
         self._world.vary(index, variation.mass, variation.inertia)
@@ -277,6 +278,35 @@ class Twin:
             self._gyro.vary(everyone.noise)
         self._delay.vary(np.maximum(1, np.rint(everyone.delay_s * self.rate_hz).astype(np.intp)))
         self._supply.vary(everyone.charge, self._load_factor[:, 5])
+
+    def weaken(self, shares: Array) -> None:
+        """From now on motors give these shares (M,) of their thrust at a command, on all aircraft: 1 all, 0 none.
+
+        A motor that gives a share turns as much slower as that takes; a dead one runs down. `reset` mends
+        nothing. Raises ValueError on a wrong shape or a share that is not in 0..1.
+        """
+        if shares.shape != (self.aircraft.motor_count,) or not ((shares >= 0.0) & (shares <= 1.0)).all():
+            raise ValueError(f"got thrust shares {shares}, expected {self.aircraft.motor_count} of 0 to 1")
+        self._strength[:] = shares
+        speed = np.ones(self.count) if self._variation is None else self._variation.speed
+        self._speed_factor[:] = speed[:, None] * np.sqrt(self._strength)
+
+    def load(self, aircraft: Aircraft) -> None:
+        """From now on all aircraft have the mass, its centre and the inertia of `aircraft`, in flight.
+
+        Rates go on without a jump, as with a payload that is fixed to the aircraft, let go or moved without
+        a push. For twins held at the centre of mass, without a variation. Raises ValueError on others, and
+        on an aircraft with other rotors.
+        """
+        if self.mount is not Mount.CENTRE or self._variation is not None:
+            raise ValueError("only a twin held at its centre, without a variation, can be loaded in flight")
+        if aircraft.rotors != self.aircraft.rotors:
+            raise ValueError(f"aircraft {aircraft.name} has other rotors than {self.aircraft.name}")
+        self._mass[:] = aircraft.mass_properties.mass
+        self._geometry = rotor_geometry(aircraft)
+        self._rotors = rotors_struct(self._geometry)
+        assign(self._state, rotors=self._rotors)
+        self._world.load(aircraft.mass_properties.inertia)
 
     def reset(self, index: NDArray[np.intp] | None = None) -> None:
         """At rest, level, rotors and commands zero, new biases and gusts, the battery as at the start.

@@ -208,6 +208,16 @@ class World:
                     physicsClientId=self._client,
                 )
 
+    def load(self, inertia: Array) -> None:
+        """Give all aircraft the moments `inertia` (3, 3) [kg m^2] about the centre of mass, as they turn now.
+
+        Held at the centre only, and not beside `vary`. pybullet's own bodies keep the file's moments: it is
+        told the rates, and turns them.
+        """
+        assert self.mount is Mount.CENTRE
+        self._turn_by(np.repeat(inertia[None], len(self.rate), axis=0))
+        self.momentum[:] = np.einsum("nij,nj->ni", self.rotation, self.rate @ inertia)
+
     def step(self, wrench: Array) -> None:
         """Advance one time step under `wrench` (N, 6): body-axes force and moment at the centre of mass.
 

@@ -27,7 +27,7 @@ from sim.physics.world import Mount
 from sim.ports.betaflight.build import VERSION
 from sim.ports.betaflight.fleet import ArmedBetaflight, BetaflightFleet
 from sim.ports.betaflight.port import IDLE, ROW_RATE_HZ
-from training.evaluation.evaluation import Flights, Rows, drawn
+from training.evaluation.evaluation import Event, Flights, Rows, drawn
 from training.tasks.pieces import RecordedPieces
 from training.tasks.task import Task
 
@@ -57,6 +57,7 @@ def record_betaflight(
     noise: bool = True,
     throttle: float | NDArray[np.float32] = 0.0,
     charge: float | None = None,
+    event: Event | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
     """Fly `episodes` commands of `task`, a Betaflight and an aircraft each, all at once; see `record`.
@@ -83,6 +84,8 @@ def record_betaflight(
     with closing(twin), BetaflightFleet(armed, twin.live) as fleet:
         before = None
         for k in range(steps):
+            if event is not None and k == round(event.at_s * ROW_RATE_HZ):
+                event.change(twin)
             asked = (wanted[:, k].tobytes(), thrust[k].tobytes())
             frame = None
             if asked != before:

@@ -19,7 +19,7 @@ from toolchain.contract import Mix
 from toolchain.errors import PolicyError
 from toolchain.policy.model import read_policy
 from training.evaluation.betaflight import BetaflightSpec, record_betaflight
-from training.evaluation.evaluation import Flights, record
+from training.evaluation.evaluation import Event, Flights, record
 from training.tasks.pieces import RecordedPieces
 from training.tasks.sticks import OnSticks
 from training.tasks.task import Task
@@ -111,6 +111,7 @@ class Conditions:
         throttle: float | NDArray[np.float32] | None,
         progress: Callable[[int, int], None] | None = None,
         variation: Variation | None = None,
+        event: Event | None = None,
     ) -> Flights:
         """Fly all episodes at once; see `record`. throttle None: that of a recorded task, else none."""
         if throttle is None:
@@ -122,6 +123,8 @@ class Conditions:
         if isinstance(controller, BetaflightSpec):
             if variation is not None:
                 raise ValueError("Betaflight flies the aircraft of the file only")
+            if event is not None and event.yaw_given_up:
+                raise ValueError("Betaflight cannot be told to give up yaw")
             return record_betaflight(
                 controller.armed,
                 self.aircraft,
@@ -133,6 +136,7 @@ class Conditions:
                 noise=self.noise,
                 throttle=throttle,
                 charge=self.charge,
+                event=event,
                 progress=progress,
             )
         return record(
@@ -152,5 +156,6 @@ class Conditions:
             gyro_rate_hz=self.gyro_rate_hz,
             charge=self.charge if variation is None else None,
             variation=variation,
+            event=event,
             progress=progress,
         )

@@ -82,6 +82,15 @@ class Evaluation:
     motor_change: Mean | None = None  # |change| of a motor's fraction in 1 ms; None where none was recorded
 
 
+@dataclass(frozen=True)
+class Event:
+    """A change of all aircraft in flight."""
+
+    at_s: float  # [s] of an episode; control steps from there on fly the changed aircraft
+    change: Callable[[Twin], None]
+    yaw_given_up: bool = False  # afterwards the controller is told the measured yaw rate as the commanded one
+
+
 class Rows:
     """What is kept of T control steps of E aircraft with M motors, float32."""
 
@@ -139,6 +148,7 @@ def record(
     gyro_rate_hz: int | None = None,
     charge: float | None = None,
     variation: Variation | None = None,
+    event: Event | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flights:
     """Fly `episodes` commands of `task`, one aircraft each, all at once.
@@ -149,8 +159,8 @@ def record(
     the bench supply, if no variation says it; idle, mix: of the controller; gyro_mean: whether it sees the
     mean of the gyro's samples of a control period instead of the last one; gyro_rate_hz: of the gyro and of
     the twin's steps, a multiple of the control rate, None: the control rate, with `gyro_mean` the NF1's;
-    variation: how the aircraft differ from their file, `episodes` of them; progress: called with steps done
-    and to do. The same seed gives every controller the same commands, and at the same gyro rate the same
+    variation: how the aircraft differ from their file, `episodes` of them; event: what happens to them
+    in flight; progress: called with steps done and to do. The same seed gives every controller the same commands, and at the same gyro rate the same
     noise and bias. Raises LinkError on a gyro rate that is no multiple.
     """
     commands, noise_rng = drawn(seed)
@@ -181,6 +191,11 @@ def record(
         gyro.add(quantised_rate(twin.gyro))
         for k in range(steps):
             setpoint = wanted[:, k]
+            if event is not None and k == round(event.at_s * control_rate_hz):
+                event.change(twin)
+            if event is not None and event.yaw_given_up and k >= round(event.at_s * control_rate_hz):
+                setpoint = setpoint.copy()
+                setpoint[:, 2] = gyro.mean()[:, 2]
             if by_step is not None:
                 thrust = by_step[k]
             if isinstance(controller, PolicyController) and controller.senses:

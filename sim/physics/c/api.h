@@ -197,7 +197,7 @@ struct twin {
 	struct sensor *gyroscope;   /* NULL: ideal */
 	struct sensor *accelerometer; /* NULL: ideal */
 	const double *response;     /* (N, 3), of rotor_next_speed */
-	const double *speed_factor; /* (N) */
+	const double *speed_factor; /* (N, M) */
 	const double *load_factor;  /* (N, 6) */
 	const double *mass;         /* (N) [kg] */
 	const double *command;      /* (N, M), given in this sample */

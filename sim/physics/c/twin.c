@@ -12,7 +12,7 @@ static void twin_turn_rotors(struct twin *t)
 	for (size_t i = 0; i < all; ++i) {
 		const size_t craft = i / motors;
 		const double target = rotor_target_speed(t->propulsion, t->acting[i]) *
-				      t->supply->voltage_ratio[craft] * t->speed_factor[craft];
+				      t->supply->voltage_ratio[craft] * t->speed_factor[i];
 
 		t->rotor_speed[i] =
 			rotor_next_speed(t->propulsion, t->response + 3u * craft, t->before[i], target);
