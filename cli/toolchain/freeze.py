@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,12 +48,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--output", metavar="NAME", help="which output is the action, if there are several")
     parser.add_argument("--clip", action="store_true", help="append a Clip to [0, 1] if the model has none")
+    parser.add_argument(
+        "--unfolded",
+        action="store_true",
+        help="of a checkpoint: leave its observation scale and output map as operations of their own, to "
+        "compare with what is left once they are folded",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a line")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write POLICY.onnx and say what it holds."""
     from cli.output import check_output
+    from toolchain.errors import PolicyError
+    from toolchain.passes import size
     from toolchain.policy.freeze import freeze
     from toolchain.policy.import_onnx import is_checkpoint
     from toolchain.policy.model import read_policy
@@ -61,9 +70,13 @@ def run(args: argparse.Namespace) -> int:
     changes: Sequence[str] = ()
     if is_checkpoint(args.source):
         _reject_claims(args)
-        freeze(args.source, args.out)
+        freeze(args.source, args.out, fold=not args.unfolded)
         policy = read_policy(args.out)
     else:
+        if args.unfolded:
+            raise PolicyError(
+                f"--unfolded: {args.source} is an ONNX model and is kept as it is; leave it out"
+            )
         policy, changes = _import(args)
     if args.json:
         document = {
@@ -71,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
             "policy": str(args.out),
             "policy_sha256": policy.source_sha256,
             "network": policy.network.text,
+            "graph": asdict(size(policy.network)) | {"file_bytes": args.out.stat().st_size},
             "observation": policy.observation,
             "control_rate_hz": policy.control_rate_hz,
             "filters": policy.filters,

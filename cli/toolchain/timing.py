@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from toolchain.codegen.compiler import CompiledPolicy
     from toolchain.cortex_m7.cycles import BlockCost
     from toolchain.cortex_m7.timing import Timing
 
 INPUTS_MAX = 1_000_000
-DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1, "disarmed": 0}
+DEFAULTS = {"inputs": 300, "aircraft": "nf1", "count": 3, "seed": 1, "disarmed": 0, "serial": 0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--inputs", type=int, metavar="N", help=f"observations to try; default: {DEFAULTS['inputs']}"
+    )
+    parser.add_argument(
+        "--unoptimized",
+        action="store_true",
+        help="a policy as it stands too, before optimization, and what that saves",
     )
     parser.add_argument("--blocks", action="store_true", help="where the worst case spends its cycles")
     parser.add_argument(
@@ -50,6 +56,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="control steps of another board that stays disarmed; default: 0, those before arming alone",
     )
+    parser.add_argument(
+        "--serial",
+        type=int,
+        metavar="N",
+        help="ask the firmware over its UART how long N control tasks of an idle board and those of the "
+        "flights took; default: 0, do not ask",
+    )
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw how long an image's runs took")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
@@ -61,7 +74,9 @@ def run(args: argparse.Namespace) -> int:
     of_image = args.policy.suffix == ".bin"
     _reject(
         args,
-        ("inputs", "blocks") if of_image else ("aircraft", "count", "seed", "disarmed", "plot"),
+        ("inputs", "blocks", "unoptimized")
+        if of_image
+        else ("aircraft", "count", "seed", "disarmed", "serial", "plot"),
         of_image,
     )
     for name, default in DEFAULTS.items():
@@ -85,31 +100,77 @@ def _time_policy(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from toolchain.codegen.compiler import compile_policy
+    from toolchain.codegen.compiler import compile_network, compile_policy
     from toolchain.cortex_m7.timing import mixed_observations, time_policy
     from toolchain.errors import NeuroflightError
     from toolchain.policy.model import read_policy
 
     if not 1 <= args.inputs <= INPUTS_MAX:
         raise NeuroflightError(f"--inputs {args.inputs}, expected 1 to {INPUTS_MAX}")
-    compiled = compile_policy(read_policy(args.policy))
+    compiled = [compile_policy(read_policy(args.policy))]
+    if args.unoptimized:
+        compiled.append(compile_network(compiled[0].policy, compiled[0].policy.network))
     quiet = args.json or not sys.stderr.isatty()
     with (
         tempfile.TemporaryDirectory(prefix="neuroflight-") as folder,
         Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar,
     ):
-        task = bar.add_task("observations", total=args.inputs)
-        timing = time_policy(
-            compiled,
-            Path(folder),
-            mixed_observations(args.inputs, compiled.network.inputs),
-            progress=lambda done, _: bar.update(task, completed=done),
-        )
+        task = bar.add_task("observations", total=args.inputs * len(compiled))
+        timings = []
+        for number, each in enumerate(compiled):
+
+            def show(done: int, _: int, before: int = number * args.inputs) -> None:
+                bar.update(task, completed=before + done)
+
+            observations = mixed_observations(args.inputs, each.network.inputs)
+            timings.append(time_policy(each, Path(folder), observations, progress=show))
+    timing = timings[0]
+    effect = _effect(compiled, timings) if args.unoptimized else None
     if args.json:
-        print(json.dumps(_document(args, timing), indent=2))
+        print(json.dumps(_document(args, timing) | ({"optimization": effect} if effect else {}), indent=2))
     else:
         _print(args, timing)
+        if effect:
+            _print_effect(effect)
     return 0
+
+
+def _effect(compiled: Sequence[CompiledPolicy], timings: Sequence[Timing]) -> dict[str, Any]:
+    """What optimization changes; compiled and timings: of the policy after it and before it."""
+    after, before = map(_figures, compiled, timings)
+    saved = {name: None if value is None else value - after[name] for name, value in before.items()}
+    return {"before": before, "after": after, "saved": saved}
+
+
+def _figures(compiled: CompiledPolicy, timing: Timing) -> dict[str, Any]:
+    from toolchain.passes import size
+
+    cycles = None if timing.cost.cycles is None else timing.cost.cycles[1]
+    return {
+        "nodes": len(compiled.network.nodes),
+        "operations": size(compiled.network).operations,
+        "source_bytes": len(compiled.emission.source.encode()),
+        "code_bytes": timing.code_bytes,
+        "weight_bytes": timing.weight_bytes,
+        "instructions": timing.cost.instructions[1],
+        "microseconds": None if cycles is None else timing.microseconds(cycles),
+    }
+
+
+def _print_effect(effect: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("optimization", *effect):
+        table.add_column(heading, justify="right" if table.columns else "left", no_wrap=True)
+    for name, value in effect["before"].items():
+        if value is not None:
+            cells = (effect[column][name] for column in effect)
+            table.add_row(
+                name.replace("_", " "), *(f"{n:,.1f}" if isinstance(n, float) else f"{n:,}" for n in cells)
+            )
+    Console(highlight=False).print(table)
 
 
 def _document(args: argparse.Namespace, timing: Timing) -> dict[str, Any]:

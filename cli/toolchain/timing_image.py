@@ -36,6 +36,7 @@ NOTES = (
 def run(args: argparse.Namespace) -> int:
     """Fly the image under its policy and under its PID, count every control task, print what they took."""
     from cli.output import check_output
+    from cli.toolchain.timing_serial import NOTE, SERIAL_MAX, print_told, told_row, told_times
     from sim.aircraft.model import load_aircraft
     from sim.board.debug.control_timing import task_costs
     from sim.flight.scenario import load_scenario
@@ -48,17 +49,17 @@ def run(args: argparse.Namespace) -> int:
         raise NeuroflightError(f"--count {args.count}, expected 1 to {COUNT_MAX}")
     if not 0 <= args.disarmed <= DISARMED_MAX:
         raise NeuroflightError(f"--disarmed {args.disarmed}, expected 0 to {DISARMED_MAX}")
+    if not 0 <= args.serial <= SERIAL_MAX:
+        raise NeuroflightError(f"--serial {args.serial}, expected 0 to {SERIAL_MAX}")
     check_output(args.plot, ".png")
     inside = built(image)
     aircraft = load_aircraft(args.aircraft)
     scenario = load_scenario(SCENARIO, args.seed, args.count)
     code = disassemble(image.with_suffix(".elf"), lines=True)
-    flights: list[Scenario | None] = [scenario]
+    flights = [scenario]
     if inside.pid_motors is not None:
         flights.append(scenario.under_pid())
-    if args.disarmed:
-        flights.append(None)
-    metered = _fly_all(args, aircraft, flights, code)
+    metered = _fly_all(args, aircraft, [*flights, *([None] if args.disarmed else [])], code)
     runs: dict[Kind, tuple[Run, ...]] = {}
     for flight in metered:
         for kind, found in flight.runs.items():
@@ -66,6 +67,10 @@ def run(args: argparse.Namespace) -> int:
     costs, priced = task_costs(runs, code)
     costs = tuple(sorted(costs, key=_place))
     document = _document(args, inside, aircraft, metered, costs, priced)
+    if args.serial:
+        told = told_times(args, aircraft, flights)
+        document["firmware_timing"] = [told_row(one) for one in told]
+        document["notes"].append(NOTE)
     if args.plot:
         from sim.board.debug.control_timing_plot import draw
         from sim.plotting import save_png
@@ -75,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(document, indent=2))
     else:
         _print(document, costs, priced)
+        print_told(document.get("firmware_timing", ()))
     return 0
 
 
@@ -156,7 +162,7 @@ def _document(
     from toolchain.cortex_m7.cycles import CORE_HZ, DEVICE_CYCLES
 
     given = {name: getattr(args, name) for name in ("aircraft", "count", "seed")}
-    given["disarmed"] = args.disarmed or None
+    given |= {"disarmed": args.disarmed or None, "serial": args.serial or None}
     return {
         "command": command_line("timing", str(args.policy), **given),
         "image": str(args.policy),

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from cli.main import main
+from tests.conftest import ROOT
 from training.results_page.page import render
 from training.results_page.stored_results import Stored
 
@@ -27,6 +28,8 @@ Capture = pytest.CaptureFixture[str]
             "--disarmed: is about an image, and this is a policy; leave it out",
         ),
         (["image.bin", "--disarmed", "-1"], "--disarmed -1, expected 0 to 1000000"),
+        (["policy.onnx", "--serial", "1"], "--serial: is about an image, and this is a policy; leave it out"),
+        (["image.bin", "--serial", "1000001"], "--serial 1000001, expected 0 to 1000000"),
         (["image.bin", "--plot", "runs.jpg"], "runs.jpg: expected a name that ends in .png"),
         (["image.bin"], "report.json (No such file or directory); build image.bin anew"),
     ],
@@ -39,6 +42,23 @@ def test_it_refuses_in_one_line_what_makes_no_sense(
     assert told in line
 
 
+def test_it_tells_what_optimization_saves_when_a_policy_has_something_to_fold(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    policy = tmp_path / "policy.onnx"
+    checkpoint = ROOT / "training" / "policies" / "nf1" / "checkpoint.pt"
+    assert main(["freeze", str(checkpoint), "--unfolded", "--out", str(policy), "--json"]) == 0
+    graph = json.loads(capsys.readouterr().out)["graph"]
+    assert main(["timing", str(policy), "--unoptimized", "--inputs", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    before, after, saved = (told["optimization"][name] for name in ("before", "after", "saved"))
+    assert (graph["nodes"], graph["operations"]) == (before["nodes"], before["operations"])
+    assert after["instructions"] == told["instructions"]["worst"]
+    assert after["code_bytes"] == told["code_bytes"]
+    assert saved["nodes"] == 3  # the observation's scale, and two of the output's map
+    assert all(value > 0 for value in saved.values() if value is not None)
+
+
 @pytest.mark.slow
 def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
     board_image: Path, tmp_path: Path, capsys: Capture
@@ -46,7 +66,7 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
     image = board_image.with_suffix(".bin")
     report = json.loads(image.with_name("report.json").read_text())
     plot = tmp_path / "runs.png"
-    more = ["--disarmed", "1000", "--plot", str(plot)]
+    more = ["--disarmed", "1000", "--serial", "1000", "--plot", str(plot)]
     assert main(["timing", str(image), "--count", "1", *more, "--json"]) == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
     document = json.loads(capsys.readouterr().out)
@@ -71,4 +91,11 @@ def test_it_tells_what_other_counts_tell_when_the_image_has_flown(
         assert document["highest_rate_hz"]["policy"] == pytest.approx(216e6 / task["worst"])
     if policy["predicted_cycles"] is not None:
         assert round(policy["predicted_cycles"]["worst"]) == report["predicted_cycles"]
+    still, *flown = document["firmware_timing"]
+    assert (still["armed"], still["missed_deadlines"]) == (False, 0)
+    assert still["runs"] >= 1_000
+    assert {row["controller"] for row in flown} == {"policy", "pid"}
+    assert all(row["armed"] and row["runs"] >= 1_000 for row in flown)
+    for row in document["firmware_timing"]:
+        assert 0 < row["cycles"]["best"] <= row["cycles"]["mean"] <= row["cycles"]["worst"]
     assert "| policy 19-64-64-4 tanh, armed |" in render([Stored("board-timing.json", document)])

@@ -30,8 +30,16 @@ from toolchain.cortex_m7.stack_use import StackError, StackUse, stack_use
 from toolchain.cortex_m7.timing import Cost, mixed_observations, step_cost
 from toolchain.errors import BuildError, PolicyError
 from toolchain.files import locked, replacing, write_text, write_text_if_changed
-from toolchain.image.elf import FLASH, RAM, image_budgets, memory_use, read_image
-from toolchain.image.report import BuildReport, OutputFile, PidFacts, PolicyFacts, Stage, bank_images
+from toolchain.image.elf import FLASH, RAM, Image, image_budgets, memory_use, read_image
+from toolchain.image.report import (
+    BuildReport,
+    ImageSize,
+    OutputFile,
+    PidFacts,
+    PolicyFacts,
+    Stage,
+    bank_images,
+)
 from toolchain.policy.model import PolicyModel, read_policy
 from toolchain.rendering.contract_header import render_contract
 from toolchain.rendering.pid_table import PidTable, render_pid_table
@@ -42,6 +50,8 @@ MEAN = [contract.POLICY_FILTER_MEAN]  # the one gyro filter that a policy may br
 NFI = "neuroflight.nfi"  # both banks' images, one behind the other
 OBSERVATIONS = 12  # that a step inside the image is counted with: it takes the same route for all
 PLAIN = re.compile(r"[\w./+@,-]+")  # a path that make takes for one word without a meaning of its own
+STACK_SECTION = ".stack"  # of an image: room that nothing is linked into
+CODE_SECTIONS = ".text"  # of an object: each function has one of its own
 NO_STACK = "the operating system gives this program its stack"
 NO_CYCLES = "cycles are predicted for the board's Cortex-M7 only; build MATEKF722"
 
@@ -146,6 +156,7 @@ def build(
             budgets=image_budgets(image) if known.has_board_memory else (),
             stack=stack,
             stack_reason=no_stack,
+            image_size=_image_size(image, out / "make" / "obj", compiled) if known.has_board_memory else None,
             images=bank_images((out / NFI).read_bytes()) if NFI in known.products else (),
         )
         write_text(out / "report.json", json.dumps(report.document(), indent=2) + "\n")
@@ -278,6 +289,18 @@ def _step_cost(compiled: CompiledPolicy, image: Path) -> Cost:
     policy = compiled.policy
     arm = ArmPolicy(load_program(image), policy.observation_count, policy.action_count, BOARD_MEMORY)
     return step_cost(arm, mixed_observations(OBSERVATIONS, policy.observation_count))
+
+
+def _image_size(image: Image, objects: Path, compiled: CompiledPolicy) -> ImageSize:
+    policy = read_image(objects / "policy.o")
+    return ImageSize(
+        text_data_bss=sum(section.size for section in image.sections if section.name != STACK_SECTION),
+        flash=sum(segment.size for segment in image.segments),
+        policy_code=sum(
+            section.size for section in policy.sections if section.name.startswith(CODE_SECTIONS)
+        ),
+        policy_weights=int(compiled.plan.table.nbytes),
+    )
 
 
 def _stack(target: Target, image: Path, objects: Path) -> tuple[StackUse | None, str | None]:

@@ -62,6 +62,16 @@ class PidFacts:
 
 
 @dataclass(frozen=True)
+class ImageSize:
+    """How large the image is, by its ELF file [bytes]."""
+
+    text_data_bss: int  # all sections that occupy memory while it runs, without the stack
+    flash: int  # what is written to flash: boot part, code, constants, load images
+    policy_code: int  # functions of policy.c
+    policy_weights: int  # its table
+
+
+@dataclass(frozen=True)
 class OutputFile:
     """A file that the build made, relative to the project."""
 
@@ -109,6 +119,7 @@ class BuildReport:
     budgets: tuple[MemoryUse, ...] = ()  # of the image's flash and RAM; empty on the host
     stack: StackUse | None = None  # at its deepest, by analysis
     stack_reason: str | None = None  # why it is not known
+    image_size: ImageSize | None = None  # None on the host
     images: tuple[BankImage, ...] = ()  # one for each bank; none on the host
 
     def document(self) -> dict[str, object]:

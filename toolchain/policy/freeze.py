@@ -63,13 +63,16 @@ class FrozenConfig:
     motors: int
 
 
-def freeze(checkpoint: Path, out: Path) -> None:
-    """Write the policy of `checkpoint` to `out`. Raises PolicyError, one line; then nothing is written."""
+def freeze(checkpoint: Path, out: Path, *, fold: bool = True) -> None:
+    """Write the policy of `checkpoint` to `out`. Raises PolicyError, one line; then nothing is written.
+
+    fold: as of `to_onnx`.
+    """
     from toolchain.files import write_bytes
 
     config, state, progress = load_checkpoint(checkpoint)
     try:
-        data = to_onnx(config, state, progress)
+        data = to_onnx(config, state, progress, fold=fold)
     except PolicyError as error:
         raise PolicyError(f"{checkpoint}: {error}") from error
     except RecursionError as error:
@@ -117,13 +120,19 @@ def _unpickle(file: BinaryIO, path: Path) -> Any:  # noqa: ANN401
 
 
 def to_onnx(
-    config: Mapping[str, Any], state: Mapping[str, ArrayLike], progress: Mapping[str, Any] | None = None
+    config: Mapping[str, Any],
+    state: Mapping[str, ArrayLike],
+    progress: Mapping[str, Any] | None = None,
+    *,
+    fold: bool = True,
 ) -> bytes:
     """The bytes of policy.onnx. The same arguments give the same bytes.
 
     config: the checkpoint's configuration (contract: CHECKPOINT_*); entries that decide nothing here are
     kept in the metadata. state: Stable-Baselines3's names to arrays or CPU tensors. progress: counts such
-    as the steps trained, kept in the metadata. Raises PolicyError naming the entry that does not fit.
+    as the steps trained, kept in the metadata. fold: False leaves the observation's scale and the output's
+    map as operations of their own, as they were trained, to compare with. Raises PolicyError naming the
+    entry that does not fit.
     """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
@@ -132,8 +141,13 @@ def to_onnx(
 
     frozen = _frozen_config(config)
     inputs = len(frozen.observation_scale)
-    memory, layers = _folded(frozen, state)
+    memory, layers = _layers(frozen, state, fold)
     nodes, tensors, value = [], [], contract.POLICY_INPUT
+    if not fold:
+        scale = _float32(np.array(frozen.observation_scale), "observation's scale")
+        tensors.append(numpy_helper.from_array(scale, "observation_scale"))
+        nodes.append(helper.make_node("Mul", [value, "observation_scale"], ["observed"], name="observe"))
+        value = "observed"
     if memory is not None:
         tensors += [
             numpy_helper.from_array(_float32(array, "weights of the memory"), name)
@@ -154,14 +168,16 @@ def to_onnx(
             operator = ACTIVATIONS[frozen.activation]
             nodes.append(helper.make_node(operator, [value], [f"hidden{index}"], name=f"activation{index}"))
             value = f"hidden{index}"
-    if frozen.squash:
+    if frozen.squash or not fold:
         tensors += [
             numpy_helper.from_array(_float32(np.array([number]), f"output {name}"), name)
             for name, number in (("scale", frozen.output_scale), ("offset", frozen.output_offset))
         ]
+        if frozen.squash:
+            nodes.append(helper.make_node("Tanh", [value], ["bounded"], name="squash"))
+            value = "bounded"
         nodes += [
-            helper.make_node("Tanh", [value], ["bounded"], name="squash"),
-            helper.make_node("Mul", ["bounded", "scale"], ["scaled"], name="scale"),
+            helper.make_node("Mul", [value, "scale"], ["scaled"], name="scale"),
             helper.make_node("Add", ["scaled", "offset"], ["asked"], name="offset"),
         ]
         value = "asked"
@@ -242,11 +258,13 @@ def _weights(frozen: FrozenConfig, state: Mapping[str, ArrayLike]) -> list[tuple
     return layers
 
 
-def _folded(
-    frozen: FrozenConfig, state: Mapping[str, ArrayLike]
+def _layers(
+    frozen: FrozenConfig, state: Mapping[str, ArrayLike], fold: bool
 ) -> tuple[Memory | None, list[tuple[Matrix, Matrix]]]:
-    """The memory and the layers, with the observation's scale and the output's map in them."""
+    """The memory and the layers; fold: with the observation's scale and the output's map in them."""
     scale, memory, layers = np.array(frozen.observation_scale), None, _weights(frozen, state)
+    if not fold:
+        return Memory.of(state, len(scale), frozen.hidden[0]) if frozen.recurrent else None, layers
     if frozen.recurrent:
         memory = Memory.of(state, len(scale), frozen.hidden[0]).scaled(scale)
     else:

@@ -288,6 +288,12 @@ def test_board_image_and_host_program_are_what_the_targets_promise(
     assert report["step_instructions"] > multiply_accumulates
     if find_pricer():
         assert report["predicted_cycles"] > multiply_accumulates
+    image_size = report["image_size"]
+    assert image_size["policy_weights"] == 4 * report["policy"]["weights"]
+    assert 0 < image_size["policy_code"] < 4096 < image_size["policy_weights"] < image_size["flash"]
+    stack = next(section["size"] for section in report["sections"] if section["name"] == ".stack")
+    assert image_size["text_data_bss"] == sum(section["size"] for section in report["sections"]) - stack
+    assert image_size["flash"] == next(use["used"] for use in report["memory"] if use["region"] == "flash")
     assert read_image(board_image).machine == "ARM"
 
 

@@ -19,6 +19,7 @@ from sim.control.estimator import model_constants
 from toolchain.contract import Mix
 from toolchain.errors import PolicyError
 from toolchain.ir.interpreter import evaluate
+from toolchain.passes import optimize, size
 from toolchain.policy.freeze import freeze, to_onnx
 from toolchain.policy.model import parse_policy, read_policy
 
@@ -101,6 +102,20 @@ def test_policy_does_what_the_trained_one_did_when_frozen(
     assert np.ptp(expected) > 0.05
     np.testing.assert_allclose(evaluate(policy.network, raw), expected, rtol=0, atol=3e-6)
     assert policy.network.text == f"6-32-16-4 {name}"
+
+
+@pytest.mark.parametrize("squash", [False, True])
+def test_policy_needs_less_for_the_same_actions_when_scale_and_map_are_folded(
+    state: dict[str, torch.Tensor], squash: bool
+) -> None:
+    config = configuration(output={"scale": 0.5, "offset": 0.25, "squash": squash})
+    folded = parse_policy(to_onnx(config, state)).network
+    unfolded = parse_policy(to_onnx(config, state, fold=False)).network
+    raw = np.random.default_rng(0).normal(size=(1000, 6)).astype(np.float32)
+    np.testing.assert_allclose(evaluate(unfolded, raw), evaluate(folded, raw), rtol=0, atol=3e-6)
+    before, after, optimized = size(unfolded), size(folded), size(optimize(unfolded)[0])
+    assert (before.nodes, before.operations, before.bytes) > (after.nodes, after.operations, after.bytes)
+    assert optimized == size(optimize(folded)[0])
 
 
 def test_policy_squashes_its_last_sum_when_the_trained_one_did(state: dict[str, torch.Tensor]) -> None:

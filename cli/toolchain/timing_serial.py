@@ -1,0 +1,100 @@
+"""`neuroflight timing IMAGE.bin --serial N`: control tasks as the firmware measures them, over its UART."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from sim.aircraft.model import Aircraft
+    from sim.board.board import Board
+    from sim.board.serial.told_times import ToldTimes
+    from sim.flight.scenario import Scenario
+
+BAUD = 921_600  # of the line while a flight is streamed: it carries every second control step
+SERIAL_MAX = 1_000_000  # control tasks
+SOURCE = "firmware over UART"
+NOTE = (
+    "firmware_timing: by the firmware's cycle counter, what interrupts a task included; the emulated core "
+    "takes the same 1.63 cycles for each instruction, see docs/emulated-board.md. Armed: control steps that "
+    "were streamed, every second one at 1 kHz"
+)
+
+
+def told_times(args: argparse.Namespace, aircraft: Aircraft, flights: Sequence[Scenario]) -> list[ToldTimes]:
+    """Of an idle board, and of each flight on a board that streams its control steps."""
+    from sim.board.serial.told_times import told_of_samples, told_while_idle
+    from toolchain.image.elf import read_flashable
+
+    told = [told_while_idle(read_flashable(args.policy), args.serial)]
+    for scenario in flights:
+        told += told_of_samples(_stream(args, aircraft, scenario)).values()
+    return told
+
+
+def _stream(args: argparse.Namespace, aircraft: Aircraft, scenario: Scenario) -> list[Any]:
+    """Samples of one flight."""
+    import numpy as np
+
+    from sim.board.serial.told_times import StreamListener
+    from sim.flight.loop import fly
+    from sim.physics.twin import Twin
+    from sim.ports.emulator import EmulatedPort
+    from sim.ports.port import twin_settings
+
+    listeners: list[StreamListener] = []
+
+    def attach(board: Board) -> Callable[[int], None]:
+        listeners.append(StreamListener(board, BAUD))
+        return board.run_to
+
+    settings = {**twin_settings(aircraft), "msp_baud": BAUD}
+    with closing(EmulatedPort(args.policy, settings=settings, attach=attach)) as port:
+        rng = np.random.default_rng((args.seed, 1))
+        twin = Twin(aircraft, rate_hz=port.gyro_rate_hz, mount=scenario.mount, rng=rng)
+        with closing(twin):
+            listeners[0].begin()
+            fly(twin, port, scenario)
+            return listeners[0].samples()
+
+
+def told_row(told: ToldTimes) -> dict[str, Any]:
+    """What stands in the JSON document."""
+    from toolchain.cortex_m7.cycles import CORE_HZ
+
+    cycles = {"worst": told.worst, "best": told.best, "mean": told.mean}
+    return {
+        "source": SOURCE,
+        "work": "control task",
+        "armed": told.armed,
+        "controller": told.controller or None,
+        "runs": told.runs,
+        "cycles": cycles,
+        "microseconds": {name: 1e6 * count / CORE_HZ for name, count in cycles.items()},
+        "variability": told.variability,
+        "missed_deadlines": told.missed,
+    }
+
+
+def print_told(rows: Sequence[dict[str, Any]]) -> None:
+    """As a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in (f"control task, by the {SOURCE}", "runs", "worst/best µs", "mean µs", "varies"):
+        table.add_column(heading, justify="right" if table.columns else "left", no_wrap=True)
+    for row in rows:
+        us = row["microseconds"]
+        controller = {"policy": "policy, ", "pid": "PID, "}.get(row["controller"], "")
+        table.add_row(
+            f"  {controller}{'armed' if row['armed'] else 'disarmed'}",
+            f"{row['runs']:,}",
+            f"{us['worst']:.1f}/{us['best']:.1f}",
+            f"{us['mean']:.1f}",
+            f"{row['variability']:.1%}",
+        )
+    Console(highlight=False).print(table)

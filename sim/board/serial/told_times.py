@@ -1,0 +1,119 @@
+"""How long control tasks took as the firmware itself measured them, told over its UART.
+
+The firmware reads its processor's cycle counter at the begin and at the end of each control task, so that
+what interrupts the task is in it. TASKS tells worst, best and mean of all runs since power-up, the stream
+single runs.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from flash import records
+from flash.msp import Decoder, Direction, Message, encode, request
+from flash.stream import Sample, decode_sample
+from sim.board.board import Board
+from sim.board.core.context import TIME_HZ
+from sim.board.peripherals.usart import Format
+from sim.board.serial.bridge import MSP_UART, UartLine
+from sim.board.serial.idle_board import IdleBoard
+from toolchain.contract import MSP_STREAM_RATE_MAX_HZ, Msp, Task
+from toolchain.errors import LinkError
+
+WAIT_S = 1.0  # of the board's time within which a control step must have come
+
+
+@dataclass(frozen=True)
+class ToldTimes:
+    """Control tasks of one kind."""
+
+    armed: bool
+    controller: str  # that flew, "policy" or "pid"; "" while disarmed
+    runs: int
+    worst: int  # cycles
+    best: int  # cycles
+    mean: float  # cycles
+    missed: int | None  # deadlines; None: not told of single runs
+
+    @property
+    def variability(self) -> float:
+        """(worst - best) / worst, as of the task costs."""
+        return (self.worst - self.best) / self.worst
+
+
+def told_while_idle(image: bytes, runs: int) -> ToldTimes:
+    """Of the first `runs` or a few more control tasks of an idle board with `image` in its flash.
+
+    Raises LinkError when it does not answer or runs no control tasks, BoardError for what the image does
+    wrong.
+    """
+    idle = IdleBoard(image)
+    try:
+        idle.boot()
+        with idle.client() as client:
+            before = -1
+            while True:
+                told = records.tasks(client.request(Msp.TASKS))
+                load = next(load for load in told.loads if load.task is Task.CONTROL)
+                if load.runs >= runs:
+                    return _of_load(load)
+                if load.runs == before:
+                    raise LinkError(
+                        f"{client.name}: the firmware has told {load.runs} control tasks for {WAIT_S:g} s, "
+                        f"expected {runs}"
+                    )
+                before = load.runs
+                ahead = (runs - load.runs) / load.rate_hz if load.rate_hz else WAIT_S
+                idle.run_to(idle.board.cycle + round(min(ahead, WAIT_S) * TIME_HZ) + 1)
+    finally:
+        idle.close()
+
+
+def _of_load(load: records.TaskLoad) -> ToldTimes:
+    return ToldTimes(
+        armed=False,
+        controller="",
+        runs=load.runs,
+        worst=load.worst_cycles,
+        best=load.best_cycles,
+        mean=load.mean_cycles,
+        missed=load.misses,
+    )
+
+
+class StreamListener:
+    """Has a board stream its control steps over a UART while something else makes it run."""
+
+    def __init__(self, board: Board, baud: int, uart: str = MSP_UART) -> None:
+        """baud: that the board's settings say."""
+        self._line = UartLine(board, uart, Format(baud))
+
+    def begin(self) -> None:
+        """Ask for as many samples as the firmware sends; it must have booted."""
+        self._line.send(encode(request(Msp.STREAM, struct.pack("<H", MSP_STREAM_RATE_MAX_HZ))))
+
+    def samples(self) -> list[Sample]:
+        """All that has come since `begin` or the last call. Raises LinkError for what is no answer to it."""
+        decoder, samples = Decoder(), []
+        for event in decoder.feed(self._line.take()):
+            if not isinstance(event, Message):
+                continue
+            if event.direction is Direction.ERROR:
+                raise LinkError(f"{self._line.uart}: the firmware refuses MSP STREAM, expected samples")
+            if event.command == Msp.STREAM_SAMPLE:
+                samples.append(decode_sample(event.payload))
+        return samples
+
+
+def told_of_samples(samples: Iterable[Sample]) -> dict[str, ToldTimes]:
+    """Of the armed ones among `samples`, by the controller that flew: "policy", "pid"."""
+    cycles: dict[str, list[int]] = {}
+    for sample in samples:
+        if sample.armed:
+            cycles.setdefault("pid" if sample.pid_flies else "policy", []).append(sample.cycles)
+    return {
+        name: ToldTimes(True, name, len(each), max(each), min(each), sum(each) / len(each), None)
+        for name, each in cycles.items()
+    }
