@@ -111,12 +111,23 @@ class Accelerometer:
 
 
 @dataclass(frozen=True)
+class Thermal:
+    """A motor's winding as one heat capacity, which its resistance heats and the air around it cools."""
+
+    winding_resistance: float  # [ohm]
+    thermal_resistance: float  # [K/W], winding to ambient
+    time_constant: float  # [s], of the winding's way to a steady temperature
+    ambient: float  # [degC]
+
+
+@dataclass(frozen=True)
 class EscTelemetry:
     """What the ESCs report, rounded to these steps; 0 is unrounded."""
 
     speed_step: float = 0.0  # [rad/s]
     voltage_step: float = 0.0  # [V]
     current_step: float = 0.0  # [A]
+    thermal: Thermal | None = None  # of each motor; None: no temperature is known
 
 
 @dataclass(frozen=True)
@@ -222,6 +233,10 @@ def parse_aircraft(data: bytes, where: str, folder: Path | None = None) -> Aircr
     gyro = _gyro(root.table("gyro"))
     accelerometer = _accelerometer(root.table("accelerometer")) if root.has("accelerometer") else None
     esc = _esc(root.table("esc")) if root.has("esc") else EscTelemetry()
+    if esc.thermal is not None and propulsion.supply_voltage is None:
+        raise root.error(
+            "esc.thermal", "heat needs the motors' current, and that propulsion.supply_voltage_v; give it"
+        )
     battery = _battery(root.table("battery")) if root.has("battery") else None
     body = _body(root.table("body")) if root.has("body") else None
     pids = _pids(root.table("pid"), len(rotors)) if root.has("pid") else ()
@@ -400,9 +415,21 @@ def _esc(table: StrictTable) -> EscTelemetry:
         speed_step=table.number("speed_step_rpm", 0, 1e4, 0.0) * RPM,
         voltage_step=table.number("voltage_step_v", 0, 10, 0.0),
         current_step=table.number("current_step_a", 0, 10, 0.0),
+        thermal=_thermal(table.table("thermal")) if table.has("thermal") else None,
     )
     table.finish()
     return esc
+
+
+def _thermal(table: StrictTable) -> Thermal:
+    thermal = Thermal(
+        winding_resistance=table.number("winding_ohm", 0, 100),
+        thermal_resistance=table.number("resistance_k_w", 1e-3, 1e4),
+        time_constant=table.number("time_constant_s", 1e-3, 1e5),
+        ambient=table.number("ambient_c", -90, 90, 20.0),
+    )
+    table.finish()
+    return thermal
 
 
 def _body(table: StrictTable) -> Body:

@@ -1,7 +1,7 @@
 """ESC telemetry: speed, voltage and current, rounded as an ESC reports them. Pure and vectorised.
 
-Beside them stand the thrust and the drag torque of each rotor, which a simulator knows and no ESC measures:
-they are the force and torque topics of the motors that Koch 2019, table 5.1, lists. They are not rounded.
+Beside them stand thrust and drag torque of each rotor and the temperature of its winding, which a simulator
+knows: they are the force, torque and temperature topics of Koch 2019, table 5.1. They are not rounded.
 """
 
 from __future__ import annotations
@@ -25,14 +25,22 @@ class Telemetry:
     current: Array  # [A]
     force: Array  # [N], thrust of each rotor
     torque: Array  # [N m], that the air holds each rotor back with
+    temperature: Array  # [degC] of each motor's winding; NaN: the aircraft file has no [esc.thermal]
 
 
 def telemetry(
-    speed: Array, voltage: Array, current: Array, force: Array, torque: Array, esc: EscTelemetry
+    speed: Array,
+    voltage: Array,
+    current: Array,
+    force: Array,
+    torque: Array,
+    temperature: Array,
+    esc: EscTelemetry,
 ) -> Telemetry:
     """Rotor speed [rad/s], supply voltage [V] and current [A] as `esc` reports them: half to even.
 
-    Arrays of any shape; a step of 0 leaves the number as it is. force [N] and torque [N m] pass as they are.
+    Arrays of any shape; a step of 0 leaves the number as it is. force [N], torque [N m] and
+    temperature [degC] pass as they are.
     """
     return Telemetry(
         speed=_rounded(speed, esc.speed_step),
@@ -40,6 +48,7 @@ def telemetry(
         current=_rounded(current, esc.current_step),
         force=force,
         torque=torque,
+        temperature=temperature,
     )
 
 

@@ -89,10 +89,11 @@ class Supply:
         """The packs themselves, those of aircraft on the bench supply included; None: nobody has one."""
         return None if self._bench.all() else self._battery
 
-    def telemetry(self, speed: Array, thrust_factor: Array) -> Telemetry:
+    def telemetry(self, speed: Array, thrust_factor: Array, temperature: Array) -> Telemetry:
         """What the ESCs report at rotor speeds (N, M); voltage and current are NaN where unknown.
 
         thrust_factor: of each aircraft's thrust, (N,); the drag torque's was given to `vary`.
+        temperature: of the windings [degC], (N, M).
         """
         drawn = self.draw(speed, speed)
         thrust, torque = thrust_and_torque(speed, self._aircraft.propulsion)
@@ -102,8 +103,24 @@ class Supply:
             drawn.current,
             thrust * thrust_factor[:, None],
             torque * self._torque[:, None],
+            temperature,
             self._aircraft.esc,
         )
+
+    def motor_current(self, before: Array, after: Array) -> Array:
+        """Current of each motor [A], (N, M), over a sample of these rotor speeds (N, M) [rad/s].
+
+        By the power of supply.c's formula: drag torque and gained speed; braking gives nothing back. On a
+        battery at its voltage under load. NaN on a bench supply of unknown voltage.
+        """
+        propulsion = self._aircraft.propulsion
+        drag = thrust_and_torque(after, propulsion)[1] * self._torque[:, None]
+        torque = drag + propulsion.rotor_inertia * (after - before) * self.state.rate_hz
+        voltage = np.full(self._count, _known(propulsion.supply_voltage))
+        if self._battery is not None:
+            voltage = np.where(self._bench, voltage, self._battery.voltage[:, 0])
+        shaft = np.maximum(after * torque, 0.0)
+        return np.asarray(shaft / propulsion.efficiency / voltage[:, None])
 
     def draw(self, before: Array, after: Array) -> Draw:
         """What is drawn over a sample that rotors begin and end with these speeds (N, M) [rad/s].

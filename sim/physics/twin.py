@@ -24,6 +24,7 @@ from sim.physics.air import AIR_DENSITY, Wind
 from sim.physics.battery import BatteryState
 from sim.physics.delay import CommandDelay, bad_command
 from sim.physics.esc import Telemetry
+from sim.physics.heat import Heat
 from sim.physics.imu import AccelerometerModel, GyroModel
 from sim.physics.library import assign, library, pointer, struct
 from sim.physics.rotor import (
@@ -137,6 +138,8 @@ class Twin:
             gyro=np.zeros((count, 3)),
             accelerometer=np.zeros((count, 3)),
         )
+        thermal = aircraft.esc.thermal
+        self._heat = None if thermal is None else Heat(thermal, shape, self._dt)
         self._command = np.zeros(shape)
         self._state = self._make_state()
         self._step, self._measure = library().lib.twin_step, library().lib.twin_measure
@@ -234,11 +237,13 @@ class Twin:
 
     @property
     def telemetry(self) -> Telemetry:
-        """ESC telemetry of this sample, and the rotors' thrust and drag torque.
+        """ESC telemetry of this sample, the rotors' thrust and drag torque, temperature of the windings.
 
-        Voltage and current are NaN on a supply of unknown voltage.
+        Voltage and current are NaN on a supply of unknown voltage, temperature without [esc.thermal].
         """
-        return self._supply.telemetry(self.live.rotor_speed, self._load_factor[:, 2])
+        speed, heat = self.live.rotor_speed, self._heat
+        temperature = np.full_like(speed, np.nan) if heat is None else heat.temperature.copy()
+        return self._supply.telemetry(speed, self._load_factor[:, 2], temperature)
 
     @property
     def draw(self) -> Draw:
@@ -321,6 +326,8 @@ class Twin:
         self._world.reset(index.tolist())
         self.live.specific_force[index] = (0.0, 0.0, self._field)  # held where it is
         self._supply.reset(index)
+        if self._heat is not None:
+            self._heat.reset(index)
         if self._wind is not None:
             self._wind.reset(index)
         for sensor in (self._gyro, self._accelerometer):
@@ -342,6 +349,8 @@ class Twin:
             if failed == library().lib.STEP_BAD_COMMAND:
                 raise bad_command(motors)
             raise RuntimeError("pybullet refuses a step of the twin; is it closed?")
+        if self._heat is not None:
+            self._heat.step(self._supply.motor_current(self._scratch["before"], self.live.rotor_speed))
 
     def measure(self, which: NDArray[np.intp] | None = None) -> None:
         """Draw new sensor readings, also without a step while aircraft are held: of all, or of `which`."""

@@ -356,6 +356,17 @@ def test_example_of_the_guide_flies_without_a_warning_when_loaded(tmp_path: Path
     assert aircraft.battery is not None and aircraft.body is not None
 
 
+def test_thermal_constants_are_refused_in_one_line_when_no_current_is_known() -> None:
+    thermal = "[esc.thermal]\nwinding_ohm = 0.1\nresistance_k_w = 8\ntime_constant_s = 20\n"
+    text = replaced(r"^supply_voltage_v.*$", "").decode() + thermal
+    with pytest.raises(
+        AircraftError, match=r"^aircraft file mine: esc\.thermal: .*supply_voltage_v; give it$"
+    ):
+        parse_aircraft(text.encode(), "mine")
+    with pytest.raises(AircraftError, match=r"esc\.thermal\.winding_ohm: got -1"):
+        parse_aircraft((NF1 + thermal.replace("0.1", "-1")).encode(), "mine")
+
+
 class Recording(StrictTable):
     """Notes every key that the parser asks for, with its range and default as the guide writes them."""
 
@@ -403,6 +414,10 @@ def plain(allowed: str) -> str:
 
 
 PID = """
+[esc.thermal]
+winding_ohm = 0.1
+resistance_k_w = 8
+time_constant_s = 20
 [pid.NAME]
 roll = [1, 1, 0]
 pitch = [1, 1, 0]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.aircraft.model import Battery, Body, load_aircraft
+from sim.aircraft.model import Battery, Body, Thermal, load_aircraft
 from sim.physics.rotor import target_speed, thrust_and_torque
 from sim.physics.twin import Twin
 from sim.physics.variation import Variation
@@ -230,6 +230,31 @@ def test_telemetry_tells_the_thrust_that_lifts_the_aircraft_and_the_torque_that_
     shaft = (report.torque * speed).sum(axis=1)
     power = shaft / NF1.propulsion.efficiency + PACK.electronics_power
     assert power == pytest.approx(drawn.power, rel=1e-3)  # the rotors hardly gain speed any more
+
+
+def test_windings_heat_up_to_what_their_current_sustains_and_cool_down() -> None:
+    thermal = Thermal(winding_resistance=0.1, thermal_resistance=8.0, time_constant=0.1, ambient=25.0)
+    hot = replace(NF1, esc=replace(NF1.esc, thermal=thermal))
+    motors, known = Twin(hot, noise=False, rng=np.random.default_rng(1)), twin(noise=False)
+    assert motors.telemetry.temperature.tolist() == [[25.0] * 4]
+    for _ in range(1500):
+        motors.step(np.array([[0.2, 0.6, 0.6, 0.2]]))
+        known.step(np.array([[0.2, 0.6, 0.6, 0.2]]))
+    report, drawn = motors.telemetry, motors.draw
+    assert np.array_equal(report.speed, known.telemetry.speed) and np.array_equal(motors.rate, known.rate)
+    assert np.isnan(known.telemetry.temperature).all(), "without constants no temperature is known"
+    current = np.sqrt((report.temperature[0] - 25.0) / (0.1 * 8.0))  # R_th R I^2 above ambient
+    electronics = PACK.electronics_power / drawn.voltage[0]
+    assert current.sum() == pytest.approx(drawn.current[0] - electronics, rel=1e-3)
+    assert current[0] == pytest.approx(current[3]) and current[1] == pytest.approx(current[2])
+    assert current[1] > 5 * current[0], "power goes with the third power of speed"
+    for _ in range(1500):
+        motors.step(np.zeros((1, 4)))
+    assert motors.telemetry.temperature == pytest.approx(np.full((1, 4), 25.0), abs=0.1)
+    motors.reset()
+    assert motors.telemetry.temperature.tolist() == [[25.0] * 4]
+    motors.close()
+    known.close()
 
 
 def test_rotors_that_brake_give_no_power_back() -> None:
