@@ -23,6 +23,7 @@ from toolchain.files import file_size, write_text
 from training.reproduction.experiments import FOLDER, OUT, PLOT, Budget, ReproduceError, Step
 
 OUTPUT_BYTES_MAX = 64 << 20
+PICTURES = ("view",)  # commands that draw and print no JSON
 RESUMED = ("train", "sweep")  # commands that go on with what their --out holds
 LAST_SAID = 300  # characters of a failed command's last line
 POLL_S = 0.2  # between looks at a process and at the wish to stop
@@ -169,7 +170,9 @@ def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
     before = json.dumps(words)
     folder.parent.mkdir(parents=True, exist_ok=True)
     more: list[str] = []
-    if words[0] in RESUMED and folder.exists():
+    if words[0] not in RESUMED:
+        folder.mkdir(parents=True, exist_ok=True)
+    elif folder.exists():
         same = started.is_file() and started.read_text() == before
         if same and _begun(folder):
             more = ["--resume"]
@@ -177,10 +180,11 @@ def _run(step: Step, place: Place, execute: Execute, stop: Event) -> Done:
             shutil.rmtree(folder)
     write_text(started, before)
     began = time.monotonic()
-    text = execute([*words, *more, "--json"], place.root, stop.is_set)
+    plain = words[0] in PICTURES
+    text = execute([*words, *more, *(() if plain else ("--json",))], place.root, stop.is_set)
     seconds = time.monotonic() - began
     try:
-        output = json.loads(text)
+        output = {} if plain else json.loads(text)
     except ValueError as error:
         raise ReproduceError(f"{_typed(words)}: printed no JSON ({error})") from error
     record = {"words": words, "seconds": round(seconds, 1), "output": output}
