@@ -73,6 +73,7 @@ ROOMS = (
     "training/checkpoints",
     "training/runs",
     "training/evaluation",
+    "training/adaptation",
     "training/pid_tuning",
     "training/sweeps",
     "training/results_page",
