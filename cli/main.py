@@ -24,7 +24,7 @@ ROOMS = {  # which folder of cli/ holds the module of a command; its name is the
     "toolchain": ("build", "compile", "verify", "timing", "freeze"),
     "sim": ("dyno", "stability", "fly", "board", "twin", "aircraft", "view"),
     "training": (
-        *("train", "learning-curves", "sweep", "tune-pid", "results", "reproduce"),
+        *("train", "learning-curves", "sweep", "tune-pid", "adapt", "results", "reproduce"),
         *("evaluate", "compare", "robustness", "failure", "manoeuvres", "power"),
     ),
     "flash": ("msp", "flash", "rescue", "motor", "rc", "monitor", "gateway"),
@@ -44,6 +44,7 @@ COMMANDS = {
     "compare": "compare policies and PIDs on the same unseen commands",
     "robustness": "measure controllers on aircraft whose parameters differ from their file",
     "failure": "fly controllers through a motor that fails, or a payload that comes, goes or shifts",
+    "adapt": "refine a policy on what a flight told of the aircraft, and prove it",
     "manoeuvres": "fly roll, flip, Split-S, punch-out and dive recovery freely, with drag, battery, gusts",
     "power": "measure what controllers draw from the battery: disarmed, armed idling, in flight",
     "dyno": "measure a rotor on a dynamometer, simulated or real, and fit its model to the log",

@@ -74,6 +74,7 @@ ROOMS = (
     "training/checkpoints",
     "training/runs",
     "training/evaluation",
+    "training/adaptation",
     "training/pid_tuning",
     "training/sweeps",
     "training/dissertation",

@@ -1,10 +1,11 @@
 """The moment of inertia of an aircraft from the gyro's log of its swing on wires.
 
-Hung with its axis vertical through the centre of mass, the aircraft turns to and fro. On a bifilar pendulum (two
-parallel wires) gravity turns it back with m g d^2 / (4 L) [N m/rad], on a torsion wire the wire does, with its
-stiffness K. The rate is a decaying sinusoid, exp(-c t) cos(w t), and J = K / (w^2 + c^2).
+Hung with its axis vertical through the centre of mass, the aircraft turns to and fro. On a bifilar pendulum
+(two parallel wires) gravity turns it back with m g d^2 / (4 L) [N m/rad], on a torsion wire the wire does,
+with its stiffness K. The rate is a decaying sinusoid, exp(-c t) cos(w t), and J = K / (w^2 + c^2).
 
-Source of the bifilar formula: J = m g d^2 T^2 / (16 pi^2 L), d between the wires, L their length; small angles.
+Source of the bifilar formula: J = m g d^2 T^2 / (16 pi^2 L), d between the wires, L their length,
+at small angles.
 """
 
 from __future__ import annotations
@@ -80,9 +81,9 @@ def find_swing(recording: Recording, name: str, axis: int | None = None) -> Swin
         )
     every = max(1, int(recording.rate_hz / guess_hz / SAMPLES_A_PERIOD))
     count = len(gyro) // every
-    blocks = gyro[: count * every].reshape(count, every, 3).mean(axis=1)
+    blocks: Array = gyro[: count * every].reshape(count, every, 3).mean(axis=1).astype(np.float64)
     time = (np.arange(count) + 0.5 * (every - 1) / every) * (every / recording.rate_hz)
-    swing = _fit(time, blocks[:, axis], guess_hz, axis)
+    swing = _fit(np.asarray(time, np.float64), blocks[:, axis], guess_hz, axis)
     _check(swing, blocks.std(axis=0), name)
     return swing
 
@@ -102,7 +103,7 @@ def moment(swing: Swing, stiffness: float, *, bifilar: bool = False) -> Moment:
 
 
 def reference_stiffness(swing: Swing, inertia: float) -> tuple[float, float]:
-    """Stiffness [N m/rad] of wires on which a body of known `inertia` [kg m^2] swung, and its relative margin."""
+    """Stiffness [N m/rad] of wires on which a body of known `inertia` [kg m^2] swung; its relative margin."""
     stiffness = inertia * (2.0 * math.pi / swing.period_s) ** 2
     return stiffness, 2.0 * swing.period_margin_s / swing.period_s
 
@@ -170,20 +171,21 @@ def _check(swing: Swing, spread: Array, name: str) -> None:
     axis = AXES[swing.axis]
     if swing.explained < EXPLAINED_MIN:
         raise TraceError(
-            f"{name}: no swing: a decaying sinusoid explains {100 * swing.explained:.0f} % of the {axis} rate, "
-            f"expected at least {100 * EXPLAINED_MIN:g} %; log it hanging freely, from after it is let go"
+            f"{name}: no swing: a decaying sinusoid explains {100 * swing.explained:.0f} % of the {axis} "
+            f"rate, expected at least {100 * EXPLAINED_MIN:g} %; log it hanging freely, after it was let go"
         )
     others = np.delete(spread, swing.axis)
     if others.max() > OTHER_MAX * spread[swing.axis]:
         other = AXES[int(np.argmax(np.where(np.arange(3) == swing.axis, 0.0, spread)))]
         raise TraceError(
-            f"{name}: {other} turns with {others.max() / spread[swing.axis]:.2f} of {axis}'s rate, expected at "
-            f"most {OTHER_MAX:g}; hang it with the axis vertical, and let it go without a push"
+            f"{name}: {other} turns with {others.max() / spread[swing.axis]:.2f} of {axis}'s rate, expected "
+            f"at most {OTHER_MAX:g}; hang it with the axis vertical, and let it go without a push"
         )
     if swing.amplitude > AMPLITUDE_MAX:
         raise TraceError(
-            f"{name}: it swings {math.degrees(swing.amplitude):.0f} degrees, expected at most "
-            f"{math.degrees(AMPLITUDE_MAX):g}: the period depends on the angle there; wait until it swings less"
+            f"{name}: it swings {math.degrees(swing.amplitude):.0f} degrees, expected at "
+            f"most {math.degrees(AMPLITUDE_MAX):g}: the period depends on the angle there; "
+            "wait until it swings less"
         )
     if not 0.0 <= swing.damping + 0.01 <= DAMPING_MAX + 0.01:
         raise TraceError(

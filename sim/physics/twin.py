@@ -285,7 +285,7 @@ class Twin:
         self._supply.vary(everyone.charge, self._load_factor[:, 5])
 
     def weaken(self, shares: Array) -> None:
-        """From now on motors give these shares (M,) of their thrust at a command, on all aircraft: 1 all, 0 none.
+        """From now on motors give these shares (M,) of their thrust at a command: 1 all, 0 none.
 
         A motor that gives a share turns as much slower as that takes; a dead one runs down. `reset` mends
         nothing. Raises ValueError on a wrong shape or a share that is not in 0..1.

@@ -159,9 +159,10 @@ def record(
     the bench supply, if no variation says it; idle, mix: of the controller; gyro_mean: whether it sees the
     mean of the gyro's samples of a control period instead of the last one; gyro_rate_hz: of the gyro and of
     the twin's steps, a multiple of the control rate, None: the control rate, with `gyro_mean` the NF1's;
-    variation: how the aircraft differ from their file, `episodes` of them; event: what happens to them
-    in flight; progress: called with steps done and to do. The same seed gives every controller the same commands, and at the same gyro rate the same
-    noise and bias. Raises LinkError on a gyro rate that is no multiple.
+    variation: how the aircraft differ from their file, `episodes` of them; event: what happens to them in
+    flight; progress: called with steps done and to do. The same seed gives every controller the same
+    commands, and at the same gyro rate the same noise and bias. Raises LinkError on a gyro rate that is
+    no multiple.
     """
     commands, noise_rng = drawn(seed)
     wanted = task.episodes(episodes, commands, control_rate_hz)

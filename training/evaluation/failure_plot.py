@@ -12,13 +12,14 @@ from toolchain.contract import AXES
 from training.evaluation.failure import BAND_DEG_S, Failure
 
 FLOOR = 0.1  # [deg/s] of the logarithmic axis
+STRIDE_S = 0.01  # between points: the traces are averaged over twice that
 BEFORE_S = 0.3  # shown before the change
 
 
 def draw(results: Sequence[Failure], at_s: float, title: str) -> Figure:
     """Error of roll, pitch and yaw against time, all controllers in each panel."""
     cases = [each.case for each in results[0].cases]
-    figure = titled_figure((11, 0.8 + 2.1 * len(cases)), title)
+    figure = titled_figure((10, 0.8 + 1.5 * len(cases)), title)
     rows = figure.subplots(len(cases), 3, squeeze=False, sharex=True, sharey=True)
     colours = (*FLIGHT_COLOURS, *MOTOR_COLOURS)
     for number, (panels, case) in enumerate(zip(rows, cases, strict=True)):
@@ -26,7 +27,8 @@ def draw(results: Sequence[Failure], at_s: float, title: str) -> Figure:
             for result, colour in zip(results, colours, strict=False):
                 flown = result.cases[number]
                 time = np.arange(len(flown.traces)) * flown.step_s - at_s
-                shown = time >= -BEFORE_S
+                every = max(1, round(STRIDE_S / flown.step_s))
+                shown = (time >= -BEFORE_S) & (np.arange(len(time)) % every == 0)
                 error = np.maximum(flown.traces[shown, axis], FLOOR)
                 panel.semilogy(time[shown], error, color=colour, lw=1.3, label=result.controller.label)
             panel.axvline(0.0, color=INK, lw=0.8)

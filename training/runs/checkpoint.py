@@ -170,3 +170,28 @@ def snapshot(value: Any) -> Any:  # noqa: ANN401 - plain containers, numbers, te
         case float():
             return float(value)
     raise TypeError(f"a checkpoint holds plain data and tensors, got {type(value).__name__}")
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What a run had learned, to start another one from."""
+
+    policy: Policy  # the chosen one
+    learner: dict[str, Any]  # Learner.state of the latest
+
+
+def load_learned(path: Path) -> Learned:
+    """The policy and the learner's state in a checkpoint. Raises TrainingError if it is none."""
+    if not path.is_file():
+        raise TrainingError(f"nothing to start from: {path} does not exist; give the folder of a run")
+    if (size := file_size(path)) > CHECKPOINT_FILE_BYTES_MAX:
+        raise TrainingError(f"{path} is {size} bytes, expected at most {CHECKPOINT_FILE_BYTES_MAX}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of archives that are no checkpoint: they are refused
+            content = torch.load(path, map_location="cpu", weights_only=True)
+        if (content["format"], content["version"]) == (CHECKPOINT_FORMAT, CHECKPOINT_VERSION):
+            return Learned(dict(content["state_dict"]), dict(content["learner"]))
+    except Exception as error:  # torch does not document what it raises on other files
+        raise TrainingError(f"{path} is no checkpoint that a run can start from") from error
+    raise TrainingError(f"{path} is of another version, expected {CHECKPOINT_VERSION}")

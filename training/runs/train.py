@@ -22,8 +22,9 @@ from training.checkpoints.monitor import EPISODES, SEED, flown
 from training.checkpoints.monitor_process import Monitor
 from training.checkpoints.selection import rule
 from training.config.training_config import TrainingConfig
+from training.learners.pathwise.learner import PathwiseLearner
 from training.learners.protocol import Report
-from training.runs.checkpoint import MonitorState, Policy, Run, load_run, save_checkpoint, snapshot
+from training.runs.checkpoint import Learned, MonitorState, Policy, Run, load_run, save_checkpoint, snapshot
 from training.runs.make_learner import make_learner
 from training.runs.rewards import Rewards
 
@@ -90,6 +91,7 @@ def train(
     resume: bool = False,
     monitor: Monitor | None = None,
     command: str | None = None,
+    start: Learned | None = None,
 ) -> Progress:
     """Train and write `out`/checkpoint.pt, policy.onnx, training.json and rewards.csv.
 
@@ -100,6 +102,7 @@ def train(
 
     monitor: flies every checkpoint, and policy.onnx is the one that `training.checkpoints.selection` chooses;
     without it, the latest. `out`/monitor.json holds its metrics. command: repeats the run, for the record.
+    start: what another run learned, that a pathwise run begins with instead of random weights.
     Raises TrainingError if there is nothing to resume, or the configuration differs.
     """
     # A second thread makes networks this small little faster, and twenty times slower on a busy machine.
@@ -109,6 +112,11 @@ def train(
     run, monitor_state = load_run(out / CHECKPOINT, document) if resume else (None, MonitorState())
     results = _Results(out, config, document, command, monitor is not None)
     model = make_learner(aircraft, config)
+    if start is not None:
+        if not isinstance(model, PathwiseLearner):
+            model.close()
+            raise TrainingError(f"algorithm {config.algorithm.name}: only pathwise starts from another run")
+        model.start_from(start.policy, start.learner)
     _tidy(out)
     began, before, segment, marked = time.monotonic(), 0.0, 0, 0
     if run is not None:

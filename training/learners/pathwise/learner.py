@@ -142,6 +142,17 @@ class PathwiseLearner:
             skipped=state["skipped"],
         )
 
+    def start_from(self, policy: dict[str, torch.Tensor], state: dict[str, Any]) -> None:
+        """Begin with the weights of another run's policy, and the loss weights that its limits had led to.
+
+        Raises TrainingError on a policy of another network.
+        """
+        mine = self.policy()
+        if {name: part.shape for name, part in mine.items()} != {n: p.shape for n, p in policy.items()}:
+            raise TrainingError("the policy to start from has another network than the configuration")
+        parts = [policy[name].numpy().astype(np.float32).ravel() for name in mine]
+        self._state = State.fresh(np.concatenate(parts), Weights(**state["weights"]))
+
     def close(self) -> None:
         """See Learner."""
         self._flights.close()

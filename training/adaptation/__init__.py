@@ -1,0 +1,1 @@
+"""A policy refined on what a flight told, and its proof."""

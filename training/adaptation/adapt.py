@@ -1,0 +1,130 @@
+"""Adaptation of a policy: a warm start on the adapted aircraft, and the comparison that must be won."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sim.aircraft.model import Aircraft
+from sim.analysis.confidence import Mean, paired
+from toolchain.errors import TrainingError
+from training.config.config_file import load_config
+from training.config.pathwise_config import PathwiseConfig
+from training.config.training_config import TrainingConfig
+from training.evaluation.controllers import Conditions, load_controller
+from training.evaluation.evaluation import Scores, mean_over, scores
+from training.runs.checkpoint import Learned, load_learned
+from training.runs.train import CHECKPOINT, RECORD, Callback, train
+from training.tasks.task import PulseTask
+
+LEARNING_RATE = 5e-4  # a tenth of a fresh run's: the policy flies already
+WARM_UP = 20
+WITHIN = 0.05  # the adapted aircraft's own uncertainty of inertia and thrust
+CHANGE_MORE = 1.1  # most |change| of a motor in 1 ms, of the old policy's
+ORIGINAL_MORE = (
+    1.5  # most MAE on the aircraft of the unadapted file, of the old policy's: the log may be wrong
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """One policy on one aircraft."""
+
+    mae: Mean  # [deg/s]
+    change: float  # of the motors
+    scores: Scores
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """Old and new policy on the same commands."""
+
+    old: Bench  # on the adapted aircraft
+    new: Bench
+    gain: Mean  # MAE of the old less that of the new [deg/s], command by command
+    old_original: Bench  # on the aircraft of the file
+    new_original: Bench
+
+    @property
+    def refusal(self) -> str | None:
+        """Why the new policy must not replace the old one; None: it may."""
+        old, new = float(self.old.mae.value), float(self.new.mae.value)
+        if not float(self.gain.low) > 0.0:
+            return (
+                f"is no better on the adapted aircraft: MAE {new:.3f} after {old:.3f} deg/s, a gain of "
+                f"{float(self.gain.value):.3f} "
+                f"({float(self.gain.low):.3f} to {float(self.gain.high):.3f}, 95 %)"
+            )
+        if self.new.change > CHANGE_MORE * self.old.change:
+            return (
+                f"moves the motors more: {self.new.change:.5f} after {self.old.change:.5f} in 1 ms, expected "
+                f"at most {CHANGE_MORE:g} times that"
+            )
+        before, after = float(self.old_original.mae.value), float(self.new_original.mae.value)
+        if after > ORIGINAL_MORE * before:
+            return (
+                f"flies the aircraft of the file with MAE {after:.3f} after {before:.3f} deg/s, expected "
+                f"at most {ORIGINAL_MORE:g} times that: should the log mislead, it would be worse than before"
+            )
+        return None
+
+
+def warm_config(folder: Path, steps: int, seed: int) -> tuple[TrainingConfig, Learned]:
+    """The configuration of a refinement of the policy in `folder`, and what its run had learned.
+
+    Raises TrainingError on a folder that holds no run of the pathwise learner.
+    """
+    config = load_config(
+        folder / RECORD,
+        [
+            f"steps={steps}",
+            f"seed={seed}",
+            f"checkpoint_steps={steps}",
+            f"world.randomization.inertia=[{1 - WITHIN}, {1 + WITHIN}]",
+            f"world.randomization.thrust=[{1 - WITHIN}, {1 + WITHIN}]",
+        ],
+    )
+    algorithm = config.algorithm
+    if not isinstance(algorithm, PathwiseConfig):
+        raise TrainingError(
+            f"{folder}: trained with {algorithm.name}, expected pathwise: only that learner is refined"
+        )
+    algorithm = replace(algorithm, learning_rate=LEARNING_RATE, warm_up=WARM_UP)
+    return replace(config, algorithm=algorithm), load_learned(folder / CHECKPOINT)
+
+
+def refine(
+    aircraft: Aircraft,
+    config: TrainingConfig,
+    learned: Learned,
+    out: Path,
+    callback: Callback | None = None,
+    command: str | None = None,
+) -> None:
+    """Train on `aircraft` from what was learned; writes checkpoint, policy and record to `out`."""
+    train(aircraft, config, out, callback, command=command, start=learned)
+
+
+def prove(old: Path, new: Path, original: Aircraft, adapted: Aircraft, episodes: int, seed: int) -> Proof:
+    """Fly both policies on the same unseen pulses, on both aircraft."""
+    first, second = bench(old, adapted, episodes, seed), bench(new, adapted, episodes, seed)
+    each = (one.scores.tracking.mae.mean(axis=1) for one in (first, second))
+    before, after = each
+    return Proof(
+        old=first,
+        new=second,
+        gain=paired(after, before),
+        old_original=bench(old, original, episodes, seed),
+        new_original=bench(new, original, episodes, seed),
+    )
+
+
+def bench(policy: Path, aircraft: Aircraft, episodes: int, seed: int) -> Bench:
+    """A policy on unseen pulses."""
+    controller = load_controller(str(policy), aircraft)
+    flown = Conditions(aircraft, PulseTask(), episodes, seed)
+    found = scores(flown.fly(controller, 0.3))
+    assert found.motor_change is not None
+    return Bench(
+        mae=mean_over(found.tracking.mae.mean(axis=1)), change=float(found.motor_change.mean()), scores=found
+    )
