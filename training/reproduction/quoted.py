@@ -24,7 +24,7 @@ class Quoted:
 
     @property
     def allowed(self) -> tuple[float, ...]:
-        """Half width of what each number may stand for: its confidence, or more if rounding took more away."""
+        """Half width of what each number may stand for: its confidence, or more where rounding took more."""
         rounded = 0.5 * 10.0**-self.digits
         return tuple(max(rounded, margin) for margin in self.margin or (0.0,) * len(self.value))
 
