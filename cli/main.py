@@ -67,7 +67,7 @@ COMMANDS = {
 }
 EXTRAS = {  # of pyproject.toml: packages that not every command needs, under the names they are imported by
     "gateway": ("pymavlink",),
-    "sim": ("cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
+    "sim": ("PIL", "cffi", "matplotlib", "pybullet", "scipy", "trimesh"),
     "train": ("gymnasium", "onnxruntime", "sb3_contrib", "stable_baselines3", "tensorboard", "torch"),
     "sweep": ("ray",),
 }

@@ -73,7 +73,7 @@ def _summary(results: Sequence[RowResult]) -> str:
     hardware = sum(bool(result.row.hardware) for result in results)
     return (
         f"{len(results)} rows: {', '.join(told)}; {plain} pictures and figures without a better or worse, "
-        f"{hardware} that only hardware can fill. A row counts as the worst of its figures."
+        f"{hardware} that no run fills. A row counts as the worst of its figures."
     )
 
 
@@ -83,12 +83,11 @@ def _place(place: str, group: Sequence[RowResult], pictures: str) -> list[str]:
     body = []
     for result in group:
         many = len(group) > 1 and len(result.row.figures) > 0
-        for index, each in enumerate(result.results):
+        for each in result.results:
             name = f"{result.row.title.rpartition(': ')[2]}, {each.figure.what}" if many else each.figure.what
             budget = "" if each.value is None or "quick" not in result.budgets else " (quick)"
             judged = "" if each.judged is None else str(each.judged)
             body.append((name, quoted(each.figure), shown(each.value, each.figure) + budget, judged))
-            del index
     if body:
         parts.append(table(HEADINGS, body))
     for result in group:
@@ -115,7 +114,7 @@ def _shortest(rows: Sequence[Row]) -> str:
 
 def _hardware(rows: Sequence[Row]) -> str:
     body = [(row.place, row.title, row.hardware) for row in rows if row.hardware]
-    return f"## Only hardware can fill these\n\n{table(('', '', 'why'), body, align='---')}"
+    return f"## What no run fills\n\n{table(('', '', 'why'), body, align='---')}"
 
 
 HEAD = """# The dissertation's experiments, run again
@@ -129,4 +128,9 @@ numbered by their order in the source.
 
 *Surpassed*: better on every axis. *Reached*: no worse than the printed confidence or rounding allows; of an
 effect, the same sign and at least half its size. *Not reached*: worse on the axes named; the reason stands
-below. The commands of a row, and what each budget runs: `neuroflight reproduce --list ROW`."""
+below. (quick) marks figures of the quick budget, a twentieth to a five-hundredth of the dissertation's
+steps: their verdicts say little. What a row runs: `neuroflight reproduce --list ROW`.
+
+The aircraft of chapters 3 and 4 are [iris-3.toml](../training/reproduction/iris-3.toml) and
+[iris-4.toml](../training/reproduction/iris-4.toml), with their simulator's motors, which no such aircraft
+has. Chapter 5's is the [NF1](../sim/aircraft/nf1.toml)."""

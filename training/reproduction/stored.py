@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from toolchain.files import file_size, replacing, write_text
 from training.reproduction.experiments import BUDGETS, Budget, Figure, ReproduceError, Row, Source
@@ -17,6 +18,7 @@ from training.reproduction.steps import Done
 from training.reproduction.verdict import Judged, Verdict, judge
 
 FILE_BYTES_MAX = 1 << 20
+WIDTH_MAX, COLOURS = 1200, 200  # pixels and colours of a stored picture
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,18 @@ def store(kept: Kept, folder: Path, picture: Path | None, pictures: Path) -> Non
     if picture is not None:
         pictures.mkdir(parents=True, exist_ok=True)
         with replacing(pictures / f"{kept.step}.png") as aside:
-            shutil.copyfile(picture, aside)
+            _small(picture).save(aside, "PNG", optimize=True)
+
+
+def _small(picture: Path) -> Image.Image:
+    """A picture for a page: at most WIDTH_MAX wide, in COLOURS colours, a quarter of the bytes."""
+    with Image.open(picture) as drawn:
+        image = drawn.convert("RGB")
+    if image.width > WIDTH_MAX:
+        image = image.resize(
+            (WIDTH_MAX, round(image.height * WIDTH_MAX / image.width)), Image.Resampling.LANCZOS
+        )
+    return image.quantize(COLOURS)
 
 
 def read_stored(folder: Path) -> dict[str, Kept]:

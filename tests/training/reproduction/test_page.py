@@ -1,0 +1,123 @@
+"""The shipped experiments: rows, commands that are understood, and a page that says what is stored."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cli.main import main, parser
+from training.dissertation.quotes import quotes
+from training.reproduction.experiments import BUDGETS, experiments
+from training.reproduction.page import render
+from training.reproduction.steps import PICTURES, Place
+from training.reproduction.stored import read_stored, row_result, sources
+from training.reproduction.verdict import Verdict
+
+ROOT = Path(__file__).resolve().parents[3]
+STORED = ROOT / "docs" / "results" / "dissertation"
+DRAWN = ROOT / "docs" / "dissertation"
+PAGE = ROOT / "docs" / "dissertation.md"
+ROWS_LEAST = 60
+QUOTES_LEAST = 100
+
+
+def test_rows_cover_every_table_that_the_dissertation_measured() -> None:
+    rows = experiments().rows
+    assert len(rows) >= ROWS_LEAST
+    tables = {quote.place.removeprefix("Table ") for quote in quotes() if quote.place.startswith("Table ")}
+    named = {row.name.partition("-")[0] for row in rows}
+    assert tables <= named
+
+
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_every_command_is_one_that_the_command_line_understands(budget: str) -> None:
+    top = parser()
+    place = Place(ROOT, Path("out"), "quick" if budget == "quick" else "full")
+    for step in experiments().steps.values():
+        words = place.words(step)
+        top.parse_args([*words, *(() if words[0] in PICTURES else ("--json",))])
+
+
+def test_quick_is_never_more_than_full() -> None:
+    for step in experiments().steps.values():
+        counts = [
+            [int(number) for number in re.findall(r"--(?:steps|episodes|count|seeds) (\d+)", command)]
+            for command in (step.quick, step.full)
+        ]
+        assert len(step.quick) <= len(step.full) + 20 or sum(counts[0]) <= sum(counts[1])
+
+
+def test_every_quoted_figure_of_the_page_is_of_the_file_of_quotes() -> None:
+    page = PAGE.read_text()
+    shown = [figure for row in experiments().rows for figure in row.figures if figure.quote is not None]
+    assert len(shown) >= QUOTES_LEAST
+    for figure in shown:
+        assert figure.what.replace("|", "/") in page
+
+
+def test_the_page_is_what_the_stored_figures_give() -> None:
+    assert PAGE.read_text() == render(experiments(), read_stored(STORED), DRAWN.name)
+
+
+def test_stored_figures_are_those_that_rows_read() -> None:
+    known, kept = experiments(), read_stored(STORED)
+    read = {(source.step, source.path) for row in known.rows for source in sources(row)}
+    for name, step in kept.items():
+        assert name in known.steps
+        assert {(name, path) for path in step.figures} <= read
+    missing = [row.name for row in known.rows if not row.hardware and not row_result(row, kept).measured]
+    assert missing == []
+
+
+def test_pictures_of_the_page_are_there() -> None:
+    drawn = {row.picture for row in experiments().rows if row.picture}
+    assert {path.stem for path in DRAWN.glob("*.png")} == drawn
+    assert sum(path.stat().st_size for path in DRAWN.glob("*.png")) < 4 << 20
+
+
+def test_a_row_that_is_not_reached_at_the_full_budget_says_why() -> None:
+    kept = read_stored(STORED)
+    silent = [
+        row.name
+        for row in experiments().rows
+        if not row.why
+        and (result := row_result(row, kept)).verdict is Verdict.NOT_REACHED
+        and "quick" not in result.budgets
+    ]
+    assert silent == []
+
+
+def test_headline_rows_are_of_the_full_budget() -> None:
+    kept = read_stored(STORED)
+    for name in ("iris-ppo-1-flown", "nf5-flown", "nf4-short-flown", "timing"):
+        assert kept[name].budget == "full"
+
+
+def test_list_names_rows_commands_and_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "--list", "3.9-ppo"]) == 0
+    printed = capsys.readouterr().out
+    for part in (
+        "Table 3.9",
+        "full",
+        "m = 1",
+        "neuroflight train --aircraft training/reproduction/iris-3.toml",
+    ):
+        assert part in printed
+
+
+def test_an_unknown_row_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reproduce", "9.9"]) == 1
+    assert "row '9.9': not there" in capsys.readouterr().err
+
+
+def test_check_tells_whether_the_page_is_up_to_date(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reproduce", "--check"]) == 0
+    stale = tmp_path / "page.md"
+    stale.write_text(PAGE.read_text().replace("surpassed", "reached", 1))
+    monkeypatch.setattr("cli.training.reproduce.PAGE", stale)
+    assert main(["reproduce", "--check"]) == 1
+    assert "not what the files" in capsys.readouterr().err
